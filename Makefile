@@ -1,0 +1,55 @@
+# make demo: see it work. make test: prove it works. Both set themselves up on a bare Debian/Ubuntu with Python 3.11+.
+SHELL := /bin/bash
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.stamp
+export PYTHONDONTWRITEBYTECODE ?= 1
+
+.DEFAULT_GOAL := help
+.PHONY: help setup openni test-system test lint types contracts openapi demo lock clean
+
+help:  ## show this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+
+setup: $(STAMP) openni  ## make .venv from the lock file, and the OpenNI2 runtime where it may
+
+$(STAMP): requirements-dev.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: $$($(PYTHON) --version) found"; exit 1; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { echo "python3-venv is missing: apt-get install python3-venv"; exit 1; }
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements-dev.lock
+	PYTHONWARNINGS=ignore $(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $(STAMP)
+
+openni:
+	@docker/install-debian-packages.sh libopenni2-0 || echo "Until then recordings are played by Tidegate's own reader; live cameras are not available."
+
+# What the tests use for real beside the Python packages: the runtime and a browser.
+test-system:
+	@docker/install-debian-packages.sh libopenni2-0 chromium
+
+test: $(STAMP) test-system lint types contracts  ## everything that must hold: lint, types, contracts, all tests
+	$(BIN)/pytest
+
+demo: $(STAMP) openni  ## a 60 s volunteer through the whole of Tidegate; KEEP=1 stays up
+	$(BIN)/tidegate demo $(if $(KEEP),--keep)
+
+openapi: $(STAMP)  ## write the contract to openapi/
+	$(BIN)/tidegate openapi --out openapi
+
+lint: $(STAMP)  ## ruff, rules and format
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(STAMP)  ## mypy --strict
+	$(BIN)/mypy
+
+contracts: $(STAMP)  ## import-linter: who may import whom
+	$(BIN)/lint-imports
+
+lock: $(STAMP)  ## resolve the newest versions into the lock files
+	$(BIN)/pip-compile -q --upgrade --strip-extras --generate-hashes --allow-unsafe --no-emit-index-url --no-emit-find-links --no-emit-trusted-host --no-header -o requirements.lock pyproject.toml
+	$(BIN)/pip-compile -q --upgrade --extra dev --strip-extras --generate-hashes --allow-unsafe --no-emit-index-url --no-emit-find-links --no-emit-trusted-host --no-header -c requirements.lock -o requirements-dev.lock pyproject.toml
+
+clean:  ## remove what was built, keep recordings
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,0 +1,272 @@
+"""The camera calibration file: ``tidegate.calibration/1``, read strictly.
+
+A calibration turns pixels into millimetres, so a wrong one moves the beam. Every number is bounded, unknown and
+missing keys are refused, and each refusal names the field, the value and the bound.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from engine.errors import CalibrationError
+from engine.geometry import Intrinsics, RigidTransform
+
+SCHEMA = "tidegate.calibration/1"
+MAX_BYTES = 64 * 1024
+MAX_NESTING = 8
+MAX_BASELINE_MM = 200.0
+ROTATION_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DepthCorrection:
+    """Per-unit correction of the depth scale: ``z = scale * reading + offset_mm``."""
+
+    scale: float
+    offset_mm: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Disparity:
+    """Projector baseline [mm] and step of the disparity [px], to undo the sensor's quantisation."""
+
+    baseline_mm: float
+    step_px: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Calibration:
+    """Both cameras, the pose between them and, where measured, this unit's depth correction."""
+
+    camera: str
+    depth: Intrinsics
+    color: Intrinsics
+    color_from_depth: RigidTransform
+    depth_correction: DepthCorrection | None = None
+    disparity: Disparity | None = None
+
+    def to_json(self) -> str:
+        """Write the canonical text: the file's content, and what :attr:`sha256` is taken of."""
+        document: dict[str, object] = {
+            "schema": SCHEMA,
+            "camera": self.camera,
+            "depth": _camera_document(self.depth),
+            "color": _camera_document(self.color),
+            "depth_to_color": {
+                "rotation": self.color_from_depth.rotation.tolist(),
+                "translation_mm": self.color_from_depth.translation_mm.tolist(),
+            },
+        }
+        if self.depth_correction is not None:
+            document["depth_correction"] = {
+                "scale": self.depth_correction.scale,
+                "offset_mm": self.depth_correction.offset_mm,
+            }
+        if self.disparity is not None:
+            document["disparity"] = {
+                "baseline_mm": self.disparity.baseline_mm,
+                "step_px": self.disparity.step_px,
+            }
+        return json.dumps(document, indent=2, sort_keys=True) + "\n"
+
+    def check_sizes(self, *, depth: tuple[int, ...], color: tuple[int, ...]) -> None:
+        """Refuse pictures, by their array shapes, that this calibration is not for."""
+        for name, camera, shape in (("depth", self.depth, depth), ("color", self.color, color)):
+            for field, wanted, given in (("width", camera.width, shape[1]), ("height", camera.height, shape[0])):
+                if wanted != given:
+                    raise CalibrationError(f"{name}.{field}", wanted, f"{given}, as the camera's pictures are")
+
+    @property
+    def sha256(self) -> str:
+        """Identity of this calibration, hexadecimal."""
+        return hashlib.sha256(self.to_json().encode()).hexdigest()
+
+
+def load_calibration(path: Path) -> Calibration:
+    """Read a calibration file.
+
+    Raises
+    ------
+    CalibrationError
+        The file cannot be read or is not a calibration; names field, value and bound.
+    """
+    try:
+        with path.open("rb") as file:
+            text = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise CalibrationError("file", str(path), f"readable ({error.strerror})") from error
+    return parse_calibration(text)
+
+
+def parse_calibration(text: bytes) -> Calibration:
+    """Parse and check a calibration document.
+
+    Raises
+    ------
+    CalibrationError
+        Not such a document; names field, value and bound.
+    """
+    if len(text) > MAX_BYTES:
+        raise CalibrationError("file", f"{len(text)} bytes or more", f"at most {MAX_BYTES} bytes")
+    _refuse_deep_nesting(text)
+    try:
+        document = json.loads(text, object_pairs_hook=_unique_keys, parse_constant=_refuse_constant)
+    except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
+        reason = str(error).splitlines()[0][:80]
+        raise CalibrationError("file", f"{len(text)} bytes", f"a JSON document ({reason})") from error
+    return _calibration(document)
+
+
+def _refuse_deep_nesting(text: bytes) -> None:
+    depth = 0
+    for byte in text:
+        depth += (byte in b"[{") - (byte in b"]}")
+        if depth > MAX_NESTING:
+            raise CalibrationError("file", f"nested deeper than {MAX_NESTING}", f"nested at most {MAX_NESTING} deep")
+
+
+def _unique_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    keys: dict[str, object] = {}
+    for key, value in pairs:
+        if key in keys:
+            raise CalibrationError(key, "given twice", "given once")
+        keys[key] = value
+    return keys
+
+
+def _refuse_constant(name: str) -> float:
+    raise CalibrationError("file", name, "made of finite numbers")
+
+
+def _calibration(document: object) -> Calibration:
+    root = _object(
+        "file",
+        document,
+        required=("schema", "camera", "depth", "color", "depth_to_color"),
+        optional=("depth_correction", "disparity"),
+    )
+    if root["schema"] != SCHEMA:
+        raise CalibrationError("schema", root["schema"], f'"{SCHEMA}"')
+    correction = root.get("depth_correction")
+    disparity = root.get("disparity")
+    return Calibration(
+        camera=_name("camera", root["camera"]),
+        depth=_camera("depth", root["depth"]),
+        color=_camera("color", root["color"]),
+        color_from_depth=_pose("depth_to_color", root["depth_to_color"]),
+        depth_correction=None if correction is None else _depth_correction("depth_correction", correction),
+        disparity=None if disparity is None else _disparity("disparity", disparity),
+    )
+
+
+def _camera(field: str, value: object) -> Intrinsics:
+    camera = _object(field, value, required=("width", "height", "fx", "fy", "cx", "cy", "distortion"))
+    width = _integer(f"{field}.width", camera["width"], 160, 4096)
+    height = _integer(f"{field}.height", camera["height"], 120, 4096)
+    focal = {key: _number(f"{field}.{key}", camera[key], 0.3 * width, 5.0 * width) for key in ("fx", "fy")}
+    if not 0.8 <= focal["fx"] / focal["fy"] <= 1.25:
+        raise CalibrationError(f"{field}.fy", focal["fy"], f"within 25 % of {field}.fx ({focal['fx']})")
+    k1, k2, p1, p2, k3 = _vector(f"{field}.distortion", camera["distortion"], 5, -10.0, 10.0)
+    return Intrinsics(
+        width=width,
+        height=height,
+        fx=focal["fx"],
+        fy=focal["fy"],
+        cx=_number(f"{field}.cx", camera["cx"], 0.0, width - 1.0),
+        cy=_number(f"{field}.cy", camera["cy"], 0.0, height - 1.0),
+        distortion=(k1, k2, p1, p2, k3),
+    )
+
+
+def _pose(field: str, value: object) -> RigidTransform:
+    pose = _object(field, value, required=("rotation", "translation_mm"))
+    rows = pose["rotation"]
+    if not isinstance(rows, list) or len(rows) != 3:
+        raise CalibrationError(f"{field}.rotation", rows, "3 rows of 3 numbers")
+    rotation = np.array([_vector(f"{field}.rotation[{i}]", row, 3, -1.001, 1.001) for i, row in enumerate(rows)])
+    skew = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if skew > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0.0:
+        raise CalibrationError(
+            f"{field}.rotation",
+            rotation.tolist(),
+            f"a rotation (orthonormal within {ROTATION_TOLERANCE}, determinant 1)",
+        )
+    translation = np.array(
+        _vector(f"{field}.translation_mm", pose["translation_mm"], 3, -MAX_BASELINE_MM, MAX_BASELINE_MM)
+    )
+    baseline = float(np.linalg.norm(translation))
+    if baseline > MAX_BASELINE_MM:
+        raise CalibrationError(f"{field}.translation_mm", baseline, f"at most {MAX_BASELINE_MM} mm long")
+    return RigidTransform(rotation=rotation, translation_mm=translation)
+
+
+def _depth_correction(field: str, value: object) -> DepthCorrection:
+    correction = _object(field, value, required=("scale", "offset_mm"))
+    return DepthCorrection(
+        scale=_number(f"{field}.scale", correction["scale"], 0.8, 1.25),
+        offset_mm=_number(f"{field}.offset_mm", correction["offset_mm"], -100.0, 100.0),
+    )
+
+
+def _disparity(field: str, value: object) -> Disparity:
+    disparity = _object(field, value, required=("baseline_mm", "step_px"))
+    return Disparity(
+        baseline_mm=_number(f"{field}.baseline_mm", disparity["baseline_mm"], 10.0, 500.0),
+        step_px=_number(f"{field}.step_px", disparity["step_px"], 0.001, 1.0),
+    )
+
+
+def _object(
+    field: str, value: object, *, required: tuple[str, ...], optional: tuple[str, ...] = ()
+) -> Mapping[str, object]:
+    if not isinstance(value, dict):
+        raise CalibrationError(field, value, "a JSON object")
+    prefix = "" if field == "file" else f"{field}."
+    for key in value:
+        if key not in required and key not in optional:
+            raise CalibrationError(f"{prefix}{key}"[:80], "unknown", f"one of {', '.join(required + optional)}")
+    for key in required:
+        if key not in value:
+            raise CalibrationError(f"{prefix}{key}", "missing", "given")
+    return value
+
+
+def _name(field: str, value: object) -> str:
+    if not isinstance(value, str) or not 1 <= len(value) <= 80 or not value.isprintable():
+        raise CalibrationError(field, value, "1 to 80 printable characters")
+    return value
+
+
+def _integer(field: str, value: object, low: int, high: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise CalibrationError(field, value, f"a whole number from {low} to {high}")
+    return value
+
+
+def _number(field: str, value: object, low: float, high: float) -> float:
+    # Bounds first on the value as parsed: a whole number of a thousand digits has no float.
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise CalibrationError(field, value, f"a number from {low:g} to {high:g}")
+    return float(value)
+
+
+def _vector(field: str, value: object, length: int, low: float, high: float) -> list[float]:
+    if not isinstance(value, list) or len(value) != length:
+        raise CalibrationError(field, value, f"{length} numbers")
+    return [_number(f"{field}[{i}]", item, low, high) for i, item in enumerate(value)]
+
+
+def _camera_document(camera: Intrinsics) -> dict[str, object]:
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "fx": camera.fx,
+        "fy": camera.fy,
+        "cx": camera.cx,
+        "cy": camera.cy,
+        "distortion": list(camera.distortion),
+    }

@@ -1,0 +1,1 @@
+"""Where frames come from: one adapter a file, each the only importer of its SDK."""

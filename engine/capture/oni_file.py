@@ -1,0 +1,250 @@
+"""A recording as a source of frames, through our own reader: for offline work, and for play where OpenNI is missing.
+
+Depth and colour run on two clocks' worth of jitter and are interleaved in the file, so each depth frame gets the colour
+frame *nearest in time*, before or after; the file is read ahead as far as that takes. Every depth frame is delivered
+once, in order.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from engine.capture.source import SourceDescription
+from engine.clock import NS_PER_S, NS_PER_US, Clock
+from engine.errors import FrameTimeoutError, RecordingError, SourceEndedError
+from engine.frames import ColorImage, DepthImage, RgbdFrame
+from engine.oni.reader import CodedFrame, OniReader
+
+# Depth frames held back at most while a colour frame is looked for: eight seconds, some 40 MB.
+MAX_LOOK_AHEAD = 256
+# Colour frames kept while no depth frame waits: the next one's nearest is the last of them, give or take jitter.
+KEPT_COLORS = 8
+# A jump in the recording's time is waited for no longer than this, and a pause of the reader's longer than this shifts
+# the schedule instead of being made up for.
+MAX_WAIT_NS = 2 * NS_PER_S
+
+
+class _Color:
+    """A colour frame that is decoded when first wanted, and then no more."""
+
+    def __init__(self, coded: CodedFrame) -> None:
+        self.timestamp_us = coded.timestamp_us
+        self._coded = coded
+        self._picture: ColorImage | None = None
+
+    def picture(self) -> ColorImage:
+        if self._picture is None:
+            self._picture = self._coded.decode_color()
+            self._picture.setflags(write=False)
+        return self._picture
+
+
+class OniFileSource:
+    """A DepthSource over an ``.oni`` file.
+
+    Parameters
+    ----------
+    path
+        The recording; it must hold depth and colour.
+    clock
+        Stamps ``received_ns`` and, when paced, sets the pace.
+    is_paced
+        Deliver frames in the recording's own time instead of at once.
+    sleep
+        Waits for some seconds; replaced in tests.
+    """
+
+    def __init__(
+        self, path: Path, *, clock: Clock, is_paced: bool = False, sleep: Callable[[float], None] = time.sleep
+    ) -> None:
+        self._path = Path(path)
+        self._clock = clock
+        self._pace = _Pace(clock, sleep) if is_paced else None
+        self._reader: OniReader | None = None
+        self._frames: Iterator[_Decoded] = iter(())
+        self._next: _Decoded | None = None
+        self._damage: RecordingError | None = None
+        self._index = 0
+
+    def open(self) -> SourceDescription:
+        """Open the file and read its first frame.
+
+        Raises
+        ------
+        RecordingError
+            No recording, one without depth or colour, or one damaged before its first frame.
+        """
+        self.close()
+        self._reader = reader = OniReader(self._path)
+        try:
+            description = _describe(reader)
+            self._frames = _decode(reader)
+            self._next = _first(reader, self._frames)
+        except RecordingError:
+            self.close()
+            raise
+        self._damage = None
+        self._index = 0
+        return description
+
+    def read(self, timeout_s: float) -> RgbdFrame:
+        """Return the next frame; see :class:`engine.capture.source.DepthSource`."""
+        ready = self._upcoming()
+        if self._pace is not None:
+            self._pace.wait_for(ready.coded.timestamp_us, timeout_s)
+        self._next = None
+        frame = RgbdFrame(
+            index=self._index,
+            device_index=ready.coded.frame_id,
+            missed_frames=ready.coded.missed_frames,
+            timestamp_us=ready.coded.timestamp_us,
+            color_timestamp_us=ready.color_timestamp_us,
+            received_ns=self._clock.now_ns(),
+            depth_mm=ready.depth_mm,
+            color=ready.color,
+        )
+        self._index += 1
+        return frame
+
+    def close(self) -> None:
+        """Close the file; safe to call twice, and after a failure."""
+        if self._reader is not None:
+            self._reader.close()
+        self._reader = None
+        self._next = None
+        self._frames = iter(())
+
+    def _upcoming(self) -> "_Decoded":
+        """Decode the next frame before its time has come, so that it is on time."""
+        if self._damage is not None:
+            raise self._damage
+        if self._next is None:
+            try:
+                self._next = next(self._frames, None)
+            except RecordingError as error:
+                self._damage = error
+                raise
+        if self._next is None:
+            msg = f"{self._path.name} is over after {self._index} frames"
+            raise SourceEndedError(msg)
+        return self._next
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Decoded:
+    """A pair with its pictures."""
+
+    coded: CodedFrame
+    depth_mm: DepthImage
+    color: ColorImage
+    color_timestamp_us: int
+
+
+def _describe(reader: OniReader) -> SourceDescription:
+    if reader.color is None:
+        msg = f"{reader.name}: the recording has no colour stream"
+        raise RecordingError(msg)
+    return SourceDescription(
+        kind="recording",
+        name=reader.name,
+        depth_size=reader.depth.size_px,
+        color_size=reader.color.size_px,
+        fps=float(reader.depth.fps),
+        is_live=False,
+    )
+
+
+def _first(reader: OniReader, frames: Iterator[_Decoded]) -> _Decoded:
+    frame = next(frames, None)
+    if frame is None:
+        msg = f"{reader.name}: the recording holds no frame"
+        raise RecordingError(msg)
+    return frame
+
+
+def _decode(reader: OniReader) -> Iterator[_Decoded]:
+    for coded, color in _pair(reader):
+        try:
+            decoded = _Decoded(
+                coded=coded,
+                depth_mm=coded.decode_depth(),
+                color=color.picture(),
+                color_timestamp_us=color.timestamp_us,
+            )
+        except RecordingError as error:
+            msg = f"{reader.name}: depth frame {coded.frame_id} or its colour frame: {error}"
+            raise RecordingError(msg) from error
+        yield decoded
+
+
+def _pair(reader: OniReader) -> Iterator[tuple[CodedFrame, _Color]]:
+    """Yield each depth frame with the colour frame nearest to it in time; a tie goes to the earlier.
+
+    What was paired before damage is met comes first; then the damage is raised.
+    """
+    waiting: deque[CodedFrame] = deque()
+    colors: deque[_Color] = deque()
+    damage: RecordingError | None = None
+    try:
+        for coded in reader.frames():
+            if coded.is_depth:
+                waiting.append(coded)
+            else:
+                colors.append(_Color(coded))
+            while waiting and (_is_settled(waiting[0], colors) or len(waiting) > MAX_LOOK_AHEAD):
+                yield _take(reader, waiting, colors)
+            if not waiting:
+                _keep_last(colors, KEPT_COLORS)
+    except RecordingError as error:
+        damage = error
+    while waiting and (colors or damage is None):
+        yield _take(reader, waiting, colors)
+    if damage is not None:
+        raise damage
+
+
+def _is_settled(depth: CodedFrame, colors: deque[_Color]) -> bool:
+    return bool(colors) and colors[-1].timestamp_us >= depth.timestamp_us
+
+
+def _take(reader: OniReader, waiting: deque[CodedFrame], colors: deque[_Color]) -> tuple[CodedFrame, _Color]:
+    depth = waiting.popleft()
+    if not colors:
+        msg = f"{reader.name}: no colour frame near depth frame {depth.frame_id}"
+        raise RecordingError(msg)
+    nearest = min(colors, key=lambda color: abs(color.timestamp_us - depth.timestamp_us))
+    while colors[0] is not nearest:
+        colors.popleft()
+    return depth, nearest
+
+
+def _keep_last(colors: deque[_Color], count: int) -> None:
+    while len(colors) > count:
+        colors.popleft()
+
+
+class _Pace:
+    """Holds frames back until their time has come."""
+
+    def __init__(self, clock: Clock, sleep: Callable[[float], None]) -> None:
+        self._clock = clock
+        self._sleep = sleep
+        self._zero_ns: int | None = None
+
+    def wait_for(self, timestamp_us: int, timeout_s: float) -> None:
+        """Return when ``timestamp_us`` is due; raise FrameTimeoutError if that takes longer than ``timeout_s``."""
+        now_ns = self._clock.now_ns()
+        if self._zero_ns is None:
+            self._zero_ns = now_ns - timestamp_us * NS_PER_US
+        wait_ns = self._zero_ns + timestamp_us * NS_PER_US - now_ns
+        if not -MAX_WAIT_NS <= wait_ns <= MAX_WAIT_NS:
+            wait_ns = MAX_WAIT_NS if wait_ns > 0 else 0
+            self._zero_ns = now_ns + wait_ns - timestamp_us * NS_PER_US
+        if wait_ns <= 0:
+            return
+        self._sleep(min(wait_ns / NS_PER_S, max(timeout_s, 0.0)))
+        if self._clock.now_ns() < now_ns + wait_ns:
+            msg = f"no frame within {timeout_s:g} s"
+            raise FrameTimeoutError(msg)

@@ -1,0 +1,55 @@
+"""What the service may ask of the engine; nothing here can turn a beam on.
+
+Commands travel through a bounded queue and are answered through a future between two frames. Each names the person who
+asked: the audit keeps it.
+"""
+
+from dataclasses import dataclass
+
+from engine.model import MotionModel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Arm:
+    """Let the gate decide from now on; refused without a valid model, a reference and a fresh frame."""
+
+    operator: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Disarm:
+    """Hold the beam and leave the decision to nobody; never refused."""
+
+    operator: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Acknowledge:
+    """A named person has seen the latched fault; the gate returns to hold, disarmed."""
+
+    operator: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetReference:
+    """Make the patient's present position the zero of motion; disarms."""
+
+    operator: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Retrain:
+    """Gather frames again and learn a new model in the background; the swap disarms."""
+
+    operator: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ActivateModel:
+    """Measure with this model from the next frame on; disarms."""
+
+    operator: str
+    model: MotionModel
+
+
+Command = Arm | Disarm | Acknowledge | SetReference | Retrain | ActivateModel

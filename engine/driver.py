@@ -1,0 +1,69 @@
+"""Tells the beam line what the gate decided, and believes only what the line reads back."""
+
+import contextlib
+from dataclasses import dataclass
+
+from engine.beam.line import BeamLine
+from engine.clock import Clock
+from engine.permits import GateState, HoldReason
+from engine.stages.gate import Gate, GateLimits, Interruption, lease_of
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineReport:
+    """What came of telling the line.
+
+    ``is_on`` is as read back, and True when the line did not answer, since it may be on. ``trouble`` is what the gate
+    has to know; the line was held for it already.
+    """
+
+    is_on: bool
+    trouble: Interruption | None = None
+
+
+class BeamDriver:
+    """The only caller of ``permit``; owned by the engine thread."""
+
+    def __init__(self, *, beam: BeamLine, clock: Clock, limits: GateLimits) -> None:
+        self._beam = beam
+        self._clock = clock
+        self._limits = limits
+        self._sequence = 0
+
+    def carry_out(self, gate: Gate, decided_ns: int) -> LineReport:
+        """Permit in ``BEAM_ON``, hold in every other state, and read the line back."""
+        if gate.state is GateState.BEAM_ON:
+            return self._permit(gate, decided_ns)
+        return self._hold(gate.reason or HoldReason.UNKNOWN)
+
+    def _permit(self, gate: Gate, decided_ns: int) -> LineReport:
+        self._sequence += 1
+        lease = lease_of(gate, decided_ns=decided_ns, sequence=self._sequence, limits=self._limits)
+        if lease is None or not lease.is_live(self._clock.now_ns()):
+            return self._hold_for(Interruption(HoldReason.FRAME_LATE, "the decision took longer than its lease"))
+        try:
+            self._beam.permit(lease)
+            if self._beam.is_on():
+                return LineReport(is_on=True)
+            problem = "the line is off, though permitted"
+        except Exception as error:  # noqa: BLE001 - whatever a line raises, it is the line that failed
+            problem = str(error) or type(error).__name__
+        if not lease.is_live(self._clock.now_ns()):
+            return self._hold_for(Interruption(HoldReason.FRAME_LATE, "the lease lapsed while the line was told"))
+        return self._hold_for(Interruption(HoldReason.BEAM_LINE_FAILED, problem))
+
+    def _hold_for(self, trouble: Interruption) -> LineReport:
+        report = self._hold(trouble.reason)
+        return LineReport(is_on=report.is_on, trouble=report.trouble or trouble)
+
+    def _hold(self, reason: HoldReason) -> LineReport:
+        try:
+            self._beam.hold(reason)
+            if not self._beam.is_on():
+                return LineReport(is_on=False)
+            problem = "the line is on, though held"
+        except Exception as error:  # noqa: BLE001 - a line that cannot even be held is still to be told of
+            problem = str(error) or type(error).__name__
+        with contextlib.suppress(Exception):
+            self._beam.hold(HoldReason.BEAM_LINE_FAILED)
+        return LineReport(is_on=True, trouble=Interruption(HoldReason.BEAM_LINE_FAILED, problem))

@@ -1,0 +1,230 @@
+"""The values that travel one frame's way, from the camera to the gate.
+
+Each is frozen and its arrays are read-only from the moment it is made, so stages and threads can share them.
+``motion_mm = reference depth - current depth``: positive is anterior, towards the camera, inhale.
+"""
+
+import enum
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.floating]
+BoolArray = npt.NDArray[np.bool_]
+DepthImage = npt.NDArray[np.uint16]
+ColorImage = npt.NDArray[np.uint8]
+
+ROI_ROWS = 350
+ROI_COLUMNS = 200
+
+
+def frozen(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return ``array`` with its writeable flag cleared (no copy)."""
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RgbdFrame:
+    """One depth frame with the colour frame nearest to it in time.
+
+    Attributes
+    ----------
+    index
+        Ordinal of the depth frame in its source, from 0, without gaps.
+    device_index
+        The device's own frame counter; a step of more than one is a loss.
+    missed_frames
+        Depth frames the device counted since the frame before this one and that never came.
+    timestamp_us, color_timestamp_us
+        Device time of the depth and of the colour frame [us].
+    received_ns
+        Host monotonic time at which the depth frame was in our hands [ns].
+    depth_mm
+        Depth along the optical axis of the depth camera [mm], shape (H, W), uint16; 0 is "no reading".
+    color
+        RGB, shape (H', W', 3), uint8.
+    """
+
+    index: int
+    device_index: int
+    missed_frames: int = 0
+    timestamp_us: int
+    color_timestamp_us: int
+    received_ns: int
+    depth_mm: DepthImage
+    color: ColorImage
+
+    def __post_init__(self) -> None:
+        """Check the shapes once, where the frame is made."""
+        if self.depth_mm.ndim != 2 or self.depth_mm.dtype != np.uint16:
+            msg = f"depth must be (H, W) uint16, not {self.depth_mm.shape} {self.depth_mm.dtype}"
+            raise ValueError(msg)
+        if self.color.ndim != 3 or self.color.shape[2] != 3 or self.color.dtype != np.uint8:
+            msg = f"colour must be (H, W, 3) uint8, not {self.color.shape} {self.color.dtype}"
+            raise ValueError(msg)
+        frozen(self.depth_mm)
+        frozen(self.color)
+
+    @property
+    def pair_gap_us(self) -> int:
+        """How far apart in time depth and colour are [us]."""
+        return abs(self.timestamp_us - self.color_timestamp_us)
+
+
+class LostReason(enum.StrEnum):
+    """Why a frame could not be measured; the codes of `HoldReason` where both know the cause."""
+
+    MARKER_LOST = "marker_lost"
+    LAYOUT_CHANGED = "layout_changed"
+    COVERAGE_LOW = "coverage_low"
+    RESIDUAL_HIGH = "residual_high"
+    VALUE_INVALID = "value_invalid"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lost:
+    """A measurement that could not be made, and why; ``detail`` is for a person."""
+
+    reason: LostReason
+    detail: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Markers:
+    """The four dot markers that bound the region.
+
+    Attributes
+    ----------
+    centers_px
+        Sub-pixel centres in the colour picture [px], pixel centres at integers, x then y, shape (4, 2). Order:
+        superior right, superior left, inferior left, inferior right (the patient's right and left), which are the
+        corners (0, 0), (0, 199), (349, 199), (349, 0) of the ROI grid as (row, column).
+    """
+
+    centers_px: FloatArray
+
+    def __post_init__(self) -> None:
+        """Check the shape once."""
+        if self.centers_px.shape != (4, 2):
+            msg = f"four centres of two coordinates expected, not {self.centers_px.shape}"
+            raise ValueError(msg)
+        frozen(self.centers_px)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RoiDepth:
+    """Depth on the anatomically consistent grid: row 0 superior, column 0 patient right.
+
+    Attributes
+    ----------
+    depth_mm
+        Depth [mm], shape (350, 200), float32; meaningless where ``valid`` is false.
+    valid
+        Whether the sensor saw that point, shape (350, 200).
+    """
+
+    depth_mm: FloatArray
+    valid: BoolArray
+
+    def __post_init__(self) -> None:
+        """Make both arrays read-only."""
+        frozen(self.depth_mm)
+        frozen(self.valid)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Projection:
+    """A frame as the motion model explains it.
+
+    Attributes
+    ----------
+    beta
+        Coefficients of the components [mm], shape (k,).
+    coefficients
+        ``beta`` and, behind it, those of the smooth correction that the components do not span, shape (k + e,).
+    residual_mm
+        Largest mean misfit of any cell of the region that the sensor saw [mm]: the best "is this still the patient I
+        learned?" signal there is.
+    valid_share
+        Share of the ROI the sensor saw, 0 to 1.
+    inlier_share
+        Share of the seen pixels that the model explains, 0 to 1; a hand or a sheet takes pixels out.
+    """
+
+    beta: FloatArray
+    coefficients: FloatArray
+    residual_mm: float
+    valid_share: float
+    inlier_share: float
+
+    def __post_init__(self) -> None:
+        """Make both arrays read-only."""
+        frozen(self.beta)
+        frozen(self.coefficients)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Motion:
+    """What was measured on one frame; motion is positive towards the camera.
+
+    Attributes
+    ----------
+    regions_mm, regions_depth_mm
+        Mean motion and mean depth of each cell of the region grid [mm], shape (rows, columns); NaN where a cell lies
+        outside of what the model knows.
+    points_mm
+        Motion at the asked-for grid points [mm], shape (p,).
+    volume_l
+        Volume against the reference [l]; positive is more.
+    """
+
+    whole_mm: float
+    thorax_mm: float
+    abdomen_mm: float
+    volume_l: float
+    regions_mm: FloatArray
+    regions_depth_mm: FloatArray
+    points_mm: FloatArray
+    projection: Projection
+
+
+class MeasurementState(enum.StrEnum):
+    """What the pipeline is doing with frames now."""
+
+    TRAINING = "training"
+    MEASURING = "measuring"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Measurement:
+    """The outcome of one frame: exactly one a frame, in order.
+
+    ``motion`` is set if and only if ``state`` is measuring; ``lost`` if and only if it is lost. ``markers`` are those
+    of this frame when they were found, also while training.
+    """
+
+    frame_index: int
+    timestamp_us: int
+    received_ns: int
+    measured_ns: int
+    missed_frames: int
+    state: MeasurementState
+    motion: Motion | None = None
+    lost: Lost | None = None
+    markers: Markers | None = None
+    training: "TrainingProgress | None" = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainingProgress:
+    """How far the gathering of training frames has come; ``share`` runs from 0 to 1."""
+
+    frames: int
+    cycles: int
+    seconds: float
+    share: float
+    note: str = ""

@@ -1,0 +1,223 @@
+"""Takes each decision from its events to the line, and then to everybody who is told.
+
+The order is the point: the gate is stepped, the line is told and read back, and only then are records made. Interlocks
+(the watchdog, the recorder, the audit, a fault left by another thread) are part of every decision.
+"""
+
+import math
+import threading
+from dataclasses import dataclass, replace
+
+from engine.beam.line import BeamLine
+from engine.capture.source import SourceDescription
+from engine.clock import NS_PER_MS, Clock
+from engine.commands import Acknowledge
+from engine.driver import BeamDriver, LineReport
+from engine.errors import CommandRefusedError
+from engine.frames import ColorImage, Measurement, MeasurementState, RgbdFrame
+from engine.limits import GateLimits
+from engine.live import FrameRecord, GateTransition, LiveView, LoopStatus
+from engine.mailbox import Mailbox
+from engine.outbox import Outbox
+from engine.permits import GateState, HoldReason
+from engine.stages.gate import Ending, Gate, GateEvent, Interruption, step_gate
+from engine.tally import Tally
+from engine.watchdog import Watchdog
+
+WATCHDOG_DETAIL = "the engine did not decide in time"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cause:
+    """What a decision is made on: a frame, a person, or neither."""
+
+    frame: RgbdFrame | None = None
+    measurement: Measurement | None = None
+    operator: str | None = None
+
+
+class GateKeeper:
+    """Owns the gate; called by the engine thread, read by others."""
+
+    def __init__(
+        self,
+        *,
+        beam: BeamLine,
+        clock: Clock,
+        limits: GateLimits,
+        outbox: Outbox,
+        mailbox: Mailbox,
+        watchdog: Watchdog,
+    ) -> None:
+        self._clock, self._limits = clock, limits
+        self._outbox, self._mailbox, self._watchdog = outbox, mailbox, watchdog
+        self._driver = BeamDriver(beam=beam, clock=clock, limits=limits)
+        self._tally = Tally()
+        self._latest: LiveView | None = None
+        self._shown_by_watchdog: tuple[LiveView, LiveView] | None = None
+        self._watchdog_told = threading.Lock()  # taken by whoever tells of it first: the watchdog, or the engine
+        watchdog.on_fired = self._tell_watchdog
+        self.gate = Gate(since_ns=clock.now_ns())
+        self.status = LoopStatus.STARTING
+        self.error: str | None = None
+        self.description: SourceDescription | None = None
+
+    def begin(self, description: SourceDescription) -> None:
+        """Take over a source that was opened: what it is decides what the lag of its frames means."""
+        self.description = description
+        self._limits = replace(self._limits, is_played=not description.is_live)
+        self.status = LoopStatus.RUNNING
+
+    @property
+    def latest(self) -> LiveView | None:
+        """The newest view; one that a hung engine left behind is shown as the watchdog found it."""
+        view = self._latest
+        if view is None or not self._watchdog.has_fired or view.record.gate_state is GateState.FAULT:
+            return view
+        left_behind, shown = self._shown_by_watchdog or (None, None)
+        if shown is None or view is not left_behind:  # one view for all who look: readers tell news by identity
+            record = replace(view.record, gate_state=GateState.FAULT, hold_reason=HoldReason.WATCHDOG, line_on=False)
+            shown = replace(view, record=record, is_armed=False, detail=WATCHDOG_DETAIL)
+            self._shown_by_watchdog = (view, shown)
+        return shown
+
+    def decide(self, *events: GateEvent, cause: Cause | None = None) -> None:
+        """Step the gate through ``events`` to one decision, carry it out, and tell."""
+        cause = cause or Cause()
+        before = self.gate
+        decided_ns = self._clock.now_ns()
+        # Interlocks first, so that they are named as the cause; and last, so that no event clears them.
+        interlocks = self._interlocks()
+        gate = before
+        for event in (*interlocks, *events, *interlocks):
+            gate = step_gate(gate, event, decided_ns, self._limits)
+        report = self._driver.carry_out(gate, decided_ns)
+        if report.trouble is not None:
+            gate = step_gate(gate, self._named(report.trouble), decided_ns, self._limits)
+        asserted_ns = self._clock.now_ns()
+        self.gate = gate
+        self._watchdog.feed(decided_ns, is_armed=gate.is_armed)
+        self._tell(before, cause, decided_ns, asserted_ns, report)
+
+    def acknowledge(self, command: Acknowledge) -> None:
+        """Clear the latched fault for a named person; what still holds then faults again at once."""
+        self._watchdog.reset()
+        if self._watchdog_told.locked():
+            self._watchdog_told.release()
+        self.decide(command, cause=Cause(operator=command.operator))
+
+    def refuse_without_fresh_signal(self) -> None:
+        """Raise CommandRefusedError unless the newest frame is fresh and its gated motion was measured."""
+        view, last = self._latest, self.gate.last
+        if view is None or last is None or view.record.measurement.state is not MeasurementState.MEASURING:
+            raise CommandRefusedError("the newest frame was not measured: see that the patient is in view")
+        if view.record.signal_mm is None:
+            raise CommandRefusedError("the gated motion is not measured: choose a region inside the grid")
+        age_ms = (self._clock.now_ns() - last.received_ns) / NS_PER_MS
+        if age_ms > self._limits.max_gap_ms + self._limits.max_frame_age_ms:
+            raise CommandRefusedError(f"the newest frame is {age_ms:.0f} ms old: see to the camera")
+
+    def finish(self, event: Ending | Interruption, status: LoopStatus, error: str | None) -> None:
+        """Take the last decision; the line was held before this."""
+        try:
+            self.decide(event)
+        finally:
+            self.status, self.error = status, error
+            if self._latest is not None:
+                self._latest = replace(self._latest, status=status, error=error)
+
+    def _interlocks(self) -> list[Interruption]:
+        self._outbox.flush()
+        found = [] if not self._watchdog.has_fired else [Interruption(HoldReason.WATCHDOG, WATCHDOG_DETAIL)]
+        report = self._mailbox.take_report()
+        trouble = self._outbox.trouble()
+        found += [] if report is None else [report]
+        found += [] if trouble is None else [Interruption(trouble, "a queue to the disk is full")]
+        return found
+
+    def _named(self, trouble: Interruption) -> Interruption:
+        """Name the watchdog as the cause where its hold is why the line refused a permit."""
+        return Interruption(HoldReason.WATCHDOG, WATCHDOG_DETAIL) if self._watchdog.has_fired else trouble
+
+    def _tell(self, before: Gate, cause: Cause, decided_ns: int, asserted_ns: int, report: LineReport) -> None:
+        gate, frame = self.gate, cause.frame
+        if (gate.state, gate.reason) != (before.state, before.reason) and self._may_tell(gate):
+            self._outbox.put_transition(
+                GateTransition(
+                    at_ns=decided_ns,
+                    frame_index=None if frame is None else frame.index,
+                    from_state=before.state,
+                    to_state=gate.state,
+                    reason=gate.reason,
+                    operator=cause.operator,
+                    detail=gate.detail,
+                    captured_us=None if frame is None else frame.timestamp_us,
+                    received_ns=None if frame is None else frame.received_ns,
+                    decided_ns=decided_ns,
+                    asserted_ns=asserted_ns,
+                )
+            )
+        if frame is not None and cause.measurement is not None:
+            record = self._record(cause.measurement, decided_ns, asserted_ns, is_on=report.is_on)
+            self._outbox.put_sample(record)
+            self._tally.count(received_ns=frame.received_ns, asserted_ns=asserted_ns, missed_frames=frame.missed_frames)
+            self._show(record, frame.color)
+        elif self._latest is not None:
+            record = replace(self._latest.record, gate_state=gate.state, hold_reason=gate.reason, line_on=report.is_on)
+            self._show(record, self._latest.color)
+
+    def _may_tell(self, gate: Gate) -> bool:
+        """Tell a fault of the watchdog once only: it does so itself while the engine hangs, else the engine does."""
+        return gate.reason is not HoldReason.WATCHDOG or self._watchdog_told.acquire(blocking=False)
+
+    def _record(self, measurement: Measurement, decided_ns: int, asserted_ns: int, *, is_on: bool) -> FrameRecord:
+        signal_mm = math.nan if measurement.motion is None else self._limits.window.signal_mm(measurement.motion)
+        return FrameRecord(
+            measurement=measurement,
+            gate_state=self.gate.state,
+            hold_reason=self.gate.reason,
+            signal_mm=signal_mm if math.isfinite(signal_mm) else None,
+            received_ns=measurement.received_ns,
+            decided_ns=decided_ns,
+            asserted_ns=asserted_ns,
+            line_on=is_on,
+        )
+
+    def _show(self, record: FrameRecord, color: ColorImage) -> None:
+        if self.description is None:
+            return
+        self._latest = LiveView(
+            record=record,
+            color=color,
+            frames=self._tally.frames,
+            missed_frames=self._tally.missed_frames,
+            dropped_records=self._outbox.dropped_records,
+            fps=self._tally.fps,
+            latency=self._tally.latency,
+            is_armed=self.gate.is_armed,
+            detail=self.gate.detail,
+            description=self.description,
+            status=self.status,
+            error=self.error,
+        )
+
+    def _tell_watchdog(self, at_ns: int) -> None:
+        """Tell what the watchdog did, from its own thread: the engine may never come back."""
+        before = self.gate
+        if not self._watchdog_told.acquire(blocking=False):
+            return
+        self._outbox.put_transition(
+            GateTransition(
+                at_ns=at_ns,
+                frame_index=None,
+                from_state=before.state,
+                to_state=GateState.FAULT,
+                reason=HoldReason.WATCHDOG,
+                operator=None,
+                detail=WATCHDOG_DETAIL,
+                captured_us=None,
+                received_ns=None,
+                decided_ns=at_ns,
+                asserted_ns=self._clock.now_ns(),
+            )
+        )

@@ -1,0 +1,372 @@
+"""The engine thread: reads, measures, decides, tells the beam line, and only then anybody else.
+
+It alone owns the source, the pipeline, the gate and the line. Others reach it through :meth:`EngineLoop.submit` and see
+what leaves through two bounded queues and one newest view. Every way out of it holds the beam before anything else.
+"""
+
+import contextlib
+import queue
+import threading
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Protocol
+
+from engine.beam.line import BeamLine
+from engine.capture.source import DepthSource, SourceDescription
+from engine.clock import NS_PER_MS, NS_PER_S, Clock
+from engine.commands import Acknowledge, ActivateModel, Arm, Command, Disarm, Retrain, SetReference
+from engine.errors import (
+    BeamLineError,
+    CommandRefusedError,
+    FrameTimeoutError,
+    RecordingError,
+    SourceEndedError,
+    SourceLostError,
+    TidegateError,
+)
+from engine.frames import Measurement, RgbdFrame
+from engine.keeper import Cause, GateKeeper
+from engine.limits import GateLimits, ns_from_ms
+from engine.live import FrameRecord, GateTransition, LiveView, LoopStatus
+from engine.mailbox import Letter, Mailbox
+from engine.model import MotionModel
+from engine.outbox import Outbox
+from engine.permits import GateState, HoldReason
+from engine.stages.gate import Ending, Gate, GateEvent, Interruption, Silence
+from engine.watchdog import Watchdog
+
+__all__ = ["EngineLoop", "FramePipeline", "FrameRecord", "GateTransition", "LiveView", "LoopStatus"]
+
+FIRST_FRAME_NS = 10 * NS_PER_S
+"""A camera that was opened and shows nothing for so long is lost."""
+
+SHORTEST_READ_NS = NS_PER_MS
+
+
+class FramePipeline(Protocol):
+    """What the loop asks of the measuring; owned by the engine thread."""
+
+    @property
+    def model(self) -> MotionModel | None:
+        """The motion model in use."""
+
+    @property
+    def model_shortcoming(self) -> str | None:
+        """Why nobody may arm with this model, in a sentence for a person; None when it will do."""
+
+    @property
+    def model_generation(self) -> int:
+        """Changes whenever the model or the reference does."""
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether motion has a zero."""
+
+    def measure(self, frame: RgbdFrame) -> Measurement:
+        """Measure one frame; "cannot tell" is data, an exception is a bug."""
+
+    def set_reference(self) -> None:
+        """Make the present position the zero; raise a TidegateError where there is none."""
+
+    def retrain(self) -> None:
+        """Gather frames and learn again."""
+
+    def activate(self, model: MotionModel) -> None:
+        """Measure with ``model`` from the next frame on; raise ModelError if it does not fit."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _WayOut:
+    """How an engine's life ends, and what the gate is told of it."""
+
+    status: LoopStatus
+    event: Ending | Interruption
+    error: str | None = None
+
+
+class EngineLoop:
+    """One session's engine, for one life: start, stop, never again.
+
+    Parameters
+    ----------
+    sample_capacity, transition_capacity, command_capacity
+        Bounds of the queues; 900 samples are half a minute.
+    watchdog
+        One of the caller's, on the same line; by default the loop makes its own.
+    """
+
+    def __init__(
+        self,
+        *,
+        source: DepthSource,
+        pipeline: FramePipeline,
+        beam: BeamLine,
+        limits: GateLimits,
+        clock: Clock,
+        sample_capacity: int = 900,
+        transition_capacity: int = 256,
+        command_capacity: int = 16,
+        watchdog: Watchdog | None = None,
+    ) -> None:
+        self._source, self._pipeline, self._beam = source, pipeline, beam
+        self._limits, self._clock = limits, clock
+        self._mailbox = Mailbox(clock=clock, capacity=command_capacity)
+        self._outbox = Outbox(sample_capacity=sample_capacity, transition_capacity=transition_capacity)
+        deadline_ns = ns_from_ms(limits.watchdog_ms)
+        self._watchdog = watchdog or Watchdog(beam=beam, clock=clock, deadline_ns=deadline_ns)
+        self._keeper = GateKeeper(
+            beam=beam, clock=clock, limits=limits, outbox=self._outbox, mailbox=self._mailbox, watchdog=self._watchdog
+        )
+        self._generation = pipeline.model_generation
+        self._listening_since_ns = 0
+        self._stop_requested = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="tidegate-engine", daemon=True)
+
+    def start(self) -> None:
+        """Start the engine and its watchdog; a failure to open shows in :attr:`status` and :attr:`error`."""
+        self._watchdog.start()
+        self._thread.start()
+
+    def stop(self, timeout_s: float) -> bool:
+        """Hold the beam and end; return whether the engine thread is gone. A hung one leaves the line latched off."""
+        self._stop_requested.set()
+        if self._thread.ident is None:
+            self._mailbox.close("the engine was never started")
+            return True
+        self._thread.join(timeout_s)
+        if self._thread.is_alive():
+            self._beam.hold(HoldReason.ENGINE_STOPPED)
+            self._mailbox.close("the engine hangs; the beam is held")
+        return not self._thread.is_alive()
+
+    def join(self, timeout_s: float | None = None) -> bool:
+        """Wait for the end without asking for it; return whether it has come."""
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def submit(self, command: Command) -> Future[None]:
+        """Ask for something, from any thread; answered between two frames.
+
+        Raises
+        ------
+        CommandRefusedError
+            Too many commands wait already, or the session is over. What the engine itself refuses comes through the
+            future. A :class:`Disarm` is never refused while the engine runs.
+        """
+        return self._mailbox.submit(command)
+
+    def report_fault(self, reason: HoldReason, detail: str) -> None:
+        """Let somebody outside (a recorder, a disk) fault the gate at its next decision; ``reason`` must latch.
+
+        Report it again for as long as it lasts: one that comes while another fault is latched goes with its
+        acknowledgement.
+        """
+        self._mailbox.report(Interruption(reason=reason, detail=detail))
+
+    @property
+    def samples(self) -> queue.Queue[FrameRecord]:
+        """One record a frame; drain it, or the gate faults."""
+        return self._outbox.samples
+
+    @property
+    def transitions(self) -> queue.Queue[GateTransition]:
+        """Every change of the gate; drain it, or the gate faults.
+
+        What found it full is offered again here, so that a reader gets the last ones after the engine has ended too.
+        """
+        self._outbox.flush()
+        return self._outbox.transitions
+
+    @property
+    def latest(self) -> LiveView | None:
+        """The newest view; None before the first frame."""
+        return self._keeper.latest
+
+    @property
+    def status(self) -> LoopStatus:
+        """Where this engine's life stands."""
+        return self._keeper.status
+
+    @property
+    def error(self) -> str | None:
+        """What it failed of."""
+        return self._keeper.error
+
+    @property
+    def gate(self) -> Gate:
+        """The gate as last decided."""
+        return self._keeper.gate
+
+    @property
+    def description(self) -> SourceDescription | None:
+        """What the source said it is; None until it was opened."""
+        return self._keeper.description
+
+    # The engine thread, from here on.
+
+    def _work(self) -> None:
+        way_out = _WayOut(
+            status=LoopStatus.FAILED,
+            event=Interruption(reason=HoldReason.ENGINE_FAILED, detail="the engine thread was ended"),
+            error="the engine thread was ended",
+        )
+        try:
+            self._open()
+            while not self._stop_requested.is_set():
+                self._run_once()
+            way_out = _WayOut(status=LoopStatus.ENDED, event=Ending(reason=HoldReason.ENGINE_STOPPED))
+        except Exception as error:  # noqa: BLE001 - whatever it was: the beam is held, and the session has failed
+            way_out = _way_out_of(error)
+        finally:
+            self._leave(way_out)
+
+    def _open(self) -> None:
+        self._beam.open()
+        self._beam.hold(HoldReason.DISARMED)
+        description = self._source.open()
+        self._listening_since_ns = self._clock.now_ns()
+        self._keeper.begin(description)
+
+    def _leave(self, way_out: _WayOut) -> None:
+        """Hold, then tell, then close: closing a camera may hang, and nobody would hear of the end."""
+        with contextlib.suppress(Exception):
+            self._beam.hold(way_out.event.reason)
+        try:
+            self._keeper.finish(way_out.event, way_out.status, way_out.error)
+        finally:
+            self._mailbox.close("the session is over")
+            for close in (self._beam.close, self._source.close, self._watchdog.stop):
+                with contextlib.suppress(Exception):
+                    close()
+
+    def _run_once(self) -> None:
+        for letter in self._mailbox.take():
+            self._answer(letter)
+        try:
+            frame = self._source.read(self._read_timeout_ns() / NS_PER_S)
+        except FrameTimeoutError:
+            self._stay_silent()
+            return
+        measurement = self._pipeline.measure(frame)
+        self._decide_on(frame, measurement)
+
+    def _read_timeout_ns(self) -> int:
+        """Until the next frame is missing: counted from when the last one came, not from now."""
+        longest_ns = ns_from_ms(self._limits.max_gap_ms)
+        last = self._keeper.gate.last
+        left_ns = longest_ns if last is None else last.received_ns + longest_ns - self._clock.now_ns()
+        return left_ns if SHORTEST_READ_NS <= left_ns <= longest_ns else longest_ns
+
+    def _stay_silent(self) -> None:
+        self._keeper.decide(Silence(since_ns=self._listening_since_ns))
+        waited_ns = self._clock.now_ns() - self._listening_since_ns
+        if self._keeper.gate.last is None and waited_ns > FIRST_FRAME_NS:
+            msg = f"the source was opened, and showed nothing for {FIRST_FRAME_NS // NS_PER_S} s"
+            raise SourceLostError(msg)
+
+    def _decide_on(self, frame: RgbdFrame, measurement: Measurement) -> None:
+        events: list[GateEvent] = []
+        if self._pipeline.model_generation != self._generation:
+            self._generation = self._pipeline.model_generation
+            events.append(Ending(reason=HoldReason.DISARMED, detail="the model or the reference has changed"))
+        if not _is_of(measurement, frame):
+            events.append(Interruption(reason=HoldReason.VALUE_INVALID, detail="a measurement of another frame"))
+        events.append(measurement)
+        if self._pipeline.model is None:
+            events.append(Interruption(reason=HoldReason.MODEL_MISSING))
+        elif not self._pipeline.has_reference:
+            events.append(Interruption(reason=HoldReason.REFERENCE_MISSING))
+        self._keeper.decide(*events, cause=Cause(frame=frame, measurement=measurement))
+
+    # Commands.
+
+    def _answer(self, letter: Letter) -> None:
+        """Obey, and answer only when the line has been told."""
+        is_wanted = letter.answer.set_running_or_notify_cancel()
+        if not is_wanted and not isinstance(letter.command, Disarm):
+            return
+        try:
+            self._obey(letter.command)
+        except TidegateError as error:
+            letter.answer.set_exception(error)
+        except BaseException as error:
+            self._beam.hold(HoldReason.ENGINE_FAILED)
+            letter.answer.set_exception(error)
+            raise
+        else:
+            if is_wanted:
+                letter.answer.set_result(None)
+
+    def _obey(self, command: Command) -> None:
+        match command:
+            case Arm():
+                self._arm(command)
+            case Disarm():
+                self._keeper.decide(command, cause=Cause(operator=command.operator))
+            case Acknowledge():
+                self._acknowledge(command)
+            case SetReference():
+                self._disarm_for("the reference is set", command.operator)
+                self._pipeline.set_reference()
+            case Retrain():
+                self._pipeline.retrain()
+            case ActivateModel():
+                self._disarm_for("another model is activated", command.operator)
+                self._pipeline.activate(command.model)
+
+    def _disarm_for(self, detail: str, operator: str) -> None:
+        self._keeper.decide(Ending(reason=HoldReason.DISARMED, detail=detail), cause=Cause(operator=operator))
+
+    def _arm(self, command: Arm) -> None:
+        self._refuse_unless_ready()
+        self._generation = self._pipeline.model_generation
+        self._beam.rearm()
+        self._keeper.decide(command, cause=Cause(operator=command.operator))
+        if not self._keeper.gate.is_armed:
+            raise CommandRefusedError(f"a fault came up: {self._keeper.gate.reason}")
+
+    def _refuse_unless_ready(self) -> None:
+        gate = self._keeper.gate
+        if gate.state is GateState.FAULT:
+            raise CommandRefusedError(f"a fault is latched ({gate.reason}): acknowledge it first")
+        if gate.is_armed:
+            raise CommandRefusedError("the gate is armed already")
+        if self._pipeline.model is None:
+            raise CommandRefusedError("there is no motion model yet: wait for the training to end")
+        if self._pipeline.model_shortcoming is not None:
+            raise CommandRefusedError(self._pipeline.model_shortcoming)
+        if not self._pipeline.has_reference:
+            raise CommandRefusedError("there is no reference yet: set it first")
+        if not self._watchdog.is_watching:
+            raise CommandRefusedError("the watchdog does not run: this engine cannot be armed")
+        self._keeper.refuse_without_fresh_signal()
+
+    def _acknowledge(self, command: Acknowledge) -> None:
+        if self._keeper.gate.state is not GateState.FAULT:
+            raise CommandRefusedError("there is no fault to acknowledge")
+        trouble = self._outbox.trouble()
+        if trouble is not None:
+            raise CommandRefusedError(f"the fault persists ({trouble}): nothing can be recorded")
+        self._keeper.acknowledge(command)
+
+
+def _is_of(measurement: Measurement, frame: RgbdFrame) -> bool:
+    return (measurement.frame_index, measurement.timestamp_us, measurement.received_ns, measurement.missed_frames) == (
+        frame.index,
+        frame.timestamp_us,
+        frame.received_ns,
+        frame.missed_frames,
+    )
+
+
+def _way_out_of(error: Exception) -> _WayOut:
+    text = str(error) or type(error).__name__
+    if isinstance(error, SourceEndedError):
+        return _WayOut(status=LoopStatus.ENDED, event=Ending(reason=HoldReason.SOURCE_ENDED, detail=text))
+    if isinstance(error, SourceLostError | RecordingError):
+        reason = HoldReason.SOURCE_LOST
+    elif isinstance(error, BeamLineError):
+        reason = HoldReason.BEAM_LINE_FAILED
+    else:
+        reason, text = HoldReason.ENGINE_FAILED, f"{type(error).__name__}: {text}"
+    return _WayOut(status=LoopStatus.FAILED, event=Interruption(reason=reason, detail=text), error=text)

@@ -1,0 +1,112 @@
+"""How other threads reach the engine: commands with futures, and faults that somebody else has seen.
+
+Bounded, and never waited for. A disarming is never refused, overtakes everything, and takes back every arming asked for
+before it; any other command that had to wait too long is refused rather than carried out as a surprise.
+"""
+
+import threading
+from collections import deque
+from concurrent.futures import Future
+from dataclasses import dataclass
+
+from engine.clock import NS_PER_MS, Clock
+from engine.commands import Arm, Command, Disarm
+from engine.errors import CommandRefusedError
+from engine.stages.gate import Interruption
+
+MAX_WAIT_NS = 1_000 * NS_PER_MS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Letter:
+    """A command on its way, and where its answer goes."""
+
+    command: Command
+    answer: Future[None]
+    submitted_ns: int
+
+    def refuse(self, sentence: str) -> None:
+        """Answer with a refusal, unless nobody waits any more."""
+        if self.answer.set_running_or_notify_cancel():
+            self.answer.set_exception(CommandRefusedError(sentence))
+
+
+class Mailbox:
+    """Commands and reports for one engine; any thread may submit, the engine takes."""
+
+    def __init__(self, *, clock: Clock, capacity: int) -> None:
+        self._clock = clock
+        self._capacity = capacity
+        self._lock = threading.Lock()
+        self._letters: deque[Letter] = deque()
+        self._disarm: Letter | None = None
+        self._report: Interruption | None = None
+        self._closed_because: str | None = None
+
+    def submit(self, command: Command) -> Future[None]:
+        """Queue a command; raise CommandRefusedError at once if it cannot be."""
+        letter = Letter(command=command, answer=Future(), submitted_ns=self._clock.now_ns())
+        with self._lock:
+            if self._closed_because is not None:
+                raise CommandRefusedError(self._closed_because)
+            if not isinstance(command, Disarm):
+                self._put(letter)
+                return letter.answer
+            taken_back = self._take_back_armings()
+            self._disarm = disarm = self._disarm or letter  # one that waits already does for both
+        for earlier in taken_back:  # outside of the lock: an answer may call its asker back
+            earlier.refuse("disarmed before it was carried out")
+        return disarm.answer
+
+    def report(self, fault: Interruption) -> None:
+        """Leave a fault for the next decision; the first one stays."""
+        if not fault.reason.is_fault:
+            msg = f"{fault.reason} is no fault"
+            raise ValueError(msg)
+        with self._lock:
+            self._report = self._report or fault
+
+    def take_report(self) -> Interruption | None:
+        """Take the fault that was left, if any."""
+        with self._lock:
+            report, self._report = self._report, None
+        return report
+
+    def take(self) -> list[Letter]:
+        """Take all commands that wait, a disarming first; refuse those that are too old."""
+        with self._lock:
+            disarm, self._disarm = self._disarm, None
+            letters = list(self._letters)
+            self._letters.clear()
+        now_ns = self._clock.now_ns()
+        taken = [] if disarm is None else [disarm]
+        for letter in letters:
+            if now_ns - letter.submitted_ns > MAX_WAIT_NS:
+                letter.refuse("the engine was busy for too long: look, and ask again")
+            else:
+                taken.append(letter)
+        return taken
+
+    def close(self, sentence: str) -> None:
+        """Refuse everything from now on, and what still waits; a disarming has then come true by itself."""
+        with self._lock:
+            self._closed_because = sentence
+            letters, disarm = list(self._letters), self._disarm
+            self._letters.clear()
+            self._disarm = None
+        for letter in letters:
+            letter.refuse(sentence)
+        if disarm is not None and disarm.answer.set_running_or_notify_cancel():
+            disarm.answer.set_result(None)
+
+    def _put(self, letter: Letter) -> None:
+        if len(self._letters) >= self._capacity:
+            msg = f"{self._capacity} commands wait already: try again in a moment"
+            raise CommandRefusedError(msg)
+        self._letters.append(letter)
+
+    def _take_back_armings(self) -> list[Letter]:
+        armings = [letter for letter in self._letters if isinstance(letter.command, Arm)]
+        for letter in armings:
+            self._letters.remove(letter)
+        return armings

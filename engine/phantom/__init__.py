@@ -1,0 +1,1 @@
+"""The virtual volunteer: a breathing torso, seen by a camera with every fault of the real one."""

@@ -1,0 +1,236 @@
+"""What happens to a volunteer during a recording: signals, movements on the couch, things in the view, and labels.
+
+Free breathing always comes first, long enough to learn from (20 s); then the event the scenario is named after.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.errors import InvalidValueError
+from engine.phantom.breathing import IRREGULAR, REGULAR, Signals, breathe, time_grid
+from engine.phantom.builds import Build
+from engine.phantom.traces import Trace
+
+Grid = npt.NDArray[np.float64]
+FREE_S = 20.0
+# Shortest recording in which each scenario's event fits behind the free breathing [s].
+SHORTEST_S = {
+    "regular": 2.0,
+    "irregular": 2.0,
+    "isovolume": 32.0,
+    "dibh": 36.0,
+    "drift": 10.0,
+    "shift": 28.0,
+    "occlusion": 36.0,
+}
+LONGEST_S = 1800.0
+TRACE_SCENARIOS = ("regular", "drift", "shift", "occlusion")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """Something that happens between two times [s]; ``detail`` holds its numbers."""
+
+    name: str
+    start_s: float
+    end_s: float
+    detail: dict[str, float] = field(default_factory=dict)
+
+    def contains(self, time_s: float) -> bool:
+        """Whether it goes on at this time."""
+        return self.start_s <= time_s < self.end_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pose:
+    """Where the body lies on the couch, against where it lay first."""
+
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+    turn_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Timeline:
+    """A scenario laid out in time."""
+
+    signals: Signals
+    events: tuple[Event, ...] = ()
+
+    def event(self, name: str, time_s: float) -> Event | None:
+        """Return the event of that name that goes on at this time."""
+        return next((event for event in self.events if event.name == name and event.contains(time_s)), None)
+
+    def pose(self, time_s: float) -> Pose:
+        """Where the body lies at this time."""
+        move = next((event for event in self.events if event.name == "shift"), None)
+        if move is None or time_s <= move.start_s:
+            return Pose()
+        share = float(_smooth((time_s - move.start_s) / (move.end_s - move.start_s)))
+        detail = move.detail
+        return Pose(
+            x_mm=share * detail["x_mm"], y_mm=share * detail["y_mm"], turn_rad=share * np.deg2rad(detail["turn_deg"])
+        )
+
+
+def plan(
+    scenario: str, build: Build, seconds: float, rng: np.random.Generator, *, volume_ratio: float, trace: Trace | None
+) -> Timeline:
+    """Lay a scenario out.
+
+    Parameters
+    ----------
+    volume_ratio
+        Volume under the ROI that 1 mm of the abdomen's signal moves, in units of what 1 mm of the thorax's moves.
+
+    Raises
+    ------
+    InvalidValueError
+        No such scenario, or the recording is too short (or the trace, or too long) for it.
+    """
+    check_scenario(scenario, seconds, trace)
+    if trace is None:
+        habit = IRREGULAR if scenario == "irregular" else REGULAR
+        signals = breathe(build, habit, time_grid(seconds), rng)
+    else:
+        time_s = time_grid(seconds)
+        motion = trace.at(time_s)
+        signals = Signals(time_s=time_s, abdomen_mm=motion, thorax_mm=build.thorax_share * motion)
+    match scenario:
+        case "isovolume":
+            return _isovolume(signals, build, seconds, rng, volume_ratio)
+        case "dibh":
+            return _dibh(signals, build, seconds, rng)
+        case "drift":
+            return _drift(signals, seconds, rng)
+        case "shift":
+            return _shift(signals, seconds, rng)
+        case "occlusion":
+            return _occlusion(signals, seconds, rng)
+        case _:
+            return Timeline(signals=signals, events=(Event(name="free", start_s=0.0, end_s=seconds),))
+
+
+def check_scenario(scenario: str, seconds: float, trace: Trace | None) -> None:
+    """Refuse what cannot be laid out, naming field, value and bound."""
+    if scenario not in SHORTEST_S:
+        raise InvalidValueError("scenario", scenario, "one of " + ", ".join(SHORTEST_S))
+    shortest = SHORTEST_S[scenario]
+    if isinstance(seconds, bool) or not shortest <= seconds <= LONGEST_S:
+        raise InvalidValueError("seconds", seconds, f"from {shortest:g} to {LONGEST_S:g} for {scenario}")
+    if trace is None:
+        return
+    if scenario not in TRACE_SCENARIOS:
+        raise InvalidValueError("scenario", scenario, "with a trace one of " + ", ".join(TRACE_SCENARIOS))
+    if seconds > trace.seconds:
+        raise InvalidValueError("seconds", seconds, f"at most {trace.seconds:.1f}, the length of the trace")
+
+
+def _smooth(t: npt.ArrayLike) -> Grid:
+    """From 0 at t = 0 to 1 at t = 1, flat at both ends."""
+    clipped = np.clip(t, 0.0, 1.0)
+    return np.asarray(clipped**3 * (clipped * (6.0 * clipped - 15.0) + 10.0))
+
+
+def _between(time_s: Grid, start_s: float, end_s: float, ramp_s: float) -> Grid:
+    """1 between two times, 0 elsewhere, with soft edges inside them."""
+    return _smooth((time_s - start_s) / ramp_s) * (1.0 - _smooth((time_s - end_s + ramp_s) / ramp_s))
+
+
+def _isovolume(
+    signals: Signals, build: Build, seconds: float, rng: np.random.Generator, volume_ratio: float
+) -> Timeline:
+    """Glottis closed: what the abdomen gives, the chest takes, and the volume stays."""
+    start, end = max(FREE_S, 0.45 * seconds), seconds - 1.0
+    inside = _between(signals.time_s, start, end, 1.5)
+    period = float(rng.uniform(3.2, 4.2))
+    turn = 2.0 * np.pi / period
+    swing = np.sin(turn * (signals.time_s - start))
+    # On the skin the chest comes later than its signal; in this manoeuvre it must not.
+    chest_swing = np.sin(turn * (signals.time_s - start + build.thorax_lag_s))
+    # The chest gets the share that balances the volume; neither moves by more than a deep breath.
+    abdomen = min(0.8 * build.amplitude_mm, 9.0 / max(volume_ratio, 1e-6))
+    hold = 0.35
+    abdomen_mm = hold * build.amplitude_mm + abdomen * swing
+    thorax_mm = hold * build.amplitude_mm * build.thorax_share - volume_ratio * abdomen * chest_swing
+    return Timeline(
+        signals=replace(
+            signals,
+            abdomen_mm=signals.abdomen_mm * (1.0 - inside) + abdomen_mm * inside,
+            thorax_mm=signals.thorax_mm * (1.0 - inside) + thorax_mm * inside,
+        ),
+        events=(
+            Event(name="free", start_s=0.0, end_s=start),
+            Event(name="isovolume", start_s=start + 1.5, end_s=end - 1.5, detail={"period_s": period}),
+        ),
+    )
+
+
+def _dibh(signals: Signals, build: Build, seconds: float, rng: np.random.Generator) -> Timeline:
+    """Deep inspiration breath holds, done more with the chest than free breathing is."""
+    abdomen_mm, thorax_mm = signals.abdomen_mm.copy(), signals.thorax_mm.copy()
+    events = [Event(name="free", start_s=0.0, end_s=FREE_S)]
+    at, ramp = FREE_S, 1.8
+    while at + 2.0 * ramp + 10.0 <= seconds - 1.0:
+        hold_s = min(float(rng.uniform(10.0, 20.0)), seconds - 1.0 - at - 2.0 * ramp)
+        end = at + hold_s + 2.0 * ramp
+        inside = _between(signals.time_s, at, end, ramp)
+        # Nobody holds quite still: a little air and tone are lost.
+        leak = 1.0 - 0.03 * np.clip((signals.time_s - at) / hold_s, 0.0, 1.0)
+        deep = build.amplitude_mm * float(rng.uniform(1.9, 2.2)) * leak
+        deep_thorax = build.amplitude_mm * build.thorax_share * float(rng.uniform(3.0, 3.8)) * leak
+        abdomen_mm = abdomen_mm * (1.0 - inside) + deep * inside
+        thorax_mm = thorax_mm * (1.0 - inside) + deep_thorax * inside
+        events.append(Event(name="hold", start_s=at + ramp, end_s=end - ramp))
+        at = end + float(rng.uniform(7.0, 10.0))
+    return Timeline(signals=replace(signals, abdomen_mm=abdomen_mm, thorax_mm=thorax_mm), events=tuple(events))
+
+
+def _drift(signals: Signals, seconds: float, rng: np.random.Generator) -> Timeline:
+    """Let the end of exhale wander off, as when muscles relax; it never stops."""
+    start = min(FREE_S, 0.3 * seconds)
+    total_mm = float(rng.uniform(3.0, 5.0)) * (1.0 if rng.random() < 0.5 else -1.0)
+    share = _smooth(0.5 * (signals.time_s - start) / (seconds - start)) / 0.5
+    return Timeline(
+        signals=replace(
+            signals,
+            abdomen_mm=signals.abdomen_mm + total_mm * share,
+            thorax_mm=signals.thorax_mm + 0.5 * total_mm * share,
+        ),
+        events=(
+            Event(name="free", start_s=0.0, end_s=start),
+            Event(name="drift", start_s=start, end_s=seconds, detail={"abdomen_mm": total_mm}),
+        ),
+    )
+
+
+def _shift(signals: Signals, seconds: float, rng: np.random.Generator) -> Timeline:
+    """Move the patient on the couch, within about a second, and leave him there."""
+    start = max(22.0, 0.55 * seconds)
+    length, angle = float(rng.uniform(7.0, 13.0)), float(rng.uniform(0.0, 2.0 * np.pi))
+    turn = float(rng.uniform(1.0, 2.0)) * (1.0 if rng.random() < 0.5 else -1.0)
+    detail = {"x_mm": length * np.cos(angle), "y_mm": length * np.sin(angle), "turn_deg": turn}
+    return Timeline(
+        signals=signals,
+        events=(
+            Event(name="free", start_s=0.0, end_s=start),
+            Event(name="shift", start_s=start, end_s=start + 1.0, detail=detail),
+        ),
+    )
+
+
+def _occlusion(signals: Signals, seconds: float, rng: np.random.Generator) -> Timeline:
+    """Pass a hand over the ROI; later lay a cloth on one sticker for some seconds."""
+    hand = max(FREE_S, 0.45 * seconds)
+    cloth = hand + 8.0
+    marker = int(rng.integers(0, 4))
+    return Timeline(
+        signals=signals,
+        events=(
+            Event(name="free", start_s=0.0, end_s=hand),
+            Event(name="hand", start_s=hand, end_s=hand + 4.0),
+            Event(name="marker_hidden", start_s=cloth, end_s=cloth + 4.0, detail={"marker": marker}),
+        ),
+    )

@@ -1,0 +1,247 @@
+"""Decide whether the beam may be on: a pure reducer over one transition table.
+
+Every event is first judged into one of a few kinds with a reason; the table then says where that kind leads from the
+present state. HOLD is the default: a pair that is not in the table is HOLD for an armed gate, and no way to arm a
+disarmed one or to clear a fault. Only frames lead to ``BEAM_ON``, only through ``DWELL``, and only by a full dwell of
+frames that were each good, fresh, next in order and inside the window.
+
+Times are host monotonic nanoseconds and are arguments: nothing here reads a clock.
+"""
+
+from dataclasses import dataclass, replace
+
+from engine.clock import NS_PER_MS, NS_PER_US
+from engine.commands import Acknowledge, Arm, Disarm
+from engine.frames import Measurement, Motion
+from engine.limits import LIMIT_BOUNDS, GateLimits, GateSignal, GateWindow, ns_from_ms
+from engine.permits import GateState, HoldReason, Lease
+from engine.trust import EventKind, LastFrame, Verdict, distrust, fault, last_frame
+
+__all__ = [
+    "LIMIT_BOUNDS",
+    "TRANSITIONS",
+    "Ending",
+    "EventKind",
+    "Gate",
+    "GateEvent",
+    "GateLimits",
+    "GateSignal",
+    "GateWindow",
+    "Interruption",
+    "LastFrame",
+    "Silence",
+    "lease_of",
+    "next_state",
+    "step_gate",
+]
+
+_S, _K = GateState, EventKind
+
+TRANSITIONS: dict[tuple[GateState, EventKind], GateState] = {
+    (_S.DISARMED, _K.ARM): _S.HOLD,
+    (_S.DISARMED, _K.FAILURE): _S.FAULT,
+    (_S.HOLD, _K.INSIDE): _S.DWELL,
+    (_S.HOLD, _K.FAILURE): _S.FAULT,
+    (_S.HOLD, _K.DISARM): _S.DISARMED,
+    (_S.HOLD, _K.END): _S.DISARMED,
+    (_S.DWELL, _K.INSIDE): _S.DWELL,
+    (_S.DWELL, _K.DWELT): _S.BEAM_ON,
+    (_S.DWELL, _K.FAILURE): _S.FAULT,
+    (_S.DWELL, _K.DISARM): _S.DISARMED,
+    (_S.DWELL, _K.END): _S.DISARMED,
+    (_S.BEAM_ON, _K.DWELT): _S.BEAM_ON,
+    (_S.BEAM_ON, _K.FAILURE): _S.FAULT,
+    (_S.BEAM_ON, _K.DISARM): _S.DISARMED,
+    (_S.BEAM_ON, _K.END): _S.DISARMED,
+    (_S.FAULT, _K.ACKNOWLEDGE): _S.DISARMED,
+}
+"""Every transition there is; for all other pairs see :func:`next_state`."""
+
+
+def next_state(state: GateState, kind: EventKind) -> GateState:
+    """Look up the table; a pair not in it is HOLD, except that nothing else arms and nothing else clears a fault."""
+    stays = state in {GateState.DISARMED, GateState.FAULT}
+    return TRANSITIONS.get((state, kind), state if stays else GateState.HOLD)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Silence:
+    """No frame came in time. ``since_ns`` is when listening began, for a source that never delivered."""
+
+    since_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Interruption:
+    """Something other than a frame forbids the beam; a fault latches, the rest clears with the next good frames."""
+
+    reason: HoldReason
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """The frames are over, as they should be: a recording's end, or a person's wish."""
+
+    reason: HoldReason
+    detail: str = ""
+
+
+GateEvent = Measurement | Silence | Interruption | Ending | Arm | Disarm | Acknowledge
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gate:
+    """The gate's whole state.
+
+    Attributes
+    ----------
+    reason
+        Why the beam is held; None if and only if the state is ``BEAM_ON``.
+    since_ns
+        When this state and reason began.
+    good_frames, inside_since_ns, inside_since_us
+        The run of good frames the dwell is counted by: its length, and when its first frame was received and
+        captured. 0 and None outside of ``DWELL`` and ``BEAM_ON``.
+    """
+
+    state: GateState = GateState.DISARMED
+    reason: HoldReason | None = HoldReason.DISARMED
+    detail: str = ""
+    since_ns: int = 0
+    good_frames: int = 0
+    inside_since_ns: int | None = None
+    inside_since_us: int | None = None
+    last: LastFrame | None = None
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether the gate may decide for the beam by itself."""
+        return self.state in {GateState.HOLD, GateState.DWELL, GateState.BEAM_ON}
+
+    @property
+    def is_inside(self) -> bool:
+        """Whether a run of good frames inside the window is under way."""
+        return self.state in {GateState.DWELL, GateState.BEAM_ON}
+
+
+def step_gate(gate: Gate, event: GateEvent, now_ns: int, limits: GateLimits) -> Gate:
+    """Return the gate after ``event``; ``now_ns`` is read after whatever made the event."""
+    verdict = _judge(gate, event, now_ns, limits)
+    moved = _move(gate, verdict, now_ns)
+    if not isinstance(event, Measurement):
+        return moved
+    return _remember(gate, moved, event, limits)
+
+
+def lease_of(gate: Gate, *, decided_ns: int, sequence: int, limits: GateLimits) -> Lease | None:
+    """Return the lease this gate is worth, or None; it ends counted from when the newest frame was *received*."""
+    if gate.state is not GateState.BEAM_ON or gate.last is None:
+        return None
+    expires_ns = gate.last.received_ns + ns_from_ms(limits.lease_ms)
+    return Lease(granted_ns=decided_ns, expires_ns=expires_ns, sequence=sequence)
+
+
+def _move(gate: Gate, verdict: Verdict, now_ns: int) -> Gate:
+    state = next_state(gate.state, verdict.kind)
+    reason, detail = _reason_in(state, gate, verdict)
+    is_same = state is gate.state and reason is gate.reason
+    since_ns = gate.since_ns if is_same else now_ns
+    detail = gate.detail if is_same and state is GateState.FAULT else detail
+    return replace(
+        gate,
+        state=state,
+        reason=reason,
+        detail=detail,
+        since_ns=since_ns,
+        good_frames=0,
+        inside_since_ns=None,
+        inside_since_us=None,
+    )
+
+
+def _reason_in(state: GateState, gate: Gate, verdict: Verdict) -> tuple[HoldReason | None, str]:
+    if state is GateState.BEAM_ON:
+        return None, ""
+    if state is GateState.FAULT and gate.state is GateState.FAULT:
+        return gate.reason, gate.detail  # the first cause stays until somebody has seen it
+    if state is GateState.DISARMED:
+        is_end = verdict.kind is EventKind.END
+        return (verdict.reason, verdict.detail) if is_end else (HoldReason.DISARMED, "")
+    return verdict.reason or HoldReason.DWELL, verdict.detail
+
+
+def _remember(before: Gate, moved: Gate, frame: Measurement, limits: GateLimits) -> Gate:
+    """Count the run of good frames, and keep what the next frame is compared with."""
+    last = last_frame(before.last, frame, limits.window)
+    if not moved.is_inside:
+        return replace(moved, last=last)
+    if before.inside_since_ns is None or before.inside_since_us is None:
+        since_ns, since_us, frames = frame.received_ns, frame.timestamp_us, 1
+    else:
+        since_ns, since_us, frames = before.inside_since_ns, before.inside_since_us, before.good_frames + 1
+    return replace(moved, last=last, good_frames=frames, inside_since_ns=since_ns, inside_since_us=since_us)
+
+
+_KIND_OF_COMMAND: dict[type, EventKind] = {
+    Arm: EventKind.ARM,
+    Disarm: EventKind.DISARM,
+    Acknowledge: EventKind.ACKNOWLEDGE,
+}
+
+
+def _judge(gate: Gate, event: object, now_ns: int, limits: GateLimits) -> Verdict:
+    match event:
+        case Measurement():
+            return _judge_frame(gate, event, now_ns, limits)
+        case Silence():
+            return _judge_silence(gate, event, now_ns, limits)
+        case Interruption():
+            kind = EventKind.FAILURE if event.reason.is_fault else EventKind.UNUSABLE
+            return Verdict(kind, event.reason, event.detail)
+        case Ending():
+            return Verdict(EventKind.END, event.reason, event.detail)
+    kind_of_command = _KIND_OF_COMMAND.get(type(event))
+    if kind_of_command is None:
+        return fault(HoldReason.UNKNOWN, f"{type(event).__name__} means nothing to the gate")
+    return Verdict(kind_of_command, HoldReason.DWELL)
+
+
+def _judge_silence(gate: Gate, event: Silence, now_ns: int, limits: GateLimits) -> Verdict:
+    since_ns = event.since_ns if gate.last is None else gate.last.received_ns
+    silent_ms = (now_ns - since_ns) / NS_PER_MS
+    detail = f"no frame for {silent_ms:.0f} ms"
+    if gate.last is not None and silent_ms > limits.max_silence_ms:
+        return Verdict(EventKind.FAILURE, HoldReason.FRAME_TIMEOUT, detail)
+    return Verdict(EventKind.UNUSABLE, HoldReason.FRAME_MISSING, detail)
+
+
+def _judge_frame(gate: Gate, frame: Measurement, now_ns: int, limits: GateLimits) -> Verdict:
+    verdict = distrust(gate.last, frame, now_ns, limits)
+    if verdict is not None:
+        return verdict
+    if frame.motion is None:  # cannot be: a frame without motion is not trusted
+        return fault(HoldReason.VALUE_INVALID, "no motion")
+    return _judge_amplitude(gate, frame, frame.motion, limits)
+
+
+def _judge_amplitude(gate: Gate, frame: Measurement, motion: Motion, limits: GateLimits) -> Verdict:
+    window = limits.window
+    signal_mm = window.signal_mm(motion)
+    if not window.contains(signal_mm, was_inside=gate.is_inside):
+        detail = f"{signal_mm:.2f} mm is not inside {window.lower_mm:g} to {window.upper_mm:g} mm"
+        return Verdict(EventKind.OUTSIDE, HoldReason.OUTSIDE_WINDOW, detail)
+    if _has_dwelt(gate, frame, limits):
+        return Verdict(EventKind.DWELT)
+    return Verdict(EventKind.INSIDE, HoldReason.DWELL)
+
+
+def _has_dwelt(gate: Gate, frame: Measurement, limits: GateLimits) -> bool:
+    if gate.inside_since_ns is None or gate.inside_since_us is None:
+        return False
+    dwell_ns = ns_from_ms(limits.dwell_ms)
+    return (
+        gate.good_frames + 1 >= limits.min_good_frames
+        and frame.received_ns - gate.inside_since_ns >= dwell_ns
+        and (frame.timestamp_us - gate.inside_since_us) * NS_PER_US >= dwell_ns
+    )

@@ -1,0 +1,47 @@
+"""Counts frames and measures their rate and latency as they pass."""
+
+from collections import deque
+
+import numpy as np
+
+from engine.clock import NS_PER_MS, NS_PER_S
+from engine.live import LatencySummary
+
+LATENCIES_KEPT = 512
+FRAMES_A_SUMMARY = 8
+"""Percentiles are computed once in so many frames: sorting on every one would itself be latency."""
+
+
+class Tally:
+    """Running figures of one engine's life; owned by the engine thread."""
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.missed_frames = 0
+        self._received_ns: deque[int] = deque()
+        self._latencies_ms: deque[float] = deque(maxlen=LATENCIES_KEPT)
+        self._p50_ms = self._p99_ms = 0.0
+
+    def count(self, *, received_ns: int, asserted_ns: int, missed_frames: int) -> None:
+        """Count one frame."""
+        self._latencies_ms.append((asserted_ns - received_ns) / NS_PER_MS)
+        if self.frames % FRAMES_A_SUMMARY == 0:
+            p50_ms, p99_ms = np.percentile(self._latencies_ms, [50, 99])
+            self._p50_ms, self._p99_ms = float(p50_ms), float(p99_ms)
+        self.frames += 1
+        self.missed_frames += max(missed_frames, 0)
+        self._received_ns.append(received_ns)
+        while received_ns - self._received_ns[0] > NS_PER_S:
+            self._received_ns.popleft()
+
+    @property
+    def fps(self) -> float:
+        """Frames a second over the last second; 0 until there are two."""
+        span_ns = self._received_ns[-1] - self._received_ns[0] if self._received_ns else 0
+        return 0.0 if span_ns <= 0 else (len(self._received_ns) - 1) * NS_PER_S / span_ns
+
+    @property
+    def latency(self) -> LatencySummary:
+        """Latency of the last frame, and of the last few hundred."""
+        last_ms = self._latencies_ms[-1] if self._latencies_ms else 0.0
+        return LatencySummary(last_ms=last_ms, p50_ms=self._p50_ms, p99_ms=self._p99_ms)

@@ -1,0 +1,224 @@
+"""Whether a measured frame may be trusted for a decision, whatever its amplitude.
+
+Pure: the frame, what is remembered of those before it, the limits, and the time of the decision go in; a verdict with
+its reason comes out. Kept apart from the gate's states: what is bad about a frame does not depend on them.
+"""
+
+import enum
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from engine.clock import NS_PER_MS, NS_PER_US
+from engine.frames import LostReason, Measurement, MeasurementState, Motion
+from engine.limits import GateLimits, GateWindow
+from engine.permits import HoldReason
+
+MAX_JUMP_FRAMES = 5
+"""A signal not seen for longer is compared as if it had been this many frames: a gap is no excuse for any step."""
+
+CLOCK_DRIFT = 5e-4
+"""How much faster the device's clock may run than the host's: ten times what quartz does."""
+
+
+class EventKind(enum.StrEnum):
+    """What an event means to the gate, whatever its state."""
+
+    INSIDE = "inside"
+    DWELT = "dwelt"
+    OUTSIDE = "outside"
+    UNUSABLE = "unusable"
+    FAILURE = "failure"
+    ARM = "arm"
+    DISARM = "disarm"
+    ACKNOWLEDGE = "acknowledge"
+    END = "end"
+
+
+class Verdict(NamedTuple):
+    """What an event means, why, and in words for a person."""
+
+    kind: EventKind
+    reason: HoldReason | None = None
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LastFrame:
+    """What the gate remembers of the frames so far, to compare the next with.
+
+    ``least_lag_ns`` is the least host time minus device time seen, let grow by the clocks' drift; ``signal_mm`` was
+    measured ``signal_age_frames`` frames ago.
+    """
+
+    index: int
+    timestamp_us: int
+    received_ns: int
+    least_lag_ns: int
+    signal_mm: float | None
+    signal_age_frames: int
+
+
+def distrust(last: LastFrame | None, frame: Measurement, now_ns: int, limits: GateLimits) -> Verdict | None:
+    """Return why ``frame`` must not be decided on, faults before holds, or None."""
+    verdict = (
+        _refuse_disorder(last, frame, now_ns)
+        or _refuse_late(last, frame, now_ns, limits)
+        or _refuse_gap(last, frame, limits)
+    )
+    if verdict is not None:
+        return verdict
+    if frame.state is not MeasurementState.MEASURING or frame.motion is None:
+        return _judge_unmeasured(frame)
+    return (
+        _refuse_bad_value(frame.motion, limits)
+        or _refuse_poor_fit(frame.motion, limits)
+        or _refuse_jump(last, frame, frame.motion, limits)
+    )
+
+
+def fault(reason: HoldReason, detail: str) -> Verdict:
+    """Judge that the gate must latch."""
+    return Verdict(EventKind.FAILURE, reason, detail)
+
+
+def unusable(reason: HoldReason, detail: str) -> Verdict:
+    """Judge that the gate must hold, until frames are good again."""
+    return Verdict(EventKind.UNUSABLE, reason, detail)
+
+
+def last_frame(before: LastFrame | None, frame: Measurement, window: GateWindow) -> LastFrame:
+    """Return what the next frame is compared with."""
+    signal_mm = math.nan if frame.motion is None else window.signal_mm(frame.motion)
+    is_measured = math.isfinite(signal_mm)
+    kept_mm = None if before is None else before.signal_mm
+    age = 0 if before is None else before.signal_age_frames + 1 + max(frame.missed_frames, 0)
+    return LastFrame(
+        index=frame.frame_index,
+        timestamp_us=frame.timestamp_us,
+        received_ns=frame.received_ns,
+        least_lag_ns=_least_lag_ns(before, frame),
+        signal_mm=signal_mm if is_measured else kept_mm,
+        signal_age_frames=0 if is_measured else age,
+    )
+
+
+def _lag_ns(frame: Measurement) -> int:
+    return frame.received_ns - frame.timestamp_us * NS_PER_US
+
+
+def _least_lag_ns(before: LastFrame | None, frame: Measurement) -> int:
+    if before is None or frame.timestamp_us <= before.timestamp_us:
+        return _lag_ns(frame)  # a first frame, or a device that started its clock anew
+    drift_ns = int(CLOCK_DRIFT * max(frame.received_ns - before.received_ns, 0))
+    return min(_lag_ns(frame), before.least_lag_ns + drift_ns)
+
+
+def _refuse_disorder(last: LastFrame | None, frame: Measurement, now_ns: int) -> Verdict | None:
+    """Time and order must run forward, on the device and on the host."""
+    if frame.missed_frames < 0:
+        return fault(HoldReason.VALUE_INVALID, f"{frame.missed_frames} missed frames")
+    disorder = ""
+    if frame.received_ns > now_ns:
+        disorder = f"received {frame.received_ns - now_ns} ns after now"
+    elif last is None:
+        return None
+    elif frame.frame_index <= last.index:
+        disorder = f"frame {frame.frame_index} after frame {last.index}"
+    elif frame.timestamp_us <= last.timestamp_us:
+        disorder = f"device time {frame.timestamp_us} us after {last.timestamp_us} us"
+    elif frame.received_ns <= last.received_ns:
+        disorder = f"received {last.received_ns - frame.received_ns} ns before the last frame"
+    return fault(HoldReason.CLOCK_BACKWARDS, disorder) if disorder else None
+
+
+def _refuse_late(last: LastFrame | None, frame: Measurement, now_ns: int, limits: GateLimits) -> Verdict | None:
+    age_ms = (now_ns - frame.received_ns) / NS_PER_MS
+    if age_ms > limits.max_silence_ms:
+        return fault(HoldReason.FRAME_STALE, f"the newest frame is {age_ms:.0f} ms old")
+    if age_ms > limits.max_frame_age_ms:
+        return unusable(HoldReason.FRAME_LATE, f"decided {age_ms:.0f} ms after it came")
+    lag_ms = (_lag_ns(frame) - _least_lag_ns(last, frame)) / NS_PER_MS
+    if lag_ms > limits.max_lag_ms and not limits.is_played:
+        return unusable(HoldReason.FRAME_LATE, f"came {lag_ms:.0f} ms later than the promptest frame")
+    return None
+
+
+def _refuse_gap(last: LastFrame | None, frame: Measurement, limits: GateLimits) -> Verdict | None:
+    if frame.missed_frames > 0:
+        return unusable(HoldReason.FRAME_MISSING, f"{frame.missed_frames} frames lost by the device")
+    if last is None:
+        return None
+    if frame.frame_index != last.index + 1:
+        return unusable(HoldReason.FRAME_MISSING, f"frame {frame.frame_index} after frame {last.index}")
+    device_ms = (frame.timestamp_us - last.timestamp_us) * NS_PER_US / NS_PER_MS
+    host_ms = (frame.received_ns - last.received_ns) / NS_PER_MS
+    gap_ms = max(device_ms, host_ms)
+    if gap_ms > limits.max_gap_ms:
+        return unusable(HoldReason.FRAME_MISSING, f"{gap_ms:.0f} ms after the last frame")
+    return None
+
+
+_REASON_OF_LOST = {
+    LostReason.MARKER_LOST: HoldReason.MARKER_LOST,
+    LostReason.LAYOUT_CHANGED: HoldReason.LAYOUT_CHANGED,
+    LostReason.COVERAGE_LOW: HoldReason.COVERAGE_LOW,
+    LostReason.RESIDUAL_HIGH: HoldReason.RESIDUAL_HIGH,
+    LostReason.VALUE_INVALID: HoldReason.VALUE_INVALID,
+}
+
+
+def _judge_unmeasured(frame: Measurement) -> Verdict:
+    if frame.state is MeasurementState.TRAINING:
+        return unusable(HoldReason.TRAINING, "the motion model is being learned")
+    if frame.state is MeasurementState.LOST and frame.lost is not None:
+        reason = _REASON_OF_LOST.get(frame.lost.reason, HoldReason.UNKNOWN)
+        kind = EventKind.FAILURE if reason.is_fault else EventKind.UNUSABLE
+        return Verdict(kind, reason, frame.lost.detail)
+    return fault(HoldReason.VALUE_INVALID, f"{frame.state} without a measurement")
+
+
+def _refuse_bad_value(motion: Motion, limits: GateLimits) -> Verdict | None:
+    fit = motion.projection
+    values = {
+        f"{limits.window.signal} (gated)": limits.window.signal_mm(motion),
+        "whole": motion.whole_mm,
+        "thorax": motion.thorax_mm,
+        "abdomen": motion.abdomen_mm,
+        "residual": fit.residual_mm,
+        "valid share": fit.valid_share,
+        "inlier share": fit.inlier_share,
+    }
+    bad = [name for name, value in values.items() if not math.isfinite(value)]
+    if not (np.isfinite(fit.beta).all() and np.isfinite(fit.coefficients).all()):
+        bad.append("coefficients")
+    shares_are = 0.0 <= fit.valid_share <= 1.0 and 0.0 <= fit.inlier_share <= 1.0
+    if fit.residual_mm < 0.0 or not shares_are:
+        bad.append("fit")
+    return fault(HoldReason.VALUE_INVALID, f"not a number: {', '.join(bad)}") if bad else None
+
+
+def _refuse_poor_fit(motion: Motion, limits: GateLimits) -> Verdict | None:
+    fit = motion.projection
+    if not fit.valid_share >= limits.min_valid_share:
+        detail = f"{fit.valid_share:.2f} of the region seen, {limits.min_valid_share:.2f} needed"
+        return unusable(HoldReason.COVERAGE_LOW, detail)
+    if not fit.inlier_share >= limits.min_inlier_share:
+        detail = f"{fit.inlier_share:.2f} of what is seen fits the model, {limits.min_inlier_share:.2f} needed"
+        return unusable(HoldReason.RESIDUAL_HIGH, detail)
+    if not fit.residual_mm <= limits.max_residual_mm:
+        detail = f"{fit.residual_mm:.2f} mm unexplained, {limits.max_residual_mm:.2f} allowed"
+        return unusable(HoldReason.RESIDUAL_HIGH, detail)
+    return None
+
+
+def _refuse_jump(last: LastFrame | None, frame: Measurement, motion: Motion, limits: GateLimits) -> Verdict | None:
+    if last is None or last.signal_mm is None:
+        return None
+    frames = min(last.signal_age_frames + 1 + frame.missed_frames, MAX_JUMP_FRAMES)
+    step_mm = abs(limits.window.signal_mm(motion) - last.signal_mm)
+    if not step_mm <= limits.max_jump_mm * frames:
+        return unusable(HoldReason.JUMP, f"{step_mm:.1f} mm in {frames} frames")
+    return None

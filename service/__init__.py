@@ -1,0 +1,1 @@
+"""Everything around the engine: HTTP, WebSocket, database, command line and page."""

@@ -1,0 +1,120 @@
+"""Sessions: create, start, arm, watch, stop. Nothing here turns a beam on: arming lets the gate decide."""
+
+from fastapi import APIRouter, Response
+from fastapi.responses import StreamingResponse
+
+from service import deps, schemas
+from service.api import problems
+
+router = APIRouter(prefix="/sessions", tags=["sessions"])
+READ = problems(404, 422, 503)
+ACT = problems(404, 409, 413, 415, 422, 503)
+
+
+@router.post("", status_code=201, name="session.create", responses=ACT)
+def create_session(
+    request: schemas.SessionRequest,
+    services: deps.Offered,
+    response: Response,
+    idempotency_key: deps.IdempotencyKey = None,
+) -> schemas.Session:
+    """Create a session; one at a time may be created or running."""
+    kept = services.sessions.create(request, idempotency_key)
+    if kept.is_replay:
+        response.headers["Idempotency-Replayed"] = "true"
+    return kept.answer
+
+
+@router.get("", responses=problems(422, 503))
+def list_sessions(services: deps.Offered, cursor: deps.Cursor = None, limit: deps.Limit = 50) -> schemas.SessionPage:
+    """List sessions, newest first."""
+    return services.sessions.page(cursor, limit)
+
+
+@router.get("/{session_id}", responses=READ)
+def read_session(session_id: deps.SessionId, services: deps.Offered) -> schemas.SessionDetail:
+    """Read a session with its gate, its learning and its figures."""
+    return services.sessions.detail(session_id)
+
+
+@router.post("/{session_id}/start", name="session.start", responses=ACT)
+def start_session(
+    session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
+) -> schemas.Session:
+    """Open the source and begin to learn, disarmed."""
+    return services.runner.start(session_id, request.operator)
+
+
+@router.post("/{session_id}/arm", name="session.arm", responses=ACT)
+def arm_session(
+    session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
+) -> schemas.SessionDetail:
+    """Let the gate decide from now on; refused without a model, a reference and a fresh frame."""
+    return services.runner.command(session_id, "arm", request.operator)
+
+
+@router.post("/{session_id}/disarm", name="session.disarm", responses=ACT)
+def disarm_session(
+    session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
+) -> schemas.SessionDetail:
+    """Hold the beam until somebody arms again."""
+    return services.runner.command(session_id, "disarm", request.operator)
+
+
+@router.post("/{session_id}/reference", name="session.reference", responses=ACT)
+def set_reference(
+    session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
+) -> schemas.SessionDetail:
+    """Make the patient's present position the zero of motion; disarms."""
+    return services.runner.command(session_id, "reference", request.operator)
+
+
+@router.post("/{session_id}/acknowledge", name="session.acknowledge", responses=ACT)
+def acknowledge_fault(
+    session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
+) -> schemas.SessionDetail:
+    """Say that a person has seen the latched fault; the gate goes back to disarmed."""
+    return services.runner.command(session_id, "acknowledge", request.operator)
+
+
+@router.post("/{session_id}/stop", name="session.stop", responses=ACT)
+def stop_session(
+    session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
+) -> schemas.Session:
+    """Hold the beam, end the engine, close the session."""
+    return services.runner.stop(session_id, request.operator)
+
+
+@router.get(
+    "/{session_id}/samples",
+    response_class=Response,
+    responses={
+        200: {"description": "One row a depth frame", "content": {"text/csv": {"schema": {"type": "string"}}}},
+        **READ,
+    },
+)
+def export_samples(session_id: deps.SessionId, services: deps.Offered) -> StreamingResponse:
+    """Export the samples as CSV; what could not be measured is empty, never zero."""
+    headers = {"Content-Disposition": f'attachment; filename="{session_id}.csv"'}
+    pieces = services.sessions.samples_csv(session_id)
+    return StreamingResponse(pieces, media_type="text/csv", headers=headers)
+
+
+@router.get(
+    "/{session_id}/picture",
+    response_class=Response,
+    responses={200: {"description": "The newest colour frame", "content": {"image/jpeg": {}}}, **READ},
+)
+def read_picture(session_id: deps.SessionId, services: deps.Offered) -> Response:
+    """Show the newest colour frame; `X-Frame-Index` tells which."""
+    picture = services.runner.picture(session_id)
+    headers = {"X-Frame-Index": str(picture.frame_index), "Cache-Control": "no-store"}
+    return Response(picture.jpeg, media_type="image/jpeg", headers=headers)
+
+
+@router.get("/{session_id}/transitions", responses=READ)
+def list_transitions(
+    session_id: deps.SessionId, services: deps.Offered, cursor: deps.Cursor = None, limit: deps.Limit = 200
+) -> schemas.TransitionPage:
+    """List the gate's transitions, oldest first."""
+    return services.sessions.transitions(session_id, cursor, limit)

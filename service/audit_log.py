@@ -1,0 +1,75 @@
+"""The audit log as the service uses it: refusals written down, pages read, the chain walked."""
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from datetime import datetime
+
+from engine.errors import TidegateError
+from service import audit, schemas
+from service.audit import Event
+from service.db import repository
+from service.db.engine import Database
+from service.db.models import AuditRow
+
+
+class AuditLog:
+    """Reads and writes the audit table in transactions of its own."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def write(self, event: Event) -> None:
+        """Add one row, committed when this returns."""
+        with self._database.write() as db:
+            audit.append(db, event)
+
+    @contextmanager
+    def refusals(
+        self, *, actor: str, action: str, session_id: str | None = None, detail: Mapping[str, object] | None = None
+    ) -> Iterator[None]:
+        """Write a refusal down when the block raises one, and let it pass on."""
+        try:
+            yield
+        except TidegateError as error:
+            found = {name: getattr(error, name, None) for name in ("field", "value", "bound")}
+            content = {**(detail or {}), "code": error.code, "message": str(error), **found}
+            self.write(Event(actor=actor, action=action, outcome="refused", session_id=session_id, detail=content))
+            raise
+
+    def refused(self, *, actor: str, action: str, session_id: str | None, problem: schemas.Problem) -> None:
+        """Write down a call that was refused before anyone acted on it."""
+        detail = problem.model_dump(include={"code", "detail", "field", "value", "bound"})
+        self.write(Event(actor=actor, action=action, outcome="refused", session_id=session_id, detail=detail))
+
+    def page(self, cursor: str | None, limit: int, session_id: str | None) -> schemas.AuditPage:
+        """List rows, newest first."""
+        with self._database.read() as db:
+            rows, next_cursor = repository.audit_page(db, cursor, limit, session_id)
+            return schemas.AuditPage(items=[_entry(row) for row in rows], next_cursor=next_cursor)
+
+    def verify(self) -> schemas.AuditVerification:
+        """Walk the whole chain."""
+        with self._database.read() as db:
+            found = audit.verify(db)
+        return schemas.AuditVerification(
+            is_intact=found.first_broken_sequence is None,
+            rows=found.rows,
+            head_hash=found.head_hash,
+            first_broken_sequence=found.first_broken_sequence,
+            detail=found.detail,
+        )
+
+
+def _entry(row: AuditRow) -> schemas.AuditEntry:
+    return schemas.AuditEntry(
+        sequence=row.sequence,
+        at=datetime.fromisoformat(row.at),
+        actor=row.actor,
+        action=row.action,
+        outcome=row.outcome,
+        session_id=row.session_id,
+        detail=json.loads(row.detail),
+        previous_hash=row.previous_hash,
+        hash=row.hash,
+    )

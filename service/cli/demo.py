@@ -1,0 +1,327 @@
+"""``tidegate demo``: a virtual volunteer through the whole of Tidegate, over its own HTTP API.
+
+Makes a recording, starts ``tidegate serve`` as a process of its own, plays the recording in real time through the
+OpenNI2 runtime, opens a session, learns, sets the reference at end-exhale, arms, gates, and compares what the service
+stored with the truth.
+"""
+
+import contextlib
+import csv
+import io
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+
+from engine.capture.openni import runtime_available
+from engine.errors import TidegateError
+from engine.frames import FloatArray
+from engine.phantom.truth import load_truth
+from service.cli.terminal import refused
+
+OPERATOR = "Demo"
+WINDOW = {"signal": "whole", "lower_mm": -1.5, "upper_mm": 2.0, "hysteresis_mm": 0.2, "dwell_ms": 200.0}
+START_TIMEOUT_S = 30.0
+SILENCE_S = 15.0
+EXHALE_WATCH_S = 4.0
+Message = dict[str, Any]
+
+
+class DemoError(TidegateError):
+    """The demonstration cannot go on; the message says why."""
+
+    code = "demo_failed"
+
+
+def demo(
+    folder: Annotated[Path, typer.Option(help="Where recordings and the service's data go.")] = Path("var/demo"),
+    seconds: Annotated[float, typer.Option(help="Length of the recording [s].")] = 60.0,
+    volunteer: Annotated[int, typer.Option(help="Which of the ten volunteers, 1 to 10.")] = 10,
+    port: Annotated[int, typer.Option(help="Port of the service; the next free one when taken.")] = 8000,
+    keep: Annotated[bool, typer.Option("--keep", help="Leave the service running until Ctrl-C.")] = False,
+) -> None:
+    """See it work: volunteer, camera, learning, gate and page, with a summary against the truth."""
+    console = Console(highlight=False)
+    try:
+        recording = _volunteer(folder, volunteer, seconds, console)
+        with _service(folder, _free_port(port), console) as api:
+            session_id = _gate(api, recording, console)
+            _summarise(api, session_id, recording, console)
+            if keep:
+                console.print(f"Still up: {api.address}/  (Ctrl-C ends)", markup=False)
+                _wait_for_ctrl_c()
+    except TidegateError as error:
+        raise refused("demo", error) from error
+
+
+def _volunteer(folder: Path, volunteer: int, seconds: float, console: Console) -> Path:
+    """Make the recording with the ``phantom`` command, or take the one made before."""
+    from service.cli.phantom import phantom
+
+    out = folder / f"regular-{volunteer}-{seconds:g}s"
+    if (out / "truth.npz").exists():
+        console.print(f"1 Volunteer {volunteer}, {seconds:g} s: the one made before, {out}", markup=False)
+    else:
+        console.print(f"1 Making volunteer {volunteer}, {seconds:g} s of regular breathing", markup=False)
+        phantom("regular", out=out, volunteer=volunteer, seconds=seconds, fps=30.0, seed=1, trace=None, workers=None)
+    return out
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Api:
+    """A few calls of the service's API."""
+
+    address: str
+
+    def get(self, path: str) -> Any:  # noqa: ANN401 - JSON
+        return json.loads(self._call("GET", path, None))
+
+    def text(self, path: str) -> str:
+        return self._call("GET", path, None).decode()
+
+    def post(self, path: str, body: bytes | Message) -> Any:  # noqa: ANN401 - JSON
+        return json.loads(self._call("POST", path, body if isinstance(body, bytes) else json.dumps(body).encode()))
+
+    def live(self) -> Iterator[Message]:
+        """Follow the live stream."""
+        url = self.address.replace("http://", "ws://") + "/api/v1/live"
+        try:
+            with connect(url, compression=None) as socket_:
+                while True:
+                    yield json.loads(socket_.recv(timeout=SILENCE_S))
+        except (WebSocketException, OSError) as error:
+            message = f"the live stream ended: {error}"
+            raise DemoError(message) from error
+
+    def _call(self, method: str, path: str, body: bytes | None) -> bytes:
+        request = urllib.request.Request(  # noqa: S310 - the address is our own loopback
+            f"{self.address}{path}", data=body, method=method, headers={"Content-Type": "application/json"}
+        )
+        try:
+            with urllib.request.urlopen(request, timeout=30.0) as answer:  # noqa: S310
+                content: bytes = answer.read()
+                return content
+        except urllib.error.HTTPError as error:
+            message = f"{method} {path} answered {error.code}: {error.read().decode(errors='replace')[:400]}"
+            raise DemoError(message) from error
+        except OSError as error:
+            message = f"{method} {path}: {error}"
+            raise DemoError(message) from error
+
+
+def _free_port(wanted: int) -> int:
+    for port in range(wanted, wanted + 50):
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
+    message = f"no free port from {wanted} to {wanted + 49}"
+    raise DemoError(message)
+
+
+@contextlib.contextmanager
+def _service(folder: Path, port: int, console: Console) -> Iterator[_Api]:
+    data = (folder / "data").resolve()
+    command = [sys.executable, "-m", "service.cli", "serve", "--port", str(port), "--data", str(data)]
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("TIDEGATE_")}
+    log_path = folder / "service.log"
+    with (
+        log_path.open("wb") as log,
+        subprocess.Popen(
+            [*command, "--recordings", str(folder.resolve())], stdout=log, stderr=log, env=environment
+        ) as process,
+    ):
+        api = _Api(address=f"http://127.0.0.1:{port}")
+        try:
+            _wait_until_ready(api, process, log_path)
+            console.print(f"2 Service up: watch it on [bold]{api.address}/[/bold]")
+            yield api
+        finally:
+            process.terminate()
+            try:
+                process.wait(timeout=10.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+
+def _wait_until_ready(api: _Api, process: "subprocess.Popen[bytes]", log_path: Path) -> None:
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while time.monotonic() < deadline:
+        if process.poll() is not None:
+            message = f"the service ended at once: {log_path.read_text(errors='replace')[-400:].strip()}"
+            raise DemoError(message)
+        with contextlib.suppress(DemoError):
+            api.get("/healthz")
+            return
+        time.sleep(0.1)
+    message = f"the service did not answer within {START_TIMEOUT_S:g} s"
+    raise DemoError(message)
+
+
+def _gate(api: _Api, recording: Path, console: Console) -> str:
+    """Run one session from its creation to the recording's end; return its id."""
+    player = "openni" if runtime_available() else "reader"
+    if player == "reader":
+        console.print(
+            "  The OpenNI2 runtime is not here (apt-get install libopenni2-0): playing through Tidegate's own reader.",
+            style="yellow",
+        )
+    calibration = api.post(f"/api/v1/calibrations?operator={OPERATOR}", (recording / "calibration.json").read_bytes())
+    session = api.post(
+        "/api/v1/sessions",
+        {
+            "patient_reference": "PHANTOM-1",
+            "plan_id": "DEMO",
+            "fraction_id": "FX-1",
+            "operator": OPERATOR,
+            "source": {"kind": "recording", "path": str((recording / "recording.oni").resolve()), "player": player},
+            "calibration_id": calibration["id"],
+            "window": WINDOW,
+        },
+    )
+    path = f"/api/v1/sessions/{session['id']}"
+    api.post(f"{path}/start", {"operator": OPERATOR})
+    console.print(f"3 Session {session['id'][:8]}: playing through {player}, learning the patient's breathing")
+    _follow(api, path, console)
+    _close(api, path)
+    return str(session["id"])
+
+
+def _close(api: _Api, path: str) -> None:
+    """Stop the session, unless its recording's end has closed it already; wait until its samples are stored."""
+    with contextlib.suppress(DemoError):
+        api.post(f"{path}/stop", {"operator": OPERATOR})
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while api.get(path)["status"] in {"created", "running"} and time.monotonic() < deadline:
+        time.sleep(0.1)
+
+
+def _follow(api: _Api, path: str, console: Console) -> None:
+    """Show a live line; set the reference at end-exhale, arm, and watch until the recording is over."""
+    began = time.monotonic()
+    exhale = _EndExhale()
+    is_armed = False
+    with Live(console=console, refresh_per_second=8, transient=True) as live:
+        for message in api.live():
+            if message["type"] == "idle":
+                if api.get(path)["status"] in {"created", "running"}:
+                    continue
+                return
+            if message["type"] != "sample":
+                continue
+            live.update(_line(message))
+            if message["session_status"] != "running":
+                return
+            if not is_armed and exhale.is_reached(message):
+                api.post(f"{path}/reference", {"operator": OPERATOR})
+                _arm(api, path)
+                is_armed = True
+                console.print(
+                    f"4 Reference set at end-exhale; armed after {time.monotonic() - began:.0f} s of the session."
+                )
+
+
+def _arm(api: _Api, path: str) -> None:
+    """Arm as soon as the next frame has become the reference."""
+    for attempt in range(10):
+        try:
+            api.post(f"{path}/arm", {"operator": OPERATOR})
+        except DemoError:
+            if attempt == 9:
+                raise
+            time.sleep(0.1)
+        else:
+            return
+
+
+class _EndExhale:
+    """Watches some breaths, then tells when the patient is back near the deepest exhale."""
+
+    def __init__(self) -> None:
+        self._since: float | None = None
+        self._lowest_mm = float("inf")
+        self._highest_mm = float("-inf")
+
+    def is_reached(self, message: Message) -> bool:
+        motion_mm = message["whole_mm"]
+        if message["state"] != "measuring" or motion_mm is None:
+            return False
+        now = time.monotonic()
+        self._since = now if self._since is None else self._since
+        self._lowest_mm, self._highest_mm = min(self._lowest_mm, motion_mm), max(self._highest_mm, motion_mm)
+        near_mm = self._lowest_mm + 0.05 * (self._highest_mm - self._lowest_mm)
+        return now - self._since > EXHALE_WATCH_S and motion_mm <= near_mm
+
+
+_STYLES = {"beam_on": "bold black on green", "fault": "bold white on red", "hold": "black on yellow"}
+
+
+def _line(message: Message) -> Text:
+    line = Text()
+    line.append(f" {message['gate'].replace('_', ' ').upper():9}", _STYLES.get(message["gate"], "reverse"))
+    if message["training"] is not None:
+        training = message["training"]
+        line.append(f"  learning {training['share']:4.0%}, {training['cycles']} cycles  {training['note']}")
+    else:
+        motion = message["whole_mm"]
+        line.append(f"  {motion:+6.2f} mm" if motion is not None else f"  {message['state']}")
+    latency = message["latency_ms"]["last"]
+    line.append(f"  {message['fps'] or 0.0:4.1f} frames/s  {latency or 0.0:4.1f} ms  {message['hold_text'] or ''}")
+    return line
+
+
+def _summarise(api: _Api, session_id: str, recording: Path, console: Console) -> None:
+    session = api.get(f"/api/v1/sessions/{session_id}")
+    rows = list(csv.DictReader(io.StringIO(api.text(f"/api/v1/sessions/{session_id}/samples"))))
+    summary = session["summary"]
+    error_mm = _errors_mm(rows, recording)
+    table = Table("what", "value", title="Summary", show_header=False, title_justify="left")
+    table.add_row("session", f"{session['status']}  {session['status_detail']}".strip())
+    table.add_row("frames", str(summary["frames"]))
+    table.add_row("missing in the stream", str(summary["missed_frames"]))
+    table.add_row("not measurable", str(summary["lost"]))
+    if error_mm.size:
+        table.add_row(
+            "whole-region motion error against truth", f"mean {error_mm.mean():.3f} mm, worst {error_mm.max():.3f} mm"
+        )
+    duty = summary["duty_cycle"]
+    table.add_row("duty cycle while armed", "never armed" if duty is None else f"{duty:.0%}")
+    table.add_row("gate transitions", str(summary["transitions"]))
+    latency = summary["latency"]
+    table.add_row("latency, frame to beam line", f"p50 {latency['p50_ms']:.1f} ms, p99 {latency['p99_ms']:.1f} ms")
+    console.print(table)
+
+
+def _errors_mm(rows: list[dict[str, str]], recording: Path) -> FloatArray:
+    """Absolute error of the whole-region motion since the reference was last set, that frame's own error included."""
+    truth = load_truth(recording / "truth.npz")
+    measured = [(int(row["timestamp_us"]), float(row["whole_mm"])) for row in rows if row["whole_mm"]]
+    zeros = [i for i, (_, motion_mm) in enumerate(measured) if abs(motion_mm) < 1e-6]
+    if not zeros:
+        return np.empty(0)
+    times_us, motion_mm = np.array(measured[zeros[-1] :]).T
+    at = np.searchsorted(truth.timestamp_us, times_us)
+    depth_mm = truth.whole_depth_mm[np.minimum(at, len(truth.timestamp_us) - 1)]
+    return np.asarray(np.abs(motion_mm - (depth_mm[0] - depth_mm)), dtype=np.float64)
+
+
+def _wait_for_ctrl_c() -> None:
+    with contextlib.suppress(KeyboardInterrupt):
+        while True:
+            time.sleep(1.0)

@@ -1,0 +1,46 @@
+"""``tidegate phantom``: make a virtual volunteer's recording, with its calibration and the truth."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from engine.errors import TidegateError
+from engine.phantom.recording import make_volunteer
+from service.cli.terminal import frame_bar, refused, say
+
+
+def phantom(
+    scenario: Annotated[
+        str, typer.Argument(help="regular, irregular, isovolume, dibh, drift, shift or occlusion.", metavar="SCENARIO")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for recording.oni, calibration.json and truth.npz.")],
+    volunteer: Annotated[int, typer.Option(help="Which of the ten volunteers, 1 to 10.")] = 1,
+    seconds: Annotated[float, typer.Option(help="Length of the recording [s].")] = 60.0,
+    fps: Annotated[float, typer.Option(help="Nominal frame rate [1/s]; the true one is a thousandth lower.")] = 30.0,
+    seed: Annotated[int, typer.Option(help="Same seed, same bytes.")] = 1,
+    trace: Annotated[
+        Path | None, typer.Option(help="Recorded breathing to follow: a marker CSV, an RPM .vxp or a QA text.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(help="Processes; one a processor when not given.")] = None,
+) -> None:
+    """Make a virtual volunteer: a breathing person on a couch, seen by a camera with every fault of the real one."""
+    try:
+        with frame_bar() as progress:
+            task = progress.add_task(f"volunteer {volunteer}, {scenario}", total=None)
+            make_volunteer(
+                scenario,
+                volunteer=volunteer,
+                seconds=seconds,
+                fps=fps,
+                seed=seed,
+                out=out,
+                trace=trace,
+                workers=workers,
+                on_progress=lambda done, total: progress.update(task, completed=done, total=total),
+            )
+    except TidegateError as error:
+        raise refused("phantom", error) from error
+    except OSError as error:
+        raise refused("phantom", f"{out} cannot be written ({error.strerror or error})") from error
+    say(f"Written to {out}")

@@ -1,0 +1,70 @@
+/** Every HTTP call of the page. Problems (RFC 9457) become one error with the field and the bound in its sentence. */
+
+const ROOT = "/api/v1";
+const TIMEOUT_MS = 8000;
+
+export class ApiError extends Error {
+  constructor(status, problem) {
+    super(sentence(status, problem));
+    this.name = "ApiError";
+    this.status = status;
+    this.code = problem.code ?? "";
+    this.field = problem.field ?? "";
+  }
+}
+
+function sentence(status, problem) {
+  const detail = problem.detail || problem.title || `The controller answered ${status}.`;
+  const parts = [detail];
+  if (problem.field && !detail.includes(problem.field)) parts.push(`Field: ${problem.field}.`);
+  if (problem.value && !detail.includes(problem.value)) parts.push(`Given: ${problem.value}.`);
+  if (problem.bound && !detail.includes(problem.bound)) parts.push(`Must be ${problem.bound}.`);
+  return parts.join(" ");
+}
+
+async function call(method, path, body, headers = {}) {
+  const response = await send(method, path, body, headers);
+  const answer = await response.json().catch(() => null);
+  if (!response.ok) throw new ApiError(response.status, answer ?? {});
+  return answer;
+}
+
+async function send(method, path, body, headers) {
+  const request = { method, headers: { Accept: "application/json", ...headers }, signal: AbortSignal.timeout(TIMEOUT_MS), cache: "no-store" };
+  if (body !== undefined) {
+    request.body = typeof body === "string" ? body : JSON.stringify(body);
+    request.headers["Content-Type"] = "application/json";
+  }
+  try {
+    return await fetch(ROOT + path, request);
+  } catch (error) {
+    const text = error.name === "TimeoutError" ? "The controller did not answer in time." : "The controller cannot be reached.";
+    throw new ApiError(0, { code: "unreachable", detail: text });
+  }
+}
+
+const session = (id) => `/sessions/${encodeURIComponent(id)}`;
+/** One key a form submission, so that a repeated send does not create twice. */
+const once = () => ({ "Idempotency-Key": crypto.randomUUID?.() ?? `${Date.now()}-${Math.random()}` });
+
+export const listSessions = (limit) => call("GET", `/sessions?limit=${limit}`);
+export const readSession = (id) => call("GET", session(id));
+export const createSession = (request) => call("POST", "/sessions", request, once());
+export const listCalibrations = () => call("GET", "/calibrations?limit=100");
+export const listDevices = () => call("GET", "/devices");
+export const listAudit = (id, limit) => call("GET", `/audit?session_id=${encodeURIComponent(id)}&limit=${limit}`);
+
+/** `action` is one of start, arm, disarm, reference, acknowledge, stop. */
+export const act = (id, action, operator) => call("POST", `${session(id)}/${action}`, { operator });
+export const retrain = (id, operator) => call("POST", `${session(id)}/models/retrain`, { operator });
+
+export function uploadCalibration(text, operator) {
+  return call("POST", `/calibrations?operator=${encodeURIComponent(operator)}`, text, once());
+}
+
+/** @returns {Promise<?{blob: Blob, frameIndex: number}>} the newest colour frame, or null when there is none */
+export async function fetchPicture(id) {
+  const response = await send("GET", `${session(id)}/picture`, undefined, { Accept: "image/jpeg" });
+  if (!response.ok) return null;
+  return { blob: await response.blob(), frameIndex: Number(response.headers.get("X-Frame-Index") ?? NaN) };
+}

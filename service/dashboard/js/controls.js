@@ -1,0 +1,148 @@
+/**
+ * The buttons of a session. None can turn the beam on: arming only lets the gate decide.
+ *
+ * Each is enabled only where it makes sense, and the line below says what is missing. Disarm is the exception: one click
+ * or Esc, at any time a running session is known, with or without a name or a fresh connection.
+ */
+
+import { act, retrain } from "./api.js";
+import { setText } from "./gate.js";
+
+const OPERATOR_KEY = "tidegate.operator";
+const UNNAMED = "unnamed at the page";
+/** How long "Stop" waits for the second click [ms]. */
+const CONFIRM_MS = 4000;
+
+const DONE = {
+  start: "Session started.",
+  arm: "Armed: the gate decides now.",
+  disarm: "Disarmed.",
+  reference: "Reference set.",
+  acknowledge: "Fault acknowledged.",
+  stop: "Session stopped.",
+  retrain: "Learning again in the background.",
+};
+
+/** Why an action makes no sense now, in the order a person would fix it; empty when it does. */
+const OBSTACLES = {
+  arm: (c) => named(c) || running(c) || still(c) || (c.sample.gate === "fault" ? "acknowledge the fault first" : "") || measuring(c),
+  reference: (c) => named(c) || running(c) || still(c) || measuring(c),
+  retrain: (c) => named(c) || running(c) || still(c) || (c.sample.state === "training" ? "already learning" : ""),
+  acknowledge: (c) => named(c) || running(c),
+  start: (c) => named(c) || (c.kind === "idle" ? "" : "a session is running") || (waits(c) ? "" : "create a session first"),
+  stop: (c) => named(c) || (waits(c) ? "" : running(c)),
+};
+
+/** Whether a session has been created and not yet started: there is at most one. */
+const waits = (c) => c.kind === "idle" && c.selected?.status === "created";
+const named = (c) => (c.operator === "" ? "enter the operator's name" : "");
+const running = (c) => (c.sample === null ? "no running session" : "");
+const still = (c) => (c.sample.is_armed ? "disarm first" : "");
+const measuring = (c) => (c.sample.state === "measuring" ? "" : c.sample.state === "training" ? "still learning" : "the patient is not seen");
+
+export class Controls {
+  /** @param {() => void} onChange called when an action has been done */
+  constructor(onChange) {
+    this.onChange = onChange;
+    this.busy = null;
+    this.lastRunningId = null;
+    this.context = { kind: "connecting", sample: null, selected: null, operator: "" };
+    this.outcome = document.getElementById("outcome");
+    this.operator = document.getElementById("operator");
+    this.operator.value = sessionStorage.getItem(OPERATOR_KEY) ?? "";
+    this.operator.addEventListener("input", () => {
+      sessionStorage.setItem(OPERATOR_KEY, this.operatorName);
+      this.update(this.context);
+    });
+    for (const action of Object.keys(OBSTACLES)) button(action).addEventListener("click", () => this.#press(action));
+    button("disarm").addEventListener("click", () => this.disarm());
+    document.addEventListener("keydown", (event) => {
+      if (event.key === "Escape" && !event.repeat) this.disarm();
+    }, { capture: true });
+  }
+
+  get operatorName() {
+    return this.operator.value.trim();
+  }
+
+  /** @param {{kind: string, sample: ?object, selected: ?object}} context the fresh sample of a running session, or null */
+  update(context) {
+    this.context = { ...context, operator: this.operatorName };
+    if (context.sample !== null) this.lastRunningId = context.sample.session_id;
+    else if (context.kind === "idle") this.lastRunningId = null;
+    this.operator.toggleAttribute("data-missing", this.operatorName === "");
+    for (const [action, obstacle] of Object.entries(OBSTACLES)) {
+      const why = obstacle(this.context);
+      button(action).disabled = why !== "" || this.busy !== null;
+      button(action).title = why === "" ? "" : `Not now: ${why}`;
+    }
+    setText(document.getElementById("hint"), hint(this.context));
+    button("disarm").disabled = this.lastRunningId === null;
+    const isFault = context.sample?.gate === "fault";
+    button("acknowledge").hidden = !isFault;
+    button("arm").hidden = isFault;
+  }
+
+  async disarm() {
+    if (this.lastRunningId === null) return;
+    await this.#send("disarm", this.lastRunningId, this.operatorName || UNNAMED);
+  }
+
+  #press(action) {
+    if (action === "stop" && !this.#isConfirmed()) return;
+    // Focus must not rest on a button that does something else, or nothing, the next time a key is hit.
+    document.activeElement?.blur();
+    const id = this.context.sample?.session_id ?? this.context.selected.id;
+    this.#send(action, id, this.operatorName);
+  }
+
+  #isConfirmed() {
+    const stop = button("stop");
+    const isSecond = stop.dataset.asks === "yes";
+    clearTimeout(this.asking);
+    stop.dataset.asks = isSecond ? "no" : "yes";
+    setText(stop, isSecond ? "Stop" : "Really stop?");
+    if (!isSecond) this.asking = setTimeout(() => { stop.dataset.asks = "no"; setText(stop, "Stop"); }, CONFIRM_MS);
+    return isSecond;
+  }
+
+  async #send(action, id, operator) {
+    const mine = (this.busy = Symbol(action));
+    this.say("busy", "Sending…");
+    this.update(this.context);
+    try {
+      await (action === "retrain" ? retrain(id, operator) : act(id, action, operator));
+      if (this.busy === mine) this.say("done", DONE[action]);
+    } catch (error) {
+      // A refused or failed disarm is never hidden behind a later answer: it names what else stops the beam.
+      const hint = action === "disarm" ? " The page could not disarm: use the room's interlock." : "";
+      this.say("failed", `${label(action)}: ${error.message}${hint}`);
+    } finally {
+      if (this.busy === mine) this.busy = null;
+      this.update(this.context);
+      this.onChange();
+    }
+  }
+
+  say(kind, text) {
+    this.outcome.dataset.kind = kind;
+    setText(this.outcome, text);
+  }
+}
+
+/** What stands between the person and the next step. */
+function hint(context) {
+  const next = context.sample === null ? "start" : "arm";
+  if (context.sample === null && context.kind !== "idle") return "";
+  if (context.sample?.is_armed) return "";
+  const why = OBSTACLES[next](context);
+  return why === "" ? "" : `To ${next}: ${why}.`;
+}
+
+function button(action) {
+  return document.getElementById(`do-${action}`);
+}
+
+function label(action) {
+  return { reference: "Set reference", retrain: "Learn again" }[action] ?? action[0].toUpperCase() + action.slice(1);
+}

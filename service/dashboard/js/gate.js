@@ -1,0 +1,79 @@
+/** The gate panel: colour, word and shape of the present state, spoken too, under a cover that closes by itself. */
+
+/** How long the page may go without drawing before the cover closes [ms]. */
+const COVER_MS = 700;
+/** Re-opening the cover costs a frame of the compositor; no need for it more often [ms]. */
+const COVER_RENEW_MS = 100;
+
+const SAID_AT_ONCE = new Set(["fault", "stale", "offline"]);
+
+export class GatePanel {
+  constructor(root) {
+    this.root = root;
+    this.word = root.querySelector("#gate-word");
+    this.reason = root.querySelector("#gate-reason");
+    this.age = root.querySelector("#gate-age");
+    this.warning = root.querySelector("#gate-warning");
+    this.politely = root.querySelector("#say-politely");
+    this.now = root.querySelector("#say-now");
+    this.said = "";
+    this.renewedMs = -Infinity;
+    this.cover = closingCover(root.querySelector("#gate-cover"));
+  }
+
+  render(view, nowMs) {
+    this.#renewCover(nowMs);
+    this.root.dataset.kind = view.kind;
+    document.body.dataset.fresh = view.isCurrent ? "yes" : "no";
+    setText(this.word, view.word);
+    this.word.dataset.length = view.word.length <= 7 ? "short" : view.word.length <= 10 ? "long" : "longest";
+    setText(this.reason, view.reason);
+    setText(this.warning, view.warning);
+    setText(this.age, ageText(view));
+    // A hidden tab is frozen sooner or later: its title must not go on claiming a state.
+    document.title = document.hidden ? "Tidegate (not watched)" : `${view.word.toUpperCase()} · Tidegate`;
+    this.#say(view);
+  }
+
+  #say(view) {
+    const text = `${view.word}. ${view.reason}`;
+    const key = `${view.kind} ${view.word}`;
+    if (key === this.said) return;
+    this.said = key;
+    (SAID_AT_ONCE.has(view.kind) ? this.now : this.politely).textContent = text;
+  }
+
+  #renewCover(nowMs) {
+    if (nowMs - this.renewedMs < COVER_RENEW_MS) return;
+    this.renewedMs = nowMs;
+    this.cover.currentTime = 0;
+  }
+}
+
+/**
+ * A dead man's switch for the page itself: an animation that ends in a closed cover, run by the browser's compositor and
+ * put back by every drawing. If this script hangs, nobody puts it back, and the last picture does not stay green.
+ */
+function closingCover(element) {
+  const animation = element.animate(
+    [{ opacity: 0 }, { opacity: 0, offset: 0.98 }, { opacity: 1 }],
+    { duration: COVER_MS, fill: "forwards" },
+  );
+  animation.pause();
+  animation.play();
+  return animation;
+}
+
+function ageText(view) {
+  if (view.ageMs === null) return "";
+  if (view.kind === "stale" || view.kind === "offline") return `Last news ${seconds(view.ageMs)} s ago`;
+  return view.ageMs > 1000 ? `Camera data ${seconds(view.ageMs)} s old` : "";
+}
+
+function seconds(ms) {
+  return (ms / 1000).toFixed(1);
+}
+
+export function setText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}

@@ -1,0 +1,132 @@
+/**
+ * The live stream: one WebSocket, reconnected with back-off, and an honest account of how old its newest message is.
+ *
+ * Times are performance.now() [ms]: monotonic, so a set clock cannot make an old message look fresh.
+ */
+
+export const SCHEMA = "tidegate.live/1";
+/** A sample older than this is not shown as the state of anything [ms]. */
+export const STALE_MS = 500;
+/** Idle messages come twice a second only, so silence means something later [ms]. */
+export const IDLE_STALE_MS = 1500;
+/** Silence after which an open socket is given up: it may be half open [ms]. */
+const GIVE_UP_MS = 5000;
+const FIRST_RETRY_MS = 250;
+const LAST_RETRY_MS = 5000;
+
+export class LiveStream {
+  /** @param {(message: object) => void} onMessage called for every valid sample and idle message */
+  constructor(url, onMessage) {
+    this.url = url;
+    this.onMessage = onMessage;
+    this.message = null;
+    this.problem = "";
+    this.hasConnectedOnce = false;
+    this.lastNewsMs = null;
+    this.retryMs = FIRST_RETRY_MS;
+    this.retryAtMs = null;
+    this.socket = null;
+    this.arrivedMs = 0;
+    this.lagMs = 0;
+  }
+
+  /** Connect now; everything known from before is forgotten. */
+  connect() {
+    this.#forget();
+    this.retryAtMs = null;
+    this.connectedAtMs = performance.now();
+    const socket = new WebSocket(this.url);
+    this.socket = socket;
+    socket.addEventListener("message", (event) => {
+      if (socket === this.socket) this.#receive(event.data);
+    });
+    socket.addEventListener("close", () => {
+      if (socket === this.socket) this.#retryLater();
+    });
+  }
+
+  /** Age of the newest message's content [ms], or null when there is none. */
+  ageMs(nowMs) {
+    if (this.message === null) return null;
+    return this.#sentAgeMs() + (nowMs - this.arrivedMs);
+  }
+
+  /** Age of the newest message as a message [ms]: how long ago the controller last spoke to this page. */
+  silenceMs(nowMs) {
+    return this.message === null ? null : this.lagMs + (nowMs - this.arrivedMs);
+  }
+
+  /** To be called often: reconnects when it is time, gives up a socket that has gone silent. */
+  tend(nowMs) {
+    if (this.retryAtMs !== null && nowMs >= this.retryAtMs) this.connect();
+    else if (this.retryAtMs === null && this.#quietMs(nowMs) > GIVE_UP_MS) {
+      const socket = this.socket;
+      this.#retryLater();
+      socket.close();
+    }
+  }
+
+  #quietMs(nowMs) {
+    // A lag that does not go away means old messages queued on the way: only a new socket gets rid of them.
+    return this.message === null ? nowMs - this.connectedAtMs : this.silenceMs(nowMs);
+  }
+
+  #sentAgeMs() {
+    const age = this.message.age_ms;
+    return (Number.isFinite(age) ? Math.max(0, age) : 0) + this.lagMs;
+  }
+
+  #forget() {
+    this.message = null;
+    this.hello = null;
+    this.leastDelayMs = Infinity;
+    this.lagMs = 0;
+  }
+
+  #retryLater() {
+    this.#forget();
+    this.socket = null;
+    this.retryAtMs = performance.now() + this.retryMs * (0.75 + Math.random() / 2);
+    this.retryMs = Math.min(this.retryMs * 2, LAST_RETRY_MS);
+  }
+
+  #receive(text) {
+    const message = parse(text);
+    if (message === null) return;
+    if (message.type === "hello") {
+      this.hello = message;
+      this.problem = message.schema === SCHEMA ? "" : `The controller speaks ${message.schema}, this page ${SCHEMA}. Reload the page.`;
+      return;
+    }
+    if (this.problem !== "" || (message.type !== "sample" && message.type !== "idle")) return;
+    const nowMs = performance.now();
+    this.#measureLag(message.sent_at, nowMs);
+    this.message = message;
+    this.arrivedMs = nowMs;
+    this.lastNewsMs = nowMs;
+    this.hasConnectedOnce = true;
+    this.retryMs = FIRST_RETRY_MS;
+    this.onMessage(message, nowMs);
+  }
+
+  /**
+   * Messages can queue up in buffers between the controller and here, each fresh when it was sent. The two clocks do not
+   * agree, but the quickest message of this connection tells their difference; later than that is lag.
+   */
+  #measureLag(sentAt, nowMs) {
+    const sentMs = Date.parse(sentAt);
+    if (!Number.isFinite(sentMs)) return;
+    const delayMs = performance.timeOrigin + nowMs - sentMs;
+    this.leastDelayMs = Math.min(this.leastDelayMs, delayMs);
+    this.lagMs = delayMs - this.leastDelayMs;
+  }
+}
+
+function parse(text) {
+  try {
+    const message = JSON.parse(text);
+    return typeof message === "object" && message !== null ? message : null;
+  } catch {
+    return null;
+  }
+}

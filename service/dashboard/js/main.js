@@ -1,0 +1,184 @@
+/** Puts the page together: the stream feeds the panels, two clocks make sure that nothing old is shown as new. */
+
+import { listSessions, readSession } from "./api.js";
+import { Controls } from "./controls.js";
+import { EventList } from "./events.js";
+import { renderFigures, renderLearning } from "./figures.js";
+import { GatePanel, setText } from "./gate.js";
+import { GridPanel } from "./grid.js";
+import { LiveStream } from "./live.js";
+import { PicturePanel } from "./picture.js";
+import { Range } from "./scale.js";
+import { Setup } from "./setup.js";
+import { MismatchWatch, present } from "./state.js";
+import { Trace } from "./trace.js";
+
+const TICK_MS = 50;
+/** Redraw periods: the trace smoothly, pictures and numbers as fast as a person reads them [ms]. */
+const TRACE_MS = 40;
+const PANEL_MS = 120;
+/** How often a page without a running session looks for one [ms]. */
+const LOOK_MS = 1500;
+
+const byId = (id) => document.getElementById(id);
+const liveUrl = new URL("/api/v1/live", window.location.href);
+liveUrl.protocol = liveUrl.protocol === "https:" ? "wss:" : "ws:";
+
+const stream = new LiveStream(liveUrl, receive);
+const gate = new GatePanel(byId("gate"));
+const trace = new Trace(byId("trace"));
+const picture = new PicturePanel(byId("picture"), byId("overlay"));
+const grid = new GridPanel(byId("grid"), byId("legend"), byId("grid-readout"));
+const events = new EventList(byId("events"), byId("events-empty"));
+const controls = new Controls(() => lookAgain());
+const setup = new Setup(() => controls.operatorName, select);
+const range = new Range();
+const mismatch = new MismatchWatch();
+
+/** The session a person chose or that runs, as the controller last described it. */
+let session = null;
+let shownSessionId = null;
+let lastGate = "";
+let drawn = { trace: -Infinity, panels: -Infinity };
+let hasLooked = false;
+let isSimulatedBeam = false;
+let nextLookMs = 0;
+
+function receive(message, nowMs) {
+  if (message.type !== "sample") return;
+  trace.add(message, nowMs);
+  picture.add(message);
+  const gateNow = `${message.gate} ${message.hold_reason}`;
+  if (gateNow !== lastGate) events.hurry(nowMs);
+  lastGate = gateNow;
+}
+
+function select(chosen) {
+  session = chosen;
+  shownSessionId = chosen.id;
+  controls.say("", `Session of ${chosen.patient_reference} is ready. Start it when the patient lies still.`);
+}
+
+/** A call changed something: ask what it is like now. */
+async function lookAgain() {
+  events.hurry(performance.now());
+  if (shownSessionId !== null) await describe(shownSessionId);
+  await setup.refresh();
+}
+
+async function describe(id) {
+  try {
+    const answer = await readSession(id);
+    if (id === shownSessionId) session = answer;
+  } catch {
+    // Who the patient is stays a dash until the controller says so; the gate does not depend on it.
+  }
+}
+
+/**
+ * While nothing runs: take up the session that waits to be started, perhaps made by the planning software just now, and
+ * follow the one shown to its end. At the first look, without one, offer to create it.
+ */
+async function lookForSession() {
+  const isFirstLook = !hasLooked;
+  hasLooked = true;
+  let newest;
+  try {
+    [newest] = (await listSessions(1)).items;
+  } catch {
+    return;
+  }
+  if (newest?.status === "created" && newest.id !== shownSessionId) select(newest);
+  else if (newest !== undefined && newest.id === shownSessionId) session = newest;
+  if (isFirstLook && session === null) setup.show(true);
+}
+
+function follow(view, sample, nowMs) {
+  if (sample !== null && sample.session_id !== shownSessionId) {
+    shownSessionId = sample.session_id;
+    session = null;
+    describe(shownSessionId);
+  }
+  if (view.kind !== "idle") nextLookMs = 0;
+  else if (nowMs >= nextLookMs) {
+    nextLookMs = nowMs + LOOK_MS;
+    lookForSession();
+  }
+  const id = sample?.session_id ?? (view.kind === "idle" ? null : picture.sessionId);
+  picture.follow(id, view.isFresh);
+  events.follow(shownSessionId);
+  if (sample !== null) hasLooked = true;
+}
+
+function renderWho(view) {
+  setText(byId("who-patient"), session?.patient_reference ?? "–");
+  setText(byId("who-plan"), session?.plan_id ?? "–");
+  setText(byId("who-fraction"), session ? fraction(session) : "–");
+  setText(byId("who-status"), view.isFresh ? (stream.message?.session_status ?? session?.status ?? "none") : "not known");
+}
+
+function fraction({ fraction_id: id, fraction_number: number }) {
+  return number === null || number === undefined ? id : `${id} (no. ${number})`;
+}
+
+/** One pass over everything that can go stale; called by a timer and by every animation frame. */
+function render() {
+  const nowMs = performance.now();
+  stream.tend(nowMs);
+  const view = present(stream, nowMs);
+  const isSample = view.isFresh && stream.message?.type === "sample";
+  const sample = isSample ? stream.message : null;
+  view.warning = mismatch.check(sample, nowMs) || view.warning;
+  gate.render(view, nowMs);
+  // With the gate, not with the other numbers: the two must never seem to disagree.
+  setText(byId("figure-line"), lineText(sample));
+  const running = sample?.session_status === "running" ? sample : null;
+  follow(view, sample, nowMs);
+  controls.update({ kind: view.kind, sample: running, selected: session });
+  if (view.isFresh) events.tend(nowMs);
+  return { nowMs, view, sample };
+}
+
+function lineText(sample) {
+  if (sample === null) return "–";
+  return sample.line_on === true ? "ON" : "OFF";
+}
+
+function draw() {
+  const { nowMs, view, sample } = render();
+  if (nowMs - drawn.trace >= TRACE_MS) {
+    drawn.trace = nowMs;
+    trace.draw(nowMs);
+  }
+  if (nowMs - drawn.panels >= PANEL_MS) {
+    drawn.panels = nowMs;
+    drawPanels(nowMs, view, view.isCurrent ? sample : null);
+  }
+  requestAnimationFrame(draw);
+}
+
+function drawPanels(nowMs, view, sample) {
+  const rangeMm = range.update(sample?.regions_mm ?? [], nowMs);
+  picture.draw(nowMs, rangeMm, view.isCurrent);
+  grid.draw(sample?.regions_mm ?? null, rangeMm, sample?.window);
+  isSimulatedBeam = sample?.is_simulated_beam ?? session?.is_simulated_beam ?? isSimulatedBeam;
+  renderFigures(sample, isSimulatedBeam);
+  renderLearning(sample, view.isFresh);
+  renderWho(view);
+  const value = sample ? sample[trace.choice === "gated" ? "signal_mm" : `${trace.choice}_mm`] : null;
+  setText(byId("trace-value"), Number.isFinite(value) ? value.toFixed(1).replace("-", "−") : "–");
+  setText(byId("trace-name"), sample && trace.choice === "gated" ? `· gated on ${signalName(sample.window)}` : "");
+}
+
+function signalName(window) {
+  return window.signal === "region" ? `region row ${window.row}, column ${window.column}` : window.signal;
+}
+
+byId("trace-choice").addEventListener("change", (event) => {
+  trace.choice = event.target.value;
+});
+document.addEventListener("visibilitychange", render);
+stream.connect();
+picture.run();
+setInterval(render, TICK_MS);
+requestAnimationFrame(draw);

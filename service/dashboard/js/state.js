@@ -1,0 +1,90 @@
+/**
+ * What the page may claim about the gate: one pure function from the stream and the time to a word, a shape and a reason.
+ *
+ * Anything not known, not fresh or not in agreement is never shown as a beam state.
+ */
+
+import { IDLE_STALE_MS, STALE_MS } from "./live.js";
+
+const WORDS = { disarmed: "Disarmed", hold: "Hold", dwell: "Dwell", beam_on: "Beam on", fault: "Fault" };
+
+const REASONS = {
+  disarmed: "The gate is not armed. The beam is held.",
+  hold: "The beam is held.",
+  dwell: "Inside the window. Waiting for the dwell to pass.",
+  beam_on: "Inside the window. The beam is permitted.",
+  fault: "The beam is held until a named person acknowledges.",
+};
+
+const UNKNOWN = "The state of the gate is not known here.";
+
+/** Longest time a line may read on without a permit before it is said [ms]; one frame of disagreement is normal. */
+const MISMATCH_MS = 250;
+
+/**
+ * @returns {{kind: string, word: string, reason: string, ageMs: ?number, isFresh: boolean, isCurrent: boolean,
+ *   warning: string}} `isFresh`: the state of the gate is known; `isCurrent`: so is what the camera sees
+ */
+export function present(stream, nowMs) {
+  const { message } = stream;
+  if (stream.problem !== "") return stopped("offline", "No connection", stream.problem, null);
+  if (message === null) return unconnected(stream, nowMs);
+  const ageMs = stream.ageMs(nowMs);
+  if (message.type === "idle") {
+    if (ageMs > IDLE_STALE_MS) return stale(ageMs);
+    return { ...stopped("idle", "No session", "The beam is held. Create or start a session.", null), isFresh: true, isCurrent: true };
+  }
+  // A latched fault stays true while the camera is silent, so it is shown as long as the controller itself still speaks.
+  const limitedMs = message.gate === "fault" ? stream.silenceMs(nowMs) : ageMs;
+  if (limitedMs > STALE_MS) return stale(ageMs, stream.silenceMs(nowMs) > STALE_MS ? UNKNOWN : "The camera's newest frame is too old to tell.");
+  return gate(message, ageMs);
+}
+
+function gate(message, ageMs) {
+  const kind = message.gate;
+  if (message.session_status !== "running" && kind !== "beam_on") {
+    return fresh("idle", "Ended", `The session is over (${message.session_status}). ${message.hold_text || "The beam is held."}`, null);
+  }
+  if (!(kind in WORDS)) {
+    return stopped("fault", "Unknown", `The controller reports a state this page does not know: ${String(kind).slice(0, 40)}`, ageMs);
+  }
+  if (kind === "beam_on" && message.line_on !== true) {
+    return fresh("hold", "Line off", "The gate permits the beam, but the beam line reads off.", ageMs);
+  }
+  return fresh(kind, WORDS[kind], message.hold_text || REASONS[kind], ageMs);
+}
+
+/** Watches for a beam line that reads on although nothing permits it. */
+export class MismatchWatch {
+  constructor() {
+    this.sinceMs = null;
+  }
+
+  /** @returns {string} what to warn of, or nothing */
+  check(message, nowMs) {
+    const isWrong = message !== null && message.type === "sample" && message.line_on === true && message.gate !== "beam_on";
+    if (!isWrong) this.sinceMs = null;
+    else this.sinceMs ??= nowMs;
+    return isWrong && nowMs - this.sinceMs >= MISMATCH_MS ? "The beam line reads ON, or does not answer, although the gate holds. Use the room's interlock." : "";
+  }
+}
+
+function unconnected(stream, nowMs) {
+  const sinceMs = stream.lastNewsMs === null ? null : nowMs - stream.lastNewsMs;
+  if (!stream.hasConnectedOnce && stream.retryAtMs === null) return stopped("connecting", "Connecting", "Waiting for the controller.", null);
+  const waitS = stream.retryAtMs === null ? 0 : Math.round((stream.retryAtMs - nowMs) / 1000);
+  const wait = waitS < 1 ? "Trying again now." : `Trying again in ${waitS} s.`;
+  return stopped("offline", "No connection", `${UNKNOWN} ${wait}`, sinceMs);
+}
+
+function stale(ageMs, reason = UNKNOWN) {
+  return stopped("stale", "Stale", reason, ageMs);
+}
+
+function stopped(kind, word, reason, ageMs) {
+  return { kind, word, reason, ageMs, isFresh: false, isCurrent: false, warning: "" };
+}
+
+function fresh(kind, word, reason, ageMs) {
+  return { kind, word, reason, ageMs, isFresh: true, isCurrent: (ageMs ?? 0) <= STALE_MS, warning: "" };
+}

@@ -1,0 +1,1 @@
+"""The database: SQLite in WAL mode, its tables, and the questions the service asks of them."""

@@ -1,0 +1,118 @@
+"""The tables. Samples and audit rows are append-only: triggers in the migrations refuse UPDATE and DELETE."""
+
+from datetime import datetime
+
+from sqlalchemy import ForeignKey, Index, LargeBinary, String, Text, UniqueConstraint
+from sqlalchemy.orm import Mapped, mapped_column
+
+from service.db.base import Base, UtcTime
+
+
+class CalibrationRow(Base):
+    """A camera calibration; the canonical document decides identity."""
+
+    __tablename__ = "calibrations"
+
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    sha256: Mapped[str] = mapped_column(String(64), unique=True)
+    camera: Mapped[str] = mapped_column(String(80))
+    document: Mapped[str] = mapped_column(Text)
+    uploaded_by: Mapped[str] = mapped_column(String(80))
+    created_at: Mapped[datetime] = mapped_column(UtcTime)
+
+
+class SessionRow(Base):
+    """A treatment session; source and window are fixed when it is created."""
+
+    __tablename__ = "sessions"
+    __table_args__ = (Index("ix_sessions_created", "created_at", "id"),)
+
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    status: Mapped[str] = mapped_column(String(16))
+    status_detail: Mapped[str] = mapped_column(Text, default="")
+    patient_reference: Mapped[str] = mapped_column(String(80))
+    plan_id: Mapped[str] = mapped_column(String(80))
+    fraction_id: Mapped[str] = mapped_column(String(80))
+    fraction_number: Mapped[int | None]
+    operator: Mapped[str] = mapped_column(String(80))
+    source: Mapped[str] = mapped_column(Text)
+    window: Mapped[str] = mapped_column(Text)
+    calibration_id: Mapped[str] = mapped_column(ForeignKey("calibrations.id"))
+    is_simulated_beam: Mapped[bool]
+    summary: Mapped[str | None] = mapped_column(Text)
+    created_at: Mapped[datetime] = mapped_column(UtcTime)
+    started_at: Mapped[datetime | None] = mapped_column(UtcTime)
+    ended_at: Mapped[datetime | None] = mapped_column(UtcTime)
+
+
+class SampleRow(Base):
+    """One depth frame as measured and decided; `regions_mm` is little-endian float32, row by row, NaN where unknown."""
+
+    __tablename__ = "samples"
+    __table_args__ = {"sqlite_with_rowid": False}  # noqa: RUF012 - SQLAlchemy's own convention
+
+    session_id: Mapped[str] = mapped_column(ForeignKey("sessions.id"), primary_key=True)
+    frame_index: Mapped[int] = mapped_column(primary_key=True)
+    timestamp_us: Mapped[int]
+    missed_frames: Mapped[int]
+    state: Mapped[str] = mapped_column(String(16))
+    lost_reason: Mapped[str | None] = mapped_column(String(32))
+    whole_mm: Mapped[float | None]
+    thorax_mm: Mapped[float | None]
+    abdomen_mm: Mapped[float | None]
+    volume_l: Mapped[float | None]
+    signal_mm: Mapped[float | None]
+    residual_mm: Mapped[float | None]
+    valid_share: Mapped[float | None]
+    gate: Mapped[str] = mapped_column(String(16))
+    hold_reason: Mapped[str | None] = mapped_column(String(32))
+    line_on: Mapped[bool]
+    received_ns: Mapped[int]
+    decided_ns: Mapped[int]
+    asserted_ns: Mapped[int]
+    region_rows: Mapped[int | None]
+    regions_mm: Mapped[bytes | None] = mapped_column(LargeBinary)
+
+
+class ModelRow(Base):
+    """A learned motion model; the file itself lies in the data folder, under its hash."""
+
+    __tablename__ = "models"
+    __table_args__ = (UniqueConstraint("session_id", "number"),)
+
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    session_id: Mapped[str] = mapped_column(ForeignKey("sessions.id"))
+    number: Mapped[int]
+    sha256: Mapped[str] = mapped_column(String(64))
+    spectrum: Mapped[str] = mapped_column(Text)
+    components: Mapped[int]
+    created_at: Mapped[datetime] = mapped_column(UtcTime)
+
+
+class AuditRow(Base):
+    """One link of the audit chain; see `service.audit`."""
+
+    __tablename__ = "audit"
+    __table_args__ = (Index("ix_audit_session", "session_id", "action", "sequence"),)
+
+    sequence: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    at: Mapped[str] = mapped_column(String(27))
+    actor: Mapped[str] = mapped_column(String(80))
+    action: Mapped[str] = mapped_column(String(40))
+    outcome: Mapped[str] = mapped_column(String(16))
+    session_id: Mapped[str | None] = mapped_column(String(32))
+    detail: Mapped[str] = mapped_column(Text)
+    previous_hash: Mapped[str] = mapped_column(String(64))
+    hash: Mapped[str] = mapped_column(String(64))
+
+
+class IdempotencyRow(Base):
+    """The answer once given to a creating call with this key."""
+
+    __tablename__ = "idempotency_keys"
+
+    route: Mapped[str] = mapped_column(String(80), primary_key=True)
+    key: Mapped[str] = mapped_column(String(255), primary_key=True)
+    request_sha256: Mapped[str] = mapped_column(String(64))
+    answer: Mapped[str] = mapped_column(Text)
+    created_at: Mapped[datetime] = mapped_column(UtcTime)

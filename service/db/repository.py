@@ -1,0 +1,175 @@
+"""The questions asked of the tables; each takes the session it runs in: callers decide what is one transaction."""
+
+from collections.abc import Callable, Sequence
+from datetime import datetime
+from typing import TypeVar
+
+from sqlalchemy import ColumnElement, Select, func, literal, select, tuple_
+from sqlalchemy.orm import Session
+
+from service import schemas
+from service.db.base import UtcTime, utc_text
+from service.db.models import AuditRow, CalibrationRow, ModelRow, SampleRow, SessionRow
+from service.errors import BoundError, NotFoundError
+
+OPEN_STATUSES = ("created", "running")
+CSV_PIECE = 1000
+TRANSITION = "gate.transition"
+RowT = TypeVar("RowT")
+DatedT = TypeVar("DatedT", SessionRow, CalibrationRow)
+
+
+def session_row(db: Session, session_id: str) -> SessionRow:
+    """Find a session, or raise NotFoundError."""
+    row = db.get(SessionRow, session_id)
+    if row is None:
+        msg = "there is no such session"
+        raise NotFoundError(msg, field="session_id", value=session_id)
+    return row
+
+
+def calibration_row(db: Session, calibration_id: str) -> CalibrationRow:
+    """Find a calibration, or raise NotFoundError."""
+    row = db.get(CalibrationRow, calibration_id)
+    if row is None:
+        msg = "there is no such calibration"
+        raise NotFoundError(msg, field="calibration_id", value=calibration_id)
+    return row
+
+
+def model_row(db: Session, model_id: str) -> ModelRow:
+    """Find a model, or raise NotFoundError."""
+    row = db.get(ModelRow, model_id)
+    if row is None:
+        msg = "there is no such model"
+        raise NotFoundError(msg, field="model_id", value=model_id)
+    return row
+
+
+def open_session_id(db: Session) -> str | None:
+    """Return the session that is created or running, if one is."""
+    return db.scalar(select(SessionRow.id).where(SessionRow.status.in_(OPEN_STATUSES)).limit(1))
+
+
+def running_sessions(db: Session) -> Sequence[SessionRow]:
+    """Return sessions that are recorded as running."""
+    return db.scalars(select(SessionRow).where(SessionRow.status == "running")).all()
+
+
+def session_page(db: Session, cursor: str | None, limit: int) -> tuple[Sequence[SessionRow], str | None]:
+    """List sessions, newest first."""
+    return _newest_first(db, SessionRow, cursor, limit)
+
+
+def calibration_page(db: Session, cursor: str | None, limit: int) -> tuple[Sequence[CalibrationRow], str | None]:
+    """List calibrations, newest first."""
+    return _newest_first(db, CalibrationRow, cursor, limit)
+
+
+def model_page(db: Session, session_id: str, cursor: str | None, limit: int) -> tuple[Sequence[ModelRow], str | None]:
+    """List a session's models, newest first."""
+    query = select(ModelRow).where(ModelRow.session_id == session_id).order_by(ModelRow.number.desc())
+    if cursor is not None:
+        query = query.where(ModelRow.number < _number(cursor))
+    return _cut(db, query, limit, lambda row: str(row.number))
+
+
+def audit_page(
+    db: Session, cursor: str | None, limit: int, session_id: str | None
+) -> tuple[Sequence[AuditRow], str | None]:
+    """List audit rows, newest first."""
+    query = select(AuditRow).order_by(AuditRow.sequence.desc())
+    if session_id is not None:
+        query = query.where(AuditRow.session_id == session_id)
+    if cursor is not None:
+        query = query.where(AuditRow.sequence < _number(cursor))
+    return _cut(db, query, limit, lambda row: str(row.sequence))
+
+
+def transition_page(
+    db: Session, session_id: str, cursor: str | None, limit: int
+) -> tuple[Sequence[AuditRow], str | None]:
+    """List a session's gate transitions, oldest first."""
+    query = select(AuditRow).where(AuditRow.session_id == session_id, AuditRow.action == TRANSITION)
+    query = query.order_by(AuditRow.sequence)
+    if cursor is not None:
+        query = query.where(AuditRow.sequence > _number(cursor))
+    return _cut(db, query, limit, lambda row: str(row.sequence))
+
+
+def summary(db: Session, session_id: str) -> schemas.Summary:
+    """Work a session's figures out from its samples and transitions."""
+    mine = SampleRow.session_id == session_id
+    is_armed = mine & (SampleRow.gate != "disarmed")
+    frames, missed = db.execute(select(func.count(), func.sum(SampleRow.missed_frames)).where(mine)).one()
+    armed = _count(db, is_armed)
+    transitions = select(func.count()).select_from(AuditRow)
+    transitions = transitions.where(AuditRow.session_id == session_id, AuditRow.action == TRANSITION)
+    return schemas.Summary(
+        frames=frames,
+        missed_frames=missed or 0,
+        lost=_count(db, mine & (SampleRow.state == "lost")),
+        duty_cycle=_count(db, is_armed & SampleRow.line_on) / armed if armed else None,
+        transitions=db.scalar(transitions) or 0,
+        latency=schemas.LatencyView(
+            p50_ms=_latency_ms(db, session_id, frames, 0.50), p99_ms=_latency_ms(db, session_id, frames, 0.99)
+        ),
+    )
+
+
+def samples_after(db: Session, session_id: str, frame_index: int) -> Sequence[SampleRow]:
+    """Read the next piece of a session's samples, in order."""
+    query = select(SampleRow).where(SampleRow.session_id == session_id, SampleRow.frame_index > frame_index)
+    return db.scalars(query.order_by(SampleRow.frame_index).limit(CSV_PIECE)).all()
+
+
+def _count(db: Session, condition: ColumnElement[bool]) -> int:
+    return db.scalar(select(func.count()).select_from(SampleRow).where(condition)) or 0
+
+
+def _latency_ms(db: Session, session_id: str, frames: int, share: float) -> float | None:
+    if frames == 0:
+        return None
+    latency_ns = SampleRow.asserted_ns - SampleRow.received_ns
+    query = select(latency_ns).where(SampleRow.session_id == session_id).order_by(latency_ns)
+    value = db.scalar(query.offset(min(int(share * frames), frames - 1)).limit(1))
+    return None if value is None else value / 1e6
+
+
+def _newest_first(
+    db: Session, kind: type[DatedT], cursor: str | None, limit: int
+) -> tuple[Sequence[DatedT], str | None]:
+    query = select(kind).order_by(kind.created_at.desc(), kind.id.desc())
+    if cursor is not None:
+        created_at, _, row_id = cursor.partition("_")
+        query = query.where(tuple_(kind.created_at, kind.id) < tuple_(_moment(created_at), literal(row_id)))
+    return _cut(db, query, limit, lambda row: f"{utc_text(row.created_at)}_{row.id}")
+
+
+def _cut(
+    db: Session, query: Select[RowT], limit: int, cursor_of: Callable[[RowT], str]
+) -> tuple[Sequence[RowT], str | None]:
+    """Read one row more than asked, to know whether another page follows."""
+    rows = db.scalars(query.limit(limit + 1)).all()
+    return rows[:limit], cursor_of(rows[limit - 1]) if len(rows) > limit else None
+
+
+def _number(cursor: str) -> int:
+    if not cursor.isascii() or not cursor.isdigit() or len(cursor) > 18:
+        raise _cursor_error(cursor)
+    return int(cursor)
+
+
+def _moment(text: str) -> ColumnElement[datetime]:
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise _cursor_error(text) from error
+    if moment.tzinfo is None:
+        raise _cursor_error(text)
+    return literal(moment, UtcTime)
+
+
+def _cursor_error(cursor: str) -> BoundError:
+    bound = "a next_cursor of this list"
+    return BoundError(f"cursor must be {bound}", field="cursor", value=cursor, bound=bound)

@@ -1,0 +1,62 @@
+"""What routers are given: the ports, found on the application, and the parameters they share."""
+
+from dataclasses import dataclass
+from typing import Annotated, cast
+
+from fastapi import Depends, Header, Path, Query, Request
+from starlette.requests import HTTPConnection
+
+from service import ports, schemas
+from service.errors import MediaTypeError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Services:
+    """Everything the application offers."""
+
+    sessions: ports.SessionsPort
+    runner: ports.RunnerPort
+    calibrations: ports.CalibrationsPort
+    models: ports.ModelsPort
+    audit: ports.AuditPort
+    health: ports.HealthPort
+    engine: ports.EnginePort
+
+
+def services(connection: HTTPConnection) -> Services:
+    """Find the services on the application; they are made in the lifespan."""
+    return cast("Services", connection.app.state.services)
+
+
+async def json_body(request: Request) -> bytes:
+    """Read the raw body, as far as the body limit lets it."""
+    return await request.body()
+
+
+def require_json(request: Request) -> None:
+    """Refuse a body that is not JSON by its Content-Type: a form of a foreign page could post it otherwise."""
+    if request.method != "POST":
+        return
+    media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if media_type != "application/json":
+        msg = "Content-Type must be application/json"
+        raise MediaTypeError(msg, field="Content-Type", value=media_type, bound="application/json")
+
+
+Offered = Annotated[Services, Depends(services)]
+Body = Annotated[bytes, Depends(json_body)]
+SessionId = Annotated[schemas.Identifier, Path(description="The session's id")]
+CalibrationId = Annotated[schemas.Identifier, Path(description="The calibration's id")]
+ModelId = Annotated[schemas.Identifier, Path(description="The model's id")]
+Cursor = Annotated[str | None, Query(max_length=80, description="`next_cursor` of the page before")]
+Limit = Annotated[int, Query(ge=1, le=500, description="Most items on the page")]
+OperatorName = Annotated[schemas.Name, Query(description="Who uploads", examples=["A. Physicist"])]
+IdempotencyKey = Annotated[
+    str | None,
+    Header(
+        min_length=1,
+        max_length=255,
+        pattern=r"^[\x21-\x7e]+$",
+        description="The same key with the same body gives the same answer, once and for all",
+    ),
+]

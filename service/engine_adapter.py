@@ -1,0 +1,133 @@
+"""The one place where the service touches cameras, pipeline, gate and beam line: it puts engines together."""
+
+import queue
+from concurrent.futures import Future
+from pathlib import Path
+
+from engine.beam.simulated import SimulatedBeamLine
+from engine.capture.oni_file import OniFileSource
+from engine.capture.openni import OpenNiSource, list_devices, runtime_available
+from engine.capture.source import DepthSource
+from engine.clock import Clock, MonotonicClock
+from engine.commands import Command
+from engine.errors import RuntimeMissingError, SourceLostError
+from engine.live import FrameRecord, GateTransition, LiveView, LoopStatus
+from engine.loop import EngineLoop
+from engine.model import MotionModel
+from engine.permits import HoldReason
+from engine.pipeline import Pipeline, PipelineSettings
+from service import schemas
+from service.ports import RunningEngine, SessionPlan
+from service.settings import Settings
+from service.site_limits import gate_limits
+
+STOP_TIMEOUT_S = 3.0
+RUNTIME_HINT = "the OpenNI2 runtime is missing: apt-get install libopenni2-0"
+
+
+class EngineAdapter:
+    """Makes engines from the site's settings; ``measuring`` is how their pipelines measure and learn."""
+
+    def __init__(self, settings: Settings, *, measuring: PipelineSettings | None = None) -> None:
+        self._settings = settings
+        self._measuring = PipelineSettings() if measuring is None else measuring
+        self._clock: Clock = MonotonicClock()
+
+    @property
+    def is_simulated_beam(self) -> bool:
+        """Whether the beam line is a simulation; it is the only one so far."""
+        return True
+
+    def open(self, plan: SessionPlan) -> RunningEngine:
+        """Start an engine on a session, disarmed; raise a TidegateError when source or window cannot be used."""
+        limits = gate_limits(plan.window, self._settings)
+        pipeline = Pipeline(plan.calibration, self._measuring, self._clock)
+        loop = EngineLoop(
+            source=self._source(plan),
+            pipeline=pipeline,
+            beam=SimulatedBeamLine(self._clock),
+            limits=limits,
+            clock=self._clock,
+        )
+        loop.start()
+        return LoopEngine(loop, pipeline)
+
+    def devices(self) -> schemas.DeviceList:
+        """List the cameras that could be used."""
+        if not runtime_available():
+            return schemas.DeviceList(is_runtime_available=False, detail=RUNTIME_HINT, items=[])
+        items = [schemas.Device(uri=device.uri, name=f"{device.vendor} {device.name}") for device in list_devices()]
+        detail = "" if items else "the OpenNI2 runtime sees no camera"
+        return schemas.DeviceList(is_runtime_available=True, detail=detail, items=items)
+
+    def _source(self, plan: SessionPlan) -> DepthSource:
+        if isinstance(plan.source, schemas.DeviceSource):
+            return self._camera(plan.source.uri)
+        assert plan.recording is not None, "a recording was resolved when the session started"
+        return self._player(plan.recording, plan.source.player)
+
+    def _camera(self, uri: str | None) -> DepthSource:
+        # Only what the runtime lists: it would open a file just as well, and files have to lie in the allowed folders.
+        found = [device.uri for device in list_devices()]
+        if not found or (uri is not None and uri not in found):
+            msg = "the OpenNI2 runtime sees no such camera"
+            raise SourceLostError(msg)
+        return OpenNiSource(uri or found[0], clock=self._clock)
+
+    def _player(self, path: Path, player: str) -> DepthSource:
+        if player == "reader" or (player == "auto" and not runtime_available()):
+            return OniFileSource(path, clock=self._clock, is_paced=True)
+        if not runtime_available():
+            raise RuntimeMissingError(RUNTIME_HINT)
+        return OpenNiSource(path, clock=self._clock)
+
+
+class LoopEngine:
+    """An engine loop with the pipeline it owns, as `RunningEngine`."""
+
+    def __init__(self, loop: EngineLoop, pipeline: Pipeline) -> None:
+        self._loop = loop
+        self._pipeline = pipeline
+        self._is_hung = False
+
+    @property
+    def samples(self) -> queue.Queue[FrameRecord]:
+        """One record a frame."""
+        return self._loop.samples
+
+    @property
+    def transitions(self) -> queue.Queue[GateTransition]:
+        """Every change of the gate."""
+        return self._loop.transitions
+
+    @property
+    def latest(self) -> LiveView | None:
+        """The newest of everything."""
+        return self._loop.latest
+
+    @property
+    def model(self) -> MotionModel | None:
+        """The model in use; a read of one reference, so safe beside the engine thread."""
+        return self._pipeline.model
+
+    @property
+    def status(self) -> LoopStatus:
+        """Where the engine's life stands; one that hung when told to stop has failed."""
+        return LoopStatus.FAILED if self._is_hung else self._loop.status
+
+    @property
+    def error(self) -> str | None:
+        """Why it failed."""
+        return "the engine did not stop when told to; the beam is held" if self._is_hung else self._loop.error
+
+    def submit(self, command: Command) -> Future[None]:
+        """Ask."""
+        return self._loop.submit(command)
+
+    def report_fault(self, reason: HoldReason, detail: str) -> None:
+        """Hold the beam because something around the engine failed."""
+        self._loop.report_fault(reason, detail)
+
+    def stop(self) -> None:
+        """Hold the beam, then end."""
+        self._is_hung = not self._loop.stop(STOP_TIMEOUT_S)

@@ -1,0 +1,39 @@
+"""Why the beam is held, in the words of the treatment room; the codes are in `engine.permits`."""
+
+from engine.permits import HoldReason
+
+HOLD_TEXTS: dict[HoldReason, str] = {
+    HoldReason.DISARMED: "Not armed",
+    HoldReason.OUTSIDE_WINDOW: "Outside the window",
+    HoldReason.DWELL: "Inside the window, waiting out the dwell time",
+    HoldReason.TRAINING: "Learning how the patient breathes",
+    HoldReason.MODEL_MISSING: "No motion model yet",
+    HoldReason.REFERENCE_MISSING: "No reference position yet",
+    HoldReason.MARKER_LOST: "A marker cannot be seen",
+    HoldReason.LAYOUT_CHANGED: "The markers moved against each other",
+    HoldReason.COVERAGE_LOW: "Too little of the region can be seen",
+    HoldReason.RESIDUAL_HIGH: "The surface does not match what was learned",
+    HoldReason.JUMP: "The signal jumped",
+    HoldReason.FRAME_MISSING: "A camera frame is missing",
+    HoldReason.FRAME_LATE: "Camera frames come late",
+    HoldReason.OPERATOR_HOLD: "Held by an operator",
+    HoldReason.FRAME_STALE: "The newest camera frame is too old",
+    HoldReason.FRAME_TIMEOUT: "The camera went silent",
+    HoldReason.CLOCK_BACKWARDS: "The camera's clock went back",
+    HoldReason.VALUE_INVALID: "A measured value is no number",
+    HoldReason.SOURCE_LOST: "The camera is gone",
+    HoldReason.BEAM_LINE_FAILED: "The beam line does not answer",
+    HoldReason.AUDIT_BEHIND: "The audit log cannot keep up",
+    HoldReason.RECORDER_BEHIND: "The recording cannot keep up",
+    HoldReason.DISK_LOW: "The disk is almost full",
+    HoldReason.WATCHDOG: "No decision came in time",
+    HoldReason.ENGINE_FAILED: "The engine failed",
+    HoldReason.SOURCE_ENDED: "The recording is over",
+    HoldReason.ENGINE_STOPPED: "Stopped",
+    HoldReason.UNKNOWN: "Held for an unknown reason",
+}
+
+
+def hold_text(reason: HoldReason | None) -> str | None:
+    """Put a reason in words; an unknown one shows its code, never nothing."""
+    return None if reason is None else HOLD_TEXTS.get(reason, f"Held: {reason.value}")

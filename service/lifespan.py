@@ -1,0 +1,96 @@
+"""What happens at start and at the end; on the way out the beam is held before anything is closed."""
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from dataclasses import dataclass
+
+import anyio
+import anyio.to_thread
+from fastapi import FastAPI
+
+from engine import __version__
+from service.audit import SYSTEM, Event
+from service.audit_log import AuditLog
+from service.calibrations import CalibrationShelf
+from service.db.engine import Database
+from service.deps import Services
+from service.model_store import ModelStore
+from service.motion_models import ModelShelf
+from service.ports import EnginePort
+from service.readiness import ReadinessProbe
+from service.room import Room
+from service.runner import SessionRunner
+from service.sessions import SessionBook
+from service.settings import Settings
+from service.ws.live import LiveStream
+
+DATABASE_NAME = "tidegate.db"
+MODELS_FOLDER = "models"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _House:
+    """Everything that was opened, and has to be closed."""
+
+    services: Services
+    runner: SessionRunner
+    log: AuditLog
+    database: Database
+
+    def close(self) -> None:
+        """Hold the beam first, then write down and close."""
+        self.runner.shut_down()
+        self.log.write(Event(actor=SYSTEM, action="service.stop"))
+        self.database.close()
+
+
+def make_lifespan(
+    settings: Settings, make_engine: Callable[[Settings], EnginePort]
+) -> Callable[[FastAPI], AbstractAsyncContextManager[None]]:
+    """Make the application's lifespan."""
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        house = await anyio.to_thread.run_sync(_open, settings, make_engine(settings))
+        app.state.services = house.services
+        app.state.hold_and_close_session = house.runner.shut_down
+        app.state.live = LiveStream(max_clients=settings.max_live_clients, allowed_origins=settings.allowed_origins)
+        try:
+            yield
+        finally:
+            with anyio.CancelScope(shield=True):
+                await anyio.to_thread.run_sync(house.close)
+
+    return lifespan
+
+
+def _open(settings: Settings, engine: EnginePort) -> _House:
+    settings.data_dir.mkdir(parents=True, exist_ok=True)
+    database = Database(settings.data_dir / DATABASE_NAME)
+    database.migrate()
+    log, room = AuditLog(database), Room()
+    models = ModelStore(settings.data_dir / MODELS_FOLDER)
+    book = SessionBook(database, log, settings, room, is_simulated_beam=engine.is_simulated_beam)
+    runner = SessionRunner(
+        engine=engine, database=database, log=log, book=book, models=models, room=room, settings=settings
+    )
+    services = Services(
+        sessions=book,
+        runner=runner,
+        calibrations=CalibrationShelf(database, log),
+        models=ModelShelf(database, room),
+        audit=log,
+        health=ReadinessProbe(database, settings),
+        engine=engine,
+    )
+    log.write(Event(actor=SYSTEM, action="service.start", detail=_start_detail(settings, engine)))
+    book.close_interrupted()
+    return _House(services=services, runner=runner, log=log, database=database)
+
+
+def _start_detail(settings: Settings, engine: EnginePort) -> dict[str, object]:
+    return {
+        "version": __version__,
+        "is_simulated_beam": engine.is_simulated_beam,
+        "settings": settings.model_dump(mode="json"),
+    }

@@ -1,0 +1,113 @@
+"""The messages of the live stream, ``tidegate.live/1``; docs/architecture.md shows one of each.
+
+What could not be measured is null, never zero. They stand apart from the REST schemas because they are a contract of
+their own, with a JSON Schema of their own.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, TypeAdapter
+
+SCHEMA: Literal["tidegate.live/1"] = "tidegate.live/1"
+Point = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+class Message(BaseModel):
+    """Base of all live messages."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", serialize_by_alias=True, ser_json_inf_nan="null")
+
+
+class Hello(Message):
+    """First message of every connection."""
+
+    type: Literal["hello"] = "hello"
+    schema_name: Literal["tidegate.live/1"] = Field(default=SCHEMA, alias="schema")
+    version: str
+
+
+class Idle(Message):
+    """Twice a second while no session runs."""
+
+    type: Literal["idle"] = "idle"
+    sent_at: AwareDatetime
+
+
+class LiveLost(Message):
+    """Why this frame could not be measured."""
+
+    reason: str
+    detail: str
+
+
+class LiveTraining(Message):
+    """How far the learning has come; share runs from 0 to 1."""
+
+    frames: int
+    cycles: int
+    seconds: float
+    share: float
+    note: str
+
+
+class LiveWindow(Message):
+    """The gating window of the session."""
+
+    signal: Literal["whole", "thorax", "abdomen", "region"]
+    row: int | None
+    column: int | None
+    lower_mm: float
+    upper_mm: float
+    hysteresis_mm: float
+
+
+class LiveLatency(Message):
+    """From the frame in our hands to the beam line told [ms]."""
+
+    last: float | None
+    p50: float | None
+    p99: float | None
+
+
+class Sample(Message):
+    """The newest frame, as measured and decided."""
+
+    type: Literal["sample"] = "sample"
+    sequence: int = Field(description="Counts the samples of this connection, from 0")
+    sent_at: AwareDatetime
+    age_ms: float = Field(description="Time since the frame was in our hands")
+    session_id: str
+    session_status: Literal["running", "ended", "stopped", "failed"]
+    is_armed: bool
+    is_simulated_beam: bool
+    frame_index: int
+    timestamp_us: int
+    state: Literal["training", "measuring", "lost"]
+    lost: LiveLost | None
+    training: LiveTraining | None
+    gate: Literal["disarmed", "hold", "dwell", "beam_on", "fault"]
+    hold_reason: str | None
+    hold_text: str | None
+    line_on: bool
+    window: LiveWindow
+    signal_mm: float | None
+    whole_mm: float | None
+    thorax_mm: float | None
+    abdomen_mm: float | None
+    volume_l: float | None
+    residual_mm: float | None
+    valid_share: float | None
+    regions_mm: list[list[float | None]] | None = Field(
+        description="Rows from superior, columns from the patient's right"
+    )
+    roi_px: list[Point] | None = Field(
+        description="Colour pixels: superior right, superior left, inferior left, inferior right"
+    )
+    fps: float | None
+    frames: int
+    missed_frames: int
+    latency_ms: LiveLatency
+
+
+LiveMessage = Annotated[Hello | Idle | Sample, Field(discriminator="type")]
+LIVE_MESSAGE: TypeAdapter[Hello | Idle | Sample] = TypeAdapter(LiveMessage)

@@ -1,0 +1,44 @@
+"""Learned motion models on disk: one file a model, named by the hash of what it holds."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+
+from engine.errors import ModelError
+from engine.model import MotionModel
+
+
+class ModelStore:
+    """A folder of models."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def save(self, model: MotionModel) -> str:
+        """Keep a model; returns the SHA-256 of its content. The same model twice is one file."""
+        sha256 = content_sha256(model)
+        path = self._path(sha256)
+        if not path.exists():
+            self._folder.mkdir(parents=True, exist_ok=True)
+            model.save(path)
+        return sha256
+
+    def load(self, sha256: str) -> MotionModel:
+        """Read a model back; raise ModelError when the file is not what was kept."""
+        model = MotionModel.load(self._path(sha256))
+        if content_sha256(model) != sha256:
+            msg = "the model's file was changed after it was kept"
+            raise ModelError(msg)
+        return model
+
+    def _path(self, sha256: str) -> Path:
+        return self._folder / f"{sha256}.npz"
+
+
+def content_sha256(model: MotionModel) -> str:
+    """Identify a model by its arrays and the calibration it belongs to."""
+    digest = hashlib.sha256(model.calibration_sha256.encode())
+    for array in (model.mean_mm, model.components, model.eigenvalues_mm2, model.known):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()

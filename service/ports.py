@@ -1,0 +1,202 @@
+"""The roles the service is made of: what a router may ask, and what the engine looks like from here.
+
+Routers know these protocols and the schemas, nothing else; `service.engine_adapter` stands behind the engine's, tests
+put fakes there.
+"""
+
+import queue
+from collections.abc import Iterator
+from concurrent.futures import Future
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, Literal, Protocol, TypeVar
+
+from engine.calibration import Calibration
+from engine.commands import Command
+from engine.live import FrameRecord, GateTransition, LiveView, LoopStatus
+from engine.model import MotionModel
+from engine.permits import HoldReason
+from service import schemas
+from service.live_messages import Sample
+
+CommandName = Literal["arm", "disarm", "reference", "acknowledge"]
+AnswerT = TypeVar("AnswerT")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionPlan:
+    """Everything an engine needs to run a session; ``recording`` is None for a live camera."""
+
+    session_id: str
+    source: schemas.RecordingSource | schemas.DeviceSource
+    recording: Path | None
+    calibration: Calibration
+    window: schemas.Window
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Picture:
+    """The newest colour frame as JPEG."""
+
+    frame_index: int
+    jpeg: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LiveFrame:
+    """The newest frame as a live message, and when it was in our hands (host monotonic)."""
+
+    message: Sample
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kept(Generic[AnswerT]):
+    """An answer to a creating call; ``is_replay`` when it was given before."""
+
+    answer: AnswerT
+    is_replay: bool
+
+
+class RunningEngine(Protocol):
+    """An engine at work on one session. Everything here is safe from any thread and never waits for a frame."""
+
+    @property
+    def samples(self) -> "queue.Queue[FrameRecord]":
+        """One record a frame; bounded: when nobody takes them, the gate holds."""
+
+    @property
+    def transitions(self) -> "queue.Queue[GateTransition]":
+        """Every change of the gate; bounded likewise."""
+
+    @property
+    def latest(self) -> LiveView | None:
+        """The newest of everything, or None before the first frame."""
+
+    @property
+    def model(self) -> MotionModel | None:
+        """The model frames are measured with now."""
+
+    @property
+    def status(self) -> LoopStatus:
+        """Where the engine's one life stands."""
+
+    @property
+    def error(self) -> str | None:
+        """Why it failed, for a person."""
+
+    def submit(self, command: Command) -> "Future[None]":
+        """Ask; raise CommandRefusedError at once when too much is being asked already."""
+
+    def report_fault(self, reason: HoldReason, detail: str) -> None:
+        """Fault the gate because something around the engine failed; ``reason`` must be one that latches."""
+
+    def stop(self) -> None:
+        """Hold the beam, then end; returns when the engine has ended or does not answer."""
+
+
+class EnginePort(Protocol):
+    """Makes engines; the one way from the service to cameras, gate and beam line."""
+
+    @property
+    def is_simulated_beam(self) -> bool:
+        """Whether the beam line is a simulation."""
+
+    def open(self, plan: SessionPlan) -> RunningEngine:
+        """Start an engine on a session, disarmed; raise a TidegateError when source or window cannot be used."""
+
+    def devices(self) -> schemas.DeviceList:
+        """List the cameras that could be used."""
+
+
+class SessionsPort(Protocol):
+    """Sessions as records."""
+
+    def create(self, request: schemas.SessionRequest, key: str | None) -> Kept[schemas.Session]:
+        """Record a new session; one at a time."""
+
+    def page(self, cursor: str | None, limit: int) -> schemas.SessionPage:
+        """List sessions, newest first."""
+
+    def detail(self, session_id: str) -> schemas.SessionDetail:
+        """Read one, as it stands now."""
+
+    def transitions(self, session_id: str, cursor: str | None, limit: int) -> schemas.TransitionPage:
+        """List its gate's transitions, oldest first."""
+
+    def samples_csv(self, session_id: str) -> Iterator[str]:
+        """Write its samples as CSV, piece by piece."""
+
+
+class RunnerPort(Protocol):
+    """The one session that runs."""
+
+    def start(self, session_id: str, operator: str) -> schemas.Session:
+        """Start its engine, disarmed."""
+
+    def command(self, session_id: str, name: CommandName, operator: str) -> schemas.SessionDetail:
+        """Ask the engine; answers when it has done or refused it."""
+
+    def stop(self, session_id: str, operator: str) -> schemas.Session:
+        """Hold the beam, end the engine, close the session; never refused while there is something to stop."""
+
+    def retrain(self, session_id: str, operator: str) -> schemas.SessionDetail:
+        """Learn a new model in the background."""
+
+    def activate(self, model_id: str, operator: str) -> schemas.SessionDetail:
+        """Measure with a stored model of the running session."""
+
+    def picture(self, session_id: str) -> Picture:
+        """Encode the newest colour frame."""
+
+    def newest(self) -> LiveFrame | None:
+        """Return the newest frame, or None when no session runs; the same object while nothing is newer."""
+
+    def now_ns(self) -> int:
+        """Return the engine's clock, to tell a message's age."""
+
+
+class CalibrationsPort(Protocol):
+    """Stored camera calibrations."""
+
+    def upload(self, body: bytes, operator: str, key: str | None) -> Kept[schemas.Calibration]:
+        """Check and keep one; the same content again is the same calibration."""
+
+    def page(self, cursor: str | None, limit: int) -> schemas.CalibrationPage:
+        """List them, newest first."""
+
+    def detail(self, calibration_id: str) -> schemas.CalibrationDetail:
+        """Read one."""
+
+
+class ModelsPort(Protocol):
+    """Learned motion models."""
+
+    def page(self, session_id: str, cursor: str | None, limit: int) -> schemas.ModelPage:
+        """List a session's models, newest first."""
+
+    def get(self, model_id: str) -> schemas.Model:
+        """Read one."""
+
+    def spectrum(self, model_id: str) -> schemas.Spectrum:
+        """Tell how much each component explains."""
+
+
+class AuditPort(Protocol):
+    """The audit log."""
+
+    def page(self, cursor: str | None, limit: int, session_id: str | None) -> schemas.AuditPage:
+        """List its rows, newest first."""
+
+    def verify(self) -> schemas.AuditVerification:
+        """Walk the chain."""
+
+    def refused(self, *, actor: str, action: str, session_id: str | None, problem: schemas.Problem) -> None:
+        """Write down a call that was refused before anyone acted on it."""
+
+
+class HealthPort(Protocol):
+    """Whether everything a session needs is there."""
+
+    def readiness(self) -> schemas.Readiness:
+        """Say what is missing, if anything."""

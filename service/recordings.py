@@ -1,0 +1,38 @@
+"""Which recordings a session may open: files inside the site's folders, wherever links may point."""
+
+from pathlib import Path
+
+from service.errors import BoundError, NotFoundError
+
+FIELD = "source.path"
+
+
+def find_recording(path: str, folders: tuple[Path, ...]) -> Path:
+    """Resolve a path from a request.
+
+    Raises
+    ------
+    BoundError
+        It leads out of the allowed folders.
+    NotFoundError
+        No such file.
+    """
+    for folder in folders:
+        root = folder.resolve()
+        found = (root / path).resolve()
+        if found.is_relative_to(root) and _is_file(found):
+            return found
+    if any((folder.resolve() / path).resolve().is_relative_to(folder.resolve()) for folder in folders):
+        msg = "there is no such recording"
+        raise NotFoundError(msg, field=FIELD, value=path, bound="a file in an allowed folder")
+    bound = f"inside one of the allowed folders ({', '.join(str(folder) for folder in folders)})"
+    msg = f"{FIELD} must be {bound}"
+    raise BoundError(msg, field=FIELD, value=path, bound=bound)
+
+
+def _is_file(path: Path) -> bool:
+    """Whether this is a file; a name too long for the file system is none."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False

@@ -1,0 +1,280 @@
+"""The session that runs: its engine started, asked and stopped.
+
+Nothing here can turn a beam on: arming lets the gate decide.
+What takes permission away is done first and written down after; what could lead to a permit is written down first, and
+not done when it cannot be.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import CancelledError
+from concurrent.futures import TimeoutError as FutureTimeoutError
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import cv2
+
+from engine.calibration import parse_calibration
+from engine.commands import Acknowledge, ActivateModel, Arm, Command, Disarm, Retrain, SetReference
+from engine.errors import TidegateError
+from engine.live import LiveView, LoopStatus
+from service import audit, schemas
+from service.audit import Event
+from service.audit_log import AuditLog
+from service.bridge import SessionWriter, WriterSettings
+from service.db import repository
+from service.db.engine import Database
+from service.errors import EngineTimeoutError, PictureMissingError, SessionActiveError, SessionStateError, StartError
+from service.live_view import live_sample
+from service.model_store import ModelStore
+from service.ports import CommandName, EnginePort, LiveFrame, Picture, SessionPlan
+from service.recordings import find_recording
+from service.room import Room, Running
+from service.sessions import SOURCE, SessionBook, session_answer
+from service.settings import Settings
+
+COMMANDS: dict[CommandName, Callable[[str], Command]] = {
+    "arm": lambda operator: Arm(operator=operator),
+    "disarm": lambda operator: Disarm(operator=operator),
+    "reference": lambda operator: SetReference(operator=operator),
+    "acknowledge": lambda operator: Acknowledge(operator=operator),
+}
+WRITER_BUSY_TIMEOUT_S = 0.5
+WRITER_JOIN_S = 10.0
+START_TIMEOUT_S = 5.0
+START_POLL_S = 0.01
+JPEG_QUALITY = 80
+MIB = 1024 * 1024
+
+
+class SessionRunner:
+    """Runs one session at a time."""
+
+    def __init__(
+        self,
+        *,
+        engine: EnginePort,
+        database: Database,
+        log: AuditLog,
+        book: SessionBook,
+        models: ModelStore,
+        room: Room,
+        settings: Settings,
+    ) -> None:
+        self._engine = engine
+        self._database = database
+        # The writer must notice a locked database quickly, to hold; people may wait longer for an answer.
+        self._writer_database = Database(database.path, busy_timeout_s=WRITER_BUSY_TIMEOUT_S)
+        self._log = log
+        self._book = book
+        self._models = models
+        self._room = room
+        self._settings = settings
+        # A stop that comes while a session starts waits for it, and then finds it.
+        self._coming_and_going = threading.Lock()
+        self._newest: tuple[LiveView, LiveFrame] | None = None
+
+    def start(self, session_id: str, operator: str) -> schemas.Session:
+        """Start its engine, disarmed."""
+        action = "session.start"
+        with self._log.refusals(actor=operator, action=action, session_id=session_id):
+            with self._coming_and_going:
+                running = self._enter(session_id, operator, action)
+            _await_start(running)
+        return self._book.detail(session_id)
+
+    def command(self, session_id: str, name: CommandName, operator: str) -> schemas.SessionDetail:
+        """Ask the engine; answers when it has done or refused it."""
+        self._ask(session_id, COMMANDS[name](operator), operator, f"session.{name}")
+        return self._book.detail(session_id)
+
+    def retrain(self, session_id: str, operator: str) -> schemas.SessionDetail:
+        """Learn a new model in the background."""
+        self._ask(session_id, Retrain(operator=operator), operator, "model.retrain")
+        return self._book.detail(session_id)
+
+    def activate(self, model_id: str, operator: str) -> schemas.SessionDetail:
+        """Measure with a stored model of the running session."""
+        action = "model.activate"
+        with self._log.refusals(actor=operator, action=action, detail={"model_id": model_id}):
+            with self._database.read() as db:
+                row = repository.model_row(db, model_id)
+                session_id, sha256 = row.session_id, row.sha256
+            self._running(session_id)
+            model = self._models.load(sha256)
+        detail: dict[str, object] = {"model_id": model_id, "sha256": sha256}
+        self._ask(session_id, ActivateModel(operator=operator, model=model), operator, action, detail)
+        return self._book.detail(session_id)
+
+    def stop(self, session_id: str, operator: str) -> schemas.Session:
+        """Hold the beam, end the engine, close the session; never refused while there is something to stop."""
+        action = "session.stop"
+        with self._coming_and_going:
+            running = self._room.of(session_id)
+        if running is not None:
+            running.writer.stopping(operator)
+            running.engine.stop()
+            self._log.write(Event(actor=operator, action=action, session_id=session_id))
+            running.writer.join(WRITER_JOIN_S)
+            return self._book.detail(session_id)
+        with self._log.refusals(actor=operator, action=action, session_id=session_id), self._database.write() as db:
+            row = repository.session_row(db, session_id)
+            if row.status != "created":
+                raise _state_error(row.status, "created or running")
+            row.status, row.status_detail, row.ended_at = "stopped", f"stopped by {operator}", datetime.now(UTC)
+            audit.append(db, Event(actor=operator, action=action, session_id=session_id))
+            return session_answer(row)
+
+    def shut_down(self) -> None:
+        """Hold the beam, then close the running session: on the service's way out."""
+        running = self._room.running
+        if running is not None:
+            running.writer.stopping(audit.SYSTEM)
+            running.engine.stop()
+            running.writer.join(WRITER_JOIN_S)
+        self._writer_database.close()
+
+    def picture(self, session_id: str) -> Picture:
+        """Encode the newest colour frame."""
+        view = self._room.view(session_id)
+        if view is None:
+            msg = "the session does not run, or no frame has come yet"
+            raise PictureMissingError(msg)
+        picture = cv2.cvtColor(view.color, cv2.COLOR_RGB2BGR)
+        _, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        return Picture(frame_index=view.record.measurement.frame_index, jpeg=jpeg.tobytes())
+
+    def newest(self) -> LiveFrame | None:
+        """Return the newest frame; the same object while nothing is newer."""
+        running = self._room.running
+        view = None if running is None else running.engine.latest
+        if running is None or view is None:
+            return None
+        kept = self._newest
+        if kept is None or kept[0] is not view:
+            message = live_sample(
+                view,
+                running.plan,
+                is_stopping=running.writer.is_stopping,
+                is_simulated_beam=self._engine.is_simulated_beam,
+            )
+            kept = self._newest = (view, LiveFrame(message=message, received_ns=view.record.received_ns))
+        return kept[1]
+
+    def now_ns(self) -> int:
+        """Return the engine's clock."""
+        return time.monotonic_ns()
+
+    def _enter(self, session_id: str, operator: str, action: str) -> Running:
+        """Write down that the session starts, then start its engine and its writer."""
+        plan = self._begin(session_id, operator, action)
+        try:
+            running = self._open(plan)
+        except TidegateError as error:
+            self._mark_failed(session_id, str(error))
+            raise
+        running.writer.start()
+        return running
+
+    def _begin(self, session_id: str, operator: str, action: str) -> SessionPlan:
+        """Write down that the session starts, and gather what its engine needs."""
+        if self._room.running is not None and self._room.of(session_id) is None:
+            msg = "another session runs"
+            raise SessionActiveError(msg, field="session_id", bound="one running session at a time")
+        with self._database.write() as db:
+            row = repository.session_row(db, session_id)
+            if row.status != "created":
+                raise _state_error(row.status, "created")
+            document = repository.calibration_row(db, row.calibration_id).document
+            source = SOURCE.validate_json(row.source)
+            folders = self._settings.recording_folders
+            plan = SessionPlan(
+                session_id=session_id,
+                source=source,
+                recording=find_recording(source.path, folders) if isinstance(source, schemas.RecordingSource) else None,
+                calibration=parse_calibration(document.encode()),
+                window=schemas.Window.model_validate_json(row.window),
+            )
+            row.status, row.started_at = "running", datetime.now(UTC)
+            audit.append(db, Event(actor=operator, action=action, session_id=session_id, detail=self._beam_detail()))
+        return plan
+
+    def _open(self, plan: SessionPlan) -> Running:
+        engine = self._engine.open(plan)
+        writer = SessionWriter(
+            session_id=plan.session_id,
+            engine=engine,
+            database=self._writer_database,
+            models=self._models,
+            settings=WriterSettings(
+                sample_batch_s=self._settings.sample_batch_ms / 1000,
+                min_free_disk_bytes=self._settings.min_free_disk_mb * MIB,
+            ),
+            on_over=lambda: self._room.leave(plan.session_id),
+        )
+        running = Running(plan=plan, engine=engine, writer=writer)
+        if not self._room.enter(running):
+            engine.stop()
+            msg = "another session runs"
+            raise SessionActiveError(msg, field="session_id", bound="one running session at a time")
+        return running
+
+    def _mark_failed(self, session_id: str, reason: str) -> None:
+        with self._database.write() as db:
+            row = repository.session_row(db, session_id)
+            row.status, row.status_detail, row.ended_at = "failed", reason, datetime.now(UTC)
+
+    def _ask(
+        self,
+        session_id: str,
+        command: Command,
+        operator: str,
+        action: str,
+        detail: dict[str, object] | None = None,
+    ) -> None:
+        """Put a command to the engine and write down who asked, before and after."""
+        done = Event(actor=operator, action=action, session_id=session_id, detail=detail or {})
+        with self._log.refusals(actor=operator, action=action, session_id=session_id, detail=detail):
+            running = self._running(session_id)
+            if not isinstance(command, Disarm):
+                self._log.write(replace(done, outcome="requested"))
+            self._await(running, command)
+        self._log.write(done)
+
+    def _await(self, running: Running, command: Command) -> None:
+        future = running.engine.submit(command)
+        try:
+            future.result(self._settings.command_timeout_s)
+        except (FutureTimeoutError, CancelledError) as error:
+            future.cancel()  # an arm that comes too late must not surprise anyone
+            msg = f"the engine did not answer within {self._settings.command_timeout_s:g} s"
+            raise EngineTimeoutError(msg) from error
+
+    def _running(self, session_id: str) -> Running:
+        running = self._room.of(session_id)
+        if running is None:
+            with self._database.read() as db:
+                raise _state_error(repository.session_row(db, session_id).status, "running")
+        return running
+
+    def _beam_detail(self) -> dict[str, object]:
+        if not self._engine.is_simulated_beam:
+            return {"is_simulated_beam": False}
+        return {"is_simulated_beam": True, "beam_line": "SIMULATED: no accelerator is gated by this session"}
+
+
+def _state_error(status: str, bound: str) -> SessionStateError:
+    msg = f"the session is {status}: it must be {bound}"
+    return SessionStateError(msg, field="status", value=status, bound=bound)
+
+
+def _await_start(running: Running) -> None:
+    """Wait until the source is open; raise StartError when it could not be, once the session is closed."""
+    for _ in range(round(START_TIMEOUT_S / START_POLL_S)):
+        if running.engine.status is not LoopStatus.STARTING:
+            break
+        time.sleep(START_POLL_S)
+    if running.engine.status is LoopStatus.FAILED:
+        running.writer.join(WRITER_JOIN_S)
+        raise StartError(running.engine.error or "the engine failed")

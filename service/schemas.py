@@ -1,0 +1,358 @@
+"""What goes over HTTP, in and out: strict, bounded and printable.
+
+Lengths are mm, times RFC 3339 UTC, motion is positive for inhale. Requests refuse unknown keys, wrong types, NaN and
+anything out of bounds; the bounds here are those of any site, and the site's own settings may be narrower.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic_core import PydanticCustomError
+
+
+def _broken(field: str, value: object, bound: str) -> PydanticCustomError:
+    """Make the error of a rule between fields; `service.errors` reads field, value and bound from its context."""
+    context = {"field": field, "value": repr(value), "bound": bound}
+    return PydanticCustomError("inconsistent", "{field} must be {bound}", context)
+
+
+def _printable(text: str) -> str:
+    if not text.isprintable() or not text.strip():
+        msg = "must be printable characters, and not only spaces"
+        raise ValueError(msg)
+    return text
+
+
+Name = Annotated[str, StringConstraints(min_length=1, max_length=80), AfterValidator(_printable)]
+SourceText = Annotated[str, StringConstraints(min_length=1, max_length=1024), AfterValidator(_printable)]
+Identifier = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{32}$")]
+SessionStatus = Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
+SignalName = Literal["whole", "thorax", "abdomen", "region"]
+
+
+class Request(BaseModel):
+    """Base of everything read from a client."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class Answer(BaseModel):
+    """Base of everything told to a client."""
+
+    model_config = ConfigDict(frozen=True)
+
+
+class RecordingSource(Request):
+    """A recording inside one of the folders that the site allows."""
+
+    kind: Literal["recording"]
+    path: SourceText = Field(
+        description="Absolute, or relative to one of the allowed folders", examples=["demo/recording.oni"]
+    )
+    player: Literal["openni", "reader", "auto"] = Field(
+        default="auto",
+        description="The OpenNI2 runtime in real time, our own reader in real time, or the first that works",
+    )
+
+
+class DeviceSource(Request):
+    """A live camera through the OpenNI2 runtime."""
+
+    kind: Literal["device"]
+    uri: SourceText | None = Field(default=None, description="As listed by /devices; the first one when left out")
+
+
+Source = Annotated[RecordingSource | DeviceSource, Field(discriminator="kind")]
+
+
+class Window(Request):
+    """The gating window; the beam may be on only while the signal stays inside it."""
+
+    signal: SignalName = "whole"
+    row: int | None = Field(default=None, ge=0, le=13, description="Row of the region grid; only for signal `region`")
+    column: int | None = Field(
+        default=None, ge=0, le=7, description="Column of the region grid; only for signal `region`"
+    )
+    lower_mm: float = Field(ge=-100.0, le=100.0, examples=[-1.0])
+    upper_mm: float = Field(ge=-100.0, le=100.0, examples=[3.0])
+    hysteresis_mm: float = Field(default=0.2, ge=0.0, le=10.0, description="How far inside the signal must be to enter")
+    dwell_ms: float = Field(
+        default=200.0, ge=0.0, le=10_000.0, description="How long it must stay inside before beam on"
+    )
+
+    @model_validator(mode="after")
+    def _is_consistent(self) -> "Window":
+        half_mm = (self.upper_mm - self.lower_mm) / 2.0
+        if half_mm <= 0.0:
+            raise _broken("lower_mm", self.lower_mm, f"below upper_mm ({self.upper_mm:g})")
+        if self.hysteresis_mm >= half_mm:
+            raise _broken("hysteresis_mm", self.hysteresis_mm, f"below half of the window ({half_mm:g})")
+        for field, value in (("row", self.row), ("column", self.column)):
+            if self.signal == "region" and value is None:
+                raise _broken(field, value, "given for signal region")
+            if self.signal != "region" and value is not None:
+                raise _broken(field, value, f"left out for signal {self.signal}")
+        return self
+
+
+class SessionRequest(Request):
+    """A new session: who is treated, by which plan, watched by which camera, gated by which window."""
+
+    patient_reference: Name = Field(description="The clinic's own pseudonymous reference; no name, no birth date")
+    plan_id: Name
+    fraction_id: Name
+    fraction_number: int | None = Field(default=None, ge=1, le=200)
+    operator: Name
+    source: Source
+    calibration_id: Identifier
+    window: Window
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "patient_reference": "P-0001",
+                    "plan_id": "PLAN-1",
+                    "fraction_id": "FX-1",
+                    "fraction_number": 1,
+                    "operator": "A. Therapist",
+                    "source": {"kind": "recording", "path": "demo/recording.oni", "player": "auto"},
+                    "calibration_id": "0" * 32,
+                    "window": {
+                        "signal": "whole",
+                        "lower_mm": -1.0,
+                        "upper_mm": 3.0,
+                        "hysteresis_mm": 0.2,
+                        "dwell_ms": 200.0,
+                    },
+                }
+            ]
+        }
+    )
+
+
+class OperatorRequest(Request):
+    """Who asks."""
+
+    operator: Name = Field(examples=["A. Therapist"])
+
+
+class Problem(Answer):
+    """RFC 9457, with a stable code, and the field, the value and the bound where one was broken."""
+
+    type: str = Field(examples=["urn:tidegate:problem:invalid_value"])
+    title: str
+    status: int
+    detail: str
+    code: str = Field(examples=["invalid_value"])
+    field: str | None = Field(default=None, examples=["window.lower_mm"])
+    value: str | None = Field(default=None, examples=["-400.0"])
+    bound: str | None = Field(default=None, examples=["at least -100"])
+
+
+class GateView(Answer):
+    """Where the gate of a running session stands."""
+
+    state: Literal["disarmed", "hold", "dwell", "beam_on", "fault"]
+    is_armed: bool
+    hold_reason: str | None
+    hold_text: str | None
+    line_on: bool
+
+
+class TrainingView(Answer):
+    """How far the learning of the patient's motion has come; share runs from 0 to 1."""
+
+    frames: int
+    cycles: int
+    seconds: float
+    share: float
+    note: str
+
+
+class LatencyView(Answer):
+    """From the frame in our hands to the beam line told [ms]."""
+
+    p50_ms: float | None
+    p99_ms: float | None
+
+
+class Summary(Answer):
+    """Figures of a session so far, from what is in the database."""
+
+    frames: int
+    missed_frames: int = Field(description="Frames the camera counted and that never came")
+    lost: int = Field(description="Frames that could not be measured")
+    duty_cycle: float | None = Field(description="Share of armed frames with the line on; null when never armed")
+    transitions: int
+    latency: LatencyView
+
+
+class Session(Answer):
+    """A session, as it stands."""
+
+    id: Identifier
+    status: SessionStatus
+    status_detail: str
+    patient_reference: str
+    plan_id: str
+    fraction_id: str
+    fraction_number: int | None
+    operator: str
+    source: Source
+    calibration_id: Identifier
+    window: Window
+    is_simulated_beam: bool
+    created_at: AwareDatetime
+    started_at: AwareDatetime | None
+    ended_at: AwareDatetime | None
+
+
+class SessionDetail(Session):
+    """A session with its gate, its learning and its figures."""
+
+    gate: GateView | None = Field(description="null unless running")
+    measurement_state: Literal["training", "measuring", "lost"] | None
+    training: TrainingView | None
+    active_model_id: Identifier | None
+    summary: Summary
+
+
+class SessionPage(Answer):
+    """Newest first; `next_cursor` is null on the last page."""
+
+    items: list[Session]
+    next_cursor: str | None
+
+
+class Calibration(Answer):
+    """A stored camera calibration; the same content has the same id."""
+
+    id: Identifier
+    sha256: str
+    camera: str
+    uploaded_by: str
+    created_at: AwareDatetime
+
+
+class CalibrationDetail(Calibration):
+    """A calibration with its canonical document."""
+
+    document: dict[str, object]
+
+
+class CalibrationPage(Answer):
+    """Newest first."""
+
+    items: list[Calibration]
+    next_cursor: str | None
+
+
+class Model(Answer):
+    """A learned motion model of a session."""
+
+    id: Identifier
+    session_id: Identifier
+    number: int = Field(description="1 for the session's first model")
+    sha256: str
+    components: int
+    is_active: bool
+    created_at: AwareDatetime
+
+
+class ModelPage(Answer):
+    """Newest first."""
+
+    items: list[Model]
+    next_cursor: str | None
+
+
+class Spectrum(Answer):
+    """How much of the motion each component explains, largest first (article, figure 5)."""
+
+    model_id: Identifier
+    share: list[float] = Field(description="Share of the variance, each from 0 to 1")
+
+
+class Transition(Answer):
+    """One change of the gate, as audited; the `_ns` are host monotonic time."""
+
+    audit_sequence: int
+    at: AwareDatetime
+    frame_index: int | None
+    from_state: str
+    to_state: str
+    reason: str | None
+    operator: str | None
+    detail: str
+    captured_us: int | None
+    received_ns: int | None
+    decided_ns: int | None
+    asserted_ns: int | None
+
+
+class TransitionPage(Answer):
+    """Oldest first."""
+
+    items: list[Transition]
+    next_cursor: str | None
+
+
+class AuditEntry(Answer):
+    """One row of the append-only log."""
+
+    sequence: int
+    at: AwareDatetime
+    actor: str
+    action: str
+    outcome: Literal["done", "requested", "refused", "failed"]
+    session_id: str | None
+    detail: dict[str, object]
+    previous_hash: str
+    hash: str
+
+
+class AuditPage(Answer):
+    """Newest first."""
+
+    items: list[AuditEntry]
+    next_cursor: str | None
+
+
+class AuditVerification(Answer):
+    """Whether the chain of hashes holds; names the first broken row when it does not."""
+
+    is_intact: bool
+    rows: int
+    head_hash: str
+    first_broken_sequence: int | None
+    detail: str
+
+
+class Device(Answer):
+    """A camera the OpenNI2 runtime sees."""
+
+    uri: str
+    name: str
+
+
+class DeviceList(Answer):
+    """Cameras, and why there are none when the runtime is missing."""
+
+    is_runtime_available: bool
+    detail: str
+    items: list[Device]
+
+
+class Health(Answer):
+    """The process answers."""
+
+    status: Literal["ok"]
+    version: str
+
+
+class Readiness(Answer):
+    """Whether a session could run, and what is missing."""
+
+    is_ready: bool
+    not_ready: list[str]

@@ -1,0 +1,46 @@
+"""The web server: one process, one worker, and a way out that holds the beam before it says goodbye to anyone."""
+
+import socket
+
+import anyio.to_thread
+import uvicorn
+from fastapi import FastAPI
+
+LOG_LEVEL = "warning"
+PING_S = 5.0
+MAX_INCOMING_MESSAGE_BYTES = 4096
+GOODBYE_S = 5
+
+
+class BeamFirstServer(uvicorn.Server):
+    """Uvicorn waits for its clients to go before the lifespan ends; the beam does not."""
+
+    def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
+        super().__init__(config)
+        self._app = app
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Hold the beam and close the session, then the connections, then everything else."""
+        await anyio.to_thread.run_sync(self._app.state.hold_and_close_session)
+        await super().shutdown(sockets)
+
+
+def make_server(app: FastAPI, *, host: str, port: int) -> BeamFirstServer:
+    """Make the server for the application."""
+    config = uvicorn.Config(
+        app,
+        host=host,
+        port=port,
+        workers=1,
+        log_level=LOG_LEVEL,
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        ws="websockets-sansio",
+        ws_ping_interval=PING_S,
+        ws_ping_timeout=PING_S,
+        ws_max_size=MAX_INCOMING_MESSAGE_BYTES,
+        ws_per_message_deflate=False,
+        timeout_graceful_shutdown=GOODBYE_S,
+    )
+    return BeamFirstServer(config, app)

@@ -1,0 +1,188 @@
+"""Sessions as records: created once, one open at a time, read with their figures."""
+
+import csv
+import io
+import json
+import uuid
+from collections.abc import Iterator
+from datetime import UTC, datetime
+
+from pydantic import TypeAdapter
+
+from engine.live import LiveView
+from service import audit, schemas
+from service.audit import SYSTEM, Event
+from service.audit_log import AuditLog
+from service.db import repository
+from service.db.engine import Database
+from service.db.models import AuditRow, SampleRow, SessionRow
+from service.errors import SessionActiveError
+from service.figures import Figures
+from service.idempotency import earlier_answer, keep_answer
+from service.live_view import gate_view, known, training_view
+from service.ports import Kept
+from service.recordings import find_recording
+from service.room import Room, Running
+from service.settings import Settings
+from service.site_limits import check_window, gate_limits
+
+ACTION = "session.create"
+CSV_COLUMNS = (
+    *("frame_index", "timestamp_us", "state", "whole_mm", "thorax_mm", "abdomen_mm", "volume_l", "gate", "hold_reason"),
+    *("received_ns", "decided_ns", "asserted_ns"),
+)
+SOURCE: TypeAdapter[schemas.RecordingSource | schemas.DeviceSource] = TypeAdapter(schemas.Source)
+
+
+class SessionBook:
+    """The book of sessions."""
+
+    def __init__(
+        self, database: Database, log: AuditLog, settings: Settings, room: Room, *, is_simulated_beam: bool
+    ) -> None:
+        self._database = database
+        self._log = log
+        self._settings = settings
+        self._room = room
+        self._is_simulated_beam = is_simulated_beam
+
+    def create(self, request: schemas.SessionRequest, key: str | None) -> Kept[schemas.Session]:
+        """Record a new session; one at a time."""
+        body = audit.canonical_json(request.model_dump(mode="json")).encode()
+        with self._log.refusals(actor=request.operator, action=ACTION), self._database.write() as db:
+            earlier = earlier_answer(db, ACTION, key, body, schemas.Session)
+            if earlier is not None:
+                return Kept(answer=earlier, is_replay=True)
+            self._check(request)
+            repository.calibration_row(db, request.calibration_id)
+            open_id = repository.open_session_id(db)
+            if open_id is not None:
+                msg = "another session is created or running: stop it first"
+                raise SessionActiveError(msg, field="session_id", value=open_id, bound="one open session at a time")
+            row = _new_row(request, is_simulated_beam=self._is_simulated_beam)
+            db.add(row)
+            db.flush()
+            audit.append(db, self._created(row.id, request))
+            answer = session_answer(row)
+            keep_answer(db, ACTION, key, body, answer)
+        return Kept(answer=answer, is_replay=False)
+
+    def page(self, cursor: str | None, limit: int) -> schemas.SessionPage:
+        """List sessions, newest first."""
+        with self._database.read() as db:
+            rows, next_cursor = repository.session_page(db, cursor, limit)
+            return schemas.SessionPage(items=[session_answer(row) for row in rows], next_cursor=next_cursor)
+
+    def detail(self, session_id: str) -> schemas.SessionDetail:
+        """Read one, as it stands now."""
+        with self._database.read() as db:
+            row = repository.session_row(db, session_id)
+            record = session_answer(row)
+            stored = row.summary
+        running = self._room.of(session_id)
+        view = None if running is None else running.engine.latest
+        return schemas.SessionDetail(
+            **dict(record),
+            gate=None if view is None else gate_view(view),
+            measurement_state=None if view is None else view.record.measurement.state.value,
+            training=None if view is None else training_view(view),
+            active_model_id=None if running is None else running.writer.active_model_id,
+            summary=_summary(running, view, stored),
+        )
+
+    def transitions(self, session_id: str, cursor: str | None, limit: int) -> schemas.TransitionPage:
+        """List its gate's transitions, oldest first."""
+        with self._database.read() as db:
+            repository.session_row(db, session_id)
+            rows, next_cursor = repository.transition_page(db, session_id, cursor, limit)
+            return schemas.TransitionPage(items=[_transition(row) for row in rows], next_cursor=next_cursor)
+
+    def samples_csv(self, session_id: str) -> Iterator[str]:
+        """Write its samples as CSV, piece by piece; what could not be measured is empty."""
+        with self._database.read() as db:
+            repository.session_row(db, session_id)
+        return self._csv_pieces(session_id)
+
+    def close_interrupted(self) -> None:
+        """Close what a killed process left running; called once at start."""
+        with self._database.write() as db:
+            for row in repository.running_sessions(db):
+                row.status, row.status_detail = "interrupted", "the service ended while this session ran"
+                row.ended_at = datetime.now(UTC)
+                figures = repository.summary(db, row.id)
+                row.summary = figures.model_dump_json()
+                detail = {"status": row.status, "detail": row.status_detail, "summary": figures.model_dump()}
+                event = Event(actor=SYSTEM, action="session.close", outcome="failed", session_id=row.id, detail=detail)
+                audit.append(db, event)
+
+    def _check(self, request: schemas.SessionRequest) -> None:
+        check_window(request.window, self._settings)
+        gate_limits(request.window, self._settings)
+        if isinstance(request.source, schemas.RecordingSource):
+            find_recording(request.source.path, self._settings.recording_folders)
+
+    def _created(self, session_id: str, request: schemas.SessionRequest) -> Event:
+        detail = request.model_dump(mode="json")
+        if self._is_simulated_beam:
+            detail["beam_line"] = "SIMULATED: no accelerator is gated by this session"
+        return Event(actor=request.operator, action=ACTION, session_id=session_id, detail=detail)
+
+    def _csv_pieces(self, session_id: str) -> Iterator[str]:
+        yield ",".join(CSV_COLUMNS) + "\n"
+        last_index = -1
+        while True:
+            # A piece at a time: a reader that stays must not keep the WAL from being checkpointed.
+            with self._database.read() as db:
+                rows = repository.samples_after(db, session_id, last_index)
+                if not rows:
+                    return
+                last_index = rows[-1].frame_index
+                text = io.StringIO()
+                csv.writer(text, lineterminator="\n").writerows(_csv_values(row) for row in rows)
+            yield text.getvalue()
+
+
+def session_answer(row: SessionRow) -> schemas.Session:
+    """Tell a session's record."""
+    names = schemas.Session.model_fields.keys() - {"source", "window"}
+    return schemas.Session(
+        **{name: getattr(row, name) for name in names},
+        source=SOURCE.validate_json(row.source),
+        window=schemas.Window.model_validate_json(row.window),
+    )
+
+
+def _summary(running: Running | None, view: LiveView | None, stored: str | None) -> schemas.Summary:
+    """Take a closed session's figures as stored, a running one's as counted."""
+    if stored is not None:
+        return schemas.Summary.model_validate_json(stored)
+    figures = Figures() if running is None else running.writer.figures
+    if view is None:
+        return figures.summary(schemas.LatencyView(p50_ms=None, p99_ms=None))
+    return figures.summary(schemas.LatencyView(p50_ms=known(view.latency.p50_ms), p99_ms=known(view.latency.p99_ms)))
+
+
+def _new_row(request: schemas.SessionRequest, *, is_simulated_beam: bool) -> SessionRow:
+    return SessionRow(
+        id=uuid.uuid4().hex,
+        status="created",
+        status_detail="",
+        patient_reference=request.patient_reference,
+        plan_id=request.plan_id,
+        fraction_id=request.fraction_id,
+        fraction_number=request.fraction_number,
+        operator=request.operator,
+        source=request.source.model_dump_json(),
+        window=request.window.model_dump_json(),
+        calibration_id=request.calibration_id,
+        is_simulated_beam=is_simulated_beam,
+        created_at=datetime.now(UTC),
+    )
+
+
+def _transition(row: AuditRow) -> schemas.Transition:
+    return schemas.Transition.model_validate({**json.loads(row.detail), "audit_sequence": row.sequence, "at": row.at})
+
+
+def _csv_values(row: SampleRow) -> list[object]:
+    return [getattr(row, name) for name in CSV_COLUMNS]

@@ -1,0 +1,143 @@
+"""What a site may set: ``TIDEGATE_*``, read once at start, frozen, every number bounded.
+
+A session may narrow a site's limits, never widen them.
+"""
+
+import dataclasses
+import ipaddress
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+
+from engine.limits import LIMIT_BOUNDS, GateLimits
+
+PREFIX = "TIDEGATE_"
+LIMIT_DEFAULTS = {field.name: field.default for field in dataclasses.fields(GateLimits)}
+FolderList = Annotated[tuple[Path, ...], NoDecode]
+NameList = Annotated[tuple[str, ...], NoDecode]
+
+
+def _limit(name: str) -> Any:  # noqa: ANN401 - a field of any number's type
+    """Declare a site's gate limit, with the engine's own default and bounds."""
+    low, high = LIMIT_BOUNDS[name]
+    return Field(default=LIMIT_DEFAULTS[name], ge=low, le=high)
+
+
+class SettingsError(Exception):
+    """The settings cannot be used; the message is one line a setting, for the person who starts the service."""
+
+
+class Settings(BaseSettings):
+    """The site's settings."""
+
+    model_config = SettingsConfigDict(
+        env_prefix=PREFIX, extra="forbid", frozen=True, validate_default=True, allow_inf_nan=False
+    )
+
+    host: str = Field(default="127.0.0.1", min_length=1, max_length=253)
+    port: int = Field(default=8000, ge=0, le=65535)
+    allow_remote: bool = Field(default=False, description="Listen beyond this machine, although there are no users yet")
+    allowed_hosts: NameList = Field(default=(), description="Names in the Host header; loopback names when left out")
+    allowed_origins: NameList = Field(default=(), description="Pages besides our own that may open the live stream")
+
+    data_dir: Path = Path("data")
+    recordings_dirs: FolderList = Field(
+        default=(), description="Folders recordings may be opened from, colon-separated"
+    )
+
+    max_body_bytes: int = Field(default=65_536, ge=16_384, le=1_048_576)
+    max_live_clients: int = Field(default=16, ge=1, le=256)
+    command_timeout_s: float = Field(default=3.0, ge=0.1, le=30.0)
+    min_free_disk_mb: float = Field(default=200.0, ge=0.0, le=1_000_000.0)
+
+    sample_batch_ms: float = Field(default=250.0, ge=10.0, le=500.0)
+    min_dwell_ms: float = Field(default=0.0, ge=0.0, le=10_000.0, description="No session's dwell is shorter")
+    min_good_frames: int = _limit("min_good_frames")
+    lease_ms: float = _limit("lease_ms")
+    max_frame_age_ms: float = _limit("max_frame_age_ms")
+    max_gap_ms: float = _limit("max_gap_ms")
+    max_lag_ms: float = _limit("max_lag_ms")
+    max_silence_ms: float = _limit("max_silence_ms")
+    watchdog_ms: float = _limit("watchdog_ms")
+    min_valid_share: float = _limit("min_valid_share")
+    min_inlier_share: float = _limit("min_inlier_share")
+    max_residual_mm: float = _limit("max_residual_mm")
+    max_jump_mm: float = _limit("max_jump_mm")
+    window_lower_mm: float = Field(default=-100.0, ge=-100.0, le=100.0, description="No session's window goes below")
+    window_upper_mm: float = Field(default=100.0, ge=-100.0, le=100.0, description="No session's window goes above")
+
+    @field_validator("recordings_dirs", mode="before")
+    @classmethod
+    def _split_folders(cls, value: object) -> object:
+        return tuple(part for part in value.split(os.pathsep) if part) if isinstance(value, str) else value
+
+    @field_validator("allowed_hosts", "allowed_origins", mode="before")
+    @classmethod
+    def _split_names(cls, value: object) -> object:
+        return tuple(part.strip() for part in value.split(",") if part.strip()) if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _is_consistent(self) -> Self:
+        if not self.allow_remote and not _is_loopback(self.host):
+            msg = (
+                f"host {self.host} can be reached from outside and this version has no users or passwords: "
+                f"set {PREFIX}ALLOW_REMOTE=true only where the network itself keeps strangers out"
+            )
+            raise ValueError(msg)
+        if self.window_lower_mm >= self.window_upper_mm:
+            msg = f"window_lower_mm must be below window_upper_mm ({self.window_upper_mm:g})"
+            raise ValueError(msg)
+        return self
+
+    @property
+    def recording_folders(self) -> tuple[Path, ...]:
+        """Folders recordings may be opened from."""
+        return self.recordings_dirs or (self.data_dir / "recordings",)
+
+    @property
+    def host_names(self) -> tuple[str, ...]:
+        """Names this service answers to; "*" is any."""
+        if self.allowed_hosts:
+            return self.allowed_hosts
+        return ("*",) if self.allow_remote else ("localhost", "127.0.0.1", "[::1]")
+
+
+def load_settings(**overrides: object) -> Settings:
+    """Read the environment, with what the command line gave on top.
+
+    Raises
+    ------
+    SettingsError
+        An unknown ``TIDEGATE_*`` name, or a value out of its bound; one line each.
+    """
+    _refuse_unknown(os.environ)
+    given = {name: value for name, value in overrides.items() if value is not None}
+    try:
+        return Settings(**given)  # type: ignore[arg-type]
+    except ValidationError as error:
+        raise SettingsError("\n".join(_line(one["loc"], one["msg"]) for one in error.errors())) from error
+
+
+def _refuse_unknown(names: Iterable[str]) -> None:
+    known = {f"{PREFIX}{name.upper()}" for name in Settings.model_fields}
+    unknown = sorted(name for name in names if name.upper().startswith(PREFIX) and name.upper() not in known)
+    if unknown:
+        raise SettingsError("\n".join(f"{name} is not a setting of Tidegate; mistyped?" for name in unknown))
+
+
+def _line(location: tuple[int | str, ...], message: str) -> str:
+    name = f"{PREFIX}{str(location[0]).upper()}: " if location else ""
+    return f"{name}{message.removeprefix('Value error, ')}"
+
+
+def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,100 @@
+"""``/api/v1/live``: the newest frame to everyone who watches; a slow client skips frames, and nobody waits for it."""
+
+from datetime import UTC, datetime
+from typing import cast
+from urllib.parse import urlsplit
+
+import anyio
+from fastapi import APIRouter, WebSocket
+from starlette.websockets import WebSocketDisconnect
+
+from engine import __version__
+from service.deps import services
+from service.live_messages import Hello, Idle, Message
+from service.ports import RunnerPort
+
+router = APIRouter()
+
+POLL_S = 0.004
+IDLE_S = 0.5
+SEND_TIMEOUT_S = 5.0
+POLICY_VIOLATION = 1008
+TRY_AGAIN_LATER = 1013
+
+
+class LiveStream:
+    """Counts its clients and feeds each the newest there is."""
+
+    def __init__(self, *, max_clients: int, allowed_origins: tuple[str, ...]) -> None:
+        self._max_clients = max_clients
+        self._allowed_origins = allowed_origins
+        self._clients = 0
+
+    async def serve(self, websocket: WebSocket, runner: RunnerPort) -> None:
+        """Feed one client until it goes."""
+        if not self._is_welcome(websocket):
+            await websocket.close(POLICY_VIOLATION, "origin")
+            return
+        await websocket.accept()
+        if self._clients >= self._max_clients:
+            await websocket.close(TRY_AGAIN_LATER, f"at most {self._max_clients} clients")
+            return
+        self._clients += 1
+        try:
+            await _feed_until_gone(websocket, runner)
+        finally:
+            self._clients -= 1
+
+    def _is_welcome(self, websocket: WebSocket) -> bool:
+        """Whether the page that opens the stream is ours; programs send no Origin."""
+        origin = websocket.headers.get("origin")
+        if origin is None or origin in self._allowed_origins:
+            return True
+        return urlsplit(origin).netloc == websocket.headers.get("host")
+
+
+@router.websocket("/live")
+async def live(websocket: WebSocket) -> None:
+    """Send `hello`, then `sample`s, or `idle` twice a second while no session runs."""
+    stream = cast("LiveStream", websocket.app.state.live)
+    await stream.serve(websocket, services(websocket).runner)
+
+
+async def _feed_until_gone(websocket: WebSocket, runner: RunnerPort) -> None:
+    async with anyio.create_task_group() as tasks:
+
+        async def listen() -> None:
+            """Notice the client going; nothing it says matters."""
+            while (await websocket.receive())["type"] != "websocket.disconnect":
+                pass
+            tasks.cancel_scope.cancel()
+
+        tasks.start_soon(listen)
+        try:
+            await _feed(websocket, runner)
+        except (WebSocketDisconnect, TimeoutError):
+            tasks.cancel_scope.cancel()
+
+
+async def _feed(websocket: WebSocket, runner: RunnerPort) -> None:
+    await _send(websocket, Hello(version=__version__))
+    last = None
+    sequence = 0
+    idle_at_s = anyio.current_time()
+    while True:
+        newest = runner.newest()
+        if newest is not None and newest is not last:
+            last = newest
+            age_ms = round((runner.now_ns() - newest.received_ns) / 1e6, 2)
+            update = {"sequence": sequence, "sent_at": datetime.now(UTC), "age_ms": age_ms}
+            await _send(websocket, newest.message.model_copy(update=update))
+            sequence += 1
+        elif newest is None and anyio.current_time() >= idle_at_s:
+            await _send(websocket, Idle(sent_at=datetime.now(UTC)))
+            idle_at_s = anyio.current_time() + IDLE_S
+        await anyio.sleep(POLL_S)
+
+
+async def _send(websocket: WebSocket, message: Message) -> None:
+    with anyio.fail_after(SEND_TIMEOUT_S):
+        await websocket.send_text(message.model_dump_json())

@@ -1,0 +1,50 @@
+"""An engine in a process of its own, with a line in another: ``python -m tests.beam.engine_process SOCKET``.
+
+It arms itself and runs until it is killed, and writes each transition as a line.
+"""
+
+import contextlib
+import queue
+import sys
+from pathlib import Path
+
+from engine.beam.datagram import DatagramBeamLine
+from engine.clock import MonotonicClock
+from engine.commands import Acknowledge, Arm
+from engine.errors import CommandRefusedError
+from engine.loop import EngineLoop
+from engine.permits import GateState
+from tests.loop.fakes import ToldPipeline, drained
+from tests.loop.paced import PATIENT_LIMITS, PacedSource
+
+
+def main(socket_path: Path) -> None:
+    clock = MonotonicClock()
+    loop = EngineLoop(
+        source=PacedSource(clock),
+        pipeline=ToldPipeline(clock),
+        beam=DatagramBeamLine(socket_path, clock, reply_ms=500.0),
+        limits=PATIENT_LIMITS,
+        clock=clock,
+    )
+    loop.start()
+    while not loop.status.is_over:
+        drained(loop.samples)
+        if not loop.gate.is_armed:
+            _arm(loop)
+        with contextlib.suppress(queue.Empty):
+            change = loop.transitions.get(timeout=0.05)
+            sys.stdout.write(f"{change.to_state} {change.reason} {change.at_ns}\n")
+            sys.stdout.flush()
+
+
+def _arm(loop: EngineLoop) -> None:
+    """Do as an operator does who clears every fault; refused until there is a frame, and tried again."""
+    with contextlib.suppress(CommandRefusedError):
+        if loop.gate.state is GateState.FAULT:
+            loop.submit(Acknowledge(operator="ann")).result(timeout=5.0)
+        loop.submit(Arm(operator="ann")).result(timeout=5.0)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,222 @@
+"""Real processes, really killed: the line, in a process of its own, is off when the lease ends."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from engine.beam.datagram import DatagramBeamLine, Message, MessageKind, decode, encode
+from engine.beam.receiver import MAX_TRANSIT_NS, BeamReceiver
+from engine.clock import ManualClock, MonotonicClock
+from engine.errors import BeamLineError
+from engine.permits import HoldReason, Lease
+from tests.loop.paced import PATIENT_LIMITS as LIMITS
+
+MS = 1_000_000
+ROOT = Path(__file__).parents[2]
+LATEST_END_NS = int(LIMITS.lease_ms * MS) + MAX_TRANSIT_NS + 5 * MS
+"""No lease ends later than this after the last frame before the kill: its length, and what a message may take."""
+
+
+@contextlib.contextmanager
+def _process(module: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    with subprocess.Popen(
+        [sys.executable, "-m", module, *arguments], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.fixture
+def line(tmp_path: Path) -> Iterator[tuple[Path, subprocess.Popen[str]]]:
+    """A beam line that listens, and its socket."""
+    path = tmp_path / "line"
+    with _process("engine.beam.receiver", str(path)) as receiver:
+        assert receiver.stdout is not None
+        assert receiver.stdout.readline() == "ready\n"
+        yield path, receiver
+
+
+def _next_edge(receiver: subprocess.Popen[str]) -> list[str]:
+    assert receiver.stdout is not None
+    return receiver.stdout.readline().split()
+
+
+def _await_on(receiver: subprocess.Popen[str]) -> None:
+    while _next_edge(receiver)[0] != "on":
+        continue
+
+
+def test_an_engine_killed_outright_ends_in_a_line_that_is_off(line):
+    path, receiver = line
+    while True:
+        with _process("tests.beam.engine_process", str(path)) as engine:
+            _await_on(receiver)
+            engine.send_signal(signal.SIGKILL)
+            killed_ns = time.monotonic_ns()
+            engine.wait()
+            edge, *times_ns = _next_edge(receiver)
+        if edge == "lapsed":  # else a busy machine had just made the engine hold by itself: kill another
+            break
+    assert int(times_ns[1]) <= killed_ns + LATEST_END_NS
+
+
+def test_an_engine_that_is_stopped_and_goes_on_later_is_off_in_between_and_pays_a_full_dwell(line):
+    path, receiver = line
+    with _process("tests.beam.engine_process", str(path)) as engine:
+        while True:
+            _await_on(receiver)
+            os.kill(engine.pid, signal.SIGSTOP)
+            stopped_ns = time.monotonic_ns()
+            edge, *times_ns = _next_edge(receiver)
+            if edge == "lapsed":
+                break
+            os.kill(engine.pid, signal.SIGCONT)
+        assert int(times_ns[1]) <= stopped_ns + LATEST_END_NS
+        continued_ns = time.monotonic_ns()
+        os.kill(engine.pid, signal.SIGCONT)
+        _read_until_no_longer_on(engine, continued_ns)
+        engine.kill()
+        engine.wait()
+        receiver.kill()
+        later = [edge.split() for edge in receiver.stdout.read().splitlines()]
+    assert int(times_ns[0]) < continued_ns
+    assert all(int(edge[1]) >= continued_ns + LIMITS.dwell_ms * MS for edge in later if edge[0] == "on")
+
+
+def _read_until_no_longer_on(engine: subprocess.Popen[str], after_ns: int) -> None:
+    """Follow the engine's transitions up to the first after it went on."""
+    assert engine.stdout is not None
+    for told in engine.stdout:
+        _state, _reason, at_ns = told.split()
+        if int(at_ns) > after_ns:
+            return
+    pytest.fail("the engine told nothing after it went on")
+
+
+def test_an_engine_that_ends_says_so_to_the_line(line):
+    path, receiver = line
+    clock = MonotonicClock()
+    beam = DatagramBeamLine(path, clock)
+    beam.open()
+    beam.rearm()
+    now_ns = clock.now_ns()
+    beam.permit(Lease(granted_ns=now_ns, expires_ns=now_ns + 240 * MS, sequence=1))
+    assert beam.is_on()
+    beam.close()
+    assert _next_edge(receiver)[0] == "on"
+    assert _next_edge(receiver)[0] == "held"
+
+
+def test_a_watchdog_hold_sent_by_another_thread_latches_the_far_line(line):
+    path, _receiver = line
+    clock = MonotonicClock()
+    beam = DatagramBeamLine(path, clock)
+    beam.open()
+    beam.rearm()
+    beam.hold(HoldReason.WATCHDOG)
+    now_ns = clock.now_ns()
+    with pytest.raises(BeamLineError, match="latched"):
+        beam.permit(Lease(granted_ns=now_ns, expires_ns=now_ns + 80 * MS, sequence=1))
+    assert not beam.is_on()
+    beam._deadman.rearm()  # forget the latch at this end only: the far line keeps its own
+    now_ns = clock.now_ns()
+    beam.permit(Lease(granted_ns=now_ns, expires_ns=now_ns + 240 * MS, sequence=1))
+    assert not beam.is_on()
+    beam.close()
+
+
+def test_a_line_that_is_not_there_is_told_at_opening_and_holding_it_is_harmless(tmp_path):
+    beam = DatagramBeamLine(tmp_path / "nobody", ManualClock())
+    with pytest.raises(BeamLineError, match="no beam line at nobody"):
+        beam.open()
+    beam.hold(HoldReason.WATCHDOG)
+    with pytest.raises(BeamLineError, match="closed"):
+        beam.is_on()
+    beam.close()
+
+
+def test_a_line_that_was_killed_is_a_line_that_does_not_answer(line):
+    path, receiver = line
+    beam = DatagramBeamLine(path, MonotonicClock())
+    beam.open()
+    receiver.kill()
+    receiver.wait()
+    with pytest.raises(BeamLineError, match="takes no messages"):
+        beam.is_on()
+    beam.hold(HoldReason.DISARMED)
+    beam.close()
+
+
+def _permit(number: int, *, sent_ns: int, left_ns: int = 80 * MS) -> bytes:
+    return encode(Message(MessageKind.PERMIT, number=number, at_ns=sent_ns, sent_ns=sent_ns, left_ns=left_ns))
+
+
+def _armed_receiver() -> BeamReceiver:
+    receiver = BeamReceiver()
+    receiver.accept(encode(Message(MessageKind.REARM)), 0)
+    return receiver
+
+
+def test_the_receiver_counts_what_is_left_of_a_lease_on_its_own_clock():
+    receiver = _armed_receiver()
+    receiver.accept(_permit(1, sent_ns=10**15), 500 * MS)
+    assert receiver.is_on(580 * MS - 1)
+    assert not receiver.is_on(580 * MS)
+
+
+@pytest.mark.parametrize(("delay_ns", "is_on"), [(MAX_TRANSIT_NS, True), (MAX_TRANSIT_NS + 1, False)])
+def test_a_permit_that_lay_in_a_stopped_process_is_refused(delay_ns, is_on):
+    receiver = _armed_receiver()
+    receiver.accept(_permit(1, sent_ns=0), 500 * MS)
+    receiver.accept(_permit(2, sent_ns=33 * MS), 533 * MS)
+    late_ns = 10_000 * MS
+    receiver.accept(_permit(3, sent_ns=late_ns - 500 * MS - delay_ns), late_ns)
+    assert receiver.is_on(late_ns) is is_on
+
+
+def test_a_first_permit_is_compared_with_the_holds_before_it():
+    receiver = _armed_receiver()
+    receiver.accept(encode(Message(MessageKind.HOLD, at_ns=0, sent_ns=0)), 500 * MS)
+    receiver.accept(_permit(1, sent_ns=33 * MS), 533 * MS + MAX_TRANSIT_NS + 1)
+    assert not receiver.is_on(533 * MS + MAX_TRANSIT_NS + 1)
+
+
+def test_a_hold_is_obeyed_however_late_it_comes():
+    receiver = _armed_receiver()
+    receiver.accept(_permit(1, sent_ns=0), 500 * MS)
+    receiver.accept(encode(Message(MessageKind.HOLD, at_ns=1, sent_ns=1)), 560 * MS)
+    assert not receiver.is_on(560 * MS)
+
+
+def test_a_permit_overtaken_by_a_hold_is_refused():
+    receiver = _armed_receiver()
+    receiver.accept(encode(Message(MessageKind.HOLD, at_ns=50 * MS, sent_ns=50 * MS)), 500 * MS)
+    receiver.accept(_permit(1, sent_ns=50 * MS), 500 * MS)
+    assert not receiver.is_on(500 * MS)
+    receiver.accept(_permit(2, sent_ns=50 * MS + 1), 500 * MS)
+    assert receiver.is_on(500 * MS)
+
+
+def test_a_latch_refuses_until_rearmed():
+    receiver = _armed_receiver()
+    receiver.accept(encode(Message(MessageKind.LATCH, at_ns=1, sent_ns=1)), 500 * MS)
+    receiver.accept(_permit(1, sent_ns=50 * MS), 550 * MS)
+    assert not receiver.is_on(550 * MS)
+
+
+@pytest.mark.parametrize("packet", [b"", b"TGB1", b"x" * 37, encode(Message(MessageKind.ASK))[:-1], b"\0" * 37])
+def test_noise_on_the_socket_means_nothing(packet):
+    receiver = _armed_receiver()
+    receiver.accept(_permit(1, sent_ns=0), 500 * MS)
+    assert decode(packet) is None
+    assert receiver.accept(packet, 500 * MS) is None
+    assert receiver.is_on(500 * MS)

@@ -1,0 +1,177 @@
+"""Each way a frame can be bad: it holds at that frame, with its reason, and it costs a full dwell or a named person."""
+
+from dataclasses import replace
+
+import pytest
+
+from engine.commands import Acknowledge, Arm, Disarm
+from engine.frames import MeasurementState
+from engine.permits import GateState, HoldReason
+from engine.stages.gate import Interruption, Silence
+from engine.trust import MAX_JUMP_FRAMES
+from tests.gate.constructed import (
+    FRAMES_A_DWELL,
+    LIMITS,
+    MS,
+    PERIOD_NS,
+    Stream,
+    clear_and_arm,
+    motion_of,
+    stream_in,
+    unmeasured,
+)
+from tests.gate.spoiled import FAULTS, HOLDS
+
+DWELL_THEN_ON = [GateState.DWELL] * (FRAMES_A_DWELL - 1) + [GateState.BEAM_ON]
+ARMED = [GateState.HOLD, GateState.DWELL, GateState.BEAM_ON]
+
+
+@pytest.mark.parametrize("state", ARMED, ids=str)
+@pytest.mark.parametrize(("spoil", "reason"), HOLDS.values(), ids=HOLDS)
+def test_a_bad_frame_holds_at_once_and_costs_a_full_dwell(state, spoil, reason):
+    stream = stream_in(state)
+    gate = stream.feed(spoil(stream.upcoming()))
+    assert (gate.state, gate.reason) == (GateState.HOLD, reason)
+    assert stream.good(FRAMES_A_DWELL) == DWELL_THEN_ON
+
+
+@pytest.mark.parametrize("state", [*ARMED, GateState.DISARMED], ids=str)
+@pytest.mark.parametrize(("spoil", "reason"), FAULTS.values(), ids=FAULTS)
+def test_a_frame_that_cannot_be_faults_at_once_and_stays_so_whatever_comes(state, spoil, reason):
+    stream = stream_in(state)
+    gate = stream.feed(spoil(stream.upcoming()))
+    assert (gate.state, gate.reason) == (GateState.FAULT, reason)
+    stream.step(Arm(operator="ann"))
+    stream.step(Disarm(operator="ann"))
+    assert stream.good(20) == [GateState.FAULT] * 20
+
+
+@pytest.mark.parametrize(("spoil", "_reason"), FAULTS.values(), ids=FAULTS)
+def test_after_a_fault_a_person_must_acknowledge_and_arm_and_the_dwell_is_full(spoil, _reason):
+    stream = stream_in(GateState.BEAM_ON)
+    stream.feed(spoil(stream.upcoming()))
+    stream.good(2)
+    assert stream.step(Acknowledge(operator="bob")).state is GateState.DISARMED
+    assert stream.good(8) == [GateState.DISARMED] * 8
+    assert stream.step(Arm(operator="bob")).state is GateState.HOLD
+    assert stream.good(FRAMES_A_DWELL) == DWELL_THEN_ON
+
+
+def test_a_signal_below_the_window_holds():
+    stream = stream_in(GateState.BEAM_ON, level_mm=0.0)
+    gate = stream.feed(replace(stream.upcoming(), motion=motion_of(-1.01)))
+    assert (gate.state, gate.reason) == (GateState.HOLD, HoldReason.OUTSIDE_WINDOW)
+    assert stream.good(FRAMES_A_DWELL) == DWELL_THEN_ON
+
+
+def test_a_step_larger_than_allowed_holds_even_inside_the_window():
+    stream = stream_in(GateState.BEAM_ON)
+    stream.level_mm = 0.49
+    gate = stream.feed()
+    assert (gate.state, gate.reason) == (GateState.HOLD, HoldReason.JUMP)
+    assert stream.good(FRAMES_A_DWELL) == DWELL_THEN_ON
+
+
+def test_the_largest_allowed_step_is_no_jump():
+    stream = stream_in(GateState.BEAM_ON)
+    stream.level_mm = 0.5
+    assert stream.feed().state is GateState.BEAM_ON
+
+
+@pytest.mark.parametrize(("lost_frames", "is_jump"), [(0, True), (1, False)])
+def test_the_allowed_step_grows_with_the_frames_that_went_unmeasured(lost_frames, is_jump):
+    stream = stream_in(GateState.HOLD)
+    for _ in range(lost_frames):
+        stream.feed(unmeasured(stream.upcoming(), MeasurementState.TRAINING))
+    stream.level_mm = -0.5
+    assert (stream.feed().reason is HoldReason.JUMP) is is_jump
+
+
+def test_a_long_loss_is_no_excuse_for_any_step():
+    limits = replace(LIMITS, window=replace(LIMITS.window, upper_mm=30.0))
+    for step_mm, is_jump in [(1.5 * MAX_JUMP_FRAMES, False), (1.5 * MAX_JUMP_FRAMES + 0.1, True)]:
+        stream = stream_in(GateState.HOLD, limits=limits)
+        for _ in range(90):
+            stream.feed(unmeasured(stream.upcoming(), MeasurementState.TRAINING))
+        stream.level_mm += step_mm
+        assert (stream.feed().reason is HoldReason.JUMP) is is_jump
+
+
+@pytest.mark.parametrize(
+    ("age_ns", "state", "reason"),
+    [
+        (60 * MS, GateState.BEAM_ON, None),
+        (60 * MS + 1, GateState.HOLD, HoldReason.FRAME_LATE),
+        (500 * MS, GateState.HOLD, HoldReason.FRAME_LATE),
+        (500 * MS + 1, GateState.FAULT, HoldReason.FRAME_STALE),
+        (-1, GateState.FAULT, HoldReason.CLOCK_BACKWARDS),
+    ],
+)
+def test_a_decision_needs_a_fresh_frame(age_ns, state, reason):
+    gate = stream_in(GateState.BEAM_ON).feed(age_ns=age_ns)
+    assert (gate.state, gate.reason) == (state, reason)
+
+
+def test_a_late_decision_costs_a_full_dwell():
+    stream = stream_in(GateState.BEAM_ON)
+    stream.feed(age_ns=61 * MS)
+    assert stream.good(FRAMES_A_DWELL) == DWELL_THEN_ON
+
+
+def test_a_backlog_in_the_driver_holds_though_each_frame_arrives_fresh():
+    stream = stream_in(GateState.BEAM_ON)
+    slower_ns, states = 7 * MS, []
+    for behind in range(1, 20):
+        frame = stream.upcoming()
+        states.append(stream.feed(replace(frame, received_ns=frame.received_ns + behind * slower_ns)))
+    assert [gate.state for gate in states[:14]] == [GateState.BEAM_ON] * 14
+    assert {(gate.state, gate.reason) for gate in states[14:]} == {(GateState.HOLD, HoldReason.FRAME_LATE)}
+
+
+def test_a_device_clock_that_drifts_as_quartz_does_holds_nothing():
+    stream = stream_in(GateState.BEAM_ON)
+    for frame_number in range(20_000):  # eleven minutes, 0.04 % slow: 267 ms in the end
+        frame = stream.upcoming()
+        drift_ns = int(4e-4 * frame_number * PERIOD_NS)
+        assert stream.feed(replace(frame, received_ns=frame.received_ns + drift_ns)).state is GateState.BEAM_ON
+
+
+@pytest.mark.parametrize(
+    ("silence_ms", "state", "reason"),
+    [
+        (60, GateState.HOLD, HoldReason.FRAME_MISSING),
+        (500, GateState.HOLD, HoldReason.FRAME_MISSING),
+        (501, GateState.FAULT, HoldReason.FRAME_TIMEOUT),
+    ],
+)
+def test_silence_holds_at_once_and_faults_when_it_is_no_hiccup(silence_ms, state, reason):
+    stream = stream_in(GateState.BEAM_ON)
+    last_ns = stream.gate.last.received_ns
+    gate = stream.step(Silence(since_ns=0), last_ns + silence_ms * MS)
+    assert (gate.state, gate.reason) == (state, reason)
+
+
+def test_a_camera_that_has_not_begun_yet_is_waited_for():
+    assert Stream().step(Silence(since_ns=0), 9_000 * MS).state is GateState.DISARMED
+
+
+def test_the_first_cause_of_a_fault_stays_until_somebody_has_seen_it():
+    stream = stream_in(GateState.BEAM_ON)
+    stream.step(Interruption(HoldReason.DISK_LOW, "1 MB left"))
+    since_ns = stream.gate.since_ns
+    stream.good(3)
+    gate = stream.step(Interruption(HoldReason.WATCHDOG))
+    assert (gate.reason, gate.detail, gate.since_ns) == (HoldReason.DISK_LOW, "1 MB left", since_ns)
+
+
+def test_a_device_that_started_its_clock_anew_works_again_after_acknowledgement():
+    stream = stream_in(GateState.BEAM_ON)
+    back_us = 90_000
+    frame = stream.upcoming()
+    stream.feed(replace(frame, timestamp_us=frame.timestamp_us - back_us))
+    clear_and_arm(stream)
+    states = []
+    for _ in range(FRAMES_A_DWELL):
+        frame = stream.upcoming()
+        states.append(stream.feed(replace(frame, timestamp_us=frame.timestamp_us - back_us)).state)
+    assert states == DWELL_THEN_ON

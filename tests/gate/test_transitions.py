@@ -1,0 +1,113 @@
+"""The transition table: every pair of a state and an event kind, as looked up and as reached by real events."""
+
+from dataclasses import replace
+
+import pytest
+
+from engine.commands import Acknowledge, Arm, Disarm
+from engine.frames import MeasurementState
+from engine.permits import GateState, HoldReason
+from engine.stages.gate import TRANSITIONS, Ending, EventKind, Gate, Interruption, Silence, next_state
+from tests.gate.constructed import MS, Stream, motion_of, stream_in, unmeasured
+
+# Written by hand from design.md, not from the code: what each row of the table must say, in this order of kinds.
+KINDS = ["inside", "dwelt", "outside", "unusable", "failure", "arm", "disarm", "acknowledge", "end"]
+EXPECTED = {
+    "disarmed": "disarmed disarmed disarmed disarmed fault hold disarmed disarmed disarmed",
+    "hold": "dwell hold hold hold fault hold disarmed hold disarmed",
+    "dwell": "dwell beam_on hold hold fault hold disarmed hold disarmed",
+    "beam_on": "hold beam_on hold hold fault hold disarmed hold disarmed",
+    "fault": "fault fault fault fault fault fault fault disarmed fault",
+}
+PAIRS = [
+    (GateState(state), EventKind(kind), GateState(to))
+    for state, row in EXPECTED.items()
+    for kind, to in zip(KINDS, row.split(), strict=True)
+]
+
+
+def _named(value: object) -> str:
+    return str(value)
+
+
+def test_the_expectation_covers_every_pair_of_state_and_kind():
+    assert {(state, kind) for state, kind, _ in PAIRS} == {(state, kind) for state in GateState for kind in EventKind}
+
+
+@pytest.mark.parametrize(("state", "kind", "expected"), PAIRS, ids=_named)
+def test_every_pair_of_state_and_event_leads_where_the_design_says(state, kind, expected):
+    assert next_state(state, kind) is expected
+
+
+def test_a_pair_that_is_not_in_the_table_is_hold_or_stays_where_no_beam_can_be():
+    for state in GateState:
+        for kind in set(EventKind) - {known for known_state, known in TRANSITIONS if known_state is state}:
+            stays = state in {GateState.DISARMED, GateState.FAULT}
+            assert next_state(state, kind) is (state if stays else GateState.HOLD)
+
+
+def test_only_dwell_and_beam_on_itself_lead_to_beam_on():
+    sources = {state for (state, _), to in TRANSITIONS.items() if to is GateState.BEAM_ON}
+    assert sources == {GateState.DWELL, GateState.BEAM_ON}
+    assert {kind for (_, kind), to in TRANSITIONS.items() if to is GateState.BEAM_ON} == {EventKind.DWELT}
+
+
+def _feed_inside(stream: Stream) -> Gate:
+    return stream.feed()
+
+
+def _feed_outside(stream: Stream) -> Gate:
+    return stream.feed(replace(stream.upcoming(), motion=motion_of(3.2)))
+
+
+def _feed_unusable(stream: Stream) -> Gate:
+    return stream.feed(unmeasured(stream.upcoming(), MeasurementState.TRAINING))
+
+
+def _be_silent(stream: Stream) -> Gate:
+    return stream.step(Silence(since_ns=0), stream.now_ns + 60 * MS)
+
+
+REAL_EVENTS = {
+    "outside": [("a frame outside", _feed_outside)],
+    "unusable": [
+        ("a training frame", _feed_unusable),
+        ("silence", _be_silent),
+        ("a hold from elsewhere", lambda stream: stream.step(Interruption(HoldReason.MODEL_MISSING))),
+    ],
+    "failure": [("a fault", lambda stream: stream.step(Interruption(HoldReason.DISK_LOW)))],
+    "arm": [("arm", lambda stream: stream.step(Arm(operator="ann")))],
+    "disarm": [("disarm", lambda stream: stream.step(Disarm(operator="ann")))],
+    "acknowledge": [("acknowledge", lambda stream: stream.step(Acknowledge(operator="ann")))],
+    "end": [("the end", lambda stream: stream.step(Ending(HoldReason.SOURCE_ENDED)))],
+}
+REAL_PAIRS = [
+    pytest.param(state, make, GateState(row.split()[KINDS.index(kind)]), id=f"{state}-{name}")
+    for state, row in EXPECTED.items()
+    for kind, makers in REAL_EVENTS.items()
+    for name, make in makers
+]
+
+
+@pytest.mark.parametrize(("state", "make", "expected"), REAL_PAIRS)
+def test_a_real_event_in_a_gate_that_really_got_there_leads_where_the_design_says(state, make, expected):
+    assert make(stream_in(GateState(state))).state is expected
+
+
+@pytest.mark.parametrize(
+    ("state", "expected"),
+    [("disarmed", "disarmed"), ("hold", "dwell"), ("dwell", "dwell"), ("beam_on", "beam_on"), ("fault", "fault")],
+)
+def test_a_good_frame_inside_leads_one_step_further_and_never_straight_to_the_beam(state, expected):
+    assert _feed_inside(stream_in(GateState(state))).state is GateState(expected)
+
+
+def test_something_that_is_no_event_faults_as_unknown():
+    gate = stream_in(GateState.BEAM_ON).step("turn on")
+    assert (gate.state, gate.reason) == (GateState.FAULT, HoldReason.UNKNOWN)
+
+
+@pytest.mark.parametrize("state", GateState, ids=_named)
+def test_a_reason_to_hold_is_given_in_every_state_but_beam_on(state):
+    gate = stream_in(state).gate
+    assert (gate.reason is None) is (state is GateState.BEAM_ON)

@@ -1,0 +1,136 @@
+"""The loop believes only what the line reads back, and a hold that came meanwhile always wins."""
+
+import pytest
+
+from engine.clock import ManualClock
+from engine.driver import BeamDriver
+from engine.errors import BeamLineError
+from engine.permits import GateState, HoldReason
+from tests.gate.constructed import LIMITS, MS, stream_in
+from tests.loop.fakes import WatchedBeamLine, good
+from tests.loop.test_decisions import ON_AT, armed_bench
+
+
+class Refusing(WatchedBeamLine):
+    """Refuses its third permit."""
+
+    def permit(self, lease):
+        if lease.sequence == 3:
+            raise BeamLineError("no")
+        super().permit(lease)
+
+
+class Deaf(WatchedBeamLine):
+    """Takes the third permit, and stays off."""
+
+    def permit(self, lease):
+        if lease.sequence == 3:
+            self.hold(HoldReason.DWELL)
+            return
+        super().permit(lease)
+
+
+class Mute(WatchedBeamLine):
+    """Does not answer after the third permit."""
+
+    is_mute = False
+
+    def permit(self, lease):
+        super().permit(lease)
+        self.is_mute |= lease.sequence == 3
+
+    def is_on(self):
+        if self.is_mute:
+            raise BeamLineError("no answer")
+        return super().is_on()
+
+
+@pytest.mark.parametrize("line", [Refusing, Deaf, Mute])
+def test_a_line_that_does_not_do_as_told_is_held_and_faults(line):
+    bench = armed_bench([good] * 10, beam=line).run()
+    records = bench.records()
+    assert [record.line_on for record in records[ON_AT : ON_AT + 2]] == [True, True]
+    assert {record.gate_state for record in records[ON_AT + 2 :]} == {GateState.FAULT}
+    assert records[ON_AT + 2].hold_reason is HoldReason.BEAM_LINE_FAILED
+    assert len([lease for lease in bench.beam.permits if lease.sequence > 3]) == 0
+    bench.beam.is_mute = False
+    assert not bench.beam.is_on()
+
+
+def test_a_line_that_does_not_answer_is_told_of_as_perhaps_on():
+    bench = armed_bench([good] * 10, beam=Mute).run()
+    assert bench.records()[ON_AT + 3].line_on
+
+
+class Stuck(WatchedBeamLine):
+    """Reads back as on, whatever is told, once it was."""
+
+    was_on = False
+
+    def is_on(self):
+        self.was_on |= super().is_on()
+        return self.was_on
+
+
+def test_a_line_that_stays_on_though_held_faults():
+    bench = armed_bench([good] * 10, beam=Stuck)
+    bench.pipeline.spoil[ON_AT + 1] = _outside
+    records = bench.run().records()
+    assert (records[ON_AT + 1].gate_state, records[ON_AT + 1].hold_reason) == (
+        GateState.FAULT,
+        HoldReason.BEAM_LINE_FAILED,
+    )
+    assert records[ON_AT + 1].line_on
+
+
+def _outside(frame):
+    from dataclasses import replace
+
+    from tests.gate.constructed import motion_of
+
+    return replace(frame, motion=motion_of(3.2))
+
+
+def test_the_watchdog_wins_against_a_permit_that_was_decided_before_it_held():
+    bench = armed_bench([good] * 10)
+
+    def interfere(lease):
+        if lease.sequence == 3:
+            bench.watchdog._armed_since_ns = 0
+            assert bench.watchdog.check(bench.clock.now_ns())
+
+    bench.beam.before_permit = interfere
+    records = bench.run().records()
+    assert [record.line_on for record in records[ON_AT : ON_AT + 3]] == [True, True, False]
+    assert (records[ON_AT + 2].gate_state, records[ON_AT + 2].hold_reason) == (GateState.FAULT, HoldReason.WATCHDOG)
+    assert [change.to_state for change in bench.transitions()].count(GateState.FAULT) == 1
+    assert len(bench.beam.permits) == 2
+
+
+def test_a_decision_that_outlived_its_lease_is_not_carried_out():
+    bench = armed_bench([good] * 12)
+    clock, waits = bench.clock, iter([0, 0, 80])
+
+    def dawdle(_lease):
+        clock.advance_ns(next(waits, 0) * MS)
+
+    bench.beam.before_permit = dawdle
+    records = bench.run().records()
+    late = records[ON_AT + 2]
+    assert (late.gate_state, late.hold_reason, late.line_on) == (GateState.HOLD, HoldReason.FRAME_LATE, False)
+    assert len(bench.beam.edges) >= 2
+    assert bench.beam.edges[1].is_on is False
+
+
+def test_a_line_is_not_even_asked_once_the_lease_it_would_get_has_ended():
+    class Gullible(WatchedBeamLine):
+        def permit(self, lease):
+            self.permits.append(lease)
+
+    clock = ManualClock(0)
+    line = Gullible(clock)
+    gate = stream_in(GateState.BEAM_ON).gate
+    clock.advance_ns(gate.last.received_ns + 80 * MS)
+    report = BeamDriver(beam=line, clock=clock, limits=LIMITS).carry_out(gate, clock.now_ns())
+    assert (report.is_on, report.trouble.reason) == (False, HoldReason.FRAME_LATE)
+    assert line.permits == []

@@ -1,0 +1,159 @@
+"""The watchdog: stepped without a thread, and with real threads against a source that hangs as a driver does."""
+
+import queue
+
+import pytest
+
+from engine.beam.simulated import SimulatedBeamLine
+from engine.clock import ManualClock, MonotonicClock
+from engine.commands import Acknowledge, Arm, Disarm
+from engine.errors import BeamLineError
+from engine.live import GateTransition
+from engine.loop import EngineLoop
+from engine.permits import GateState, HoldReason, Lease
+from engine.watchdog import Watchdog
+from tests.loop.fakes import ToldPipeline, drained
+from tests.loop.paced import PATIENT_LIMITS, PacedSource
+
+MS = 1_000_000
+DEADLINE_NS = 100 * MS
+
+
+def _watched() -> tuple[Watchdog, SimulatedBeamLine, ManualClock, list[int]]:
+    clock = ManualClock(1_000 * MS)
+    line = SimulatedBeamLine(clock)
+    line.open()
+    line.rearm()
+    watchdog, fired = Watchdog(beam=line, clock=clock, deadline_ns=DEADLINE_NS), []
+    watchdog.on_fired = fired.append
+    line.permit(Lease(granted_ns=clock.now_ns(), expires_ns=clock.now_ns() + 200 * MS, sequence=1))
+    watchdog.feed(clock.now_ns(), is_armed=True)
+    return watchdog, line, clock, fired
+
+
+def test_it_holds_just_after_its_deadline_and_says_so_once():
+    watchdog, line, clock, fired = _watched()
+    clock.advance_ns(DEADLINE_NS)
+    assert not watchdog.check(clock.now_ns())
+    assert line.is_on()
+    clock.advance_ns(1)
+    assert watchdog.check(clock.now_ns())
+    assert not line.is_on()
+    assert line.edges[-1].reason is HoldReason.WATCHDOG
+    assert watchdog.check(clock.now_ns())
+    assert fired == [clock.now_ns()]
+
+
+def test_each_decision_begins_the_deadline_anew():
+    watchdog, line, clock, _ = _watched()
+    for _ in range(3):
+        clock.advance_ns(60 * MS)
+        watchdog.feed(clock.now_ns(), is_armed=True)
+        assert not watchdog.check(clock.now_ns())
+    assert not watchdog.has_fired
+    assert line.edges[0].is_on
+
+
+def test_a_disarmed_gate_needs_no_watching():
+    watchdog, _, clock, _ = _watched()
+    watchdog.feed(clock.now_ns(), is_armed=False)
+    clock.advance_ns(10 * DEADLINE_NS)
+    assert not watchdog.check(clock.now_ns())
+
+
+def test_once_it_has_fired_no_feeding_and_no_permit_brings_the_beam_back():
+    watchdog, line, clock, _ = _watched()
+    clock.advance_ns(DEADLINE_NS + 1)
+    watchdog.check(clock.now_ns())
+    clock.advance_ns(MS)
+    watchdog.feed(clock.now_ns(), is_armed=True)
+    assert watchdog.has_fired
+    with pytest.raises(BeamLineError, match="latched"):
+        line.permit(Lease(granted_ns=clock.now_ns(), expires_ns=clock.now_ns() + MS, sequence=2))
+    watchdog.reset()
+    with pytest.raises(BeamLineError, match="latched"):
+        line.permit(Lease(granted_ns=clock.now_ns(), expires_ns=clock.now_ns() + MS, sequence=3))
+
+
+def test_it_marks_itself_before_it_holds_so_that_an_arming_engine_sees_one_or_the_other():
+    seen = []
+
+    class Noting(SimulatedBeamLine):
+        def hold(self, reason):
+            seen.append(watchdog.has_fired)
+            super().hold(reason)
+
+    clock = ManualClock(0)
+    watchdog = Watchdog(beam=Noting(clock), clock=clock, deadline_ns=DEADLINE_NS)
+    watchdog.feed(0, is_armed=True)
+    watchdog.check(DEADLINE_NS + 1)
+    assert seen == [True]
+
+
+def _wait_for(transitions: "queue.Queue[GateTransition]", state: GateState) -> GateTransition:
+    while True:
+        change = transitions.get(timeout=20.0)
+        if change.to_state is state:
+            return change
+
+
+@pytest.fixture
+def running():
+    """A real engine with real threads, armed and on, and the source to hang it with."""
+    clock = MonotonicClock()
+    source, line = PacedSource(clock), SimulatedBeamLine(clock)
+    loop = EngineLoop(source=source, pipeline=ToldPipeline(clock), beam=line, limits=PATIENT_LIMITS, clock=clock)
+    loop.start()
+    while loop.latest is None:
+        loop.samples.get(timeout=20.0)
+    loop.submit(Arm(operator="ann")).result(timeout=20.0)
+    _wait_for(loop.transitions, GateState.BEAM_ON)
+    yield loop, source, line
+    source.released.set()
+    assert loop.stop(timeout_s=20.0)
+
+
+def test_a_source_that_hangs_in_its_driver_ends_in_beam_off_and_a_told_fault(running):
+    loop, source, line = running
+    source.hangs.set()
+    fault = _wait_for(loop.transitions, GateState.FAULT)
+    assert source.is_hanging.is_set()
+    assert (fault.reason, fault.from_state) == (HoldReason.WATCHDOG, GateState.BEAM_ON)
+    assert not line.is_on()
+    view = loop.latest
+    assert (view.record.gate_state, view.record.hold_reason) == (GateState.FAULT, HoldReason.WATCHDOG)
+    assert (view.is_armed, view.record.line_on) == (False, False)
+    assert loop.latest is view  # readers tell news by identity: a hung engine has none
+
+
+def test_an_engine_that_comes_back_stays_faulted_until_acknowledged_and_armed(running):
+    loop, source, line = running
+    source.hangs.set()
+    _wait_for(loop.transitions, GateState.FAULT)
+    source.hangs.clear()
+    source.released.set()
+    drained(loop.samples)
+    states = [loop.samples.get(timeout=20.0).gate_state for _ in range(8)]
+    assert set(states) == {GateState.FAULT}
+    assert drained(loop.transitions) == []  # told once, by the watchdog
+    assert not line.is_on()
+    loop.submit(Acknowledge(operator="bob")).result(timeout=20.0)
+    assert _wait_for(loop.transitions, GateState.DISARMED).operator == "bob"
+    loop.submit(Arm(operator="bob")).result(timeout=20.0)
+    _wait_for(loop.transitions, GateState.BEAM_ON)
+    assert line.is_on()
+    loop.submit(Disarm(operator="bob")).result(timeout=20.0)
+    assert not line.is_on()
+
+
+def test_stopping_a_hung_engine_latches_the_line_and_says_that_it_hangs(running):
+    loop, source, line = running
+    source.hangs.set()
+    assert source.is_hanging.wait(20.0)
+    waiting = loop.submit(Disarm(operator="ann"))
+    assert loop.stop(timeout_s=0.0) is False
+    assert not line.is_on()
+    assert waiting.result(timeout=20.0) is None
+    now_ns = MonotonicClock().now_ns()
+    with pytest.raises(BeamLineError, match="latched"):
+        line.permit(Lease(granted_ns=now_ns, expires_ns=now_ns + MS, sequence=10**9))

@@ -1,0 +1,207 @@
+"""The audit chain: every change and refusal in it, nothing taken out, and every edit found."""
+
+import sqlite3
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from engine.permits import GateState, HoldReason
+from service import audit
+from service.audit import Event
+from service.db.engine import Database
+from tests.service.conftest import act, audit_rows, eventually, upload
+
+TRIGGERS = ("audit_no_update", "audit_no_delete", "audit_only_next")
+
+
+@pytest.fixture
+def database(tmp_path):
+    database = Database(tmp_path / "audit.db")
+    database.migrate()
+    with database.write() as db:
+        for number in range(1, 8):
+            audit.append(db, Event(actor="me", action="test", detail={"number": number, "text": "Grüße ☢"}))
+    yield database
+    database.close()
+
+
+@pytest.fixture
+def raw(database):
+    connection = sqlite3.connect(database.path)
+    yield connection
+    connection.close()
+
+
+def verified(database):
+    with database.read() as db:
+        return audit.verify(db)
+
+
+def test_an_untouched_chain_holds(database):
+    found = verified(database)
+    assert (found.rows, found.first_broken_sequence) == (7, None)
+    assert len(found.head_hash) == 64
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE audit SET actor = 'you' WHERE sequence = 3",
+        "UPDATE audit SET hash = hash",
+        "DELETE FROM audit WHERE sequence = 7",
+        "DELETE FROM audit",
+        "INSERT OR REPLACE INTO audit SELECT sequence, at, 'you', action, outcome, session_id, detail, previous_hash, "
+        "hash FROM audit WHERE sequence = 3",
+        "INSERT INTO audit SELECT 99, at, actor, action, outcome, session_id, detail, previous_hash, hash FROM audit "
+        "WHERE sequence = 3",
+    ],
+)
+def test_the_database_refuses_to_change_the_log(database, raw, statement):
+    with pytest.raises(sqlite3.IntegrityError, match="audit log"):
+        raw.execute(statement)
+    raw.rollback()
+    assert verified(database).rows == 7
+
+
+@pytest.mark.parametrize(
+    "statement",
+    ["UPDATE samples SET whole_mm = 0", "DELETE FROM samples", "INSERT OR REPLACE INTO samples SELECT * FROM samples"],
+)
+def test_the_database_refuses_to_change_samples(client, session_id, running, settings, statement):
+    running.frame()
+    act(client, session_id, "stop")
+    connection = sqlite3.connect(settings.data_dir / "tidegate.db")
+    with pytest.raises(sqlite3.IntegrityError, match="samples"):
+        connection.execute(statement)
+    connection.close()
+
+
+@pytest.mark.parametrize("sequence", [1, 4, 7])
+@pytest.mark.parametrize(
+    "column", ["at", "actor", "action", "outcome", "session_id", "detail", "previous_hash", "hash"]
+)
+def test_an_edited_row_is_named(database, raw, sequence, column):
+    for trigger in TRIGGERS:
+        raw.execute(f"DROP TRIGGER {trigger}")
+    raw.execute(f"UPDATE audit SET {column} = 'x' || substr({column} || 'yz', 2) WHERE sequence = ?", (sequence,))
+    if column == "session_id":
+        raw.execute("UPDATE audit SET session_id = 'somebody else' WHERE sequence = ?", (sequence,))
+    raw.commit()
+    assert verified(database).first_broken_sequence == sequence
+
+
+def test_an_edited_row_with_a_new_seal_breaks_the_next_one(database, raw):
+    for trigger in TRIGGERS:
+        raw.execute(f"DROP TRIGGER {trigger}")
+    with database.write() as db:
+        row = db.get(audit.AuditRow, 3)
+        row.actor = "you"
+        row.hash = audit.seal(row)
+    assert verified(database).first_broken_sequence == 4
+
+
+@pytest.mark.parametrize(("removed", "broken"), [(1, 2), (4, 5), (6, 7)])
+def test_a_removed_row_is_noticed_at_the_next_one(database, raw, removed, broken):
+    raw.execute("DROP TRIGGER audit_no_delete")
+    raw.execute("DELETE FROM audit WHERE sequence = ?", (removed,))
+    raw.commit()
+    found = verified(database)
+    assert found.first_broken_sequence == broken
+    assert found.detail == f"row {removed} is missing before row {broken}"
+
+
+def test_two_rows_that_changed_places_are_noticed(database, raw):
+    for trigger in TRIGGERS:
+        raw.execute(f"DROP TRIGGER {trigger}")
+    for old, new in ((3, -1), (4, 3), (-1, 4)):
+        raw.execute("UPDATE audit SET sequence = ? WHERE sequence = ?", (new, old))
+    raw.commit()
+    assert verified(database).first_broken_sequence == 3
+
+
+@given(st.dictionaries(st.text(max_size=8), st.none() | st.booleans() | st.integers() | st.text(max_size=8)))
+def test_canonical_json_is_one_text_for_one_value(detail):
+    turned = dict(reversed(detail.items()))
+    assert audit.canonical_json(detail) == audit.canonical_json(turned)
+
+
+def test_a_broken_chain_is_told_over_http(client, settings):
+    connection = sqlite3.connect(settings.data_dir / "tidegate.db")
+    connection.execute("DROP TRIGGER audit_no_update")
+    connection.execute("UPDATE audit SET actor = 'you' WHERE sequence = 1")
+    connection.commit()
+    connection.close()
+    found = client.get("/api/v1/audit/verify").json()
+    assert (found["is_intact"], found["first_broken_sequence"]) == (False, 1)
+
+
+def test_a_whole_treatment_can_be_read_from_the_audit(client, session_id, running):
+    running.frame()
+    for action in ("reference", "arm", "disarm", "acknowledge", "models/retrain", "stop"):
+        act(client, session_id, action)
+    rows = audit_rows(client)
+    told = [(row["action"], row["outcome"]) for row in rows if row["action"] != "gate.transition"]
+    assert told == [
+        ("service.start", "done"),
+        ("calibration.upload", "done"),
+        ("session.create", "done"),
+        ("session.start", "done"),
+        ("session.reference", "requested"),
+        ("session.reference", "done"),
+        ("session.arm", "requested"),
+        ("session.arm", "done"),
+        ("session.disarm", "done"),
+        ("session.acknowledge", "requested"),
+        ("session.acknowledge", "done"),
+        ("model.retrain", "requested"),
+        ("model.retrain", "done"),
+        ("session.stop", "done"),
+        ("session.close", "done"),
+    ]
+    assert [row["sequence"] for row in rows] == list(range(1, len(rows) + 1))
+    assert client.get("/api/v1/audit/verify").json()["is_intact"]
+
+
+def test_the_audit_says_loudly_that_the_beam_line_is_simulated(client, session_id, running):
+    for action in ("session.create", "session.start"):
+        assert "SIMULATED" in audit_rows(client, action)[0]["detail"]["beam_line"]
+    assert audit_rows(client, "service.start")[0]["detail"]["is_simulated_beam"] is True
+
+
+def test_a_transition_is_audited_with_its_person_and_its_times(client, session_id, running):
+    running.transition(GateState.FAULT, HoldReason.WATCHDOG, operator="C. Nurse")
+    eventually(lambda: audit_rows(client, "gate.transition"))
+    (row,) = audit_rows(client, "gate.transition")
+    assert (row["actor"], row["session_id"]) == ("C. Nurse", session_id)
+    assert row["detail"] == {
+        "from_state": "disarmed",
+        "to_state": "fault",
+        "reason": "watchdog",
+        "operator": "C. Nurse",
+        "detail": "test",
+        "frame_index": 3,
+        "captured_us": 100,
+        "received_ns": 1_999_999_997,
+        "decided_ns": 2_000_000_000,
+        "asserted_ns": 2_000_000_003,
+    }
+
+
+def test_the_audit_is_filtered_by_session_and_paged(client, session_id, calibration_text):
+    act(client, session_id, "stop")
+    upload(client, calibration_text)
+    page = client.get("/api/v1/audit", params={"session_id": session_id}).json()
+    assert [row["action"] for row in page["items"]] == ["session.stop", "session.create"]
+    first = client.get("/api/v1/audit", params={"limit": 2}).json()
+    rest = client.get("/api/v1/audit", params={"cursor": first["next_cursor"]}).json()
+    assert [row["sequence"] for row in first["items"] + rest["items"]] == [5, 4, 3, 2, 1]
+    assert rest["next_cursor"] is None
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("session_id", "zzz"), ("cursor", "-1"), ("cursor", "9" * 40), ("limit", 0)]
+)
+def test_a_bad_question_to_the_audit_is_refused(client, name, value):
+    answer = client.get("/api/v1/audit", params={name: value})
+    assert (answer.status_code, answer.json()["field"]) == (422, name)

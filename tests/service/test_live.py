@@ -1,0 +1,293 @@
+"""The live stream: the newest frame, to everyone, as docs/architecture.md shows it."""
+
+import json
+import re
+from datetime import datetime
+from pathlib import Path
+
+import anyio
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from jsonschema import Draft202012Validator
+from starlette.websockets import WebSocketDisconnect
+
+from engine.frames import Markers, TrainingProgress
+from engine.permits import GateState, HoldReason
+from service.app import create_app
+from service.hold_texts import HOLD_TEXTS, hold_text
+from service.live_messages import LIVE_MESSAGE, Sample
+from service.live_view import live_sample
+from service.ports import SessionPlan
+from service.schemas import RecordingSource, Window
+from service.ws import live
+from tests.service.conftest import WINDOW, act, make_calibration
+from tests.service.fakes import FakeRunning
+
+ROOT = Path(__file__).parents[2]
+SCHEMA = Draft202012Validator(json.loads((ROOT / "openapi" / "live.schema.json").read_text()))
+
+
+@pytest.fixture
+def plan():
+    return SessionPlan(
+        session_id="0" * 32,
+        source=RecordingSource(kind="recording", path="a.oni"),
+        recording=None,
+        calibration=make_calibration(),
+        window=Window.model_validate(WINDOW),
+    )
+
+
+def view_of(plan, **options):
+    running = FakeRunning(plan)
+    running.frame(**options)
+    return running.latest
+
+
+def message_of(view, plan):
+    sample = live_sample(view, plan, is_stopping=False, is_simulated_beam=True)
+    return json.loads(sample.model_dump_json())
+
+
+def next_of(socket, kind):
+    while True:
+        message = socket.receive_json()
+        SCHEMA.validate(message)
+        if message["type"] == kind:
+            return message
+
+
+def test_the_stream_says_hello_and_is_idle_while_no_session_runs(client):
+    with client.websocket_connect("/api/v1/live") as socket:
+        assert socket.receive_json() == {"type": "hello", "schema": "tidegate.live/1", "version": "0.1.0"}
+        first, second = socket.receive_json(), socket.receive_json()
+    assert first["type"] == second["type"] == "idle"
+    between = datetime.fromisoformat(second["sent_at"]) - datetime.fromisoformat(first["sent_at"])
+    assert between.total_seconds() >= 0.45
+
+
+def test_a_running_session_sends_its_newest_frame_once(client, session_id, running):
+    with client.websocket_connect("/api/v1/live") as socket:
+        next_of(socket, "idle")
+        running.frame()
+        first = next_of(socket, "sample")
+        running.frame(whole_mm=2.0)
+        second = next_of(socket, "sample")
+    assert (first["sequence"], first["frame_index"], first["whole_mm"]) == (0, 0, 1.5)
+    assert (second["sequence"], second["frame_index"], second["whole_mm"]) == (1, 1, 2.0)
+    assert first["session_id"] == session_id
+    assert first["is_simulated_beam"] is True
+    assert first["age_ms"] > 0
+    assert first["sent_at"].endswith("Z")
+
+
+def test_a_frame_is_not_sent_twice(client, session_id, running):
+    running.frame()
+    with client.websocket_connect("/api/v1/live") as socket:
+        assert next_of(socket, "sample")["frame_index"] == 0
+        act(client, session_id, "stop")
+        assert socket.receive_json()["type"] == "idle"
+
+
+def test_a_client_that_comes_late_gets_the_newest_frame_only(client, running):
+    for _ in range(5):
+        running.frame()
+    with client.websocket_connect("/api/v1/live") as socket:
+        assert next_of(socket, "sample")["frame_index"] == 4
+
+
+def test_after_the_end_the_stream_is_idle_again(client, session_id, running):
+    running.frame()
+    with client.websocket_connect("/api/v1/live") as socket:
+        next_of(socket, "sample")
+        act(client, session_id, "stop")
+        next_of(socket, "idle")
+
+
+def test_a_sample_has_exactly_the_fields_of_the_architecture_page():
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    block = text[text.index('{"type": "sample"') :]
+    block = block[: block.index("```")]
+    assert set(re.findall(r'"([a-z0-9_]+)":', re.sub(r"//.*", "", block))) - {"last", "p50", "p99"} >= (
+        Sample.model_fields.keys()
+    )
+    for name in Sample.model_fields:
+        assert f'"{name}"' in block
+
+
+def test_what_could_not_be_measured_is_null(plan):
+    message = message_of(view_of(plan, whole_mm=None), plan)
+    SCHEMA.validate(message)
+    names = ("signal_mm", "whole_mm", "thorax_mm", "abdomen_mm", "volume_l", "residual_mm", "valid_share", "regions_mm")
+    assert {name: message[name] for name in names} == dict.fromkeys(names)
+    assert message["lost"] == {"reason": "marker_lost", "detail": "test"}
+    assert message["roi_px"] is None
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
+def test_what_is_no_number_is_null(plan, value):
+    message = message_of(view_of(plan, whole_mm=value), plan)
+    SCHEMA.validate(message)
+    assert message["whole_mm"] is None
+    assert message["signal_mm"] is None
+
+
+def test_regions_and_corners_go_out_in_order(plan):
+    view = view_of(plan)
+    corners = np.array([[10.0, 20.0], [30.0, 21.0], [31.0, 60.0], [9.0, 61.5]])
+    object.__setattr__(view.record.measurement, "markers", Markers(centers_px=corners))
+    message = message_of(view, plan)
+    assert message["roi_px"] == corners.tolist()
+    assert (len(message["regions_mm"]), len(message["regions_mm"][0])) == (14, 8)
+    assert message["regions_mm"][0][:2] == [None, 1.5]
+    assert message["window"] == {name: value for name, value in WINDOW.items() if name != "dwell_ms"} | {
+        "row": None,
+        "column": None,
+    }
+
+
+def test_training_is_told(plan):
+    view = view_of(plan)
+    progress = TrainingProgress(frames=10, cycles=1, seconds=3.0, share=0.3, note="breathe on")
+    object.__setattr__(view.record.measurement, "training", progress)
+    assert message_of(view, plan)["training"] == {
+        "frames": 10,
+        "cycles": 1,
+        "seconds": 3.0,
+        "share": 0.3,
+        "note": "breathe on",
+    }
+
+
+@pytest.mark.parametrize("state", list(GateState))
+def test_every_gate_state_is_in_the_contract(plan, state):
+    running = FakeRunning(plan)
+    running.gate = state
+    running.frame()
+    message = message_of(running.latest, plan)
+    SCHEMA.validate(message)
+    assert message["gate"] == state.value
+
+
+def test_every_reason_has_words():
+    assert set(HOLD_TEXTS) == set(HoldReason)
+    assert len(set(HOLD_TEXTS.values())) == len(HOLD_TEXTS)
+    assert hold_text(None) is None
+
+
+@pytest.mark.parametrize(
+    ("origin", "is_welcome"),
+    [
+        (None, True),
+        ("http://testserver", True),
+        ("https://testserver", True),
+        ("http://evil.example", False),
+        ("http://testserver.evil.example", False),
+        ("http://testserver:81", False),
+        ("null", False),
+        ("", False),
+    ],
+)
+def test_only_our_own_page_may_open_the_stream(client, origin, is_welcome):
+    headers = {} if origin is None else {"Origin": origin}
+    if is_welcome:
+        with client.websocket_connect("/api/v1/live", headers=headers) as socket:
+            assert socket.receive_json()["type"] == "hello"
+    else:
+        with pytest.raises(WebSocketDisconnect) as refused, client.websocket_connect("/api/v1/live", headers=headers):
+            pass
+        assert refused.value.code == 1008
+
+
+def test_a_host_that_is_not_ours_gets_no_stream(client):
+    with (
+        pytest.raises(WebSocketDisconnect) as refused,
+        client.websocket_connect("/api/v1/live", headers={"Host": "evil.example"}),
+    ):
+        pass
+    assert refused.value.code == 1008
+
+
+def test_the_number_of_clients_is_bounded_and_places_come_free(settings, engine):
+    few = settings.model_copy(update={"max_live_clients": 1})
+    with TestClient(create_app(few, lambda _settings: engine)) as client:
+        with client.websocket_connect("/api/v1/live") as first:
+            assert first.receive_json()["type"] == "hello"
+            with client.websocket_connect("/api/v1/live") as second, pytest.raises(WebSocketDisconnect) as refused:
+                second.receive_json()
+            assert refused.value.code == 1013
+        with client.websocket_connect("/api/v1/live") as third:
+            assert third.receive_json()["type"] == "hello"
+
+
+def test_what_a_client_says_changes_nothing(client, running):
+    with client.websocket_connect("/api/v1/live") as socket:
+        for text in ('{"type": "arm"}', "x" * 1000):
+            socket.send_text(text)
+        socket.send_bytes(b"\x00")
+        running.frame()
+        assert next_of(socket, "sample")["frame_index"] == 0
+    assert running.commands == []
+
+
+def test_a_stuck_client_is_let_go_and_holds_nobody_up(monkeypatch):
+    monkeypatch.setattr(live, "SEND_TIMEOUT_S", 0.05)
+
+    class StuckSocket:
+        async def send_text(self, _text):
+            await anyio.sleep_forever()
+
+        async def receive(self):
+            await anyio.sleep_forever()
+
+    async def feed():
+        with anyio.fail_after(5):
+            await live._feed_until_gone(StuckSocket(), runner=None)
+
+    anyio.run(feed)
+
+
+def test_a_slow_client_skips_frames(plan):
+    class Runner:
+        made = 0
+
+        def newest(self):
+            self.made += 1
+            view = view_of(plan, whole_mm=float(self.made))
+            message = live_sample(view, plan, is_stopping=False, is_simulated_beam=True)
+            return type("Frame", (), {"message": message, "received_ns": 0})()
+
+        def now_ns(self):
+            return 0
+
+    runner = Runner()
+    sent = []
+
+    class SlowSocket:
+        async def send_text(self, text):
+            sent.append(json.loads(text))
+            runner.made += 10  # ten frames come while this one is on its way
+            if len(sent) == 4:
+                raise WebSocketDisconnect
+
+        async def receive(self):
+            await anyio.sleep_forever()
+
+    async def feed():
+        await live._feed_until_gone(SlowSocket(), runner)
+
+    anyio.run(feed)
+    assert [message.get("whole_mm") for message in sent] == [None, 11.0, 22.0, 33.0]
+
+
+def test_the_schema_in_the_repository_takes_every_kind_of_message(plan):
+    for message in (
+        {"type": "hello", "schema": "tidegate.live/1", "version": "1"},
+        {"type": "idle", "sent_at": "2026-11-21T03:00:00Z"},
+        message_of(view_of(plan), plan),
+    ):
+        SCHEMA.validate(message)
+        LIVE_MESSAGE.validate_python(message)
+    assert not SCHEMA.is_valid({"type": "sample"})
+    assert not SCHEMA.is_valid(message_of(view_of(plan), plan) | {"surprise": 1})

@@ -1,0 +1,82 @@
+"""The contracts in the repository are the application's, complete, and hold what they promise."""
+
+from pathlib import Path
+
+import pytest
+
+from service.app import create_app
+from service.openapi import contract_files
+from service.settings import Settings
+
+ROOT = Path(__file__).parents[2]
+APP = create_app(Settings())
+DOCUMENT = APP.openapi()
+OPERATIONS = [
+    (method, path, operation) for path, item in DOCUMENT["paths"].items() for method, operation in item.items()
+]
+POSTS = {
+    "/api/v1/calibrations",
+    "/api/v1/sessions",
+    "/api/v1/sessions/{session_id}/start",
+    "/api/v1/sessions/{session_id}/arm",
+    "/api/v1/sessions/{session_id}/disarm",
+    "/api/v1/sessions/{session_id}/reference",
+    "/api/v1/sessions/{session_id}/acknowledge",
+    "/api/v1/sessions/{session_id}/stop",
+    "/api/v1/sessions/{session_id}/models/retrain",
+    "/api/v1/models/{model_id}/activate",
+}
+
+
+@pytest.mark.parametrize("name", ["openapi.json", "live.schema.json"])
+def test_the_committed_contract_is_the_application_s(name):
+    committed = (ROOT / "openapi" / name).read_text(encoding="utf-8")
+    assert contract_files(APP)[name] == committed, "run `tidegate openapi --out openapi/` and look at what changed"
+
+
+def test_these_are_all_the_calls_that_change_something():
+    assert {path for method, path, _ in OPERATIONS if method != "get"} == POSTS
+    assert {method for method, _, _ in OPERATIONS} == {"get", "post"}
+
+
+@pytest.mark.parametrize(("method", "path", "operation"), OPERATIONS, ids=lambda part: str(part)[:50])
+def test_every_route_is_described_with_its_problems(method, path, operation):
+    assert operation["summary"]
+    assert operation["description"]
+    statuses = set(operation["responses"])
+    if method == "post":
+        assert statuses >= {"409", "413", "415", "422", "503"}
+    if "{" in path:
+        assert statuses >= {"404", "422"}
+    for status, response in operation["responses"].items():
+        if status.startswith("4"):
+            assert set(response["content"]) == {"application/problem+json"}
+
+
+def test_every_reference_leads_somewhere():
+    def references(value):
+        if isinstance(value, dict):
+            for key, part in value.items():
+                if key == "$ref":
+                    yield part
+                else:
+                    yield from references(part)
+        elif isinstance(value, list):
+            for part in value:
+                yield from references(part)
+
+    known = {f"#/components/schemas/{name}" for name in DOCUMENT["components"]["schemas"]}
+    assert set(references(DOCUMENT)) <= known
+
+
+def test_every_request_body_refuses_what_it_does_not_know_and_bounds_its_numbers():
+    names = {"SessionRequest", "OperatorRequest", "RecordingSource", "DeviceSource", "Window"}
+    for name in names:
+        schema = DOCUMENT["components"]["schemas"][name]
+        assert schema["additionalProperties"] is False
+        for field, rule in schema["properties"].items():
+            for kind in rule.get("anyOf", [rule]):
+                if kind.get("type") in {"number", "integer"}:
+                    assert {"minimum", "maximum"} <= kind.keys(), f"{name}.{field}"
+                if kind.get("type") == "string" and "enum" not in kind and "const" not in kind:
+                    assert "maxLength" in kind or "pattern" in kind, f"{name}.{field}"

@@ -1,0 +1,187 @@
+"""The whole service on the real engine: a volunteer's recording, from upload to the closed session."""
+
+import csv
+import io
+import json
+import sqlite3
+import time
+
+import cv2
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from engine.capture.oni_file import OniFileSource
+from engine.pipeline import PipelineSettings
+from engine.training import TrainingSettings
+from service import engine_adapter
+from service.app import create_app
+from service.engine_adapter import EngineAdapter
+from service.settings import Settings
+from tests.service.conftest import act, audit_rows, eventually, make_calibration, make_session_body, upload
+
+WIDE = {"signal": "whole", "lower_mm": -40.0, "upper_mm": 40.0, "hysteresis_mm": 0.2, "dwell_ms": 100.0}
+PATIENT_LIMITS = {"max_frame_age_ms": 200.0, "lease_ms": 200.0, "watchdog_ms": 500.0, "max_gap_ms": 200.0}
+"""A test's machine is shared: what is tested here is the way through, not the time it takes."""
+
+
+FEW_FRAMES = TrainingSettings(min_frames=50, max_frames=120, min_cycles=1, min_seconds=5.0)
+
+
+class HurriedEngine(EngineAdapter):
+    """Plays recordings as fast as frames can be measured and learns from few of them, for a test's sake."""
+
+    def __init__(self, settings):
+        super().__init__(settings, measuring=PipelineSettings(training=FEW_FRAMES))
+
+    def _player(self, path, _player):
+        return OniFileSource(path, clock=self._clock, is_paced=False)
+
+
+@pytest.fixture
+def real_client(tmp_path, regular_volunteer):
+    settings = Settings(
+        data_dir=tmp_path / "data",
+        recordings_dirs=(regular_volunteer,),
+        allowed_hosts=("testserver",),
+        **PATIENT_LIMITS,
+    )
+    with TestClient(create_app(settings, HurriedEngine)) as client:
+        client.data_dir = settings.data_dir
+        yield client
+
+
+def open_session(client, calibration_text, **changes):
+    calibration_id = upload(client, calibration_text).json()["id"]
+    body = make_session_body(calibration_id) | {"window": WIDE} | changes
+    answer = client.post("/api/v1/sessions", json=body)
+    assert answer.status_code == 201, answer.text
+    return answer.json()["id"]
+
+
+def detail_of(client, session_id):
+    return client.get(f"/api/v1/sessions/{session_id}").json()
+
+
+def arm_when_ready(client, session_id):
+    """Arm as soon as the engine lets us; a fault of a busy machine is acknowledged, as a person would."""
+    answer = None
+    while (detail := detail_of(client, session_id))["status"] == "running":
+        if detail["gate"] is not None and detail["gate"]["state"] == "fault":
+            act(client, session_id, "acknowledge")
+        if detail["measurement_state"] == "measuring":
+            answer = act(client, session_id, "arm")
+            if answer.status_code == 200:
+                return
+        time.sleep(0.02)
+    pytest.fail(f"the recording ended before the gate could be armed: {answer and answer.text}")
+
+
+def test_a_recording_is_learned_gated_recorded_and_audited(real_client, regular_volunteer):
+    client = real_client
+    source = {"kind": "recording", "path": "recording.oni", "player": "reader"}
+    session_id = open_session(client, (regular_volunteer / "calibration.json").read_bytes(), source=source)
+    assert act(client, session_id, "start").json()["status"] == "running"
+    assert act(client, session_id, "arm").status_code == 409, "nothing is learned yet"
+    with client.websocket_connect("/api/v1/live") as socket:
+        eventually(lambda: json.loads(socket.receive_text())["type"] == "sample", within_s=20.0)
+        picture = client.get(f"/api/v1/sessions/{session_id}/picture")
+    shape = cv2.imdecode(np.frombuffer(picture.content, np.uint8), cv2.IMREAD_COLOR).shape
+    assert shape == (480, 640, 3)
+    arm_when_ready(client, session_id)
+    eventually(lambda: detail_of(client, session_id)["status"] != "running", within_s=60.0)
+    detail = detail_of(client, session_id)
+    assert (detail["status"], detail["summary"]["missed_frames"]) == ("ended", 0)
+    assert detail["summary"]["duty_cycle"] > 0.0
+    states = [row["detail"]["to_state"] for row in audit_rows(client, "gate.transition")]
+    assert "beam_on" in states
+    assert states[-1] != "beam_on"
+    _check_samples(client, session_id, detail["summary"]["frames"])
+    (model,) = client.get(f"/api/v1/sessions/{session_id}/models").json()["items"]
+    share = client.get(f"/api/v1/models/{model['id']}/spectrum").json()["share"]
+    assert share[0] > 0.8
+    assert sum(share) == pytest.approx(1.0)
+    assert client.get("/api/v1/audit/verify").json()["is_intact"]
+
+
+def _check_samples(client, session_id, frames):
+    rows = list(csv.DictReader(io.StringIO(client.get(f"/api/v1/sessions/{session_id}/samples").text)))
+    assert [int(row["frame_index"]) for row in rows] == list(range(frames))
+    measured = [row for row in rows if row["state"] == "measuring"]
+    assert len(measured) > 50
+    assert all(abs(float(row["whole_mm"])) < 40.0 for row in measured)
+    assert all(row["whole_mm"] == "" for row in rows if row["state"] != "measuring")
+    assert {row["gate"] for row in rows} >= {"disarmed", "beam_on"}
+    assert all(int(row["received_ns"]) <= int(row["decided_ns"]) <= int(row["asserted_ns"]) for row in rows)
+    raw = sqlite3.connect(client.data_dir / "tidegate.db")
+    on = raw.execute("SELECT count(*) FROM samples WHERE line_on AND gate <> 'beam_on'").fetchone()
+    raw.close()
+    assert on == (0,)
+
+
+def test_no_call_turns_the_beam_on_while_nothing_can_be_measured(tmp_path, regular_volunteer, monkeypatch):
+    """Every changing call there is, again and again, on a running engine that has learned nothing."""
+    lines = []
+
+    class WatchedLine(engine_adapter.SimulatedBeamLine):
+        def __init__(self, clock):
+            super().__init__(clock)
+            self.permits = 0
+            lines.append(self)
+
+        def permit(self, lease):
+            self.permits += 1
+            super().permit(lease)
+
+    monkeypatch.setattr(engine_adapter, "SimulatedBeamLine", WatchedLine)
+    settings = Settings(data_dir=tmp_path / "data", recordings_dirs=(regular_volunteer,), allowed_hosts=("testserver",))
+    with TestClient(create_app(settings, EngineAdapter)) as client:
+        source = {"kind": "recording", "path": "recording.oni", "player": "reader"}
+        session_id = open_session(client, (regular_volunteer / "calibration.json").read_bytes(), source=source)
+        act(client, session_id, "start")
+        for _ in range(5):
+            for action in ("arm", "reference", "acknowledge", "disarm", "arm", "start", "models/retrain", "arm"):
+                act(client, session_id, action)
+            client.post(f"/api/v1/models/{'0' * 32}/activate", json={"operator": "me"})
+            assert not lines[0].is_on()
+        act(client, session_id, "stop")
+    assert lines[0].permits == 0
+    assert not lines[0].is_on()
+
+
+@pytest.mark.parametrize("player", ["reader", "openni", "auto"])
+@pytest.mark.parametrize("content", [b"", b"not a recording", b"version https://git-lfs.github.com/spec/v1\n"], ids=str)
+def test_a_file_that_is_no_recording_fails_the_start_with_one_line(tmp_path, content, player):
+    (tmp_path / "broken.oni").write_bytes(content)
+    settings = Settings(data_dir=tmp_path / "data", recordings_dirs=(tmp_path,), allowed_hosts=("testserver",))
+    with TestClient(create_app(settings)) as client:
+        source = {"kind": "recording", "path": "broken.oni", "player": player}
+        session_id = open_session(client, make_calibration().to_json(), source=source)
+        answer = act(client, session_id, "start")
+        assert (answer.status_code, answer.json()["code"]) == (422, "source_unusable")
+        assert len(answer.json()["detail"].splitlines()) == 1
+        assert detail_of(client, session_id)["status"] == "failed"
+
+
+@pytest.mark.parametrize("uri", [None, "1d27/0601@1/2", "recording.oni"])
+def test_a_camera_that_is_not_there_and_a_file_called_a_camera_are_refused(real_client, regular_volunteer, uri):
+    uri = str(regular_volunteer / uri) if uri == "recording.oni" else uri
+    session_id = open_session(real_client, make_calibration().to_json(), source={"kind": "device", "uri": uri})
+    answer = act(real_client, session_id, "start")
+    assert (answer.status_code, answer.json()["code"]) == (503, "source_lost")
+
+
+def test_a_missing_runtime_is_said_and_auto_falls_back_to_our_reader(tmp_path, regular_volunteer, monkeypatch):
+    monkeypatch.setattr(engine_adapter, "runtime_available", lambda: False)
+    settings = Settings(data_dir=tmp_path / "data", recordings_dirs=(regular_volunteer,), allowed_hosts=("testserver",))
+    with TestClient(create_app(settings)) as client:
+        devices = client.get("/api/v1/devices").json()
+        assert (devices["is_runtime_available"], devices["items"]) == (False, [])
+        assert "libopenni2-0" in devices["detail"]
+        source = {"kind": "recording", "path": "recording.oni", "player": "openni"}
+        session_id = open_session(client, make_calibration().to_json(), source=source)
+        answer = act(client, session_id, "start")
+        assert (answer.status_code, answer.json()["code"]) == (503, "openni_missing")
+        session_id = open_session(client, make_calibration().to_json(), source=source | {"player": "auto"})
+        assert act(client, session_id, "start").status_code == 200
+        act(client, session_id, "stop")

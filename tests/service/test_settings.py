@@ -1,0 +1,124 @@
+"""Settings: read once, bounded, and nothing mistyped goes unnoticed."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+from pydantic import ValidationError
+
+from engine.limits import LIMIT_BOUNDS, GateLimits, GateWindow
+from service import schemas
+from service.settings import Settings, SettingsError, load_settings
+from service.site_limits import gate_limits
+from tests.service.conftest import WINDOW, make_session_body
+
+
+@pytest.fixture(autouse=True)
+def no_settings_around(monkeypatch):
+    for name in list(os.environ):
+        if name.startswith("TIDEGATE_"):
+            monkeypatch.delenv(name)
+
+
+def test_without_settings_the_service_listens_on_this_machine_only():
+    settings = load_settings()
+    assert (settings.host, settings.port, settings.allow_remote) == ("127.0.0.1", 8000, False)
+    assert "*" not in settings.host_names
+
+
+@pytest.mark.parametrize("name", ["TIDEGATE_PROT", "TIDEGATE_", "tidegate_lease", "TIDEGATE_DATA"])
+def test_an_unknown_setting_is_refused_by_name(monkeypatch, name):
+    monkeypatch.setenv(name, "1")
+    with pytest.raises(SettingsError, match=f"^{name} is not a setting"):
+        load_settings()
+
+
+NUMBERS = [name for name, field in Settings.model_fields.items() if field.annotation in {int, float}]
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("value", ["-1e12", "1e12", "nan", "inf", "many", ""])
+def test_every_number_has_a_bound(monkeypatch, name, value):
+    monkeypatch.setenv(f"TIDEGATE_{name.upper()}", value)
+    with pytest.raises(SettingsError, match=f"TIDEGATE_{name.upper()}"):
+        load_settings()
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.0.7", "gating.example", ""])
+def test_listening_beyond_this_machine_has_to_be_asked_for(monkeypatch, host):
+    with pytest.raises(SettingsError):
+        load_settings(host=host)
+    monkeypatch.setenv("TIDEGATE_ALLOW_REMOTE", "true")
+    if host:
+        assert load_settings(host=host).host_names == ("*",)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.8.8.8", "::1", "localhost"])
+def test_loopback_addresses_need_no_permission(host):
+    assert load_settings(host=host).host == host
+
+
+def test_settings_are_frozen_and_lists_are_split(monkeypatch, tmp_path):
+    monkeypatch.setenv("TIDEGATE_RECORDINGS_DIRS", f"{tmp_path}/a:{tmp_path}/b")
+    monkeypatch.setenv("TIDEGATE_ALLOWED_HOSTS", "one.example, two.example")
+    settings = load_settings()
+    assert settings.recording_folders == (tmp_path / "a", tmp_path / "b")
+    assert settings.host_names == ("one.example", "two.example")
+    with pytest.raises(ValidationError):
+        settings.port = 1
+
+
+def test_every_gate_limit_of_the_engine_can_be_set_by_a_site_and_reaches_the_gate():
+    window = schemas.Window.model_validate(WINDOW)
+    for name in LIMIT_BOUNDS.keys() - {"dwell_ms"}:
+        low, high = LIMIT_BOUNDS[name]
+        value = type(getattr(Settings(), name))((low + high) / 2)
+        others = {"max_silence_ms": 2000.0} if name == "max_gap_ms" else {}
+        limits = gate_limits(window, Settings(**{name: value, **others}))
+        assert getattr(limits, name) == value
+    assert gate_limits(window, Settings()).dwell_ms == WINDOW["dwell_ms"]
+    engine_defaults = GateLimits(window=GateWindow(lower_mm=-1.0, upper_mm=3.0, hysteresis_mm=0.2), dwell_ms=200.0)
+    assert gate_limits(window, Settings()) == engine_defaults
+
+
+@pytest.mark.parametrize(
+    ("site", "field"),
+    [
+        ({"window_lower_mm": 0.0}, "window.lower_mm"),
+        ({"window_upper_mm": 2.9}, "window.upper_mm"),
+        ({"min_dwell_ms": 201.0}, "window.dwell_ms"),
+    ],
+    ids=str,
+)
+def test_a_session_cannot_widen_a_site_s_limit(settings, engine, calibration_text, site, field):
+    from fastapi.testclient import TestClient
+
+    from service.app import create_app
+    from tests.service.conftest import upload
+
+    narrow = settings.model_copy(update=site)
+    with TestClient(create_app(narrow, lambda _settings: engine)) as client:
+        calibration_id = upload(client, calibration_text).json()["id"]
+        answer = client.post("/api/v1/sessions", json=make_session_body(calibration_id))
+    assert (answer.status_code, answer.json()["field"]) == (422, field)
+    assert "this site's limit" in answer.json()["bound"]
+
+
+@pytest.mark.parametrize(
+    ("environment", "said"),
+    [({"TIDEGATE_PROT": "1"}, "TIDEGATE_PROT"), ({"TIDEGATE_HOST": "0.0.0.0"}, "TIDEGATE_ALLOW_REMOTE")],
+    ids=str,
+)
+def test_the_command_line_says_it_in_one_line_and_ends_with_2(environment, said):
+    done = subprocess.run(
+        [sys.executable, "-m", "service.cli", "serve"],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert said in done.stderr

@@ -1,0 +1,168 @@
+"""The writer thread: what it does when the database, the disk or it itself fails."""
+
+import queue
+import shutil
+import sqlite3
+from types import SimpleNamespace
+
+import pytest
+
+from engine.live import LoopStatus
+from engine.permits import GateState, HoldReason
+from service import bridge
+from tests.service.conftest import act, audit_rows, eventually
+
+
+def stored_samples(settings):
+    connection = sqlite3.connect(settings.data_dir / "tidegate.db")
+    rows = [index for (index,) in connection.execute("SELECT frame_index FROM samples ORDER BY frame_index")]
+    connection.close()
+    return rows
+
+
+@pytest.fixture
+def locker(settings, running):
+    """Another process's hand on the database."""
+    connection = sqlite3.connect(settings.data_dir / "tidegate.db", isolation_level=None)
+    yield connection
+    connection.close()
+
+
+def test_a_locked_database_faults_the_gate_and_loses_nothing(client, session_id, running, settings, locker):
+    locker.execute("BEGIN IMMEDIATE")
+    running.transition(GateState.HOLD, HoldReason.DWELL)
+    for _ in range(5):
+        running.frame()
+    eventually(lambda: HoldReason.AUDIT_BEHIND in running.faults)
+    for _ in range(5):
+        running.frame()
+    locker.execute("ROLLBACK")
+    eventually(lambda: stored_samples(settings) == list(range(10)))
+    assert len(audit_rows(client, "gate.transition")) == 1
+
+
+def test_while_the_database_is_locked_the_queues_fill_so_that_the_gate_holds_by_itself(running, locker):
+    locker.execute("BEGIN IMMEDIATE")
+    running.frame()
+    eventually(lambda: running.faults)
+    with pytest.raises(queue.Full):
+        [running.frame() for _ in range(2000)]
+    locker.execute("ROLLBACK")
+
+
+def test_nothing_that_could_lead_to_a_permit_is_asked_when_it_cannot_be_written_down(
+    client, session_id, running, locker, monkeypatch
+):
+    locker.execute("BEGIN IMMEDIATE")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("service.db.engine.Session.begin", _refuse_to_begin)
+        answer = act(client, session_id, "arm")
+        disarmed = act(client, session_id, "disarm")
+    locker.execute("ROLLBACK")
+    assert (answer.status_code, answer.json()["code"]) == (503, "storage_unavailable")
+    assert disarmed.status_code == 503
+    assert [type(command).__name__ for command in running.commands] == ["Disarm"]
+
+
+def _refuse_to_begin(_session):
+    raise sqlite_error()
+
+
+def sqlite_error():
+    from sqlalchemy.exc import OperationalError
+
+    return OperationalError("BEGIN IMMEDIATE", {}, sqlite3.OperationalError("database is locked"))
+
+
+def test_a_disk_that_is_almost_full_faults_the_gate(client, session_id, engine, monkeypatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: SimpleNamespace(free=1024))
+    act(client, session_id, "start")
+    eventually(lambda: HoldReason.DISK_LOW in engine.running.faults)
+    assert client.get("/readyz").status_code == 503
+    assert "disk" in client.get("/readyz").json()["not_ready"][0]
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_writer_that_breaks_stops_the_engine_and_closes_the_session(client, session_id, running, monkeypatch):
+    def broken(_session_id, _record):
+        msg = "a bug"
+        raise RuntimeError(msg)
+
+    monkeypatch.setattr(bridge, "sample_values", broken)
+    running.transition(GateState.HOLD, HoldReason.DWELL)
+    running.frame()
+    eventually(lambda: running.status.is_over)
+    assert HoldReason.AUDIT_BEHIND in running.faults
+    eventually(lambda: client.get(f"/api/v1/sessions/{session_id}").json()["status"] == "failed")
+    reasons = [row["detail"]["reason"] for row in audit_rows(client, "gate.transition")]
+    assert reasons == ["dwell", "engine_stopped"]
+
+
+def test_the_last_transition_before_the_end_is_written(client, session_id, running):
+    running.transition(GateState.HOLD, HoldReason.DWELL)
+    running.end()
+    eventually(lambda: client.get(f"/api/v1/sessions/{session_id}").json()["status"] == "ended")
+    states = [row["detail"]["reason"] for row in audit_rows(client, "gate.transition")]
+    assert states == ["dwell", "engine_stopped"]
+
+
+def test_regions_are_stored_as_they_were_measured(client, session_id, running, settings):
+    import numpy as np
+
+    running.frame()
+    running.frame(whole_mm=None)
+    act(client, session_id, "stop")
+    connection = sqlite3.connect(settings.data_dir / "tidegate.db")
+    (rows, blob), (no_rows, no_blob) = connection.execute("SELECT region_rows, regions_mm FROM samples")
+    connection.close()
+    regions = np.frombuffer(blob, dtype="<f4").reshape(rows, -1)
+    assert regions.shape == (14, 8)
+    assert np.isnan(regions[0, 0])
+    assert (regions.ravel()[1:] == 1.5).all()
+    assert (no_rows, no_blob) == (None, None)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
+def test_what_is_no_number_is_stored_as_unknown(client, session_id, running, settings, value):
+    running.frame(whole_mm=value)
+    act(client, session_id, "stop")
+    connection = sqlite3.connect(settings.data_dir / "tidegate.db")
+    assert connection.execute("SELECT whole_mm, signal_mm, thorax_mm FROM samples").fetchall() == [(None, None, 1.1)]
+    connection.close()
+
+
+def test_more_than_one_batch_that_waits_at_the_end_is_written_whole(client, session_id, running, settings, locker):
+    locker.execute("BEGIN IMMEDIATE")
+    running.frame()
+    eventually(lambda: running.faults)
+    for _ in range(880):
+        running.frame()
+    running.end()
+    locker.execute("ROLLBACK")
+    eventually(lambda: client.get(f"/api/v1/sessions/{session_id}").json()["status"] == "ended")
+    assert stored_samples(settings) == list(range(881))
+
+
+def test_a_session_a_killed_process_left_running_is_closed_at_the_next_start(settings, engine, calibration_text):
+    from fastapi.testclient import TestClient
+
+    from service.app import create_app
+    from tests.service.conftest import make_session_body, upload
+
+    with TestClient(create_app(settings, lambda _settings: engine)) as client:
+        calibration_id = upload(client, calibration_text).json()["id"]
+        session_id = client.post("/api/v1/sessions", json=make_session_body(calibration_id)).json()["id"]
+    connection = sqlite3.connect(settings.data_dir / "tidegate.db")
+    connection.execute("UPDATE sessions SET status = 'running'")
+    connection.commit()
+    connection.close()
+    with TestClient(create_app(settings, lambda _settings: engine)) as client:
+        assert client.get(f"/api/v1/sessions/{session_id}").json()["status"] == "interrupted"
+        assert audit_rows(client, "session.close")[-1]["outcome"] == "failed"
+        assert client.post("/api/v1/sessions", json=make_session_body(calibration_id)).status_code == 201
+
+
+def test_a_hung_engine_counts_as_failed(client, session_id, running):
+    running.status = LoopStatus.FAILED
+    running.error = "the engine did not stop when told to; the beam is held"
+    eventually(lambda: client.get(f"/api/v1/sessions/{session_id}").json()["status"] == "failed")

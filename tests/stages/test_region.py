@@ -1,0 +1,107 @@
+"""The region follows the markers through both cameras, and a hole stays a hole."""
+
+import numpy as np
+import pytest
+
+from engine.calibration import Calibration
+from engine.frames import ROI_COLUMNS, ROI_ROWS, RoiDepth
+from engine.geometry import Intrinsics, RigidTransform
+from engine.stages.preprocessing import fill_holes, smooth_bilateral
+from engine.stages.registration import align, look_up_rays, undistorted_rays
+from engine.stages.roi import NODE_COLUMNS, at_nodes, cut_out, roi_nodes
+
+ANGLE = np.radians(1.5)
+CALIBRATION = Calibration(
+    camera="test",
+    depth=Intrinsics(
+        width=640, height=480, fx=572.0, fy=573.0, cx=318.0, cy=241.0, distortion=(-0.08, 0.11, 0.001, -0.0007, 0.0)
+    ),
+    color=Intrinsics(
+        width=640, height=480, fx=530.0, fy=531.0, cx=322.0, cy=238.0, distortion=(0.05, -0.12, -0.0008, 0.001, 0.0)
+    ),
+    color_from_depth=RigidTransform(
+        rotation=np.array([[np.cos(ANGLE), -np.sin(ANGLE), 0.0], [np.sin(ANGLE), np.cos(ANGLE), 0.0], [0.0, 0.0, 1.0]]),
+        translation_mm=np.array([25.0, 0.6, -1.2]),
+    ),
+)
+CORNERS = np.array([[240.0, 120.0], [402.0, 124.0], [392.0, 384.0], [246.0, 380.0]])
+
+
+def test_a_colour_ray_cut_at_its_depth_lands_on_the_pixel_that_depth_camera_sees():
+    rng = np.random.default_rng(3)
+    points = np.column_stack([rng.uniform(-150, 150, 400), rng.uniform(-180, 180, 400), rng.uniform(700, 1000, 400)])
+    color_px = CALIBRATION.color.project(CALIBRATION.color_from_depth.apply(points))
+    rays = look_up_rays(undistorted_rays(CALIBRATION.color, 8), 8, color_px)
+    depth_px = align(rays, points[:, 2], CALIBRATION)
+    assert np.abs(depth_px - CALIBRATION.depth.project(points)).max() < 0.01
+
+
+def test_the_corners_of_the_grid_are_the_markers():
+    nodes = roi_nodes(CORNERS).reshape(-1, NODE_COLUMNS, 2)
+    assert np.allclose(nodes[0, 0], CORNERS[0])
+    fine = nodes[-2, -2] + 0.9 * (nodes[-1, -1] - nodes[-2, -2])  # (349, 199) lies 0.9 of a node short of (350, 200)
+    assert np.abs(fine - CORNERS[2]).max() < 0.05
+
+
+def test_a_tilted_plane_is_cut_out_exactly():
+    y, x = np.mgrid[0:480, 0:640].astype(np.float64)
+    plane = 800.0 + 0.25 * x + 0.125 * y
+    roi = cut_out(np.rint(plane).astype(np.uint16), roi_nodes(CORNERS))
+    nodes = roi_nodes(CORNERS)
+    expected = 800.0 + 0.25 * nodes[:, 0] + 0.125 * nodes[:, 1]
+    error = (at_nodes(roi.depth_mm) - expected).reshape(-1, NODE_COLUMNS)[:-1, :-1]
+    assert roi.valid.all()
+    assert np.abs(error).max() < 0.6
+    assert abs(error.mean()) < 0.05
+
+
+def test_nothing_is_interpolated_across_a_hole():
+    depth = np.full((480, 640), 850, np.uint16)
+    depth[240:260, 300:330] = 0
+    roi = cut_out(depth, roi_nodes(CORNERS))
+    assert not roi.valid.all()
+    assert np.all(roi.depth_mm[roi.valid] == 850.0)
+    assert np.all(roi.depth_mm[~roi.valid] == 0.0)
+
+
+@pytest.mark.parametrize("shift", [(-500.0, 0.0), (900.0, 0.0), (0.0, 800.0)])
+def test_a_region_outside_of_the_picture_is_all_hole(shift):
+    roi = cut_out(np.full((480, 640), 850, np.uint16), roi_nodes(CORNERS + np.array(shift)))
+    assert not roi.valid.any()
+
+
+def _roi(hole):
+    depth = np.full((ROI_ROWS, ROI_COLUMNS), 850.0, np.float32)
+    depth[:, 100:] = 900.0
+    valid = np.ones_like(depth, dtype=bool)
+    valid[hole] = False
+    return RoiDepth(depth_mm=np.where(valid, depth, np.float32(0.0)), valid=valid)
+
+
+def test_a_small_hole_takes_the_mode_of_its_neighbours_and_not_their_mean():
+    filled = fill_holes(_roi((slice(100, 102), slice(98, 100))))
+    assert filled.valid.all()
+    assert np.all(filled.depth_mm[100:102, 98:100] == 850.0)
+
+
+def test_a_large_hole_stays_a_hole():
+    filled = fill_holes(_roi((slice(100, 160), slice(20, 80))))
+    assert not filled.valid[130, 50]
+    assert not filled.valid.all()
+
+
+def test_the_bilateral_filter_smooths_noise_keeps_edges_and_ignores_holes():
+    rng = np.random.default_rng(5)
+    clean = _roi((slice(50, 90), slice(30, 70)))
+    noisy = RoiDepth(
+        depth_mm=np.where(clean.valid, clean.depth_mm + rng.normal(0, 1.0, clean.valid.shape), 0.0).astype(np.float32),
+        valid=clean.valid.copy(),
+    )
+    smooth = smooth_bilateral(noisy)
+    error = (smooth.depth_mm - clean.depth_mm)[clean.valid]
+    assert error.std() < 0.5
+    assert abs(error.mean()) < 0.02
+    beside_hole = smooth.depth_mm[49, 30:70]
+    assert np.abs(beside_hole - 850.0).max() < 2.0
+    beside_edge = smooth.depth_mm[200:300, 99]
+    assert np.abs(beside_edge - 850.0).max() < 3.0
