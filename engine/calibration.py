@@ -6,7 +6,6 @@ missing keys are refused, and each refusal names the field, the value and the bo
 
 import hashlib
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,12 +13,12 @@ import numpy as np
 
 from engine.errors import CalibrationError
 from engine.geometry import Intrinsics, RigidTransform
+from engine.strict_json import ROOT, StrictJson
 
 SCHEMA = "tidegate.calibration/1"
-MAX_BYTES = 64 * 1024
-MAX_NESTING = 8
 MAX_BASELINE_MM = 200.0
 ROTATION_TOLERANCE = 1e-3
+STRICT = StrictJson(error=CalibrationError)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,12 +93,7 @@ def load_calibration(path: Path) -> Calibration:
     CalibrationError
         The file cannot be read or is not a calibration; names field, value and bound.
     """
-    try:
-        with path.open("rb") as file:
-            text = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise CalibrationError("file", str(path), f"readable ({error.strerror})") from error
-    return parse_calibration(text)
+    return parse_calibration(STRICT.read_bytes(path))
 
 
 def parse_calibration(text: bytes) -> Calibration:
@@ -110,41 +104,13 @@ def parse_calibration(text: bytes) -> Calibration:
     CalibrationError
         Not such a document; names field, value and bound.
     """
-    if len(text) > MAX_BYTES:
-        raise CalibrationError("file", f"{len(text)} bytes or more", f"at most {MAX_BYTES} bytes")
-    _refuse_deep_nesting(text)
-    try:
-        document = json.loads(text, object_pairs_hook=_unique_keys, parse_constant=_refuse_constant)
-    except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
-        reason = str(error).splitlines()[0][:80]
-        raise CalibrationError("file", f"{len(text)} bytes", f"a JSON document ({reason})") from error
-    return _calibration(document)
+    return calibration_of(STRICT.parse(text))
 
 
-def _refuse_deep_nesting(text: bytes) -> None:
-    depth = 0
-    for byte in text:
-        depth += (byte in b"[{") - (byte in b"]}")
-        if depth > MAX_NESTING:
-            raise CalibrationError("file", f"nested deeper than {MAX_NESTING}", f"nested at most {MAX_NESTING} deep")
-
-
-def _unique_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    keys: dict[str, object] = {}
-    for key, value in pairs:
-        if key in keys:
-            raise CalibrationError(key, "given twice", "given once")
-        keys[key] = value
-    return keys
-
-
-def _refuse_constant(name: str) -> float:
-    raise CalibrationError("file", name, "made of finite numbers")
-
-
-def _calibration(document: object) -> Calibration:
-    root = _object(
-        "file",
+def calibration_of(document: object) -> Calibration:
+    """Check a document that is parsed already; raise CalibrationError."""
+    root = STRICT.fields(
+        ROOT,
         document,
         required=("schema", "camera", "depth", "color", "depth_to_color"),
         optional=("depth_correction", "disparity"),
@@ -154,7 +120,7 @@ def _calibration(document: object) -> Calibration:
     correction = root.get("depth_correction")
     disparity = root.get("disparity")
     return Calibration(
-        camera=_name("camera", root["camera"]),
+        camera=STRICT.name("camera", root["camera"]),
         depth=_camera("depth", root["depth"]),
         color=_camera("color", root["color"]),
         color_from_depth=_pose("depth_to_color", root["depth_to_color"]),
@@ -164,30 +130,30 @@ def _calibration(document: object) -> Calibration:
 
 
 def _camera(field: str, value: object) -> Intrinsics:
-    camera = _object(field, value, required=("width", "height", "fx", "fy", "cx", "cy", "distortion"))
-    width = _integer(f"{field}.width", camera["width"], 160, 4096)
-    height = _integer(f"{field}.height", camera["height"], 120, 4096)
-    focal = {key: _number(f"{field}.{key}", camera[key], 0.3 * width, 5.0 * width) for key in ("fx", "fy")}
+    camera = STRICT.fields(field, value, required=("width", "height", "fx", "fy", "cx", "cy", "distortion"))
+    width = STRICT.integer(f"{field}.width", camera["width"], 160, 4096)
+    height = STRICT.integer(f"{field}.height", camera["height"], 120, 4096)
+    focal = {key: STRICT.number(f"{field}.{key}", camera[key], 0.3 * width, 5.0 * width) for key in ("fx", "fy")}
     if not 0.8 <= focal["fx"] / focal["fy"] <= 1.25:
         raise CalibrationError(f"{field}.fy", focal["fy"], f"within 25 % of {field}.fx ({focal['fx']})")
-    k1, k2, p1, p2, k3 = _vector(f"{field}.distortion", camera["distortion"], 5, -10.0, 10.0)
+    k1, k2, p1, p2, k3 = STRICT.vector(f"{field}.distortion", camera["distortion"], 5, -10.0, 10.0)
     return Intrinsics(
         width=width,
         height=height,
         fx=focal["fx"],
         fy=focal["fy"],
-        cx=_number(f"{field}.cx", camera["cx"], 0.0, width - 1.0),
-        cy=_number(f"{field}.cy", camera["cy"], 0.0, height - 1.0),
+        cx=STRICT.number(f"{field}.cx", camera["cx"], 0.0, width - 1.0),
+        cy=STRICT.number(f"{field}.cy", camera["cy"], 0.0, height - 1.0),
         distortion=(k1, k2, p1, p2, k3),
     )
 
 
 def _pose(field: str, value: object) -> RigidTransform:
-    pose = _object(field, value, required=("rotation", "translation_mm"))
+    pose = STRICT.fields(field, value, required=("rotation", "translation_mm"))
     rows = pose["rotation"]
     if not isinstance(rows, list) or len(rows) != 3:
         raise CalibrationError(f"{field}.rotation", rows, "3 rows of 3 numbers")
-    rotation = np.array([_vector(f"{field}.rotation[{i}]", row, 3, -1.001, 1.001) for i, row in enumerate(rows)])
+    rotation = np.array([STRICT.vector(f"{field}.rotation[{i}]", row, 3, -1.001, 1.001) for i, row in enumerate(rows)])
     skew = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if skew > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0.0:
         raise CalibrationError(
@@ -196,7 +162,7 @@ def _pose(field: str, value: object) -> RigidTransform:
             f"a rotation (orthonormal within {ROTATION_TOLERANCE}, determinant 1)",
         )
     translation = np.array(
-        _vector(f"{field}.translation_mm", pose["translation_mm"], 3, -MAX_BASELINE_MM, MAX_BASELINE_MM)
+        STRICT.vector(f"{field}.translation_mm", pose["translation_mm"], 3, -MAX_BASELINE_MM, MAX_BASELINE_MM)
     )
     baseline = float(np.linalg.norm(translation))
     if baseline > MAX_BASELINE_MM:
@@ -205,59 +171,19 @@ def _pose(field: str, value: object) -> RigidTransform:
 
 
 def _depth_correction(field: str, value: object) -> DepthCorrection:
-    correction = _object(field, value, required=("scale", "offset_mm"))
+    correction = STRICT.fields(field, value, required=("scale", "offset_mm"))
     return DepthCorrection(
-        scale=_number(f"{field}.scale", correction["scale"], 0.8, 1.25),
-        offset_mm=_number(f"{field}.offset_mm", correction["offset_mm"], -100.0, 100.0),
+        scale=STRICT.number(f"{field}.scale", correction["scale"], 0.8, 1.25),
+        offset_mm=STRICT.number(f"{field}.offset_mm", correction["offset_mm"], -100.0, 100.0),
     )
 
 
 def _disparity(field: str, value: object) -> Disparity:
-    disparity = _object(field, value, required=("baseline_mm", "step_px"))
+    disparity = STRICT.fields(field, value, required=("baseline_mm", "step_px"))
     return Disparity(
-        baseline_mm=_number(f"{field}.baseline_mm", disparity["baseline_mm"], 10.0, 500.0),
-        step_px=_number(f"{field}.step_px", disparity["step_px"], 0.001, 1.0),
+        baseline_mm=STRICT.number(f"{field}.baseline_mm", disparity["baseline_mm"], 10.0, 500.0),
+        step_px=STRICT.number(f"{field}.step_px", disparity["step_px"], 0.001, 1.0),
     )
-
-
-def _object(
-    field: str, value: object, *, required: tuple[str, ...], optional: tuple[str, ...] = ()
-) -> Mapping[str, object]:
-    if not isinstance(value, dict):
-        raise CalibrationError(field, value, "a JSON object")
-    prefix = "" if field == "file" else f"{field}."
-    for key in value:
-        if key not in required and key not in optional:
-            raise CalibrationError(f"{prefix}{key}"[:80], "unknown", f"one of {', '.join(required + optional)}")
-    for key in required:
-        if key not in value:
-            raise CalibrationError(f"{prefix}{key}", "missing", "given")
-    return value
-
-
-def _name(field: str, value: object) -> str:
-    if not isinstance(value, str) or not 1 <= len(value) <= 80 or not value.isprintable():
-        raise CalibrationError(field, value, "1 to 80 printable characters")
-    return value
-
-
-def _integer(field: str, value: object, low: int, high: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise CalibrationError(field, value, f"a whole number from {low} to {high}")
-    return value
-
-
-def _number(field: str, value: object, low: float, high: float) -> float:
-    # Bounds first on the value as parsed: a whole number of a thousand digits has no float.
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise CalibrationError(field, value, f"a number from {low:g} to {high:g}")
-    return float(value)
-
-
-def _vector(field: str, value: object, length: int, low: float, high: float) -> list[float]:
-    if not isinstance(value, list) or len(value) != length:
-        raise CalibrationError(field, value, f"{length} numbers")
-    return [_number(f"{field}[{i}]", item, low, high) for i, item in enumerate(value)]
 
 
 def _camera_document(camera: Intrinsics) -> dict[str, object]:
