@@ -15,8 +15,9 @@ HOMES = {
     "record": "recordings",
     "openapi": "openapi",
     "demo": "demo",
+    "evaluate": "evaluate",
 }
-"""Which module of this package holds which command; the function has the command's name."""
+"""Which module of this package holds which command; the function, or the group of commands, has the command's name."""
 
 
 class LazyCommands(TyperGroup):
@@ -32,8 +33,11 @@ class LazyCommands(TyperGroup):
         if cmd_name not in self.list_commands(ctx):
             return None
         module = importlib.import_module(f"{__name__}.{HOMES[cmd_name]}")
+        held = getattr(module, cmd_name)
+        if isinstance(held, typer.Typer):
+            return typer.main.get_command(held)
         single = typer.Typer(add_completion=False, pretty_exceptions_show_locals=False)
-        single.command(cmd_name)(getattr(module, cmd_name))
+        single.command(cmd_name)(held)
         return typer.main.get_command(single)
 
 
