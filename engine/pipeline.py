@@ -1,17 +1,16 @@
 """One frame's way through the stages: find, align, cut out, learn or explain, measure.
 
-Owned by one thread. It keeps what must be remembered between frames (where the markers were, the model, the reference)
-so that the stages need not.
+Owned by one thread. It keeps what must be remembered between frames (where the markers were, the last coefficients) so
+that the stages need not; the model and the zero are :class:`engine.learner.Learner`'s.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from engine.active_model import ActiveModel, Reference, prepare_model
+from engine.active_model import ActiveModel, prepare_model
 from engine.calibration import Calibration
 from engine.clock import Clock
-from engine.errors import CommandRefusedError, ModelError
 from engine.frames import (
     FloatArray,
     Lost,
@@ -23,8 +22,8 @@ from engine.frames import (
     Projection,
     RgbdFrame,
     RoiDepth,
-    TrainingProgress,
 )
+from engine.learner import Learner
 from engine.model import MotionModel
 from engine.stages import markers as marker_stage
 from engine.stages.markers import MarkerSearch
@@ -34,7 +33,7 @@ from engine.stages.registration import align, look_up_rays, undistorted_rays
 from engine.stages.roi import NODE_COLUMNS, NODE_ROWS, at_nodes, cut_out, roi_nodes
 from engine.stages.surface import vertices_mm
 from engine.threads import keep_calls_in_their_thread
-from engine.training import BackgroundTrainer, Trainer, TrainingSet, TrainingSettings
+from engine.training import BackgroundTrainer, Trainer, TrainingSettings
 
 RAY_STEP_PX = 8
 
@@ -89,75 +88,54 @@ class Pipeline:
     ) -> None:
         keep_calls_in_their_thread()
         self._calibration = calibration
-        self._calibration_sha256 = calibration.sha256
         self._settings = settings
         self._clock = clock
-        self._trainer = BackgroundTrainer() if trainer is None else trainer
+        self._learner = Learner(
+            calibration_sha256=calibration.sha256,
+            settings=settings.training,
+            prepare=self._prepared,
+            trainer=BackgroundTrainer() if trainer is None else trainer,
+        )
         self._color_rays = undistorted_rays(calibration.color, RAY_STEP_PX)
         self._depth_rays = undistorted_rays(calibration.depth, RAY_STEP_PX)
-        self._training: TrainingSet | None = TrainingSet(settings.training)
-        self._training_failure = ""
-        self._active: ActiveModel | None = None
-        self._reference: Reference | None = None
-        self._is_reference_wanted = False
-        self._generation = 0
         self._markers: Markers | None = None
         self._layout_px: FloatArray | None = None
         self._node_depth_mm: FloatArray | None = None
         self._coefficients: FloatArray | None = None
+        self._explained_by: ActiveModel | None = None
 
     @property
     def model(self) -> MotionModel | None:
         """The model frames are measured with now."""
-        return None if self._active is None else self._active.model
+        active = self._learner.active
+        return None if active is None else active.model
 
     @property
     def model_shortcoming(self) -> str | None:
         """Why nobody may arm with the present model; None when it will do, or when there is none."""
-        needed = self._settings.training.min_cycles
-        if self._active is None or self._active.model.cycles >= needed:
-            return None
-        return (
-            f"the motion model was learned from {self._active.model.cycles} complete breathing cycles and {needed} are "
-            "needed: learn again while the patient breathes calmly"
-        )
+        return self._learner.shortcoming
 
     @property
     def has_reference(self) -> bool:
         """Whether there is a zero to measure from."""
-        return self._reference is not None and not self._is_reference_wanted
+        return self._learner.has_reference
 
     @property
     def model_generation(self) -> int:
         """Changes whenever the model or the reference did: what was armed before is armed no more."""
-        return self._generation
+        return self._learner.generation
 
     def set_reference(self) -> None:
         """Take the next measured frame as the zero of motion."""
-        if self._active is None:
-            msg = "there is no motion model yet: a reference needs one"
-            raise CommandRefusedError(msg)
-        self._is_reference_wanted = True
-        self._generation += 1
+        self._learner.set_reference()
 
     def retrain(self) -> None:
         """Gather frames for a new model; the present one measures on until the new one is ready."""
-        if self._trainer.is_busy:
-            msg = "a model is being fitted already"
-            raise CommandRefusedError(msg)
-        self._training = TrainingSet(self._settings.training)
-        self._training_failure = ""
+        self._learner.retrain()
 
     def activate(self, model: MotionModel) -> None:
         """Measure with this model as soon as it is prepared; the reference is carried over."""
-        if model.calibration_sha256 != self._calibration_sha256:
-            msg = "the model was learned with another calibration"
-            raise ModelError(msg)
-        if self._trainer.is_busy:
-            msg = "a model is being fitted already"
-            raise CommandRefusedError(msg)
-        self._trainer.start(lambda: self._prepared(model))
-        self._collect_model()
+        self._learner.activate(model)
 
     def measure(self, frame: RgbdFrame) -> Measurement:
         """Measure one frame.
@@ -168,22 +146,23 @@ class Pipeline:
             The camera's pictures are not of the size the calibration is for. Nothing else a frame may hold raises.
         """
         self._calibration.check_sizes(depth=frame.depth_mm.shape, color=frame.color.shape)
-        self._collect_model()
+        self._learner.collect()
         found = self._find_markers(frame)
         if isinstance(found, Lost):
             self._markers, self._coefficients = None, None
             return self._measurement(frame, MeasurementState.LOST, lost=found)
         nodes_px, roi = self._region(frame, found)
         self._learn(roi, frame.timestamp_us, found)
-        if self._active is None:
+        active = self._learner.active
+        if active is None:
             return self._unlearned(frame, roi, found)
-        outcome = self._explain(self._active, roi)
+        outcome = self._explain(active, roi)
         if isinstance(outcome, Lost):
             self._coefficients = None
             return self._measurement(frame, MeasurementState.LOST, lost=outcome, markers=found)
-        self._coefficients = outcome.coefficients
-        self._node_depth_mm = self._active.node_depth_mm(outcome.coefficients)
-        motion = self._motion(self._active, outcome, nodes_px)
+        self._coefficients, self._explained_by = outcome.coefficients, active
+        self._node_depth_mm = active.node_depth_mm(outcome.coefficients)
+        motion = self._motion(active, outcome, nodes_px)
         return self._measurement(frame, MeasurementState.MEASURING, motion=motion, markers=found)
 
     def _measurement(
@@ -205,7 +184,7 @@ class Pipeline:
             motion=motion,
             lost=lost,
             markers=markers,
-            training=self._progress(),
+            training=self._learner.progress,
         )
 
     def _unlearned(self, frame: RgbdFrame, roi: RoiDepth, found: Markers) -> Measurement:
@@ -273,7 +252,7 @@ class Pipeline:
         for _ in range(rounds):
             nodes_px = align(rays, self._node_depth_mm, self._calibration)
             roi = self._corrected(cut_out(frame.depth_mm, nodes_px))
-            if self._active is None:
+            if self._learner.active is None:
                 self._node_depth_mm = _blended(self._node_depth_mm, roi, 1.0 if rounds > 1 else 0.3)
         return nodes_px, roi
 
@@ -287,47 +266,23 @@ class Pipeline:
     # -- learning -----------------------------------------------------------------------------------------------
 
     def _learn(self, roi: RoiDepth, timestamp_us: int, found: Markers) -> None:
-        if self._training is None or roi.valid.mean() < self._settings.min_valid_share:
+        if not self._learner.is_gathering or roi.valid.mean() < self._settings.min_valid_share:
             return
         if self._layout_px is None:
             self._layout_px = found.centers_px
-        self._training.add(roi, timestamp_us)
-        if self._training.is_complete and not self._trainer.is_busy:
-            fit = self._training.job(self._calibration_sha256)
-            self._trainer.start(lambda: self._prepared(fit()))
-            self._training = None
-            self._collect_model()
+        self._learner.learn(roi, timestamp_us)
 
     def _prepared(self, model: MotionModel) -> ActiveModel:
         """Work everything out that frames will need; called wherever the trainer runs."""
         wanted = self._settings
         return prepare_model(model, cell_px=wanted.cell_px, thorax_rows=wanted.thorax_rows, points=list(wanted.points))
 
-    def _collect_model(self) -> None:
-        if not self._trainer.is_busy:
-            return
-        outcome = self._trainer.collect()
-        if isinstance(outcome, ActiveModel):
-            self._active = outcome
-            self._coefficients = None
-            self._generation += 1
-        elif isinstance(outcome, ModelError):
-            self._training_failure = str(outcome)
-            self._training = TrainingSet(self._settings.training)
-
-    def _progress(self) -> TrainingProgress | None:
-        if self._training is not None:
-            progress = self._training.progress
-            return replace(progress, note=self._training_failure) if self._training_failure else progress
-        if self._trainer.is_busy:
-            return TrainingProgress(frames=0, cycles=0, seconds=0.0, share=1.0, note="fitting the model")
-        return None
-
     # -- measuring ----------------------------------------------------------------------------------------------
 
     def _explain(self, active: ActiveModel, roi: RoiDepth) -> Projection | Lost:
         wanted = self._settings
-        best = project(active.basis, roi, self._coefficients)
+        before = self._coefficients if self._explained_by is active else None
+        best = project(active.basis, roi, before)
         if best is None or best.valid_share < wanted.min_valid_share:
             return self._coverage_lost(0.0 if best is None else best.valid_share)
         if best.inlier_share < wanted.min_inlier_share or not best.residual_mm <= wanted.max_residual_mm:
@@ -342,17 +297,15 @@ class Pipeline:
         node_depth_mm = active.node_depth_mm(outcome.coefficients)
         rays = look_up_rays(self._depth_rays, RAY_STEP_PX, nodes_px)
         surface = vertices_mm(rays, node_depth_mm)
-        if self._reference is None or self._is_reference_wanted:
-            self._reference = active.reference(outcome.coefficients, surface)
-            self._is_reference_wanted = False
-        motion_mm = self._reference.regions_mm - depth_mm
+        reference = self._learner.reference(active, outcome.coefficients, surface)
+        motion_mm = reference.regions_mm - depth_mm
         cells, shape = active.regions.cells, (active.regions.rows, active.regions.columns)
         whole, thorax, abdomen = motion_mm[cells : cells + 3].tolist()
         return Motion(
             whole_mm=whole,
             thorax_mm=thorax,
             abdomen_mm=abdomen,
-            volume_l=self._reference.volume_above_l(surface),
+            volume_l=reference.volume_above_l(surface),
             regions_mm=motion_mm[:cells].reshape(shape),
             regions_depth_mm=depth_mm[:cells].reshape(shape),
             points_mm=motion_mm[cells + 3 :],
