@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 from engine.frames import FloatArray
-from engine.phantom.builds import BUILDS, Build, find_build
+from engine.phantom.builds import BUILDS, NO_DEPARTURE, Build, Departure, find_build
 
 MODES = 8
 STICKER_RADIUS_MM = 10.0
@@ -58,8 +58,8 @@ class Spot:
 class Anatomy:
     """One volunteer's body; the same for every seed."""
 
-    def __init__(self, volunteer: int) -> None:
-        self.build: Build = find_build(volunteer)
+    def __init__(self, volunteer: int, departure: Departure = NO_DEPARTURE) -> None:
+        self.build: Build = departure.of(find_build(volunteer))
         rng = np.random.default_rng((20_171_840, volunteer))
         self.ridges = tuple(_ridge(rng) for _ in range(9))
         self.folds = tuple(_ridge(rng) for _ in range(6))

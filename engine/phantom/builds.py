@@ -4,7 +4,7 @@ Body mass index follows the article's Table 1. Lengths are mm over the couch or 
 follows from these numbers (:mod:`engine.phantom.anatomy`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from engine.errors import InvalidValueError
 
@@ -83,6 +83,54 @@ BUILDS = tuple(
     Build(**{field: values[column] for field, values in _NUMBERS.items()}, shirt_rgb=shirt)
     for column, shirt in enumerate(_SHIRTS)
 )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Departure:
+    """What one recording changes about its volunteer and the room, to see what it does to accuracy.
+
+    Attributes
+    ----------
+    camera_mm
+        Height of the camera over the chest.
+    amplitude_mm
+        Amplitude of the abdomen in free breathing.
+    hole_share
+        Share of the body, 0 to 1, that the sensor does not read, in patches beside the holes it always has.
+    """
+
+    camera_mm: float | None = None
+    amplitude_mm: float | None = None
+    hole_share: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what no camera or chest does."""
+        for field, (low, high) in DEPARTURE_BOUNDS.items():
+            value = getattr(self, field)
+            if value is not None and (
+                isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high
+            ):
+                raise InvalidValueError(field, value, f"a number from {low:g} to {high:g}")
+
+    def of(self, build: Build) -> Build:
+        """Return the volunteer so changed."""
+        return replace(
+            build,
+            camera_mm=build.camera_mm if self.camera_mm is None else float(self.camera_mm),
+            amplitude_mm=build.amplitude_mm if self.amplitude_mm is None else float(self.amplitude_mm),
+        )
+
+    @property
+    def labels(self) -> dict[str, float]:
+        """What was changed, for a recording's truth."""
+        values = {field: getattr(self, field) for field in DEPARTURE_BOUNDS}
+        return {field: float(value) for field, value in values.items() if value is not None}
+
+
+DEPARTURE_BOUNDS = {"camera_mm": (550.0, 1500.0), "amplitude_mm": (0.5, 60.0), "hole_share": (0.0, 0.9)}
+"""Lowest and highest value of each departure; nearer, the four stickers leave the picture."""
+
+NO_DEPARTURE = Departure()
 
 
 def find_build(volunteer: int) -> Build:

@@ -11,12 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.frames import BoolArray, FloatArray
-from engine.phantom.body import Map, Material
+from engine.phantom.body import Map, Material, blur
 from engine.phantom.rig import PROJECTOR_BASELINE_MM
 
 HOLE_SHARE = 0.245
 FLICKER_SHARE = 0.07
 RIM_PX = 6
+PATCH_PX = 4.0
 _STEEPEST = 2.2
 _SHADOW_SLACK_PX = 0.6
 # In the flicker zone a pixel reads in 7 to 93 % of the frames.
@@ -47,6 +48,8 @@ def find_holes(
     is_shiny: BoolArray,
     is_room: BoolArray,
     darkness: FloatArray,
+    body_share: float | None,
+    is_body: BoolArray,
 ) -> Holes:
     """Lay out the holes of one pose.
 
@@ -62,11 +65,15 @@ def find_holes(
         Floor, where dark things stand.
     darkness
         A fixed smooth random field; where it is highest the floor is too dark to read, until the share of holes is met.
+    body_share, is_body
+        Share of the body that is not read either, where one is asked for: patches of about a centimetre.
     """
     never = cast_shadow(depth_mm, focal_px) | _is_steep(depth_mm, focal_px) | is_shiny
     never |= material == Material.HAIR
     never[:RIM_PX] = never[-RIM_PX:] = True
     never[:, :RIM_PX] = never[:, -RIM_PX:] = True
+    if body_share is not None:
+        never |= _patches(is_body, body_share)
     wanted = int(HOLE_SHARE * never.size) - int(np.count_nonzero(never))
     free = is_room & ~never
     if wanted > 0 and free.any():
@@ -83,6 +90,14 @@ def find_holes(
     zone = np.abs(distance) <= reach
     level[zone] = -_ZONE_LEVEL * distance[zone] / reach
     return Holes(level=level, is_edge=zone & ~never)
+
+
+def _patches(is_body: BoolArray, share: float) -> BoolArray:
+    """Patches all over the body that cover a share of it."""
+    field = blur(np.random.default_rng(10).standard_normal(is_body.shape, dtype=np.float32), PATCH_PX)
+    if share <= 0.0:
+        return np.zeros_like(is_body)
+    return np.asarray(is_body & (field >= np.quantile(field[is_body], 1.0 - share)))
 
 
 def _is_steep(depth_mm: FloatArray, focal_px: float) -> BoolArray:

@@ -23,7 +23,7 @@ from engine.errors import InvalidValueError, RecordingError
 from engine.frames import ROI_COLUMNS, ROI_ROWS
 from engine.oni.codec import encode_16zt, encode_jpeg
 from engine.oni.writer import OniWriter
-from engine.phantom.builds import find_build
+from engine.phantom.builds import NO_DEPARTURE, Departure, find_build
 from engine.phantom.scenarios import check_scenario
 from engine.phantom.scene import Scene, Script
 from engine.phantom.studio import Studio
@@ -80,6 +80,7 @@ def make_volunteer(
     seed: int,
     out: Path,
     trace: Path | None = None,
+    departure: Departure = NO_DEPARTURE,
     workers: int | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> None:
@@ -97,6 +98,8 @@ def make_volunteer(
         0 to 2^32 - 1.
     trace
         Recorded breathing to follow instead: a marker CSV, an RPM ``.vxp`` or a QA text.
+    departure
+        What differs from the volunteer as he was: camera's height, amplitude, holes.
     workers
         Processes; as many as there are processors by default, 1 for none but this one.
     on_progress
@@ -115,7 +118,13 @@ def make_volunteer(
     if out.exists() and not out.is_dir():
         raise InvalidValueError("out", str(out), "a folder")
     script = Script(
-        scenario=scenario, volunteer=volunteer, seconds=float(seconds), fps=float(fps), seed=seed, trace=breathing
+        scenario=scenario,
+        volunteer=volunteer,
+        seconds=float(seconds),
+        fps=float(fps),
+        seed=seed,
+        trace=breathing,
+        departure=departure,
     )
     with _folder(out.resolve()) as draft:
         try:
@@ -317,8 +326,9 @@ def _labels(scene: Scene) -> str:
             }
         )
     script = scene.script
-    head = {"scenario": script.scenario, "volunteer": script.volunteer, "seed": script.seed}
+    head: dict[str, object] = {"scenario": script.scenario, "volunteer": script.volunteer, "seed": script.seed}
     trace: Trace | None = script.trace
+    head |= script.departure.labels
     if trace is not None:
         head |= {"trace_kind": trace.kind, "trace_axis": trace.axis}
     return json.dumps({**head, "events": events}, sort_keys=True)

@@ -10,6 +10,7 @@ import numpy as np
 
 from engine.phantom.anatomy import Anatomy
 from engine.phantom.breathing import Breathing
+from engine.phantom.builds import NO_DEPARTURE, Departure
 from engine.phantom.rig import build_rig
 from engine.phantom.scenarios import Pose, plan
 from engine.phantom.traces import Trace
@@ -27,6 +28,7 @@ class Script:
     fps: float
     seed: int
     trace: Trace | None = None
+    departure: Departure = NO_DEPARTURE
 
     def rng(self, stream: int) -> np.random.Generator:
         """Random numbers of one purpose."""
@@ -38,7 +40,7 @@ class Scene:
 
     def __init__(self, script: Script) -> None:
         self.script = script
-        self.anatomy = Anatomy(script.volunteer)
+        self.anatomy = Anatomy(script.volunteer, script.departure)
         self.rig = build_rig(self.anatomy.build, script.volunteer)
         self.timeline = plan(
             script.scenario,

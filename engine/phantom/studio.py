@@ -133,6 +133,8 @@ class Studio:
             is_shiny=is_shiny,
             is_room=~view.is_body & ~view.is_couch,
             darkness=field,
+            body_share=self.scene.script.departure.hole_share,
+            is_body=view.is_body,
         )
         return DepthStage(view=view, holes=holes)
 

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from engine.errors import TidegateError
+from engine.phantom.builds import Departure
 from engine.phantom.recording import make_volunteer
 from service.cli.terminal import frame_bar, refused, say
 
@@ -22,6 +23,9 @@ def phantom(
     trace: Annotated[
         Path | None, typer.Option(help="Recorded breathing to follow: a marker CSV, an RPM .vxp or a QA text.")
     ] = None,
+    camera_mm: Annotated[float | None, typer.Option(help="Height of the camera over the chest [mm].")] = None,
+    amplitude_mm: Annotated[float | None, typer.Option(help="Amplitude of the abdomen in free breathing [mm].")] = None,
+    hole_share: Annotated[float | None, typer.Option(help="Share of the body, 0 to 1, that is not read.")] = None,
     workers: Annotated[int | None, typer.Option(help="Processes; one a processor when not given.")] = None,
 ) -> None:
     """Make a virtual volunteer: a breathing person on a couch, seen by a camera with every fault of the real one."""
@@ -36,6 +40,7 @@ def phantom(
                 seed=seed,
                 out=out,
                 trace=trace,
+                departure=Departure(camera_mm=camera_mm, amplitude_mm=amplitude_mm, hole_share=hole_share),
                 workers=workers,
                 on_progress=lambda done, total: progress.update(task, completed=done, total=total),
             )
