@@ -10,7 +10,7 @@ import numpy as np
 from engine.frames import FloatArray, frozen
 from engine.model import MotionModel
 from engine.stages.projection import Basis, prepare_basis
-from engine.stages.regions import RegionMeans, prepare_regions, region_values
+from engine.stages.regions import RegionLayout, RegionMeans, prepare_regions
 from engine.stages.roi import NODE_COLUMNS, NODE_ROWS, at_nodes
 from engine.stages.surface import grid_triangles, volume_l
 
@@ -55,9 +55,6 @@ class ActiveModel:
     regions: RegionMeans
     node_mean_mm: FloatArray
     node_modes: FloatArray
-    cell_px: int
-    thorax_rows: int
-    points: tuple[tuple[int, int], ...]
 
     def node_depth_mm(self, coefficients: FloatArray) -> FloatArray:
         """Depth at the region's nodes [mm], shape (nodes,)."""
@@ -65,26 +62,20 @@ class ActiveModel:
 
     def reference(self, coefficients: FloatArray, surface: FloatArray) -> Reference:
         """Make the position that these coefficients mean the zero; ``surface`` are its vertices (nodes, 3)."""
-        grid = self.model.mean_mm + np.tensordot(coefficients, self.basis.modes, axes=1)
-        regions_mm = region_values(grid[None].astype(np.float64), self.cell_px, self.thorax_rows, list(self.points))[0]
+        regions_mm = self.regions.model_depth_mm(coefficients)
         plane_mm = float(surface[:, 2].mean())
         return Reference(
             regions_mm=frozen(regions_mm), plane_mm=plane_mm, volume_l=volume_l(surface, _TRIANGLES, plane_mm)
         )
 
 
-def prepare_model(model: MotionModel, *, cell_px: int, thorax_rows: int, points: list[tuple[int, int]]) -> ActiveModel:
-    """Make a model ready; see :func:`engine.stages.regions.prepare_regions` for the grid."""
+def prepare_model(model: MotionModel, layout: RegionLayout) -> ActiveModel:
+    """Make a model ready to be measured with in the regions of ``layout``."""
     basis = prepare_basis(model)
     return ActiveModel(
         model=model,
         basis=basis,
-        regions=prepare_regions(
-            model.mean_mm, basis.modes, model.known, cell_px=cell_px, thorax_rows=thorax_rows, points=points
-        ),
+        regions=prepare_regions(model.mean_mm, basis.modes, model.known, layout),
         node_mean_mm=frozen(at_nodes(model.mean_mm)),
         node_modes=frozen(np.stack([at_nodes(mode) for mode in basis.modes])),
-        cell_px=cell_px,
-        thorax_rows=thorax_rows,
-        points=tuple(points),
     )

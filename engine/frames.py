@@ -5,7 +5,7 @@ Each is frozen and its arrays are read-only from the moment it is made, so stage
 """
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -177,6 +177,8 @@ class Motion:
         outside of what the model knows.
     points_mm
         Motion at the asked-for grid points [mm], shape (p,).
+    named_mm
+        Motion of the named regions [mm] in the order they were given, shape (q,).
     volume_l
         Volume against the reference [l]; positive is more.
     """
@@ -189,6 +191,7 @@ class Motion:
     regions_depth_mm: FloatArray
     points_mm: FloatArray
     projection: Projection
+    named_mm: FloatArray = field(default_factory=lambda: frozen(np.empty(0)))
 
 
 class MeasurementState(enum.StrEnum):

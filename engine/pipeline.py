@@ -25,10 +25,11 @@ from engine.frames import (
 )
 from engine.learner import Learner
 from engine.model import MotionModel
+from engine.polygons import NamedRegion
 from engine.stages import markers as marker_stage
 from engine.stages.markers import MarkerSearch
 from engine.stages.projection import project
-from engine.stages.regions import check_points, grid_shape
+from engine.stages.regions import RegionLayout, horizontal_split
 from engine.stages.registration import align, look_up_rays, undistorted_rays
 from engine.stages.roi import NODE_COLUMNS, NODE_ROWS, at_nodes, cut_out, roi_nodes
 from engine.stages.surface import vertices_mm
@@ -48,8 +49,12 @@ class PipelineSettings:
         Side of a region's cell on the grid [px].
     thorax_rows
         Rows of the grid above this are thorax, the others abdomen.
+    split
+        The line between thorax and abdomen where it is not along a row: the rows where it crosses column 0 and 199.
     points
         Grid points (row, column) to report singly.
+    named
+        Polygons on the grid to report, each under its name.
     superior_px
         Where the patient's head is in the picture; see :class:`engine.stages.markers.MarkerSearch`.
     max_pair_gap_ms
@@ -60,7 +65,9 @@ class PipelineSettings:
 
     cell_px: int = 25
     thorax_rows: int = 175
+    split: tuple[float, float] | None = None
     points: tuple[tuple[int, int], ...] = ()
+    named: tuple[NamedRegion, ...] = ()
     marker_diameter_mm: float = 20.0
     superior_px: tuple[float, float] | None = None
     max_layout_change: float = 0.08
@@ -72,8 +79,12 @@ class PipelineSettings:
 
     def __post_init__(self) -> None:
         """Check the grid settings."""
-        grid_shape(self.cell_px)
-        check_points(list(self.points))
+        self.layout()
+
+    def layout(self) -> RegionLayout:
+        """Return what motion is averaged over."""
+        split = horizontal_split(self.thorax_rows) if self.split is None else self.split
+        return RegionLayout(cell_px=self.cell_px, split=split, points=self.points, named=self.named)
 
 
 class Pipeline:
@@ -274,8 +285,7 @@ class Pipeline:
 
     def _prepared(self, model: MotionModel) -> ActiveModel:
         """Work everything out that frames will need; called wherever the trainer runs."""
-        wanted = self._settings
-        return prepare_model(model, cell_px=wanted.cell_px, thorax_rows=wanted.thorax_rows, points=list(wanted.points))
+        return prepare_model(model, self._settings.layout())
 
     # -- measuring ----------------------------------------------------------------------------------------------
 
@@ -299,8 +309,9 @@ class Pipeline:
         surface = vertices_mm(rays, node_depth_mm)
         reference = self._learner.reference(active, outcome.coefficients, surface)
         motion_mm = reference.regions_mm - depth_mm
-        cells, shape = active.regions.cells, (active.regions.rows, active.regions.columns)
-        whole, thorax, abdomen = motion_mm[cells : cells + 3].tolist()
+        regions = active.regions
+        cells, shape = regions.cells, (regions.rows, regions.columns)
+        whole, thorax, abdomen = motion_mm[cells : regions.points_from].tolist()
         return Motion(
             whole_mm=whole,
             thorax_mm=thorax,
@@ -308,7 +319,8 @@ class Pipeline:
             volume_l=reference.volume_above_l(surface),
             regions_mm=motion_mm[:cells].reshape(shape),
             regions_depth_mm=depth_mm[:cells].reshape(shape),
-            points_mm=motion_mm[cells + 3 :],
+            points_mm=motion_mm[regions.points_from : regions.named_from],
+            named_mm=motion_mm[regions.named_from :],
             projection=outcome,
         )
 

@@ -8,7 +8,7 @@ from engine.frames import ROI_COLUMNS, ROI_ROWS, RoiDepth
 from engine.model import MotionModel, fit
 from engine.stages.breathing import count_cycles
 from engine.stages.projection import prepare_basis, project
-from engine.stages.regions import check_points, grid_shape, prepare_regions, region_values
+from engine.stages.regions import RegionLayout, check_points, grid_shape, prepare_regions, region_values
 from engine.stages.surface import grid_triangles, vertices_mm, volume_l
 
 ROWS, COLUMNS = np.mgrid[0:ROI_ROWS, 0:ROI_COLUMNS].astype(np.float32)
@@ -147,7 +147,7 @@ def test_region_means_are_the_means_of_the_rebuilt_surface(model, cell, shape):
     basis = prepare_basis(model)
     coefficients = np.random.default_rng(4).normal(0.0, 3.0, len(basis.modes))
     points = [(10, 20), (349, 199)]
-    means = prepare_regions(model.mean_mm, basis.modes, model.known, cell_px=cell, thorax_rows=175, points=points)
+    means = prepare_regions(model.mean_mm, basis.modes, model.known, RegionLayout(cell_px=cell, points=tuple(points)))
     rebuilt = model.mean_mm.astype(np.float64) + np.tensordot(coefficients, basis.modes.astype(np.float64), axes=1)
     values = means.depth_mm(coefficients)
     assert (means.rows, means.columns) == shape == grid_shape(cell)
@@ -162,7 +162,7 @@ def test_a_cell_that_was_never_seen_is_empty_not_zero(model):
     known = np.ones((ROI_ROWS, ROI_COLUMNS), dtype=bool)
     known[:25, :25] = False
     basis = prepare_basis(model)
-    means = prepare_regions(model.mean_mm, basis.modes, known, cell_px=25, thorax_rows=175, points=[])
+    means = prepare_regions(model.mean_mm, basis.modes, known, RegionLayout())
     values = means.depth_mm(np.zeros(len(basis.modes)))
     assert np.isnan(values[0])
     assert np.isfinite(values[1:]).all()
@@ -181,7 +181,7 @@ def test_cells_out_of_bounds_are_refused():
 
 
 def test_the_last_smaller_cells_keep_their_own_mean():
-    values = region_values(ROWS[None].astype(np.float64), 60, 175, [])
+    values = region_values(ROWS[None].astype(np.float64), RegionLayout(cell_px=60))
     assert values[0, 5 * 4] == pytest.approx(np.arange(300, 350).mean())
 
 
