@@ -5,24 +5,19 @@ the article prints a frame where the *mean* frame is subtracted; equation (5)'s 
 mapped back through the data to become components.
 """
 
-import json
-import os
-import zipfile
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 
 from engine.errors import ModelError
 from engine.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, frozen
+from engine.provenance import Provenance
 
-SCHEMA = "tidegate.model/1"
 MIN_FRAMES = 20
 KNOWN_SHARE = 0.5
 SMOOTHING_PX = 4.0
 FILL_ITERATIONS = 1
-MAX_MODEL_BYTES = 64 * 1024 * 1024
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,6 +39,11 @@ class MotionModel:
         Complete breathing cycles among the training frames.
     calibration_sha256
         The calibration the frames were aligned with.
+    surface_mm
+        Mean of the surface's vertices at the region's nodes, in the depth camera's frame [mm], shape (nodes, 3); None
+        where nobody noted them. It tells a later fraction how far the patient lies from here.
+    provenance
+        How good the training was, and where the model comes from.
     """
 
     mean_mm: FloatArray
@@ -54,6 +54,8 @@ class MotionModel:
     cycles: int
     seconds: float
     calibration_sha256: str
+    surface_mm: FloatArray | None = None
+    provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:
         """Check shapes and finiteness once, where the model is made."""
@@ -64,8 +66,13 @@ class MotionModel:
         if not (np.isfinite(self.mean_mm).all() and np.isfinite(self.components).all()):
             msg = "a model must be finite everywhere"
             raise ModelError(msg)
-        for array in (self.mean_mm, self.components, self.eigenvalues_mm2, self.known):
-            frozen(array)
+        surface = self.surface_mm
+        if surface is not None and (surface.shape[1:] != (3,) or not np.isfinite(surface).all()):
+            msg = f"a model's surface is made of finite points, not {surface.shape}"
+            raise ModelError(msg)
+        for array in (self.mean_mm, self.components, self.eigenvalues_mm2, self.known, self.surface_mm):
+            if array is not None:
+                frozen(array)
 
     @property
     def spectrum(self) -> FloatArray:
@@ -80,56 +87,6 @@ class MotionModel:
     def reconstruct(self, beta: FloatArray) -> FloatArray:
         """Equation (7): the surface that coefficients mean [mm], shape (350, 200)."""
         return self.mean_mm + np.tensordot(beta, self.components, axes=1)
-
-    def save(self, path: Path) -> None:
-        """Write the model as ``.npz``; nothing half-written is left behind."""
-        header = {
-            "schema": SCHEMA,
-            "training_frames": self.training_frames,
-            "cycles": self.cycles,
-            "seconds": self.seconds,
-            "calibration_sha256": self.calibration_sha256,
-        }
-        partial = path.with_name(path.name + ".partial")
-        with partial.open("wb") as file:
-            np.savez_compressed(
-                file,
-                header=np.frombuffer(json.dumps(header, sort_keys=True).encode(), dtype=np.uint8),
-                mean_mm=self.mean_mm,
-                components=self.components,
-                eigenvalues_mm2=self.eigenvalues_mm2,
-                known=self.known,
-            )
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-
-    @classmethod
-    def load(cls, path: Path) -> "MotionModel":
-        """Read a model; raise ModelError for anything that is none."""
-        try:
-            with zipfile.ZipFile(path) as archive:
-                if sum(item.file_size for item in archive.infolist()) > MAX_MODEL_BYTES:
-                    msg = f"{path.name} unpacks to more than {MAX_MODEL_BYTES} bytes"
-                    raise ModelError(msg)
-            with np.load(path, allow_pickle=False) as arrays:
-                header = json.loads(arrays["header"].tobytes())
-                if header["schema"] != SCHEMA:
-                    msg = f"{path.name} has schema {header['schema']!r}: must be {SCHEMA!r}"
-                    raise ModelError(msg)
-                return cls(
-                    mean_mm=arrays["mean_mm"].astype(np.float32),
-                    components=arrays["components"].astype(np.float32),
-                    eigenvalues_mm2=arrays["eigenvalues_mm2"].astype(np.float64),
-                    known=arrays["known"].astype(np.bool_),
-                    training_frames=int(header["training_frames"]),
-                    cycles=int(header["cycles"]),
-                    seconds=float(header["seconds"]),
-                    calibration_sha256=str(header["calibration_sha256"]),
-                )
-        except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
-            msg = f"{path.name} is no motion model: {error}"
-            raise ModelError(msg) from error
 
 
 def fit(

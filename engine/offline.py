@@ -18,6 +18,7 @@ from engine.commands import Arm
 from engine.errors import ModelError, RecordingError, SourceEndedError
 from engine.frames import FloatArray, Measurement, MeasurementState, Motion
 from engine.limits import GateLimits
+from engine.model_file import save_model
 from engine.pipeline import Pipeline, PipelineSettings
 from engine.stages.gate import Gate, step_gate
 from engine.stages.regions import grid_shape
@@ -102,7 +103,7 @@ def measure_recording(
     if pipeline.model is None:
         msg = f"{results.frames} frames were not enough to learn a motion model: {_why(results)}"
         raise ModelError(msg)
-    pipeline.model.save(out / "model.npz")
+    save_model(pipeline.model, out / "model.npz")
     return results.summary(pipeline, damage)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from engine.errors import ModelError
 from engine.model import MotionModel
+from engine.model_file import header_text, load_model, save_model
 
 
 class ModelStore:
@@ -21,12 +22,12 @@ class ModelStore:
         path = self._path(sha256)
         if not path.exists():
             self._folder.mkdir(parents=True, exist_ok=True)
-            model.save(path)
+            save_model(model, path)
         return sha256
 
     def load(self, sha256: str) -> MotionModel:
         """Read a model back; raise ModelError when the file is not what was kept."""
-        model = MotionModel.load(self._path(sha256))
+        model = load_model(self._path(sha256))
         if content_sha256(model) != sha256:
             msg = "the model's file was changed after it was kept"
             raise ModelError(msg)
@@ -37,8 +38,9 @@ class ModelStore:
 
 
 def content_sha256(model: MotionModel) -> str:
-    """Identify a model by its arrays and the calibration it belongs to."""
-    digest = hashlib.sha256(model.calibration_sha256.encode())
-    for array in (model.mean_mm, model.components, model.eigenvalues_mm2, model.known):
-        digest.update(np.ascontiguousarray(array).tobytes())
+    """Identify a model by everything its file holds: the arrays, and what made them."""
+    digest = hashlib.sha256(header_text(model).encode())
+    for array in (model.mean_mm, model.components, model.eigenvalues_mm2, model.known, model.surface_mm):
+        if array is not None:
+            digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()

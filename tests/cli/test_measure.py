@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from engine.model import MotionModel
+from engine.model_file import load_model
 from engine.phantom.truth import load_truth
 from service.cli import app
 
@@ -112,7 +112,7 @@ def test_region_and_model_files_say_the_same_as_the_table(regular):
         assert np.isnan(regions["motion_mm"][~regular.measured]).all()
         mean = np.nanmean(regions["motion_mm"][regular.measured], axis=(1, 2))
     assert np.abs(mean - regular.column("whole_mm")[regular.measured]).max() < 0.2
-    model = MotionModel.load(regular.out / "model.npz")
+    model = load_model(regular.out / "model.npz")
     assert model.cycles >= 3
     assert model.spectrum[:3].sum() > 0.9
 

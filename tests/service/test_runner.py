@@ -7,6 +7,7 @@ from fastapi.testclient import TestClient
 
 from engine.commands import Acknowledge, ActivateModel, Arm, Disarm, Retrain, SetReference
 from engine.errors import RuntimeMissingError, SourceLostError
+from engine.model_file import save_model
 from engine.permits import GateState, HoldReason
 from service.app import create_app
 from tests.service.conftest import act, audit_rows, eventually, make_session_body, upload
@@ -235,7 +236,7 @@ def test_a_model_whose_file_was_changed_is_not_activated(client, session_id, run
     url = f"/api/v1/sessions/{session_id}/models"
     eventually(lambda: len(client.get(url).json()["items"]) == 1)
     (model,) = client.get(url).json()["items"]
-    make_model(2).save(settings.data_dir / "models" / f"{model['sha256']}.npz")
+    save_model(make_model(2), settings.data_dir / "models" / f"{model['sha256']}.npz")
     answer = client.post(f"/api/v1/models/{model['id']}/activate", json={"operator": "me"})
     assert (answer.status_code, answer.json()["code"]) == (409, "model_invalid")
     assert running.commands == []
