@@ -121,18 +121,27 @@ class RoiDepth:
     Attributes
     ----------
     depth_mm
-        Depth [mm], shape (350, 200), float32; meaningless where ``valid`` is false.
+        Depth [mm], shape (350, 200), float32, or of every ``stride_px``-th row and column of that; meaningless where
+        ``valid`` is false.
     valid
-        Whether the sensor saw that point, shape (350, 200).
+        Whether the sensor saw that point, same shape.
     """
 
     depth_mm: FloatArray
     valid: BoolArray
+    stride_px: int = 1
 
     def __post_init__(self) -> None:
         """Make both arrays read-only."""
         frozen(self.depth_mm)
         frozen(self.valid)
+
+    def thinned(self, stride_px: int) -> "RoiDepth":
+        """Return the same at every ``stride_px``-th row and column; a multiple of the present stride."""
+        step = stride_px // self.stride_px
+        if step == 1:
+            return self
+        return RoiDepth(depth_mm=self.depth_mm[::step, ::step], valid=self.valid[::step, ::step], stride_px=stride_px)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -166,6 +175,33 @@ class Projection:
         frozen(self.coefficients)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhaseLag:
+    """How much later one region moves than another, over the last cycles.
+
+    Attributes
+    ----------
+    first, second
+        The regions' names; a positive lag says that the first moves later.
+    lag_s, lag_deg
+        The lag [s] and as a part of the cycle [deg, above -180 to 180]; None when it cannot be told.
+    period_s
+        Length of a cycle [s]; None when there is none.
+    confidence
+        How well the two agree once the lag is undone, the correlation, up to 1; None when it was not looked for.
+    note
+        Why it cannot be told; empty when it can.
+    """
+
+    first: str
+    second: str
+    lag_s: float | None = None
+    lag_deg: float | None = None
+    period_s: float | None = None
+    confidence: float | None = None
+    note: str = ""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion:
     """What was measured on one frame; motion is positive towards the camera.
@@ -181,6 +217,8 @@ class Motion:
         Motion of the named regions [mm] in the order they were given, shape (q,).
     volume_l
         Volume against the reference [l]; positive is more.
+    lags
+        Phase lags between regions, thorax against abdomen first; worked out about once a second.
     """
 
     whole_mm: float
@@ -192,6 +230,7 @@ class Motion:
     points_mm: FloatArray
     projection: Projection
     named_mm: FloatArray = field(default_factory=lambda: frozen(np.empty(0)))
+    lags: tuple[PhaseLag, ...] = ()
 
 
 class MeasurementState(enum.StrEnum):
