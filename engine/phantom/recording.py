@@ -1,4 +1,6 @@
-"""Makes a virtual volunteer's folder: ``recording.oni``, ``calibration.json`` and ``truth.npz``.
+"""Makes a virtual volunteer's folder: ``recording.oni``, ``calibration.json``, ``truth.npz`` and ``flow.csv``.
+
+With a laser its plane stands beside them, in ``plane.json``.
 
 The same arguments give the same bytes, whatever the number of processes. The folder's files appear together, at the
 end; nothing half-written stays when it fails or is stopped.
@@ -20,10 +22,13 @@ import numpy as np
 import numpy.typing as npt
 
 from engine.errors import InvalidValueError, RecordingError
-from engine.frames import ROI_COLUMNS, ROI_ROWS
+from engine.frames import ROI_COLUMNS, ROI_ROWS, FloatArray
+from engine.laser_plane import LaserPlane
 from engine.oni.codec import encode_16zt, encode_jpeg
 from engine.oni.writer import OniWriter
 from engine.phantom.builds import NO_DEPARTURE, Departure, find_build
+from engine.phantom.flow import Flow, breathe_through
+from engine.phantom.laser import LaserTruth, hang_laser, truth_columns
 from engine.phantom.scenarios import check_scenario
 from engine.phantom.scene import Scene, Script
 from engine.phantom.studio import Studio
@@ -32,7 +37,8 @@ from engine.phantom.truth import POINTS_RC, Grid, Truth, load_truth, roi_nodes
 
 __all__ = ["Truth", "load_truth", "make_volunteer"]
 
-FILES = ("recording.oni", "calibration.json", "truth.npz")
+FILES = ("recording.oni", "calibration.json", "truth.npz", "flow.csv")
+LASER_FILE = "plane.json"
 SLOWEST_FPS, FASTEST_FPS = 5.0, 60.0
 TRUE_RATE = 0.999
 # The colour clock runs slow against the depth clock, and starts later.
@@ -81,6 +87,7 @@ def make_volunteer(
     out: Path,
     trace: Path | None = None,
     departure: Departure = NO_DEPARTURE,
+    has_laser: bool = False,
     workers: int | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> None:
@@ -100,6 +107,8 @@ def make_volunteer(
         Recorded breathing to follow instead: a marker CSV, an RPM ``.vxp`` or a QA text.
     departure
         What differs from the volunteer as he was: camera's height, amplitude, holes.
+    has_laser
+        Throw a laser's line across the abdomen, and write its plane.
     workers
         Processes; as many as there are processors by default, 1 for none but this one.
     on_progress
@@ -125,6 +134,7 @@ def make_volunteer(
         seed=seed,
         trace=breathing,
         departure=departure,
+        has_laser=has_laser,
     )
     with _folder(out.resolve()) as draft:
         try:
@@ -157,8 +167,9 @@ def _folder(out: Path) -> Iterator[Path]:
     try:
         yield draft
         if out.exists():
-            for name in FILES:
-                (draft / name).replace(out / name)
+            (out / LASER_FILE).unlink(missing_ok=True)  # of another recording
+            for path in sorted(draft.iterdir()):
+                path.replace(out / path.name)
         else:
             draft.rename(out)
     finally:
@@ -177,8 +188,12 @@ def _record(script: Script, draft: Path, workers: int | None, on_progress: Calla
             chunks.append(replace(chunk, depth_payloads=[], color_payloads=[]))
             on_progress(done, len(depth_us))
     scene = Scene(script)
+    if script.has_laser:
+        (draft / LASER_FILE).write_text(_plane(scene).to_json(), encoding="utf-8")
+    flow = breathe_through(scene, int(depth_us[0]))
+    (draft / FILES[3]).write_text(flow.to_csv(), encoding="utf-8")
     (draft / FILES[1]).write_text(scene.rig.calibration.to_json(), encoding="utf-8")
-    _gather_truth(scene, chunks, depth_us, color_us).save(draft / FILES[2])
+    _gather_truth(scene, chunks, depth_us, color_us, flow).save(draft / FILES[2])
 
 
 def _timestamps(script: Script) -> tuple[Stamps, Stamps]:
@@ -280,7 +295,11 @@ def _write_frames(writer: OniWriter, task: _Task, chunk: _Chunk) -> None:
         (writer.write_color_payload if stream else writer.write_depth_payload)(time_us, payload)
 
 
-def _gather_truth(scene: Scene, chunks: list[_Chunk], depth_us: Stamps, color_us: Stamps) -> Truth:
+def _plane(scene: Scene) -> LaserPlane:
+    return hang_laser(scene.anatomy, scene.rig, scene.script.volunteer)
+
+
+def _gather_truth(scene: Scene, chunks: list[_Chunk], depth_us: Stamps, color_us: Stamps, flow: Flow) -> Truth:
     halves = np.concatenate([chunk.halves_mm for chunk in chunks])
     volume = scene.skin.volume_l(scene.breathing.weights(depth_us * 1e-6))
     signals = scene.timeline.signals
@@ -301,7 +320,23 @@ def _gather_truth(scene: Scene, chunks: list[_Chunk], depth_us: Stamps, color_us
         trace_s=signals.time_s,
         trace_mm=np.column_stack([signals.abdomen_mm, signals.thorax_mm]),
         labels=_labels(scene),
+        spirometer_lag_s=np.array(flow.lag_s),
+        **_laser_truth(scene, color_us),
     )
+
+
+def _laser_truth(scene: Scene, color_us: Stamps) -> dict[str, FloatArray]:
+    if not scene.script.has_laser:
+        return {}
+    columns_px = truth_columns(scene.markers_px(0.0))
+    solver = LaserTruth(_plane(scene), scene.rig, scene.color_rays, scene.skin, columns_px)
+    times_s = [_seconds(time_us) for time_us in color_us]
+    lines = [solver.line(scene.breathing.weights(time_s), scene.timeline.pose(time_s)) for time_s in times_s]
+    return {
+        "laser_column_px": columns_px,
+        "laser_row_px": np.stack([line.row_px for line in lines]),
+        "laser_depth_mm": np.stack([line.depth_mm for line in lines]),
+    }
 
 
 def _full_index(frames: int) -> Stamps:

@@ -29,6 +29,7 @@ class Script:
     seed: int
     trace: Trace | None = None
     departure: Departure = NO_DEPARTURE
+    has_laser: bool = False
 
     def rng(self, stream: int) -> np.random.Generator:
         """Random numbers of one purpose."""

@@ -17,6 +17,7 @@ from engine.phantom.anatomy import BODY_HALF_MM, Anatomy
 from engine.phantom.body import Map, blur, sample_body
 from engine.phantom.color import ColorCamera, blur_lens, paint_body, paint_room, paint_trunk, stick
 from engine.phantom.holes import Holes, cast_shadow, find_holes
+from engine.phantom.laser import LaserLight, hang_laser
 from engine.phantom.rig import HEIGHT_PX, WIDTH_PX, couch_from_body
 from engine.phantom.scenarios import Pose
 from engine.phantom.scene import Scene, Script
@@ -50,6 +51,11 @@ class Studio:
         self._body = sample_body(scene.anatomy)
         self._sensor = Sensor(Unit.of(scene.anatomy.build), script.seed)
         self._color_camera = ColorCamera(scene.rig.color, script.seed)
+        self._laser = (
+            LaserLight(hang_laser(scene.anatomy, scene.rig, script.volunteer), scene.color_rays, script.seed)
+            if script.has_laser
+            else None
+        )
         self._depth_rays = Rays.of(scene.rig.depth)
         self._sticker_slopes = _sticker_slopes(scene.anatomy)
         # A body lies still but for one movement: the newest poses are enough.
@@ -94,6 +100,8 @@ class Studio:
             self._sticker_slopes,
             self._sticker_light(),
         )
+        if self._laser is not None:
+            self._laser.shine(picture, stage.view, hit, frame)
         for thing in self._occluders(time_s):
             drawn = occluders.draw(thing, self.scene.rig.color, self.scene.rig.color_from_couch)
             picture = occluders.cover_color(picture, drawn, thing)

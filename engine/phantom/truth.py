@@ -19,6 +19,10 @@ Keys (n depth frames, m colour frames; mm and litres; ``motion = reference depth
 ``depth_markers_px`` (n, 4, 2)    the same at the depth frames' times: the quadrilateral of the ROI
 ``trace_s``, ``trace_mm`` (k), (k, 2) the signals, abdomen and thorax, that drove the skin
 ``labels``           json         events: name, start_us, end_us, detail; and scenario, volunteer, seed
+``spirometer_lag_s`` ()           what happens t seconds after the first depth frame stands at t + lag in ``flow.csv``
+``laser_column_px``  (c)          only with a laser: columns of the colour picture
+``laser_row_px``     (m, c)       row at which the laser's line crosses each of them in each colour frame
+``laser_depth_mm``   (m, c)       depth there: z in the depth camera's frame
 ==================== ============ =============================================================================
 
 The ROI grid: 350 rows from superior, 200 columns from the patient's right; grid point (row, column) lies where the
@@ -46,6 +50,8 @@ from engine.phantom.view import Frustum, Rays
 
 Grid = npt.NDArray[np.float64]
 CELL_PX = 10
+OPTIONAL = ("spirometer_lag_s", "laser_column_px", "laser_row_px", "laser_depth_mm")
+"""Keys that older truths, and truths without a laser, do not have."""
 POINTS_RC = np.array([(70, 60), (70, 140), (175, 100), (280, 60), (280, 140)])
 _SPLINE_STEP_MM = 2.0
 _SPLINE_HALF_MM = (210.0, 270.0)
@@ -73,6 +79,10 @@ class Truth:
     trace_s: FloatArray
     trace_mm: FloatArray
     labels: str
+    spirometer_lag_s: FloatArray | None = None
+    laser_column_px: FloatArray | None = None
+    laser_row_px: FloatArray | None = None
+    laser_depth_mm: FloatArray | None = None
 
     @property
     def events(self) -> list[dict[str, object]]:
@@ -82,7 +92,8 @@ class Truth:
 
     def save(self, path: Path) -> None:
         """Write the file; the same values give the same bytes."""
-        arrays = {name: np.asarray(getattr(self, name)) for name in self.__dataclass_fields__}
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        arrays = {name: np.asarray(value) for name, value in values.items() if value is not None}
         arrays["cell_depth_mm"] = arrays["cell_depth_mm"].astype(np.float32)
         with path.open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, **arrays)
@@ -92,7 +103,8 @@ def load_truth(path: Path) -> Truth:
     """Read a ``truth.npz``; raise RecordingError if it is none."""
     try:
         with path.open("rb") as source, np.load(source, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in Truth.__dataclass_fields__ if name != "labels"}
+            wanted = [name for name in Truth.__dataclass_fields__ if name in file or name not in OPTIONAL]
+            arrays = {name: file[name] for name in wanted if name != "labels"}
             return Truth(labels=str(file["labels"]), **arrays)
     except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
         raise RecordingError(f"{path.name}: is no truth of a virtual volunteer ({error})") from error

@@ -15,7 +15,7 @@ def phantom(
     scenario: Annotated[
         str, typer.Argument(help="regular, irregular, isovolume, dibh, drift, shift or occlusion.", metavar="SCENARIO")
     ],
-    out: Annotated[Path, typer.Option(help="Folder for recording.oni, calibration.json and truth.npz.")],
+    out: Annotated[Path, typer.Option(help="Folder for recording.oni, calibration.json, truth.npz and flow.csv.")],
     volunteer: Annotated[int, typer.Option(help="Which of the ten volunteers, 1 to 10.")] = 1,
     seconds: Annotated[float, typer.Option(help="Length of the recording [s].")] = 60.0,
     fps: Annotated[float, typer.Option(help="Nominal frame rate [1/s]; the true one is a thousandth lower.")] = 30.0,
@@ -26,6 +26,7 @@ def phantom(
     camera_mm: Annotated[float | None, typer.Option(help="Height of the camera over the chest [mm].")] = None,
     amplitude_mm: Annotated[float | None, typer.Option(help="Amplitude of the abdomen in free breathing [mm].")] = None,
     hole_share: Annotated[float | None, typer.Option(help="Share of the body, 0 to 1, that is not read.")] = None,
+    laser: Annotated[bool, typer.Option("--laser", help="Throw a laser's line across it; writes plane.json.")] = False,
     workers: Annotated[int | None, typer.Option(help="Processes; one a processor when not given.")] = None,
 ) -> None:
     """Make a virtual volunteer: a breathing person on a couch, seen by a camera with every fault of the real one."""
@@ -41,6 +42,7 @@ def phantom(
                 out=out,
                 trace=trace,
                 departure=Departure(camera_mm=camera_mm, amplitude_mm=amplitude_mm, hole_share=hole_share),
+                has_laser=laser,
                 workers=workers,
                 on_progress=lambda done, total: progress.update(task, completed=done, total=total),
             )

@@ -61,7 +61,7 @@ def test_another_seed_gives_other_noise_and_another_breath(tiny, tmp_path):
     assert (tiny / "calibration.json").read_bytes() == (tmp_path / "b" / "calibration.json").read_bytes()
 
 
-def test_the_folder_holds_three_files_and_nothing_beside(short):
+def test_the_folder_holds_its_four_files_and_nothing_beside(short):
     assert sorted(path.name for path in short.iterdir()) == sorted(FILES)
     assert [path.name for path in short.parent.iterdir()] == ["one"]
 
