@@ -66,13 +66,28 @@ def find_markers(color: ColorImage, search: MarkerSearch) -> Markers | Lost:
     Markers | Lost
         Ordered by geometry (superior right first, clockwise as seen by the camera), or why they were not found.
     """
-    gray = color.min(axis=2)  # white is bright in all three channels; skin and coloured lamps are not
-    blobs = [blob for center in _candidate_centers(gray, search) if (blob := _refine(gray, center, search)) is not None]
-    blobs = sorted(_distinct(blobs), key=lambda blob: -blob.score)[:MAX_CANDIDATES]
+    blobs = _find_blobs(color, search)
     quadrilateral = _best_quadrilateral(blobs, search)
     if quadrilateral is None:
         return Lost(reason=LostReason.MARKER_LOST, detail=f"{len(blobs)} of 4 markers found")
     return Markers(centers_px=quadrilateral)
+
+
+def find_stickers(color: ColorImage, search: MarkerSearch) -> FloatArray:
+    """Search the whole picture for everything that looks like a sticker.
+
+    Returns
+    -------
+    FloatArray
+        Centres [px], likeliest first, shape (n, 2), n up to 14; those of the four markers are among them.
+    """
+    return np.array([blob.center_px for blob in _find_blobs(color, search)]).reshape(-1, 2)
+
+
+def _find_blobs(color: ColorImage, search: MarkerSearch) -> list[_Blob]:
+    gray = color.min(axis=2)  # white is bright in all three channels; skin and coloured lamps are not
+    blobs = [blob for center in _candidate_centers(gray, search) if (blob := _refine(gray, center, search)) is not None]
+    return sorted(_distinct(blobs), key=lambda blob: -blob.score)[:MAX_CANDIDATES]
 
 
 def track_markers(color: ColorImage, expected_px: FloatArray, search: MarkerSearch) -> Markers | Lost:
