@@ -1,4 +1,4 @@
-"""The pictures inside an ``.oni`` file: ``16zT`` depth and JPEG colour, to bytes and back.
+"""The pictures inside an ``.oni`` file: ``16zT`` depth to bytes, and JPEG colour to bytes and back.
 
 ``16zT`` replaces each depth by its rank among the depths that occur (the embedded table, in front) and writes the steps
 between neighbours, previous minus current, in nibbles::
@@ -9,8 +9,8 @@ between neighbours, previous minus current, in nibbles::
     0xff         a long step
     long step    one byte from 0x80: minus 192; otherwise two bytes: the rank itself, high byte first
 
-Both ways are vectorised: a frame has 307,200 pixels and thirty of them come a second. Ranks wrap at 16 bit, as they do
-in the runtime. Bytes are hostile: whatever they hold, work and memory are bounded by the picture's size.
+:mod:`engine.oni.unpacking` is the way back. Both are vectorised: a frame has 307,200 pixels, and thirty of them come a
+second.
 """
 
 import cv2
@@ -21,110 +21,11 @@ from engine.errors import RecordingError
 from engine.frames import ColorImage, DepthImage
 
 _Bytes = npt.NDArray[np.uint8]
-_Words = npt.NDArray[np.uint16]
 _Steps = npt.NDArray[np.int16]
 _Indices = npt.NDArray[np.intp]
 
 MAX_RANKS = 0x8000
 _PAIRS_A_RUN = 15
-_CODES = np.arange(256)
-_LOW, _HIGH = _CODES & 15, _CODES >> 4
-_IS_STEPS = _CODES < 0xE0
-_IS_ESCAPE = (_CODES == 0xFF) | (_IS_STEPS & (_LOW == 15))
-_PIXELS_OF = np.where(_IS_STEPS, np.where(_LOW == 13, 1, 2), 2 * (_CODES - 0xE0)).astype(np.uint8)
-_PIXELS_OF[0xFF] = 1
-_FIRST_STEP = np.where(_IS_STEPS, 6 - _HIGH, 0).astype(np.int16).view(np.uint16)
-_SECOND_STEP = np.where(_IS_STEPS & (_LOW != 13) & (_LOW != 15), 6 - _LOW, 0).astype(np.int16).view(np.uint16)
-
-
-def decode_16zt(payload: bytes | memoryview, shape: tuple[int, int]) -> DepthImage:
-    """Decode one depth picture of ``shape`` (rows, columns), in the unit it was recorded in.
-
-    Raises
-    ------
-    RecordingError
-        These bytes are no such picture.
-    """
-    pixels = shape[0] * shape[1]
-    words = np.frombuffer(payload, dtype="<u2", count=len(payload) // 2)
-    ranks = int(words[0]) if words.size else 0
-    if words.size < ranks + 2:
-        msg = f"depth picture is cut: {len(payload)} bytes cannot hold a table of {ranks} depths"
-        raise RecordingError(msg)
-    codes = np.frombuffer(payload, dtype=np.uint8, offset=2 * ranks + 4)
-    if codes.size > 3 * pixels:
-        msg = f"depth picture is too long: {codes.size} bytes for {pixels} pixels"
-        raise RecordingError(msg)
-    rank = _decode_ranks(codes, int(words[ranks + 1]), pixels)
-    highest = int(rank.max())
-    if highest >= ranks:
-        msg = f"depth picture is damaged: it uses depth number {highest} of {ranks}"
-        raise RecordingError(msg)
-    table = np.zeros((1, 0x10000), np.uint16)
-    table[0, :ranks] = words[1 : ranks + 1]
-    return np.asarray(cv2.LUT(rank.reshape(shape), table), dtype=np.uint16)
-
-
-def _decode_ranks(codes: _Bytes, first_rank: int, pixels: int) -> _Words:
-    padded = np.concatenate([codes, np.zeros(2, np.uint8)])
-    escapes = _find_escapes(padded)
-    is_long = padded[escapes + 1] < 0x80
-    if escapes.size and escapes[-1] + is_long[-1] + 1 >= codes.size:
-        msg = "depth picture is cut within a step"
-        raise RecordingError(msg)
-    count = _PIXELS_OF.take(codes, mode="clip")
-    is_argument = np.zeros(codes.size, np.bool_)
-    is_argument[escapes + 1] = True
-    is_argument[escapes[is_long] + 2] = True
-    count[is_argument] = 0
-    end = np.cumsum(count, dtype=np.intp)
-    decoded = 1 + (int(end[-1]) if end.size else 0)
-    if decoded != pixels:
-        msg = f"depth picture is damaged: {decoded} pixels instead of {pixels}"
-        raise RecordingError(msg)
-    step = np.zeros(pixels + 1, np.uint16)
-    step[0] = first_rank
-    before = end - count
-    pairs = np.flatnonzero((codes < 0xE0) & ~is_argument)
-    _place_short_steps(step, codes[pairs], before[pairs] + 1)
-    _place_long_steps(step, padded, escapes, before[escapes] + 1 + (codes[escapes] != 0xFF))
-    return np.cumsum(step[:pixels], dtype=np.uint16)
-
-
-def _find_escapes(padded: _Bytes) -> _Indices:
-    """Return where long steps begin; a byte that belongs to one long step may look like the head of another."""
-    heads = np.flatnonzero(_IS_ESCAPE.take(padded[:-2], mode="clip"))
-    if not heads.size:
-        return heads
-    reach = heads + 1 + (padded[heads + 1] < 0x80)
-    doubtful = 1 + np.flatnonzero(heads[1:] <= reach[:-1])
-    is_reached_twice = (doubtful >= 2) & (heads[doubtful] <= reach[np.maximum(doubtful - 2, 0)])
-    # Few in a real picture. A doubt hangs on the two heads before it, so doubts are settled in order.
-    is_head = bytearray(b"\x01") * heads.size
-    for i, is_twice in zip(doubtful.tolist(), is_reached_twice.tolist(), strict=True):
-        is_head[i] = not (is_head[i - 1] or (is_twice and is_head[i - 2]))
-    return heads[np.frombuffer(is_head, np.bool_)]
-
-
-def _place_short_steps(step: _Words, code: _Bytes, at: _Indices) -> None:
-    # Second steps first: those that are none write a zero where the next byte's first step goes.
-    step[at + 1] = _SECOND_STEP[code]
-    step[at] = _FIRST_STEP[code]
-
-
-def _place_long_steps(step: _Words, padded: _Bytes, escapes: _Indices, at: _Indices) -> None:
-    """Write the long steps; a rank given whole becomes the step that leads there from what came before."""
-    argument = padded[escapes + 1].astype(np.uint16)
-    step[at] = 192 - argument
-    is_whole = argument < 0x80
-    whole = at[is_whole]
-    if not whole.size:
-        return
-    step[whole] = 0
-    rank = (argument[is_whole] << 8) | padded[escapes[is_whole] + 2]
-    walked = np.add.reduceat(step, np.concatenate([[0], whole]), dtype=np.uint16)[:-1]
-    walked[1:] += rank[:-1]
-    step[whole] = rank - walked
 
 
 def encode_16zt(depth_mm: DepthImage) -> bytes:

@@ -8,7 +8,7 @@ import numpy as np
 
 from engine.errors import RecordingError
 from engine.frames import ColorImage, DepthImage
-from engine.oni import codec, layout
+from engine.oni import codec, layout, unpacking
 from engine.oni.layout import NodeType, RecordType
 from engine.oni.records import Fields, FileHeader, Record
 
@@ -55,7 +55,7 @@ class StreamDescription:
     def decode_depth(self, payload: bytes) -> DepthImage:
         """Decode one depth picture [mm]; raise RecordingError if these bytes are none."""
         if self.codec == layout.CODEC_DEPTH:
-            depth = codec.decode_16zt(payload, self.shape)
+            depth = unpacking.decode_16zt(payload, self.shape)
         else:
             depth = self._raw(payload, 2).view("<u2").astype(np.uint16).reshape(self.shape)
         return (depth + np.uint16(5)) // np.uint16(10) if self.pixel_format == _DEPTH_100_UM else depth

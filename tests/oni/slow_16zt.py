@@ -15,6 +15,14 @@ def decode_slowly(payload: bytes, pixels: int) -> list[int] | None:
         return None
 
 
+def count_pixels(stream: bytes) -> int:
+    """Return how many pixels these codes stand for; at least one, also where they end within a step."""
+    try:
+        return len(_walk(bytes(2) + stream, 0))
+    except IndexError:
+        return 1
+
+
 def _walk(payload: bytes, at: int) -> list[int]:
     rank = int.from_bytes(payload[at : at + 2], "little")
     ranks, at = [rank], at + 2

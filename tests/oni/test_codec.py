@@ -4,9 +4,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.errors import RecordingError
-from engine.oni.codec import decode_16zt, decode_jpeg, encode_16zt, encode_jpeg
+from engine.oni.codec import decode_jpeg, encode_16zt, encode_jpeg
+from engine.oni.unpacking import decode_16zt
 from tests.oni.recordings import color_picture, depth_picture
-from tests.oni.slow_16zt import decode_slowly
+from tests.oni.slow_16zt import count_pixels, decode_slowly
 
 SHAPE = (6, 10)
 
@@ -53,6 +54,53 @@ def test_damaged_bytes_give_what_the_slow_reader_gives_or_one_error(seed, change
         assert decode_16zt(payload, SHAPE).reshape(-1).tolist() == expected
 
 
+LOOKS_LIKE_A_HEAD = st.sampled_from([0x0F, 0x7F, 0xDF, 0xFF])
+
+
+@st.composite
+def streams(draw):
+    """Streams by construction: every kind of code, with arguments that look like codes of their own."""
+    argument = st.one_of(LOOKS_LIKE_A_HEAD, st.integers(0, 255))
+    head = st.sampled_from([0xFF, 0x6F, 0x0F, 0xCF])
+    step = st.tuples(head, argument.map(lambda byte: byte | 0x80)).map(bytes)
+    whole = st.tuples(head, st.sampled_from([0, 0, 0, 1, 0x0F, 0x7F]), argument).map(bytes)
+    plain = st.one_of(st.sampled_from([0x66, 0x57, 0x75, 0x6D, 0x6E]), st.integers(0, 0xFE)).map(lambda c: bytes([c]))
+    return b"".join(draw(st.lists(st.one_of(plain, step, whole), max_size=40)))
+
+
+@settings(max_examples=300, deadline=None)
+@given(streams(), st.sampled_from([1, 100, 191, 192, 193, 255, 256, 300, 4000, 40_000, 65_535]), st.floats(0, 0.999))
+def test_every_stream_gives_what_the_slow_reader_gives_however_long_its_table(stream, ranks, first):
+    payload = _payload(np.arange(7, 7 + ranks).astype("<u2"), stream, first_rank=int(first * ranks))
+    pixels = count_pixels(stream)
+    expected = decode_slowly(payload, pixels)
+    if expected is None:
+        with pytest.raises(RecordingError):
+            decode_16zt(payload, (1, pixels))
+    else:
+        assert decode_16zt(payload, (1, pixels)).reshape(-1).tolist() == expected
+
+
+UP_64, DOWN_63, DOWN_2, UP_1 = b"\xff\x80", b"\xff\xff", b"\x8d", b"\x5d"
+
+
+@pytest.mark.parametrize("ranks", [3, 191, 192, 193, 256, 257])
+@pytest.mark.parametrize("is_upwards", [True, False], ids=["behind the last", "before the first"])
+def test_leaving_the_table_is_seen_even_where_the_walk_comes_back(ranks, is_upwards):
+    stream, first = (UP_64 + DOWN_63 + DOWN_2, ranks - 1) if is_upwards else (DOWN_63 + UP_64 + UP_1, 0)
+    payload = _payload(np.arange(ranks, dtype="<u2"), stream + b"\xe2", first_rank=first)
+    with pytest.raises(RecordingError, match=f"a depth behind the {ranks} of its table"):
+        decode_16zt(payload, (2, 4))
+    inside = _payload(np.arange(ranks + 128, dtype="<u2"), stream + b"\xe2", first_rank=first + 63)
+    assert decode_16zt(inside, (2, 4)).reshape(-1).tolist() == decode_slowly(inside, 8)
+
+
+def test_a_picture_of_many_depths_comes_back_in_full_size():
+    picture = depth_picture(3, (640, 480)) + (np.arange(480, dtype=np.uint16) * 9)[:, None]
+    assert np.unique(picture).size > 1000
+    assert np.array_equal(decode_16zt(encode_16zt(picture), (480, 640)), picture)
+
+
 @given(st.binary(max_size=400))
 def test_any_bytes_give_a_picture_or_one_error(payload):
     expected = decode_slowly(payload, SHAPE[0] * SHAPE[1])
@@ -83,7 +131,7 @@ def _payload(table, stream, first_rank=0):
 
 
 def test_the_first_depth_behind_the_table_is_refused():
-    with pytest.raises(RecordingError, match="depth number 3 of 3"):
+    with pytest.raises(RecordingError, match="a depth behind the 3 of its table"):
         decode_16zt(_payload(np.arange(3, dtype="<u2"), b"\xe3\x6d", first_rank=3), (2, 4))
 
 
