@@ -6,6 +6,7 @@ missing keys are refused, and each refusal names the field, the value and the bo
 
 import hashlib
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,9 @@ from engine.strict_json import ROOT, StrictJson
 SCHEMA = "tidegate.calibration/1"
 MAX_BASELINE_MM = 200.0
 ROTATION_TOLERANCE = 1e-3
+REGISTRATION_NAME = "device registration"
+"""How the camera of a nominal calibration is called, for a device that moves depth into the colour view itself."""
+NARROWEST_RAD, WIDEST_RAD = 0.3, 1.9
 STRICT = StrictJson(error=CalibrationError)
 
 
@@ -79,10 +83,59 @@ class Calibration:
                 if wanted != given:
                     raise CalibrationError(f"{name}.{field}", wanted, f"{given}, as the camera's pictures are")
 
+    @staticmethod
+    def is_registration_name(camera: str) -> bool:
+        """Whether this name marks a device's own registration."""
+        return camera.startswith(REGISTRATION_NAME)
+
+    @property
+    def is_device_registration(self) -> bool:
+        """Whether nothing here was measured: a device's own registration and nominal geometry."""
+        return self.is_registration_name(self.camera)
+
     @property
     def sha256(self) -> str:
         """Identity of this calibration, hexadecimal."""
         return hashlib.sha256(self.to_json().encode()).hexdigest()
+
+
+def nominal_calibration(
+    device: str, *, size_px: tuple[int, int], field_of_view_rad: tuple[float, float]
+) -> Calibration:
+    """Make the calibration of a device that registers depth to colour itself: two equal cameras in one place.
+
+    Parameters
+    ----------
+    device
+        The device's name.
+    size_px, field_of_view_rad
+        Width and height of its colour pictures, and their angles; registered depth is seen as colour is.
+
+    Raises
+    ------
+    CalibrationError
+        No such angles.
+    """
+    for axis, angle in zip(("horizontal", "vertical"), field_of_view_rad, strict=True):
+        if not NARROWEST_RAD <= angle <= WIDEST_RAD:
+            bound = f"from {NARROWEST_RAD:g} to {WIDEST_RAD:g} rad"
+            raise CalibrationError(f"{axis} field of view of {device}", angle, bound)
+    (width, height), angles = size_px, field_of_view_rad
+    camera = Intrinsics(
+        width=width,
+        height=height,
+        fx=round(width / 2.0 / math.tan(angles[0] / 2.0), 4),
+        fy=round(height / 2.0 / math.tan(angles[1] / 2.0), 4),
+        cx=(width - 1) / 2.0,
+        cy=(height - 1) / 2.0,
+    )
+    name = f"{REGISTRATION_NAME}: {''.join(letter for letter in device if letter.isprintable())}"[:80]
+    return Calibration(
+        camera=name,
+        depth=camera,
+        color=camera,
+        color_from_depth=RigidTransform(rotation=np.eye(3), translation_mm=np.zeros(3)),
+    )
 
 
 def load_calibration(path: Path) -> Calibration:

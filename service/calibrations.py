@@ -5,8 +5,10 @@ import uuid
 from datetime import UTC, datetime
 
 from sqlalchemy import select
+from sqlalchemy.orm import Session
 
-from engine.calibration import parse_calibration
+from engine.calibration import Calibration
+from engine.calibration_formats.convert import read_upload
 from service import audit, schemas
 from service.audit import Event
 from service.audit_log import AuditLog
@@ -15,6 +17,7 @@ from service.db.engine import Database
 from service.db.models import CalibrationRow
 from service.idempotency import earlier_answer, keep_answer
 from service.ports import Kept
+from service.uncalibrated import refuse_reserved_name
 
 ACTION = "calibration.upload"
 
@@ -26,30 +29,23 @@ class CalibrationShelf:
         self._database = database
         self._log = log
 
-    def upload(self, body: bytes, operator: str, key: str | None) -> Kept[schemas.Calibration]:
+    def upload(self, body: bytes, operator: str, key: str | None) -> Kept[schemas.UploadedCalibration]:
         """Check and keep one; the same content again is the same calibration."""
         with self._log.refusals(actor=operator, action=ACTION, detail={"bytes": len(body)}):
-            calibration = parse_calibration(body)
+            converted = read_upload(body)
+            calibration = converted.calibration
+            refuse_reserved_name(calibration)
             with self._database.write() as db:
-                earlier = earlier_answer(db, ACTION, key, body, schemas.Calibration)
+                earlier = earlier_answer(db, ACTION, key, body, schemas.UploadedCalibration)
                 if earlier is not None:
                     return Kept(answer=earlier, is_replay=True)
-                row = db.scalar(select(CalibrationRow).where(CalibrationRow.sha256 == calibration.sha256))
-                is_known = row is not None
-                if row is None:
-                    row = CalibrationRow(
-                        id=uuid.uuid4().hex,
-                        sha256=calibration.sha256,
-                        camera=calibration.camera,
-                        document=calibration.to_json(),
-                        uploaded_by=operator,
-                        created_at=datetime.now(UTC),
-                    )
-                    db.add(row)
-                    db.flush()
+                row, is_known = kept_row(db, calibration, operator)
                 detail = {"calibration_id": row.id, "sha256": row.sha256, "camera": row.camera, "is_new": not is_known}
+                detail |= {"format": converted.format, "notes": list(converted.notes)}
                 audit.append(db, Event(actor=operator, action=ACTION, detail=detail))
-                answer = _calibration(row)
+                answer = schemas.UploadedCalibration.model_validate(
+                    {**_calibration(row).model_dump(), "format": converted.format, "notes": list(converted.notes)}
+                )
                 keep_answer(db, ACTION, key, body, answer)
             return Kept(answer=answer, is_replay=is_known)
 
@@ -65,6 +61,24 @@ class CalibrationShelf:
             row = repository.calibration_row(db, calibration_id)
             document = json.loads(row.document)
             return schemas.CalibrationDetail(**_calibration(row).model_dump(), document=document)
+
+
+def kept_row(db: Session, calibration: Calibration, operator: str) -> tuple[CalibrationRow, bool]:
+    """Find or make the row of a calibration; the same content is the same row, and the second value says so."""
+    row = db.scalar(select(CalibrationRow).where(CalibrationRow.sha256 == calibration.sha256))
+    if row is not None:
+        return row, True
+    row = CalibrationRow(
+        id=uuid.uuid4().hex,
+        sha256=calibration.sha256,
+        camera=calibration.camera,
+        document=calibration.to_json(),
+        uploaded_by=operator,
+        created_at=datetime.now(UTC),
+    )
+    db.add(row)
+    db.flush()
+    return row, False
 
 
 def _calibration(row: CalibrationRow) -> schemas.Calibration:

@@ -33,14 +33,21 @@ async def json_body(request: Request) -> bytes:
     return await request.body()
 
 
+CALIBRATION_MEDIA = ("application/json", "application/yaml", "application/xml")
+"""What a calibration may be uploaded as; no form of a foreign page can post any of them."""
+MEDIA_OF = {"calibration.upload": CALIBRATION_MEDIA}
+
+
 def require_json(request: Request) -> None:
     """Refuse a body that is not JSON by its Content-Type: a form of a foreign page could post it otherwise."""
     if request.method != "POST":
         return
+    allowed = MEDIA_OF.get(getattr(request.scope.get("route"), "name", ""), ("application/json",))
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    if media_type != "application/json":
-        msg = "Content-Type must be application/json"
-        raise MediaTypeError(msg, field="Content-Type", value=media_type, bound="application/json")
+    if media_type not in allowed:
+        bound = " or ".join(allowed)
+        msg = f"Content-Type must be {bound}"
+        raise MediaTypeError(msg, field="Content-Type", value=media_type, bound=bound)
 
 
 Offered = Annotated[Services, Depends(services)]

@@ -5,12 +5,13 @@ from concurrent.futures import Future
 from pathlib import Path
 
 from engine.beam.simulated import SimulatedBeamLine
+from engine.calibration import Calibration
 from engine.capture.oni_file import OniFileSource
-from engine.capture.openni import OpenNiSource, list_devices, runtime_available
+from engine.capture.openni import OpenNiSource, list_devices, registered_calibration, runtime_available
 from engine.capture.source import DepthSource
 from engine.clock import Clock, MonotonicClock
 from engine.commands import Command
-from engine.errors import RuntimeMissingError, SourceLostError
+from engine.errors import InvalidValueError, RuntimeMissingError, SourceLostError
 from engine.live import FrameRecord, GateTransition, LiveView, LoopStatus
 from engine.loop import EngineLoop
 from engine.model import MotionModel
@@ -52,6 +53,14 @@ class EngineAdapter:
         loop.start()
         return LoopEngine(loop, pipeline)
 
+    def registered_calibration(self, uri: str | None) -> Calibration:
+        """Return the nominal calibration of a camera that registers depth to colour itself; refuse any other."""
+        calibration = registered_calibration(_listed(uri))
+        if calibration is None:
+            bound = "given: this camera does not register depth to colour itself"
+            raise InvalidValueError("calibration_id", "missing", bound)
+        return calibration
+
     def devices(self) -> schemas.DeviceList:
         """List the cameras that could be used."""
         if not runtime_available():
@@ -62,17 +71,16 @@ class EngineAdapter:
 
     def _source(self, plan: SessionPlan) -> DepthSource:
         if isinstance(plan.source, schemas.DeviceSource):
-            return self._camera(plan.source.uri)
+            return self._camera(plan.source.uri, plan.calibration)
         assert plan.recording is not None, "a recording was resolved when the session started"
         return self._player(plan.recording, plan.source.player)
 
-    def _camera(self, uri: str | None) -> DepthSource:
-        # Only what the runtime lists: it would open a file just as well, and files have to lie in the allowed folders.
-        found = [device.uri for device in list_devices()]
-        if not found or (uri is not None and uri not in found):
-            msg = "the OpenNI2 runtime sees no such camera"
+    def _camera(self, uri: str | None, calibration: Calibration) -> DepthSource:
+        is_registered = calibration.is_device_registration
+        if is_registered and self.registered_calibration(uri).sha256 != calibration.sha256:
+            msg = "the camera is not the one whose registration this session was created for"
             raise SourceLostError(msg)
-        return OpenNiSource(uri or found[0], clock=self._clock)
+        return OpenNiSource(_listed(uri), clock=self._clock, use_device_registration=is_registered)
 
     def _player(self, path: Path, player: str) -> DepthSource:
         if player == "reader" or (player == "auto" and not runtime_available()):
@@ -80,6 +88,15 @@ class EngineAdapter:
         if not runtime_available():
             raise RuntimeMissingError(RUNTIME_HINT)
         return OpenNiSource(path, clock=self._clock)
+
+
+def _listed(uri: str | None) -> str:
+    # Only what the runtime lists: it would open a file just as well, and files have to lie in the allowed folders.
+    found = [device.uri for device in list_devices()]
+    if not found or (uri is not None and uri not in found):
+        msg = "the OpenNI2 runtime sees no such camera"
+        raise SourceLostError(msg)
+    return uri or found[0]
 
 
 class LoopEngine:

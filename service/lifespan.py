@@ -70,7 +70,7 @@ def _open(settings: Settings, engine: EnginePort) -> _House:
     database.migrate()
     log, room = AuditLog(database), Room()
     models = ModelStore(settings.data_dir / MODELS_FOLDER)
-    book = SessionBook(database, log, settings, room, is_simulated_beam=engine.is_simulated_beam)
+    book = SessionBook(database, log, settings, room, engine)
     runner = SessionRunner(
         engine=engine, database=database, log=log, book=book, models=models, room=room, settings=settings
     )

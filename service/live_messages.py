@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, TypeAdapter
 
+CalibrationKind = Literal["uploaded", "device registration"]
 SCHEMA: Literal["tidegate.live/1"] = "tidegate.live/1"
 Point = Annotated[list[float], Field(min_length=2, max_length=2)]
 
@@ -24,6 +25,10 @@ class Hello(Message):
     type: Literal["hello"] = "hello"
     schema_name: Literal["tidegate.live/1"] = Field(default=SCHEMA, alias="schema")
     version: str
+    calibration: CalibrationKind | None = Field(
+        default=None, description="Of the session that runs now; `device registration`: nothing was measured"
+    )
+    calibration_warning: str | None = Field(default=None, description="To be shown beside every result")
 
 
 class Idle(Message):
@@ -80,6 +85,7 @@ class Sample(Message):
     session_status: Literal["running", "ended", "stopped", "failed"]
     is_armed: bool
     is_simulated_beam: bool
+    calibration: CalibrationKind = "uploaded"
     frame_index: int
     timestamp_us: int
     state: Literal["training", "measuring", "lost"]

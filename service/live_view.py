@@ -9,6 +9,7 @@ from service import schemas
 from service.hold_texts import hold_text
 from service.live_messages import LiveLatency, LiveLost, LiveTraining, LiveWindow, Sample
 from service.ports import SessionPlan
+from service.uncalibrated import kind_of
 
 DIGITS = 4
 NEVER = datetime(1970, 1, 1, tzinfo=UTC)
@@ -37,6 +38,7 @@ def live_sample(view: LiveView, plan: SessionPlan, *, is_stopping: bool, is_simu
         session_status=_session_status(view.status, is_stopping=is_stopping),
         is_armed=view.is_armed,
         is_simulated_beam=is_simulated_beam,
+        calibration=kind_of(plan.calibration.camera),
         frame_index=measurement.frame_index,
         timestamp_us=measurement.timestamp_us,
         state=measurement.state.value,

@@ -105,6 +105,9 @@ class EnginePort(Protocol):
     def open(self, plan: SessionPlan) -> RunningEngine:
         """Start an engine on a session, disarmed; raise a TidegateError when source or window cannot be used."""
 
+    def registered_calibration(self, uri: str | None) -> Calibration:
+        """Return the nominal calibration of a camera that registers depth to colour itself; refuse any other."""
+
     def devices(self) -> schemas.DeviceList:
         """List the cameras that could be used."""
 
@@ -149,6 +152,9 @@ class RunnerPort(Protocol):
     def picture(self, session_id: str) -> Picture:
         """Encode the newest colour frame."""
 
+    def running_camera(self) -> str | None:
+        """Return the running session's camera, by its calibration; None when no session runs."""
+
     def newest(self) -> LiveFrame | None:
         """Return the newest frame, or None when no session runs; the same object while nothing is newer."""
 
@@ -159,7 +165,7 @@ class RunnerPort(Protocol):
 class CalibrationsPort(Protocol):
     """Stored camera calibrations."""
 
-    def upload(self, body: bytes, operator: str, key: str | None) -> Kept[schemas.Calibration]:
+    def upload(self, body: bytes, operator: str, key: str | None) -> Kept[schemas.UploadedCalibration]:
         """Check and keep one; the same content again is the same calibration."""
 
     def page(self, cursor: str | None, limit: int) -> schemas.CalibrationPage:

@@ -33,6 +33,7 @@ from service.recordings import find_recording
 from service.room import Room, Running
 from service.sessions import SOURCE, SessionBook, session_answer
 from service.settings import Settings
+from service.uncalibrated import described
 
 COMMANDS: dict[CommandName, Callable[[str], Command]] = {
     "arm": lambda operator: Arm(operator=operator),
@@ -162,6 +163,11 @@ class SessionRunner:
             kept = self._newest = (view, LiveFrame(message=message, received_ns=view.record.received_ns))
         return kept[1]
 
+    def running_camera(self) -> str | None:
+        """Return the running session's camera, by its calibration."""
+        running = self._room.running
+        return None if running is None else running.plan.calibration.camera
+
     def now_ns(self) -> int:
         """Return the engine's clock."""
         return time.monotonic_ns()
@@ -197,7 +203,8 @@ class SessionRunner:
                 window=schemas.Window.model_validate_json(row.window),
             )
             row.status, row.started_at = "running", datetime.now(UTC)
-            audit.append(db, Event(actor=operator, action=action, session_id=session_id, detail=self._beam_detail()))
+            detail = {**self._beam_detail(), **described(plan.calibration.camera)}
+            audit.append(db, Event(actor=operator, action=action, session_id=session_id, detail=detail))
         return plan
 
     def _open(self, plan: SessionPlan) -> Running:

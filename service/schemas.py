@@ -28,6 +28,8 @@ SourceText = Annotated[str, StringConstraints(min_length=1, max_length=1024), Af
 Identifier = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{32}$")]
 SessionStatus = Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
 SignalName = Literal["whole", "thorax", "abdomen", "region"]
+CalibrationKind = Literal["uploaded", "device registration"]
+CalibrationFormat = Literal["tidegate.calibration/1", "opencv-filestorage", "ros-camera-info"]
 
 
 class Request(BaseModel):
@@ -104,7 +106,10 @@ class SessionRequest(Request):
     fraction_number: int | None = Field(default=None, ge=1, le=200)
     operator: Name
     source: Source
-    calibration_id: Identifier
+    calibration_id: Identifier | None = Field(
+        default=None,
+        description="Left out only for a live camera: then its own registration is used, and the session says so",
+    )
     window: Window
 
     model_config = ConfigDict(
@@ -201,6 +206,10 @@ class Session(Answer):
     operator: str
     source: Source
     calibration_id: Identifier
+    calibration: CalibrationKind = Field(
+        default="uploaded", description="`device registration`: nothing was measured for this camera"
+    )
+    calibration_warning: str | None = Field(default=None, description="To be shown beside every result")
     window: Window
     is_simulated_beam: bool
     created_at: AwareDatetime
@@ -233,6 +242,13 @@ class Calibration(Answer):
     camera: str
     uploaded_by: str
     created_at: AwareDatetime
+
+
+class UploadedCalibration(Calibration):
+    """A calibration as just uploaded: which format it came in, and what was assumed on the way."""
+
+    format: CalibrationFormat = "tidegate.calibration/1"
+    notes: list[str] = Field(default=[], description="To be read by the person who uploads")
 
 
 class CalibrationDetail(Calibration):

@@ -8,23 +8,26 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 
 from pydantic import TypeAdapter
+from sqlalchemy.orm import Session
 
 from engine.live import LiveView
 from service import audit, schemas
 from service.audit import SYSTEM, Event
 from service.audit_log import AuditLog
+from service.calibrations import kept_row
 from service.db import repository
 from service.db.engine import Database
-from service.db.models import AuditRow, SampleRow, SessionRow
+from service.db.models import AuditRow, CalibrationRow, SampleRow, SessionRow
 from service.errors import SessionActiveError
 from service.figures import Figures
 from service.idempotency import earlier_answer, keep_answer
 from service.live_view import gate_view, known, training_view
-from service.ports import Kept
+from service.ports import EnginePort, Kept
 from service.recordings import find_recording
 from service.room import Room, Running
 from service.settings import Settings
 from service.site_limits import check_window, gate_limits
+from service.uncalibrated import check_allowed, described, kind_of, warning_of
 
 ACTION = "session.create"
 CSV_COLUMNS = (
@@ -37,14 +40,12 @@ SOURCE: TypeAdapter[schemas.RecordingSource | schemas.DeviceSource] = TypeAdapte
 class SessionBook:
     """The book of sessions."""
 
-    def __init__(
-        self, database: Database, log: AuditLog, settings: Settings, room: Room, *, is_simulated_beam: bool
-    ) -> None:
+    def __init__(self, database: Database, log: AuditLog, settings: Settings, room: Room, engine: EnginePort) -> None:
         self._database = database
         self._log = log
         self._settings = settings
         self._room = room
-        self._is_simulated_beam = is_simulated_beam
+        self._engine = engine
 
     def create(self, request: schemas.SessionRequest, key: str | None) -> Kept[schemas.Session]:
         """Record a new session; one at a time."""
@@ -54,15 +55,15 @@ class SessionBook:
             if earlier is not None:
                 return Kept(answer=earlier, is_replay=True)
             self._check(request)
-            repository.calibration_row(db, request.calibration_id)
             open_id = repository.open_session_id(db)
             if open_id is not None:
                 msg = "another session is created or running: stop it first"
                 raise SessionActiveError(msg, field="session_id", value=open_id, bound="one open session at a time")
-            row = _new_row(request, is_simulated_beam=self._is_simulated_beam)
+            calibration = self._calibration(db, request)
+            row = _new_row(request, calibration.id, is_simulated_beam=self._engine.is_simulated_beam)
             db.add(row)
             db.flush()
-            audit.append(db, self._created(row.id, request))
+            audit.append(db, self._created(row.id, request, calibration))
             answer = session_answer(row)
             keep_answer(db, ACTION, key, body, answer)
         return Kept(answer=answer, is_replay=False)
@@ -121,9 +122,22 @@ class SessionBook:
         if isinstance(request.source, schemas.RecordingSource):
             find_recording(request.source.path, self._settings.recording_folders)
 
-    def _created(self, session_id: str, request: schemas.SessionRequest) -> Event:
-        detail = request.model_dump(mode="json")
-        if self._is_simulated_beam:
+    def _calibration(self, db: Session, request: schemas.SessionRequest) -> CalibrationRow:
+        """Find the calibration asked for, or make a nominal one of what the camera says of itself."""
+        if request.calibration_id is not None:
+            row = repository.calibration_row(db, request.calibration_id)
+            if kind_of(row.camera) != "uploaded":
+                check_allowed(request, self._settings)
+            return row
+        check_allowed(request, self._settings)
+        assert isinstance(request.source, schemas.DeviceSource), "recordings were refused"
+        # Nobody else opens the camera meanwhile: this transaction holds the lock that a session is started under.
+        calibration = self._engine.registered_calibration(request.source.uri)
+        return kept_row(db, calibration, SYSTEM)[0]
+
+    def _created(self, session_id: str, request: schemas.SessionRequest, calibration: CalibrationRow) -> Event:
+        detail = {**request.model_dump(mode="json"), "calibration_id": calibration.id, **described(calibration.camera)}
+        if self._engine.is_simulated_beam:
             detail["beam_line"] = "SIMULATED: no accelerator is gated by this session"
         return Event(actor=request.operator, action=ACTION, session_id=session_id, detail=detail)
 
@@ -144,9 +158,11 @@ class SessionBook:
 
 def session_answer(row: SessionRow) -> schemas.Session:
     """Tell a session's record."""
-    names = schemas.Session.model_fields.keys() - {"source", "window"}
+    names = schemas.Session.model_fields.keys() - {"source", "window", "calibration", "calibration_warning"}
     return schemas.Session(
         **{name: getattr(row, name) for name in names},
+        calibration=kind_of(row.calibration.camera),
+        calibration_warning=warning_of(row.calibration.camera),
         source=SOURCE.validate_json(row.source),
         window=schemas.Window.model_validate_json(row.window),
     )
@@ -162,7 +178,7 @@ def _summary(running: Running | None, view: LiveView | None, stored: str | None)
     return figures.summary(schemas.LatencyView(p50_ms=known(view.latency.p50_ms), p99_ms=known(view.latency.p99_ms)))
 
 
-def _new_row(request: schemas.SessionRequest, *, is_simulated_beam: bool) -> SessionRow:
+def _new_row(request: schemas.SessionRequest, calibration_id: str, *, is_simulated_beam: bool) -> SessionRow:
     return SessionRow(
         id=uuid.uuid4().hex,
         status="created",
@@ -174,7 +190,7 @@ def _new_row(request: schemas.SessionRequest, *, is_simulated_beam: bool) -> Ses
         operator=request.operator,
         source=request.source.model_dump_json(),
         window=request.window.model_dump_json(),
-        calibration_id=request.calibration_id,
+        calibration_id=calibration_id,
         is_simulated_beam=is_simulated_beam,
         created_at=datetime.now(UTC),
     )

@@ -49,6 +49,10 @@ class Settings(BaseSettings):
         default=(), description="Folders recordings may be opened from, colon-separated"
     )
 
+    allow_device_registration: bool = Field(
+        default=True, description="Sessions without a calibration may run on a camera's own registration: research only"
+    )
+
     max_body_bytes: int = Field(default=65_536, ge=16_384, le=1_048_576)
     max_live_clients: int = Field(default=16, ge=1, le=256)
     command_timeout_s: float = Field(default=3.0, ge=0.1, le=30.0)

@@ -167,12 +167,43 @@ class OpenNiDevice:
             self._runtime.oniDeviceClose(self._handle)
             self._handle = c.Handle()
 
+    def can_register(self) -> bool:
+        """Whether the device can move depth into the colour camera's view; a file cannot."""
+        mode = c.REGISTRATION_DEPTH_TO_COLOR
+        return bool(self._runtime.oniDeviceIsImageRegistrationModeSupported(self._handle, mode))
+
+    def color_view_rad(self) -> tuple[float, float]:
+        """Return the colour camera's horizontal and vertical field of view [rad], before the streams are made."""
+        handle = c.Handle()
+        if self._runtime.oniDeviceCreateStream(self._handle, c.SENSOR_COLOR, byref(handle)) != c.STATUS_OK:
+            msg = f"{self.name} has no colour stream: {c.last_error()}"
+            raise SourceLostError(msg)
+        try:
+            return self._angle(handle, c.STREAM_HORIZONTAL_FOV), self._angle(handle, c.STREAM_VERTICAL_FOV)
+        finally:
+            self._runtime.oniStreamDestroy(handle)
+
+    def _angle(self, stream: c.Handle, name: int) -> float:
+        angle, size = ctypes.c_float(0.0), ctypes.c_int(ctypes.sizeof(ctypes.c_float))
+        if self._runtime.oniStreamGetProperty(stream, name, byref(angle), byref(size)) != c.STATUS_OK:
+            msg = f"{self.name} does not tell its field of view: {c.last_error()}"
+            raise SourceLostError(msg)
+        return float(angle.value)
+
     def _set_registration(self, *, is_on: bool) -> None:
-        mode = c.REGISTRATION_DEPTH_TO_COLOR if is_on else c.REGISTRATION_OFF
-        if self._runtime.oniDeviceIsImageRegistrationModeSupported(self._handle, mode):
-            self._set(self._runtime.oniDeviceSetProperty, self._handle, c.DEVICE_IMAGE_REGISTRATION, ctypes.c_int(mode))
-        elif is_on:
-            msg = f"{self.name} cannot register depth to colour"
+        """Switch registration; where it is asked for and does not come, depth would lie beside colour unseen."""
+        if is_on and not self.can_register():
+            kind = "a recording" if self._is_file else self.name
+            msg = f"{kind} cannot register depth to colour: a calibration is needed"
+            raise (RecordingError if self._is_file else SourceLostError)(msg)
+        if not self.can_register():
+            return
+        mode = ctypes.c_int(c.REGISTRATION_DEPTH_TO_COLOR if is_on else c.REGISTRATION_OFF)
+        status = self._runtime.oniDeviceSetProperty(
+            self._handle, c.DEVICE_IMAGE_REGISTRATION, byref(mode), ctypes.sizeof(mode)
+        )
+        if status != c.STATUS_OK:
+            msg = f"{self.name} does not switch its registration {'on' if is_on else 'off'}: {c.last_error()}"
             raise SourceLostError(msg)
 
     def _set_mode(self, stream: int, size_px: tuple[int, int], fps: int) -> None:

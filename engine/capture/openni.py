@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
+from engine.calibration import Calibration, nominal_calibration
 from engine.capture import _openni_c as c
 from engine.capture._openni_device import COLOR, DEPTH, OpenNiDevice
 from engine.capture._openni_pump import CapturePump
@@ -27,6 +28,7 @@ from engine.oni.layout import RecordType
 from engine.oni.reader import describe, missed_between
 from engine.oni.records import count_records
 
+REGISTERED_SIZE_PX = (640, 480)
 _US_PER_S = 1_000_000
 _RECORDER_START_S = 5.0
 # A colour frame this much of a period before the depth frame, or less, is the nearest even if the next one is early.
@@ -71,6 +73,28 @@ def list_devices() -> list[ListedDevice]:
         return [device for device in devices if _file_of(device.uri) is None]
     finally:
         runtime.oniReleaseDeviceList(infos)
+
+
+def registered_calibration(uri: str) -> Calibration | None:
+    """Return the nominal calibration of a live device that registers depth to colour itself; None if it does not.
+
+    Not for a device that a source has open: they would share it.
+
+    Raises
+    ------
+    RuntimeMissingError, SourceLostError
+        No runtime, or no such device.
+    CalibrationError
+        The device tells a field of view that cannot be.
+    """
+    c.runtime()
+    device = OpenNiDevice(uri, is_file=False)
+    try:
+        if not device.can_register():
+            return None
+        return nominal_calibration(device.name, size_px=REGISTERED_SIZE_PX, field_of_view_rad=device.color_view_rad())
+    finally:
+        device.close()
 
 
 class OpenNiSource:

@@ -2,21 +2,53 @@
 
 from fastapi import APIRouter, Response
 
+from engine.calibration_formats.convert import IMPORT_SCHEMA
 from service import deps, schemas
 from service.api import problems
 
 router = APIRouter(prefix="/calibrations", tags=["calibrations"])
+TEXT = {"schema": {"type": "string"}}
 DOCUMENT = {
     "requestBody": {
         "required": True,
+        "description": (
+            "A `tidegate.calibration/1` document; or an OpenCV FileStorage (JSON, YAML or XML); or two ROS "
+            "`camera_info` documents in one YAML stream; or a `tidegate.calibration-import/1` document, which holds "
+            "the texts of several files and what they leave open. Recognised by what it says; what is ambiguous is "
+            "refused by name."
+        ),
         "content": {
             "application/json": {
                 "schema": {
-                    "type": "object",
-                    "description": "A `tidegate.calibration/1` document; the engine's own parser checks it",
-                    "required": ["schema", "camera", "depth", "color", "depth_to_color"],
+                    "oneOf": [
+                        {
+                            "type": "object",
+                            "title": "tidegate.calibration/1",
+                            "description": "The engine's own parser checks it",
+                            "required": ["schema", "camera", "depth", "color", "depth_to_color"],
+                        },
+                        {
+                            "type": "object",
+                            "title": "tidegate.calibration-import/1",
+                            "required": ["schema", "files"],
+                            "additionalProperties": False,
+                            "properties": {
+                                "schema": {"const": IMPORT_SCHEMA},
+                                "files": {"type": "array", "items": {"type": "string"}, "minItems": 1, "maxItems": 4},
+                                "camera": {"type": "string", "minLength": 1, "maxLength": 80},
+                                "first_camera": {"enum": ["depth", "color"]},
+                                "translation_unit": {"enum": ["mm", "m"]},
+                                "image_size_px": {"type": "array", "items": {"type": "integer"}, "maxItems": 2},
+                                "baseline_mm": {"type": "number", "minimum": -200, "maximum": 200},
+                                "depth_to_color": {"type": "object", "required": ["rotation", "translation_mm"]},
+                            },
+                        },
+                        {"type": "object", "title": "OpenCV FileStorage"},
+                    ]
                 }
-            }
+            },
+            "application/yaml": TEXT,
+            "application/xml": TEXT,
         },
     }
 }
@@ -31,7 +63,7 @@ def upload_calibration(
     services: deps.Offered,
     response: Response,
     idempotency_key: deps.IdempotencyKey = None,
-) -> schemas.Calibration:
+) -> schemas.UploadedCalibration:
     """Check and keep a calibration; the same content again answers with the same one, and 200."""
     kept = services.calibrations.upload(body, operator, idempotency_key)
     if kept.is_replay:

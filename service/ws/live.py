@@ -12,6 +12,7 @@ from engine import __version__
 from service.deps import services
 from service.live_messages import Hello, Idle, Message
 from service.ports import RunnerPort
+from service.uncalibrated import kind_of, warning_of
 
 router = APIRouter()
 
@@ -77,7 +78,7 @@ async def _feed_until_gone(websocket: WebSocket, runner: RunnerPort) -> None:
 
 
 async def _feed(websocket: WebSocket, runner: RunnerPort) -> None:
-    await _send(websocket, Hello(version=__version__))
+    await _send(websocket, _hello(runner.running_camera()))
     last = None
     sequence = 0
     idle_at_s = anyio.current_time()
@@ -95,6 +96,13 @@ async def _feed(websocket: WebSocket, runner: RunnerPort) -> None:
         await anyio.sleep(POLL_S)
 
 
+def _hello(camera: str | None) -> Hello:
+    if camera is None:
+        return Hello(version=__version__)
+    return Hello(version=__version__, calibration=kind_of(camera), calibration_warning=warning_of(camera))
+
+
 async def _send(websocket: WebSocket, message: Message) -> None:
     with anyio.fail_after(SEND_TIMEOUT_S):
-        await websocket.send_text(message.model_dump_json())
+        # Of the messages only `hello` leaves anything out: what it would say of a session when none runs.
+        await websocket.send_text(message.model_dump_json(exclude_none=isinstance(message, Hello)))

@@ -6,6 +6,7 @@ from itertools import count
 
 import numpy as np
 
+from engine.calibration import Calibration, nominal_calibration
 from engine.capture.source import SourceDescription
 from engine.commands import Acknowledge, Arm, Command, Disarm
 from engine.errors import CommandRefusedError, TidegateError
@@ -174,6 +175,7 @@ class FakeEngine:
         self.opened: list[FakeRunning] = []
         self.fail_with: TidegateError | None = None
         self.broken_source: str | None = None
+        self.probed: list[str | None] = []
 
     @property
     def running(self) -> FakeRunning:
@@ -187,6 +189,12 @@ class FakeEngine:
             running.end(error=self.broken_source)
         self.opened.append(running)
         return running
+
+    def registered_calibration(self, uri: str | None) -> Calibration:
+        self.probed.append(uri)
+        if self.fail_with is not None:
+            raise self.fail_with
+        return nominal_calibration("Fake Xtion", size_px=(640, 480), field_of_view_rad=(1.02, 0.797))
 
     def devices(self) -> schemas.DeviceList:
         device = schemas.Device(uri="1d27/0601@1/2", name="Fake Xtion")

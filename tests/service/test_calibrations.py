@@ -4,6 +4,15 @@ import json
 
 import pytest
 
+from tests.engine.foreign_calibrations import (
+    CAMERAS,
+    as_yaml,
+    camera_info,
+    import_document,
+    ros_pair,
+    storage_values,
+    write_storage,
+)
 from tests.service.conftest import audit_rows, edited, make_calibration, upload
 
 URL = "/api/v1/calibrations"
@@ -105,3 +114,41 @@ def test_calibrations_are_listed_newest_first_page_by_page(client):
 
 def test_an_unknown_calibration_is_not_found(client):
     assert client.get(f"{URL}/{'0' * 32}").status_code == 404
+
+
+def test_opencv_and_ros_files_are_stored_as_ours_and_the_answer_says_what_they_were(client, tmp_path):
+    storage = write_storage(
+        tmp_path / "a.yml", storage_values(unit_mm=1000.0) | {"camera": "a", "first_camera": "depth"}
+    )
+    yaml = {"Content-Type": "application/yaml"}
+    opencv, ros = upload(client, storage, **yaml), upload(client, b"---\n".join(ros_pair()), **yaml)
+    ours = upload(client, make_calibration().to_json())
+    assert [answer.status_code for answer in (opencv, ros, ours)] == [201, 201, 201]
+    formats = [answer.json()["format"] for answer in (opencv, ros, ours)]
+    assert formats == ["opencv-filestorage", "ros-camera-info", "tidegate.calibration/1"]
+    assert "metres" in opencv.json()["notes"][0]
+    stored = client.get(f"{URL}/{opencv.json()['id']}").json()["document"]
+    assert stored["schema"] == "tidegate.calibration/1"
+    assert stored["depth_to_color"]["translation_mm"] == pytest.approx([25.0, -0.5, 1.25])
+    assert audit_rows(client, "calibration.upload")[0]["detail"]["format"] == "opencv-filestorage"
+
+
+def test_a_pair_with_what_it_leaves_open_comes_in_one_json_document(client):
+    files = [as_yaml(camera_info(CAMERAS.depth, "depth")), as_yaml(camera_info(CAMERAS.color, "rgb"))]
+    refused = upload(client, import_document(files))
+    assert (refused.status_code, refused.json()["field"]) == (422, "files[1].projection_matrix")
+    answer = upload(client, import_document(files, baseline_mm=25.0, camera="bench 7"), **{"Idempotency-Key": "k"})
+    assert (answer.status_code, answer.json()["camera"]) == (201, "bench 7")
+    again = upload(client, import_document(files, baseline_mm=25.0, camera="bench 7"), **{"Idempotency-Key": "k"})
+    assert again.json() == answer.json()
+
+
+@pytest.mark.parametrize("media_type", ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data"])
+def test_no_form_of_a_foreign_page_uploads_a_calibration(client, calibration_text, media_type):
+    answer = upload(client, calibration_text, **{"Content-Type": media_type})
+    assert (answer.status_code, answer.json()["field"]) == (415, "Content-Type")
+
+
+def test_yaml_is_for_calibrations_only(client, session_body):
+    answer = client.post("/api/v1/sessions", content=b"{}", headers={"Content-Type": "application/yaml"})
+    assert answer.status_code == 415

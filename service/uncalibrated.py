@@ -1,0 +1,48 @@
+"""A session without a calibration of its own: the camera registers depth to colour itself, and everybody is told."""
+
+from engine.calibration import Calibration
+from service import schemas
+from service.errors import BoundError
+from service.settings import Settings
+
+FIELD = "calibration_id"
+WARNING = (
+    "no calibration: the camera's own registration and nominal geometry are used; scale and alignment of this unit "
+    "were not measured: not for treatment"
+)
+
+
+def kind_of(camera: str) -> schemas.CalibrationKind:
+    """Tell by a calibration's camera what it is."""
+    return "device registration" if Calibration.is_registration_name(camera) else "uploaded"
+
+
+def warning_of(camera: str) -> str | None:
+    """Return what has to be said beside every result of such a session."""
+    return WARNING if Calibration.is_registration_name(camera) else None
+
+
+def described(camera: str) -> dict[str, object]:
+    """Tell the audit."""
+    warning = warning_of(camera)
+    return {"calibration": kind_of(camera)} | ({} if warning is None else {"calibration_warning": warning})
+
+
+def refuse_reserved_name(calibration: Calibration) -> None:
+    """Refuse an upload under the name by which such sessions are known; raise BoundError."""
+    if calibration.is_device_registration:
+        bound = "another name: this one marks a camera's own registration"
+        msg = f"camera must be {bound}"
+        raise BoundError(msg, field="camera", value=calibration.camera, bound=bound)
+
+
+def check_allowed(request: schemas.SessionRequest, settings: Settings) -> None:
+    """Refuse a session on a camera's own registration where that cannot be, or may not; raise BoundError."""
+    if isinstance(request.source, schemas.RecordingSource):
+        bound = "a measured calibration: nothing in a recording tells whether the camera registered depth to colour"
+    elif not settings.allow_device_registration:
+        bound = "a measured calibration: this site does not allow a camera's own registration"
+    else:
+        return
+    msg = f"{FIELD} must be {bound}"
+    raise BoundError(msg, field=FIELD, value=request.calibration_id or "missing", bound=bound)

@@ -1,0 +1,123 @@
+"""Without a calibration: only a live camera, only its own registration, and everybody is told."""
+
+import pytest
+
+from engine.calibration import nominal_calibration
+from engine.errors import SourceLostError
+from service.audit import SYSTEM
+from service.errors import BoundError
+from service.settings import Settings
+from service.uncalibrated import WARNING
+from tests.service.conftest import act, audit_rows, upload
+
+URL = "/api/v1/sessions"
+SAID = {"calibration": "device registration", "calibration_warning": WARNING}
+
+
+@pytest.fixture
+def device_body(session_body):
+    body = {name: value for name, value in session_body.items() if name != "calibration_id"}
+    return body | {"source": {"kind": "device", "uri": "1d27/0601@1/2"}}
+
+
+def test_a_camera_without_calibration_runs_on_its_own_registration_and_says_so(client, device_body, engine):
+    session = client.post(URL, json=device_body).json()
+    assert {name: session[name] for name in SAID} == SAID
+    assert engine.probed == ["1d27/0601@1/2"]
+    assert act(client, session["id"], "start").json()["calibration_warning"] == WARNING
+    plan = engine.running.plan
+    assert plan.calibration.is_device_registration
+    assert plan.calibration.depth == plan.calibration.color
+    assert client.get(f"{URL}/{session['id']}").json()["calibration"] == "device registration"
+    for action in ("session.create", "session.start"):
+        detail = audit_rows(client, action)[-1]["detail"]
+        assert {name: detail[name] for name in SAID} == SAID
+    assert audit_rows(client, "session.create")[-1]["detail"]["calibration_id"] == session["calibration_id"]
+
+
+def test_the_nominal_geometry_is_kept_like_any_calibration(client, device_body):
+    session = client.post(URL, json=device_body).json()
+    stored = client.get(f"/api/v1/calibrations/{session['calibration_id']}").json()
+    assert stored["camera"] == "device registration: Fake Xtion"
+    assert stored["uploaded_by"] == SYSTEM
+    assert stored["document"]["depth"]["fx"] == pytest.approx(571.7, abs=1.0)
+    act(client, session["id"], "stop")
+    assert client.post(URL, json=device_body).json()["calibration_id"] == session["calibration_id"]
+
+
+def test_the_live_stream_says_so_first_and_in_every_sample(client, device_body, engine):
+    session = client.post(URL, json=device_body).json()
+    act(client, session["id"], "start")
+    with client.websocket_connect("/api/v1/live") as socket:
+        hello = socket.receive_json()
+        assert {name: hello[name] for name in SAID} == SAID
+        engine.running.frame()
+        message = socket.receive_json()
+        while message["type"] == "idle":
+            message = socket.receive_json()
+        assert message["calibration"] == "device registration"
+
+
+def test_a_calibrated_session_says_that_too(client, session_body, engine):
+    session = client.post(URL, json=session_body).json()
+    assert (session["calibration"], session["calibration_warning"]) == ("uploaded", None)
+    act(client, session["id"], "start")
+    with client.websocket_connect("/api/v1/live") as socket:
+        assert socket.receive_json()["calibration"] == "uploaded"
+    assert engine.probed == []
+
+
+def assert_refused(client, answer, word):
+    problem = answer.json()
+    assert (answer.status_code, problem["code"], problem["field"]) == (422, "invalid_value", "calibration_id")
+    assert word in problem["bound"]
+    assert client.get(URL).json()["items"] == []
+    assert audit_rows(client, "session.create")[-1]["outcome"] == "refused"
+
+
+@pytest.mark.parametrize("given", [{}, {"calibration_id": None}])
+def test_a_recording_needs_a_calibration(client, session_body, engine, given):
+    del session_body["calibration_id"]
+    assert_refused(client, client.post(URL, json=session_body | given), "recording")
+    assert engine.probed == []
+
+
+def test_a_camera_that_does_not_register_needs_a_calibration(client, device_body, engine):
+    engine.fail_with = BoundError("no", field="calibration_id", value="missing", bound="given: it cannot register")
+    assert_refused(client, client.post(URL, json=device_body), "cannot register")
+
+
+def test_a_camera_that_is_gone_is_told(client, device_body, engine):
+    engine.fail_with = SourceLostError("the OpenNI2 runtime sees no such camera")
+    assert client.post(URL, json=device_body).status_code == 503
+    assert client.get("/api/v1/calibrations").json()["items"][1:] == []
+
+
+def test_an_open_camera_is_never_touched(client, device_body, session_id, engine):
+    assert client.post(URL, json=device_body).status_code == 409
+    assert engine.probed == []
+
+
+def test_a_nominal_calibration_serves_no_recording(client, device_body, session_body):
+    made = client.post(URL, json=device_body).json()
+    act(client, made["id"], "stop")
+    recording = {"kind": "recording", "path": "chest.oni"}
+    answer = client.post(URL, json=device_body | {"calibration_id": made["calibration_id"], "source": recording})
+    assert (answer.status_code, answer.json()["field"]) == (422, "calibration_id")
+    assert client.post(URL, json=device_body | {"calibration_id": made["calibration_id"]}).status_code == 201
+
+
+def test_nobody_uploads_a_calibration_under_that_name(client):
+    nominal = nominal_calibration("Fake Xtion", size_px=(640, 480), field_of_view_rad=(1.02, 0.797))
+    answer = upload(client, nominal.to_json())
+    assert (answer.status_code, answer.json()["field"]) == (422, "camera")
+
+
+class TestAStrictSite:
+    @pytest.fixture
+    def settings(self, settings: Settings) -> Settings:
+        return settings.model_copy(update={"allow_device_registration": False})
+
+    def test_it_refuses_what_was_not_measured(self, client, device_body, engine):
+        assert_refused(client, client.post(URL, json=device_body), "this site")
+        assert engine.probed == []
