@@ -85,13 +85,21 @@ UP_64, DOWN_63, DOWN_2, UP_1 = b"\xff\x80", b"\xff\xff", b"\x8d", b"\x5d"
 
 
 @pytest.mark.parametrize("ranks", [3, 191, 192, 193, 256, 257])
-@pytest.mark.parametrize("is_upwards", [True, False], ids=["behind the last", "before the first"])
-def test_leaving_the_table_is_seen_even_where_the_walk_comes_back(ranks, is_upwards):
-    stream, first = (UP_64 + DOWN_63 + DOWN_2, ranks - 1) if is_upwards else (DOWN_63 + UP_64 + UP_1, 0)
-    payload = _payload(np.arange(ranks, dtype="<u2"), stream + b"\xe2", first_rank=first)
+@pytest.mark.parametrize(
+    ("stream", "is_upwards"),
+    [
+        (UP_64 + b"\xe3", True),
+        (UP_64 + DOWN_63 + DOWN_2 + b"\xe2", True),
+        (DOWN_63 + b"\xe3", False),
+        (DOWN_63 + UP_64 + UP_1 + b"\xe2", False),
+    ],
+    ids=["behind it", "behind it and back", "before it", "before it and back"],
+)
+def test_leaving_the_table_is_seen_wherever_the_walk_goes_from_there(ranks, stream, is_upwards):
+    payload = _payload(np.arange(ranks, dtype="<u2"), stream, first_rank=ranks - 1 if is_upwards else 0)
     with pytest.raises(RecordingError, match=f"a depth behind the {ranks} of its table"):
         decode_16zt(payload, (2, 4))
-    inside = _payload(np.arange(ranks + 128, dtype="<u2"), stream + b"\xe2", first_rank=first + 63)
+    inside = _payload(np.arange(ranks + 128, dtype="<u2"), stream, first_rank=64)
     assert decode_16zt(inside, (2, 4)).reshape(-1).tolist() == decode_slowly(inside, 8)
 
 
