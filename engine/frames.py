@@ -219,6 +219,10 @@ class Motion:
         Volume against the reference [l]; positive is more.
     lags
         Phase lags between regions, thorax against abdomen first; worked out about once a second.
+    surface_mm
+        The region's surface in the depth camera's frame [mm], 36 rows of 21 points each, shape (756, 3).
+    split_rows
+        Where the line between thorax and abdomen crosses column 0 and column 199 of the grid [row].
     """
 
     whole_mm: float
@@ -231,6 +235,8 @@ class Motion:
     projection: Projection
     named_mm: FloatArray = field(default_factory=lambda: frozen(np.empty(0)))
     lags: tuple[PhaseLag, ...] = ()
+    surface_mm: FloatArray = field(default_factory=lambda: frozen(np.empty((0, 3))))
+    split_rows: tuple[float, float] | None = None
 
 
 class MeasurementState(enum.StrEnum):

@@ -22,21 +22,26 @@ from engine.frames import (
     Projection,
     RgbdFrame,
     RoiDepth,
+    frozen,
 )
 from engine.learner import Learner
 from engine.model import MotionModel
 from engine.polygons import NamedRegion
+from engine.split_finder import SplitFinder
 from engine.stages import markers as marker_stage
 from engine.stages.markers import MarkerSearch
+from engine.stages.phase_lag import follow_lags, start_lags
 from engine.stages.projection import project
-from engine.stages.regions import RegionLayout, horizontal_split
+from engine.stages.regions import WIDE, RegionLayout, horizontal_split
 from engine.stages.registration import align, look_up_rays, undistorted_rays
-from engine.stages.roi import NODE_COLUMNS, NODE_ROWS, at_nodes, cut_out, roi_nodes
-from engine.stages.surface import vertices_mm
+from engine.stages.roi import NODE_COLUMNS, NODE_ROWS, NODE_STEP, at_nodes, cut_out, roi_nodes
+from engine.stages.surface import end_at_markers, vertices_mm
 from engine.threads import keep_calls_in_their_thread
 from engine.training import BackgroundTrainer, Trainer, TrainingSettings
 
 RAY_STEP_PX = 8
+US_PER_S = 1e6
+MARKERS_BETWEEN_NODES = 1.0 - 1.0 / NODE_STEP  # the last nodes lie a pixel of the grid beyond the markers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,6 +56,8 @@ class PipelineSettings:
         Rows of the grid above this are thorax, the others abdomen.
     split
         The line between thorax and abdomen where it is not along a row: the rows where it crosses column 0 and 199.
+    extra_markers
+        Whether two more stickers at the costal margin mark that line; it is then fixed with the first model.
     points
         Grid points (row, column) to report singly.
     named
@@ -66,6 +73,7 @@ class PipelineSettings:
     cell_px: int = 25
     thorax_rows: int = 175
     split: tuple[float, float] | None = None
+    extra_markers: bool = False
     points: tuple[tuple[int, int], ...] = ()
     named: tuple[NamedRegion, ...] = ()
     marker_diameter_mm: float = 20.0
@@ -81,10 +89,16 @@ class PipelineSettings:
         """Check the grid settings."""
         self.layout()
 
-    def layout(self) -> RegionLayout:
-        """Return what motion is averaged over."""
-        split = horizontal_split(self.thorax_rows) if self.split is None else self.split
+    def layout(self, marked_split: tuple[float, float] | None = None) -> RegionLayout:
+        """Return what motion is averaged over; a line that stickers mark goes before one that was given."""
+        split = marked_split or self.split or horizontal_split(self.thorax_rows)
         return RegionLayout(cell_px=self.cell_px, split=split, points=self.points, named=self.named)
+
+    def lag_pairs(self) -> tuple[tuple[str, int, str, int], ...]:
+        """Return whose phase lags are told: names, and positions among whole, thorax, abdomen, points and named."""
+        named_from = len(WIDE) + len(self.points)
+        named = ((region.name, position, WIDE[0], 0) for position, region in enumerate(self.named, start=named_from))
+        return ((WIDE[1], 1, WIDE[2], 2), *named)
 
 
 class Pipeline:
@@ -114,6 +128,9 @@ class Pipeline:
         self._node_depth_mm: FloatArray | None = None
         self._coefficients: FloatArray | None = None
         self._explained_by: ActiveModel | None = None
+        self._split_finder = SplitFinder() if settings.extra_markers else None
+        pairs = settings.lag_pairs()
+        self._lags = start_lags(pairs, len(WIDE) + len(settings.points) + len(settings.named))
 
     @property
     def model(self) -> MotionModel | None:
@@ -163,6 +180,7 @@ class Pipeline:
             self._markers, self._coefficients = None, None
             return self._measurement(frame, MeasurementState.LOST, lost=found)
         nodes_px, roi = self._region(frame, found)
+        self._watch_split(frame, found)
         self._learn(roi, frame.timestamp_us, found)
         active = self._learner.active
         if active is None:
@@ -173,7 +191,7 @@ class Pipeline:
             return self._measurement(frame, MeasurementState.LOST, lost=outcome, markers=found)
         self._coefficients, self._explained_by = outcome.coefficients, active
         self._node_depth_mm = active.node_depth_mm(outcome.coefficients)
-        motion = self._motion(active, outcome, nodes_px)
+        motion = self._motion(active, outcome, nodes_px, frame.timestamp_us)
         return self._measurement(frame, MeasurementState.MEASURING, motion=motion, markers=found)
 
     def _measurement(
@@ -285,7 +303,17 @@ class Pipeline:
 
     def _prepared(self, model: MotionModel) -> ActiveModel:
         """Work everything out that frames will need; called wherever the trainer runs."""
-        return prepare_model(model, self._settings.layout())
+        return prepare_model(model, self._settings.layout(self.marked_split))
+
+    @property
+    def marked_split(self) -> tuple[float, float] | None:
+        """Where the patient's own stickers part thorax from abdomen, as far as that was looked for and seen."""
+        return None if self._split_finder is None else self._split_finder.split
+
+    def _watch_split(self, frame: RgbdFrame, found: Markers) -> None:
+        search = self._marker_search(frame) if self._split_finder is not None and self._learner.active is None else None
+        if self._split_finder is not None and search is not None:
+            self._split_finder.look(frame.color, search, found.centers_px)
 
     # -- measuring ----------------------------------------------------------------------------------------------
 
@@ -302,15 +330,17 @@ class Pipeline:
             )
         return best
 
-    def _motion(self, active: ActiveModel, outcome: Projection, nodes_px: FloatArray) -> Motion:
+    def _motion(self, active: ActiveModel, outcome: Projection, nodes_px: FloatArray, timestamp_us: int) -> Motion:
         depth_mm = active.regions.depth_mm(outcome.coefficients)
         node_depth_mm = active.node_depth_mm(outcome.coefficients)
-        rays = look_up_rays(self._depth_rays, RAY_STEP_PX, nodes_px)
+        ends_px = end_at_markers(nodes_px, NODE_ROWS, NODE_COLUMNS, MARKERS_BETWEEN_NODES)
+        rays = look_up_rays(self._depth_rays, RAY_STEP_PX, ends_px)
         surface = vertices_mm(rays, node_depth_mm)
         reference = self._learner.reference(active, outcome.coefficients, surface)
         motion_mm = reference.regions_mm - depth_mm
         regions = active.regions
         cells, shape = regions.cells, (regions.rows, regions.columns)
+        self._lags = follow_lags(self._lags, timestamp_us / US_PER_S, -depth_mm[cells:])
         whole, thorax, abdomen = motion_mm[cells : regions.points_from].tolist()
         return Motion(
             whole_mm=whole,
@@ -322,6 +352,9 @@ class Pipeline:
             points_mm=motion_mm[regions.points_from : regions.named_from],
             named_mm=motion_mm[regions.named_from :],
             projection=outcome,
+            lags=self._lags.lags,
+            surface_mm=frozen(surface),
+            split_rows=regions.layout.split,
         )
 
     def _coverage_lost(self, share: float) -> Lost:

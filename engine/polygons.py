@@ -115,13 +115,9 @@ def _check_name(name: str) -> None:
 
 def _first_crossing(vertices: FloatArray) -> tuple[int, int] | None:
     """Find two edges that meet elsewhere than at a vertex between them; edge i runs from vertex i to the next."""
+    # An edge that turns back, or has no length, lets the edges beside it meet; in a triangle it leaves no area.
     count = len(vertices)
     along = np.roll(vertices, -1, axis=0) - vertices
-    following = np.roll(along, -1, axis=0)
-    turns_back = (_cross(along, following) == 0.0) & ((along * following).sum(axis=1) <= 0.0)
-    if turns_back.any():  # an edge without length counts: its product with the next is zero
-        edge = int(np.flatnonzero(turns_back)[0])
-        return edge, (edge + 1) % count
     first, second = np.triu_indices(count, 2)
     apart = (first != 0) | (second != count - 1)
     first, second = first[apart], second[apart]

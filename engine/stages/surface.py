@@ -1,16 +1,45 @@
 """The surface as a mesh, and the volume under it (article, sections 4.4.2 and 4.5.1, equation 8).
 
-Vertices are points of the depth camera's frame in mm. The article cuts the prism between a triangle and its projection
-on the reference plane into three tetrahedra; their sum is the triangle's projected area times the mean height of its
-corners, which is what is computed here.
+Vertices are points of the depth camera's frame in mm: x right, y down, z away from the camera. The article cuts the
+prism between a triangle and its projection on the reference plane into three tetrahedra; their sum is the triangle's
+projected area times the mean height of its corners, which is what is computed here.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from engine.frames import FloatArray
+from engine.frames import FloatArray, frozen
 
 MM3_PER_L = 1_000_000.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mesh:
+    """A surface for others to look at.
+
+    Attributes
+    ----------
+    vertices_mm
+        Points of the depth camera's frame [mm], shape (n, 3), row by row from superior right.
+    triangles
+        Indices of vertices, shape (m, 3): counter-clockwise as the camera sees them, so that normals point out of the
+        patient.
+    """
+
+    vertices_mm: FloatArray
+    triangles: npt.NDArray[np.intp]
+
+    def __post_init__(self) -> None:
+        """Make both arrays read-only."""
+        frozen(self.vertices_mm)
+        frozen(self.triangles)
+
+
+def surface_mesh(vertices: FloatArray, rows: int, columns: int) -> Mesh:
+    """Make the mesh of a grid of vertices, shape (rows * columns, 3)."""
+    return Mesh(vertices_mm=vertices, triangles=np.ascontiguousarray(grid_triangles(rows, columns)[:, ::-1]))
 
 
 def grid_triangles(rows: int, columns: int) -> npt.NDArray[np.intp]:
@@ -23,6 +52,22 @@ def grid_triangles(rows: int, columns: int) -> npt.NDArray[np.intp]:
     upper = np.stack([corner, right, across], axis=-1)
     lower = np.stack([corner, across, below], axis=-1)
     return np.concatenate([upper.reshape(-1, 3), lower.reshape(-1, 3)])
+
+
+def end_at_markers(nodes: FloatArray, rows: int, columns: int, share: float) -> FloatArray:
+    """Pull the last row and column of a grid of nodes in, to where the markers are.
+
+    Parameters
+    ----------
+    nodes
+        Anything of two or more numbers at each node, shape (rows * columns, k).
+    share
+        Where between the last but one (0) and the last (1) the grid really ends.
+    """
+    grid = nodes.reshape(rows, columns, -1).copy()
+    grid[-1] = (1.0 - share) * grid[-2] + share * grid[-1]
+    grid[:, -1] = (1.0 - share) * grid[:, -2] + share * grid[:, -1]
+    return grid.reshape(rows * columns, -1)
 
 
 def vertices_mm(rays: FloatArray, depth_mm: FloatArray) -> FloatArray:

@@ -72,9 +72,9 @@ def test_the_frame_rate_makes_no_difference(fps):
 
 
 def test_offset_scale_and_drift_make_no_difference():
-    seconds, both = signals(0.3)
-    drifting = 850.0 + 3.0 * both + 0.1 * (seconds - seconds[0])[:, None]
-    assert follow(seconds, drifting)[-1].lags[0].lag_s == pytest.approx(0.3, abs=0.02)
+    seconds, both = signals(0.7)
+    drifting = 850.0 + both * (3.0, 1.0) + (seconds - seconds[0])[:, None] * (1.0, 0.5)
+    assert follow(seconds, drifting)[-1].lags[0].lag_s == pytest.approx(0.7, abs=0.02)
 
 
 def test_an_isovolume_manoeuvre_is_half_a_cycle():
