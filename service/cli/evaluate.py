@@ -2,6 +2,7 @@
 
 import typer
 
+from service.cli.evaluate_bench import bench
 from service.cli.evaluate_laser import laser, plane
 from service.cli.evaluate_spirometer import spirometer
 
@@ -12,6 +13,7 @@ evaluate = typer.Typer(
     add_completion=False,
     pretty_exceptions_show_locals=False,
 )
+evaluate.callback(invoke_without_command=True)(bench)
 evaluate.command("laser")(laser)
 evaluate.command("plane")(plane)
 evaluate.command("spirometer")(spirometer)

@@ -1,0 +1,99 @@
+"""How the bench draws: one style, and a figure as a PNG. Nothing is drawn on a screen, nothing is global."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from io import BytesIO
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from engine.frames import FloatArray
+
+COLORS = {
+    "truth": "#222222",
+    "laser": "#c23b22",
+    "spirometer": "#c23b22",
+    "plain": "#e08a00",
+    "ours": "#0f766e",
+    "oracle": "#7c7c9c",
+    "bilateral": "#9b5fc0",
+}
+LABELS = {
+    "truth": "truth",
+    "laser": "laser line",
+    "spirometer": "spirometer",
+    "plain": "plain reading",
+    "ours": "ours",
+    "oracle": "oracle",
+    "bilateral": "bilateral filter alone",
+}
+DPI = 110
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Picture:
+    """One figure of the page: its PNG, and what it shows in words."""
+
+    name: str
+    title: str
+    note: str
+    png: bytes
+
+
+def draw(name: str, title: str, note: str, size: tuple[float, float], paint: Callable[[Figure], None]) -> Picture:
+    """Paint a figure of ``size`` inches."""
+    figure = Figure(figsize=size, dpi=DPI, layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    paint(figure)
+    out = BytesIO()
+    figure.savefig(out, format="png", metadata={"Software": None})
+    return Picture(name=name, title=title, note=note, png=out.getvalue())
+
+
+def axes_of(figure: Figure, rows: int, columns: int = 1, *, share_x: bool = False) -> list[Axes]:
+    """Lay out panels and return them row by row, lightly ruled."""
+    grid = np.atleast_1d(np.asarray(figure.subplots(rows, columns, sharex=share_x), dtype=object))
+    panels: list[Axes] = list(grid.ravel())
+    for panel in panels:
+        panel.spines[["top", "right"]].set_visible(False)
+        panel.grid(visible=True, color="#e6e6e6", linewidth=0.6)
+        panel.set_axisbelow(True)
+        panel.tick_params(labelsize=8)
+    return panels
+
+
+def line(panel: Axes, x: FloatArray, y: FloatArray, kind: str, *, width: float = 1.2, label: str | None = None) -> None:
+    """Draw one method's curve in its colour."""
+    style = "--" if kind == "truth" else "-"
+    name = LABELS[kind] if label is None else label
+    panel.plot(x, y, style, color=COLORS[kind], linewidth=width, label=name)
+
+
+def caption(panel: Axes, title: str, x: str = "", y: str = "") -> None:
+    """Name a panel and its axes."""
+    panel.set_title(title, fontsize=9, loc="left")
+    panel.set_xlabel(x, fontsize=8)
+    panel.set_ylabel(y, fontsize=8)
+
+
+def legend(panel: Axes, columns: int = 4) -> None:
+    """Put the legend where it hides least."""
+    panel.legend(fontsize=7, ncols=columns, frameon=False, loc="upper right")
+
+
+def surface(
+    figure: Figure, panel: Axes, values: FloatArray, title: str, limits: tuple[float, float], unit: str
+) -> None:
+    """Show a surface on the ROI grid with its scale; superior is up."""
+    panel.grid(visible=False)
+    image = panel.imshow(
+        values, vmin=limits[0], vmax=limits[1], cmap="viridis", aspect="equal", interpolation="nearest"
+    )
+    panel.set_title(title, fontsize=8)
+    panel.set_xticks([])
+    panel.set_yticks([])
+    bar = figure.colorbar(image, ax=panel, shrink=0.85)
+    bar.ax.tick_params(labelsize=7)
+    bar.set_label(unit, fontsize=7)

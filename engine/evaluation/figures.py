@@ -1,0 +1,304 @@
+"""The article's figures, drawn from the bench's runs: ours, the plain reading and the truth on the same axes.
+
+A figure appears when the runs it needs are there.
+"""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from engine.evaluation.bench_tables import of_group
+from engine.evaluation.canvas import COLORS, Picture, axes_of, caption, draw, legend, line, surface
+from engine.evaluation.judged import Judged
+from engine.evaluation.more_figures import error_maps, holds, sweeps
+from engine.frames import FloatArray
+
+POINT = 3
+"""The fourth of the five points lies on the abdomen, to the patient's right, where the laser's line would."""
+
+
+def all_figures(judged: list[Judged]) -> list[Picture]:
+    """Draw every figure that the runs say something about."""
+    makers = (
+        spectra,
+        regular_coefficients,
+        irregular_coefficients,
+        reconstructions,
+        volumes,
+        motions,
+        filters,
+        isovolume,
+        long_regular,
+        long_irregular,
+        holds,
+        error_maps,
+        sweeps,
+    )
+    return [picture for make in makers if (picture := make(judged)) is not None]
+
+
+def spectra(judged: list[Judged]) -> Picture | None:
+    """Figure 5: the first ten eigenvalues."""
+    parts = [("regular", of_group(judged, "table2")[::3][:5]), ("irregular", of_group(judged, "irregular")[:3])]
+    parts = [(title, [one for one in runs if "ours" in one.outcome.spectra]) for title, runs in parts]
+    parts = [part for part in parts if part[1]]
+    if not parts:
+        return None
+
+    def paint(figure: Figure) -> None:
+        for panel, (title, runs) in zip(axes_of(figure, 1, len(parts)), parts, strict=True):
+            for number, one in enumerate(runs):
+                for kind in ("plain", "ours"):
+                    shares = 100.0 * one.outcome.spectra[kind]
+                    panel.semilogy(
+                        np.arange(1, len(shares) + 1),
+                        shares,
+                        "o-",
+                        color=COLORS[kind],
+                        markersize=3,
+                        linewidth=1,
+                        alpha=0.8,
+                        label={"plain": "plain reading", "ours": "ours"}[kind] if number == 0 else None,
+                    )
+            panel.set_ylim(0.01, 120.0)
+            caption(panel, f"{title}: {', '.join(one.run.name for one in runs)}", "component", "share of variance [%]")
+            legend(panel, 1)
+
+    note = "One component dominates when breathing is regular; more when it is not. From the third on it is noise."
+    return draw("fig05_spectra", "Figure 5: eigenvalues of the training frames", note, (9, 3.4), paint)
+
+
+def regular_coefficients(judged: list[Judged]) -> Picture | None:
+    """Figure 6: projection on the first three components, regular."""
+    note = "Only the first component breathes; the others wander little."
+    title = "Figure 6: coefficients of the first three components, regular breathing"
+    return _coefficients("fig06_coefficients_regular", title, note, of_group(judged, "table2")[::5][:3])
+
+
+def irregular_coefficients(judged: list[Judged]) -> Picture | None:
+    """Figure 7: the same, irregular."""
+    note = "The second component breathes as well, and the third a little."
+    title = "Figure 7: coefficients of the first three components, irregular breathing"
+    return _coefficients("fig07_coefficients_irregular", title, note, of_group(judged, "irregular")[:2])
+
+
+def _coefficients(name: str, title: str, note: str, runs: list[Judged]) -> Picture | None:
+    runs = [one for one in runs if one.scores.get("ours") is not None]
+    if not runs:
+        return None
+
+    def paint(figure: Figure) -> None:
+        panels = axes_of(figure, 1, len(runs))
+        for panel, one in zip(panels, runs, strict=True):
+            beta = one.outcome.tracks["ours"].beta / np.sqrt(70_000.0)
+            for component, shade in enumerate(("#0f766e", "#e08a00", "#7c7c9c")):
+                label = f"component {component + 1}"
+                panel.plot(one.outcome.seconds, beta[:, component], color=shade, linewidth=1, label=label)
+            caption(panel, one.run.name, "time [s]", "coefficient, mean motion it makes [mm]")
+            _trim(panel, one)
+        legend(panels[0], 1)
+
+    return draw(name, title, note, (4.2 * len(runs) + 0.6, 3.2), paint)
+
+
+def reconstructions(judged: list[Judged]) -> Picture | None:
+    """Figure 8: what filtering the training frames is good for, and what reconstruction makes of holes."""
+    one = next((one for one in judged if one.outcome.pictures), None)
+    if one is None:
+        return None
+    pictures = one.outcome.pictures
+    truth = pictures["truth"]
+    limits = (float(truth.min()), float(truth.max()))
+    modes = [
+        ("unfiltered_component", "(b) 1st component, no filter"),
+        ("plain_component", "(a) 1st component, filtered"),
+    ]
+    modes.append(("ours_component", "1st component, ours"))
+    surfaces = [
+        ("frame", "(e) a frame with its holes"),
+        ("unfiltered", "(d) rebuilt with (b)"),
+        ("plain", "(f) rebuilt with (a)"),
+        ("ours", "rebuilt, ours"),
+    ]
+
+    def paint(figure: Figure) -> None:
+        panels = axes_of(figure, 2, 4)
+        for panel, (key, title) in zip(panels, modes, strict=False):
+            mode = np.abs(pictures[key]) * np.sqrt(mode_size)
+            surface(figure, panel, mode, title, (0.0, float(np.quantile(mode, 0.995))), "relative motion")
+        surface(figure, panels[3], truth, "the truth at that moment", limits, "mm")
+        for panel, (key, title) in zip(panels[4:], surfaces, strict=True):
+            shown = np.where(pictures[key] == 0, np.nan, pictures[key])
+            surface(figure, panel, shown, title, limits, "mm")
+
+    mode_size = float(truth.size)
+    note = (
+        "Without filling and filtering the strongest component of the training frames is where holes come and go, not "
+        "where the chest moves, and a frame rebuilt with it is full of them. White: no reading."
+    )
+    return draw("fig08_reconstruction", f"Figure 8: holes and reconstruction, {one.run.name}", note, (10, 7.4), paint)
+
+
+def volumes(judged: list[Judged]) -> Picture | None:
+    """Figure 11: volume against the spirometer, both from -1 to 1."""
+    runs = [one for one in of_group(judged, "table2") if "ours" in one.scores][::4][:4]
+    if not runs:
+        return None
+
+    def paint(figure: Figure) -> None:
+        panels = axes_of(figure, -(-len(runs) // 2), min(2, len(runs)))
+        for panel, one in zip(panels, runs, strict=False):
+            frames = one.frames
+            for kind, series in _volume_series(one).items():
+                line(panel, one.outcome.seconds[frames], _scaled(series[frames]), kind)
+            said = ", ".join(
+                f"{name} {one.scores[kind].volume_correlation:.4f}"
+                for kind, name in (("plain", "plain"), ("ours", "ours"))
+                if kind in one.scores
+            )
+            caption(panel, f"{one.run.name}: correlation {said}", "time [s]", "volume, scaled")
+        legend(panels[0])
+
+    note = (
+        "Scaled to -1..1 as in the article; correlations are with the volume the skin truly swept. The article: 0.97."
+    )
+    return draw("fig11_volume", "Figure 11: volume", note, (10, 1.2 + 2.4 * (-(-len(runs) // 2))), paint)
+
+
+def _volume_series(one: Judged) -> dict[str, FloatArray]:
+    series = {"truth": one.outcome.truth.volume_l}
+    if "spirometer_l" in one.outcome.instruments:
+        series["spirometer"] = one.outcome.instruments["spirometer_l"]
+    return series | {kind: one.outcome.tracks[kind].volume_l for kind in ("plain", "ours") if kind in one.scores}
+
+
+def motions(judged: list[Judged]) -> Picture | None:
+    """Figure 12: motion at one point of four datasets."""
+    runs = [one for one in of_group(judged, "table2") if "ours" in one.scores][1::4][:4]
+    runs = runs or of_group(judged, "table2")[:1]
+    if not runs:
+        return None
+
+    def paint(figure: Figure) -> None:
+        panels = axes_of(figure, len(runs), 2, share_x=False)
+        for number, one in enumerate(runs):
+            _motion_panels(panels[2 * number], panels[2 * number + 1], one, POINT, ("plain", "ours"))
+        legend(panels[0])
+        legend(panels[1])
+
+    note = "Left: motion of one point on the abdomen. Right: what is wrong about it."
+    return draw("fig12_motion", "Figure 12: motion at a point", note, (10, 0.6 + 2.2 * len(runs)), paint)
+
+
+def _motion_panels(left: Axes, right: Axes, one: Judged, point: int, kinds: tuple[str, ...]) -> None:
+    seconds, frames = one.outcome.seconds, one.frames
+    truth = None
+    for kind in kinds:
+        if kind not in one.scores:
+            continue
+        truth = one.true_motion(kind)[1][:, point]
+        motion = one.outcome.tracks[kind].points_mm[:, point]
+        # All on one zero: each method's own reference frame is another.
+        shift = (truth - one.true_motion("ours")[1][:, point])[frames][0] if "ours" in one.scores else 0.0
+        line(left, seconds[frames], (motion - shift)[frames], kind)
+        line(right, seconds[frames], (motion - truth)[frames], kind, width=0.9)
+    if truth is not None:
+        line(left, seconds[frames], one.true_motion("ours")[1][frames, point], "truth")
+    caption(left, f"{one.run.name}, P{point + 1}", "time [s]", "motion [mm]")
+    caption(right, f"{one.run.name}, P{point + 1}: error", "time [s]", "error [mm]")
+
+
+def filters(judged: list[Judged]) -> Picture | None:
+    """Figure 14: the bilateral filter alone against PCA."""
+    one = next((one for one in judged if "bilateral" in one.scores), None)
+    if one is None:
+        return None
+
+    def paint(figure: Figure) -> None:
+        panels = axes_of(figure, 1, 2)
+        _motion_panels(panels[0], panels[1], one, POINT, ("bilateral", "plain", "ours"))
+        start = float(one.outcome.seconds[one.frames][0])
+        for panel in panels:
+            panel.set_xlim(start, start + 10.0)
+        legend(panels[0], 2)
+
+    note = "The same frames with hole filling and the bilateral filter on each, and no PCA. Ten seconds."
+    return draw("fig14_bilateral", "Figure 14: bilateral filter against PCA", note, (10, 3.2), paint)
+
+
+def isovolume(judged: list[Judged]) -> Picture | None:
+    """Figure 15: thorax against abdomen in the isovolume manoeuvre."""
+    runs = [one for one in of_group(judged, "isovolume") if "ours" in one.scores]
+    if not runs:
+        return None
+
+    def paint(figure: Figure) -> None:
+        panels = axes_of(figure, len(runs), 1)
+        for panel, one in zip(panels, runs, strict=True):
+            seconds, wide, true = one.outcome.seconds, one.outcome.tracks["ours"].wide_mm, one.true_motion("ours")[0]
+            names = (("whole", "#222222"), ("thorax", "#0f766e"), ("abdomen", "#c23b22"))
+            for part, (name, shade) in enumerate(names):
+                panel.plot(seconds[one.frames], wide[one.frames, part], color=shade, linewidth=1.2, label=name)
+                panel.plot(seconds[one.frames], true[one.frames, part], ":", color=shade, linewidth=1.0)
+            score = one.event_scores.get("ours", one.scores["ours"])
+            said = f"thorax against abdomen {score.halves_correlation:.4f} in the manoeuvre"
+            caption(panel, f"{one.run.name}: {said}", "time [s]", "motion [mm]")
+        legend(panels[0], 3)
+
+    note = "Dotted: the truth. A spirometer sees nothing of it. The article: -0.99."
+    return draw("fig15_isovolume", "Figure 15: isovolume manoeuvre", note, (10, 0.6 + 2.5 * len(runs)), paint)
+
+
+def long_regular(judged: list[Judged]) -> Picture | None:
+    """Figure 16: long and regular."""
+    runs = [one for one in of_group(judged, "table2") if one.run.is_long]
+    return _long("fig16_long_regular", "Figure 16: long runs, regular breathing", runs)
+
+
+def long_irregular(judged: list[Judged]) -> Picture | None:
+    """Figure 17: long and irregular."""
+    runs = [one for one in of_group(judged, "irregular") if one.run.is_long]
+    return _long("fig17_long_irregular", "Figure 17: long runs, irregular breathing", runs)
+
+
+def _long(name: str, title: str, runs: list[Judged]) -> Picture | None:
+    runs = [one for one in runs if "ours" in one.scores and "plain" in one.scores]
+    if not runs:
+        return None
+
+    def paint(figure: Figure) -> None:
+        panels = axes_of(figure, len(runs), 2)
+        for number, one in enumerate(runs):
+            left, right = panels[2 * number : 2 * number + 2]
+            frames, seconds = one.frames, one.outcome.seconds
+            line(left, seconds[frames], one.outcome.tracks["ours"].points_mm[frames, POINT], "ours")
+            line(left, seconds[frames], one.true_motion("ours")[1][frames, POINT], "truth")
+            for kind, style, label in (
+                ("plain1", ":", "plain, one component"),
+                ("plain", "-", "plain, three"),
+                ("ours1", ":", "ours, one component"),
+                ("ours", "-", "ours, three"),
+            ):
+                if kind not in one.scores:
+                    continue
+                error = one.outcome.tracks[kind].points_mm - one.true_motion(kind)[1]
+                shade = COLORS[kind.rstrip("1")]
+                right.plot(seconds[frames], error[frames, POINT], style, color=shade, linewidth=0.9, label=label)
+            caption(left, f"{one.run.name}, P{POINT + 1}", "time [s]", "motion [mm]")
+            caption(right, f"{one.run.name}: error", "time [s]", "error [mm]")
+        legend(panels[0], 2)
+        legend(panels[1], 2)
+
+    note = "Learned from the first part only; 52 s, as long as the article's 350 frames."
+    return draw(name, title, note, (10, 0.6 + 2.6 * len(runs)), paint)
+
+
+def _scaled(series: FloatArray) -> FloatArray:
+    low, high = float(np.nanmin(series)), float(np.nanmax(series))
+    return 2.0 * (series - low) / max(high - low, 1e-9) - 1.0
+
+
+def _trim(panel: Axes, one: Judged) -> None:
+    if one.frames.any():
+        seconds = one.outcome.seconds[one.frames]
+        panel.set_xlim(float(seconds[0]), float(seconds[-1]))

@@ -1,0 +1,127 @@
+"""The marks the measurement has to reach, and whether it does."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.evaluation.judged import Judged
+from engine.evaluation.scores import Score
+from engine.evaluation.tables import Table
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mark:
+    """One of them.
+
+    Attributes
+    ----------
+    value, worst
+        Over the recordings it is judged on: what is held against the bound, and the worst recording's.
+    is_least
+        Whether the bound is the least allowed, not the most.
+    """
+
+    name: str
+    bound: float
+    value: float
+    worst: float
+    worst_run: str
+    recordings: int
+    is_least: bool = False
+
+    @property
+    def is_met(self) -> bool:
+        """Whether it was reached; NaN never is."""
+        return self.value >= self.bound if self.is_least else self.value <= self.bound
+
+
+CELLS_MM = {"table2": 0.16, "irregular": 0.16, "shift": 0.16, "dibh": 0.30, "isovolume": 0.20}
+_NAMES = {
+    "table2": "regular breathing",
+    "irregular": "irregular breathing",
+    "shift": "after a shift of the patient",
+    "dibh": "in breath holds",
+    "isovolume": "isovolume manoeuvre",
+}
+
+
+def reach(judged: list[Judged]) -> list[Mark]:
+    """Hold what was measured against every mark it says something about."""
+    marks = [
+        _mark(f"Whole ROI, cells of 10 px, {_NAMES[group]} [mm]", bound, _in(judged, group), lambda s: s.cells_mm)
+        for group, bound in CELLS_MM.items()
+    ]
+    fifteen = list(_in(judged, "table2"))
+    marks += [
+        _mark("Five points, mean [mm]", 0.16, fifteen, lambda s: float(np.mean(s.points_mm))),
+        _mark("Five points, largest of all [mm]", 0.8, fifteen, lambda s: max(s.points_max_mm), np.max),
+        _mark("Whole-ROI mean motion [mm]", 0.06, fifteen, lambda s: s.whole_mm),
+        _mark("Volume, correlation", 0.995, fifteen, lambda s: s.volume_correlation, is_least=True),
+        _mark(
+            "Isovolume: thorax against abdomen, correlation",
+            -0.99,
+            _in(judged, "isovolume"),
+            lambda s: s.halves_correlation,
+        ),
+    ]
+    return [mark for mark in marks if mark.recordings]
+
+
+def marks_table(marks: list[Mark]) -> Table:
+    """Lay the marks out."""
+    rows = tuple(
+        (
+            mark.name,
+            f"{'≥' if mark.is_least else '≤'} {mark.bound:g}",
+            mark.value,
+            mark.worst,
+            mark.worst_run,
+            mark.recordings,
+            "met" if mark.is_met else "MISSED",
+        )
+        for mark in marks
+    )
+    return Table(
+        name="marks",
+        title="The marks, and whether they are met",
+        columns=("mark", "bound", "ours", "worst recording", "which", "recordings", "verdict"),
+        rows=rows,
+        digits=3,
+        note="The mean over the recordings is held against the bound (the largest where it says so); the worst "
+        "recording stands beside it. Breath holds, isovolume and shift count only the frames of the event.",
+        failed=frozenset(number for number, mark in enumerate(marks) if not mark.is_met),
+    )
+
+
+def _in(judged: list[Judged], group: str) -> list[Judged]:
+    return [one for one in judged if one.run.group == group]
+
+
+def _mark(
+    name: str,
+    bound: float,
+    judged: Iterable[Judged],
+    value_of: Callable[[Score], float],
+    over: Callable[[list[float]], object] = np.mean,
+    *,
+    is_least: bool = False,
+) -> Mark:
+    """Judge by ``over`` the recordings; one that was never measured is a NaN, and a missed mark."""
+    values = {
+        one.run.name: value_of(one.event_scores["ours"]) if "ours" in one.event_scores else float("nan")
+        for one in judged
+    }
+    if not values:
+        return Mark(name=name, bound=bound, value=float("nan"), worst=float("nan"), worst_run="", recordings=0)
+    sign = -1.0 if is_least else 1.0
+    worst_run = max(values, key=lambda key: np.inf if np.isnan(values[key]) else sign * values[key])
+    return Mark(
+        name=name,
+        bound=bound,
+        value=float(np.asarray(over(list(values.values())))),
+        worst=values[worst_run],
+        worst_run=worst_run,
+        recordings=len(values),
+        is_least=is_least,
+    )

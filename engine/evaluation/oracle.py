@@ -1,0 +1,151 @@
+"""The oracle: what the sensor allows when everything but its noise is known.
+
+It is told how this body truly moves (the spatial modes of noise-free depth fields), where the stickers truly are, how
+deep the skin truly lies, and what the sensor shows of it on average (its still misfit, learned from the frames before
+the measurement against the truth). Left unknown are a few numbers a frame: the modes' weights, found by least squares
+over the pixels that were read. No method that has to learn the modes can expect less error than this.
+
+The grid is the ROI's, sampled every second row and column; depth is z in the depth camera's frame [mm].
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import RectBivariateSpline
+
+from engine.evaluation.outcome import cell_means
+from engine.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, DepthImage, FloatArray
+from engine.phantom.scene import Scene
+
+Grid = npt.NDArray[np.float64]
+FIELD_STEP = 5
+SAMPLE_STEP = 2
+FIELDS = 48
+MODE_RMS_MM = 0.01
+MAX_MODES = 16
+STILL_LEAST_FRAMES = 20
+
+_CORNERS = np.array(
+    [[0, 0], [ROI_COLUMNS - 1, 0], [ROI_COLUMNS - 1, ROI_ROWS - 1], [0, ROI_ROWS - 1]], dtype=np.float32
+)
+_SAMPLES_RC = np.stack(
+    np.meshgrid(np.arange(0, ROI_ROWS, SAMPLE_STEP), np.arange(0, ROI_COLUMNS, SAMPLE_STEP), indexing="ij"), axis=-1
+).reshape(-1, 2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrueModes:
+    """How the depth of the ROI truly varies: mean surface and modes on the whole grid [mm].
+
+    Attributes
+    ----------
+    mean_mm, modes
+        Shapes (350, 200) and (k, 350, 200); the modes are orthonormal.
+    left_rms_mm
+        What the modes leave of the noise-free fields they were taken from.
+    """
+
+    mean_mm: FloatArray
+    modes: FloatArray
+    left_rms_mm: float
+
+
+def true_modes(scene: Scene, times_s: FloatArray) -> TrueModes:
+    """Take the modes from noise-free depth fields at some times of a recording."""
+    rows, columns = _field_axes()
+    grid = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
+    fields = np.stack([scene.roi_truth(float(t)).depth(grid, scene.breathing.weights(float(t))) for t in times_s])
+    mean = fields.mean(axis=0)
+    _, sizes, shapes = np.linalg.svd(fields - mean, full_matrices=False)
+    left = np.sqrt(np.maximum((sizes**2).sum() - np.cumsum(sizes**2), 0.0) / fields.size)
+    count = min(int(np.searchsorted(-left, -MODE_RMS_MM)) + 1, MAX_MODES, len(sizes))
+    full = np.stack([_on_whole_grid(field, rows, columns) for field in (mean, *shapes[:count])])
+    orthonormal = np.linalg.qr(full[1:].reshape(count, -1).T)[0].T.reshape(count, ROI_ROWS, ROI_COLUMNS)
+    return TrueModes(mean_mm=full[0], modes=orthonormal, left_rms_mm=float(left[count - 1]))
+
+
+def _field_axes() -> tuple[Grid, Grid]:
+    """Rows and columns of the field's nodes, the last of each included."""
+    return np.append(np.arange(0.0, ROI_ROWS - 1, FIELD_STEP), ROI_ROWS - 1.0), np.append(
+        np.arange(0.0, ROI_COLUMNS - 1, FIELD_STEP), ROI_COLUMNS - 1.0
+    )
+
+
+def _on_whole_grid(values: FloatArray, rows: Grid, columns: Grid) -> Grid:
+    spline = RectBivariateSpline(rows, columns, values.reshape(len(rows), len(columns)))
+    return np.asarray(spline(np.arange(ROI_ROWS), np.arange(ROI_COLUMNS)))
+
+
+class Oracle:
+    """Fits the true modes to noisy frames."""
+
+    def __init__(self, scene: Scene, modes: TrueModes) -> None:
+        self._scene = scene
+        self.modes = modes
+        sampled = (slice(None, None, SAMPLE_STEP), slice(None, None, SAMPLE_STEP))
+        self._mean = np.ascontiguousarray(modes.mean_mm[sampled], dtype=np.float32).ravel()
+        self._shapes = np.ascontiguousarray(modes.modes[:, *sampled].reshape(len(modes.modes), -1), dtype=np.float32)
+        self._still_sum = np.zeros(self._mean.shape)
+        self._still_count = np.zeros(self._mean.shape)
+
+    def watch(self, depth_mm: DepthImage, markers_px: FloatArray, true_cells_mm: FloatArray) -> None:
+        """Learn from a frame before the measurement how the sensor misreads this body when the truth is known."""
+        weights = self._weights_of(true_cells_mm)
+        read, is_read = self._sample(depth_mm, markers_px, weights)
+        misfit = np.where(is_read, read - self._mean - weights.astype(np.float32) @ self._shapes, 0.0)
+        self._still_sum += misfit
+        self._still_count += is_read
+
+    def measure(self, depth_mm: DepthImage, markers_px: FloatArray, true_cells_mm: FloatArray) -> Grid | None:
+        """Return the surface it sees in a noisy frame, shape (350, 200) [mm]; None where nothing can be fitted.
+
+        The truth says only where on the depth picture each grid point lies (0.02 px a millimetre), never how deep.
+        """
+        read, is_read = self._sample(depth_mm, markers_px, self._weights_of(true_cells_mm))
+        usable = is_read & (self._still_count >= STILL_LEAST_FRAMES)
+        if int(usable.sum()) < 50 * len(self._shapes):
+            return None
+        still = (self._still_sum / np.maximum(self._still_count, 1.0)).astype(np.float32)
+        shapes = self._shapes[:, usable]
+        misfit = (read - self._mean - still)[usable]
+        normal = (shapes @ shapes.T).astype(np.float64)
+        weights = np.linalg.solve(normal, (shapes @ misfit).astype(np.float64))
+        return np.asarray(self.modes.mean_mm + np.tensordot(weights, self.modes.modes, axes=1))
+
+    def _weights_of(self, cells_mm: FloatArray) -> FloatArray:
+        """Find the modes' weights that a true frame's cell means belong to, shape (k,)."""
+        cells = cell_means(self.modes.modes).reshape(len(self.modes.modes), -1)
+        gap = (cells_mm - cell_means(self.modes.mean_mm)).ravel()
+        return np.asarray(np.linalg.lstsq(cells.T, gap, rcond=None)[0])
+
+    def _sample(
+        self, depth_mm: DepthImage, markers_px: FloatArray, weights: FloatArray
+    ) -> tuple[npt.NDArray[np.float32], BoolArray]:
+        """Read the depth picture where the grid points truly lie, shape (s,)."""
+        rig = self._scene.rig
+        homography = cv2.getPerspectiveTransform(_CORNERS, markers_px.astype(np.float32))
+        on_grid = _SAMPLES_RC[:, ::-1].astype(np.float64)
+        points = on_grid @ homography[:, :2].T + homography[:, 2]
+        x, y = self._scene.color_rays.at(points[:, :2] / points[:, 2:])
+        depth = (self._mean + weights.astype(np.float32) @ self._shapes).astype(np.float64)
+        back = rig.color_from_depth.inverse
+        direction = np.column_stack([x, y, np.ones_like(x)]) @ back.rotation.T
+        along = (depth - back.translation_mm[2]) / direction[:, 2]
+        pixels = rig.depth.project(along[:, None] * direction + back.translation_mm).astype(np.float32)
+        shape = (ROI_ROWS // SAMPLE_STEP, ROI_COLUMNS // SAMPLE_STEP)
+        picture = np.where(depth_mm == 0, np.float32(np.nan), depth_mm.astype(np.float32))
+        read = cv2.remap(
+            picture,
+            pixels[:, 0].reshape(shape),
+            pixels[:, 1].reshape(shape),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=(np.nan,),
+        ).ravel()
+        correction = rig.calibration.depth_correction
+        if correction is not None:
+            read = read * np.float32(correction.scale) + np.float32(correction.offset_mm)
+        is_read = np.isfinite(read)
+        return np.where(is_read, read, np.float32(0.0)), is_read

@@ -1,0 +1,106 @@
+"""The page: one HTML file with every table and figure in it, that needs no network and no other file."""
+
+import base64
+import html
+from dataclasses import dataclass
+
+from engine.evaluation.canvas import Picture
+from engine.evaluation.tables import Table
+
+_STYLE = """
+:root { color-scheme: light dark; --ink: #1d2327; --soft: #5b6770; --line: #d9dee2; --back: #fbfbfa; --card: #fff;
+  --good: #0f766e; --bad: #b42318; }
+@media (prefers-color-scheme: dark) { :root { --ink: #e6e9eb; --soft: #9aa5ad; --line: #333b41; --back: #14181b;
+  --card: #1b2024; --good: #4cc5b8; --bad: #ff8a7a; } }
+* { box-sizing: border-box; }
+body { margin: 0 auto; max-width: 1120px; padding: 2rem 1.25rem 4rem; background: var(--back); color: var(--ink);
+  font: 15px/1.5 system-ui, sans-serif; }
+h1 { margin: 0; font-size: 1.7rem; } h2 { margin: 3rem 0 .75rem; font-size: 1.25rem; }
+h3 { margin: 1.75rem 0 .4rem; font-size: 1rem; }
+p { margin: .4rem 0; max-width: 75ch; } .soft, .command { color: var(--soft); font-size: .87rem; }
+code { font: .85rem ui-monospace, monospace; }
+nav a { margin-right: 1rem; color: inherit; }
+.scroll { overflow-x: auto; border: 1px solid var(--line); border-radius: 6px; background: var(--card); }
+table { border-collapse: collapse; width: 100%; font-size: .85rem; font-variant-numeric: tabular-nums; }
+th, td { padding: .3rem .6rem; text-align: left; border-bottom: 1px solid var(--line); vertical-align: top; }
+thead th { font-weight: 600; color: var(--soft); white-space: normal; }
+tbody th { font-weight: 500; white-space: nowrap; } tbody tr:last-child > * { border-bottom: 0; }
+td.n { text-align: right; white-space: nowrap; } tr.failed > * { color: var(--bad); font-weight: 600; }
+figure { margin: 1rem 0 2rem; } img { max-width: 100%; display: block; background: #fff; border-radius: 6px;
+  border: 1px solid var(--line); padding: .4rem; }
+figcaption { margin-top: .4rem; color: var(--soft); font-size: .87rem; max-width: 85ch; }
+.verdict { font-weight: 600; } .met { color: var(--good); } .missed { color: var(--bad); }
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Heading:
+    """What the page says of itself: the command that printed it, what with, and how it went."""
+
+    command: str
+    version: str
+    seed: int
+    recordings: int
+    frames: int
+    met: int
+    marks: int
+
+
+def page(heading: Heading, tables: list[Table], figures: list[Picture]) -> str:
+    """Write the page."""
+    missed = heading.marks - heading.met
+    verdict = f"{heading.met} of {heading.marks} marks met" if missed else f"All {heading.marks} marks met"
+    parts = [
+        "<!doctype html><html lang=en><head><meta charset=utf-8>",
+        '<meta name=viewport content="width=device-width, initial-scale=1">',
+        f"<title>Tidegate: how good is it</title><style>{_STYLE}</style></head><body><main>",
+        "<h1>How good is it</h1>",
+        "<p>Tidegate's motion measurement judged on virtual volunteers, whose true motion is known: beside what the "
+        "article reports (Wijenayake and Park, Sensors 2017, 17, 1840), a plain reading of the article on the same "
+        "frames, and an oracle that knows how each body truly moves and has only the sensor's noise against it.</p>",
+        f'<p class="verdict {"missed" if missed else "met"}">{verdict}.</p>',
+        f"<p class=soft>{heading.recordings} recordings, {heading.frames} depth frames, seed {heading.seed}, Tidegate "
+        f"{html.escape(heading.version)}. Printed by <code>{html.escape(heading.command)}</code></p>",
+        '<nav aria-label="Sections"><a href="#how">How it is judged</a><a href="#tables">Tables</a>'
+        '<a href="#figures">Figures</a></nav>',
+        _HOW,
+        "<h2 id=tables>Tables</h2>",
+        *(_table(table, heading.command) for table in tables),
+        "<h2 id=figures>Figures</h2>",
+        *(_figure(picture) for picture in figures),
+        "</main></body></html>",
+    ]
+    return "\n".join(parts)
+
+
+_HOW = """<h2 id=how>How it is judged</h2>
+<p>Every method reads the same frames of the same recording. Motion is the depth of a frame of reference minus the
+depth now, positive towards the camera. Each method takes its own first measured frame as reference, and that
+frame's noise is part of every error after it. All are judged on the same frames: those after the last of them has
+learned. An error is the absolute difference to the true motion of the skin that the region's grid points lie on;
+of cells of 10 x 10 points for the whole region (700 of them), of single points for the five.</p>
+<p>The plain reading learns from a hundred frames spread over the 15 s that they took at the article's 6.7 frames a
+second, fills holes with the mode filter and smooths with the bilateral filter on those alone, keeps three
+components, and lets a hole lie on the mean afterwards. The oracle is told the true spatial modes, the true place of
+every grid point and the sensor's still misfit; it fits the modes' weights to each noisy frame. Nothing that has to
+learn can beat it on noise.</p>
+<p>The virtual sensor has the quantisation, correlated noise, holes, flicker, jumps, scale error and warm-up drift
+measured on real units. It is still a model: these figures say what the method does with such a sensor, not what
+any one camera does.</p>"""
+
+
+def _table(table: Table, command: str) -> str:
+    note = f"<p class=soft>{html.escape(table.note)}</p>" if table.note else ""
+    printed = f"<p class=command>Printed by <code>{html.escape(command)}</code>; in {table.name}.csv.</p>"
+    title = f"<h3 id={table.name}>{html.escape(table.title)}</h3>"
+    return f'<section>{title}<div class="scroll" tabindex="0">{table.to_html()}</div>{note}{printed}</section>'
+
+
+def _figure(picture: Picture) -> str:
+    data = base64.b64encode(picture.png).decode("ascii")
+    alt = html.escape(f"{picture.title}. {picture.note}", quote=True)
+    return (
+        f"<figure id={picture.name}><h3>{html.escape(picture.title)}</h3>"
+        f'<img alt="{alt}" src="data:image/png;base64,{data}">'
+        f"<figcaption>{html.escape(picture.note)}</figcaption></figure>"
+    )

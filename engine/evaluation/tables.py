@@ -1,0 +1,72 @@
+"""A table, and how it is written: CSV for machines, HTML for the page; the terminal's form is the command line's."""
+
+import csv
+import html
+import math
+from dataclasses import dataclass
+from io import StringIO
+
+Cell = float | int | str | None
+NOTHING = "-"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """Rows of cells under headings.
+
+    Attributes
+    ----------
+    name
+        Names its file.
+    columns
+        Headings, with the unit where one is meant.
+    rows
+        Numbers are rounded where they are shown and whole in JSON; None is "not measured".
+    note
+        A sentence or two for the reader who doubts.
+    digits
+        Decimals to show.
+    failed
+        Rows that did not reach their mark, to be shown in red.
+    """
+
+    name: str
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    note: str = ""
+    digits: int = 2
+    failed: frozenset[int] = frozenset()
+
+    def text(self, cell: Cell) -> str:
+        """Show one cell."""
+        if cell is None or (isinstance(cell, float) and not math.isfinite(cell)):
+            return NOTHING
+        return f"{cell:.{self.digits}f}" if isinstance(cell, float) else str(cell)
+
+    def to_csv(self) -> str:
+        """Write it as CSV: numbers in full, nothing for what was not measured."""
+        out = StringIO()
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow(self.columns)
+        for row in self.rows:
+            writer.writerow(["" if self.text(cell) == NOTHING else cell for cell in row])
+        return out.getvalue()
+
+    def to_html(self) -> str:
+        """Write it as an HTML table; the first column names the row."""
+        head = "".join(f'<th scope="col">{html.escape(column)}</th>' for column in self.columns)
+        body = "".join(self._row(number, row) for number, row in enumerate(self.rows))
+        return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+    def to_json(self) -> dict[str, object]:
+        """Return what JSON can hold of it."""
+        rows = [[None if self.text(cell) == NOTHING else cell for cell in row] for row in self.rows]
+        return {"title": self.title, "columns": list(self.columns), "rows": rows, "note": self.note}
+
+    def _row(self, number: int, row: tuple[Cell, ...]) -> str:
+        first = f'<th scope="row">{html.escape(self.text(row[0]))}</th>'
+        others = "".join(
+            f"<td{'' if isinstance(cell, str) else ' class=n'}>{html.escape(self.text(cell))}</td>" for cell in row[1:]
+        )
+        return f"<tr{' class=failed' if number in self.failed else ''}>{first}{others}</tr>"
