@@ -11,7 +11,7 @@ from engine.frames import MeasurementState
 from engine.pipeline import Pipeline, PipelineSettings
 from engine.polygons import NamedRegion
 from engine.stages.extra_markers import find_split
-from engine.stages.roi import color_from_roi
+from engine.stages.roi import NODE_COLUMNS, NODE_ROWS, color_from_roi
 from engine.stages.surface import surface_mesh
 from engine.training import InlineTrainer, TrainingSettings
 from tests.engine import scene
@@ -81,12 +81,12 @@ def test_the_lag_is_the_scenes(motions):
 
 def test_the_surface_is_the_patients_in_the_depth_cameras_frame(motions):
     surface = motions[-1].surface_mm
-    assert surface.shape == (756, 3)
+    assert surface.shape == (NODE_ROWS * NODE_COLUMNS, 3)
     assert np.abs(surface[:, 2] - 845.0).max() < 25.0
-    corners = surface[[0, 20, 755, 735]]
+    corners = surface.reshape(NODE_ROWS, NODE_COLUMNS, 3)[[0, 0, -1, -1], [0, -1, -1, 0]]
     seen_px = scene.CAMERA.project(corners)
     assert np.abs(seen_px - scene.CORNERS_PX).max() < 0.3
-    mesh = surface_mesh(surface, 36, 21)
+    mesh = surface_mesh(surface, NODE_ROWS, NODE_COLUMNS)
     a, b, c = (mesh.vertices_mm[mesh.triangles[:, i]] for i in range(3))
     assert (np.cross(b - a, c - a)[:, 2] < 0.0).all()
     with pytest.raises(ValueError, match="read-only"):
