@@ -220,7 +220,7 @@ class Motion:
     lags
         Phase lags between regions, thorax against abdomen first; worked out about once a second.
     surface_mm
-        The region's surface in the depth camera's frame [mm], 36 rows of 21 points each, shape (756, 3).
+        The region's surface in the depth camera's frame [mm] at its nodes, from superior right row by row, (n, 3).
     split_rows
         Where the line between thorax and abdomen crosses column 0 and column 199 of the grid [row].
     """
@@ -269,10 +269,16 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingProgress:
-    """How far the gathering of training frames has come; ``share`` runs from 0 to 1."""
+    """How far the gathering of training frames has come; ``share`` runs from 0 to 1.
+
+    ``amplitude_mm`` is how far the patient has breathed so far, ``shift_mm`` how far the region has moved as a whole
+    since the gathering began; None before that can be told.
+    """
 
     frames: int
     cycles: int
     seconds: float
     share: float
     note: str = ""
+    amplitude_mm: float | None = None
+    shift_mm: float | None = None
