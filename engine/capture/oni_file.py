@@ -15,6 +15,7 @@ from engine.capture.source import SourceDescription
 from engine.clock import NS_PER_S, NS_PER_US, Clock
 from engine.errors import FrameTimeoutError, RecordingError, SourceEndedError
 from engine.frames import ColorImage, DepthImage, RgbdFrame
+from engine.memory import keep_freed_memory
 from engine.oni.reader import CodedFrame, OniReader
 
 # Depth frames held back at most while a colour frame is looked for: eight seconds, some 40 MB.
@@ -77,6 +78,7 @@ class OniFileSource:
             No recording, one without depth or colour, or one damaged before its first frame.
         """
         self.close()
+        keep_freed_memory()
         self._reader = reader = OniReader(self._path)
         try:
             description = _describe(reader)
