@@ -19,9 +19,8 @@ class InvalidValueError(TidegateError):
     code = "invalid_value"
 
     def __init__(self, field: str, value: object, bound: str) -> None:
-        shown = repr(value)
         self.field = field
-        self.value = shown if len(shown) <= 80 else f"{shown[:77]}..."
+        self.value = _short(repr(value))
         self.bound = bound
         super().__init__(f"{field} is {self.value}: must be {bound}")
 
@@ -68,6 +67,26 @@ class ModelError(TidegateError):
     code = "model_invalid"
 
 
+class ModelMismatchError(ModelError):
+    """A motion model of another patient, of another calibration, or too far from the patient on the couch."""
+
+    code = "model_mismatch"
+
+    def __init__(self, field: str, value: object, bound: str, advice: str = "") -> None:
+        self.field, self.value, self.bound = field, _short(value), bound
+        super().__init__(_sentence(self.field, self.value, bound, advice))
+
+
+class TrainingRefusedError(ModelError):
+    """A training set, or a model learned from it, that teaches nothing; says what to do about it."""
+
+    code = "training_refused"
+
+    def __init__(self, field: str, value: object, bound: str, advice: str) -> None:
+        self.field, self.value, self.bound = field, _short(value), bound
+        super().__init__(_sentence(self.field, self.value, bound, advice))
+
+
 class BeamLineError(TidegateError):
     """The beam line did not answer, or not as told."""
 
@@ -78,3 +97,12 @@ class CommandRefusedError(TidegateError):
     """The engine will not do that now; the message says why and what would help."""
 
     code = "command_refused"
+
+
+def _short(value: object) -> str:
+    shown = str(value)
+    return shown if len(shown) <= 80 else f"{shown[:77]}..."
+
+
+def _sentence(field: str, value: str, bound: str, advice: str) -> str:
+    return f"{field} is {value}: must be {bound}" + (f"; {advice}" if advice else "")

@@ -1,4 +1,4 @@
-"""Gather training frames by time and cycles, fit in the background, hand a finished model over.
+"""When a training set is complete and what refuses it, and the threads that fit models.
 
 The article takes the first hundred frames: 15 s at its 6.7 frames a second, one breath at 30. Here a set is complete
 when it holds enough frames, enough time *and* enough complete cycles; a patient whose breathing never gives the cycles
@@ -7,25 +7,38 @@ gets a model in the end, which says how many it has seen.
 
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
-import numpy as np
-
 from engine.errors import InvalidValueError, ModelError
-from engine.frames import RoiDepth, TrainingProgress
-from engine.model import MotionModel, fit
-from engine.stages.breathing import count_cycles
-from engine.stages.preprocessing import fill_holes, smooth_bilateral
-
-SURROGATE_STEP = 10
-CYCLES_EVERY_FRAMES = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingSettings:
-    """When a training set is complete, and how many components are kept."""
+    """When a training set is complete, how many components are kept, and what is refused.
+
+    Attributes
+    ----------
+    min_frames, min_cycles, min_seconds
+        What a complete set holds.
+    max_seconds
+        When waiting for more cycles is no use.
+    max_frames
+        Most frames kept; a longer set is thinned evenly.
+    components
+        Principal components to keep.
+    retrain_interval_s
+        Time from one model to the next training, while the present one measures on; 0 is never.
+    min_amplitude_mm
+        Least breathing excursion that teaches anything: less is a doll, a plate, or a hold.
+    max_shift_mm, max_tilt_deg
+        Furthest the patient may move between the first and the last third of a set.
+    max_outlier_share
+        Largest share of frames that may show a cough or a hand; they are left out of the model.
+    max_carry_mm
+        Largest correction of the zero that a new model may need: more means that something has moved.
+    """
 
     min_frames: int = 100
     min_cycles: int = 3
@@ -33,115 +46,49 @@ class TrainingSettings:
     max_seconds: float = 40.0
     max_frames: int = 450
     components: int = 3
+    retrain_interval_s: float = 0.0
+    min_amplitude_mm: float = 0.6
+    max_shift_mm: float = 8.0
+    max_tilt_deg: float = 4.0
+    max_outlier_share: float = 0.2
+    max_carry_mm: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse settings that cannot be met."""
-        _bounded("min_frames", self.min_frames, 20, 2000)
-        _bounded("min_cycles", self.min_cycles, 0, 50)
-        _bounded("min_seconds", self.min_seconds, 0.0, 300.0)
-        _bounded("max_seconds", self.max_seconds, self.min_seconds, 600.0)
-        _bounded("max_frames", self.max_frames, 2 * self.min_frames, 2000)  # thinning halves the set
-        _bounded("components", self.components, 1, 10)
+        """Refuse every number out of its bound, and settings that cannot be met."""
+        for name, (low, high) in TRAINING_BOUNDS.items():
+            check_bound(name, getattr(self, name), low, high)
+        if 0.0 < self.retrain_interval_s < SHORTEST_INTERVAL_S:
+            bound = f"0, or at least {SHORTEST_INTERVAL_S:g}"
+            raise InvalidValueError("retrain_interval_s", self.retrain_interval_s, bound)
+        if self.max_seconds < self.min_seconds:
+            raise InvalidValueError("max_seconds", self.max_seconds, f"at least min_seconds ({self.min_seconds:g})")
+        if self.max_frames < 2 * self.min_frames:  # thinning halves the set
+            bound = f"at least twice min_frames ({2 * self.min_frames})"
+            raise InvalidValueError("max_frames", self.max_frames, bound)
 
 
-def _bounded(field: str, value: float, low: float, high: float) -> None:
-    if not low <= value <= high:
-        raise InvalidValueError(field, value, f"from {low:g} to {high:g}")
+SHORTEST_INTERVAL_S = 10.0
+TRAINING_BOUNDS: Mapping[str, tuple[float, float]] = {
+    "min_frames": (20, 1000),
+    "min_cycles": (0, 50),
+    "min_seconds": (0.0, 300.0),
+    "max_seconds": (0.5, 600.0),
+    "max_frames": (40, 2000),
+    "components": (1, 10),
+    "retrain_interval_s": (0.0, 14_400.0),
+    "min_amplitude_mm": (0.2, 10.0),
+    "max_shift_mm": (1.0, 50.0),
+    "max_tilt_deg": (0.5, 20.0),
+    "max_outlier_share": (0.0, 0.5),
+    "max_carry_mm": (0.1, 5.0),
+}
+"""Lowest and highest value of each setting; a site can only choose within."""
 
 
-class TrainingSet:
-    """Frames on their way to a model; owned by the engine thread."""
-
-    def __init__(self, settings: TrainingSettings) -> None:
-        self._settings = settings
-        self._frames: list[RoiDepth] = []
-        self._stride = 1
-        self._offered = 0
-        self._seconds: list[float] = []
-        self._surrogates: list[tuple[float, float, float]] = []
-        self._first: RoiDepth | None = None
-        self._cycles = 0
-
-    def add(self, roi: RoiDepth, timestamp_us: int) -> None:
-        """Take a frame; when the set is full every second one is dropped, so it stays evenly thinned."""
-        if self._first is None:
-            self._first = roi
-        self._seconds.append(timestamp_us / 1e6)
-        self._surrogates.append(_surrogates(roi, self._first))
-        if self._offered % self._stride == 0:
-            self._frames.append(roi)
-        self._offered += 1
-        if len(self._frames) > self._settings.max_frames:
-            self._frames = self._frames[::2]
-            self._stride *= 2
-        if self._offered % CYCLES_EVERY_FRAMES == 0:
-            signals = np.array(self._surrogates)
-            seconds = np.array(self._seconds)
-            self._cycles = max(count_cycles(signal, seconds) for signal in signals.T)
-
-    @property
-    def seconds(self) -> float:
-        """Time from the first frame to the last [s]."""
-        return self._seconds[-1] - self._seconds[0] if self._seconds else 0.0
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether it is time to fit: everything needed is there, or waiting longer is no use."""
-        wanted = self._settings
-        if len(self._frames) < wanted.min_frames:
-            return False
-        if self.seconds >= wanted.max_seconds:
-            return True
-        return self._cycles >= wanted.min_cycles and self.seconds >= wanted.min_seconds
-
-    @property
-    def progress(self) -> TrainingProgress:
-        """How far the gathering has come."""
-        wanted = self._settings
-        share = min(
-            len(self._frames) / wanted.min_frames,
-            self.seconds / wanted.min_seconds if wanted.min_seconds else 1.0,
-            self._cycles / wanted.min_cycles if wanted.min_cycles else 1.0,
-            1.0,
-        )
-        note = ""
-        if share < 1.0 and self.seconds >= 0.5 * wanted.max_seconds:
-            note = (
-                f"{self._cycles} complete breathing cycles seen in {self.seconds:.0f} s: {wanted.min_cycles} are needed"
-            )
-        return TrainingProgress(
-            frames=len(self._frames), cycles=self._cycles, seconds=self.seconds, share=share, note=note
-        )
-
-    def job(self, calibration_sha256: str) -> Callable[[], MotionModel]:
-        """Return the fit of these frames as a function, to run anywhere."""
-        frames, progress, components = self._frames, self.progress, self._settings.components
-
-        def run() -> MotionModel:
-            ready = [smooth_bilateral(fill_holes(roi)) for roi in frames]
-            return fit(
-                np.stack([roi.depth_mm for roi in ready]),
-                np.stack([roi.valid for roi in ready]),
-                components=components,
-                cycles=progress.cycles,
-                seconds=progress.seconds,
-                calibration_sha256=calibration_sha256,
-            )
-
-        return run
-
-
-def _surrogates(roi: RoiDepth, first: RoiDepth) -> tuple[float, float, float]:
-    """Mean motion of the whole and of both halves against the first frame [mm], on a coarse grid."""
-    step = slice(None, None, SURROGATE_STEP)
-    both = roi.valid[step, step] & first.valid[step, step]
-    motion = np.where(both, first.depth_mm[step, step] - roi.depth_mm[step, step], 0.0)
-    half = len(motion) // 2
-
-    def mean(rows: slice) -> float:
-        return float(motion[rows].sum() / max(int(both[rows].sum()), 1))
-
-    return mean(slice(None)), mean(slice(half)), mean(slice(half, None))
+def check_bound(field: str, value: object, low: float, high: float) -> None:
+    """Refuse a number out of its bound, NaN too, naming field, value and bound."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise InvalidValueError(field, value, f"a number from {low:g} to {high:g}")
 
 
 T = TypeVar("T")
@@ -217,5 +164,5 @@ def _outcome(job: Callable[[], T]) -> T | ModelError:
         return job()
     except ModelError as error:
         return error
-    except (MemoryError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
-        return ModelError(f"the fit failed: {error}")
+    except Exception as error:  # noqa: BLE001 - whatever it was: it teaches nothing, and learning must not hang for it
+        return ModelError(f"the fit failed: {type(error).__name__}: {error}")

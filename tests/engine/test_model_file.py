@@ -161,7 +161,7 @@ def test_each_impossible_entry_of_the_header_is_refused_by_name(saved, key, valu
         ("eigenvalues_mm2", np.zeros((2, 2))),
         ("known", np.ones((350, 200), dtype=np.uint8)),
         ("surface_mm", np.zeros((756, 2))),
-        ("surface_mm", np.full((756, 3), np.nan)),
+        ("surface_mm", np.full((756, 3), np.inf)),
         ("extra", np.zeros(3)),
         ("known", np.array([{"a": 1}], dtype=object)),
     ],
