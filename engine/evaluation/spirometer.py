@@ -10,8 +10,9 @@ A breath hold does not bend it; a patient whose rest position sinks over minutes
 nothing of that. Given volume instead of flow, nothing is taken out.
 
 The lag is the spirometer's time minus the recording's, at the same breath: what happens ``t`` seconds after the first
-depth frame stands at ``t + lag_s`` in the file. Regular breathing fits a breath later nearly as well; when it does, the
-comparison says so.
+depth frame stands at ``t + lag_s`` in the file. It is the one at which both volumes *change* most alike over half a
+second, which no drift touches. Regular breathing fits a breath later nearly as well; when it does, the comparison says
+so.
 """
 
 from dataclasses import dataclass, field
@@ -31,7 +32,10 @@ MIN_OVERLAP_S = 10.0
 PIECE_S = 60.0
 LAG_STEP_S = 0.05
 RIVAL_AWAY_S = 1.0
-RIVAL_MARGIN = 0.01
+RIVAL_RATIO = 2.0
+"""Another lag is a rival when it leaves less than so many times as much unexplained."""
+UPSIDE_MARGIN = 0.01
+CHANGE_S = 0.5
 _COARSE_HZ = 10.0
 _BELOW = 0.03
 _ROUNDS = 40
@@ -104,7 +108,8 @@ def compare_volumes(
     if not 0.0 < max_lag_s <= WIDEST_LAG_S:
         raise InvalidValueError("max-lag-s", max_lag_s, f"more than 0 and at most {WIDEST_LAG_S:g}")
     measured = np.isfinite(volume_l)
-    search = _Search(time_s[measured], volume_l[measured], _volume_of(spirometry, is_exhale_positive), spirometry)
+    spline = _volume_of(spirometry, is_exhale_positive)
+    search = _Search(time_s[measured], volume_l[measured], spline, spirometry)
     lags = np.arange(-max_lag_s, max_lag_s + 0.5 * LAG_STEP_S, LAG_STEP_S)
     fits = np.array([search.fit(lag) for lag in lags])
     if not np.isfinite(fits).any():
@@ -115,9 +120,8 @@ def compare_volumes(
     inside = np.zeros(len(time_s), dtype=np.bool_)
     inside[np.flatnonzero(measured)[search.overlap(lag_s)]] = True
     tidegate = _without_baseline(time_s[inside], volume_l[inside], is_wanted=spirometry.is_flow)
-    spirometer = _without_baseline(
-        time_s[inside], search.spirometer(time_s[inside] + lag_s), is_wanted=spirometry.is_flow
-    )
+    theirs = np.asarray(spline(time_s[inside] + lag_s))
+    spirometer = _without_baseline(time_s[inside], theirs, is_wanted=spirometry.is_flow)
     return _comparison(lag_s, lags, fits, inside, tidegate, spirometer, search.overlap_s(lag_s))
 
 
@@ -135,7 +139,7 @@ def _volume_of(spirometry: Spirometry, is_exhale_positive: bool) -> BSpline:  # 
 
 
 class _Search:
-    """How well both volumes fit for a lag, on samples thinned to what a breath needs."""
+    """How alike both volumes change, for a lag; on times thinned to what a breath needs."""
 
     def __init__(self, time_s: FloatArray, volume_l: FloatArray, spline: BSpline, spirometry: Spirometry) -> None:
         if len(time_s) < 2:
@@ -144,16 +148,10 @@ class _Search:
         self._step_s = float(np.median(np.diff(time_s)))
         self._first_s, self._last_s = float(spirometry.time_s[0]), float(spirometry.time_s[-1])
         self._spline = spline
-        self._is_flow = spirometry.is_flow
-        own_s = np.linspace(self._first_s, self._last_s, max(int((self._last_s - self._first_s) * _COARSE_HZ), 2))
-        self._own_s, self._own_l = own_s, _without_baseline(own_s, spline(own_s), is_wanted=self._is_flow)
-        thin = max(int(1.0 / (_COARSE_HZ * self._step_s)), 1)
-        self._some = slice(None, None, thin)
-        self._level_l = _without_baseline(time_s, volume_l, is_wanted=self._is_flow)
-
-    def spirometer(self, at_s: FloatArray) -> FloatArray:
-        """Volume of the spirometer at its own times [l], baseline and all."""
-        return np.asarray(self._spline(at_s))
+        at_s = time_s[:: max(int(1.0 / (_COARSE_HZ * self._step_s)), 1)]
+        before, after = (_at(time_s, volume_l, at_s + half) for half in (-0.5 * CHANGE_S, 0.5 * CHANGE_S))
+        is_known = np.isfinite(before) & np.isfinite(after)
+        self._at_s, self._change_l = at_s[is_known], (after - before)[is_known]
 
     def overlap(self, lag_s: float) -> BoolArray:
         """In which measured frames the spirometer measured too."""
@@ -169,14 +167,20 @@ class _Search:
         return max(self.overlap_s(float(lag)) for lag in lags)
 
     def fit(self, lag_s: float) -> float:
-        """Correlation at a lag; NaN where the overlap is too short."""
+        """Correlation of the changes at a lag; NaN where the overlap is too short."""
         if self.overlap_s(lag_s) < MIN_OVERLAP_S:
             return float("nan")
-        inside = self.overlap(lag_s)[self._some]
-        at_s = self._time_s[self._some][inside] + lag_s
-        theirs = np.interp(at_s, self._own_s, self._own_l)
-        found = correlation(self._level_l[self._some][inside], theirs)
+        first, last = self._at_s + lag_s - 0.5 * CHANGE_S, self._at_s + lag_s + 0.5 * CHANGE_S
+        inside = (first >= self._first_s) & (last <= self._last_s)
+        found = correlation(self._change_l[inside], self._spline(last[inside]) - self._spline(first[inside]))
         return float("nan") if found is None else found
+
+
+def _at(time_s: FloatArray, values: FloatArray, at_s: FloatArray) -> FloatArray:
+    """Interpolate; NaN beyond the ends and in a gap."""
+    right = np.clip(np.searchsorted(time_s, at_s), 1, len(time_s) - 1)
+    is_near = (time_s[right] - time_s[right - 1] <= CHANGE_S) & (at_s >= time_s[0]) & (at_s <= time_s[-1])
+    return np.where(is_near, np.interp(at_s, time_s, values), np.nan)
 
 
 def _refined(search: _Search, lags: FloatArray, fits: FloatArray) -> float:
@@ -251,18 +255,19 @@ def _rival(lag_s: float, lags: FloatArray, fits: FloatArray) -> float | None:
     inner = np.arange(1, len(lags) - 1)
     with np.errstate(invalid="ignore"):
         is_peak = (fits[inner] >= fits[inner - 1]) & (fits[inner] >= fits[inner + 1])
-        is_peak &= (np.abs(lags[inner] - lag_s) > RIVAL_AWAY_S) & (fits[inner] > np.nanmax(fits) - RIVAL_MARGIN)
+        is_peak &= (np.abs(lags[inner] - lag_s) > RIVAL_AWAY_S) & (
+            1.0 - fits[inner] < RIVAL_RATIO * (1.0 - np.nanmax(fits))
+        )
     peaks = inner[is_peak]
     return float(lags[peaks[np.argmax(fits[peaks])]]) if peaks.size else None
 
 
 def _notices(fits: FloatArray, rival_lag_s: float | None) -> list[str]:
-    notices = []
+    if -np.nanmin(fits) > np.nanmax(fits) + UPSIDE_MARGIN:
+        return ["the volumes fit better upside down: does this spirometer count air that leaves as positive?"]
     if rival_lag_s is not None:
-        notices.append(
+        return [
             f"a lag of {rival_lag_s:.2f} s fits nearly as well: the breathing is too regular to tell them apart, or "
-            "too short; cough once, or start both instruments together"
-        )
-    if -np.nanmin(fits) > np.nanmax(fits) + RIVAL_MARGIN:
-        notices.append("the volumes fit better upside down: does this spirometer count air that leaves as positive?")
-    return notices
+            "too short; let the volunteer sigh once, or start both instruments together"
+        ]
+    return []
