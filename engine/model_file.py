@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from engine.errors import InvalidValueError, ModelError
 from engine.frames import FloatArray
-from engine.model import MotionModel
+from engine.model import USUAL_NOISE_MM, MotionModel
 from engine.provenance import MAX_SETTINGS, QUALITY_BOUNDS, ModelOrigin, Provenance, TrainingQuality, check_text
 from engine.strict_json import ROOT, StrictJson
 
@@ -28,6 +28,7 @@ MAX_MODEL_BYTES = 64 * 1024 * 1024
 MAX_COMPONENTS = 64
 MAX_EIGENVALUES = 10_000
 DEPTH_BOUNDS_MM = (100.0, 20_000.0)
+NOISE_BOUNDS_MM = (0.01, 1000.0)
 HEADER = "header"
 ARRAYS: Mapping[str, type[np.generic]] = {
     "mean_mm": np.float32,
@@ -92,6 +93,7 @@ def header_text(model: MotionModel) -> str:
         "cycles": model.cycles,
         "seconds": model.seconds,
         "calibration_sha256": model.calibration_sha256,
+        "noise_mm": model.noise_mm,
         "quality": None if provenance.quality is None else asdict(provenance.quality),
         "settings": {name: float(value) for name, value in provenance.settings.items()},
         "origin": None if provenance.origin is None else asdict(provenance.origin),
@@ -123,7 +125,7 @@ def _typed(name: str, array: npt.NDArray[Any], dtype: type[np.generic]) -> npt.N
 
 def _model(document: object, arrays: dict[str, npt.NDArray[Any]]) -> MotionModel:
     is_first = isinstance(document, dict) and document.get("schema") == FIRST_SCHEMA
-    extra = () if is_first else ("quality", "settings", "origin")
+    extra = () if is_first else ("noise_mm", "quality", "settings", "origin")
     if isinstance(document, dict) and document.get("schema") not in {SCHEMA, FIRST_SCHEMA}:
         raise InvalidValueError("schema", document.get("schema"), f"{SCHEMA} or {FIRST_SCHEMA}")
     header = _JSON.fields(ROOT, document, required=(*_NUMBERS, *extra))
@@ -141,6 +143,7 @@ def _model(document: object, arrays: dict[str, npt.NDArray[Any]]) -> MotionModel
         cycles=_JSON.integer("cycles", header["cycles"], 0, 10_000),
         seconds=_JSON.number("seconds", header["seconds"], 0.0, 100_000.0),
         calibration_sha256=_sha256("calibration_sha256", header["calibration_sha256"]),
+        noise_mm=USUAL_NOISE_MM if is_first else _JSON.number("noise_mm", header["noise_mm"], *NOISE_BOUNDS_MM),
         provenance=Provenance() if is_first else _provenance(header),
     )
 

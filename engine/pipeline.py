@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from engine.active_model import ActiveModel, prepare_model
+from engine.active_model import ActiveModel, Reference, prepare_model
 from engine.calibration import Calibration
 from engine.clock import Clock
+from engine.depth_table import DepthTable
+from engine.errands import LearningStages, Outcome
 from engine.frames import (
     FloatArray,
     Lost,
@@ -24,24 +26,29 @@ from engine.frames import (
     RoiDepth,
     frozen,
 )
+from engine.gathering import GatheredFrame
 from engine.learner import Learner
+from engine.likeness import Likeness, LikenessLimits
 from engine.model import MotionModel
+from engine.notices import LearningNotice
 from engine.polygons import NamedRegion
+from engine.quiet import RecentFrames
 from engine.split_finder import SplitFinder
 from engine.stages import markers as marker_stage
 from engine.stages.markers import MarkerSearch
 from engine.stages.phase_lag import follow_lags, start_lags
-from engine.stages.projection import project
+from engine.stages.projection import STRIDE_PX, project
 from engine.stages.regions import WIDE, RegionLayout, horizontal_split
-from engine.stages.registration import align, look_up_rays, undistorted_rays
+from engine.stages.registration import Aligned, align
 from engine.stages.roi import NODE_COLUMNS, NODE_ROWS, NODE_STEP, at_nodes, cut_out, roi_nodes
 from engine.stages.surface import end_at_markers, vertices_mm
 from engine.threads import keep_calls_in_their_thread
 from engine.training import BackgroundTrainer, Trainer, TrainingSettings
 
-RAY_STEP_PX = 8
 US_PER_S = 1e6
-MARKERS_BETWEEN_NODES = 1.0 - 1.0 / NODE_STEP  # the last nodes lie a pixel of the grid beyond the markers
+MARKERS_BETWEEN_NODES = 1.0 - 1.0 / NODE_STEP
+# What is learned must serve finer than what is measured: its shapes are drawn on the full grid.
+LEARNING_STRIDE_PX = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,6 +91,7 @@ class PipelineSettings:
     min_inlier_share: float = 0.6
     max_residual_mm: float = 8.0
     training: TrainingSettings = field(default_factory=TrainingSettings)
+    likeness: LikenessLimits = field(default_factory=LikenessLimits)
 
     def __post_init__(self) -> None:
         """Check the grid settings."""
@@ -109,7 +117,7 @@ class Pipeline:
         calibration: Calibration,
         settings: PipelineSettings,
         clock: Clock,
-        trainer: Trainer[ActiveModel] | None = None,
+        trainer: Trainer[Outcome] | None = None,
     ) -> None:
         keep_calls_in_their_thread()
         self._calibration = calibration
@@ -118,11 +126,13 @@ class Pipeline:
         self._learner = Learner(
             calibration_sha256=calibration.sha256,
             settings=settings.training,
-            prepare=self._prepared,
+            likeness=settings.likeness,
+            stages=LearningStages(prepare=self._prepared, explain=self._explained, vertices=self._vertices),
             trainer=BackgroundTrainer() if trainer is None else trainer,
         )
-        self._color_rays = undistorted_rays(calibration.color, RAY_STEP_PX)
-        self._depth_rays = undistorted_rays(calibration.depth, RAY_STEP_PX)
+        self._depth_from_color = calibration.color_from_depth.inverse
+        self._table = DepthTable(calibration.depth_correction)
+        self._recent = RecentFrames()
         self._markers: Markers | None = None
         self._layout_px: FloatArray | None = None
         self._node_depth_mm: FloatArray | None = None
@@ -153,17 +163,43 @@ class Pipeline:
         """Changes whenever the model or the reference did: what was armed before is armed no more."""
         return self._learner.generation
 
+    @property
+    def is_model_waiting(self) -> bool:
+        """Whether a model is ready and waits for the gate to be disarmed."""
+        return self._learner.is_model_waiting
+
+    @property
+    def likeness(self) -> Likeness | None:
+        """How far today's patient is from the stored model that was begun with."""
+        return self._learner.likeness
+
+    def take_notices(self) -> list[LearningNotice]:
+        """Return what the learning has to tell since the last call."""
+        return self._learner.take_notices()
+
+    def keep_model(self, *, is_kept: bool) -> None:
+        """Say whether the present model must stay: a gate that is armed decides by it."""
+        self._learner.keep_model(is_kept=is_kept)
+
     def set_reference(self) -> None:
         """Take the next measured frame as the zero of motion."""
         self._learner.set_reference()
 
-    def retrain(self) -> None:
+    def retrain(self, *, keeps_zero: bool = True) -> None:
         """Gather frames for a new model; the present one measures on until the new one is ready."""
-        self._learner.retrain()
+        self._learner.retrain(keeps_zero=keeps_zero)
 
     def activate(self, model: MotionModel) -> None:
-        """Measure with this model as soon as it is prepared; the reference is carried over."""
+        """Measure with a known model of this patient once the zero is carried over to it."""
         self._learner.activate(model)
+
+    def apply_model(self) -> None:
+        """Swap to the model that waits; the caller has disarmed."""
+        self._learner.apply_model()
+
+    def resume(self, model: MotionModel) -> None:
+        """Begin with a model of an earlier fraction, which is compared with the patient; before the first frame."""
+        self._learner.resume(model)
 
     def measure(self, frame: RgbdFrame) -> Measurement:
         """Measure one frame.
@@ -174,24 +210,30 @@ class Pipeline:
             The camera's pictures are not of the size the calibration is for. Nothing else a frame may hold raises.
         """
         self._calibration.check_sizes(depth=frame.depth_mm.shape, color=frame.color.shape)
-        self._learner.collect()
+        self._learner.collect(frame.timestamp_us)
+        if not self._table.is_settled:
+            self._table.look_at(frame.depth_mm)
         found = self._find_markers(frame)
         if isinstance(found, Lost):
-            self._markers, self._coefficients = None, None
+            self._forget()
             return self._measurement(frame, MeasurementState.LOST, lost=found)
-        nodes_px, roi = self._region(frame, found)
+        nodes, roi = self._region(frame, found)
+        if not self._table.is_settled:
+            return self._unlearned(frame, roi, found)
         self._watch_split(frame, found)
-        self._learn(roi, frame.timestamp_us, found)
+        self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
+        self._recent.add(roi, frame.timestamp_us)
         active = self._learner.active
         if active is None:
             return self._unlearned(frame, roi, found)
         outcome = self._explain(active, roi)
         if isinstance(outcome, Lost):
             self._coefficients = None
+            self._recent.forget()
             return self._measurement(frame, MeasurementState.LOST, lost=outcome, markers=found)
         self._coefficients, self._explained_by = outcome.coefficients, active
         self._node_depth_mm = active.node_depth_mm(outcome.coefficients)
-        motion = self._motion(active, outcome, nodes_px, frame.timestamp_us)
+        motion = self._motion(active, outcome, nodes.rays, frame.timestamp_us)
         return self._measurement(frame, MeasurementState.MEASURING, motion=motion, markers=found)
 
     def _measurement(
@@ -215,6 +257,11 @@ class Pipeline:
             markers=markers,
             training=self._learner.progress,
         )
+
+    def _forget(self) -> None:
+        """Begin anew with the next frame: the patient was not seen."""
+        self._markers, self._coefficients = None, None
+        self._recent.forget()
 
     def _unlearned(self, frame: RgbdFrame, roi: RoiDepth, found: Markers) -> Measurement:
         """Answer for a frame that no model can explain yet."""
@@ -270,36 +317,31 @@ class Pipeline:
 
     # -- region -------------------------------------------------------------------------------------------------
 
-    def _region(self, frame: RgbdFrame, found: Markers) -> tuple[FloatArray, RoiDepth]:
+    def _region(self, frame: RgbdFrame, found: Markers) -> tuple[Aligned, RoiDepth]:
         """Cut the region out at the depth expected from the frame before; the first frame has to settle first."""
-        color_nodes = roi_nodes(found.centers_px)
-        rays = look_up_rays(self._color_rays, RAY_STEP_PX, color_nodes)
+        color_rays = self._calibration.color.rays(roi_nodes(found.centers_px))
         rounds = 1
         if self._node_depth_mm is None:
             self._node_depth_mm = np.full(NODE_ROWS * NODE_COLUMNS, self._distance_mm(frame) or 1.0)
             rounds = 3
+        is_learning = self._learner.active is None or self._learner.is_gathering
+        stride_px = LEARNING_STRIDE_PX if is_learning else STRIDE_PX
         for _ in range(rounds):
-            nodes_px = align(rays, self._node_depth_mm, self._calibration)
-            roi = self._corrected(cut_out(frame.depth_mm, nodes_px))
+            nodes = align(color_rays, self._node_depth_mm, self._depth_from_color, self._calibration.depth)
+            roi = cut_out(frame.depth_mm, nodes.pixels_px, self._table.table_mm, stride_px)
             if self._learner.active is None:
                 self._node_depth_mm = _blended(self._node_depth_mm, roi, 1.0 if rounds > 1 else 0.3)
-        return nodes_px, roi
-
-    def _corrected(self, roi: RoiDepth) -> RoiDepth:
-        correction = self._calibration.depth_correction
-        if correction is None:
-            return roi
-        depth = roi.depth_mm * np.float32(correction.scale) + np.float32(correction.offset_mm)
-        return RoiDepth(depth_mm=depth, valid=roi.valid)
+        return nodes, roi
 
     # -- learning -----------------------------------------------------------------------------------------------
 
-    def _learn(self, roi: RoiDepth, timestamp_us: int, found: Markers) -> None:
-        if not self._learner.is_gathering or roi.valid.mean() < self._settings.min_valid_share:
+    def _learn(self, roi: RoiDepth, timestamp_us: int, found: Markers, nodes_px: FloatArray) -> None:
+        if roi.valid.mean() < self._settings.min_valid_share:
             return
         if self._layout_px is None:
             self._layout_px = found.centers_px
-        self._learner.learn(roi, timestamp_us)
+        if self._learner.is_gathering:
+            self._learner.learn(GatheredFrame(roi=roi, timestamp_us=timestamp_us, nodes_px=nodes_px))
 
     def _prepared(self, model: MotionModel) -> ActiveModel:
         """Work everything out that frames will need; called wherever the trainer runs."""
@@ -315,28 +357,39 @@ class Pipeline:
         if self._split_finder is not None and search is not None:
             self._split_finder.look(frame.color, search, found.centers_px)
 
+    def _explained(self, active: ActiveModel, roi: RoiDepth, start: FloatArray | None) -> Projection | None:
+        """Explain a region as a frame's would be; called wherever the trainer runs."""
+        best = project(active.basis, roi, start)
+        return best if best is not None and self._refusal(best) is None else None
+
+    def _vertices(self, nodes_px: FloatArray, depth_mm: FloatArray) -> FloatArray:
+        """Find the points of the surface at the nodes; called wherever the trainer runs."""
+        return _surface(self._calibration.depth.rays(nodes_px)[:, :2], depth_mm)
+
     # -- measuring ----------------------------------------------------------------------------------------------
 
     def _explain(self, active: ActiveModel, roi: RoiDepth) -> Projection | Lost:
-        wanted = self._settings
         before = self._coefficients if self._explained_by is active else None
         best = project(active.basis, roi, before)
-        if best is None or best.valid_share < wanted.min_valid_share:
-            return self._coverage_lost(0.0 if best is None else best.valid_share)
+        return self._coverage_lost(0.0) if best is None else self._refusal(best) or best
+
+    def _refusal(self, best: Projection) -> Lost | None:
+        """Why a frame that was explained so is not measured; None when it is."""
+        wanted = self._settings
+        if best.valid_share < wanted.min_valid_share:
+            return self._coverage_lost(best.valid_share)
         if best.inlier_share < wanted.min_inlier_share or not best.residual_mm <= wanted.max_residual_mm:
             return Lost(
                 reason=LostReason.RESIDUAL_HIGH,
                 detail=f"a region misses the model by {best.residual_mm:.1f} mm, {best.inlier_share:.0%} of it fits",
             )
-        return best
+        return None
 
-    def _motion(self, active: ActiveModel, outcome: Projection, nodes_px: FloatArray, timestamp_us: int) -> Motion:
+    def _motion(self, active: ActiveModel, outcome: Projection, rays: FloatArray, timestamp_us: int) -> Motion:
         depth_mm = active.regions.depth_mm(outcome.coefficients)
         node_depth_mm = active.node_depth_mm(outcome.coefficients)
-        ends_px = end_at_markers(nodes_px, NODE_ROWS, NODE_COLUMNS, MARKERS_BETWEEN_NODES)
-        rays = look_up_rays(self._depth_rays, RAY_STEP_PX, ends_px)
-        surface = vertices_mm(rays, node_depth_mm)
-        reference = self._learner.reference(active, outcome.coefficients, surface)
+        surface = _surface(rays, node_depth_mm)
+        reference = self._reference(active, outcome, surface, rays)
         motion_mm = reference.regions_mm - depth_mm
         regions = active.regions
         cells, shape = regions.cells, (regions.rows, regions.columns)
@@ -357,11 +410,23 @@ class Pipeline:
             split_rows=regions.layout.split,
         )
 
+    def _reference(self, active: ActiveModel, outcome: Projection, surface: FloatArray, rays: FloatArray) -> Reference:
+        """Return the zero of motion; a new one is taken from the last frames together."""
+        if not self._learner.is_zero_due:
+            return self._learner.reference(active, outcome.coefficients, surface)
+        settled = self._recent.settled(active, outcome)
+        return self._learner.reference(active, settled, _surface(rays, active.node_depth_mm(settled)))
+
     def _coverage_lost(self, share: float) -> Lost:
         return Lost(reason=LostReason.COVERAGE_LOW, detail=f"the camera sees {share:.0%} of the region")
 
 
+def _surface(rays: FloatArray, depth_mm: FloatArray) -> FloatArray:
+    """Push rays of the nodes out to their depth; the last nodes lie a pixel of the grid beyond the markers."""
+    return vertices_mm(end_at_markers(rays, NODE_ROWS, NODE_COLUMNS, MARKERS_BETWEEN_NODES), depth_mm)
+
+
 def _blended(before_mm: FloatArray, roi: RoiDepth, share: float) -> FloatArray:
     """Follow the surface at the nodes before there is a model: a little of each frame, nothing from holes."""
-    valid = at_nodes(roi.valid.astype(np.float32))
-    return np.where(valid > 0.0, (1.0 - share) * before_mm + share * at_nodes(roi.depth_mm), before_mm)
+    valid = at_nodes(roi.valid, roi.stride_px) > 0.0
+    return np.where(valid, (1.0 - share) * before_mm + share * at_nodes(roi.depth_mm, roi.stride_px), before_mm)

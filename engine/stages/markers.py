@@ -9,20 +9,32 @@ Coordinates are colour pixels, x right and y down, pixel centres at integers.
 """
 
 import itertools
+import math
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from engine.frames import ColorImage, FloatArray, Lost, LostReason, Markers
+from engine.frames import BoolArray, ColorImage, FloatArray, Lost, LostReason, Markers
 
 MAX_CANDIDATES = 14
 UP_PX = (0.0, -1.0)
 LEFT_PX = (-1.0, 0.0)
 ACROSS = 1.15  # so much wider than long are no markers of a patient who lies upright in the picture
 MIN_ASPECT = 0.4  # a sticker on a slope of 66 degrees
+MIN_FILL, MAX_FILL = 0.85, 1.15
+# The disc that is surely sticker and the ring that is surely not, in the sticker's radii.
+DISC_RADII = 0.5
+RING_RADII = (1.55, 2.1)
+MAX_BRIGHT_RING = 0.12
+RADIUS_STEP_PX = 0.1
+MAX_STEPS = 4
+# A patch so well centred needs no better one.
+SETTLED_PX = 0.6
 GrayImage = npt.NDArray[np.uint8]
+IndexArray = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,16 +97,15 @@ def find_stickers(color: ColorImage, search: MarkerSearch) -> FloatArray:
 
 
 def _find_blobs(color: ColorImage, search: MarkerSearch) -> list[_Blob]:
-    gray = color.min(axis=2)  # white is bright in all three channels; skin and coloured lamps are not
-    blobs = [blob for center in _candidate_centers(gray, search) if (blob := _refine(gray, center, search)) is not None]
+    candidates = _candidate_centers(_whiteness(color), search)
+    blobs = [blob for blob in _refine(color, candidates, search) if blob is not None]
     return sorted(_distinct(blobs), key=lambda blob: -blob.score)[:MAX_CANDIDATES]
 
 
 def track_markers(color: ColorImage, expected_px: FloatArray, search: MarkerSearch) -> Markers | Lost:
     """Look for each marker only near where it is expected, shape (4, 2); keeps the order given."""
     centers = []
-    for position, expected in enumerate(expected_px):
-        blob = _track_one(color, expected, search)
+    for position, blob in enumerate(_refine(color, expected_px, search)):
         if blob is None:
             return Lost(reason=LostReason.MARKER_LOST, detail=f"marker {position + 1} of 4 is not where it was")
         centers.append(blob.center_px)
@@ -130,21 +141,25 @@ def _width_and_length(corners: FloatArray) -> tuple[float, float]:
 
 def layout_change(centers_px: FloatArray, reference_px: FloatArray) -> float:
     """Return the largest relative change of the six distances between markers against a reference layout."""
-    pairs = np.array(list(itertools.combinations(range(4), 2)))
-    now, then = (
-        np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1) for points in (centers_px, reference_px)
+    pairs = itertools.combinations(zip(centers_px.tolist(), reference_px.tolist(), strict=True), 2)
+    return max(
+        abs(math.dist(now, other_now) / math.dist(then, other) - 1.0) for (now, then), (other_now, other) in pairs
     )
-    return float(np.abs(now / then - 1.0).max())
 
 
-def _candidate_centers(gray: GrayImage, search: MarkerSearch) -> list[FloatArray]:
+def _whiteness(color: ColorImage) -> GrayImage:
+    """Brightness of the darkest channel: white is bright in all three; skin and coloured lamps are not."""
+    return np.minimum(np.minimum(color[..., 0], color[..., 1]), color[..., 2])
+
+
+def _candidate_centers(gray: GrayImage, search: MarkerSearch) -> FloatArray:
     size = int(np.ceil(search.diameter_px * search.diameter_tolerance)) | 1
     smooth = cv2.GaussianBlur(gray, (3, 3), 0)
     opened = cv2.morphologyEx(smooth, cv2.MORPH_OPEN, np.ones((size, size), np.uint8))
     hat = cv2.subtract(smooth, opened)
     strong = hat[hat > search.min_contrast / 2]
     if strong.size == 0:
-        return []
+        return np.empty((0, 2))
     threshold, _ = cv2.threshold(
         np.ascontiguousarray(strong).reshape(1, -1), 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU
     )
@@ -154,98 +169,122 @@ def _candidate_centers(gray: GrayImage, search: MarkerSearch) -> list[FloatArray
     sides = stats[1:count, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]]
     low, high = search.diameter_px / search.diameter_tolerance, search.diameter_px * search.diameter_tolerance * 1.3
     fits = (sides >= 0.5 * low).all(axis=1) & (sides <= high).all(axis=1)
-    return list(centroids[1:count][fits])
+    return np.asarray(centroids[1:count][fits])
 
 
-def _track_one(color: ColorImage, expected: FloatArray, search: MarkerSearch) -> _Blob | None:
-    reach = round(1.6 * search.diameter_px)
-    left, top = (int(value) - reach for value in np.round(expected))
-    left, top = max(left, 0), max(top, 0)
-    window = color[top : top + 2 * reach + 1, left : left + 2 * reach + 1]
-    if min(window.shape[:2]) < search.diameter_px:
-        return None
-    gray = window.min(axis=2)
-    blob = _refine(gray, expected - (left, top), search)
-    if blob is None:
-        return None
-    return _Blob(center_px=blob.center_px + np.array([left, top]), score=blob.score, diameter_px=blob.diameter_px)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Stencil:
+    """Which pixels of a square patch around a marker mean what, patches flattened.
+
+    Attributes
+    ----------
+    reach
+        Pixels from the middle of the patch to its edge.
+    ring, disc
+        Indices of the pixels that must be background, and of those that must be marker.
+    moments
+        1, x, y, x^2, x y, y^2 of each pixel against the middle, zero beyond the ring, shape (pixels, 6).
+    """
+
+    reach: int
+    ring: IndexArray
+    disc: IndexArray
+    moments: FloatArray
 
 
-def _refine(gray: GrayImage, start: FloatArray, search: MarkerSearch) -> _Blob | None:
-    """Settle on the centre of the sticker near ``start`` and check that it is one."""
-    center = np.asarray(start, dtype=np.float64)
-    disc: tuple[FloatArray, FloatArray, FloatArray] | None = None
-    for _ in range(4):
-        disc = _disc_weights(gray, center, search)
-        if disc is None:
-            return None
-        weights, x, y = disc
-        total = float(weights.sum())
-        if total <= 0.0:
-            return None
-        moved = np.array([(weights * x).sum() / total, (weights * y).sum() / total])
-        step = float(np.hypot(*(moved - center)))
-        center = moved
-        if step < 0.02:
-            break
-    if disc is None:
-        return None
-    return _judge(disc, center, search)
-
-
-def _disc_weights(
-    gray: GrayImage, center: FloatArray, search: MarkerSearch
-) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Share of each pixel near ``center`` that belongs to the sticker, by brightness between ring and disc."""
-    radius = 0.5 * search.diameter_px
-    outer = 2.1 * radius
-    left, top = int(np.floor(center[0] - outer)), int(np.floor(center[1] - outer))
-    right, bottom = int(np.ceil(center[0] + outer)) + 1, int(np.ceil(center[1] + outer)) + 1
-    if left < 0 or top < 0 or right > gray.shape[1] or bottom > gray.shape[0]:
-        return None
-    patch = gray[top:bottom, left:right].astype(np.float64)
-    x, y = np.arange(left, right, dtype=np.float64)[None, :], np.arange(top, bottom, dtype=np.float64)[:, None]
-    distance = np.hypot(x - center[0], y - center[1])
-    ring = patch[(distance > 1.55 * radius) & (distance <= outer)]
-    disc = patch[distance <= 0.5 * radius]
-    if ring.size < 8 or disc.size < 4:
-        return None
-    background, foreground = _middle(ring), _middle(disc)
-    # The ring must be darker all around: a bright bed or skin beside a spot is no sticker on a shirt.
-    if foreground - background < search.min_contrast or background > search.max_background_share * foreground:
-        return None
-    if np.mean(ring > 0.5 * (background + foreground)) > 0.12:
-        return None
-    share = (patch - background) / (foreground - background)
-    weights = np.clip((share - 0.25) / 0.5, 0.0, 1.0)
-    weights[distance > outer] = 0.0
-    return weights, x, y
-
-
-def _middle(values: FloatArray) -> float:
-    """Return the upper median; `np.median` spends ten times as long on a hundred values."""
-    half = values.size // 2
-    return float(np.partition(values, half)[half])
-
-
-def _judge(disc: tuple[FloatArray, FloatArray, FloatArray], center: FloatArray, search: MarkerSearch) -> _Blob | None:
-    """Measure size and roundness by second moments; a uniform disc of diameter D has variance D squared / 16."""
-    weights, x, y = disc
-    dx, dy = x - center[0], y - center[1]
-    total = weights.sum()
-    moments = (
-        np.array([[(weights * dx * dx).sum(), (weights * dx * dy).sum()], [0.0, (weights * dy * dy).sum()]]) / total
+@cache
+def _stencil(radius_steps: int) -> _Stencil:
+    radius = radius_steps * RADIUS_STEP_PX
+    reach = int(np.ceil(RING_RADII[1] * radius))
+    x, y = (part.ravel().astype(np.float64) for part in np.mgrid[-reach : reach + 1, -reach : reach + 1][::-1])
+    distance = np.hypot(x, y) / radius
+    is_within = distance <= RING_RADII[1]
+    return _Stencil(
+        reach=reach,
+        ring=np.flatnonzero((distance > RING_RADII[0]) & is_within),
+        disc=np.flatnonzero(distance <= DISC_RADII),
+        moments=np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y]) * is_within[:, None],
     )
-    moments[1, 0] = moments[0, 1]
-    minor, major = (4.0 * np.sqrt(np.maximum(np.linalg.eigvalsh(moments), 1e-9))).tolist()
+
+
+def _refine(color: ColorImage, starts_px: FloatArray, search: MarkerSearch) -> list[_Blob | None]:
+    """Settle on the centre of the sticker near each start, shape (N, 2), and check that it is one; all at once."""
+    stencil = _stencil(max(round(0.5 * search.diameter_px / RADIUS_STEP_PX), 1))
+    centers = np.asarray(starts_px, dtype=np.float64)
+    middles = np.rint(centers)
+    blobs: list[_Blob | None] = [None] * len(centers)
+    waiting = np.arange(len(centers))
+    for _ in range(MAX_STEPS):
+        waiting = waiting[_lie_inside(middles[waiting], stencil.reach, color.shape)]
+        if not waiting.size:
+            break
+        patches = _patches(color, middles[waiting], stencil.reach)
+        moments, is_marked = _moments(patches, stencil, search)
+        waiting, moments = waiting[is_marked], moments[is_marked]
+        centers = middles[waiting] + moments[:, 1:3]
+        is_settled = np.abs(moments[:, 1:3]).max(axis=1, initial=0.0) <= SETTLED_PX
+        for index in np.flatnonzero(is_settled):
+            blobs[waiting[index]] = _judge(moments[index], centers[index], search)
+        middles[waiting] = np.rint(centers)
+        waiting = waiting[~is_settled]
+    return blobs
+
+
+def _lie_inside(middles: FloatArray, reach: int, shape: tuple[int, ...]) -> BoolArray:
+    low = middles.min(axis=1) >= reach
+    return np.asarray(low & (middles[:, 0] < shape[1] - reach) & (middles[:, 1] < shape[0] - reach))
+
+
+def _patches(color: ColorImage, middles: FloatArray, reach: int) -> FloatArray:
+    """Cut out the whiteness around each middle, shape (N, pixels), float64."""
+    corners = (middles - reach).astype(int).tolist()
+    side = 2 * reach + 1
+    windows = np.array([color[top : top + side, left : left + side] for left, top in corners])
+    return _whiteness(windows).reshape(len(corners), -1).astype(np.float64)
+
+
+def _moments(patches: FloatArray, stencil: _Stencil, search: MarkerSearch) -> tuple[FloatArray, BoolArray]:
+    """Return total, mean x, y and central second moments xx, xy, yy of each sticker, and whether there is one.
+
+    Each pixel counts by the share of it that is sticker, told by its brightness between ring and disc.
+    """
+    ring = patches[:, stencil.ring]
+    background, foreground = _middle(ring), _middle(patches[:, stencil.disc])
+    contrast = foreground - background
+    # The ring must be darker all around: a bright bed or skin beside a spot is no sticker on a shirt.
+    bright = np.count_nonzero(ring > (background + 0.5 * contrast)[:, None], axis=1) / ring.shape[1]
+    is_marked = (
+        (contrast >= search.min_contrast)
+        & (background <= search.max_background_share * foreground)
+        & (bright <= MAX_BRIGHT_RING)
+    )
+    share = (patches - background[:, None]) / np.maximum(contrast, 1.0)[:, None]
+    sums = np.minimum(np.maximum(2.0 * share - 0.5, 0.0), 1.0) @ stencil.moments
+    total = sums[:, 0]
+    is_marked &= total > 0.0
+    x, y, xx, xy, yy = (sums[:, 1:] / np.maximum(total, 1e-9)[:, None]).T
+    return np.column_stack([total, x, y, xx - x * x, xy - x * y, yy - y * y]), is_marked
+
+
+def _middle(values: FloatArray) -> FloatArray:
+    """Return the upper median of each row; `np.median` spends ten times as long on a hundred values."""
+    half = values.shape[1] // 2
+    return np.asarray(np.partition(values, half, axis=1)[:, half])
+
+
+def _judge(moments: FloatArray, center: FloatArray, search: MarkerSearch) -> _Blob | None:
+    """Measure size and roundness by second moments; a uniform disc of diameter D has variance D squared / 16."""
+    total, _, _, xx, xy, yy = moments.tolist()
+    mean, half_spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
+    minor, major = (4.0 * math.sqrt(max(variance, 1e-9)) for variance in (mean - half_spread, mean + half_spread))
     # A sticker on a slope is foreshortened across it and keeps its diameter along it.
     ratio = major / search.diameter_px
-    fill = float(total) / (0.25 * np.pi * minor * major)  # 1 for a filled ellipse, less for a ring or a ragged patch
+    fill = total / (0.25 * math.pi * minor * major)  # 1 for a filled ellipse, less for a ring or a ragged patch
     if not 1.0 / search.diameter_tolerance <= ratio <= search.diameter_tolerance:
         return None
-    if minor / major < MIN_ASPECT or not 0.85 <= fill <= 1.15:
+    if minor / major < MIN_ASPECT or not MIN_FILL <= fill <= MAX_FILL:
         return None
-    return _Blob(center_px=center, score=1.0 - abs(float(np.log(ratio))), diameter_px=major)
+    return _Blob(center_px=center, score=1.0 - abs(math.log(ratio)), diameter_px=major)
 
 
 def _distinct(blobs: list[_Blob]) -> list[_Blob]:

@@ -4,25 +4,34 @@ Equation (6) lets a hole enter as minus the mean, an error of 850 mm in that pix
 maximum a posteriori solution of a small linear system over the pixels that the sensor saw, re-weighted so that a hand,
 a sheet or a cable has no say. Beside the components stand low-order cosines with a zero-mean prior: free breathing does
 not teach how a breath hold or a shifted patient looks, and a smooth misfit is motion, not noise.
+
+How much of the cosines a frame needs, it says itself: they are solved for under several widths of their prior, and each
+answer counts as the frame's evidence speaks for it. Quiet breathing hardly needs them and pays no noise for them.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+import numpy.typing as npt
+from scipy.linalg.lapack import dpotrf, dpotrs
 
 from engine.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, Projection, RoiDepth, frozen
 from engine.model import MotionModel
 
-STRIDE = 2  # every fourth pixel is as accurate as every pixel: the sensor's noise is correlated over about nine
-COSINE_ROWS = 6
-COSINE_COLUMNS = 4
-COSINE_SPREAD_MM = 3.0
-NOISE_MM = 2.5  # of a pixel, blown up for its correlation with its neighbours
+STRIDE_PX = 4  # every fourth row and column is as accurate as every one: the noise is correlated over nine pixels
+COSINE_ROWS = 8
+COSINE_COLUMNS = 5
+PRIOR_SPREADS_MM = (0.1, 0.3, 1.0, 3.0)
 OUTLIER_MM = 6.0
 MAX_REWEIGHTINGS = 12
-CONVERGED_MM = 0.003
-CHECK_CELL = 25
+CONVERGED_MM = 0.02
+# A first step as small as this from the frame before needs no second: it is exact where nothing is an outlier.
+SMALL_STEP_MM = 1.0
+MAX_OUTLIERS_UNNOTICED = 0.01
+MIN_SEEN_SHARE = 0.02
+MIN_EXPLAINED_SHARE = 0.8
+MIN_MEAN_WEIGHT = 1e-3
+CHECK_CELL_PX = 25
 CHECK_MIN_SHARE = 0.4
 
 
@@ -35,50 +44,65 @@ class Basis:
     modes
         Components and cosines on the full grid, shape (k + e, 350, 200), float32.
     sampled_modes, sampled_mean_mm, sampled_known
-        The same on every second row and column, flattened, shapes (k + e, s), (s,), (s,).
-    precision
-        Prior precision of each coefficient [1/mm^2], shape (k + e,).
+        The same on every fourth row and column, flattened, shapes (k + e, s), (s,), (s,).
+    points
+        ``sampled_modes`` with one row a point, shape (s, k + e).
+    stiffness
+        What the prior adds to the normal equations at every width of the cosines' prior, shape (widths, k + e); the
+        widest comes last.
+    log_stiffness
+        Half the sum of its logarithms, shape (widths,).
+    variance_mm2
+        Noise of a sampled pixel, blown up for its correlation with its neighbours [mm^2].
     reach
         Largest motion that a unit of each coefficient makes anywhere [mm], shape (k + e,).
-    known_normal
-        Normal matrix of all known pixels, prior included, shape (k + e, k + e), float64.
+    known_gram
+        Products of the modes over all known pixels, shape (k + e, k + e), float64.
     """
 
     components: int
     modes: FloatArray
     sampled_modes: FloatArray
+    points: FloatArray
     sampled_mean_mm: FloatArray
     sampled_known: BoolArray
-    precision: FloatArray
+    stiffness: FloatArray
+    log_stiffness: FloatArray
+    variance_mm2: float
     reach: FloatArray
-    known_normal: FloatArray
+    known_gram: FloatArray
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
-        for array in (self.modes, self.sampled_modes, self.sampled_mean_mm, self.sampled_known, self.known_normal):
+        for array in (self.modes, self.sampled_modes, self.points, self.sampled_mean_mm, self.sampled_known):
             frozen(array)
 
 
 def prepare_basis(model: MotionModel) -> Basis:
     """Put the model's components and the smooth correction side by side."""
     k = len(model.components)
-    cosines, spread_mm = _cosines()
+    cosines, shares = _cosines()
     modes = np.concatenate([model.components, cosines])
     # A breath hold may be several times the training's excursion: the components' prior only keeps the system solvable.
     learned_mm = 10.0 * np.sqrt(np.maximum(model.eigenvalues_mm2[:k], 1.0))
-    known = np.ascontiguousarray(model.known[::STRIDE, ::STRIDE]).ravel()
-    sampled = np.ascontiguousarray(modes[:, ::STRIDE, ::STRIDE].reshape(len(modes), -1))
+    known = np.ascontiguousarray(model.known[::STRIDE_PX, ::STRIDE_PX]).ravel()
+    sampled = np.ascontiguousarray(modes[:, ::STRIDE_PX, ::STRIDE_PX].reshape(len(modes), -1))
     sampled *= known
-    precision = 1.0 / np.concatenate([learned_mm, spread_mm]) ** 2
+    variance_mm2 = (model.noise_mm / STRIDE_PX) ** 2
+    widths_mm = np.array([np.concatenate([learned_mm, spread * shares]) for spread in PRIOR_SPREADS_MM])
+    stiffness = variance_mm2 / widths_mm**2
     return Basis(
         components=k,
         modes=modes,
         sampled_modes=sampled,
-        sampled_mean_mm=np.ascontiguousarray(model.mean_mm[::STRIDE, ::STRIDE]).ravel(),
+        points=np.ascontiguousarray(sampled.T),
+        sampled_mean_mm=np.ascontiguousarray(model.mean_mm[::STRIDE_PX, ::STRIDE_PX]).ravel(),
         sampled_known=known,
-        precision=precision,
+        stiffness=stiffness,
+        log_stiffness=0.5 * np.log(stiffness).sum(axis=1),
+        variance_mm2=variance_mm2,
         reach=np.abs(sampled).max(axis=1).astype(np.float64),
-        known_normal=_gram(sampled) + np.diag(precision),
+        known_gram=(sampled @ sampled.T).astype(np.float64),
     )
 
 
@@ -96,75 +120,133 @@ def project(basis: Basis, roi: RoiDepth, start: FloatArray | None) -> Projection
     Projection | None
         None when nothing of the region was seen.
     """
-    usable = roi.valid[::STRIDE, ::STRIDE].ravel() & basis.sampled_known
-    seen = float(usable.sum())
-    if seen < 0.02 * usable.size:
+    thin = roi.thinned(STRIDE_PX)
+    usable = thin.valid.ravel() & basis.sampled_known
+    seen = int(np.count_nonzero(usable))
+    if seen < MIN_SEEN_SHARE * usable.size:
         return None
-    difference = roi.depth_mm[::STRIDE, ::STRIDE].ravel() - basis.sampled_mean_mm
     inside = usable.astype(np.float32)
-    difference *= inside
-    factor = cho_factor(_normal(basis, usable))
-    coefficients = _nearest_start(basis, difference, inside, [start, _first_solution(basis, factor, difference)])
-    for _ in range(MAX_REWEIGHTINGS):
-        misfit = (difference - coefficients.astype(np.float32) @ basis.sampled_modes) * inside
-        weights = _tukey(misfit)
-        # One normal matrix serves every reweighting: with weights of at most one each step still lowers the cost.
-        gradient = _right_side(basis, weights * misfit) - basis.precision * coefficients
-        step = cho_solve(factor, gradient)
-        coefficients = coefficients + step
-        if np.abs(step * basis.reach).max() < CONVERGED_MM:
-            break
-    misfit = (difference - coefficients.astype(np.float32) @ basis.sampled_modes) * inside
+    difference = (thin.depth_mm.ravel() - basis.sampled_mean_mm) * inside
+    frame = _Frame(difference=difference, usable=usable, inside=inside)
+    coefficients = _weigh_widths(basis, _settle(basis, frame, start))
+    misfit = _misfit(basis, frame, coefficients)
     return Projection(
         beta=coefficients[: basis.components].copy(),
         coefficients=coefficients,
         residual_mm=_largest_cell_misfit(misfit, inside),
-        valid_share=seen / max(float(basis.sampled_known.sum()), 1.0),
-        inlier_share=float((np.abs(misfit[usable]) < 0.9 * OUTLIER_MM).mean()),
+        valid_share=seen / max(int(np.count_nonzero(basis.sampled_known)), 1),
+        inlier_share=(int(np.count_nonzero(np.abs(misfit) < 0.9 * OUTLIER_MM)) - usable.size + seen) / seen,
     )
 
 
-def _gram(modes: FloatArray) -> FloatArray:
-    return (modes @ modes.T).astype(np.float64) / NOISE_MM**2
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Frame:
+    """What was seen less the mean [mm], zero elsewhere; where it was seen; and the same as ones and zeros."""
+
+    difference: FloatArray
+    usable: BoolArray
+    inside: FloatArray
 
 
-def _normal(basis: Basis, usable: BoolArray) -> FloatArray:
-    """Sum the normal matrix of the usable pixels: by taking away those that are not, since they are few."""
-    missing = basis.sampled_known & ~usable
-    if 2 * int(missing.sum()) > usable.size:
-        return _gram(basis.sampled_modes[:, usable]) + np.diag(basis.precision)
-    return basis.known_normal - _gram(basis.sampled_modes[:, missing])
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Equations:
+    """The data's part of the normal equations, ``gram @ coefficients = right``, without noise and prior."""
+
+    gram: FloatArray
+    right: FloatArray
 
 
-def _right_side(basis: Basis, values: FloatArray) -> FloatArray:
-    return (basis.sampled_modes @ values).astype(np.float64) / NOISE_MM**2
+def _settle(basis: Basis, frame: _Frame, start: FloatArray | None) -> _Equations:
+    """Find out which pixels to believe, and sum the normal equations over them."""
+    believed, gram = frame.usable, _gram(basis, frame.usable)
+    coefficients, misfit = _start(basis, frame, gram, start)
+    limit_mm = SMALL_STEP_MM
+    for _ in range(MAX_REWEIGHTINGS):
+        weights = _tukey(misfit) * frame.inside
+        positive = weights > 0.0
+        if int(np.count_nonzero(believed != positive)) > MAX_OUTLIERS_UNNOTICED * believed.size:
+            believed, gram, limit_mm = positive, _gram(basis, positive), CONVERGED_MM
+        # Weights that average one over what is believed: where nothing is an outlier one step then goes all the way.
+        mean_weight = float(weights.sum()) / max(int(np.count_nonzero(positive)), 1)
+        pull = (basis.sampled_modes @ (weights * misfit)).astype(np.float64) / max(mean_weight, MIN_MEAN_WEIGHT)
+        equations = _Equations(gram=gram, right=gram @ coefficients + pull)
+        step = _solve(basis, equations) - coefficients
+        if float(np.max(np.abs(step) * basis.reach)) < limit_mm:
+            break
+        coefficients, limit_mm = coefficients + step, CONVERGED_MM
+        misfit = _misfit(basis, frame, coefficients)
+    return equations
 
 
-def _nearest_start(
-    basis: Basis, difference: FloatArray, inside: FloatArray, starts: list[FloatArray | None]
-) -> FloatArray:
-    """Choose the start that explains most pixels: the last frame's, or every pixel's if the patient moved far."""
-    given = [start for start in starts if start is not None]
+def _start(basis: Basis, frame: _Frame, gram: FloatArray, start: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Choose where to start, and the misfit there: the frame before, unless all pixels together explain much more."""
+    before = None if start is None else _misfit(basis, frame, start)
+    if start is not None and before is not None and _explained(before, frame) >= MIN_EXPLAINED_SHARE:
+        return start, before
+    right = (basis.sampled_modes @ frame.difference).astype(np.float64)
+    everyone = _solve(basis, _Equations(gram=gram, right=right))
+    misfit = _misfit(basis, frame, everyone)
+    if start is not None and before is not None and _explained(before, frame) >= _explained(misfit, frame):
+        return start, before
+    return everyone, misfit
 
-    def explained(start: FloatArray) -> float:
-        return float(_tukey((difference - start.astype(np.float32) @ basis.sampled_modes) * inside).sum())
 
-    return max(given, key=explained)
+def _misfit(basis: Basis, frame: _Frame, coefficients: FloatArray) -> FloatArray:
+    return (frame.difference - coefficients.astype(np.float32) @ basis.sampled_modes) * frame.inside
 
 
-def _first_solution(basis: Basis, factor: tuple[FloatArray, bool], difference: FloatArray) -> FloatArray:
-    return np.asarray(cho_solve(factor, _right_side(basis, difference)), dtype=np.float64)
+def _explained(misfit: FloatArray, frame: _Frame) -> float:
+    """Share of what was seen that a misfit leaves explained, 0 to 1."""
+    return float((_tukey(misfit) * frame.inside).sum() / frame.inside.sum())
+
+
+def _gram(basis: Basis, usable: BoolArray) -> FloatArray:
+    """Sum the modes' products over the usable pixels: by taking away those that are not, since they are few."""
+    missing = np.flatnonzero(basis.sampled_known & ~usable)
+    if 2 * len(missing) > usable.size:
+        points = basis.points[np.flatnonzero(usable)]
+        return np.asarray(points.T @ points, dtype=np.float64)
+    points = basis.points[missing]
+    return basis.known_gram - points.T @ points
+
+
+def _solve(basis: Basis, equations: _Equations) -> FloatArray:
+    """Solve the normal equations under the widest prior."""
+    answer, _ = _factor_and_solve(equations, basis.stiffness[-1])
+    return answer
+
+
+def _weigh_widths(basis: Basis, equations: _Equations) -> FloatArray:
+    """Average the answers under every width of the cosines' prior, each by its evidence."""
+    answers, evidence = [], []
+    for stiffness, log_stiffness in zip(basis.stiffness, basis.log_stiffness.tolist(), strict=True):
+        answer, log_determinant = _factor_and_solve(equations, stiffness)
+        answers.append(answer)
+        fit = 0.5 * float(equations.right @ answer) / basis.variance_mm2
+        evidence.append(fit + log_stiffness - log_determinant)
+    likelihood = np.exp(np.array(evidence) - max(evidence))
+    return np.asarray((likelihood / likelihood.sum()) @ np.array(answers))
+
+
+def _factor_and_solve(equations: _Equations, stiffness: FloatArray) -> tuple[FloatArray, float]:
+    """Return the solution, and half the logarithm of the matrix's determinant."""
+    normal = equations.gram.copy()
+    diagonal = normal.ravel()[:: len(stiffness) + 1]
+    diagonal += stiffness
+    factor, _ = dpotrf(normal.T, lower=1, overwrite_a=1)
+    answer, _ = dpotrs(factor, equations.right, lower=1)
+    return answer, float(np.log(np.diagonal(factor)).sum())
 
 
 def _tukey(misfit: FloatArray) -> FloatArray:
-    ratio = np.minimum(np.abs(misfit) / np.float32(OUTLIER_MM), np.float32(1.0))
-    one_less: FloatArray = np.float32(1.0) - ratio * ratio
+    ratio = np.minimum(misfit * misfit * np.float32(1.0 / OUTLIER_MM**2), np.float32(1.0))
+    one_less: FloatArray = np.float32(1.0) - ratio
     return one_less * one_less
 
 
 def _cell_sums() -> tuple[FloatArray, FloatArray]:
-    rows = np.arange(0, ROI_ROWS, STRIDE) // CHECK_CELL
-    columns = np.arange(0, ROI_COLUMNS, STRIDE) // CHECK_CELL
+    rows = np.arange(0, ROI_ROWS, STRIDE_PX) // CHECK_CELL_PX
+    columns = np.arange(0, ROI_COLUMNS, STRIDE_PX) // CHECK_CELL_PX
     return (
         (rows == np.arange(rows.max() + 1)[:, None]).astype(np.float32),
         (columns[:, None] == np.arange(columns.max() + 1)).astype(np.float32),
@@ -177,7 +259,7 @@ _CELL_PIXELS = _SUM_ROWS.sum(axis=1)[:, None] * _SUM_COLUMNS.sum(axis=0)
 
 def _largest_cell_misfit(misfit: FloatArray, inside: FloatArray) -> float:
     shape = (_SUM_ROWS.shape[1], _SUM_COLUMNS.shape[0])
-    sums = _SUM_ROWS @ (misfit * inside).reshape(shape) @ _SUM_COLUMNS
+    sums = _SUM_ROWS @ misfit.reshape(shape) @ _SUM_COLUMNS
     counts = _SUM_ROWS @ inside.reshape(shape) @ _SUM_COLUMNS
     judged = counts >= CHECK_MIN_SHARE * _CELL_PIXELS
     if not judged.any():
@@ -185,13 +267,13 @@ def _largest_cell_misfit(misfit: FloatArray, inside: FloatArray) -> float:
     return float(np.abs(sums[judged] / counts[judged]).max())
 
 
-def _cosines() -> tuple[FloatArray, FloatArray]:
-    """Low-order cosines (piston first) and their prior spread [mm], shapes (e, 350, 200) and (e,)."""
+def _cosines() -> tuple[npt.NDArray[np.float32], FloatArray]:
+    """Low-order cosines (piston first) and their share of the prior's width, shapes (e, 350, 200) and (e,)."""
     rows = (np.arange(ROI_ROWS) + 0.5) / ROI_ROWS
     columns = (np.arange(ROI_COLUMNS) + 0.5) / ROI_COLUMNS
-    shapes, spread = [], []
+    shapes, shares = [], []
     for i in range(COSINE_ROWS):
         for j in range(COSINE_COLUMNS):
             shapes.append(np.outer(np.cos(np.pi * i * rows), np.cos(np.pi * j * columns)))
-            spread.append(COSINE_SPREAD_MM / (1.0 + i * i + j * j))
-    return np.array(shapes, dtype=np.float32), np.array(spread)
+            shares.append(1.0 / (1.0 + i * i + j * j))
+    return np.array(shapes, dtype=np.float32), np.array(shares)

@@ -1,22 +1,22 @@
 """The anatomically consistent region: 350 rows by 200 columns between the four markers (article, section 4.2).
 
 Row 0 is superior, column 0 the patient's right. The projective map of the markers' quadrilateral is followed exactly at
-nodes every 10 pixels and bilinearly between them. A hole is carried through the warp as a hole: nothing is interpolated
+nodes every 25 pixels and bilinearly between them. A hole is carried through the warp as a hole: nothing is interpolated
 across it.
 """
+
+from functools import cache
 
 import cv2
 import numpy as np
 
-from engine.frames import ROI_COLUMNS, ROI_ROWS, DepthImage, FloatArray, RoiDepth
+from engine.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, DepthImage, FloatArray, RoiDepth
 
-NODE_STEP = 10
+NODE_STEP = 25
+# Three markers in a line bound no region; what this makes of them lies outside of any picture.
+DEGENERATE = 1e-9
 NODE_ROWS = ROI_ROWS // NODE_STEP + 1
 NODE_COLUMNS = ROI_COLUMNS // NODE_STEP + 1
-
-_CORNERS = np.array(
-    [[0, 0], [ROI_COLUMNS - 1, 0], [ROI_COLUMNS - 1, ROI_ROWS - 1], [0, ROI_ROWS - 1]], dtype=np.float32
-)
 
 
 def _hat_weights(size: int) -> FloatArray:
@@ -33,8 +33,24 @@ _NODES = np.stack(np.meshgrid(np.arange(NODE_COLUMNS) * NODE_STEP, np.arange(NOD
 
 
 def color_from_roi(centers_px: FloatArray) -> FloatArray:
-    """Return the homography from the grid (column, row) to colour pixels (x, y), shape (3, 3)."""
-    return np.asarray(cv2.getPerspectiveTransform(_CORNERS, centers_px.astype(np.float32)), dtype=np.float64)
+    """Return the homography from the grid (column, row) to colour pixels (x, y), shape (3, 3).
+
+    In closed form (Heckbert, Fundamentals of texture mapping and image warping, 1989, section 2.2.3): it is asked for
+    on every frame.
+    """
+    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = centers_px.tolist()
+    sum_x, sum_y = x0 - x1 + x2 - x3, y0 - y1 + y2 - y3
+    dx1, dy1, dx2, dy2 = x1 - x2, y1 - y2, x3 - x2, y3 - y2
+    determinant = dx1 * dy2 - dx2 * dy1 or DEGENERATE
+    g, h = (sum_x * dy2 - dx2 * sum_y) / determinant, (dx1 * sum_y - sum_x * dy1) / determinant
+    right, bottom = ROI_COLUMNS - 1.0, ROI_ROWS - 1.0
+    return np.array(
+        [
+            [(x1 - x0 + g * x1) / right, (x3 - x0 + h * x3) / bottom, x0],
+            [(y1 - y0 + g * y1) / right, (y3 - y0 + h * y3) / bottom, y0],
+            [g / right, h / bottom, 1.0],
+        ]
+    )
 
 
 def roi_nodes(centers_px: FloatArray) -> FloatArray:
@@ -44,14 +60,19 @@ def roi_nodes(centers_px: FloatArray) -> FloatArray:
     return points[:, :2] / points[:, 2:]
 
 
-def at_nodes(surface: FloatArray) -> FloatArray:
-    """Sample a surface on the grid, shape (350, 200), at the nodes, shape (nodes,); the last row and column repeat."""
-    rows = np.minimum(np.arange(NODE_ROWS) * NODE_STEP, ROI_ROWS - 1)
-    columns = np.minimum(np.arange(NODE_COLUMNS) * NODE_STEP, ROI_COLUMNS - 1)
+def at_nodes(surface: FloatArray | BoolArray, stride_px: int = 1) -> FloatArray:
+    """Sample a surface on the grid, shape (350, 200) or thinned, at the nodes, shape (nodes,); the last row repeats.
+
+    ``stride_px`` says how the surface is thinned; the nearest point that was kept is taken.
+    """
+    rows, columns = (
+        np.minimum(np.arange(count) * NODE_STEP // stride_px, size - 1)
+        for count, size in zip((NODE_ROWS, NODE_COLUMNS), surface.shape, strict=True)
+    )
     return np.ascontiguousarray(surface[np.ix_(rows, columns)], dtype=np.float64).ravel()
 
 
-def cut_out(depth_mm: DepthImage, nodes_px: FloatArray) -> RoiDepth:
+def cut_out(depth_mm: DepthImage, nodes_px: FloatArray, table_mm: FloatArray, stride_px: int = 1) -> RoiDepth:
     """Sample a depth picture on the region's grid.
 
     Parameters
@@ -60,6 +81,11 @@ def cut_out(depth_mm: DepthImage, nodes_px: FloatArray) -> RoiDepth:
         Raw depth [mm], shape (H, W), uint16; 0 is "no reading".
     nodes_px
         Depth pixels (x, y) of the nodes, shape (nodes, 2).
+    table_mm
+        What each of the 65536 readings means [mm], float32, NaN for none: the sensor's steps undone, its scale
+        corrected.
+    stride_px
+        Sample every so many rows and columns of the grid.
 
     Returns
     -------
@@ -68,14 +94,20 @@ def cut_out(depth_mm: DepthImage, nodes_px: FloatArray) -> RoiDepth:
     """
     left, top = (max(int(value) - 1, 0) for value in np.floor(nodes_px.min(axis=0)))
     right, bottom = (max(int(value) + 2, 0) for value in np.ceil(nodes_px.max(axis=0)))
-    window = depth_mm[top:bottom, left:right].astype(np.float32)
+    rows, columns = _weights(stride_px)
+    window = depth_mm[top:bottom, left:right]
     if min(window.shape) < 2:
-        empty = np.zeros((ROI_ROWS, ROI_COLUMNS), dtype=np.float32)
-        return RoiDepth(depth_mm=empty, valid=np.zeros_like(empty, dtype=np.bool_))
-    window[window == 0.0] = np.nan
-    nodes = nodes_px.reshape(NODE_ROWS, NODE_COLUMNS, 2).astype(np.float32)
-    x = _ROW_WEIGHTS @ (nodes[:, :, 0] - left) @ _COLUMN_WEIGHTS.T
-    y = _ROW_WEIGHTS @ (nodes[:, :, 1] - top) @ _COLUMN_WEIGHTS.T
-    depth = cv2.remap(window, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,))
-    valid = np.isfinite(depth)
-    return RoiDepth(depth_mm=np.where(valid, depth, np.float32(0.0)), valid=valid)
+        empty = np.zeros((len(rows), len(columns)), dtype=np.float32)
+        return RoiDepth(depth_mm=empty, valid=np.zeros_like(empty, dtype=np.bool_), stride_px=stride_px)
+    nodes = (nodes_px - (left, top)).astype(np.float32).reshape(NODE_ROWS, NODE_COLUMNS, 2)
+    x, y = rows @ nodes[:, :, 0] @ columns.T, rows @ nodes[:, :, 1] @ columns.T
+    depth = cv2.remap(
+        cv2.LUT(window, table_mm), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,)
+    )
+    valid = depth > 0.0  # a hole is NaN, and NaN is not
+    return RoiDepth(depth_mm=np.where(valid, depth, np.float32(0.0)), valid=valid, stride_px=stride_px)
+
+
+@cache
+def _weights(stride_px: int) -> tuple[FloatArray, FloatArray]:
+    return np.ascontiguousarray(_ROW_WEIGHTS[::stride_px]), np.ascontiguousarray(_COLUMN_WEIGHTS[::stride_px])

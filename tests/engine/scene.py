@@ -58,7 +58,7 @@ def whole_motion_mm(index, reference_index):
 def frame(index, *, excursion=None, corners_px=CORNERS_PX, edit=None, missed=0, seed=None):
     """Frame ``index`` of the scene; ``edit`` may change the depth picture in place."""
     chest, belly = breath(index) if excursion is None else excursion
-    depth = depth_mm(chest, belly, np.random.default_rng(index if seed is None else seed))
+    depth = depth_mm(chest, belly, np.random.default_rng(abs(index) if seed is None else seed))
     if edit is not None:
         edit(depth)
     return RgbdFrame(

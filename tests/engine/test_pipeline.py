@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from engine.clock import ManualClock
+from engine.depth_table import FRAMES_LOOKED_AT
 from engine.errors import CalibrationError, CommandRefusedError, ModelError
 from engine.frames import LostReason, MeasurementState
 from engine.pipeline import Pipeline, PipelineSettings
@@ -39,10 +40,12 @@ def learned():
 
 @pytest.fixture
 def measuring(learned):
-    """A pipeline that measures; its reference is frame 0."""
+    """A pipeline that measures; its reference is frame 0, as it and the frames before it say."""
     pipeline = new_pipeline()
     pipeline.activate(learned)
-    assert measure(pipeline, [0])[0].motion.whole_mm == pytest.approx(0.0, abs=1e-9)
+    before = measure(pipeline, range(1 - FRAMES_LOOKED_AT, 0))
+    assert {measurement.state for measurement in before} == {MeasurementState.TRAINING}
+    assert measure(pipeline, [0])[0].motion.whole_mm == pytest.approx(0.0, abs=0.05)
     return pipeline
 
 
@@ -99,11 +102,11 @@ def test_markers_of_a_colour_stream_that_stands_still_are_not_trusted(measuring,
 
 def test_a_layout_that_changed_is_lost(learned):
     pipeline = new_pipeline()
-    measure(pipeline, range(3))
+    measure(pipeline, range(FRAMES_LOOKED_AT + 1))
     moved = scene.CORNERS_PX.copy()
     moved[3] += (0.0, 40.0)
     moved[2] += (0.0, 38.0)
-    outcome = pipeline.measure(scene.frame(4, corners_px=moved))
+    outcome = pipeline.measure(scene.frame(FRAMES_LOOKED_AT + 1, corners_px=moved))
     assert outcome.lost.reason is LostReason.LAYOUT_CHANGED
 
 
@@ -195,7 +198,7 @@ def test_pictures_of_another_size_than_the_calibration_are_refused(measuring):
 def test_the_same_frames_give_the_same_numbers():
     def run():
         pipeline = new_pipeline()
-        return [pipeline.measure(scene.frame(i)) for i in range(0, 300, 2)]
+        return [pipeline.measure(scene.frame(i)) for i in range(0, 360, 2)]
 
     first, second = run(), run()
     assert [m.state for m in first] == [m.state for m in second]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from engine.errors import InvalidValueError, ModelError
+from engine.fitting import fit
 from engine.frames import ROI_COLUMNS, ROI_ROWS, RoiDepth
-from engine.model import fit
 from engine.model_file import load_model, save_model
 from engine.stages.breathing import count_cycles
 from engine.stages.projection import prepare_basis, project

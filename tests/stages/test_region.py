@@ -1,5 +1,6 @@
 """The region follows the markers through both cameras, and a hole stays a hole."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -7,8 +8,9 @@ from engine.calibration import Calibration
 from engine.frames import ROI_COLUMNS, ROI_ROWS, RoiDepth
 from engine.geometry import Intrinsics, RigidTransform
 from engine.stages.preprocessing import fill_holes, smooth_bilateral
-from engine.stages.registration import align, look_up_rays, undistorted_rays
-from engine.stages.roi import NODE_COLUMNS, at_nodes, cut_out, roi_nodes
+from engine.stages.quantisation import depth_table_mm
+from engine.stages.registration import align
+from engine.stages.roi import NODE_COLUMNS, NODE_STEP, at_nodes, color_from_roi, cut_out, roi_nodes
 
 ANGLE = np.radians(1.5)
 CALIBRATION = Calibration(
@@ -24,6 +26,7 @@ CALIBRATION = Calibration(
         translation_mm=np.array([25.0, 0.6, -1.2]),
     ),
 )
+AS_READ = depth_table_mm(None)
 CORNERS = np.array([[240.0, 120.0], [402.0, 124.0], [392.0, 384.0], [246.0, 380.0]])
 
 
@@ -31,22 +34,36 @@ def test_a_colour_ray_cut_at_its_depth_lands_on_the_pixel_that_depth_camera_sees
     rng = np.random.default_rng(3)
     points = np.column_stack([rng.uniform(-150, 150, 400), rng.uniform(-180, 180, 400), rng.uniform(700, 1000, 400)])
     color_px = CALIBRATION.color.project(CALIBRATION.color_from_depth.apply(points))
-    rays = look_up_rays(undistorted_rays(CALIBRATION.color, 8), 8, color_px)
-    depth_px = align(rays, points[:, 2], CALIBRATION)
-    assert np.abs(depth_px - CALIBRATION.depth.project(points)).max() < 0.01
+    rays = CALIBRATION.color.rays(color_px)
+    found = align(rays, points[:, 2], CALIBRATION.color_from_depth.inverse, CALIBRATION.depth)
+    assert np.abs(found.pixels_px - CALIBRATION.depth.project(points)).max() < 0.001
+    assert np.abs(found.rays - points[:, :2] / points[:, 2:]).max() < 1e-6
+
+
+def test_the_projective_map_takes_the_corners_of_the_grid_to_the_markers():
+    corners = np.array([[0.0, 0.0], [199.0, 0.0], [199.0, 349.0], [0.0, 349.0]])
+    found = cv2.perspectiveTransform(corners[None], color_from_roi(CORNERS))[0]
+    assert np.abs(found - CORNERS).max() < 1e-9
+
+
+def test_markers_in_a_line_bound_no_region_and_break_nothing():
+    in_line = np.array([[240.0, 120.0], [300.0, 120.0], [360.0, 120.0], [420.0, 120.0]])
+    assert np.isfinite(roi_nodes(in_line)).all()
+    cut_out(np.full((480, 640), 850, np.uint16), roi_nodes(in_line), AS_READ)
 
 
 def test_the_corners_of_the_grid_are_the_markers():
     nodes = roi_nodes(CORNERS).reshape(-1, NODE_COLUMNS, 2)
     assert np.allclose(nodes[0, 0], CORNERS[0])
-    fine = nodes[-2, -2] + 0.9 * (nodes[-1, -1] - nodes[-2, -2])  # (349, 199) lies 0.9 of a node short of (350, 200)
+    short = 1.0 - 1.0 / NODE_STEP  # (349, 199) lies one point short of the node at (350, 200)
+    fine = nodes[-2, -2] + short * (nodes[-1, -1] - nodes[-2, -2])
     assert np.abs(fine - CORNERS[2]).max() < 0.05
 
 
 def test_a_tilted_plane_is_cut_out_exactly():
     y, x = np.mgrid[0:480, 0:640].astype(np.float64)
     plane = 800.0 + 0.25 * x + 0.125 * y
-    roi = cut_out(np.rint(plane).astype(np.uint16), roi_nodes(CORNERS))
+    roi = cut_out(np.rint(plane).astype(np.uint16), roi_nodes(CORNERS), AS_READ)
     nodes = roi_nodes(CORNERS)
     expected = 800.0 + 0.25 * nodes[:, 0] + 0.125 * nodes[:, 1]
     error = (at_nodes(roi.depth_mm) - expected).reshape(-1, NODE_COLUMNS)[:-1, :-1]
@@ -55,10 +72,20 @@ def test_a_tilted_plane_is_cut_out_exactly():
     assert abs(error.mean()) < 0.05
 
 
+@pytest.mark.parametrize("stride_px", [2, 4])
+def test_a_thinned_region_is_the_full_one_at_every_second_and_fourth_point(stride_px):
+    y, x = np.mgrid[0:480, 0:640].astype(np.float64)
+    depth = np.rint(800.0 + 0.25 * x + 10.0 * np.sin(0.05 * y)).astype(np.uint16)
+    depth[200:210, 300:320] = 0
+    full, thin = (cut_out(depth, roi_nodes(CORNERS), AS_READ, stride) for stride in (1, stride_px))
+    assert np.array_equal(thin.depth_mm, full.thinned(stride_px).depth_mm)
+    assert np.array_equal(thin.valid, full.thinned(stride_px).valid)
+
+
 def test_nothing_is_interpolated_across_a_hole():
     depth = np.full((480, 640), 850, np.uint16)
     depth[240:260, 300:330] = 0
-    roi = cut_out(depth, roi_nodes(CORNERS))
+    roi = cut_out(depth, roi_nodes(CORNERS), AS_READ)
     assert not roi.valid.all()
     assert np.all(roi.depth_mm[roi.valid] == 850.0)
     assert np.all(roi.depth_mm[~roi.valid] == 0.0)
@@ -66,7 +93,7 @@ def test_nothing_is_interpolated_across_a_hole():
 
 @pytest.mark.parametrize("shift", [(-500.0, 0.0), (900.0, 0.0), (0.0, 800.0)])
 def test_a_region_outside_of_the_picture_is_all_hole(shift):
-    roi = cut_out(np.full((480, 640), 850, np.uint16), roi_nodes(CORNERS + np.array(shift)))
+    roi = cut_out(np.full((480, 640), 850, np.uint16), roi_nodes(CORNERS + np.array(shift)), AS_READ)
     assert not roi.valid.any()
 
 

@@ -1,0 +1,198 @@
+"""Learn a motion model from training frames (article, section 4.3.2, equations 1 to 5), with what helped added.
+
+Three things are not in the article, each measured (docs/adr/0004): components are smoothed as far as one half of the
+frames says that the other half is better predicted, for a chest moves smoothly and the noise in a component makes every
+motion look smaller; frames are learned as they are, without the bilateral filter, which brought nothing; and the noise
+itself is measured, so that later frames are explained with the right trust.
+"""
+
+import cv2
+import numpy as np
+
+from engine.errors import ModelError
+from engine.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray
+from engine.model import MotionModel
+
+MIN_FRAMES = 20
+KNOWN_SHARE = 0.5
+FILL_ITERATIONS = 1
+# Every so many known points are enough to tell the frames' likeness: the sensor's noise is correlated over nine pixels.
+COVARIANCE_STEP = 4
+SMOOTHINGS_PX = (4.0, 8.0, 12.0, 16.0, 24.0, 32.0)
+# The side of the squares that the noise is averaged over: well beyond its correlation, well below a breath's shapes.
+NOISE_SQUARE_PX = 24
+MIN_NOISE_MM = 0.5
+# Median of a squared normal value, over its variance.
+_MEDIAN_SQUARE = 0.4549
+
+
+def fit(
+    depth_mm: FloatArray,
+    valid: BoolArray,
+    *,
+    components: int,
+    cycles: int,
+    seconds: float,
+    calibration_sha256: str,
+) -> MotionModel:
+    """Learn a model from training frames, in their order in time.
+
+    Parameters
+    ----------
+    depth_mm, valid
+        Frames on the grid, shape (n, 350, 200) or thinned to every second row and column and so on, float32 and bool.
+        Holes are filled with what the components say of them, from frames that saw the pixel.
+
+    Raises
+    ------
+    ModelError
+        Too few frames, too little of the region seen, or nothing moved.
+    """
+    n = len(depth_mm)
+    if n < MIN_FRAMES:
+        msg = f"{n} training frames: at least {MIN_FRAMES} are needed"
+        raise ModelError(msg)
+    known = valid.mean(axis=0) >= KNOWN_SHARE
+    if known.mean() < KNOWN_SHARE:
+        msg = f"only {known.mean():.0%} of the region was seen during training: at least {KNOWN_SHARE:.0%} is needed"
+        raise ModelError(msg)
+    stride_px = -(-ROI_ROWS // depth_mm.shape[1])
+    data, seen = depth_mm[:, known], valid[:, known]
+    mean, centred, scores, eigenvalues = _principal_components(data, seen, components)
+    shapes = _smooth_shapes(centred, scores, known, stride_px)
+    noise_mm = _noise_mm(centred - scores @ (scores.T @ centred), known, stride_px)
+    return MotionModel(
+        mean_mm=_on_grid(fill_unknown(scatter(mean, known), known), stride_px),
+        components=_orthonormal(np.array([_on_grid(shape, stride_px) for shape in shapes])),
+        eigenvalues_mm2=eigenvalues * stride_px**2,
+        known=np.repeat(np.repeat(known, stride_px, axis=0), stride_px, axis=1)[:ROI_ROWS, :ROI_COLUMNS].copy(),
+        noise_mm=noise_mm,
+        training_frames=n,
+        cycles=cycles,
+        seconds=seconds,
+        calibration_sha256=calibration_sha256,
+    )
+
+
+def _principal_components(
+    data: FloatArray, seen: BoolArray, k: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """PCA of (n, m) data with gaps: fill with the mean, then with what the components say, and repeat.
+
+    Returns the mean (m,), the centred data (n, m), the frames' scores as orthonormal columns (n, k), and all
+    eigenvalues (n,), summed over the m points.
+    """
+    gaps = ~seen
+    has_gaps = bool(gaps.any())
+    mean = data.sum(axis=0, where=seen, dtype=np.float64) / seen.sum(axis=0)
+    centred = (data - mean.astype(np.float32)) * seen
+    for last in (not has_gaps, *[False] * (FILL_ITERATIONS - 1), True):
+        thin = np.ascontiguousarray(centred[:, ::COVARIANCE_STEP])
+        covariance = (thin @ thin.T).astype(np.float64) * (data.shape[1] / thin.shape[1] / (len(data) - 1))
+        eigenvalues, vectors = np.linalg.eigh(covariance)
+        eigenvalues, scores = np.maximum(eigenvalues[::-1], 0.0), vectors[:, ::-1][:, :k].astype(np.float32)
+        if eigenvalues[0] <= 1e-6 * data.shape[1]:
+            msg = "nothing moved during training: there is no breathing to learn"
+            raise ModelError(msg)
+        if last:
+            break
+        np.copyto(centred, scores @ (scores.T @ centred), where=gaps)
+        shift = centred.mean(axis=0)
+        centred -= shift
+        mean += shift
+    return mean.astype(np.float32), centred, scores, eigenvalues
+
+
+def _smooth_shapes(centred: FloatArray, scores: FloatArray, known: BoolArray, stride_px: int) -> list[FloatArray]:
+    """Map the scores back through the data, each shape smoothed as one half of the frames asks for in the other."""
+    halves = [2.0 * (scores[start::2].T @ centred[start::2]) for start in (0, 1)]
+    shapes = []
+    for one, other in zip(*halves, strict=True):
+        whole, first, second = (scatter(values, known) for values in (0.5 * (one + other), one, other))
+        worth = []
+        for smoothing_px in SMOOTHINGS_PX:
+            guesses = [smooth(half, known, smoothing_px / stride_px) for half in (first, second)]
+            worth.append(
+                float(np.square(guesses[0] - second)[known].sum() + np.square(guesses[1] - first)[known].sum())
+            )
+        shapes.append(smooth(whole, known, SMOOTHINGS_PX[int(np.argmin(worth))] / stride_px))
+    return shapes
+
+
+def _noise_mm(unexplained: FloatArray, known: BoolArray, stride_px: int) -> float:
+    """Measure the sensor's noise: of a square of side n grid pixels the mean varies by this over n [mm].
+
+    From step to step in time, for what the components leave changes slowly and is not noise.
+    """
+    side = NOISE_SQUARE_PX // stride_px
+    rows, columns = (size // side for size in known.shape)
+    inside = known[: rows * side, : columns * side].reshape(rows, side, columns, side).all(axis=(1, 3))
+    which = np.full(known.shape, -1)
+    label = np.where(inside, np.arange(rows * columns).reshape(rows, columns), -1)
+    which[: rows * side, : columns * side] = np.repeat(np.repeat(label, side, axis=0), side, axis=1)
+    steps = np.diff(unexplained, axis=0)
+    means = [steps[:, which[known] == square].mean(axis=1) for square in label[inside]]
+    if not means:
+        return MIN_NOISE_MM * NOISE_SQUARE_PX
+    variance = float(np.median(np.square(means))) / _MEDIAN_SQUARE / 2.0
+    return max(float(np.sqrt(variance)) * NOISE_SQUARE_PX, MIN_NOISE_MM)
+
+
+def scatter(values: FloatArray, known: BoolArray) -> FloatArray:
+    """Lay values of the known points out on the grid, zero elsewhere."""
+    surface = np.zeros(known.shape, dtype=np.float32)
+    surface[known] = values
+    return surface
+
+
+def smooth(surface: FloatArray, known: BoolArray, sigma_px: float) -> FloatArray:
+    """Gaussian smoothing over known points only, that leaves a slope a slope at the edges."""
+    # A point mirror at the edge goes on in the same direction; an image mirror would flatten the slope there.
+    margin = int(3.0 * sigma_px) + 1
+    filled = np.pad(fill_unknown(surface, known), margin, mode="reflect", reflect_type="odd")
+    inner = slice(margin, -margin)
+    blurred = cv2.GaussianBlur(filled, (0, 0), sigma_px)[inner, inner]
+    return np.ascontiguousarray(blurred, dtype=np.float32)
+
+
+def fill_unknown(surface: FloatArray, known: BoolArray) -> FloatArray:
+    """Carry a surface smoothly into what was never seen, from near to far; cells there are not reported."""
+    filled, have = surface.astype(np.float32).copy(), known.copy()
+    sigma = 3.0
+    while not have.all():
+        weight = cv2.GaussianBlur(have.astype(np.float32), (0, 0), sigma)
+        blurred = cv2.GaussianBlur(np.where(have, filled, np.float32(0.0)), (0, 0), sigma)
+        reached = ~have & (weight > 0.05)
+        filled[reached] = blurred[reached] / weight[reached]
+        have |= reached
+        sigma = min(2.0 * sigma, 200.0)
+    return filled
+
+
+def _on_grid(surface: FloatArray, stride_px: int) -> FloatArray:
+    """Interpolate a thinned surface on the full grid, shape (350, 200); it goes on in a line beyond the last."""
+    if stride_px == 1:
+        return surface
+    rows, columns = (
+        _linear_weights(size, thin, stride_px)
+        for size, thin in zip((ROI_ROWS, ROI_COLUMNS), surface.shape, strict=True)
+    )
+    return np.asarray(rows @ surface @ columns.T)
+
+
+def _linear_weights(size: int, thin: int, stride_px: int) -> FloatArray:
+    at = np.arange(size) / stride_px
+    left = np.minimum(at.astype(np.intp), thin - 2)
+    weights = np.zeros((size, thin), dtype=np.float32)
+    weights[np.arange(size), left] = 1.0 - (at - left)
+    weights[np.arange(size), left + 1] = at - left
+    return weights
+
+
+def _orthonormal(shapes: FloatArray) -> FloatArray:
+    """Orthonormalise smoothed components in their order and fix the sign: inhale is positive."""
+    flat = shapes.reshape(len(shapes), -1).astype(np.float64)
+    q, r = np.linalg.qr(flat.T)
+    basis = q.T * np.where(np.diag(r) < 0.0, -1.0, 1.0)[:, None]
+    basis *= np.where(basis.sum(axis=1) > 0.0, -1.0, 1.0)[:, None]
+    return basis.reshape(shapes.shape).astype(np.float32)
