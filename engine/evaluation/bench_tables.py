@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from engine.evaluation import published
+from engine.evaluation.instrument_tables import Beside, beside_laser, laser_table, spirometer_table
 from engine.evaluation.judged import Judged
 from engine.evaluation.scores import COLUMNS, Score
 from engine.evaluation.tables import Cell, Table
@@ -24,7 +25,8 @@ _METHODS = ("plain reading", "ours", "oracle")
 
 def all_tables(judged: list[Judged]) -> list[Table]:
     """Return every table that the runs say something about."""
-    makers = (table_1, glance, table_2, table_2_compared, table_3, whole_roi, components, filters, spectra)
+    first = (glance, whole_roi, table_1, table_2, table_2_compared, laser_table, table_3)
+    makers = (*first, spirometer_table, components, filters, spectra)
     tables = [make(judged) for make in makers] + [sweep(judged, group) for group in SWEEPS]
     return [table for table in tables if table.rows]
 
@@ -56,11 +58,14 @@ def glance(judged: list[Judged]) -> Table:
     """One line for each figure the article claims."""
     fifteen = of_group(judged, "table2")
     rows = [
-        ("Five points, mean error [mm]", published.ARTICLE_ERROR, *_over(fifteen, lambda s: np.mean(s.points_mm))),
-        ("Five points, mean of the maxima [mm]", "1.47", *_over(fifteen, lambda s: np.mean(s.points_max_mm))),
-        ("Five points, largest of all [mm]", "3.18", *_over(fifteen, lambda s: max(s.points_max_mm), np.max)),
-        ("Five points, correlation of motion", "0.98", *_over(fifteen, lambda s: s.points_correlation)),
-        ("Volume, correlation", "0.97", *_over(fifteen, lambda s: s.volume_correlation)),
+        ("Five points, mean error [mm]", None, *_over(fifteen, lambda s: np.mean(s.points_mm))),
+        ("Five points, mean of the maxima [mm]", None, *_over(fifteen, lambda s: np.mean(s.points_max_mm))),
+        ("Five points, largest of all [mm]", None, *_over(fifteen, lambda s: max(s.points_max_mm), np.max)),
+        ("Five points, correlation of motion", None, *_over(fifteen, lambda s: s.points_correlation)),
+        ("Volume, correlation", None, *_over(fifteen, lambda s: s.volume_correlation)),
+        ("Five points against the laser, error [mm]", published.ARTICLE_ERROR, *_laser(fifteen, lambda b: b.mean_mm)),
+        ("Five points against the laser, correlation", "0.98", *_laser(fifteen, lambda b: b.correlation)),
+        ("Volume against the spirometer, correlation", "0.97", *_spirometer(fifteen)),
         ("Whole ROI, error of a cell [mm]", None, *_over(fifteen, lambda s: s.cells_mm)),
         ("Whole-ROI mean motion [mm]", None, *_over(fifteen, lambda s: s.whole_mm)),
         (
@@ -75,8 +80,8 @@ def glance(judged: list[Judged]) -> Table:
         columns=("figure", "article", *_METHODS),
         rows=tuple(row for row in rows if any(cell is not None for cell in row[2:])),
         digits=3,
-        note="The article's error is against a laser line, its volume against a spirometer, both on people. Here the "
-        "truth is known, so the other columns are errors against the truth itself.",
+        note="Against the truth, unless laser or spirometer are named: those have an error of their own. The article "
+        "had nothing else; its 15 datasets are of people, ours of virtual ones. Its largest error was 3.18 mm.",
     )
 
 
@@ -310,6 +315,24 @@ def _over(
         values = [float(np.asarray(value_of(one.event_scores[name]))) for one in runs if name in one.event_scores]
         cells.append(float(np.asarray(over(values))) if values and np.isfinite(values).all() else None)
     return tuple(cells)
+
+
+def _laser(judged: list[Judged], value_of: Callable[[Beside], float]) -> tuple[Cell, ...]:
+    """Take a figure of the plain reading and of ours beside the laser; the oracle has none."""
+    cells: list[Cell] = []
+    for name in ("plain", "ours"):
+        values = [value_of(found) for one in judged if (found := beside_laser(one, name)) is not None]
+        cells.append(float(np.mean(values)) if values else None)
+    return (*cells, None)
+
+
+def _spirometer(judged: list[Judged]) -> tuple[Cell, ...]:
+    cells: list[Cell] = []
+    for name in ("plain", "ours"):
+        found = [one.outcome.notes.get(f"spirometer_{name}", {}).get("correlation") for one in judged]
+        values = [value for value in found if value is not None]
+        cells.append(float(np.mean(values)) if values else None)
+    return (*cells, None)
 
 
 def _mean(column: Iterable[Cell]) -> Cell:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from io import BytesIO
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -50,6 +51,12 @@ def draw(name: str, title: str, note: str, size: tuple[float, float], paint: Cal
     out = BytesIO()
     figure.savefig(out, format="png", metadata={"Software": None})
     return Picture(name=name, title=title, note=note, png=out.getvalue())
+
+
+def shade_of(number: int, count: int) -> tuple[float, float, float, float]:
+    """Return one of ``count`` colours that can be told apart."""
+    red, green, blue, alpha = colormaps["viridis"](0.92 * number / max(count - 1, 1))
+    return (float(red), float(green), float(blue), float(alpha))
 
 
 def axes_of(figure: Figure, rows: int, columns: int = 1, *, share_x: bool = False) -> list[Axes]:

@@ -8,7 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from engine.evaluation.bench_tables import of_group
-from engine.evaluation.canvas import COLORS, Picture, axes_of, caption, draw, legend, line, surface
+from engine.evaluation.canvas import COLORS, Picture, axes_of, caption, draw, legend, line, shade_of, surface
+from engine.evaluation.instrument_tables import along_line
+from engine.evaluation.instruments import FIVE, LINE_SHARES
 from engine.evaluation.judged import Judged
 from engine.evaluation.more_figures import error_maps, holds, sweeps
 from engine.frames import FloatArray
@@ -26,6 +28,7 @@ def all_figures(judged: list[Judged]) -> list[Picture]:
         reconstructions,
         volumes,
         motions,
+        along_laser,
         filters,
         isovolume,
         long_regular,
@@ -151,24 +154,22 @@ def volumes(judged: list[Judged]) -> Picture | None:
             frames = one.frames
             for kind, series in _volume_series(one).items():
                 line(panel, one.outcome.seconds[frames], _scaled(series[frames]), kind)
-            said = ", ".join(
-                f"{name} {one.scores[kind].volume_correlation:.4f}"
-                for kind, name in (("plain", "plain"), ("ours", "ours"))
-                if kind in one.scores
-            )
+            found = [(kind, one.outcome.notes.get(f"spirometer_{kind}", {})) for kind in ("plain", "ours")]
+            said = ", ".join(f"{kind} {notes['correlation']:.4f}" for kind, notes in found if "correlation" in notes)
             caption(panel, f"{one.run.name}: correlation {said}", "time [s]", "volume, scaled")
         legend(panels[0])
 
-    note = (
-        "Scaled to -1..1 as in the article; correlations are with the volume the skin truly swept. The article: 0.97."
-    )
+    note = "Scaled to -1..1 as in the article, after the spirometer's lag was found. The article's correlation: 0.97."
     return draw("fig11_volume", "Figure 11: volume", note, (10, 1.2 + 2.4 * (-(-len(runs) // 2))), paint)
 
 
 def _volume_series(one: Judged) -> dict[str, FloatArray]:
+    """Return what the spirometer and we say of the same frames; the truth where the spirometer says nothing."""
+    found = one.outcome.instruments
+    if "spirometer_ours_l" in found:
+        series = {"spirometer": found["spirometer_ours_l"]}
+        return series | {kind: found[f"volume_{kind}_l"] for kind in ("plain", "ours") if f"volume_{kind}_l" in found}
     series = {"truth": one.outcome.truth.volume_l}
-    if "spirometer_l" in one.outcome.instruments:
-        series["spirometer"] = one.outcome.instruments["spirometer_l"]
     return series | {kind: one.outcome.tracks[kind].volume_l for kind in ("plain", "ours") if kind in one.scores}
 
 
@@ -182,12 +183,51 @@ def motions(judged: list[Judged]) -> Picture | None:
     def paint(figure: Figure) -> None:
         panels = axes_of(figure, len(runs), 2, share_x=False)
         for number, one in enumerate(runs):
-            _motion_panels(panels[2 * number], panels[2 * number + 1], one, POINT, ("plain", "ours"))
+            left, right = panels[2 * number : 2 * number + 2]
+            if "laser_mm" in one.outcome.instruments:
+                _laser_panels(left, right, one)
+            else:
+                _motion_panels(left, right, one, POINT, ("plain", "ours"))
         legend(panels[0])
         legend(panels[1])
 
-    note = "Left: motion of one point on the abdomen. Right: what is wrong about it."
-    return draw("fig12_motion", "Figure 12: motion at a point", note, (10, 0.6 + 2.2 * len(runs)), paint)
+    note = (
+        "Motion at the second of five places along the laser's line, and how far each is from the laser. The laser's "
+        "own error is part of it."
+    )
+    return draw("fig12_motion", "Figure 12: motion against the laser line", note, (10, 0.6 + 2.2 * len(runs)), paint)
+
+
+def _laser_panels(left: Axes, right: Axes, one: Judged) -> None:
+    found, seconds = one.outcome.instruments, one.outcome.seconds
+    laser, ours = found["laser_mm"][:, FIVE[1]], found["laser_ours_mm"][:, FIVE[1]]
+    line(left, seconds, laser, "laser")
+    line(left, seconds, ours, "ours")
+    line(right, seconds, found["laser_plain_mm"][:, 1] - found["laser_line_mm"][:, 1], "plain", width=0.9)
+    line(right, seconds, ours - laser, "ours", width=0.9)
+    for panel, title, unit in ((left, "motion", "motion [mm]"), (right, "minus laser", "difference [mm]")):
+        caption(panel, f"{one.run.name}: {title}", "time [s]", unit)
+        _trim(panel, one)
+
+
+def along_laser(judged: list[Judged]) -> Picture | None:
+    """Figure 13: correlation at every place along the laser's line, a curve a dataset."""
+    curves = {one.run.name: curve for one in of_group(judged, "table2") if (curve := along_line(one)) is not None}
+    if not curves:
+        return None
+
+    def paint(figure: Figure) -> None:
+        panel = axes_of(figure, 1)[0]
+        for number, (name, curve) in enumerate(curves.items()):
+            panel.plot(100.0 * LINE_SHARES, curve, "-", color=shade_of(number, len(curves)), linewidth=1, label=name)
+        panel.axhline(0.98, color=COLORS["plain"], linewidth=1, linestyle="--", label="article, mean")
+        panel.set_ylim(0.95, 1.002)
+        caption(panel, "", "place along the line [%]", "correlation with the laser")
+        panel.legend(fontsize=7, ncols=8, frameon=False, loc="lower center")
+
+    mean = float(np.nanmean(np.stack(list(curves.values()))))
+    note = f"Mean over all places and datasets {mean:.4f}; the article's 0.98."
+    return draw("fig13_correlation", "Figure 13: correlation along the laser line", note, (9, 3.6), paint)
 
 
 def _motion_panels(left: Axes, right: Axes, one: Judged, point: int, kinds: tuple[str, ...]) -> None:

@@ -62,9 +62,10 @@ class LaserSide:
         }
 
 
-def add_spirometer(outcome: Outcome, folder: Path) -> None:
+def add_spirometer(outcome: Outcome, folder: Path, true_lag_s: float | None) -> None:
     """Set every volume beside the spirometer's; what cannot be compared is left out, with the reason in the notes."""
     flow = read_flow(folder / FLOW)
+    outcome.notes["spirometer_lag_s"] = true_lag_s
     for name in ("ours", "plain"):
         try:
             found = compare_volumes(outcome.seconds, outcome.tracks[name].volume_l, flow)

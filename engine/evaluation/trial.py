@@ -109,7 +109,8 @@ def measure_run(
             on_frame(frame.index + 1)
     outcome = trial.outcome()
     if not run.is_sweep:
-        add_spirometer(outcome, folder)
+        lag_s = truth.spirometer_lag_s
+        add_spirometer(outcome, folder, None if lag_s is None else float(lag_s))
     return outcome
 
 
