@@ -206,7 +206,7 @@ class _Results:
     def save(self, path: Path) -> None:
         partial = path.with_name(path.name + ".partial")
         with partial.open("wb") as file:
-            np.savez_compressed(
+            np.savez(
                 file,
                 frame_index=np.array(self._index, dtype=np.int64),
                 timestamp_us=np.array(self._timestamps_us, dtype=np.int64),
