@@ -39,17 +39,29 @@ class SetReference:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Retrain:
-    """Gather frames again and learn a new model in the background; the swap disarms."""
+    """Gather frames again and learn a new model in the background; it takes over when the gate is not armed.
+
+    The zero is carried over, or the new model is refused; with ``keeps_zero`` false it is given up, and nobody may arm
+    until a person has set it again.
+    """
+
+    operator: str
+    keeps_zero: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ApplyModel:
+    """Let the model that waits take over now; disarms. Refused when none waits."""
 
     operator: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ActivateModel:
-    """Measure with this model from the next frame on; disarms."""
+    """Measure with this model as soon as the zero is carried over to it; disarms."""
 
     operator: str
     model: MotionModel
 
 
-Command = Arm | Disarm | Acknowledge | SetReference | Retrain | ActivateModel
+Command = Arm | Disarm | Acknowledge | SetReference | Retrain | ApplyModel | ActivateModel

@@ -9,12 +9,11 @@ import queue
 import threading
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Protocol
 
 from engine.beam.line import BeamLine
 from engine.capture.source import DepthSource, SourceDescription
 from engine.clock import NS_PER_MS, NS_PER_S, Clock
-from engine.commands import Acknowledge, ActivateModel, Arm, Command, Disarm, Retrain, SetReference
+from engine.commands import Acknowledge, ActivateModel, ApplyModel, Arm, Command, Disarm, Retrain, SetReference
 from engine.errors import (
     BeamLineError,
     CommandRefusedError,
@@ -24,12 +23,13 @@ from engine.errors import (
     SourceLostError,
     TidegateError,
 )
+from engine.frame_pipeline import FramePipeline
 from engine.frames import Measurement, RgbdFrame
 from engine.keeper import Cause, GateKeeper
 from engine.limits import GateLimits, ns_from_ms
 from engine.live import FrameRecord, GateTransition, LiveView, LoopStatus
 from engine.mailbox import Letter, Mailbox
-from engine.model import MotionModel
+from engine.notices import LearningNotice
 from engine.outbox import Outbox
 from engine.permits import GateState, HoldReason
 from engine.stages.gate import Ending, Gate, GateEvent, Interruption, Silence
@@ -41,38 +41,6 @@ FIRST_FRAME_NS = 10 * NS_PER_S
 """A camera that was opened and shows nothing for so long is lost."""
 
 SHORTEST_READ_NS = NS_PER_MS
-
-
-class FramePipeline(Protocol):
-    """What the loop asks of the measuring; owned by the engine thread."""
-
-    @property
-    def model(self) -> MotionModel | None:
-        """The motion model in use."""
-
-    @property
-    def model_shortcoming(self) -> str | None:
-        """Why nobody may arm with this model, in a sentence for a person; None when it will do."""
-
-    @property
-    def model_generation(self) -> int:
-        """Changes whenever the model or the reference does."""
-
-    @property
-    def has_reference(self) -> bool:
-        """Whether motion has a zero."""
-
-    def measure(self, frame: RgbdFrame) -> Measurement:
-        """Measure one frame; "cannot tell" is data, an exception is a bug."""
-
-    def set_reference(self) -> None:
-        """Make the present position the zero; raise a TidegateError where there is none."""
-
-    def retrain(self) -> None:
-        """Gather frames and learn again."""
-
-    def activate(self, model: MotionModel) -> None:
-        """Measure with ``model`` from the next frame on; raise ModelError if it does not fit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,6 +146,12 @@ class EngineLoop:
         return self._outbox.transitions
 
     @property
+    def notices(self) -> queue.Queue[LearningNotice]:
+        """What the learning has to tell; drain it, or the gate faults."""
+        self._outbox.flush()
+        return self._outbox.notices
+
+    @property
     def latest(self) -> LiveView | None:
         """The newest view; None before the first frame."""
         return self._keeper.latest
@@ -247,7 +221,9 @@ class EngineLoop:
         except FrameTimeoutError:
             self._stay_silent()
             return
+        self._pipeline.keep_model(is_kept=self._keeper.gate.is_armed)
         measurement = self._pipeline.measure(frame)
+        self._outbox.put_notices(self._pipeline.take_notices())
         self._decide_on(frame, measurement)
 
     def _read_timeout_ns(self) -> int:
@@ -309,10 +285,18 @@ class EngineLoop:
                 self._disarm_for("the reference is set", command.operator)
                 self._pipeline.set_reference()
             case Retrain():
-                self._pipeline.retrain()
+                self._pipeline.retrain(keeps_zero=command.keeps_zero)
+            case ApplyModel():
+                self._apply_model(command)
             case ActivateModel():
                 self._disarm_for("another model is activated", command.operator)
                 self._pipeline.activate(command.model)
+
+    def _apply_model(self, command: ApplyModel) -> None:
+        if not self._pipeline.is_model_waiting:
+            raise CommandRefusedError("no new model waits to be applied")
+        self._disarm_for("a new model is applied", command.operator)
+        self._pipeline.apply_model()
 
     def _disarm_for(self, detail: str, operator: str) -> None:
         self._keeper.decide(Ending(reason=HoldReason.DISARMED, detail=detail), cause=Cause(operator=operator))

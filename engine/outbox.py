@@ -1,18 +1,27 @@
-"""What leaves the engine for disk: two bounded queues that are never waited for.
+"""What leaves the engine for disk: three bounded queues that are never waited for.
 
 A sample that finds its queue full is dropped and counted; a transition is kept here and offered again before anything
-that came after it. Either is trouble, and trouble holds the beam: what cannot be recorded must not happen.
+that came after it, and so is a notice of the learning. Each is trouble, and trouble holds the beam: what cannot be
+recorded must not happen.
 """
 
 import queue
 import threading
 from collections import deque
+from collections.abc import Iterable
+from typing import TypeVar
 
 from engine.live import FrameRecord, GateTransition
+from engine.notices import LearningNotice
 from engine.permits import HoldReason
+
+T = TypeVar("T")
 
 RESERVED_TRANSITIONS = 4
 """Trouble is called while there is still room for the transitions it causes itself."""
+
+NOTICE_CAPACITY = 64
+"""A model takes ten seconds to learn and tells a handful of things: a queue that is full has no reader."""
 
 
 class Outbox:
@@ -21,8 +30,10 @@ class Outbox:
     def __init__(self, *, sample_capacity: int, transition_capacity: int) -> None:
         self.samples: queue.Queue[FrameRecord] = queue.Queue(sample_capacity)
         self.transitions: queue.Queue[GateTransition] = queue.Queue(transition_capacity + RESERVED_TRANSITIONS)
+        self.notices: queue.Queue[LearningNotice] = queue.Queue(NOTICE_CAPACITY)
         self.dropped_records = 0
         self._kept: deque[GateTransition] = deque()
+        self._kept_notices: deque[LearningNotice] = deque()
         self._lock = threading.Lock()
 
     def put_sample(self, record: FrameRecord) -> None:
@@ -37,15 +48,16 @@ class Outbox:
         self._kept.append(transition)
         self.flush()
 
+    def put_notices(self, notices: Iterable[LearningNotice]) -> None:
+        """Queue what the learning has to tell, behind what still waits."""
+        self._kept_notices.extend(notices)
+        self.flush()
+
     def flush(self) -> None:
-        """Offer again what found the queue full."""
+        """Offer again what found its queue full."""
         with self._lock:
-            while self._kept:
-                try:
-                    self.transitions.put_nowait(self._kept[0])
-                except queue.Full:
-                    return
-                self._kept.popleft()
+            _offer(self._kept, self.transitions)
+            _offer(self._kept_notices, self.notices)
 
     @property
     def kept_transitions(self) -> int:
@@ -55,6 +67,15 @@ class Outbox:
     def trouble(self) -> HoldReason | None:
         """Return why nothing more may happen, or None."""
         room = self.transitions.maxsize - self.transitions.qsize()
-        if self._kept or room <= RESERVED_TRANSITIONS:
+        if self._kept or self._kept_notices or room <= RESERVED_TRANSITIONS:
             return HoldReason.AUDIT_BEHIND
         return HoldReason.RECORDER_BEHIND if self.samples.full() else None
+
+
+def _offer(kept: deque[T], target: "queue.Queue[T]") -> None:
+    while kept:
+        try:
+            target.put_nowait(kept[0])
+        except queue.Full:
+            return
+        kept.popleft()

@@ -17,6 +17,7 @@ from engine.frames import Measurement, RgbdFrame
 from engine.live import FrameRecord, GateTransition
 from engine.loop import EngineLoop
 from engine.model import MotionModel
+from engine.notices import LearningNotice
 from engine.permits import HoldReason, Lease
 from engine.stages.gate import GateLimits
 from engine.watchdog import Watchdog
@@ -107,6 +108,9 @@ class ToldPipeline:
         self.model_shortcoming: str | None = None
         self.model_generation = 1
         self.has_reference = True
+        self.is_model_waiting = False
+        self.notices: list[LearningNotice] = []
+        self.was_kept: list[bool] = []
         self.calls: list[str] = []
         self.trouble: Exception | None = None
 
@@ -125,8 +129,19 @@ class ToldPipeline:
     def set_reference(self) -> None:
         self._change("set_reference")
 
-    def retrain(self) -> None:
-        self.calls.append("retrain")
+    def retrain(self, *, keeps_zero: bool = True) -> None:
+        self.calls.append("retrain" if keeps_zero else "retrain without zero")
+
+    def keep_model(self, *, is_kept: bool) -> None:
+        self.was_kept.append(is_kept)
+
+    def apply_model(self) -> None:
+        self.is_model_waiting = False
+        self._change("apply")
+
+    def take_notices(self) -> list[LearningNotice]:
+        taken, self.notices = self.notices, []
+        return taken
 
     def activate(self, model: MotionModel) -> None:
         self.model = model

@@ -106,7 +106,7 @@ def test_a_fault_that_comes_up_with_an_acknowledgement_is_not_cleared_by_it():
         bench.ask(Retrain(operator=OPERATOR))()  # whose obeying lets the fault in, just before the other
         bench.ask(Acknowledge(operator=OPERATOR))()
 
-    bench.pipeline.retrain = lambda: bench.loop.report_fault(HoldReason.DISK_LOW, "10 MB left")
+    bench.pipeline.retrain = lambda **_: bench.loop.report_fault(HoldReason.DISK_LOW, "10 MB left")
     bench.source.script += [
         after(lambda: bench.loop.report_fault(HoldReason.DISK_LOW, "20 MB left")),
         after(ask),
@@ -215,7 +215,7 @@ def test_whoever_asked_for_what_turned_out_a_bug_is_told_when_the_line_is_off():
     bench = armed_bench([*[good] * 6])
     at_answer = []
 
-    def fail():
+    def fail(**_):
         assert bench.beam.is_on()
         raise ZeroDivisionError("oh")
 
