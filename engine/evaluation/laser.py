@@ -63,6 +63,9 @@ class LaserComparison:
         Motion of the line itself, wherever on the skin it lies (article, Fig. 12), shape (n, p).
     place_rc
         Where on the grid the line was, (row, column), shape (n, p, 2).
+    offset_mm
+        How much deeper the laser has the skin than Tidegate, median; NaN without a reading. Some mm are the depth
+        sensor's scale. Some cm mean that this is not the laser's plane.
     """
 
     frame_index: npt.NDArray[np.int64]
@@ -72,6 +75,7 @@ class LaserComparison:
     tidegate_mm: FloatArray
     line_mm: FloatArray
     place_rc: FloatArray
+    offset_mm: float
 
     def agreements(self) -> list[Agreement]:
         """Compare point by point."""
@@ -135,7 +139,7 @@ class LaserGauge:
         lines = np.array(self._lines).reshape(-1, len(self._points_rc), 3)
         lines = _between(np.array(self._color_us, dtype=np.int64), lines, timestamp_us)
         place_rc, line_depth = lines[..., :2], lines[..., 2]
-        motion, bridge = self._bridge(place_rc)
+        motion, here, bridge = self._bridge(place_rc)
         bridge[np.linalg.norm(place_rc - self._points_rc, axis=-1) > MAX_AWAY] = np.nan
         return LaserComparison(
             frame_index=index,
@@ -145,10 +149,11 @@ class LaserGauge:
             tidegate_mm=motion,
             line_mm=_from_zero(line_depth, motion),
             place_rc=place_rc,
+            offset_mm=_median(line_depth + bridge - here),
         )
 
-    def _bridge(self, place_rc: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return Tidegate's motion of the points, and how much deeper it has them than the line's places, (n, p)."""
+    def _bridge(self, place_rc: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return Tidegate's motion and depth of the points, and how much deeper they are than the line's places."""
         shape = place_rc.shape[:2]
         motion, here, there = (
             np.array([getattr(reading, name) for reading in self._readings]).reshape(shape)
@@ -156,7 +161,7 @@ class LaserGauge:
         )
         slope = np.array([reading.slope for reading in self._readings]).reshape(*shape, 2)
         read_at = np.array([reading.place_rc for reading in self._readings]).reshape(*shape, 2)
-        return motion, here - there - (slope * (place_rc - read_at)).sum(axis=-1)
+        return motion, here, here - there - (slope * (place_rc - read_at)).sum(axis=-1)
 
     def _read_line(self, color: ColorImage, measurement: Measurement) -> FloatArray:
         """Read the line beside each point: (row, column) on the grid and depth [mm], shape (p, 3); NaN where not."""
@@ -266,6 +271,11 @@ def _between(times_us: npt.NDArray[np.int64], values: FloatArray, wanted_us: npt
     is_there: BoolArray = (share >= 0.0) & (share <= 1.0) & (gap_us <= MAX_COLOR_GAP_US)
     share = np.where(is_there, share, np.nan).reshape(-1, *[1] * (values.ndim - 1))
     return np.asarray((1.0 - share) * values[right - 1] + share * values[right])
+
+
+def _median(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else float("nan")
 
 
 def _from_zero(depth_mm: FloatArray, motion_mm: FloatArray) -> FloatArray:

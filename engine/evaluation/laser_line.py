@@ -34,6 +34,9 @@ class LineSettings:
         Green and blue both above this is burnt out or a white thing: the peak's place means nothing there.
     max_step_px
         How far a point may lie off the middle of its neighbours' places.
+    is_on_pattern
+        Fit the parabola to red over green and blue, not to red: a printed pattern beneath then shifts it less. JPEG
+        keeps that difference at half the sharpness, so on cloth and skin red alone is better by a third.
     """
 
     across_sigma_px: float = 1.5
@@ -43,6 +46,7 @@ class LineSettings:
     max_rival: float = 0.6
     white_level: float = 235.0
     max_step_px: float = 2.5
+    is_on_pattern: bool = False
     neighbours: int = 9
 
 
@@ -134,7 +138,7 @@ def _find_rows(patch: ColorImage, inside: BoolArray, settings: LineSettings) -> 
     white = np.minimum(green, blue)[peak, columns]
     is_line = (contrast >= settings.min_contrast) & (white < settings.white_level)
     is_line &= _rival(ridge, peak, settings) <= settings.max_rival * contrast
-    rows = np.where(is_line, peak + _parabola(red, peak), np.nan)
+    rows = np.where(is_line, peak + _parabola(excess if settings.is_on_pattern else red, peak), np.nan)
     return _without_strays(rows, settings), contrast
 
 

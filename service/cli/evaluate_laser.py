@@ -22,6 +22,8 @@ from service.cli.instrument_plots import draw_laser
 from service.cli.instruments import number, superior_of, watch, write_rows
 from service.cli.terminal import frame_bar, refused, say
 
+LARGE_OFFSET_MM, GREATEST_OFFSET_MM = 10.0, 50.0
+
 
 def plane(
     pictures: Annotated[
@@ -76,7 +78,7 @@ def laser(
         watch(recording, cameras, settings, gauge.add)
         comparison = gauge.comparison()
         agreements = comparison.agreements()
-        _refuse_unseen(agreements)
+        _refuse_unusable(comparison, agreements)
         out.mkdir(parents=True, exist_ok=True)
         _write(comparison, out / "laser.csv")
         draw_laser(comparison, out / "laser.png")
@@ -85,7 +87,7 @@ def laser(
     except OSError as error:
         raise refused("evaluate laser", f"{out} cannot be written ({error.strerror or error})") from error
     _print_agreements(comparison, agreements)
-    _mind(lit, cameras, agreements)
+    _mind(lit, cameras, comparison, agreements)
     say(f"Written to {out}")
 
 
@@ -128,11 +130,14 @@ def _print_plane(found: PlaneCalibration) -> None:
     )
 
 
-def _refuse_unseen(agreements: list[Agreement]) -> None:
+def _refuse_unusable(comparison: LaserComparison, agreements: list[Agreement]) -> None:
     seen = max(one.frames for one in agreements)
     if seen < MIN_FRAMES:
         bound = f"{MIN_FRAMES} or more at one point: is the line red and across the region?"
         raise InvalidValueError("frames", f"{seen} in which the line was seen and motion measured", bound)
+    if abs(comparison.offset_mm) > GREATEST_OFFSET_MM:
+        bound = f"at most {GREATEST_OFFSET_MM:g} mm off what the depth camera sees: it is another laser's plane"
+        raise InvalidValueError("plane", f"{comparison.offset_mm:.0f} mm off", bound)
 
 
 def _write(comparison: LaserComparison, path: Path) -> None:
@@ -181,7 +186,13 @@ def _mean(values: list[float | None]) -> float | None:
     return sum(known) / len(known) if known else None
 
 
-def _mind(lit: LaserPlane, cameras: Calibration, agreements: list[Agreement]) -> None:
+def _mind(lit: LaserPlane, cameras: Calibration, comparison: LaserComparison, agreements: list[Agreement]) -> None:
+    if abs(comparison.offset_mm) > LARGE_OFFSET_MM:
+        say(
+            f"Mind: the laser has the skin {comparison.offset_mm:.0f} mm deeper than Tidegate: is this the plane of "
+            "this recording's laser, and does the calibration correct this sensor's depth?",
+            "yellow",
+        )
     if lit.calibration_sha256 != cameras.sha256:
         say(
             "Mind: the plane was found with another calibration; the colour camera's has to be the same",
