@@ -336,6 +336,8 @@ class Pipeline:
     # -- learning -----------------------------------------------------------------------------------------------
 
     def _learn(self, roi: RoiDepth, timestamp_us: int, found: Markers, nodes_px: FloatArray) -> None:
+        if self._layout_px is not None and not self._learner.is_gathering:
+            return
         if roi.valid.mean() < self._settings.min_valid_share:
             return
         if self._layout_px is None:

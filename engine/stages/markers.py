@@ -252,18 +252,21 @@ def _moments(patches: FloatArray, stencil: _Stencil, search: MarkerSearch) -> tu
     background, foreground = _middle(ring), _middle(patches[:, stencil.disc])
     contrast = foreground - background
     # The ring must be darker all around: a bright bed or skin beside a spot is no sticker on a shirt.
-    bright = np.count_nonzero(ring > (background + 0.5 * contrast)[:, None], axis=1) / ring.shape[1]
+    bright = np.count_nonzero(ring > (0.5 * (background + foreground))[:, None], axis=1)
     is_marked = (
         (contrast >= search.min_contrast)
         & (background <= search.max_background_share * foreground)
-        & (bright <= MAX_BRIGHT_RING)
+        & (bright <= MAX_BRIGHT_RING * ring.shape[1])
     )
-    share = (patches - background[:, None]) / np.maximum(contrast, 1.0)[:, None]
-    sums = np.minimum(np.maximum(2.0 * share - 0.5, 0.0), 1.0) @ stencil.moments
-    total = sums[:, 0]
-    is_marked &= total > 0.0
-    x, y, xx, xy, yy = (sums[:, 1:] / np.maximum(total, 1e-9)[:, None]).T
-    return np.column_stack([total, x, y, xx - x * x, xy - x * y, yy - y * y]), is_marked
+    gain = 2.0 / np.maximum(contrast, 1.0)
+    weights = patches * gain[:, None]
+    weights -= (background * gain + 0.5)[:, None]
+    sums = np.minimum(np.maximum(weights, 0.0, out=weights), 1.0, out=weights) @ stencil.moments
+    total = sums[:, :1]
+    is_marked &= total[:, 0] > 0.0
+    sums[:, 1:] /= np.maximum(total, 1e-9)
+    sums[:, 3:] -= sums[:, [1, 1, 2]] * sums[:, [1, 2, 2]]
+    return sums, is_marked
 
 
 def _middle(values: FloatArray) -> FloatArray:

@@ -19,9 +19,9 @@ from engine.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, Projecti
 from engine.model import MotionModel
 
 STRIDE_PX = 4  # every fourth row and column is as accurate as every one: the noise is correlated over nine pixels
-COSINE_ROWS = 8
-COSINE_COLUMNS = 5
-PRIOR_SPREADS_MM = (0.1, 0.3, 1.0, 3.0)
+COSINE_ROWS = 6
+COSINE_COLUMNS = 4
+PRIOR_SPREADS_MM = (0.1, 0.5, 3.0)
 OUTLIER_MM = 6.0
 MAX_REWEIGHTINGS = 12
 CONVERGED_MM = 0.02
@@ -128,7 +128,8 @@ def project(basis: Basis, roi: RoiDepth, start: FloatArray | None) -> Projection
     inside = usable.astype(np.float32)
     difference = (thin.depth_mm.ravel() - basis.sampled_mean_mm) * inside
     frame = _Frame(difference=difference, usable=usable, inside=inside)
-    coefficients = _weigh_widths(basis, _settle(basis, frame, start))
+    equations, widest = _settle(basis, frame, start)
+    coefficients = _weigh_widths(basis, equations, widest)
     misfit = _misfit(basis, frame, coefficients)
     return Projection(
         beta=coefficients[: basis.components].copy(),
@@ -156,8 +157,16 @@ class _Equations:
     right: FloatArray
 
 
-def _settle(basis: Basis, frame: _Frame, start: FloatArray | None) -> _Equations:
-    """Find out which pixels to believe, and sum the normal equations over them."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Answer:
+    """The coefficients that solve the equations under one prior, and half the logarithm of the matrix's determinant."""
+
+    coefficients: FloatArray
+    log_determinant: float
+
+
+def _settle(basis: Basis, frame: _Frame, start: FloatArray | None) -> tuple[_Equations, _Answer]:
+    """Find out which pixels to believe, sum the normal equations over them, and solve them under the widest prior."""
     believed, gram = frame.usable, _gram(basis, frame.usable)
     coefficients, misfit = _start(basis, frame, gram, start)
     limit_mm = SMALL_STEP_MM
@@ -170,12 +179,13 @@ def _settle(basis: Basis, frame: _Frame, start: FloatArray | None) -> _Equations
         mean_weight = float(weights.sum()) / max(int(np.count_nonzero(positive)), 1)
         pull = (basis.sampled_modes @ (weights * misfit)).astype(np.float64) / max(mean_weight, MIN_MEAN_WEIGHT)
         equations = _Equations(gram=gram, right=gram @ coefficients + pull)
-        step = _solve(basis, equations) - coefficients
+        answer = _solve(equations, basis.stiffness[-1])
+        step = answer.coefficients - coefficients
         if float(np.max(np.abs(step) * basis.reach)) < limit_mm:
             break
-        coefficients, limit_mm = coefficients + step, CONVERGED_MM
+        coefficients, limit_mm = answer.coefficients, CONVERGED_MM
         misfit = _misfit(basis, frame, coefficients)
-    return equations
+    return equations, answer
 
 
 def _start(basis: Basis, frame: _Frame, gram: FloatArray, start: FloatArray | None) -> tuple[FloatArray, FloatArray]:
@@ -184,7 +194,7 @@ def _start(basis: Basis, frame: _Frame, gram: FloatArray, start: FloatArray | No
     if start is not None and before is not None and _explained(before, frame) >= MIN_EXPLAINED_SHARE:
         return start, before
     right = (basis.sampled_modes @ frame.difference).astype(np.float64)
-    everyone = _solve(basis, _Equations(gram=gram, right=right))
+    everyone = _solve(_Equations(gram=gram, right=right), basis.stiffness[-1]).coefficients
     misfit = _misfit(basis, frame, everyone)
     if start is not None and before is not None and _explained(before, frame) >= _explained(misfit, frame):
         return start, before
@@ -210,32 +220,24 @@ def _gram(basis: Basis, usable: BoolArray) -> FloatArray:
     return basis.known_gram - points.T @ points
 
 
-def _solve(basis: Basis, equations: _Equations) -> FloatArray:
-    """Solve the normal equations under the widest prior."""
-    answer, _ = _factor_and_solve(equations, basis.stiffness[-1])
-    return answer
-
-
-def _weigh_widths(basis: Basis, equations: _Equations) -> FloatArray:
+def _weigh_widths(basis: Basis, equations: _Equations, widest: _Answer) -> FloatArray:
     """Average the answers under every width of the cosines' prior, each by its evidence."""
-    answers, evidence = [], []
-    for stiffness, log_stiffness in zip(basis.stiffness, basis.log_stiffness.tolist(), strict=True):
-        answer, log_determinant = _factor_and_solve(equations, stiffness)
-        answers.append(answer)
-        fit = 0.5 * float(equations.right @ answer) / basis.variance_mm2
-        evidence.append(fit + log_stiffness - log_determinant)
-    likelihood = np.exp(np.array(evidence) - max(evidence))
-    return np.asarray((likelihood / likelihood.sum()) @ np.array(answers))
+    answers = [*(_solve(equations, stiffness) for stiffness in basis.stiffness[:-1]), widest]
+    evidence = basis.log_stiffness + [
+        0.5 * float(equations.right @ answer.coefficients) / basis.variance_mm2 - answer.log_determinant
+        for answer in answers
+    ]
+    likelihood = np.exp(evidence - evidence.max())
+    return np.asarray((likelihood / likelihood.sum()) @ np.array([answer.coefficients for answer in answers]))
 
 
-def _factor_and_solve(equations: _Equations, stiffness: FloatArray) -> tuple[FloatArray, float]:
-    """Return the solution, and half the logarithm of the matrix's determinant."""
+def _solve(equations: _Equations, stiffness: FloatArray) -> _Answer:
+    """Solve the normal equations with a prior's stiffness added."""
     normal = equations.gram.copy()
-    diagonal = normal.ravel()[:: len(stiffness) + 1]
-    diagonal += stiffness
+    normal.ravel()[:: len(stiffness) + 1] += stiffness
     factor, _ = dpotrf(normal.T, lower=1, overwrite_a=1)
     answer, _ = dpotrs(factor, equations.right, lower=1)
-    return answer, float(np.log(np.diagonal(factor)).sum())
+    return _Answer(coefficients=answer, log_determinant=float(np.log(factor.diagonal()).sum()))
 
 
 def _tukey(misfit: FloatArray) -> FloatArray:
@@ -255,13 +257,13 @@ def _cell_sums() -> tuple[FloatArray, FloatArray]:
 
 _SUM_ROWS, _SUM_COLUMNS = _cell_sums()
 _CELL_PIXELS = _SUM_ROWS.sum(axis=1)[:, None] * _SUM_COLUMNS.sum(axis=0)
+_JUDGED_PIXELS = CHECK_MIN_SHARE * _CELL_PIXELS
 
 
 def _largest_cell_misfit(misfit: FloatArray, inside: FloatArray) -> float:
-    shape = (_SUM_ROWS.shape[1], _SUM_COLUMNS.shape[0])
-    sums = _SUM_ROWS @ misfit.reshape(shape) @ _SUM_COLUMNS
-    counts = _SUM_ROWS @ inside.reshape(shape) @ _SUM_COLUMNS
-    judged = counts >= CHECK_MIN_SHARE * _CELL_PIXELS
+    thin = np.stack([misfit, inside]).reshape(2, _SUM_ROWS.shape[1], _SUM_COLUMNS.shape[0])
+    sums, counts = _SUM_ROWS @ thin @ _SUM_COLUMNS
+    judged = counts >= _JUDGED_PIXELS
     if not judged.any():
         return float("nan")
     return float(np.abs(sums[judged] / counts[judged]).max())
