@@ -6,6 +6,7 @@ average them. ``motion = reference - current``: positive is towards the camera, 
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from engine.errors import InvalidValueError
@@ -15,6 +16,7 @@ from engine.polygons import MIN_AREA_PX, NamedRegion, check_regions, coverage
 MIN_CELL_PX = 5
 MAX_CELL_PX = 100
 MIN_KNOWN_SHARE = 0.5
+POINT_SURROUNDINGS_PX = 21
 MIN_PART_ROWS = 35
 MIDDLE_SPLIT = (174.5, 174.5)
 WIDE = ("whole", "thorax", "abdomen")
@@ -139,6 +141,11 @@ def prepare_regions(mean_mm: FloatArray, modes: FloatArray, known: BoolArray, la
     """
     rows, columns = grid_shape(layout.cell_px)
     share = region_values(known[None].astype(np.float64), layout)[0]
+    # A point in a small hole is told by what lies around it, as shapes are smooth; in a large one it is not.
+    around = cv2.blur(known.astype(np.float32), (POINT_SURROUNDINGS_PX, POINT_SURROUNDINGS_PX))
+    at = np.array(layout.points, dtype=np.intp).reshape(-1, 2)
+    points = slice(rows * columns + len(WIDE), rows * columns + len(WIDE) + len(at))
+    share[points] = around[at[:, 0], at[:, 1]]
     means = region_values(np.concatenate([mean_mm[None], modes]).astype(np.float64), layout)
     return RegionMeans(
         layout=layout,

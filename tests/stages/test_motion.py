@@ -169,6 +169,17 @@ def test_a_cell_that_was_never_seen_is_empty_not_zero(model):
     assert np.isfinite(values[1:]).all()
 
 
+def test_a_point_in_a_small_hole_is_told_by_its_surroundings_and_one_in_a_large_hole_is_empty(model):
+    known = np.ones((ROI_ROWS, ROI_COLUMNS), dtype=bool)
+    known[98:103, 58:63] = False
+    known[200:260, 80:140] = False
+    basis = prepare_basis(model)
+    means = prepare_regions(model.mean_mm, basis.modes, known, RegionLayout(points=((100, 60), (230, 110))))
+    values = means.depth_mm(np.zeros(len(basis.modes)))[means.points_from :]
+    assert values[0] == pytest.approx(model.mean_mm[100, 60], abs=1e-3)
+    assert np.isnan(values[1])
+
+
 @pytest.mark.parametrize("point", [(-1, 0), (350, 0), (0, 200)])
 def test_points_off_the_grid_are_refused(point):
     with pytest.raises(InvalidValueError, match="point"):
