@@ -57,15 +57,14 @@ class Aligner:
     def align(self, depth_mm: DepthImage) -> Grid:
         """Return the depth each colour pixel sees [mm], shape of the colour picture; the nearest wins."""
         seen = np.flatnonzero(depth_mm)
+        seen = seen[np.argsort(depth_mm.ravel()[seen], kind="stable")[::-1]]  # the nearest last: it stays
         depth = depth_mm.ravel()[seen] * np.float32(self._scale) + np.float32(self._offset_mm)
         points = self._rays[seen] * depth[:, None] + self._shift_mm
         column, row = self._project(points[:, 0] / points[:, 2], points[:, 1] / points[:, 2])
         height, width = self._size
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-        pixel, depth = (row * width + column)[inside], depth[inside]
-        farthest_first = np.argsort(-depth, kind="stable")
         aligned = np.zeros(height * width, np.float32)
-        aligned[pixel[farthest_first]] = depth[farthest_first]
+        aligned[(row * width + column)[inside]] = depth[inside]
         return aligned.reshape(self._size)
 
     def _project(self, x: Grid, y: Grid) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:

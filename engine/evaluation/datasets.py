@@ -87,7 +87,7 @@ class Run:
             "fps": self.fps,
             "departure": asdict(self.departure),
             "has_laser": self.has_laser,
-            "phantom": fingerprint("phantom/*.py", "geometry.py"),
+            "phantom": fingerprint("phantom/*.py"),
         }
 
 

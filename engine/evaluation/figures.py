@@ -42,7 +42,10 @@ def all_figures(judged: list[Judged]) -> list[Picture]:
 
 def spectra(judged: list[Judged]) -> Picture | None:
     """Figure 5: the first ten eigenvalues."""
-    parts = [("regular", of_group(judged, "table2")[::3][:5]), ("irregular", of_group(judged, "irregular")[:3])]
+    parts = [
+        ("regular", _spread(of_group(judged, "table2"), 5)),
+        ("irregular", _spread(of_group(judged, "irregular"), 3)),
+    ]
     parts = [(title, [one for one in runs if "ours" in one.outcome.spectra]) for title, runs in parts]
     parts = [part for part in parts if part[1]]
     if not parts:
@@ -73,9 +76,12 @@ def spectra(judged: list[Judged]) -> Picture | None:
 
 def regular_coefficients(judged: list[Judged]) -> Picture | None:
     """Figure 6: projection on the first three components, regular."""
-    note = "Only the first component breathes; the others wander little."
+    note = (
+        "In the article only the first component breathes. Here the second does as well, since these chests move later "
+        "than their abdomens."
+    )
     title = "Figure 6: coefficients of the first three components, regular breathing"
-    return _coefficients("fig06_coefficients_regular", title, note, of_group(judged, "table2")[::5][:3])
+    return _coefficients("fig06_coefficients_regular", title, note, _spread(of_group(judged, "table2"), 3))
 
 
 def irregular_coefficients(judged: list[Judged]) -> Picture | None:
@@ -144,7 +150,7 @@ def reconstructions(judged: list[Judged]) -> Picture | None:
 
 def volumes(judged: list[Judged]) -> Picture | None:
     """Figure 11: volume against the spirometer, both from -1 to 1."""
-    runs = [one for one in of_group(judged, "table2") if "ours" in one.scores][::4][:4]
+    runs = _spread([one for one in of_group(judged, "table2") if "ours" in one.scores], 4)
     if not runs:
         return None
 
@@ -175,8 +181,7 @@ def _volume_series(one: Judged) -> dict[str, FloatArray]:
 
 def motions(judged: list[Judged]) -> Picture | None:
     """Figure 12: motion at one point of four datasets."""
-    runs = [one for one in of_group(judged, "table2") if "ours" in one.scores][1::4][:4]
-    runs = runs or of_group(judged, "table2")[:1]
+    runs = _spread([one for one in of_group(judged, "table2") if "ours" in one.scores], 4)
     if not runs:
         return None
 
@@ -331,6 +336,13 @@ def _long(name: str, title: str, runs: list[Judged]) -> Picture | None:
 
     note = "Learned from the first part only; 52 s, as long as the article's 350 frames."
     return draw(name, title, note, (10, 0.6 + 2.6 * len(runs)), paint)
+
+
+def _spread(runs: list[Judged], count: int) -> list[Judged]:
+    """Take that many of them, evenly."""
+    if len(runs) <= count:
+        return runs
+    return [runs[round(place)] for place in np.linspace(0, len(runs) - 1, count)]
 
 
 def _scaled(series: FloatArray) -> FloatArray:

@@ -46,14 +46,17 @@ def error_maps(judged: list[Judged]) -> Picture | None:
             maps[name] = np.nanmean(np.stack(found), axis=0)
     if not maps:
         return None
-    highest = float(max(np.nanmax(values) for values in maps.values()))
+    highest = float(np.nanquantile(np.stack(list(maps.values())), 0.97))
 
     def paint(figure: Figure) -> None:
         for panel, (name, values) in zip(axes_of(figure, 1, len(maps)), maps.items(), strict=True):
             title = f"{LABELS[name]}: mean {np.nanmean(values):.3f} mm"
             surface(figure, panel, values, title, (0.0, highest), "mm")
 
-    note = "Mean error of each cell of 10 px over the datasets of Table 2; superior is up, the patient's right left."
+    note = (
+        "Mean error of each cell of 10 px over the datasets of Table 2; superior is up, the patient's right on the left. "
+        "The brightest 3 % are cut off."
+    )
     return draw("more_error_maps", "Where the error is", note, (3.2 * len(maps), 4.4), paint)
 
 

@@ -1,9 +1,10 @@
 """The oracle: what the sensor allows when everything but its noise is known.
 
 It is told how this body truly moves (the spatial modes of noise-free depth fields), where the stickers truly are, how
-deep the skin truly lies, and what the sensor shows of it on average (its still misfit, learned from the frames before
-the measurement against the truth). Left unknown are a few numbers a frame: the modes' weights, found by least squares
-over the pixels that were read. No method that has to learn the modes can expect less error than this.
+deep the skin truly lies, what each reading meant before it was cut down to whole millimetres, and what the sensor shows
+of this skin on average (its still misfit, learned from the frames before the measurement against the truth). Left
+unknown are a few numbers a frame: the modes' weights, found by least squares over the pixels that were read. A method
+that has to learn the modes can hardly expect less error than this, unless it averages over time.
 
 The grid is the ROI's, sampled every second row and column; depth is z in the depth camera's frame [mm].
 """
@@ -17,7 +18,9 @@ from scipy.interpolate import RectBivariateSpline
 
 from engine.evaluation.outcome import cell_means
 from engine.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, DepthImage, FloatArray
+from engine.phantom.rig import STEPS_A_MM
 from engine.phantom.scene import Scene
+from engine.phantom.sensor import depth_table_mm, shift_of
 
 Grid = npt.NDArray[np.float64]
 FIELD_STEP = 5
@@ -87,6 +90,7 @@ class Oracle:
         sampled = (slice(None, None, SAMPLE_STEP), slice(None, None, SAMPLE_STEP))
         self._mean = np.ascontiguousarray(modes.mean_mm[sampled], dtype=np.float32).ravel()
         self._shapes = np.ascontiguousarray(modes.modes[:, *sampled].reshape(len(modes.modes), -1), dtype=np.float32)
+        self._exact_mm = _exact_depths_mm()
         self._still_sum = np.zeros(self._mean.shape)
         self._still_count = np.zeros(self._mean.shape)
 
@@ -135,7 +139,7 @@ class Oracle:
         along = (depth - back.translation_mm[2]) / direction[:, 2]
         pixels = rig.depth.project(along[:, None] * direction + back.translation_mm).astype(np.float32)
         shape = (ROI_ROWS // SAMPLE_STEP, ROI_COLUMNS // SAMPLE_STEP)
-        picture = np.where(depth_mm == 0, np.float32(np.nan), depth_mm.astype(np.float32))
+        picture = self._exact_mm[depth_mm]
         read = cv2.remap(
             picture,
             pixels[:, 0].reshape(shape),
@@ -149,3 +153,16 @@ class Oracle:
             read = read * np.float32(correction.scale) + np.float32(correction.offset_mm)
         is_read = np.isfinite(read)
         return np.where(is_read, read, np.float32(0.0)), is_read
+
+
+def _exact_depths_mm() -> npt.NDArray[np.float32]:
+    """Tell what each reading meant before it was cut down to whole millimetres; NaN where it means nothing."""
+    readings = depth_table_mm()
+    shifts = np.flatnonzero(readings)
+    far_shift = float(shift_of(np.array(np.inf)))
+    exact = np.full(np.iinfo(np.uint16).max + 1, np.nan)
+    counts = np.bincount(readings[shifts], minlength=len(exact))
+    sums = np.bincount(readings[shifts], weights=STEPS_A_MM / (far_shift - shifts), minlength=len(exact))
+    known = counts > 0
+    exact[known] = sums[known] / counts[known]
+    return exact.astype(np.float32)

@@ -18,14 +18,14 @@ body { margin: 0 auto; max-width: 1120px; padding: 2rem 1.25rem 4rem; background
 h1 { margin: 0; font-size: 1.7rem; } h2 { margin: 3rem 0 .75rem; font-size: 1.25rem; }
 h3 { margin: 1.75rem 0 .4rem; font-size: 1rem; }
 p { margin: .4rem 0; max-width: 75ch; } .soft, .command { color: var(--soft); font-size: .87rem; }
-code { font: .85rem ui-monospace, monospace; }
+code { white-space: nowrap; font: .85rem ui-monospace, monospace; }
 nav a { margin-right: 1rem; color: inherit; }
 .scroll { overflow-x: auto; border: 1px solid var(--line); border-radius: 6px; background: var(--card); }
-table { border-collapse: collapse; width: 100%; font-size: .85rem; font-variant-numeric: tabular-nums; }
+table { border-collapse: collapse; min-width: 60%; font-size: .85rem; font-variant-numeric: tabular-nums; }
 th, td { padding: .3rem .6rem; text-align: left; border-bottom: 1px solid var(--line); vertical-align: top; }
 thead th { font-weight: 600; color: var(--soft); white-space: normal; }
 tbody th { font-weight: 500; white-space: nowrap; } tbody tr:last-child > * { border-bottom: 0; }
-td.n { text-align: right; white-space: nowrap; } tr.failed > * { color: var(--bad); font-weight: 600; }
+.n { text-align: right !important; } td { white-space: nowrap; } tr.failed > * { color: var(--bad); font-weight: 600; }
 figure { margin: 1rem 0 2rem; } img { max-width: 100%; display: block; background: #fff; border-radius: 6px;
   border: 1px solid var(--line); padding: .4rem; }
 figcaption { margin-top: .4rem; color: var(--soft); font-size: .87rem; max-width: 85ch; }
@@ -82,8 +82,9 @@ of cells of 10 x 10 points for the whole region (700 of them), of single points 
 <p>The plain reading learns from a hundred frames spread over the 15 s that they took at the article's 6.7 frames a
 second, fills holes with the mode filter and smooths with the bilateral filter on those alone, keeps three
 components, and lets a hole lie on the mean afterwards. The oracle is told the true spatial modes, the true place of
-every grid point and the sensor's still misfit; it fits the modes' weights to each noisy frame. Nothing that has to
-learn can beat it on noise.</p>
+every grid point, what each whole millimetre meant before it was cut down to one, and the sensor's still misfit; it
+fits the modes' weights to each noisy frame alone. A method that has to learn the modes can hardly do better, unless
+it averages over time.</p>
 <p>The virtual sensor has the quantisation, correlated noise, holes, flicker, jumps, scale error and warm-up drift
 measured on real units. It is still a model: these figures say what the method does with such a sensor, not what
 any one camera does.</p>"""

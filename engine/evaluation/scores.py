@@ -161,6 +161,7 @@ def correlation(first: FloatArray, second: FloatArray) -> float:
     both = np.isfinite(first) & np.isfinite(second)
     if int(both.sum()) < 3:
         return float("nan")
-    a, b = first[both] - first[both].mean(), second[both] - second[both].mean()
+    one, other = first[both].astype(np.float64), second[both].astype(np.float64)
+    a, b = one - one.mean(), other - other.mean()
     size = float(np.sqrt((a * a).sum() * (b * b).sum()))
     return float((a * b).sum()) / size if size > 0.0 else float("nan")

@@ -55,7 +55,10 @@ class Table:
 
     def to_html(self) -> str:
         """Write it as an HTML table; the first column names the row."""
-        head = "".join(f'<th scope="col">{html.escape(column)}</th>' for column in self.columns)
+        head = "".join(
+            f'<th scope="col"{self._class(number)}>{html.escape(column)}</th>'
+            for number, column in enumerate(self.columns)
+        )
         body = "".join(self._row(number, row) for number, row in enumerate(self.rows))
         return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
@@ -64,9 +67,15 @@ class Table:
         rows = [[None if self.text(cell) == NOTHING else cell for cell in row] for row in self.rows]
         return {"title": self.title, "columns": list(self.columns), "rows": rows, "note": self.note}
 
+    def _class(self, column: int) -> str:
+        """Numbers stand at the right, and so does everything in their column."""
+        has_numbers = column > 0 and any(isinstance(row[column], int | float) for row in self.rows)
+        return " class=n" if has_numbers else ""
+
     def _row(self, number: int, row: tuple[Cell, ...]) -> str:
         first = f'<th scope="row">{html.escape(self.text(row[0]))}</th>'
         others = "".join(
-            f"<td{'' if isinstance(cell, str) else ' class=n'}>{html.escape(self.text(cell))}</td>" for cell in row[1:]
+            f"<td{self._class(column)}>{html.escape(self.text(cell))}</td>"
+            for column, cell in enumerate(row[1:], start=1)
         )
         return f"<tr{' class=failed' if number in self.failed else ''}>{first}{others}</tr>"

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from engine.evaluation.tables import Table
 
 STOPPED = 130
+PIPED_WIDTH = 220
 
 
 def bench(
@@ -85,7 +87,7 @@ def _bench(out: Path, work: Path, *, is_quick: bool, jobs: int | None, seconds: 
         seed=seed,
         settings={"quick": is_quick, "seconds": seconds, "recordings": len(plan)},
     )
-    console = Console()
+    console = Console() if sys.stdout.isatty() else Console(width=PIPED_WIDTH)
     for table in tables:
         console.print(_rich(table), "")
     _conclude(marks, out)
