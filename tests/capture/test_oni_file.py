@@ -1,3 +1,5 @@
+import threading
+
 import numpy as np
 import pytest
 
@@ -18,12 +20,12 @@ def read_all(source):
         return frames
 
 
-@pytest.fixture
-def opened(tmp_path):
+@pytest.fixture(params=[False, True], ids=["alone", "helped"])
+def opened(request):
     sources = []
 
     def open_(path, **options):
-        source = OniFileSource(path, clock=ManualClock(77), **options)
+        source = OniFileSource(path, clock=ManualClock(77), is_helped=request.param, **options)
         source.open()
         sources.append(source)
         return source
@@ -110,6 +112,21 @@ def test_a_colour_picture_is_decoded_once_however_often_it_is_used(tmp_path, ope
     assert len(decoded) == 2
 
 
+@pytest.mark.parametrize("is_helped", [False, True])
+def test_only_colour_that_is_wanted_is_decoded_and_by_whom_it_should_be(tmp_path, monkeypatch, is_helped):
+    path = write_times(tmp_path / "a.oni", [i * 3 * PERIOD_US for i in range(6)], [i * PERIOD_US for i in range(17)])
+    decoders = []
+    decode = streams.codec.decode_jpeg
+    monkeypatch.setattr(
+        streams.codec, "decode_jpeg", lambda *args: decoders.append(threading.current_thread().name) or decode(*args)
+    )
+    source = OniFileSource(path, clock=ManualClock(), is_helped=is_helped)
+    source.open()
+    assert len(read_all(source)) == 6
+    source.close()
+    assert decoders == ["color-decoder_0" if is_helped else "MainThread"] * 6
+
+
 def read_to_damage(source):
     frames = []
     try:
@@ -139,6 +156,43 @@ def test_a_picture_that_does_not_decode_is_named(tmp_path, opened):
     frames, words = read_to_damage(opened(path))
     assert len(frames) == 1
     assert words.startswith("a.oni: depth frame 2 or its colour frame: depth picture is cut")
+
+
+def test_a_colour_picture_that_does_not_decode_is_named_after_the_frames_before(tmp_path, opened):
+    path = tmp_path / "a.oni"
+    with OniWriter(path, depth_size=(64, 48), color_size=(64, 48)) as writer:
+        for index in range(4):
+            writer.write_depth(index * PERIOD_US, depth_picture(index))
+            if index == 2:
+                writer.write_color_payload(index * PERIOD_US, b"no picture")
+            else:
+                writer.write_color(index * PERIOD_US, color_picture(index))
+    source = opened(path)
+    frames, words = read_to_damage(source)
+    assert [frame.index for frame in frames] == [0, 1]
+    assert words == "a.oni: depth frame 3 or its colour frame: colour picture is no JPEG of 64x48"
+    assert read_to_damage(source) == ([], words)
+
+
+def test_no_helper_is_left_behind_however_a_recording_is_left(tmp_path):
+    path = write_recording(tmp_path / "a.oni", frames=9)
+    source = OniFileSource(path, clock=ManualClock(), is_helped=True)
+    source.open()
+    source.read(1.0)
+    assert color_decoders() == 1
+    source.open()
+    source.read(1.0)
+    assert color_decoders() == 1
+    source.close()
+    assert color_decoders() == 0
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(RecordingError):
+        source.open()
+    assert color_decoders() == 0
+
+
+def color_decoders():
+    return sum(thread.name.startswith("color-decoder") for thread in threading.enumerate())
 
 
 def test_a_recording_without_colour_is_refused_at_once(tmp_path):
