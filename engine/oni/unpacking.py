@@ -8,6 +8,8 @@ Ranks wrap at 16 bit, as they do in the runtime. Bytes are hostile: whatever the
 the picture's size.
 """
 
+import math
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -58,13 +60,14 @@ def decode_16zt(payload: bytes | memoryview, shape: tuple[int, int]) -> DepthIma
     anchor_rank = np.concatenate([words[ranks + 1 : ranks + 2], whole_rank])
     # A byte is enough where the first step out of the table cannot come back in at its other end.
     rank_bits = 8 if ranks <= 256 - _LONGEST_STEP else 16
-    rank = _sum_up(step.reshape(shape), whole_at, anchor_rank, np.dtype(f"u{rank_bits // 8}"))
+    # A few long rows instead of many short ones: numpy loops over rows.
+    rank = _sum_up(step.reshape(math.gcd(shape[0], 16), -1), whole_at, anchor_rank, np.dtype(f"u{rank_bits // 8}"))
     if max(int(anchor_rank.max()), int(rank.max())) >= ranks:
         msg = f"depth picture is damaged: it uses a depth behind the {ranks} of its table"
         raise RecordingError(msg)
     table = np.zeros((1, 1 << rank_bits), np.uint16)
     table[0, :ranks] = words[1 : ranks + 1]
-    return np.asarray(cv2.LUT(rank, table), dtype=np.uint16)
+    return np.asarray(cv2.LUT(rank.reshape(shape), table), dtype=np.uint16)
 
 
 def _read_steps(codes: _Bytes, pixels: int) -> tuple[_Bytes, _Indices, _Words]:
