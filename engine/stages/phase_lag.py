@@ -18,6 +18,7 @@ BIN_S = 0.1
 WINDOW_S = 20.0
 CYCLES = 3.0
 MIN_CYCLES = 2.0
+ENOUGH_S = 12.0  # two cycles of slow breathing: with less seen, more may still tell
 MAX_GAP_S = 1.0
 MIN_PERIOD_S = 1.0
 MIN_EXCURSION_MM = 0.8
@@ -118,7 +119,8 @@ def find_lag(seconds: FloatArray, first_mm: FloatArray, second_mm: FloatArray, *
             return _untold(first, second, f"{name} moves by less than {MIN_EXCURSION_MM:g} mm")
     period, regularity = _period(_without_line(a), _without_line(b))
     if period is None or regularity < MIN_REGULARITY:
-        return _untold(first, second, "no regular breathing")
+        is_early = seconds[-1] - seconds[0] < ENOUGH_S
+        return _untold(first, second, "too little seen yet" if is_early else "no regular breathing")
     period_s = period * BIN_S
     count = min(len(a), round(CYCLES * period) + 1)
     a, b = (_without_drift(signal, period)[-count:] for signal in (a, b))

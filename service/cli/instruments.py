@@ -13,7 +13,7 @@ from engine.evaluation.playing import play
 from engine.frames import Measurement, RgbdFrame
 from engine.oni.reader import describe
 from engine.pipeline import PipelineSettings
-from service.cli.measure import HEAD_DIRECTIONS
+from service.cli.measure_options import HEAD_DIRECTIONS
 from service.cli.terminal import frame_bar
 
 

@@ -1,4 +1,4 @@
-"""``tidegate measure``: a recording to motion in millimetres, in batch."""
+"""``tidegate measure``: recordings to motion in millimetres, in batch."""
 
 from pathlib import Path
 from typing import Annotated
@@ -8,31 +8,50 @@ import typer
 from engine.calibration import load_calibration
 from engine.capture.oni_file import OniFileSource
 from engine.clock import MonotonicClock
-from engine.errors import InvalidValueError, TidegateError
+from engine.errors import TidegateError
 from engine.frames import Measurement
-from engine.limits import GateLimits, GateWindow
-from engine.offline import OfflineSummary, measure_recording
+from engine.limits import GateLimits
+from engine.motion_files import OfflineSummary
+from engine.offline import FileTask, measure_recording
 from engine.oni.reader import describe
 from engine.pipeline import PipelineSettings
 from engine.training import TrainingSettings
-from service.cli.terminal import frame_bar, refused, say
-
-HEAD_DIRECTIONS: dict[str, tuple[float, float] | None] = {
-    "auto": None,
-    "up": (0.0, -1.0),
-    "down": (0.0, 1.0),
-    "left": (-1.0, 0.0),
-    "right": (1.0, 0.0),
-}
+from service.cli import measure_options as options
+from service.cli.terminal import BAD_INPUT, frame_bar, refused, say
 
 
 def measure(
-    recording: Annotated[Path, typer.Argument(help="An .oni recording.", metavar="REC.oni")],
-    calibration: Annotated[Path, typer.Option(help="The cameras' calibration (tidegate.calibration/1).")],
-    out: Annotated[Path, typer.Option(help="Folder for motion.csv, regions.npz and model.npz.")],
+    recordings: Annotated[list[Path], typer.Argument(help="One .oni recording or more.", metavar="REC.oni...")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="Folder for motion.csv, regions.npz, motion_summary.json and model.npz; with more than one recording "
+            "it gets a folder for each, and summary.csv."
+        ),
+    ],
+    calibration: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="The cameras' calibration (tidegate.calibration/1): one for all, or one for each in their order. "
+            "When left out, calibration.json beside each recording."
+        ),
+    ] = None,
     point: Annotated[
         list[str] | None, typer.Option(help="ROW,COL of the 350 x 200 grid to report singly; repeatable.")
     ] = None,
+    region: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=ROW,COL;ROW,COL;...: a polygon on the grid to report under its name; repeatable."),
+    ] = None,
+    regions: Annotated[Path | None, typer.Option(help="More of them from a file (tidegate.regions/1).")] = None,
+    split: Annotated[
+        str | None,
+        typer.Option(help="ROW,ROW: where thorax ends at the patient's right and left edge of the grid; 174.5,174.5."),
+    ] = None,
+    extra_markers: Annotated[
+        bool,
+        typer.Option("--extra-markers", help="Two more stickers at the costal margin mark where thorax ends."),
+    ] = False,
     cell: Annotated[int, typer.Option(help="Side of a region's cell on the grid [px].")] = 25,
     components: Annotated[int, typer.Option(help="Principal components to keep.")] = 3,
     window: Annotated[
@@ -46,76 +65,105 @@ def measure(
             "markers' longer sides lie across."
         ),
     ] = "auto",
+    mesh: Annotated[
+        str | None, typer.Option(help="FRAME,FRAME,...: write the surface of these frames as mesh_FRAME.ply.")
+    ] = None,
+    mesh_format: Annotated[str, typer.Option(help="ply (binary) or obj.")] = "ply",
+    jobs: Annotated[int, typer.Option(help="How many recordings at a time; 0 is one a core.")] = 0,
 ) -> None:
-    """Measure a recording: every frame once, as fast as it can be read.
+    """Measure recordings: every frame once, as fast as it can be read.
 
-    Writes motion.csv (one row a depth frame), regions.npz and model.npz. Motion is in mm, positive towards the camera.
+    Writes motion.csv (one row a depth frame), regions.npz, motion_summary.json and model.npz. Motion is in mm, positive
+    towards the camera. Of many recordings each is measured by itself, and one that fails does not stop the others.
     """
     try:
         settings = PipelineSettings(
             cell_px=cell,
-            points=tuple(_point(text) for text in point or []),
-            superior_px=_superior(head),
+            points=tuple(options.point(text) for text in point or []),
+            named=options.regions(region or [], regions),
+            split=options.split(split),
+            extra_markers=extra_markers,
+            superior_px=options.superior(head),
             training=TrainingSettings(components=components),
         )
-        limits = None if window is None else GateLimits(window=_window(window))
-        summary = _measure(recording, calibration, out, settings, limits)
+        tasks = [
+            FileTask(
+                recording=recording,
+                calibration=cameras,
+                out=folder,
+                settings=settings,
+                limits=None if window is None else GateLimits(window=options.window(window)),
+                meshes=options.meshes(mesh, mesh_format),
+            )
+            for recording, cameras, folder in zip(
+                recordings,
+                options.calibrations(recordings, calibration or []),
+                [out] if len(recordings) == 1 else options.folders(recordings, out),
+                strict=True,
+            )
+        ]
+        processes = options.check_jobs(jobs, len(tasks))
+        if len(tasks) == 1:
+            _tell(_measure(tasks[0], is_calibration_given=bool(calibration)), tasks[0])
+        else:
+            _measure_many(tasks, processes, out)
     except TidegateError as error:
         raise refused("measure", error) from error
     except OSError as error:
         raise refused("measure", f"{out} cannot be written ({error.strerror or error})") from error
+
+
+def _measure(task: FileTask, *, is_calibration_given: bool) -> OfflineSummary:
+    """Measure a single recording, in this process."""
+    if not is_calibration_given:
+        say(f"Calibration: {task.calibration}")
+    cameras = load_calibration(task.calibration)
+    total = describe(task.recording).depth_frames
+    with frame_bar() as progress:
+        shown = progress.add_task("training", total=total)
+
+        def show(measurement: Measurement) -> None:
+            if measurement.frame_index % 10 == 0:
+                progress.update(shown, completed=measurement.frame_index + 1, description=measurement.state.value)
+
+        summary = measure_recording(
+            OniFileSource(task.recording, clock=MonotonicClock()),
+            cameras,
+            task.out,
+            settings=task.settings,
+            limits=task.limits,
+            meshes=task.meshes,
+            on_frame=show,
+        )
+        progress.update(shown, completed=summary.frames, description="done")
+    return summary
+
+
+def _measure_many(tasks: list[FileTask], processes: int, out: Path) -> None:
+    from service.cli.measure_many import measure_many
+
+    if not measure_many(tasks, processes, out):
+        raise typer.Exit(BAD_INPUT)
+
+
+def _tell(summary: OfflineSummary, task: FileTask) -> None:
     say(
         f"{summary.frames} frames: {summary.training_frames} taught the model ({summary.cycles} breathing cycles), "
         f"{summary.measured} measured, {summary.lost} lost by the measurement, {summary.missed_frames} missing in the "
-        f"recording. Written to {out}"
+        f"recording. Written to {task.out}"
     )
-    if summary.shortcoming is not None:
-        say(f"Mind: {summary.shortcoming}", "yellow")
+    for note in _notes(summary, task):
+        say(f"Mind: {note}", "yellow")
     if summary.damage is not None:
         raise refused("measure", summary.damage)
 
 
-def _measure(
-    recording: Path,
-    calibration: Path,
-    out: Path,
-    settings: PipelineSettings,
-    limits: GateLimits | None,
-) -> OfflineSummary:
-    cameras = load_calibration(calibration)
-    total = describe(recording).depth_frames
-    with frame_bar() as progress:
-        task = progress.add_task("training", total=total)
-
-        def show(measurement: Measurement) -> None:
-            if measurement.frame_index % 10 == 0:
-                progress.update(task, completed=measurement.frame_index + 1, description=measurement.state.value)
-
-        source = OniFileSource(recording, clock=MonotonicClock())
-        summary = measure_recording(source, cameras, out, settings=settings, limits=limits, on_frame=show)
-        progress.update(task, completed=summary.frames, description="done")
-    return summary
-
-
-def _point(text: str) -> tuple[int, int]:
-    parts = text.split(",")
-    try:
-        row, column = (int(part) for part in parts)
-    except ValueError as error:
-        raise InvalidValueError("point", text, "ROW,COL, two whole numbers") from error
-    return row, column
-
-
-def _window(text: str) -> GateWindow:
-    parts = text.split(":")
-    try:
-        signal, (lower, upper) = parts[0], (float(part) for part in parts[1:])
-    except ValueError as error:
-        raise InvalidValueError("window", text, "SIGNAL:LOWER:UPPER, a name and two numbers") from error
-    return GateWindow(signal=signal, lower_mm=lower, upper_mm=upper)
-
-
-def _superior(head: str) -> tuple[float, float] | None:
-    if head not in HEAD_DIRECTIONS:
-        raise InvalidValueError("head", head, f"one of {', '.join(HEAD_DIRECTIONS)}")
-    return HEAD_DIRECTIONS[head]
+def _notes(summary: OfflineSummary, task: FileTask) -> list[str]:
+    """Say what was asked for and did not come."""
+    notes = [] if summary.shortcoming is None else [summary.shortcoming]
+    if task.settings.extra_markers and not summary.is_split_marked:
+        notes.append("two more stickers were not seen often enough: thorax ends where it does without them")
+    wanted = 0 if task.meshes is None else len(task.meshes.frames)
+    if wanted > len(summary.meshes):
+        notes.append(f"{wanted - len(summary.meshes)} of {wanted} meshes could not be made: not measured there")
+    return notes
