@@ -1,7 +1,7 @@
 """Freed memory kept by the process, so that the next frame finds it where the last one left it.
 
 A frame needs some megabytes and drops them again. The C library gives these back to the system at once and asks for
-them anew thirty times a second, and every page comes with a fault: a decoded colour picture costs twice its time.
+them anew thirty times a second, and every page comes with a fault: much of the time that decoding a picture takes.
 """
 
 import ctypes

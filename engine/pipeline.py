@@ -29,6 +29,7 @@ from engine.frames import (
 from engine.gathering import GatheredFrame
 from engine.learner import Learner
 from engine.likeness import Likeness, LikenessLimits
+from engine.memory import keep_freed_memory
 from engine.model import MotionModel
 from engine.notices import LearningNotice
 from engine.polygons import NamedRegion
@@ -120,6 +121,7 @@ class Pipeline:
         trainer: Trainer[Outcome] | None = None,
     ) -> None:
         keep_calls_in_their_thread()
+        keep_freed_memory()
         self._calibration = calibration
         self._settings = settings
         self._clock = clock
