@@ -1,8 +1,8 @@
 """The anatomically consistent region: 350 rows by 200 columns between the four markers (article, section 4.2).
 
 Row 0 is superior, column 0 the patient's right. The projective map of the markers' quadrilateral is followed exactly at
-nodes every 25 pixels and bilinearly between them. A hole is carried through the warp as a hole: nothing is interpolated
-across it.
+nodes every 25 pixels and bilinearly between them. A hole is carried through the warp as a hole: it takes no part in what is
+interpolated beside it.
 """
 
 from functools import cache
@@ -13,6 +13,7 @@ import numpy as np
 from engine.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, DepthImage, FloatArray, RoiDepth
 
 NODE_STEP = 25
+MIN_SIGHT = 0.5
 # Three markers in a line bound no region; what this makes of them lies outside of any picture.
 DEGENERATE = 1e-9
 NODE_ROWS = ROI_ROWS // NODE_STEP + 1
@@ -82,7 +83,7 @@ def cut_out(depth_mm: DepthImage, nodes_px: FloatArray, table_mm: FloatArray, st
     nodes_px
         Depth pixels (x, y) of the nodes, shape (nodes, 2).
     table_mm
-        What each of the 65536 readings means [mm], float32, NaN for none: the sensor's steps undone, its scale
+        What each of the 65536 readings means [mm], float32, zero for none: the sensor's steps undone, its scale
         corrected.
     stride_px
         Sample every so many rows and columns of the grid.
@@ -90,7 +91,7 @@ def cut_out(depth_mm: DepthImage, nodes_px: FloatArray, table_mm: FloatArray, st
     Returns
     -------
     RoiDepth
-        Valid where all four depth pixels around a grid point have a reading.
+        Valid where at least half of what a grid point is interpolated from has a reading; a hole takes no part.
     """
     left, top = (max(int(low) - 1, 0) for low in nodes_px.min(axis=0).tolist())
     right, bottom = (max(int(high) + 3, 0) for high in nodes_px.max(axis=0).tolist())
@@ -102,11 +103,13 @@ def cut_out(depth_mm: DepthImage, nodes_px: FloatArray, table_mm: FloatArray, st
         return RoiDepth(depth_mm=empty, valid=np.zeros_like(empty, dtype=np.bool_), stride_px=stride_px)
     nodes = (nodes_px - (left, top)).T.astype(np.float32, order="C").reshape(2, NODE_ROWS, NODE_COLUMNS)
     x, y = rows @ nodes @ columns.T
-    depth = cv2.remap(
-        cv2.LUT(window, table_mm), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,)
-    )
-    valid = depth > 0.0  # a hole is NaN, and NaN is not
-    return RoiDepth(depth_mm=np.where(valid, depth, np.float32(0.0)), valid=valid, stride_px=stride_px)
+    # Depth and sight are interpolated alike, so that their quotient is a mean of what was seen and of nothing else.
+    depth = cv2.remap(cv2.LUT(window, table_mm), x, y, cv2.INTER_LINEAR)
+    sight = cv2.remap((window > 0).astype(np.float32), x, y, cv2.INTER_LINEAR)
+    valid = sight >= MIN_SIGHT
+    depth /= np.maximum(sight, MIN_SIGHT)
+    depth *= valid
+    return RoiDepth(depth_mm=depth, valid=valid, stride_px=stride_px)
 
 
 @cache
