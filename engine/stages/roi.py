@@ -1,8 +1,8 @@
 """The anatomically consistent region: 350 rows by 200 columns between the four markers (article, section 4.2).
 
 Row 0 is superior, column 0 the patient's right. The projective map of the markers' quadrilateral is followed exactly at
-nodes every 25 pixels and bilinearly between them. A hole is carried through the warp as a hole: it takes no part in what is
-interpolated beside it.
+nodes every 25 pixels and bilinearly between them. A hole is carried through the warp as a hole: it takes no part in
+what is interpolated beside it.
 """
 
 from functools import cache
