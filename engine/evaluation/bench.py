@@ -66,8 +66,7 @@ def run_bench(
     InvalidValueError
         ``jobs`` is out of bounds, or another bench uses the folder.
     """
-    if isinstance(jobs, bool) or not 1 <= jobs <= MAX_JOBS:
-        raise InvalidValueError("jobs", jobs, f"a whole number from 1 to {MAX_JOBS}")
+    check_jobs(jobs)
     wanted = settings or TrialSettings()
     work.mkdir(parents=True, exist_ok=True)
     with _alone_in(work):
@@ -85,6 +84,12 @@ def run_bench(
         elif left:
             _do_all(left, work, wanted, min(jobs, len(left)), report)
         return [judge_run(run, Outcome.load(work / run.name / MEASURED)) for run in plan]
+
+
+def check_jobs(jobs: int) -> None:
+    """Refuse a number of processes out of bounds."""
+    if isinstance(jobs, bool) or not 1 <= jobs <= MAX_JOBS:
+        raise InvalidValueError("jobs", jobs, f"a whole number from 1 to {MAX_JOBS}")
 
 
 def is_measured(run: Run, work: Path, settings: TrialSettings) -> bool:

@@ -41,12 +41,13 @@ def beside_laser(one: Judged, name: str) -> Beside | None:
 
 
 def along_line(one: Judged) -> FloatArray | None:
-    """Correlation of our motion with the laser's at every place along the line, shape (37,); Figure 13."""
+    """Correlate our motion with the laser's at every place along the line, shape (37,); None where there is no line."""
     found = one.outcome.instruments
     if "laser_mm" not in found:
         return None
     laser, ours = found["laser_mm"], found["laser_ours_mm"]
-    return np.array([correlation(laser[:, i], ours[:, i]) for i in range(laser.shape[1])])
+    curve = np.array([correlation(laser[:, i], ours[:, i]) for i in range(laser.shape[1])])
+    return curve if np.isfinite(curve).any() else None
 
 
 def _pair(one: Judged, name: str) -> tuple[FloatArray, FloatArray] | None:

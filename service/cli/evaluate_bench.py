@@ -37,7 +37,7 @@ def bench(
     *,
     is_quick: Annotated[bool, typer.Option("--quick", help="Three datasets instead of everything.")] = False,
     jobs: Annotated[int | None, typer.Option(help="Processes; one a processor when not given.")] = None,
-    seconds: Annotated[float, typer.Option(help="Length of each of the fifteen datasets [s].")] = 34.0,
+    seconds: Annotated[float, typer.Option(help="Length of each of the fifteen datasets [s].")] = 32.0,
     seed: Annotated[int, typer.Option(help="Same seed, same recordings.")] = 2017,
     work: Annotated[
         Path | None, typer.Option(help="Folder for the recordings and what was measured, kept; OUT/work by default.")
@@ -68,15 +68,17 @@ def bench(
 
 
 def _bench(out: Path, work: Path, *, is_quick: bool, jobs: int | None, seconds: float, seed: int) -> "list[Mark]":
+    from engine.evaluation.bench import check_jobs
     from engine.evaluation.datasets import check_plan, full_plan, quick_plan
     from engine.evaluation.report import write_report
 
+    workers = len(os.sched_getaffinity(0)) if jobs is None else jobs
+    check_jobs(workers)
     check_plan(seed, seconds)
     for folder, field in ((out, "out"), (work, "work")):
         if folder.exists() and not folder.is_dir():
             raise InvalidValueError(field, str(folder), "a folder")
     plan = (quick_plan if is_quick else full_plan)(seed, seconds)
-    workers = len(os.sched_getaffinity(0)) if jobs is None else jobs
     judged = _with_bar(plan, work, workers)
     command = "tidegate evaluate --out OUT" + (" --quick" if is_quick else "") + _changed(seconds, seed)
     tables, marks = write_report(
