@@ -82,36 +82,43 @@ def _read_steps(codes: _Bytes, pixels: int) -> tuple[_Bytes, _Indices, _Words]:
         msg = "depth picture is cut within a step"
         raise RecordingError(msg)
     whole = heads.compress(is_whole)
+    at = _place(form, heads, whole, pixels)
+    step = _put_steps(codes, at, heads.compress(~is_whole), pixels)
+    whole_at = at[whole] + 1 + (codes[whole] != 0xFF)
+    whole_rank = (codes[whole + 1].astype(np.uint16) << 8) | codes[whole + 2]
+    return step, whole_at, whole_rank
+
+
+def _place(form: _Bytes, heads: _Indices, whole: _Indices, pixels: int) -> _Indices:
+    """Return behind which pixel each byte's steps go."""
     count = form & np.uint8(_HEAD - 1)
     count[heads + 1] = 0
     count[whole + 2] = 0
-    count[size:] = 0
+    count[-2:] = 0
     end = cv2.integral(count.reshape(1, -1))[1]
     decoded = 1 + int(end[-1])
     if decoded != pixels:
         msg = f"depth picture is damaged: {decoded} pixels instead of {pixels}"
         raise RecordingError(msg)
-    # What stands for no pixels writes to where the next byte's go, and is overwritten by it.
-    at = end[:-1].astype(np.intp)
+    at: _Indices = end[:-1].astype(np.intp)
+    return at
+
+
+def _put_steps(codes: _Bytes, at: _Indices, long_heads: _Indices, pixels: int) -> _Bytes:
     first, second = _look_up(codes, _FIRST), _look_up(codes, _SECOND)
-    _put_long_steps(first, second, codes, heads.compress(~is_whole))
+    long = np.negative(codes[long_heads + 1])  # at 8 bit: 192 minus the byte, plus the longest
+    is_alone = codes[long_heads] == 0xFF
+    first[long_heads.compress(is_alone)] = long.compress(is_alone)
+    second[long_heads.compress(~is_alone)] = long.compress(~is_alone)
     step = np.full(pixels + 2, _LONGEST_STEP, np.uint8)
+    # A byte that stands for no pixels, or for one, writes too far, and what comes behind it writes over that.
     step[2:][at] = second
     step[1:][at] = first
-    whole_at = at[whole] + 1 + (codes[whole] != 0xFF)
-    whole_rank = (codes[whole + 1].astype(np.uint16) << 8) | codes[whole + 2]
-    return step[:pixels], whole_at, whole_rank
+    return step[:pixels]
 
 
 def _look_up(codes: _Bytes, table: _Bytes) -> _Bytes:
     return np.asarray(cv2.LUT(codes, table), dtype=np.uint8).reshape(-1)
-
-
-def _put_long_steps(first: _Bytes, second: _Bytes, codes: _Bytes, heads: _Indices) -> None:
-    long = np.negative(codes[heads + 1])  # at 8 bit: 192 minus the byte, plus the longest
-    is_alone = codes[heads] == 0xFF
-    first[heads.compress(is_alone)] = long.compress(is_alone)
-    second[heads.compress(~is_alone)] = long.compress(~is_alone)
 
 
 def _find_heads(form: _Bytes, codes: _Bytes) -> tuple[_Indices, _Bools]:
@@ -147,15 +154,20 @@ def _where(mask: _Bools) -> _Indices:
 
 def _sum_up(step: _Bytes, whole_at: _Indices, anchor_rank: _Words, rank_type: np.dtype[np.unsignedinteger]) -> _Ranks:
     """Sum steps up to ranks; from the first pixel, and anew from each one whose rank is given whole."""
+    rank = _walk(step, rank_type)
+    walked = rank.reshape(-1)
+    begin = np.concatenate([[0], whole_at, [walked.size]])
+    offset = anchor_rank.astype(rank_type)
+    offset[1:] -= walked[whole_at]
+    walked += np.repeat(offset, begin[1:] - begin[:-1])
+    return rank
+
+
+def _walk(step: _Bytes, rank_type: np.dtype[np.unsignedinteger]) -> _Ranks:
     rows, columns = step.shape
     # Each entry sums up its own row up to there and all the rows above.
     total = cv2.integral(step).astype(rank_type)
     rank = total[1:, 1:] - total[:-1, 1:]
     rank += total[:-1, -1:] - (_LONGEST_STEP * columns * np.arange(rows)[:, None]).astype(rank_type)
     rank -= (_LONGEST_STEP * np.arange(1, columns + 1)).astype(rank_type)
-    walked = rank.reshape(-1)
-    begin = np.concatenate([[0], whole_at, [walked.size]])
-    offset = anchor_rank.astype(rank_type)
-    offset[1:] -= walked[whole_at]
-    walked += np.repeat(offset, begin[1:] - begin[:-1])
     return rank
