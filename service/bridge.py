@@ -33,6 +33,7 @@ from service.figures import Figures
 from service.live_view import known
 from service.model_store import ModelStore
 from service.ports import RunningEngine
+from service.session_regions import named_bytes
 
 logger = logging.getLogger(__name__)
 
@@ -283,6 +284,7 @@ def sample_values(session_id: str, record: FrameRecord) -> dict[str, object]:
         "asserted_ns": record.asserted_ns,
         "region_rows": None if regions is None else regions.shape[0],
         "regions_mm": None if regions is None else regions.astype("<f4").tobytes(),
+        "named_mm": named_bytes(motion),
     }
 
 

@@ -19,6 +19,7 @@ from engine.permits import HoldReason
 from engine.pipeline import Pipeline, PipelineSettings
 from service import schemas
 from service.ports import RunningEngine, SessionPlan
+from service.session_regions import measuring_with
 from service.settings import Settings
 from service.site_limits import gate_limits
 
@@ -42,7 +43,8 @@ class EngineAdapter:
     def open(self, plan: SessionPlan) -> RunningEngine:
         """Start an engine on a session, disarmed; raise a TidegateError when source or window cannot be used."""
         limits = gate_limits(plan.window, self._settings)
-        pipeline = Pipeline(plan.calibration, self._measuring, self._clock)
+        measuring = measuring_with(self._measuring, plan.regions)
+        pipeline = Pipeline(plan.calibration, measuring, self._clock)
         loop = EngineLoop(
             source=self._source(plan),
             pipeline=pipeline,

@@ -81,6 +81,12 @@ class PictureMissingError(ServiceError):
     code = "picture_missing"
 
 
+class MeshMissingError(ServiceError):
+    """There is no surface of the newest frame."""
+
+    code = "mesh_missing"
+
+
 class MediaTypeError(ServiceError):
     """The body is not JSON by its Content-Type."""
 
@@ -104,6 +110,7 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     StartError: (422, "The session's source cannot be used"),
     EngineTimeoutError: (503, "The engine did not answer in time"),
     PictureMissingError: (404, "There is no picture yet"),
+    MeshMissingError: (404, "There is no surface yet"),
     MediaTypeError: (415, "The body must be JSON"),
     SQLAlchemyError: (503, "The database does not answer"),
 }

@@ -74,6 +74,18 @@ class LiveLatency(Message):
     p99: float | None
 
 
+class LiveLag(Message):
+    """How much later the first region moves than the second; a note says why it cannot be told."""
+
+    first: str
+    second: str
+    lag_s: float | None
+    lag_deg: float | None
+    period_s: float | None
+    confidence: float | None
+    note: str
+
+
 class Sample(Message):
     """The newest frame, as measured and decided."""
 
@@ -106,6 +118,11 @@ class Sample(Message):
     regions_mm: list[list[float | None]] | None = Field(
         description="Rows from superior, columns from the patient's right"
     )
+    named_mm: dict[str, float | None] | None = Field(description="The session's own regions by their names")
+    split_rows: Point | None = Field(
+        description="Rows where the line between thorax and abdomen crosses the grid's right and left edge"
+    )
+    lags: list[LiveLag] | None = Field(description="Thorax against abdomen, then each named region against the whole")
     roi_px: list[Point] | None = Field(
         description="Colour pixels: superior right, superior left, inferior left, inferior right"
     )

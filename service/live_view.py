@@ -3,11 +3,11 @@
 import math
 from datetime import UTC, datetime
 
-from engine.frames import Measurement
+from engine.frames import Measurement, Motion, PhaseLag
 from engine.live import LiveView, LoopStatus
 from service import schemas
 from service.hold_texts import hold_text
-from service.live_messages import LiveLatency, LiveLost, LiveTraining, LiveWindow, Sample
+from service.live_messages import LiveLag, LiveLatency, LiveLost, LiveTraining, LiveWindow, Sample
 from service.ports import SessionPlan
 from service.uncalibrated import kind_of
 
@@ -57,6 +57,9 @@ def live_sample(view: LiveView, plan: SessionPlan, *, is_stopping: bool, is_simu
         residual_mm=None if projection is None else _rounded(projection.residual_mm),
         valid_share=None if projection is None else _rounded(projection.valid_share),
         regions_mm=None if motion is None else [[_rounded(cell) for cell in row] for row in motion.regions_mm.tolist()],
+        named_mm=_named(motion, plan),
+        split_rows=None if motion is None or motion.split_rows is None else list(motion.split_rows),
+        lags=None if motion is None else [_lag(lag) for lag in motion.lags],
         roi_px=_corners(measurement),
         fps=_rounded(view.fps),
         frames=view.frames,
@@ -113,6 +116,25 @@ def _training(measurement: Measurement) -> LiveTraining | None:
         seconds=round(training.seconds, 2),
         share=round(training.share, 3),
         note=training.note,
+    )
+
+
+def _named(motion: Motion | None, plan: SessionPlan) -> dict[str, float | None] | None:
+    if motion is None:
+        return None
+    names = [region.name for region in plan.regions.named]
+    return {name: _rounded(value) for name, value in zip(names, motion.named_mm.tolist(), strict=False)}
+
+
+def _lag(lag: PhaseLag) -> LiveLag:
+    return LiveLag(
+        first=lag.first,
+        second=lag.second,
+        lag_s=_rounded(lag.lag_s),
+        lag_deg=_rounded(lag.lag_deg),
+        period_s=_rounded(lag.period_s),
+        confidence=_rounded(lag.confidence),
+        note=lag.note,
     )
 
 

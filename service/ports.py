@@ -7,7 +7,7 @@ put fakes there.
 import queue
 from collections.abc import Iterator
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Generic, Literal, Protocol, TypeVar
 
@@ -32,6 +32,7 @@ class SessionPlan:
     recording: Path | None
     calibration: Calibration
     window: schemas.Window
+    regions: schemas.Regions = field(default_factory=schemas.Regions)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,6 +155,9 @@ class RunnerPort(Protocol):
 
     def running_camera(self) -> str | None:
         """Return the running session's camera, by its calibration; None when no session runs."""
+
+    def mesh(self, session_id: str) -> schemas.SurfaceMesh:
+        """Tell the surface of the newest frame."""
 
     def newest(self) -> LiveFrame | None:
         """Return the newest frame, or None when no session runs; the same object while nothing is newer."""

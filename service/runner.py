@@ -33,6 +33,7 @@ from service.recordings import find_recording
 from service.room import Room, Running
 from service.sessions import SOURCE, SessionBook, session_answer
 from service.settings import Settings
+from service.surface_view import mesh_answer
 from service.uncalibrated import described
 
 COMMANDS: dict[CommandName, Callable[[str], Command]] = {
@@ -146,6 +147,10 @@ class SessionRunner:
         _, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
         return Picture(frame_index=view.record.measurement.frame_index, jpeg=jpeg.tobytes())
 
+    def mesh(self, session_id: str) -> schemas.SurfaceMesh:
+        """Tell the surface of the newest frame."""
+        return mesh_answer(self._room.view(session_id))
+
     def newest(self) -> LiveFrame | None:
         """Return the newest frame; the same object while nothing is newer."""
         running = self._room.running
@@ -201,6 +206,7 @@ class SessionRunner:
                 recording=find_recording(source.path, folders) if isinstance(source, schemas.RecordingSource) else None,
                 calibration=parse_calibration(document.encode()),
                 window=schemas.Window.model_validate_json(row.window),
+                regions=schemas.Regions.model_validate_json(row.regions),
             )
             row.status, row.started_at = "running", datetime.now(UTC)
             detail = {**self._beam_detail(), **described(plan.calibration.camera)}

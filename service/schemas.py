@@ -9,6 +9,10 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, StringConstraints, model_validator
 from pydantic_core import PydanticCustomError
 
+from engine.errors import InvalidValueError
+from engine.polygons import MAX_REGIONS, MAX_VERTICES, MIN_VERTICES, NAME_PATTERN, NamedRegion
+from engine.stages.regions import MIN_PART_ROWS
+
 
 def _broken(field: str, value: object, bound: str) -> PydanticCustomError:
     """Make the error of a rule between fields; `service.errors` reads field, value and bound from its context."""
@@ -97,6 +101,56 @@ class Window(Request):
         return self
 
 
+GridRow = Annotated[float, Field(ge=-0.5, le=349.5)]
+GridVertex = Annotated[list[GridRow], Field(min_length=2, max_length=2)]
+
+
+class Region(Request):
+    """A simple polygon on the region's grid of 350 rows by 200 columns, reported under its name."""
+
+    name: Annotated[str, StringConstraints(pattern=NAME_PATTERN)] = Field(examples=["belly"])
+    vertices: list[GridVertex] = Field(
+        min_length=MIN_VERTICES,
+        max_length=MAX_VERTICES,
+        description="[row, column] around it, pixel centres at integers; at least 25 pixels large, edges do not cross",
+        examples=[[[220.0, 40.0], [220.0, 160.0], [320.0, 100.0]]],
+    )
+
+    @model_validator(mode="after")
+    def _is_a_region(self) -> "Region":
+        try:
+            NamedRegion(name=self.name, vertices=tuple((row, column) for row, column in self.vertices))
+        except InvalidValueError as error:
+            field = "name" if error.field == "region" else "vertices"
+            raise _broken(field, error.value.strip("'"), error.bound) from error
+        return self
+
+
+class SplitLine(Request):
+    """The line between thorax and abdomen: the rows where it crosses the patient's right and left edge of the grid."""
+
+    right_row: float = Field(ge=MIN_PART_ROWS, le=350 - MIN_PART_ROWS, examples=[150.0])
+    left_row: float = Field(ge=MIN_PART_ROWS, le=350 - MIN_PART_ROWS, examples=[160.0])
+
+
+class Regions(Request):
+    """What motion is reported of, besides the whole and the cells of the grid."""
+
+    named: list[Region] = Field(default=[], max_length=MAX_REGIONS)
+    split: SplitLine | None = Field(default=None, description="Between rows 174 and 175 when left out")
+    extra_markers: bool = Field(
+        default=False, description="Two more stickers at the costal margin mark the split, if they are seen"
+    )
+
+    @model_validator(mode="after")
+    def _has_each_name_once(self) -> "Regions":
+        names = [region.name for region in self.named]
+        for name in names:
+            if names.count(name) > 1:
+                raise _broken("named", name, "regions of different names")
+        return self
+
+
 class SessionRequest(Request):
     """A new session: who is treated, by which plan, watched by which camera, gated by which window."""
 
@@ -111,6 +165,7 @@ class SessionRequest(Request):
         description="Left out only for a live camera: then its own registration is used, and the session says so",
     )
     window: Window
+    regions: Regions = Field(default=Regions())
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -140,6 +195,20 @@ class OperatorRequest(Request):
     """Who asks."""
 
     operator: Name = Field(examples=["A. Therapist"])
+
+
+class SurfaceMesh(Answer):
+    """The surface of one frame: points of the depth camera's frame, x right, y down, z away from the camera."""
+
+    frame_index: int
+    timestamp_us: int
+    rows: int
+    columns: int
+    volume_l: float | None = Field(description="Against the reference; positive is more")
+    vertices_mm: list[list[float]] = Field(description="[x, y, z], row by row from superior right")
+    triangles: list[list[int]] = Field(
+        description="Three vertices each, counter-clockwise as the camera sees them: normals point out of the patient"
+    )
 
 
 class Problem(Answer):
@@ -211,6 +280,7 @@ class Session(Answer):
     )
     calibration_warning: str | None = Field(default=None, description="To be shown beside every result")
     window: Window
+    regions: Regions = Field(default=Regions())
     is_simulated_beam: bool
     created_at: AwareDatetime
     started_at: AwareDatetime | None

@@ -25,6 +25,7 @@ from service.live_view import gate_view, known, training_view
 from service.ports import EnginePort, Kept
 from service.recordings import find_recording
 from service.room import Room, Running
+from service.session_regions import named_values
 from service.settings import Settings
 from service.site_limits import check_window, gate_limits
 from service.uncalibrated import check_allowed, described, kind_of, warning_of
@@ -101,8 +102,8 @@ class SessionBook:
     def samples_csv(self, session_id: str) -> Iterator[str]:
         """Write its samples as CSV, piece by piece; what could not be measured is empty."""
         with self._database.read() as db:
-            repository.session_row(db, session_id)
-        return self._csv_pieces(session_id)
+            regions = schemas.Regions.model_validate_json(repository.session_row(db, session_id).regions)
+        return self._csv_pieces(session_id, [region.name for region in regions.named])
 
     def close_interrupted(self) -> None:
         """Close what a killed process left running; called once at start."""
@@ -141,8 +142,8 @@ class SessionBook:
             detail["beam_line"] = "SIMULATED: no accelerator is gated by this session"
         return Event(actor=request.operator, action=ACTION, session_id=session_id, detail=detail)
 
-    def _csv_pieces(self, session_id: str) -> Iterator[str]:
-        yield ",".join(CSV_COLUMNS) + "\n"
+    def _csv_pieces(self, session_id: str, named: list[str]) -> Iterator[str]:
+        yield ",".join([*CSV_COLUMNS, *(f"{name}_mm" for name in named)]) + "\n"
         last_index = -1
         while True:
             # A piece at a time: a reader that stays must not keep the WAL from being checkpointed.
@@ -152,19 +153,20 @@ class SessionBook:
                     return
                 last_index = rows[-1].frame_index
                 text = io.StringIO()
-                csv.writer(text, lineterminator="\n").writerows(_csv_values(row) for row in rows)
+                csv.writer(text, lineterminator="\n").writerows(_csv_values(row, len(named)) for row in rows)
             yield text.getvalue()
 
 
 def session_answer(row: SessionRow) -> schemas.Session:
     """Tell a session's record."""
-    names = schemas.Session.model_fields.keys() - {"source", "window", "calibration", "calibration_warning"}
+    names = schemas.Session.model_fields.keys() - {"source", "window", "regions", "calibration", "calibration_warning"}
     return schemas.Session(
         **{name: getattr(row, name) for name in names},
         calibration=kind_of(row.calibration.camera),
         calibration_warning=warning_of(row.calibration.camera),
         source=SOURCE.validate_json(row.source),
         window=schemas.Window.model_validate_json(row.window),
+        regions=schemas.Regions.model_validate_json(row.regions),
     )
 
 
@@ -190,6 +192,7 @@ def _new_row(request: schemas.SessionRequest, calibration_id: str, *, is_simulat
         operator=request.operator,
         source=request.source.model_dump_json(),
         window=request.window.model_dump_json(),
+        regions=request.regions.model_dump_json(),
         calibration_id=calibration_id,
         is_simulated_beam=is_simulated_beam,
         created_at=datetime.now(UTC),
@@ -200,5 +203,5 @@ def _transition(row: AuditRow) -> schemas.Transition:
     return schemas.Transition.model_validate({**json.loads(row.detail), "audit_sequence": row.sequence, "at": row.at})
 
 
-def _csv_values(row: SampleRow) -> list[object]:
-    return [getattr(row, name) for name in CSV_COLUMNS]
+def _csv_values(row: SampleRow, named: int) -> list[object]:
+    return [*(getattr(row, name) for name in CSV_COLUMNS), *named_values(row.named_mm, named)]

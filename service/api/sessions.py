@@ -112,6 +112,12 @@ def read_picture(session_id: deps.SessionId, services: deps.Offered) -> Response
     return Response(picture.jpeg, media_type="image/jpeg", headers=headers)
 
 
+@router.get("/{session_id}/mesh", responses=READ)
+def read_mesh(session_id: deps.SessionId, services: deps.Offered) -> schemas.SurfaceMesh:
+    """Show the surface of the newest frame as a mesh in the depth camera's frame."""
+    return services.runner.mesh(session_id)
+
+
 @router.get("/{session_id}/transitions", responses=READ)
 def list_transitions(
     session_id: deps.SessionId, services: deps.Offered, cursor: deps.Cursor = None, limit: deps.Limit = 200

@@ -43,11 +43,15 @@ class SessionRow(Base):
     created_at: Mapped[datetime] = mapped_column(UtcTime)
     started_at: Mapped[datetime | None] = mapped_column(UtcTime)
     ended_at: Mapped[datetime | None] = mapped_column(UtcTime)
+    regions: Mapped[str] = mapped_column(Text, default="{}", server_default="{}")
     calibration: Mapped[CalibrationRow] = relationship(lazy="joined")
 
 
 class SampleRow(Base):
-    """One depth frame as measured and decided; `regions_mm` is little-endian float32, row by row, NaN where unknown."""
+    """One depth frame as measured and decided.
+
+    `regions_mm` is little-endian float32, row by row, NaN where unknown; `named_mm` likewise in the session's order.
+    """
 
     __tablename__ = "samples"
     __table_args__ = {"sqlite_with_rowid": False}  # noqa: RUF012 - SQLAlchemy's own convention
@@ -73,6 +77,7 @@ class SampleRow(Base):
     asserted_ns: Mapped[int]
     region_rows: Mapped[int | None]
     regions_mm: Mapped[bytes | None] = mapped_column(LargeBinary)
+    named_mm: Mapped[bytes | None] = mapped_column(LargeBinary)
 
 
 class ModelRow(Base):

@@ -33,7 +33,7 @@ def fill(database):
     raw.execute("INSERT INTO calibrations VALUES ('c', 'h', 'cam', '{}', 'me', '2026-01-01T00:00:00.000000Z')")
     raw.execute(
         "INSERT INTO sessions VALUES ('s', 'ended', '', 'P', '1', '1', NULL, 'me', '{}', '{}', 'c', 1, NULL, "
-        "'2026-01-01T00:00:00.000000Z', NULL, NULL)"
+        "'2026-01-01T00:00:00.000000Z', NULL, NULL, '{}')"
     )
     raw.execute(
         "INSERT INTO samples (session_id, frame_index, timestamp_us, missed_frames, state, gate, line_on, received_ns, "

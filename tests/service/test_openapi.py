@@ -70,7 +70,16 @@ def test_every_reference_leads_somewhere():
 
 
 def test_every_request_body_refuses_what_it_does_not_know_and_bounds_its_numbers():
-    names = {"SessionRequest", "OperatorRequest", "RecordingSource", "DeviceSource", "Window"}
+    names = {
+        "SessionRequest",
+        "OperatorRequest",
+        "RecordingSource",
+        "DeviceSource",
+        "Window",
+        "Region",
+        "SplitLine",
+        "Regions",
+    }
     for name in names:
         schema = DOCUMENT["components"]["schemas"][name]
         assert schema["additionalProperties"] is False

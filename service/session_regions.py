@@ -1,0 +1,37 @@
+"""What a session's regions are to the engine, and their motion on its way to rows and back."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from engine.frames import Motion
+from engine.pipeline import PipelineSettings
+from engine.polygons import NamedRegion
+from service import schemas
+
+NAMED_DTYPE = "<f4"
+
+
+def measuring_with(settings: PipelineSettings, regions: schemas.Regions) -> PipelineSettings:
+    """Return how the pipeline measures a session with these regions."""
+    named = tuple(
+        NamedRegion(name=region.name, vertices=tuple((row, column) for row, column in region.vertices))
+        for region in regions.named
+    )
+    line = regions.split
+    split = settings.split if line is None else (line.right_row, line.left_row)
+    return replace(settings, named=named, split=split, extra_markers=regions.extra_markers or settings.extra_markers)
+
+
+def named_bytes(motion: Motion | None) -> bytes | None:
+    """Put the named regions' motion [mm] into a row: float32 in their order, NaN where unknown; None for none."""
+    if motion is None or len(motion.named_mm) == 0:
+        return None
+    return motion.named_mm.astype(NAMED_DTYPE).tobytes()
+
+
+def named_values(stored: bytes | None, count: int) -> list[float | None]:
+    """Read them back; None for what was not measured."""
+    if stored is None:
+        return [None] * count
+    return [float(value) if np.isfinite(value) else None for value in np.frombuffer(stored, dtype=NAMED_DTYPE)]
