@@ -213,7 +213,7 @@ def _learned(
 ) -> tuple[ActiveModel, list[GatheredFrame]]:
     frames, signals = gathered.frames, gathered.signals
     amplitude_mm, noise_mm = refuse_breathless(signals, settings)
-    moved = refuse_moving(frames, stages.vertices, settings)
+    shift_mm, tilt_deg = refuse_moving(frames, stages.vertices, settings, amplitude_mm)
     outliers = find_outliers(frames, signals, amplitude_mm)
     outlier_share = refuse_disturbed(outliers, settings)
     kept = [frame for frame, is_outlier in zip(frames, outliers, strict=True) if not is_outlier]
@@ -224,8 +224,8 @@ def _learned(
         amplitude_mm=amplitude_mm,
         noise_mm=noise_mm,
         explained_share=min(float(model.spectrum[: len(model.components)].sum()), 1.0),
-        shift_mm=moved.distance_mm,
-        tilt_deg=moved.tilt_deg,
+        shift_mm=shift_mm,
+        tilt_deg=tilt_deg,
         outlier_share=outlier_share,
         residual_mm=_residual_mm(active, evenly(kept, QUALITY_FRAMES), stages),
     )

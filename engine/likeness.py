@@ -37,9 +37,9 @@ class LikenessLimits:
     """
 
     seconds: float = 4.0
-    max_shift_mm: float = 30.0
-    max_tilt_deg: float = 8.0
-    max_shape_mm: float = 6.0
+    max_shift_mm: float = 20.0
+    max_tilt_deg: float = 5.0
+    max_shape_mm: float = 3.0
     max_residual_mm: float = 3.0
     min_explained_share: float = 0.8
 

@@ -5,13 +5,13 @@ the article prints a frame where the *mean* frame is subtracted; equation (5)'s 
 mapped back through the data to become components.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from engine.errors import ModelError
 from engine.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, frozen
-from engine.provenance import Provenance
+from engine.provenance import ModelOrigin, Provenance
 
 # Of models of the first schema, which did not measure it.
 USUAL_NOISE_MM = 5.0
@@ -39,8 +39,8 @@ class MotionModel:
     noise_mm
         The sensor's noise: the mean of a square of side n grid pixels varies by this over n, its correlation included.
     surface_mm
-        Mean of the surface's vertices at the region's nodes, in the depth camera's frame [mm], shape (nodes, 3), NaN where
-        none was seen; None where nobody noted them. It tells a later fraction how far the patient lies from here.
+        Mean of the surface's vertices at the region's nodes, in the depth camera's frame [mm], shape (nodes, 3), NaN
+        where none was seen; None where nobody noted them. It tells a later fraction how far the patient lies from here.
     provenance
         How good the training was, and where the model comes from.
     """
@@ -73,6 +73,12 @@ class MotionModel:
         for array in (self.mean_mm, self.components, self.eigenvalues_mm2, self.known, self.surface_mm):
             if array is not None:
                 frozen(array)
+
+    def from_origin(self, origin: ModelOrigin) -> "MotionModel":
+        """Return the same model with its origin noted; one that has an origin keeps it."""
+        if self.provenance.origin is not None:
+            return self
+        return replace(self, provenance=replace(self.provenance, origin=origin))
 
     @property
     def spectrum(self) -> FloatArray:

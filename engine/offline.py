@@ -15,9 +15,11 @@ from engine.errors import ModelError, RecordingError, SourceEndedError
 from engine.frames import Measurement, MeasurementState
 from engine.limits import GateLimits
 from engine.mesh_files import MeshSaver, MeshWishes
+from engine.model import MotionModel
 from engine.model_file import save_model
 from engine.motion_files import MotionTable, OfflineSummary, Results
 from engine.pipeline import Pipeline, PipelineSettings
+from engine.provenance import ModelOrigin
 from engine.stages.gate import Gate, step_gate
 from engine.training import InlineTrainer
 
@@ -34,6 +36,8 @@ class FileTask:
     settings: PipelineSettings
     limits: GateLimits | None = None
     meshes: MeshWishes | None = None
+    model: MotionModel | None = None
+    origin: ModelOrigin | None = None
 
 
 def measure_recording(
@@ -45,6 +49,8 @@ def measure_recording(
     limits: GateLimits | None = None,
     meshes: MeshWishes | None = None,
     on_frame: Callable[[Measurement], None] | None = None,
+    model: MotionModel | None = None,
+    origin: ModelOrigin | None = None,
 ) -> OfflineSummary:
     """Measure every frame of ``source``; write motion.csv, regions.npz, motion_summary.json and model.npz to ``out``.
 
@@ -56,6 +62,11 @@ def measure_recording(
     ----------
     meshes
         Of which frames the surface is written too.
+    model
+        A stored model to measure with instead of learning one; it is compared with the patient of this recording, and
+        zero is the first measured frame.
+    origin
+        What ``model.npz`` says of where a model learned here comes from.
 
     Raises
     ------
@@ -63,8 +74,12 @@ def measure_recording(
         Nothing could be read.
     ModelError
         The recording ended before a model could be learned; ``motion.csv`` is written all the same.
+    ModelMismatchError
+        The stored model is of another calibration, or too far from this patient; nothing is written.
     """
     pipeline = Pipeline(calibration, settings, ManualClock(), InlineTrainer())
+    if model is not None:
+        pipeline.resume(model)
     out.mkdir(parents=True, exist_ok=True)
     results = Results(settings)
     saver = MeshSaver(out, meshes or MeshWishes())
@@ -76,6 +91,7 @@ def measure_recording(
             table = MotionTable(file, settings)
             try:
                 for measurement in _measurements(source, pipeline):
+                    _refuse_unlike(pipeline)
                     table.write(measurement, gate.decide(measurement))
                     results.add(measurement)
                     saver.save(measurement)
@@ -93,7 +109,7 @@ def measure_recording(
         msg = f"{results.frames} frames were not enough to learn a motion model: {_why(results)}"
         raise ModelError(msg)
     learned = pipeline.model
-    save_model(learned, out / "model.npz")
+    save_model(learned if origin is None else learned.from_origin(origin), out / "model.npz")
     summary = replace(
         results.summary(),
         training_frames=learned.training_frames,
@@ -118,6 +134,13 @@ def _measurements(source: DepthSource, pipeline: Pipeline) -> Iterator[Measureme
             yield pipeline.measure(frame)
     finally:
         source.close()
+
+
+def _refuse_unlike(pipeline: Pipeline) -> None:
+    """Raise what a stored model was refused for: a batch run has nobody to ask whether to learn a new one."""
+    likeness = pipeline.likeness
+    if likeness is not None and likeness.refusal is not None:
+        raise likeness.refusal
 
 
 class _OfflineGate:

@@ -6,7 +6,7 @@ Plain numbers and texts, below the model, so that a file of it can be judged wit
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from engine.errors import InvalidValueError
+from engine.errors import InvalidValueError, ModelMismatchError
 
 MAX_TEXT = 200
 MAX_SETTINGS = 64
@@ -85,6 +85,14 @@ class Provenance:
     quality: TrainingQuality | None = None
     settings: Mapping[str, float] = field(default_factory=dict)
     origin: ModelOrigin | None = None
+
+
+def check_patient(origin: ModelOrigin | None, patient: str) -> None:
+    """Refuse a model that was learned of another patient, or does not say of whom; the other's name is not told."""
+    if origin is None or not origin.patient:
+        raise ModelMismatchError("model.patient", "not known", f"{patient}: learn a new model")
+    if origin.patient != patient:
+        raise ModelMismatchError("model.patient", "another patient", f"{patient}: learn a new model")
 
 
 def check_text(name: str, value: object) -> str:

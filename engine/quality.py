@@ -3,6 +3,7 @@
 What is refused is refused with the figure, its bound, and what to do about it.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from engine.errors import TrainingRefusedError
 from engine.frames import BoolArray, FloatArray
 from engine.gathering import GatheredFrame, Signals, Vertices, evenly, mean_surface
-from engine.rigid import RigidFit, rigid_between
+from engine.rigid import rigid_between
 from engine.stages.breathing import excursion_mm, noise_mm, speed_mm_s
 from engine.training import TrainingSettings
 
@@ -19,6 +20,9 @@ NOISE_FACTOR = 4.0
 
 COUGH_MM_S = 80.0
 """Ten times as fast as 10 mm of breath in 4 s; 40 mm of deep breath stay below a half of it."""
+
+BREATH_LEFT = 0.6
+"""Of a breath's excursion: how far the means of two thirds of a set may differ for want of whole breaths."""
 
 HAND_MM = 40.0
 HAND_SHARE = 0.02
@@ -42,8 +46,13 @@ def refuse_breathless(signals: Signals, settings: TrainingSettings) -> tuple[flo
     return amplitude, noise
 
 
-def refuse_moving(frames: Sequence[GatheredFrame], vertices: Vertices, settings: TrainingSettings) -> RigidFit:
-    """Return how far the patient moved between the first and the last third, or raise TrainingRefusedError."""
+def refuse_moving(
+    frames: Sequence[GatheredFrame], vertices: Vertices, settings: TrainingSettings, amplitude_mm: float
+) -> tuple[float, float]:
+    """Return shift [mm] and tilt [deg] between the first and the last third, or raise TrainingRefusedError.
+
+    A third is about a breath and seldom a whole one: towards the camera, what that may leave of it is no shift.
+    """
     third = max(len(frames) // 3, 1)
     first, last = evenly(frames[:third], SURFACE_FRAMES), evenly(frames[-third:], SURFACE_FRAMES)
     moved = rigid_between(mean_surface(first, vertices), mean_surface(last, vertices))
@@ -51,14 +60,16 @@ def refuse_moving(frames: Sequence[GatheredFrame], vertices: Vertices, settings:
         raise TrainingRefusedError(
             "training.seen", "too little of the region", "seen throughout", "clear the view of the camera"
         )
+    x_mm, y_mm, z_mm = moved.shift_mm
+    shift_mm = math.hypot(x_mm, y_mm, max(abs(z_mm) - BREATH_LEFT * amplitude_mm, 0.0))
     advice = "the patient or the couch has moved: learn again while the patient lies still"
     for name, value, most in (
-        ("shift_mm", moved.distance_mm, settings.max_shift_mm),
+        ("shift_mm", shift_mm, settings.max_shift_mm),
         ("tilt_deg", moved.tilt_deg, settings.max_tilt_deg),
     ):
         if not value <= most:
             raise TrainingRefusedError(f"training.{name}", f"{value:.1f}", f"at most {most:g}", advice)
-    return moved
+    return shift_mm, moved.tilt_deg
 
 
 def find_outliers(frames: Sequence[GatheredFrame], signals: Signals, amplitude_mm: float) -> BoolArray:

@@ -33,7 +33,7 @@ class TrainingSettings:
     min_amplitude_mm
         Least breathing excursion that teaches anything: less is a doll, a plate, or a hold.
     max_shift_mm, max_tilt_deg
-        Furthest the patient may move between the first and the last third of a set.
+        Furthest the patient may move between the first and the last third of a set, breath left out.
     max_outlier_share
         Largest share of frames that may show a cough or a hand; they are left out of the model.
     max_carry_mm
@@ -48,8 +48,8 @@ class TrainingSettings:
     components: int = 3
     retrain_interval_s: float = 0.0
     min_amplitude_mm: float = 0.6
-    max_shift_mm: float = 8.0
-    max_tilt_deg: float = 4.0
+    max_shift_mm: float = 3.0
+    max_tilt_deg: float = 2.0
     max_outlier_share: float = 0.2
     max_carry_mm: float = 1.0
 
@@ -77,8 +77,8 @@ TRAINING_BOUNDS: Mapping[str, tuple[float, float]] = {
     "components": (1, 10),
     "retrain_interval_s": (0.0, 14_400.0),
     "min_amplitude_mm": (0.2, 10.0),
-    "max_shift_mm": (1.0, 50.0),
-    "max_tilt_deg": (0.5, 20.0),
+    "max_shift_mm": (0.5, 50.0),
+    "max_tilt_deg": (0.2, 20.0),
     "max_outlier_share": (0.0, 0.5),
     "max_carry_mm": (0.1, 5.0),
 }

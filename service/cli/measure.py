@@ -17,6 +17,7 @@ from engine.oni.reader import describe
 from engine.pipeline import PipelineSettings
 from engine.training import TrainingSettings
 from service.cli import measure_options as options
+from service.cli.stored_model import model_origin, stored_model
 from service.cli.terminal import BAD_INPUT, frame_bar, refused, say
 
 
@@ -69,6 +70,16 @@ def measure(
         str | None, typer.Option(help="FRAME,FRAME,...: write the surface of these frames as mesh_FRAME.ply.")
     ] = None,
     mesh_format: Annotated[str, typer.Option(help="ply (binary) or obj.")] = "ply",
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            help="A model.npz to measure with instead of learning one; refused for another calibration, another "
+            "patient, or one who lies too far from where it was learned."
+        ),
+    ] = None,
+    patient: Annotated[
+        str | None, typer.Option(help="The clinic's own pseudonymous reference, kept with the model; no name.")
+    ] = None,
     jobs: Annotated[int, typer.Option(help="How many recordings at a time; 0 is one a core.")] = 0,
 ) -> None:
     """Measure recordings: every frame once, as fast as it can be read.
@@ -86,6 +97,7 @@ def measure(
             superior_px=options.superior(head),
             training=TrainingSettings(components=components),
         )
+        stored = None if model is None else stored_model(model, patient)
         tasks = [
             FileTask(
                 recording=recording,
@@ -94,6 +106,8 @@ def measure(
                 settings=settings,
                 limits=None if window is None else GateLimits(window=options.window(window)),
                 meshes=options.meshes(mesh, mesh_format),
+                model=stored,
+                origin=model_origin(recording, patient),
             )
             for recording, cameras, folder in zip(
                 recordings,
@@ -133,6 +147,8 @@ def _measure(task: FileTask, *, is_calibration_given: bool) -> OfflineSummary:
             settings=task.settings,
             limits=task.limits,
             meshes=task.meshes,
+            model=task.model,
+            origin=task.origin,
             on_frame=show,
         )
         progress.update(shown, completed=summary.frames, description="done")
