@@ -49,7 +49,7 @@ def read_upload(body: bytes) -> Converted:
         envelope = STRICT.fields(ROOT, documents[0], required=("schema", "files"), optional=beside)
         texts = STRICT.items("files", envelope["files"], 1, MAX_FILES)
         files = [_file_text(i, text) for i, text in enumerate(texts)]
-        return convert(files, _options(envelope))
+        return convert(files, options_of(envelope))
     return convert([body], ImportOptions())
 
 
@@ -99,16 +99,16 @@ def _file_text(index: int, text: object) -> bytes:
     return text.encode(errors="replace")
 
 
-def _options(envelope: Mapping[str, object]) -> ImportOptions:
-    """Take what is said beside the files."""
-    size = envelope.get("image_size_px")
-    pose = envelope.get("depth_to_color")
-    baseline = envelope.get("baseline_mm")
-    camera = envelope.get("camera")
+def options_of(beside: Mapping[str, object]) -> ImportOptions:
+    """Take what is said beside the files, None for what is not; raise CalibrationError."""
+    size = beside.get("image_size_px")
+    pose = beside.get("depth_to_color")
+    baseline = beside.get("baseline_mm")
+    camera = beside.get("camera")
     return ImportOptions(
         camera=None if camera is None else STRICT.name("camera", camera),
-        first_camera=_one_of("first_camera", envelope.get("first_camera"), ROLES),
-        translation_unit=_one_of("translation_unit", envelope.get("translation_unit"), LENGTH_UNITS),
+        first_camera=_one_of("first_camera", beside.get("first_camera"), ROLES),
+        translation_unit=_one_of("translation_unit", beside.get("translation_unit"), LENGTH_UNITS),
         image_size_px=None if size is None else _size("image_size_px", size),
         baseline_mm=None if baseline is None else STRICT.number("baseline_mm", baseline, -200.0, 200.0),
         depth_to_color=None if pose is None else _pose("depth_to_color", pose),

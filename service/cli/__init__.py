@@ -16,6 +16,7 @@ HOMES = {
     "openapi": "openapi",
     "demo": "demo",
     "evaluate": "evaluate",
+    "calibrate": "calibrate",
 }
 """Which module of this package holds which command; the function, or the group of commands, has the command's name."""
 

@@ -1,0 +1,127 @@
+"""``tidegate calibrate checkerboard``: both cameras and their pose from pictures of a checkerboard."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from service.cli.terminal import frame_bar, refused, say
+from service.cli.written import write_whole
+
+if TYPE_CHECKING:  # OpenCV takes its time to import, and `--help` does not need it
+    from engine.calibrating.boards import Board
+    from engine.calibrating.checkerboard import CheckerboardResult, FoundBoards
+
+NAME = "calibrate checkerboard"
+GOOD_PAIRS = 15
+GOOD_COVERAGE = 0.6
+
+
+def checkerboard(
+    *,
+    depth_pictures: Annotated[
+        str, typer.Option(help="Folder or 'pattern' of the infrared (depth) camera's pictures, projector covered.")
+    ],
+    color_pictures: Annotated[
+        str, typer.Option(help="Folder or 'pattern' of the colour camera's, of the same boards at the same places.")
+    ],
+    columns: Annotated[int, typer.Option(help="Inner corners along one side: squares less one.")],
+    rows: Annotated[int, typer.Option(help="Inner corners along the other; not as many.")],
+    square_mm: Annotated[float, typer.Option(help="Side of a square [mm], measured over many squares.")],
+    out: Annotated[Path, typer.Option(help="The calibration; a report and a picture of the residuals go beside it.")],
+    camera: Annotated[str, typer.Option(help="The camera's name, best with its serial number.")] = "camera",
+    infrared_offset: Annotated[
+        str, typer.Option(help="X,Y [px] by which the device moves its depth picture against the infrared one.")
+    ] = "0,0",
+) -> None:
+    """Calibrate both cameras and the pose between them, leave outliers out, and say how good it is at 850 mm.
+
+    Pictures of one board pose are matched by equal names, or else by their order.
+    """
+    from engine.calibrating.boards import Board
+    from engine.calibrating.checkerboard import calibrate
+    from engine.calibrating.picture_files import list_pictures, match_pictures
+    from engine.calibrating.residual_picture import draw_residuals
+    from engine.errors import InvalidValueError, TidegateError
+
+    try:
+        board = Board(columns=columns, rows=rows, square_mm=square_mm)
+        offset = _offset(infrared_offset)
+        if not 1 <= len(camera) <= 80 or not camera.isprintable():
+            raise InvalidValueError("camera", camera, "1 to 80 printable characters")
+        pictures = [
+            list_pictures(f"{kind}-pictures", where)
+            for kind, where in (("depth", depth_pictures), ("color", color_pictures))
+        ]
+        matched, unpaired = match_pictures(*pictures)
+        found = _find(board, matched)
+        result = calibrate(board, found, camera=camera, infrared_offset_px=offset, unpaired=unpaired)
+        report = json.dumps(result.report(), indent=2, sort_keys=True) + "\n"
+        write_whole(out.with_suffix(".residuals.png"), draw_residuals(result))
+        write_whole(out.with_suffix(".report.json"), report.encode())
+        write_whole(out, result.calibration.to_json().encode())
+    except TidegateError as error:
+        raise refused(NAME, error) from error
+    except OSError as error:
+        raise refused(NAME, f"{out} cannot be written ({error.strerror or error})") from error
+    _print_pictures(result)
+    _say_how_good(result)
+    say(f"{out} written, with {out.with_suffix('.report.json').name} and {out.with_suffix('.residuals.png').name}")
+
+
+def _find(board: "Board", matched: list[tuple[Path, Path]]) -> "FoundBoards":
+    from engine.calibrating.checkerboard import find_boards
+    from engine.errors import CalibrationError
+
+    with frame_bar() as progress:
+        task = progress.add_task("looking for the board", total=len(matched))
+        found = find_boards(board, matched, lambda done, _total: progress.update(task, completed=done))
+    if not found.pairs:
+        bound = f"a board of {board.columns} x {board.rows} inner corners, a white rim around it, all of it in view"
+        raise CalibrationError("pictures", f"{len(matched)} pairs, no board in any", bound)
+    return found
+
+
+def _offset(text: str) -> tuple[float, float]:
+    from engine.errors import InvalidValueError
+
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise InvalidValueError("infrared-offset", text, "X,Y, two numbers") from error
+    return x, y
+
+
+def _print_pictures(result: "CheckerboardResult") -> None:
+    table = Table(title="px, rms of a picture's corners", title_justify="left", show_edge=False)
+    for name in ("picture", "infrared", "colour", "colour against depth"):
+        table.add_column(name, justify="left" if name == "picture" else "right")
+    errors = result.fit.errors_px
+    for i, pair in enumerate(result.fit.pairs):
+        table.add_row(pair.name, *(f"{errors[kind][i]:.3f}" for kind in ("depth", "color", "alignment")))
+    Console().print(table)
+    for name, reason in result.fit.outliers.items():
+        say(f"Left out {name}: {reason}", "yellow")
+    for name, reason in result.unseen.items():
+        say(f"Not used {name}: {reason}", "yellow")
+    for name in result.unpaired:
+        say(f"Not used {name}: the other camera has no picture of that name", "yellow")
+
+
+def _say_how_good(result: "CheckerboardResult") -> None:
+    used, accuracy = len(result.fit.pairs), result.accuracy
+    if used < GOOD_PAIRS:
+        say(f"Mind: {used} pairs were used; {GOOD_PAIRS} or more are good", "yellow")
+    for name, coverage in result.coverage.items():
+        if coverage.empty_places or coverage.share < GOOD_COVERAGE:
+            where = ", ".join(coverage.empty_places) or "many small places"
+            say(f"Mind: the {name} camera hardly ever saw a corner in: {where}. Its lens is a guess there", "yellow")
+    say(
+        f"At 850 mm: depth and colour agree within {accuracy.residual_mm:.2f} mm ({accuracy.residual_px:.2f} px, rms "
+        f"of all corners); where a depth pixel lies in the colour picture is known to {accuracy.alignment_mm:.2f} mm "
+        f"({accuracy.alignment_px:.2f} px), {accuracy.alignment_worst_mm:.2f} mm at worst in the middle of the "
+        f"picture; 100 mm across are known to {accuracy.scale_mm:.2f} mm"
+    )
