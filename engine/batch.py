@@ -78,6 +78,8 @@ def measure_file(task: FileTask, tell: Callable[[Progress], None]) -> FileOutcom
             settings=task.settings,
             limits=task.limits,
             meshes=task.meshes,
+            model=task.model,
+            origin=task.origin,
             on_frame=count,
         )
         error = summary.damage
