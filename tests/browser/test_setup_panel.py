@@ -116,3 +116,24 @@ def test_the_set_up_never_covers_the_gate_or_the_trace(fake: FakeService, tab: T
         assert box is not None
         apart = panel["y"] >= box["y"] + box["height"] or panel["x"] >= box["x"] + box["width"]
         assert apart, f"{name} is covered"
+
+
+def test_a_live_camera_can_be_asked_for_without_a_calibration(fake: FakeService, empty: Page):
+    empty.fill("#operator", "A. Therapist")
+    fill(empty)
+    empty.select_option("[name='source.kind']", "device")
+    empty.select_option("[name=calibration_id]", label="None: the live camera's own registration")
+    empty.click("#new-session [type=submit]")
+    expect(empty.locator("#setup")).to_be_hidden()
+    path, request = fake.posts()[-1]
+    assert path == "/sessions"
+    assert request["source"] == {"kind": "device"}
+    assert "calibration_id" not in request
+
+
+@pytest.mark.parametrize(("kind", "is_shown"), [("device registration", True), ("uploaded", False)])
+def test_a_session_that_was_not_calibrated_says_so_all_the_time(fake: FakeService, tab: Tab, kind: str, is_shown: bool):
+    fake.mode, fake.sample = "samples", sample() | {"calibration": kind}
+    page = tab.open("hold")
+    badge = page.locator("#badge-uncalibrated")
+    expect(badge).to_be_visible() if is_shown else expect(badge).to_be_hidden()

@@ -23,6 +23,11 @@ export function renderFigures(sample, isSimulatedBeam) {
   document.getElementById("badge-simulated").hidden = !isSimulatedBeam;
 }
 
+/** A session on the camera's own registration says so all the time. */
+export function renderCalibration(kind) {
+  document.getElementById("badge-uncalibrated").hidden = kind !== "device registration";
+}
+
 function with_(value, textOf) {
   return Number.isFinite(value) ? textOf(value) : NONE;
 }

@@ -3,7 +3,7 @@
 import { listSessions, readSession } from "./api.js";
 import { Controls } from "./controls.js";
 import { EventList } from "./events.js";
-import { renderFigures, renderLearning } from "./figures.js";
+import { renderCalibration, renderFigures, renderLearning } from "./figures.js";
 import { GatePanel, setText } from "./gate.js";
 import { GridPanel } from "./grid.js";
 import { LiveStream } from "./live.js";
@@ -163,6 +163,7 @@ function drawPanels(nowMs, view, sample) {
   grid.draw(sample?.regions_mm ?? null, rangeMm, sample?.window);
   isSimulatedBeam = sample?.is_simulated_beam ?? session?.is_simulated_beam ?? isSimulatedBeam;
   renderFigures(sample, isSimulatedBeam);
+  renderCalibration(sample?.calibration ?? session?.calibration);
   renderLearning(sample, view.isFresh);
   renderWho(view);
   const value = sample ? sample[trace.choice === "gated" ? "signal_mm" : `${trace.choice}_mm`] : null;

@@ -77,6 +77,7 @@ export class Setup {
       const label = (item) => `${item.camera} · ${item.created_at.slice(0, 10)} · ${item.id.slice(0, 8)}`;
       select.replaceChildren(...items.map((item) => new Option(label(item), item.id)));
       if (items.length === 0) select.append(new Option("No calibration yet: upload one below", ""));
+      select.append(new Option("None: the live camera's own registration", ""));
       if (items.some((item) => item.id === kept)) select.value = kept;
     } catch (error) {
       select.replaceChildren(new Option(error.message, ""));
@@ -103,7 +104,8 @@ export class Setup {
     try {
       const stored = await uploadCalibration(await file.text(), this.operatorName());
       await this.#loadCalibrations(stored.id);
-      this.#say("done", `Calibration of ${stored.camera} stored.`);
+      const notes = (stored.notes ?? []).map((note) => ` Mind: ${note}.`);
+      this.#say("done", `Calibration of ${stored.camera} stored.${notes.join("")}`);
     } catch (error) {
       this.#say("failed", `Calibration refused: ${error.message}`);
     }
@@ -180,7 +182,7 @@ export class Setup {
 /** The value to send: null to leave the key out. Numbers that are none go as text, and the controller says what is wrong. */
 function read(input) {
   const text = input.value.trim();
-  const isOptional = input.name === "fraction_number" || input.name === "source.uri";
+  const isOptional = input.name === "fraction_number" || input.name === "source.uri" || input.name === "calibration_id";
   if (text === "" && isOptional) return null;
   if (!NUMBERS.has(input.name)) return text;
   const number = Number(text);
