@@ -1,5 +1,7 @@
 """The plain reading of the article does what the article says, step by step and as a whole."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -99,10 +101,13 @@ def test_every_depth_pixel_lands_where_both_cameras_see_the_same_point():
     assert np.allclose(aligned[aligned > 0], true_mm, atol=0.01)
 
 
-def test_the_nearest_of_two_points_hides_the_other():
+@pytest.mark.parametrize("place", [(240, 320), (240, 321), (241, 320), (241, 321)])
+def test_the_nearest_of_the_points_in_a_pixel_hides_the_others(place):
+    coarse = replace(scene.CAMERA, fx=275.0, fy=275.0)
     depth = np.full((480, 640), 900, np.uint16)
-    depth[240, 320] = 600
-    assert Aligner(scene.CALIBRATION).align(depth)[240, 320] == 600
+    depth[place] = 600
+    aligned = Aligner(replace(scene.CALIBRATION, color=coarse)).align(depth)
+    assert (aligned == 600).sum() == 1
 
 
 def test_the_corners_of_the_region_are_the_dots():
@@ -139,6 +144,7 @@ def test_the_mean_is_subtracted_whatever_equation_3_prints():
     model = principal_components(data)
     assert np.allclose(model.mean_mm, data.mean(axis=0), atol=1e-3)
     assert model.eigenvalues_mm2[0] / model.eigenvalues_mm2.sum() > 0.999
+    assert model.eigenvalues_mm2[0] == pytest.approx(np.var(weights, ddof=1) * (shape @ shape), rel=1e-3)
     assert np.allclose(np.linalg.norm(model.components[0]), 1.0, atol=1e-4)
     rebuilt = model.reconstruct(model.project(data[7].reshape(ROI_ROWS, ROI_COLUMNS)), 1)
     assert np.abs(rebuilt.ravel() - data[7]).max() < 0.05
