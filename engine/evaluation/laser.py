@@ -1,18 +1,22 @@
 """Tidegate beside a laser line, the article's ground truth (section 4.5.2, equation 9, Table 2, Figs 12 and 13).
 
 Which point is compared. A point of the ROI grid follows the patient's surface; a laser's line is fixed in space, and on
-a chest that rises it slides over the skin, some 0.8 mm a millimetre. The article compares *depths where the line is* in
-each frame: the laser's from ray and plane, its own from the reconstructed surface at the same pixel, and takes the
-difference of each to the reference frame (equation 9). So does this module: the error is exactly that of equation 9.
-To be set beside the motion of a grid point p, the laser's motion is carried from the line's place q to p over
-Tidegate's own surface, ``D_laser(q) + D_tidegate(p) - D_tidegate(q)``: a bridge of a few millimetres that changes
-neither the error nor what it is an error of, but makes both columns the motion of the same point. What the line itself
-did (``line_mm``, the article's Fig. 12) is kept beside.
+a chest that rises it slides over the skin, 0.4 to 0.8 mm a millimetre as the laser leans. The article compares *depths
+where the line is* in each frame: the laser's from ray and plane, its own from the reconstructed surface at the same
+pixel, and takes the difference of each to the reference frame (equation 9). So does this module: the error is exactly
+that of equation 9. To be set beside the motion of a grid point p, the laser's motion is carried from the line's place q
+to p over Tidegate's own surface, ``D_laser(q) + D_tidegate(p) - D_tidegate(q)``: a bridge of a few millimetres that
+changes neither the error nor what it is an error of, but makes both columns the motion of the same point. What the line
+itself did (``line_mm``, the article's Fig. 12) is kept beside.
+
+Mind what equation 9 charges: the line reads other skin in inhale than in exhale, so an error of Tidegate's *shape*
+between these places counts as an error of its motion. Creases of the shirt that the depth sensor blurs are worth some
+tenths of a millimetre there; a laser that leans less slides less.
 
 What is better here than in the article: the line is where red *stands out*, not where it is brightest; points come from
 a straight line through some millimetres of it, not from one column; and the laser is read at the depth frame's time,
-between two colour pictures, since at 8 mm/s half a frame is 0.13 mm. As in the article the zero is a single frame, and
-its noise, the laser's too, is part of every error.
+from a parabola through a quarter of a second of colour pictures, since at 8 mm/s half a frame is 0.13 mm. As in the
+article the zero is a single frame, and its noise is part of every error.
 """
 
 from collections.abc import Sequence
@@ -27,7 +31,8 @@ from engine.errors import InvalidValueError
 from engine.evaluation.agreement import Agreement, agreement
 from engine.evaluation.cell_surface import CellSurface
 from engine.evaluation.laser_line import DEFAULT_SETTINGS, LineSettings, find_line
-from engine.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, ColorImage, FloatArray, Measurement, RgbdFrame
+from engine.evaluation.time_fit import fit_at
+from engine.frames import ROI_COLUMNS, ROI_ROWS, ColorImage, FloatArray, Measurement, RgbdFrame
 from engine.laser_plane import LaserPlane
 from engine.stages.regions import check_points
 from engine.stages.roi import color_from_roi
@@ -38,7 +43,6 @@ FIVE_SHARES = (0.15, 0.325, 0.5, 0.675, 0.85)
 """Where the five points are by default, as shares of the way along the line through the ROI."""
 MAX_AWAY = 40.0
 """How far from a grid point the line may be, in grid points; some 45 mm."""
-MAX_COLOR_GAP_US = 250_000
 TYPICAL_DEPTH_MM = 850.0
 MAX_MM_A_PX = 12.0
 MIN_LEAN = 0.1
@@ -137,7 +141,7 @@ class LaserGauge:
         """Set both instruments beside each other."""
         index, timestamp_us = np.array(self._frames, dtype=np.int64).reshape(-1, 2).T
         lines = np.array(self._lines).reshape(-1, len(self._points_rc), 3)
-        lines = _between(np.array(self._color_us, dtype=np.int64), lines, timestamp_us)
+        lines = fit_at(np.array(self._color_us, dtype=np.int64), lines, timestamp_us)
         place_rc, line_depth = lines[..., :2], lines[..., 2]
         motion, here, bridge = self._bridge(place_rc)
         bridge[np.linalg.norm(place_rc - self._points_rc, axis=-1) > MAX_AWAY] = np.nan
@@ -261,18 +265,6 @@ def _average(line: FloatArray, along: FloatArray, axis: int) -> FloatArray:
     return np.where(is_held[:, None], values, np.nan)
 
 
-def _between(times_us: npt.NDArray[np.int64], values: FloatArray, wanted_us: npt.NDArray[np.int64]) -> FloatArray:
-    """Interpolate series, shape (m, ...), in time; NaN beyond the ends, across a gap, and beside a NaN."""
-    if len(times_us) < 2:
-        return np.full((len(wanted_us), *values.shape[1:]), np.nan)
-    right = np.clip(np.searchsorted(times_us, wanted_us), 1, len(times_us) - 1)
-    gap_us = times_us[right] - times_us[right - 1]
-    share = (wanted_us - times_us[right - 1]) / gap_us
-    is_there: BoolArray = (share >= 0.0) & (share <= 1.0) & (gap_us <= MAX_COLOR_GAP_US)
-    share = np.where(is_there, share, np.nan).reshape(-1, *[1] * (values.ndim - 1))
-    return np.asarray((1.0 - share) * values[right - 1] + share * values[right])
-
-
 def _median(values: FloatArray) -> float:
     known = values[np.isfinite(values)]
     return float(np.median(known)) if known.size else float("nan")
@@ -281,6 +273,8 @@ def _median(values: FloatArray) -> float:
 def _from_zero(depth_mm: FloatArray, motion_mm: FloatArray) -> FloatArray:
     """Turn depths, shape (n, p), to motion whose zero is such that it starts with the other's first value."""
     is_both = np.isfinite(depth_mm) & np.isfinite(motion_mm)
+    if len(is_both) == 0:
+        return depth_mm
     first, points = is_both.argmax(axis=0), np.arange(depth_mm.shape[1])
     zero = np.where(is_both.any(axis=0), depth_mm[first, points] + motion_mm[first, points], np.nan)
     return np.asarray(zero - depth_mm)

@@ -105,8 +105,7 @@ def compare_volumes(
     InvalidValueError
         Both measured together for too short a time, or the lag lies beyond ``max_lag_s``.
     """
-    if not 0.0 < max_lag_s <= WIDEST_LAG_S:
-        raise InvalidValueError("max-lag-s", max_lag_s, f"more than 0 and at most {WIDEST_LAG_S:g}")
+    check_max_lag(max_lag_s)
     measured = np.isfinite(volume_l)
     spline = _volume_of(spirometry, is_exhale_positive)
     search = _Search(time_s[measured], volume_l[measured], spline, spirometry)
@@ -123,6 +122,12 @@ def compare_volumes(
     theirs = np.asarray(spline(time_s[inside] + lag_s))
     spirometer = _without_baseline(time_s[inside], theirs, is_wanted=spirometry.is_flow)
     return _comparison(lag_s, lags, fits, inside, tidegate, spirometer, search.overlap_s(lag_s))
+
+
+def check_max_lag(max_lag_s: float) -> None:
+    """Refuse a window that is none, or wider than anybody should need."""
+    if not 0.0 < max_lag_s <= WIDEST_LAG_S:
+        raise InvalidValueError("max-lag-s", max_lag_s, f"more than 0 and at most {WIDEST_LAG_S:g}")
 
 
 def to_unit_range(values: FloatArray) -> FloatArray:

@@ -1,7 +1,7 @@
 """The line laser of the article's section 4.5.2: a plane of light across the abdomen, as the colour camera sees it.
 
-The laser hangs beyond the volunteer's feet or head, so its plane leans against the camera's view: skin that rises by
-1 mm moves the line by some 0.8 mm over the skin, which is some 0.5 px of the picture. The plane stays in the room when
+The laser hangs towards the volunteer's feet or head, so its plane leans against the camera's view: skin that rises by
+1 mm moves the line by some 0.45 mm over the skin, which is some 0.3 px of the picture. The plane stays in the room when
 the patient moves. The line is drawn where the skin is, pixel by pixel; its truth is solved on the splines of
 :class:`engine.phantom.truth.Skin`, and so depends on nothing that is drawn.
 """
@@ -21,7 +21,7 @@ from engine.phantom.scenarios import Pose
 from engine.phantom.truth import Grid, Skin
 from engine.phantom.view import Frustum, Hit, Rays, View
 
-LEAN_DEG = 38.0
+LEAN_DEG = 24.0
 WIDTH_SIGMA_PX = 1.25
 # Light it adds where the skin is white; more than the sensor can take, so that its core burns out.
 POWER = 360.0

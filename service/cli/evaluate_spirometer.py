@@ -11,7 +11,7 @@ from rich.table import Table
 from engine.calibration import load_calibration
 from engine.errors import TidegateError
 from engine.evaluation.flow_file import read_flow
-from engine.evaluation.spirometer import MAX_LAG_S, SpirometerComparison, compare_volumes, to_unit_range
+from engine.evaluation.spirometer import MAX_LAG_S, SpirometerComparison, check_max_lag, compare_volumes, to_unit_range
 from engine.frames import FloatArray, Measurement, RgbdFrame
 from engine.pipeline import PipelineSettings
 from engine.training import TrainingSettings
@@ -49,6 +49,7 @@ def spirometer(
     Finds the lag between both clocks. Writes spirometer.csv and spirometer.png, and prints lag, correlation and scale.
     """
     try:
+        check_max_lag(max_lag_s)
         cameras, spirometry = load_calibration(calibration), read_flow(flow)
         settings = PipelineSettings(superior_px=superior_of(head), training=TrainingSettings(components=components))
         seen: list[tuple[int, int, float]] = []
