@@ -11,6 +11,7 @@ import numpy as np
 from engine.active_model import ActiveModel, Reference, prepare_model
 from engine.calibration import Calibration
 from engine.clock import Clock
+from engine.continuity import Continuity, Seen
 from engine.depth_table import DepthTable
 from engine.errands import LearningStages, Outcome
 from engine.frames import (
@@ -90,7 +91,7 @@ class PipelineSettings:
     max_pair_gap_ms: float = 100.0
     min_valid_share: float = 0.5
     min_inlier_share: float = 0.6
-    max_residual_mm: float = 8.0
+    max_residual_mm: float = 4.0
     training: TrainingSettings = field(default_factory=TrainingSettings)
     likeness: LikenessLimits = field(default_factory=LikenessLimits)
 
@@ -135,6 +136,7 @@ class Pipeline:
         self._depth_from_color = calibration.color_from_depth.inverse
         self._table = DepthTable(calibration.depth_correction)
         self._recent = RecentFrames()
+        self._continuity = Continuity()
         self._markers: Markers | None = None
         self._layout_px: FloatArray | None = None
         self._node_depth_mm: FloatArray | None = None
@@ -229,9 +231,13 @@ class Pipeline:
         if active is None:
             return self._unlearned(frame, roi, found)
         outcome = self._explain(active, roi)
+        if not isinstance(outcome, Lost):
+            outcome = self._doubt(active, outcome, found, frame.timestamp_us) or outcome
         if isinstance(outcome, Lost):
             self._coefficients = None
             self._recent.forget()
+            if outcome.reason is LostReason.RESIDUAL_HIGH:
+                self._continuity.interrupt()
             return self._measurement(frame, MeasurementState.LOST, lost=outcome, markers=found)
         self._coefficients, self._explained_by = outcome.coefficients, active
         self._node_depth_mm = active.node_depth_mm(outcome.coefficients)
@@ -376,6 +382,14 @@ class Pipeline:
         before = self._coefficients if self._explained_by is active else None
         best = project(active.basis, roi, before)
         return self._coverage_lost(0.0) if best is None else self._refusal(best) or best
+
+    def _doubt(self, active: ActiveModel, outcome: Projection, found: Markers, timestamp_us: int) -> Lost | None:
+        """Return why this cannot be the surface of the frame before; None when it can."""
+        self._continuity.begin_anew(self._learner.generation)
+        depth_mm = active.node_depth_mm(outcome.coefficients)
+        seen = Seen(depth_mm=depth_mm, markers_px=found.centers_px, timestamp_us=timestamp_us)
+        detail = self._continuity.doubt(seen, active.node_modes[: active.basis.components], active.model.noise_mm)
+        return Lost(reason=LostReason.RESIDUAL_HIGH, detail=detail) if detail else None
 
     def _refusal(self, best: Projection) -> Lost | None:
         """Why a frame that was explained so is not measured; None when it is."""

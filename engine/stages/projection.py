@@ -33,6 +33,8 @@ MIN_EXPLAINED_SHARE = 0.8
 MIN_MEAN_WEIGHT = 1e-3
 CHECK_CELL_PX = 25
 CHECK_MIN_SHARE = 0.4
+# One reading in a cell that jumped must not pass for a cell that does not fit; a hand makes them all jump.
+CHECK_CLIP_MM = np.float32(12.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -261,7 +263,8 @@ _JUDGED_PIXELS = CHECK_MIN_SHARE * _CELL_PIXELS
 
 
 def _largest_cell_misfit(misfit: FloatArray, inside: FloatArray) -> float:
-    thin = np.stack([misfit, inside]).reshape(2, _SUM_ROWS.shape[1], _SUM_COLUMNS.shape[0])
+    clipped = np.minimum(np.maximum(misfit, -CHECK_CLIP_MM), CHECK_CLIP_MM)
+    thin = np.stack([clipped, inside]).reshape(2, _SUM_ROWS.shape[1], _SUM_COLUMNS.shape[0])
     sums, counts = _SUM_ROWS @ thin @ _SUM_COLUMNS
     judged = counts >= _JUDGED_PIXELS
     if not judged.any():

@@ -119,6 +119,27 @@ def test_a_sheet_over_the_region_is_lost_not_measured(measuring):
     assert outcome.lost.reason is LostReason.RESIDUAL_HIGH
 
 
+def test_a_thin_sheet_that_would_pass_for_motion_is_lost_until_it_is_gone(measuring):
+    def sheet(depth):
+        depth[200:300, 270:370] -= 5
+
+    assert measure(measuring, [1])[0].state is MeasurementState.MEASURING
+    covered = measure(measuring, range(2, 20), edit=sheet)
+    assert {outcome.state for outcome in covered} == {MeasurementState.LOST}
+    assert "anything lies on the patient" in covered[-1].lost.detail
+    assert measure(measuring, [20])[0].state is MeasurementState.MEASURING
+
+
+def test_a_person_who_sets_the_reference_takes_the_sheet_for_granted(measuring):
+    def sheet(depth):
+        depth[200:300, 270:370] -= 5
+
+    measure(measuring, [1])
+    assert measure(measuring, [2], edit=sheet)[0].state is MeasurementState.LOST
+    measuring.set_reference()
+    assert measure(measuring, [3], edit=sheet)[0].state is MeasurementState.MEASURING
+
+
 def test_a_small_hand_does_not_bend_the_motion(measuring):
     def hand(depth):
         depth[200:240, 300:340] -= 70

@@ -1,0 +1,78 @@
+"""Whether this surface can be the one of the frame before: skin does not jump.
+
+A sheet or a hand that comes to lie on the patient is smooth, and thin enough it passes for motion: the model explains
+it. But it comes within a frame or two, faster than a chest can move. From then on the surface is believed again when
+its shape is back, breathing aside, or when a person has looked: set a new zero or learned a new model. A patient who
+moves takes his markers along, and is followed.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.frames import FloatArray
+
+# A cough moves an abdomen at 50 mm/s; noise adds some tenths of a millimetre.
+MAX_STEP_MM = 2.5
+MAX_STEP_OF_NOISE = 0.25
+FRAME_US = 40_000
+# So much slower than a cough is what frames that were never seen may have hidden.
+MAX_SPEED_MM_S = 25.0
+MAX_HIDDEN_US = 500_000
+MOVED_PX = 5.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Seen:
+    """A surface as it was measured: depth at the region's nodes [mm], where the markers were [px], and when."""
+
+    depth_mm: FloatArray
+    markers_px: FloatArray
+    timestamp_us: int
+
+
+class Continuity:
+    """Remembers the last surface that was believed."""
+
+    def __init__(self) -> None:
+        self._last: Seen | None = None
+        self._generation = -1
+        self._is_broken = False
+
+    def begin_anew(self, generation: int) -> None:
+        """Believe the next surface if the model or the zero is another one than before."""
+        if generation != self._generation:
+            self._last, self._is_broken, self._generation = None, False, generation
+
+    def interrupt(self) -> None:
+        """Note that something else lay in the view: what comes next need not follow smoothly, but must be as it was."""
+        self._is_broken = self._last is not None
+
+    def doubt(self, seen: Seen, shapes: FloatArray, noise_mm: float) -> str:
+        """Return why a surface is not believed; empty when it is, and then it is remembered.
+
+        Parameters
+        ----------
+        shapes
+            The learned components at the nodes, shape (k, nodes).
+        noise_mm
+            Of the model, see :class:`engine.model.MotionModel`.
+        """
+        last = self._last
+        if last is not None and np.abs(seen.markers_px - last.markers_px).max() <= MOVED_PX:
+            change = seen.depth_mm - last.depth_mm
+            allowed_mm = max(MAX_STEP_MM, MAX_STEP_OF_NOISE * noise_mm)
+            if self._is_broken:
+                change = change - np.linalg.lstsq(shapes.T, change, rcond=None)[0] @ shapes
+            else:
+                hidden_us = min(max(seen.timestamp_us - last.timestamp_us - FRAME_US, 0), MAX_HIDDEN_US)
+                allowed_mm += MAX_SPEED_MM_S * hidden_us / 1e6
+            largest_mm = float(np.abs(change).max())
+            if not largest_mm <= allowed_mm:
+                self._is_broken = True
+                return (
+                    f"the surface changed by {largest_mm:.1f} mm and skin cannot: look whether anything lies on the "
+                    "patient, then set the reference again"
+                )
+        self._last, self._is_broken = seen, False
+        return ""

@@ -1,0 +1,81 @@
+"""A surface that jumps is not skin: what comes to lie on the patient is lost, and stays so until it is gone."""
+
+import numpy as np
+import pytest
+
+from engine.continuity import FRAME_US, MAX_STEP_MM, Continuity, Seen
+
+NODES = 135
+BREATH = np.linspace(0.2, 1.0, NODES)[None]
+REST_MM = np.full(NODES, 850.0)
+MARKERS_PX = np.array([[240.0, 110.0], [400.0, 110.0], [395.0, 380.0], [245.0, 380.0]])
+NOISE_MM = 5.0
+
+
+def seen(depth_mm, frame, moved_px=0.0):
+    return Seen(depth_mm=depth_mm, markers_px=MARKERS_PX + moved_px, timestamp_us=frame * FRAME_US)
+
+
+def sheet(thickness_mm):
+    depth = REST_MM.copy()
+    depth[40:70] -= thickness_mm
+    return depth
+
+
+@pytest.fixture
+def continuity():
+    fresh = Continuity()
+    fresh.begin_anew(1)
+    assert not fresh.doubt(seen(REST_MM, 0), BREATH, NOISE_MM)
+    return fresh
+
+
+def test_breathing_and_a_cough_are_believed(continuity):
+    depth = REST_MM
+    for frame in range(1, 40):
+        depth = depth - 1.9 * BREATH[0] * (1.0 if frame % 20 < 10 else -1.0)
+        assert not continuity.doubt(seen(depth, frame), BREATH, NOISE_MM)
+
+
+def test_a_sheet_is_doubted_for_as_long_as_it_lies_there_and_forgotten_when_it_is_gone(continuity):
+    for frame in range(1, 60):
+        breathing = sheet(4.0) - 3.0 * np.sin(frame / 10.0) * BREATH[0]
+        assert continuity.doubt(seen(breathing, frame), BREATH, NOISE_MM)
+    assert not continuity.doubt(seen(REST_MM - 6.0 * BREATH[0], 60), BREATH, NOISE_MM)
+    assert continuity.doubt(seen(sheet(4.0), 61), BREATH, NOISE_MM)
+
+
+def test_after_something_lay_in_the_view_only_the_same_shape_is_believed(continuity):
+    continuity.interrupt()
+    assert continuity.doubt(seen(sheet(3.0), 30), BREATH, NOISE_MM)
+    assert not continuity.doubt(seen(REST_MM - 8.0 * BREATH[0], 31), BREATH, NOISE_MM)
+
+
+def test_a_person_who_sets_the_zero_or_a_new_model_is_believed(continuity):
+    assert continuity.doubt(seen(sheet(4.0), 1), BREATH, NOISE_MM)
+    continuity.begin_anew(1)
+    assert continuity.doubt(seen(sheet(4.0), 2), BREATH, NOISE_MM)
+    continuity.begin_anew(2)
+    assert not continuity.doubt(seen(sheet(4.0), 3), BREATH, NOISE_MM)
+
+
+def test_a_patient_who_takes_the_markers_along_is_followed(continuity):
+    assert not continuity.doubt(seen(sheet(9.0), 1, moved_px=8.0), BREATH, NOISE_MM)
+    assert continuity.doubt(seen(sheet(18.0), 2, moved_px=9.0), BREATH, NOISE_MM)
+
+
+def test_frames_that_nobody_saw_allow_for_what_they_hid_but_not_for_everything(continuity):
+    assert not continuity.doubt(seen(REST_MM - 5.0, 4), BREATH, NOISE_MM)
+    assert continuity.doubt(seen(REST_MM - 30.0, 400), BREATH, NOISE_MM)
+
+
+def test_a_noisier_sensor_is_allowed_more(continuity):
+    step = REST_MM - (MAX_STEP_MM + 0.4)
+    assert continuity.doubt(seen(step, 1), np.zeros((1, NODES)), NOISE_MM)
+    fresh = Continuity()
+    assert not fresh.doubt(seen(REST_MM, 0), BREATH, 12.0)
+    assert not fresh.doubt(seen(step, 1), BREATH, 12.0)
+
+
+def test_what_is_no_number_is_doubted(continuity):
+    assert continuity.doubt(seen(np.full(NODES, np.nan), 1), BREATH, NOISE_MM)
