@@ -12,7 +12,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import TypeVar
 
@@ -23,10 +23,14 @@ from sqlalchemy.orm import Session
 from engine.errors import TidegateError
 from engine.live import FrameRecord, GateTransition, LoopStatus
 from engine.model import MotionModel
+from engine.model_file import header_text
+from engine.notices import LearningNotice, NoticeKind
 from engine.permits import HoldReason
+from engine.provenance import ModelOrigin
 from service import audit
 from service.audit import SYSTEM, Event
 from service.db import repository
+from service.db.base import utc_text
 from service.db.engine import Database
 from service.db.models import ModelRow, SampleRow
 from service.figures import Figures
@@ -78,6 +82,7 @@ class SessionWriter(threading.Thread):
         *,
         session_id: str,
         engine: RunningEngine,
+        origin: ModelOrigin,
         database: Database,
         models: ModelStore,
         settings: WriterSettings,
@@ -86,6 +91,7 @@ class SessionWriter(threading.Thread):
         super().__init__(name="tidegate-writer", daemon=True)
         self._session_id = session_id
         self._engine = engine
+        self._origin = origin
         self._database = database
         self._models = models
         self._settings = settings
@@ -93,6 +99,7 @@ class SessionWriter(threading.Thread):
         self._anchor = TimeAnchor.now()
         self._transitions: list[GateTransition] = []
         self._samples: list[FrameRecord] = []
+        self._notices: list[LearningNotice] = []
         self._written_at_s = time.monotonic()
         self._disk_checked_at_s = 0.0
         self._model: MotionModel | None = None
@@ -136,7 +143,8 @@ class SessionWriter(threading.Thread):
         self._try(self._write_due, is_last=True)
 
     def _is_drained(self) -> bool:
-        return self._engine.transitions.empty() and self._engine.samples.empty()
+        engine = self._engine
+        return engine.transitions.empty() and engine.samples.empty() and engine.notices.empty()
 
     def _collect(self) -> None:
         """Take what waits; leave it in the queues while earlier rows are still unwritten."""
@@ -145,6 +153,7 @@ class SessionWriter(threading.Thread):
                 self._transitions.append(self._engine.transitions.get(timeout=POLL_S))
             _drain(self._engine.transitions, self._transitions)
         _drain(self._engine.samples, self._samples)
+        _drain(self._engine.notices, self._notices)
 
     def _try(self, write: Callable[[], None], *, is_last: bool) -> None:
         """Do a piece of writing; on failure hold the beam and try until it works, or give up after the end."""
@@ -166,11 +175,14 @@ class SessionWriter(threading.Thread):
     def _write_due(self) -> None:
         now_s = time.monotonic()
         is_due = now_s - self._written_at_s >= self._settings.sample_batch_s or len(self._samples) >= MAX_BATCH
-        if not self._transitions and not (self._samples and (is_due or self._engine.status.is_over)):
+        is_told = bool(self._transitions or self._notices)
+        if not is_told and not (self._samples and (is_due or self._engine.status.is_over)):
             return
         with self._database.write() as db:
             for transition in self._transitions:
                 audit.append(db, transition_event(self._session_id, transition), self._anchor.utc(transition.at_ns))
+            for notice in self._notices:
+                audit.append(db, notice_event(self._session_id, notice))
             if self._samples:
                 db.execute(insert(SampleRow), [sample_values(self._session_id, record) for record in self._samples])
         for record in self._samples:
@@ -178,6 +190,7 @@ class SessionWriter(threading.Thread):
         self.figures.transitions += len(self._transitions)
         self._transitions.clear()
         self._samples.clear()
+        self._notices.clear()
         self._written_at_s = now_s
 
     def _keep_model(self) -> None:
@@ -185,13 +198,14 @@ class SessionWriter(threading.Thread):
         model = self._engine.model
         if model is None or model is self._model:
             return
+        kept = model.from_origin(replace(self._origin, created_at=utc_text(datetime.now(UTC))))
         try:
-            sha256 = self._models.save(model)
+            sha256 = self._models.save(kept)
         except TidegateError as error:
             logger.warning("a model of session %s could not be kept: %s", self._session_id, error.code)
             return
         with self._database.write() as db:
-            self.active_model_id = _record_model(db, self._session_id, sha256, model)
+            self.active_model_id = _record_model(db, self._session_id, sha256, kept)
         self._model = model
 
     def _check_disk(self) -> None:
@@ -257,6 +271,18 @@ def transition_event(session_id: str, transition: GateTransition) -> Event:
     )
 
 
+def notice_event(session_id: str, notice: LearningNotice) -> Event:
+    """Put what the learning has to tell into the audit's words."""
+    is_refusal = notice.kind is NoticeKind.REFUSED
+    return Event(
+        actor=SYSTEM,
+        action=f"model.{notice.kind.value}",
+        outcome="refused" if is_refusal else "done",
+        session_id=session_id,
+        detail={**notice.figures, "detail": notice.detail, "timestamp_us": notice.timestamp_us},
+    )
+
+
 def sample_values(session_id: str, record: FrameRecord) -> dict[str, object]:
     """Put a frame's record into the columns of the samples table."""
     measurement = record.measurement
@@ -302,6 +328,7 @@ def _record_model(db: Session, session_id: str, sha256: str, model: MotionModel)
             spectrum=audit.canonical_json([float(share) for share in model.spectrum]),
             components=len(model.components),
             created_at=datetime.now(UTC),
+            provenance=header_text(model),
         )
         db.add(row)
     detail = {"model_id": row.id, "number": row.number, "sha256": sha256, "is_new": is_new}

@@ -1,6 +1,7 @@
 """The one place where the service touches cameras, pipeline, gate and beam line: it puts engines together."""
 
 import queue
+import threading
 from concurrent.futures import Future
 from pathlib import Path
 
@@ -11,10 +12,12 @@ from engine.capture.openni import OpenNiSource, list_devices, registered_calibra
 from engine.capture.source import DepthSource
 from engine.clock import Clock, MonotonicClock
 from engine.commands import Command
-from engine.errors import InvalidValueError, RuntimeMissingError, SourceLostError
+from engine.errors import CommandRefusedError, InvalidValueError, RuntimeMissingError, SourceLostError
+from engine.likeness import Likeness
 from engine.live import FrameRecord, GateTransition, LiveView, LoopStatus
 from engine.loop import EngineLoop
 from engine.model import MotionModel
+from engine.notices import LearningNotice
 from engine.permits import HoldReason
 from engine.pipeline import Pipeline, PipelineSettings
 from service import schemas
@@ -32,8 +35,12 @@ class EngineAdapter:
 
     def __init__(self, settings: Settings, *, measuring: PipelineSettings | None = None) -> None:
         self._settings = settings
-        self._measuring = PipelineSettings() if measuring is None else measuring
+        learned = PipelineSettings(training=settings.training, likeness=settings.likeness)
+        self._measuring = learned if measuring is None else measuring
         self._clock: Clock = MonotonicClock()
+        # Asking a camera about itself and starting a session on it do not mix: the runtime would share the device.
+        self._camera_lock = threading.Lock()
+        self._newest: LoopEngine | None = None
 
     @property
     def is_simulated_beam(self) -> bool:
@@ -45,23 +52,27 @@ class EngineAdapter:
         limits = gate_limits(plan.window, self._settings)
         measuring = measuring_with(self._measuring, plan.regions)
         pipeline = Pipeline(plan.calibration, measuring, self._clock)
-        loop = EngineLoop(
-            source=self._source(plan),
-            pipeline=pipeline,
-            beam=SimulatedBeamLine(self._clock),
-            limits=limits,
-            clock=self._clock,
-        )
-        loop.start()
-        return LoopEngine(loop, pipeline)
+        if plan.model is not None:
+            pipeline.resume(plan.model)
+        with self._camera_lock:
+            loop = EngineLoop(
+                source=self._source(plan),
+                pipeline=pipeline,
+                beam=SimulatedBeamLine(self._clock),
+                limits=limits,
+                clock=self._clock,
+            )
+            loop.start()
+            self._newest = LoopEngine(loop, pipeline)
+            return self._newest
 
     def registered_calibration(self, uri: str | None) -> Calibration:
         """Return the nominal calibration of a camera that registers depth to colour itself; refuse any other."""
-        calibration = registered_calibration(_listed(uri))
-        if calibration is None:
-            bound = "given: this camera does not register depth to colour itself"
-            raise InvalidValueError("calibration_id", "missing", bound)
-        return calibration
+        with self._camera_lock:
+            if self._newest is not None and not self._newest.status.is_over:
+                msg = "a session runs: its camera is not asked about itself"
+                raise CommandRefusedError(msg)
+            return _registered(uri)
 
     def devices(self) -> schemas.DeviceList:
         """List the cameras that could be used."""
@@ -79,7 +90,7 @@ class EngineAdapter:
 
     def _camera(self, uri: str | None, calibration: Calibration) -> DepthSource:
         is_registered = calibration.is_device_registration
-        if is_registered and self.registered_calibration(uri).sha256 != calibration.sha256:
+        if is_registered and _registered(uri).sha256 != calibration.sha256:
             msg = "the camera is not the one whose registration this session was created for"
             raise SourceLostError(msg)
         return OpenNiSource(_listed(uri), clock=self._clock, use_device_registration=is_registered)
@@ -90,6 +101,14 @@ class EngineAdapter:
         if not runtime_available():
             raise RuntimeMissingError(RUNTIME_HINT)
         return OpenNiSource(path, clock=self._clock)
+
+
+def _registered(uri: str | None) -> Calibration:
+    calibration = registered_calibration(_listed(uri))
+    if calibration is None:
+        bound = "given: this camera does not register depth to colour itself"
+        raise InvalidValueError("calibration_id", "missing", bound)
+    return calibration
 
 
 def _listed(uri: str | None) -> str:
@@ -120,9 +139,24 @@ class LoopEngine:
         return self._loop.transitions
 
     @property
+    def notices(self) -> queue.Queue[LearningNotice]:
+        """What the learning of models has to tell."""
+        return self._loop.notices
+
+    @property
     def latest(self) -> LiveView | None:
         """The newest of everything."""
         return self._loop.latest
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether motion has a zero; a read of plain values, so safe beside the engine thread."""
+        return self._pipeline.has_reference
+
+    @property
+    def likeness(self) -> Likeness | None:
+        """How far the patient is from the stored model; a read of one reference."""
+        return self._pipeline.likeness
 
     @property
     def model(self) -> MotionModel | None:

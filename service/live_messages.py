@@ -53,6 +53,8 @@ class LiveTraining(Message):
     seconds: float
     share: float
     note: str
+    amplitude_mm: float | None = Field(default=None, description="How deep the patient has breathed so far")
+    shift_mm: float | None = Field(default=None, description="How far the region has moved since the gathering began")
 
 
 class LiveWindow(Message):

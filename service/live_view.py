@@ -4,6 +4,7 @@ import math
 from datetime import UTC, datetime
 
 from engine.frames import Measurement, Motion, PhaseLag
+from engine.likeness import Likeness
 from engine.live import LiveView, LoopStatus
 from service import schemas
 from service.hold_texts import hold_text
@@ -93,6 +94,22 @@ def training_view(view: LiveView) -> schemas.TrainingView | None:
     return None if training is None else schemas.TrainingView.model_validate(training.model_dump())
 
 
+def likeness_view(likeness: Likeness | None) -> schemas.LikenessView | None:
+    """Tell how far the patient is from the stored model."""
+    if likeness is None:
+        return None
+    return schemas.LikenessView(
+        is_accepted=likeness.refusal is None,
+        refusal=None if likeness.refusal is None else str(likeness.refusal),
+        frames=likeness.frames,
+        explained_share=round(likeness.explained_share, DIGITS),
+        residual_mm=_rounded(likeness.residual_mm),
+        shift_mm=[round(value, DIGITS) for value in likeness.shift_mm],
+        tilt_deg=round(likeness.tilt_deg, DIGITS),
+        shape_mm=round(likeness.shape_mm, DIGITS),
+    )
+
+
 def _session_status(status: LoopStatus, *, is_stopping: bool) -> str:
     if status is LoopStatus.FAILED:
         return "failed"
@@ -116,6 +133,8 @@ def _training(measurement: Measurement) -> LiveTraining | None:
         seconds=round(training.seconds, 2),
         share=round(training.share, 3),
         note=training.note,
+        amplitude_mm=_rounded(training.amplitude_mm),
+        shift_mm=_rounded(training.shift_mm),
     )
 
 

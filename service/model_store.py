@@ -1,13 +1,26 @@
-"""Learned motion models on disk: one file a model, named by the hash of what it holds."""
+"""Learned motion models on disk: one file a model, named by the hash of what it holds and what made it."""
 
 import hashlib
 from pathlib import Path
 
 import numpy as np
 
+from engine import __version__
 from engine.errors import ModelError
 from engine.model import MotionModel
 from engine.model_file import header_text, load_model, save_model
+from engine.provenance import MAX_TEXT, ModelOrigin
+from service import schemas
+from service.ports import SessionPlan
+
+SOFTWARE = f"tidegate {__version__}"
+
+
+def origin_of(plan: SessionPlan) -> ModelOrigin:
+    """Say where a model learned in this session comes from; the time is added when it is kept."""
+    camera = plan.source.uri if isinstance(plan.source, schemas.DeviceSource) else None
+    source = camera or "camera" if plan.recording is None else plan.recording.name
+    return ModelOrigin(patient=plan.patient_reference, source=source[-MAX_TEXT:], software=SOFTWARE)
 
 
 class ModelStore:

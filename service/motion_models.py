@@ -5,7 +5,7 @@ import json
 from service import schemas
 from service.db import repository
 from service.db.engine import Database
-from service.db.models import ModelRow
+from service.db.models import ModelRow, SessionRow
 from service.room import Room
 
 
@@ -19,14 +19,15 @@ class ModelShelf:
     def page(self, session_id: str, cursor: str | None, limit: int) -> schemas.ModelPage:
         """List a session's models, newest first."""
         with self._database.read() as db:
-            repository.session_row(db, session_id)
+            session = repository.session_row(db, session_id)
             rows, next_cursor = repository.model_page(db, session_id, cursor, limit)
-            return schemas.ModelPage(items=[self._model(row) for row in rows], next_cursor=next_cursor)
+            return schemas.ModelPage(items=[self._model(row, session) for row in rows], next_cursor=next_cursor)
 
     def get(self, model_id: str) -> schemas.Model:
         """Read one."""
         with self._database.read() as db:
-            return self._model(repository.model_row(db, model_id))
+            row = repository.model_row(db, model_id)
+            return self._model(row, repository.session_row(db, row.session_id))
 
     def spectrum(self, model_id: str) -> schemas.Spectrum:
         """Tell how much each component explains."""
@@ -34,7 +35,9 @@ class ModelShelf:
             row = repository.model_row(db, model_id)
             return schemas.Spectrum(model_id=row.id, share=json.loads(row.spectrum))
 
-    def _model(self, row: ModelRow) -> schemas.Model:
+    def _model(self, row: ModelRow, session: SessionRow) -> schemas.Model:
+        made = json.loads(row.provenance)
+        origin = made.get("origin") or {}
         running = self._room.of(row.session_id)
         return schemas.Model(
             id=row.id,
@@ -44,4 +47,12 @@ class ModelShelf:
             components=row.components,
             is_active=running is not None and running.writer.active_model_id == row.id,
             created_at=row.created_at,
+            patient_reference=session.patient_reference,
+            calibration_id=session.calibration_id,
+            training_frames=made.get("training_frames"),
+            cycles=made.get("cycles"),
+            source=origin.get("source"),
+            software=origin.get("software"),
+            quality=made.get("quality"),
+            settings=made.get("settings", {}),
         )

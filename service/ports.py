@@ -13,8 +13,10 @@ from typing import Generic, Literal, Protocol, TypeVar
 
 from engine.calibration import Calibration
 from engine.commands import Command
+from engine.likeness import Likeness
 from engine.live import FrameRecord, GateTransition, LiveView, LoopStatus
 from engine.model import MotionModel
+from engine.notices import LearningNotice
 from engine.permits import HoldReason
 from service import schemas
 from service.live_messages import Sample
@@ -25,7 +27,10 @@ AnswerT = TypeVar("AnswerT")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionPlan:
-    """Everything an engine needs to run a session; ``recording`` is None for a live camera."""
+    """Everything an engine needs to run a session; ``recording`` is None for a live camera.
+
+    ``model`` is the stored one to begin with, None to learn one.
+    """
 
     session_id: str
     source: schemas.RecordingSource | schemas.DeviceSource
@@ -33,6 +38,8 @@ class SessionPlan:
     calibration: Calibration
     window: schemas.Window
     regions: schemas.Regions = field(default_factory=schemas.Regions)
+    patient_reference: str = ""
+    model: MotionModel | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,8 +78,20 @@ class RunningEngine(Protocol):
         """Every change of the gate; bounded likewise."""
 
     @property
+    def notices(self) -> "queue.Queue[LearningNotice]":
+        """What the learning of models has to tell; bounded likewise."""
+
+    @property
     def latest(self) -> LiveView | None:
         """The newest of everything, or None before the first frame."""
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether motion has a zero that somebody may arm with."""
+
+    @property
+    def likeness(self) -> Likeness | None:
+        """How far the patient is from the stored model it began with; None without one, or not known yet."""
 
     @property
     def model(self) -> MotionModel | None:
@@ -144,8 +163,11 @@ class RunnerPort(Protocol):
     def stop(self, session_id: str, operator: str) -> schemas.Session:
         """Hold the beam, end the engine, close the session; never refused while there is something to stop."""
 
-    def retrain(self, session_id: str, operator: str) -> schemas.SessionDetail:
+    def retrain(self, session_id: str, operator: str, *, keeps_reference: bool) -> schemas.SessionDetail:
         """Learn a new model in the background."""
+
+    def apply_model(self, session_id: str, operator: str) -> schemas.SessionDetail:
+        """Let the model that waits take over; disarms."""
 
     def activate(self, model_id: str, operator: str) -> schemas.SessionDetail:
         """Measure with a stored model of the running session."""

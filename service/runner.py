@@ -14,11 +14,14 @@ from dataclasses import replace
 from datetime import UTC, datetime
 
 import cv2
+from sqlalchemy.orm import Session
 
 from engine.calibration import parse_calibration
-from engine.commands import Acknowledge, ActivateModel, Arm, Command, Disarm, Retrain, SetReference
+from engine.commands import Acknowledge, ActivateModel, ApplyModel, Arm, Command, Disarm, Retrain, SetReference
 from engine.errors import TidegateError
 from engine.live import LiveView, LoopStatus
+from engine.model import MotionModel
+from engine.provenance import check_patient
 from service import audit, schemas
 from service.audit import Event
 from service.audit_log import AuditLog
@@ -27,7 +30,7 @@ from service.db import repository
 from service.db.engine import Database
 from service.errors import EngineTimeoutError, PictureMissingError, SessionActiveError, SessionStateError, StartError
 from service.live_view import live_sample
-from service.model_store import ModelStore
+from service.model_store import ModelStore, origin_of
 from service.ports import CommandName, EnginePort, LiveFrame, Picture, SessionPlan
 from service.recordings import find_recording
 from service.room import Room, Running
@@ -91,9 +94,15 @@ class SessionRunner:
         self._ask(session_id, COMMANDS[name](operator), operator, f"session.{name}")
         return self._book.detail(session_id)
 
-    def retrain(self, session_id: str, operator: str) -> schemas.SessionDetail:
+    def retrain(self, session_id: str, operator: str, *, keeps_reference: bool) -> schemas.SessionDetail:
         """Learn a new model in the background."""
-        self._ask(session_id, Retrain(operator=operator), operator, "model.retrain")
+        command = Retrain(operator=operator, keeps_zero=keeps_reference)
+        self._ask(session_id, command, operator, "model.retrain", {"keeps_reference": keeps_reference})
+        return self._book.detail(session_id)
+
+    def apply_model(self, session_id: str, operator: str) -> schemas.SessionDetail:
+        """Let the model that waits take over; disarms."""
+        self._ask(session_id, ApplyModel(operator=operator), operator, "model.apply")
         return self._book.detail(session_id)
 
     def activate(self, model_id: str, operator: str) -> schemas.SessionDetail:
@@ -207,17 +216,25 @@ class SessionRunner:
                 calibration=parse_calibration(document.encode()),
                 window=schemas.Window.model_validate_json(row.window),
                 regions=schemas.Regions.model_validate_json(row.regions),
+                patient_reference=row.patient_reference,
+                model=None if row.model_id is None else self._stored_model(db, row.model_id, row.patient_reference),
             )
             row.status, row.started_at = "running", datetime.now(UTC)
-            detail = {**self._beam_detail(), **described(plan.calibration.camera)}
+            detail = {**self._beam_detail(), **described(plan.calibration.camera), **_model_detail(row.model_id)}
             audit.append(db, Event(actor=operator, action=action, session_id=session_id, detail=detail))
         return plan
+
+    def _stored_model(self, db: Session, model_id: str, patient_reference: str) -> MotionModel:
+        model = self._models.load(repository.model_row(db, model_id).sha256)
+        check_patient(model.provenance.origin, patient_reference)  # as its file says too, not the table alone
+        return model
 
     def _open(self, plan: SessionPlan) -> Running:
         engine = self._engine.open(plan)
         writer = SessionWriter(
             session_id=plan.session_id,
             engine=engine,
+            origin=origin_of(plan),
             database=self._writer_database,
             models=self._models,
             settings=WriterSettings(
@@ -275,6 +292,12 @@ class SessionRunner:
         if not self._engine.is_simulated_beam:
             return {"is_simulated_beam": False}
         return {"is_simulated_beam": True, "beam_line": "SIMULATED: no accelerator is gated by this session"}
+
+
+def _model_detail(model_id: str | None) -> dict[str, object]:
+    if model_id is None:
+        return {}
+    return {"model_id": model_id, "reference": "not carried over from the earlier session: a person has to set it"}
 
 
 def _state_error(status: str, bound: str) -> SessionStateError:

@@ -166,6 +166,11 @@ class SessionRequest(Request):
     )
     window: Window
     regions: Regions = Field(default=Regions())
+    model_id: Identifier | None = Field(
+        default=None,
+        description="Begin with this model of an earlier session of the same patient and calibration, instead of "
+        "learning one; it is compared with the patient first, and the reference has to be set by a person",
+    )
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -195,6 +200,16 @@ class OperatorRequest(Request):
     """Who asks."""
 
     operator: Name = Field(examples=["A. Therapist"])
+
+
+class RetrainRequest(OperatorRequest):
+    """Who asks for a new model, and whether its zero is the present one's."""
+
+    keeps_reference: bool = Field(
+        default=True,
+        description="Carry the zero of motion over to the new model, or refuse that model; when false the zero is "
+        "given up, and nobody may arm until a person has set it again",
+    )
 
 
 class SurfaceMesh(Answer):
@@ -242,6 +257,21 @@ class TrainingView(Answer):
     seconds: float
     share: float
     note: str
+    amplitude_mm: float | None = Field(default=None, description="How deep the patient has breathed so far")
+    shift_mm: float | None = Field(default=None, description="How far the region has moved since the gathering began")
+
+
+class LikenessView(Answer):
+    """How far the patient of today is from the stored model that the session began with."""
+
+    is_accepted: bool
+    refusal: str | None = Field(description="Why the model is not used on this patient; a new one is learned then")
+    frames: int
+    explained_share: float = Field(description="Share of the frames that the model explains, 0 to 1")
+    residual_mm: float | None = Field(description="Median of the largest mean misfit of a cell; null: none explained")
+    shift_mm: list[float] = Field(description="From the training to today: x right, y down, z away from the camera")
+    tilt_deg: float
+    shape_mm: float = Field(description="Root mean square difference that shift and tilt do not explain")
 
 
 class LatencyView(Answer):
@@ -281,6 +311,7 @@ class Session(Answer):
     calibration_warning: str | None = Field(default=None, description="To be shown beside every result")
     window: Window
     regions: Regions = Field(default=Regions())
+    model_id: Identifier | None = Field(default=None, description="The stored model it begins with")
     is_simulated_beam: bool
     created_at: AwareDatetime
     started_at: AwareDatetime | None
@@ -294,6 +325,12 @@ class SessionDetail(Session):
     measurement_state: Literal["training", "measuring", "lost"] | None
     training: TrainingView | None
     active_model_id: Identifier | None
+    has_reference: bool | None = Field(
+        default=None, description="Whether motion has a zero to arm with; null unless running"
+    )
+    likeness: LikenessView | None = Field(
+        default=None, description="null without a stored model, and until the patient was looked at for long enough"
+    )
     summary: Summary
 
 
@@ -334,6 +371,18 @@ class CalibrationPage(Answer):
     next_cursor: str | None
 
 
+class ModelQuality(Answer):
+    """What a model's training frames were worth."""
+
+    amplitude_mm: float = Field(description="Breathing excursion, 5th to 95th percentile")
+    noise_mm: float
+    explained_share: float = Field(description="Share of the variance that the kept components explain")
+    shift_mm: float = Field(description="How far the patient moved between the first and the last third")
+    tilt_deg: float
+    outlier_share: float = Field(description="Share of frames with a cough or a hand, left out of the model")
+    residual_mm: float
+
+
 class Model(Answer):
     """A learned motion model of a session."""
 
@@ -344,6 +393,14 @@ class Model(Answer):
     components: int
     is_active: bool
     created_at: AwareDatetime
+    patient_reference: str
+    calibration_id: Identifier
+    training_frames: int | None = None
+    cycles: int | None = None
+    source: str | None = Field(default=None, description="The recording or camera it was learned from")
+    software: str | None = None
+    quality: ModelQuality | None = None
+    settings: dict[str, float] = Field(default={}, description="How it was learned")
 
 
 class ModelPage(Answer):

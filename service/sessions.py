@@ -10,6 +10,8 @@ from datetime import UTC, datetime
 from pydantic import TypeAdapter
 from sqlalchemy.orm import Session
 
+from engine.errors import ModelMismatchError
+from engine.calibration import Calibration
 from engine.live import LiveView
 from service import audit, schemas
 from service.audit import SYSTEM, Event
@@ -21,7 +23,7 @@ from service.db.models import AuditRow, CalibrationRow, SampleRow, SessionRow
 from service.errors import SessionActiveError
 from service.figures import Figures
 from service.idempotency import earlier_answer, keep_answer
-from service.live_view import gate_view, known, training_view
+from service.live_view import gate_view, known, likeness_view, training_view
 from service.ports import EnginePort, Kept
 from service.recordings import find_recording
 from service.room import Room, Running
@@ -51,16 +53,24 @@ class SessionBook:
     def create(self, request: schemas.SessionRequest, key: str | None) -> Kept[schemas.Session]:
         """Record a new session; one at a time."""
         body = audit.canonical_json(request.model_dump(mode="json")).encode()
-        with self._log.refusals(actor=request.operator, action=ACTION), self._database.write() as db:
-            earlier = earlier_answer(db, ACTION, key, body, schemas.Session)
+        with self._log.refusals(actor=request.operator, action=ACTION):
+            with self._database.read() as db:
+                earlier = self._earlier_or_free(db, request, key, body)
             if earlier is not None:
                 return Kept(answer=earlier, is_replay=True)
-            self._check(request)
-            open_id = repository.open_session_id(db)
-            if open_id is not None:
-                msg = "another session is created or running: stop it first"
-                raise SessionActiveError(msg, field="session_id", value=open_id, bound="one open session at a time")
-            calibration = self._calibration(db, request)
+            # A camera may take its time to answer, or hang: never while the database is locked.
+            nominal = self._nominal_calibration(request)
+            return self._write_down(request, key, body, nominal)
+
+    def _write_down(
+        self, request: schemas.SessionRequest, key: str | None, body: bytes, nominal: Calibration | None
+    ) -> Kept[schemas.Session]:
+        with self._database.write() as db:
+            earlier = self._earlier_or_free(db, request, key, body)
+            if earlier is not None:
+                return Kept(answer=earlier, is_replay=True)
+            calibration = self._calibration(db, request, nominal)
+            _refuse_other_model(db, request, calibration)
             row = _new_row(request, calibration.id, is_simulated_beam=self._engine.is_simulated_beam)
             db.add(row)
             db.flush()
@@ -89,6 +99,8 @@ class SessionBook:
             measurement_state=None if view is None else view.record.measurement.state.value,
             training=None if view is None else training_view(view),
             active_model_id=None if running is None else running.writer.active_model_id,
+            has_reference=None if running is None else running.engine.has_reference,
+            likeness=None if running is None else likeness_view(running.engine.likeness),
             summary=_summary(running, view, stored),
         )
 
@@ -123,18 +135,37 @@ class SessionBook:
         if isinstance(request.source, schemas.RecordingSource):
             find_recording(request.source.path, self._settings.recording_folders)
 
-    def _calibration(self, db: Session, request: schemas.SessionRequest) -> CalibrationRow:
-        """Find the calibration asked for, or make a nominal one of what the camera says of itself."""
+    def _earlier_or_free(
+        self, db: Session, request: schemas.SessionRequest, key: str | None, body: bytes
+    ) -> schemas.Session | None:
+        """Return what was answered to this key before; refuse a bad request, and any while a session is open."""
+        earlier = earlier_answer(db, ACTION, key, body, schemas.Session)
+        if earlier is not None:
+            return earlier
+        self._check(request)
+        open_id = repository.open_session_id(db)
+        if open_id is not None:
+            msg = "another session is created or running: stop it first"
+            raise SessionActiveError(msg, field="session_id", value=open_id, bound="one open session at a time")
+        return None
+
+    def _nominal_calibration(self, request: schemas.SessionRequest) -> Calibration | None:
+        """Ask the camera for its nominal geometry where no calibration was given."""
         if request.calibration_id is not None:
-            row = repository.calibration_row(db, request.calibration_id)
-            if kind_of(row.camera) != "uploaded":
-                check_allowed(request, self._settings)
-            return row
+            return None
         check_allowed(request, self._settings)
         assert isinstance(request.source, schemas.DeviceSource), "recordings were refused"
-        # Nobody else opens the camera meanwhile: this transaction holds the lock that a session is started under.
-        calibration = self._engine.registered_calibration(request.source.uri)
-        return kept_row(db, calibration, SYSTEM)[0]
+        return self._engine.registered_calibration(request.source.uri)
+
+    def _calibration(self, db: Session, request: schemas.SessionRequest, nominal: Calibration | None) -> CalibrationRow:
+        """Find the calibration asked for, or keep the nominal one."""
+        if nominal is not None:
+            return kept_row(db, nominal, SYSTEM)[0]
+        assert request.calibration_id is not None, "without one there is a nominal one"
+        row = repository.calibration_row(db, request.calibration_id)
+        if kind_of(row.camera) != "uploaded":
+            check_allowed(request, self._settings)
+        return row
 
     def _created(self, session_id: str, request: schemas.SessionRequest, calibration: CalibrationRow) -> Event:
         detail = {**request.model_dump(mode="json"), "calibration_id": calibration.id, **described(calibration.camera)}
@@ -180,6 +211,19 @@ def _summary(running: Running | None, view: LiveView | None, stored: str | None)
     return figures.summary(schemas.LatencyView(p50_ms=known(view.latency.p50_ms), p99_ms=known(view.latency.p99_ms)))
 
 
+def _refuse_other_model(db: Session, request: schemas.SessionRequest, calibration: CalibrationRow) -> None:
+    """Refuse a model of another patient or another calibration; the other patient is not told."""
+    if request.model_id is None:
+        return
+    learned_in = repository.session_row(db, repository.model_row(db, request.model_id).session_id)
+    if learned_in.patient_reference != request.patient_reference:
+        bound = f"a model of {request.patient_reference}"
+        raise ModelMismatchError("model_id", request.model_id, bound, "this one was learned of another patient")
+    if learned_in.calibration.sha256 != calibration.sha256:
+        bound = f"a model learned with calibration {calibration.id}"
+        raise ModelMismatchError("model_id", request.model_id, bound, f"this one was with {learned_in.calibration_id}")
+
+
 def _new_row(request: schemas.SessionRequest, calibration_id: str, *, is_simulated_beam: bool) -> SessionRow:
     return SessionRow(
         id=uuid.uuid4().hex,
@@ -194,6 +238,7 @@ def _new_row(request: schemas.SessionRequest, calibration_id: str, *, is_simulat
         window=request.window.model_dump_json(),
         regions=request.regions.model_dump_json(),
         calibration_id=calibration_id,
+        model_id=request.model_id,
         is_simulated_beam=is_simulated_beam,
         created_at=datetime.now(UTC),
     )

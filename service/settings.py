@@ -13,9 +13,15 @@ from typing import Annotated, Any, Self
 from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from engine.errors import InvalidValueError
+from engine.likeness import LIKENESS_BOUNDS, LikenessLimits
 from engine.limits import LIMIT_BOUNDS, GateLimits
+from engine.training import TRAINING_BOUNDS, TrainingSettings
 
 PREFIX = "TIDEGATE_"
+SETTING_OF = {"retrain_interval_s": "retrain_interval_min"}
+"""Settings of the training that a site gives under another name, in another unit."""
+
 LIMIT_DEFAULTS = {field.name: field.default for field in dataclasses.fields(GateLimits)}
 FolderList = Annotated[tuple[Path, ...], NoDecode]
 NameList = Annotated[tuple[str, ...], NoDecode]
@@ -25,6 +31,18 @@ def _limit(name: str) -> Any:  # noqa: ANN401 - a field of any number's type
     """Declare a site's gate limit, with the engine's own default and bounds."""
     low, high = LIMIT_BOUNDS[name]
     return Field(default=LIMIT_DEFAULTS[name], ge=low, le=high)
+
+
+def _training(name: str) -> Any:  # noqa: ANN401 - a field of any number's type
+    """Declare how a site's sessions learn, with the engine's own default and bounds."""
+    low, high = TRAINING_BOUNDS[name]
+    return Field(default=getattr(TrainingSettings(), name), ge=low, le=high)
+
+
+def _likeness(name: str) -> Any:  # noqa: ANN401 - a field of any number's type
+    """Declare how far a patient may be from a stored model, with the engine's own default and bounds."""
+    low, high = LIKENESS_BOUNDS[name]
+    return Field(default=getattr(LikenessLimits(), name), ge=low, le=high)
 
 
 class SettingsError(Exception):
@@ -74,6 +92,27 @@ class Settings(BaseSettings):
     window_lower_mm: float = Field(default=-100.0, ge=-100.0, le=100.0, description="No session's window goes below")
     window_upper_mm: float = Field(default=100.0, ge=-100.0, le=100.0, description="No session's window goes above")
 
+    training_min_frames: int = _training("min_frames")
+    training_min_cycles: int = _training("min_cycles")
+    training_min_seconds: float = _training("min_seconds")
+    training_max_seconds: float = _training("max_seconds")
+    training_max_frames: int = _training("max_frames")
+    training_components: int = _training("components")
+    training_min_amplitude_mm: float = _training("min_amplitude_mm")
+    training_max_shift_mm: float = _training("max_shift_mm")
+    training_max_tilt_deg: float = _training("max_tilt_deg")
+    training_max_outlier_share: float = _training("max_outlier_share")
+    training_max_carry_mm: float = _training("max_carry_mm")
+    retrain_interval_min: float = Field(
+        default=0.0, ge=0.0, le=240.0, description="Learn a new model so often while a session runs; 0 is never"
+    )
+    likeness_seconds: float = _likeness("seconds")
+    likeness_max_shift_mm: float = _likeness("max_shift_mm")
+    likeness_max_tilt_deg: float = _likeness("max_tilt_deg")
+    likeness_max_shape_mm: float = _likeness("max_shape_mm")
+    likeness_max_residual_mm: float = _likeness("max_residual_mm")
+    likeness_min_explained_share: float = _likeness("min_explained_share")
+
     @field_validator("recordings_dirs", mode="before")
     @classmethod
     def _split_folders(cls, value: object) -> object:
@@ -95,7 +134,24 @@ class Settings(BaseSettings):
         if self.window_lower_mm >= self.window_upper_mm:
             msg = f"window_lower_mm must be below window_upper_mm ({self.window_upper_mm:g})"
             raise ValueError(msg)
+        try:
+            _ = self.training  # settings that cannot be met together are refused where they are read
+        except InvalidValueError as error:
+            name = SETTING_OF.get(error.field, f"training_{error.field}")
+            msg = f"{name} must be {error.bound}"
+            raise ValueError(msg) from error
         return self
+
+    @property
+    def training(self) -> TrainingSettings:
+        """How models are learned."""
+        given = {name: getattr(self, f"training_{name}") for name in TRAINING_BOUNDS.keys() - SETTING_OF.keys()}
+        return TrainingSettings(**given, retrain_interval_s=60.0 * self.retrain_interval_min)
+
+    @property
+    def likeness(self) -> LikenessLimits:
+        """How far a patient may be from a stored model."""
+        return LikenessLimits(**{name: getattr(self, f"likeness_{name}") for name in LIKENESS_BOUNDS})
 
     @property
     def recording_folders(self) -> tuple[Path, ...]:

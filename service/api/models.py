@@ -20,10 +20,18 @@ def list_models(
 
 @router.post("/sessions/{session_id}/models/retrain", status_code=202, name="model.retrain", responses=ACT)
 def retrain_model(
+    session_id: deps.SessionId, request: schemas.RetrainRequest, services: deps.Offered
+) -> schemas.SessionDetail:
+    """Learn a new model in the background; it takes over between two frames, or waits while the session is armed."""
+    return services.runner.retrain(session_id, request.operator, keeps_reference=request.keeps_reference)
+
+
+@router.post("/sessions/{session_id}/models/apply", name="model.apply", responses=ACT)
+def apply_model(
     session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
 ) -> schemas.SessionDetail:
-    """Learn a new model in the background; when it takes over, the session is disarmed."""
-    return services.runner.retrain(session_id, request.operator)
+    """Let the new model that waits take over now; disarms. Refused when none waits."""
+    return services.runner.apply_model(session_id, request.operator)
 
 
 @router.get("/models/{model_id}", responses=READ)
@@ -42,5 +50,5 @@ def read_spectrum(model_id: deps.ModelId, services: deps.Offered) -> schemas.Spe
 def activate_model(
     model_id: deps.ModelId, request: schemas.OperatorRequest, services: deps.Offered
 ) -> schemas.SessionDetail:
-    """Measure with this model of the running session from the next frame on; disarms."""
+    """Measure with this model of the running session once the zero is carried over to it; disarms."""
     return services.runner.activate(model_id, request.operator)

@@ -44,6 +44,7 @@ class SessionRow(Base):
     started_at: Mapped[datetime | None] = mapped_column(UtcTime)
     ended_at: Mapped[datetime | None] = mapped_column(UtcTime)
     regions: Mapped[str] = mapped_column(Text, default="{}", server_default="{}")
+    model_id: Mapped[str | None] = mapped_column(String(32))
     calibration: Mapped[CalibrationRow] = relationship(lazy="joined")
 
 
@@ -93,6 +94,7 @@ class ModelRow(Base):
     spectrum: Mapped[str] = mapped_column(Text)
     components: Mapped[int]
     created_at: Mapped[datetime] = mapped_column(UtcTime)
+    provenance: Mapped[str] = mapped_column(Text, default="{}", server_default="{}")
 
 
 class AuditRow(Base):

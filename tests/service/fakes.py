@@ -11,8 +11,10 @@ from engine.capture.source import SourceDescription
 from engine.commands import Acknowledge, Arm, Command, Disarm
 from engine.errors import CommandRefusedError, TidegateError
 from engine.frames import Lost, LostReason, Measurement, MeasurementState, Motion, Projection, TrainingProgress
+from engine.likeness import Likeness
 from engine.live import FrameRecord, GateTransition, LatencySummary, LiveView, LoopStatus
 from engine.model import MotionModel
+from engine.notices import LearningNotice
 from engine.permits import GateState, HoldReason
 from service import schemas
 from service.ports import SessionPlan
@@ -73,7 +75,10 @@ class FakeRunning:
         self.plan = plan
         self.samples: queue.Queue[FrameRecord] = queue.Queue(sample_capacity)
         self.transitions: queue.Queue[GateTransition] = queue.Queue(260)
+        self.notices: queue.Queue[LearningNotice] = queue.Queue(64)
         self.latest: LiveView | None = None
+        self.has_reference = True
+        self.likeness: Likeness | None = None
         self.model: MotionModel | None = None
         self.status = LoopStatus.RUNNING
         self.error: str | None = None

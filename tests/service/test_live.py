@@ -149,7 +149,9 @@ def test_regions_and_corners_go_out_in_order(plan):
 
 def test_training_is_told(plan):
     view = view_of(plan)
-    progress = TrainingProgress(frames=10, cycles=1, seconds=3.0, share=0.3, note="breathe on")
+    progress = TrainingProgress(
+        frames=10, cycles=1, seconds=3.0, share=0.3, note="breathe on", amplitude_mm=6.54321, shift_mm=float("nan")
+    )
     object.__setattr__(view.record.measurement, "training", progress)
     assert message_of(view, plan)["training"] == {
         "frames": 10,
@@ -157,6 +159,8 @@ def test_training_is_told(plan):
         "seconds": 3.0,
         "share": 0.3,
         "note": "breathe on",
+        "amplitude_mm": 6.5432,
+        "shift_mm": None,
     }
 
 

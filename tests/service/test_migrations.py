@@ -33,13 +33,13 @@ def fill(database):
     raw.execute("INSERT INTO calibrations VALUES ('c', 'h', 'cam', '{}', 'me', '2026-01-01T00:00:00.000000Z')")
     raw.execute(
         "INSERT INTO sessions VALUES ('s', 'ended', '', 'P', '1', '1', NULL, 'me', '{}', '{}', 'c', 1, NULL, "
-        "'2026-01-01T00:00:00.000000Z', NULL, NULL, '{}')"
+        "'2026-01-01T00:00:00.000000Z', NULL, NULL, '{}', NULL)"
     )
     raw.execute(
         "INSERT INTO samples (session_id, frame_index, timestamp_us, missed_frames, state, gate, line_on, received_ns, "
         "decided_ns, asserted_ns) VALUES ('s', 0, 0, 0, 'lost', 'hold', 0, 0, 0, 0)"
     )
-    raw.execute("INSERT INTO models VALUES ('m', 's', 1, 'h', '[]', 3, '2026-01-01T00:00:00.000000Z')")
+    raw.execute("INSERT INTO models VALUES ('m', 's', 1, 'h', '[]', 3, '2026-01-01T00:00:00.000000Z', '{}')")
     raw.execute("INSERT INTO idempotency_keys VALUES ('r', 'k', 'h', '{}', '2026-01-01T00:00:00.000000Z')")
     raw.commit()
     raw.close()

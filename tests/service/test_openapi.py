@@ -24,6 +24,7 @@ POSTS = {
     "/api/v1/sessions/{session_id}/acknowledge",
     "/api/v1/sessions/{session_id}/stop",
     "/api/v1/sessions/{session_id}/models/retrain",
+    "/api/v1/sessions/{session_id}/models/apply",
     "/api/v1/models/{model_id}/activate",
 }
 
@@ -73,6 +74,7 @@ def test_every_request_body_refuses_what_it_does_not_know_and_bounds_its_numbers
     names = {
         "SessionRequest",
         "OperatorRequest",
+        "RetrainRequest",
         "RecordingSource",
         "DeviceSource",
         "Window",
