@@ -66,7 +66,11 @@ def glance(judged: list[Judged]) -> Table:
         ("Five points against the laser, error [mm]", published.ARTICLE_ERROR, *_laser(fifteen, lambda b: b.mean_mm)),
         ("Five points against the laser, correlation", "0.98", *_laser(fifteen, lambda b: b.correlation)),
         ("Volume against the spirometer, correlation", "0.97", *_spirometer(fifteen)),
-        ("Whole ROI, error of a cell [mm]", None, *_over(fifteen, lambda s: s.cells_mm)),
+        ("Whole ROI, error of a cell, regular [mm]", None, *_over(fifteen, lambda s: s.cells_mm)),
+        *(
+            (f"... {GROUPS[group]} [mm]", None, *_over(of_group(judged, group), lambda s: s.cells_mm))
+            for group in ("irregular", "shift", "dibh", "isovolume")
+        ),
         ("Whole-ROI mean motion [mm]", None, *_over(fifteen, lambda s: s.whole_mm)),
         (
             "Isovolume, thorax against abdomen",

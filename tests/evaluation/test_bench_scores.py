@@ -179,6 +179,15 @@ def test_a_recording_that_could_not_be_measured_is_a_missed_mark():
     assert not any(mark.is_met for mark in reach([judged]))
 
 
+def test_a_mark_met_in_the_mean_names_the_recording_that_missed_it():
+    good, bad = (
+        judge_run(small_run(n), outcome(measured_track(breath(), 10, e))) for n, e in (("D01", 0.0), ("D02", 0.2))
+    )
+    mark = next(mark for mark in reach([good, bad]) if "regular" in mark.name)
+    assert mark.verdict == "met, not by D02"
+    assert reach([good])[0].verdict == "met"
+
+
 def test_thorax_against_abdomen_must_be_at_or_below_its_mark():
     mark = Mark(name="m", bound=-0.99, value=-0.995, worst=-0.995, worst_run="V01", recordings=1)
     assert mark.is_met
