@@ -33,7 +33,7 @@ class StrictJson:
             with path.open("rb") as file:
                 return file.read(self.max_bytes + 1)
         except OSError as error:
-            raise self.error(ROOT, str(path), f"readable ({error.strerror})") from error
+            raise self.error(ROOT, path.name, f"readable ({error.strerror})") from error
 
     def parse(self, text: bytes) -> object:
         """Parse a document; no key twice, no NaN, no infinity, not deep."""

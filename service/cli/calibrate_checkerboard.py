@@ -18,6 +18,7 @@ if TYPE_CHECKING:  # OpenCV takes its time to import, and `--help` does not need
 NAME = "calibrate checkerboard"
 GOOD_PAIRS = 15
 GOOD_COVERAGE = 0.6
+GOOD_RESIDUAL_MM, GOOD_ALIGNMENT_MM, GOOD_SCALE_MM = 0.5, 0.3, 0.2
 
 
 def checkerboard(
@@ -30,11 +31,11 @@ def checkerboard(
     ],
     columns: Annotated[int, typer.Option(help="Inner corners along one side: squares less one.")],
     rows: Annotated[int, typer.Option(help="Inner corners along the other; not as many.")],
-    square_mm: Annotated[float, typer.Option(help="Side of a square [mm], measured over many squares.")],
+    square_mm: Annotated[float, typer.Option(help="Side of a square in mm, measured over many squares.")],
     out: Annotated[Path, typer.Option(help="The calibration; a report and a picture of the residuals go beside it.")],
     camera: Annotated[str, typer.Option(help="The camera's name, best with its serial number.")] = "camera",
     infrared_offset: Annotated[
-        str, typer.Option(help="X,Y [px] by which the device moves its depth picture against the infrared one.")
+        str, typer.Option(help="X,Y in px by which the device moves its depth picture against the infrared one.")
     ] = "0,0",
 ) -> None:
     """Calibrate both cameras and the pose between them, leave outliers out, and say how good it is at 850 mm.
@@ -121,7 +122,17 @@ def _say_how_good(result: "CheckerboardResult") -> None:
             say(f"Mind: the {name} camera hardly ever saw a corner in: {where}. Its lens is a guess there", "yellow")
     say(
         f"At 850 mm: depth and colour agree within {accuracy.residual_mm:.2f} mm ({accuracy.residual_px:.2f} px, rms "
-        f"of all corners); where a depth pixel lies in the colour picture is known to {accuracy.alignment_mm:.2f} mm "
-        f"({accuracy.alignment_px:.2f} px), {accuracy.alignment_worst_mm:.2f} mm at worst in the middle of the "
-        f"picture; 100 mm across are known to {accuracy.scale_mm:.2f} mm"
+        f"of all corners; good: {GOOD_RESIDUAL_MM:g} mm or less)"
     )
+    say(
+        f"Where a depth pixel lies in the colour picture is known to {accuracy.alignment_mm:.2f} mm "
+        f"({accuracy.alignment_px:.2f} px; good: {GOOD_ALIGNMENT_MM:g} mm or less), {accuracy.alignment_worst_mm:.2f} "
+        "mm at worst in the middle of the picture"
+    )
+    say(f"100 mm across are known to {accuracy.scale_mm:.2f} mm (good: {GOOD_SCALE_MM:g} mm or less)")
+    if (
+        accuracy.residual_mm > GOOD_RESIDUAL_MM
+        or accuracy.alignment_mm > GOOD_ALIGNMENT_MM
+        or accuracy.scale_mm > GOOD_SCALE_MM
+    ):
+        say("Mind: this is not a good calibration yet: more pictures, more tilt, sharper and nearer boards", "yellow")

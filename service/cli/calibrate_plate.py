@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 NAME = "calibrate plate"
 MUCH_DRIFT_MM = 0.5
+GOOD_ERROR_MM = 1.0
 
 
 def plate(
@@ -29,7 +30,8 @@ def plate(
     ],
     *,
     distance_mm: Annotated[
-        list[float], typer.Option(help="Distance from the camera's front to the plate [mm], one a recording, in order.")
+        list[float],
+        typer.Option(help="Distance from the camera's front to the plate in mm, one a recording, in order."),
     ],
     calibration: Annotated[Path, typer.Option(help="The camera's calibration (tidegate.calibration/1).")],
     out: Annotated[Path, typer.Option(help="The calibration with the depth correction; a report goes beside it.")],
@@ -37,7 +39,7 @@ def plate(
         float, typer.Option(help="Share of the picture's width and height, in the middle, that the plate fills.")
     ] = 0.5,
     distance_error_mm: Annotated[
-        float, typer.Option(help="Standard deviation of the distances as you measured them [mm].")
+        float, typer.Option(help="Standard deviation of the distances as you measured them, in mm.")
     ] = 1.0,
 ) -> None:
     """Find this unit's depth scale and offset, and say what depth is worth at 850 mm."""
@@ -108,7 +110,7 @@ def _say_how_good(
         "plates"
     )
     if scale.has_scale:
-        say(f"At 850 mm: corrected depth is known to {scale.error_mm:.2f} mm")
+        say(f"At 850 mm: corrected depth is known to {scale.error_mm:.2f} mm (good: {GOOD_ERROR_MM:g} mm or less)")
     else:
         where = float(scale.distances_mm.mean())
         say(

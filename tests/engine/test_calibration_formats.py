@@ -346,6 +346,7 @@ def test_a_document_type_in_a_good_file_is_refused_as_such():
     assert refusal_of([text.replace(b">640<", b">&b;<")]).bound == "XML without a document type"
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=200))
 def test_any_bytes_are_refused(text):
     with pytest.raises(CalibrationError):
