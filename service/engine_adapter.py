@@ -2,6 +2,8 @@
 
 import queue
 import threading
+import weakref
+from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 
@@ -40,7 +42,7 @@ class EngineAdapter:
         self._clock: Clock = MonotonicClock()
         # Asking a camera about itself and starting a session on it do not mix: the runtime would share the device.
         self._camera_lock = threading.Lock()
-        self._newest: LoopEngine | None = None
+        self._newest: Callable[[], LoopEngine | None] = lambda: None
 
     @property
     def is_simulated_beam(self) -> bool:
@@ -63,13 +65,15 @@ class EngineAdapter:
                 clock=self._clock,
             )
             loop.start()
-            self._newest = LoopEngine(loop, pipeline)
-            return self._newest
+            engine = LoopEngine(loop, pipeline)
+            self._newest = weakref.ref(engine)
+        return engine
 
     def registered_calibration(self, uri: str | None) -> Calibration:
         """Return the nominal calibration of a camera that registers depth to colour itself; refuse any other."""
         with self._camera_lock:
-            if self._newest is not None and not self._newest.status.is_over:
+            newest = self._newest()
+            if newest is not None and not newest.status.is_over:
                 msg = "a session runs: its camera is not asked about itself"
                 raise CommandRefusedError(msg)
             return _registered(uri)

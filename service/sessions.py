@@ -10,8 +10,8 @@ from datetime import UTC, datetime
 from pydantic import TypeAdapter
 from sqlalchemy.orm import Session
 
-from engine.errors import ModelMismatchError
 from engine.calibration import Calibration
+from engine.errors import ModelMismatchError
 from engine.live import LiveView
 from service import audit, schemas
 from service.audit import SYSTEM, Event

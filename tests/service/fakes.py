@@ -1,6 +1,7 @@
 """An engine that does what a test tells it, behind the same ports as the real one."""
 
 import queue
+from collections.abc import Callable
 from concurrent.futures import Future
 from itertools import count
 
@@ -181,6 +182,7 @@ class FakeEngine:
         self.fail_with: TidegateError | None = None
         self.broken_source: str | None = None
         self.probed: list[str | None] = []
+        self.while_probed: Callable[[], object] = lambda: None
 
     @property
     def running(self) -> FakeRunning:
@@ -197,6 +199,7 @@ class FakeEngine:
 
     def registered_calibration(self, uri: str | None) -> Calibration:
         self.probed.append(uri)
+        self.while_probed()
         if self.fail_with is not None:
             raise self.fail_with
         return nominal_calibration("Fake Xtion", size_px=(640, 480), field_of_view_rad=(1.02, 0.797))

@@ -1,14 +1,22 @@
 """Without a calibration: only a live camera, only its own registration, and everybody is told."""
 
+import threading
+
 import pytest
 
 from engine.calibration import nominal_calibration
-from engine.errors import SourceLostError
+from engine.capture.openni import ListedDevice
+from engine.capture.source import SourceDescription
+from engine.errors import CommandRefusedError, FrameTimeoutError, InvalidValueError, SourceLostError
+from service import engine_adapter
 from service.audit import SYSTEM
+from service.engine_adapter import EngineAdapter
 from service.errors import BoundError
+from service.ports import SessionPlan
+from service.schemas import DeviceSource, Window
 from service.settings import Settings
 from service.uncalibrated import WARNING
-from tests.service.conftest import act, audit_rows, upload
+from tests.service.conftest import WINDOW, act, audit_rows, make_calibration, upload
 
 URL = "/api/v1/sessions"
 SAID = {"calibration": "device registration", "calibration_warning": WARNING}
@@ -111,6 +119,93 @@ def test_nobody_uploads_a_calibration_under_that_name(client):
     nominal = nominal_calibration("Fake Xtion", size_px=(640, 480), field_of_view_rad=(1.02, 0.797))
     answer = upload(client, nominal.to_json())
     assert (answer.status_code, answer.json()["field"]) == (422, "camera")
+
+
+def test_a_camera_that_takes_its_time_to_answer_keeps_nobody_from_the_database(client, device_body, engine):
+    engine.while_probed = lambda: answers.append(upload(client, make_calibration("meanwhile").to_json()).status_code)
+    answers = []
+    assert client.post(URL, json=device_body).status_code == 201
+    assert answers == [201]
+
+
+def test_a_session_that_comes_in_between_wins(client, device_body, session_body, engine):
+    engine.while_probed = lambda: answers.append(client.post(URL, json=session_body).status_code)
+    answers = []
+    assert client.post(URL, json=device_body).status_code == 409
+    assert answers == [201]
+
+
+@pytest.fixture
+def camera(monkeypatch):
+    """A camera of the runtime, as the adapter sees it; tests change what it says of itself."""
+    said = {"angles": (1.02, 0.797)}
+
+    def registered(uri):
+        angles = said["angles"]
+        return angles and nominal_calibration("Xtion", size_px=(640, 480), field_of_view_rad=angles)
+
+    device = ListedDevice(uri="1d27/0601@1/2", vendor="", name="Xtion")
+    monkeypatch.setattr(engine_adapter, "list_devices", lambda: [device])
+    monkeypatch.setattr(engine_adapter, "registered_calibration", registered)
+    return said
+
+
+def make_plan(calibration):
+    source = DeviceSource(kind="device")
+    return SessionPlan(
+        session_id="0" * 32,
+        source=source,
+        recording=None,
+        calibration=calibration,
+        window=Window.model_validate(WINDOW),
+    )
+
+
+def test_the_engine_asks_the_camera_again_when_the_session_starts(camera):
+    adapter = EngineAdapter(Settings())
+    calibration = adapter.registered_calibration(None)
+    assert adapter._source(make_plan(calibration))._use_registration
+    assert not adapter._source(make_plan(make_calibration()))._use_registration
+    camera["angles"] = (1.1, 0.8)
+    with pytest.raises(SourceLostError, match="not the one whose registration"):
+        adapter._source(make_plan(calibration))
+
+
+def test_the_engine_refuses_cameras_it_cannot_use_uncalibrated(camera):
+    adapter = EngineAdapter(Settings())
+    with pytest.raises(SourceLostError, match="no such camera"):
+        adapter.registered_calibration("elsewhere")
+    camera["angles"] = None
+    with pytest.raises(InvalidValueError) as refusal:
+        adapter.registered_calibration(None)
+    assert refusal.value.field == "calibration_id"
+
+
+class StillSource:
+    """A camera that opens and then gives no frame."""
+
+    def open(self):
+        sizes = {"depth_size": (640, 480), "color_size": (640, 480)}
+        return SourceDescription(kind="fake", name="fake", fps=30.0, is_live=True, **sizes)
+
+    def read(self, timeout_s):
+        threading.Event().wait(min(timeout_s, 0.02))
+        raise FrameTimeoutError("none")
+
+    def close(self):
+        pass
+
+
+def test_the_engine_leaves_a_running_session_s_camera_alone(camera, monkeypatch):
+    monkeypatch.setattr(engine_adapter, "OpenNiSource", lambda *_args, **_named: StillSource())
+    adapter = EngineAdapter(Settings())
+    engine = adapter.open(make_plan(make_calibration()))
+    try:
+        with pytest.raises(CommandRefusedError, match="a session runs"):
+            adapter.registered_calibration(None)
+    finally:
+        engine.stop()
+    assert adapter.registered_calibration(None).is_device_registration
 
 
 class TestAStrictSite:
