@@ -15,7 +15,8 @@ from engine.model import MotionModel
 
 MIN_FRAMES = 20
 KNOWN_SHARE = 0.5
-FILL_ITERATIONS = 1
+MAX_FILLINGS = 8
+FILLED_CHANGE = 0.003
 # Every so many known points are enough to tell the frames' likeness: the sensor's noise is correlated over nine pixels.
 COVARIANCE_STEP = 4
 SMOOTHINGS_PX = (4.0, 8.0, 12.0, 16.0, 24.0, 32.0)
@@ -86,7 +87,8 @@ def _principal_components(
     has_gaps = bool(gaps.any())
     mean = data.sum(axis=0, where=seen, dtype=np.float64) / seen.sum(axis=0)
     centred = (data - mean.astype(np.float32)) * seen
-    for last in (not has_gaps, *[False] * (FILL_ITERATIONS - 1), True):
+    largest = 0.0
+    for _ in range(MAX_FILLINGS if has_gaps else 1):
         thin = np.ascontiguousarray(centred[:, ::COVARIANCE_STEP])
         covariance = (thin @ thin.T).astype(np.float64) * (data.shape[1] / thin.shape[1] / (len(data) - 1))
         eigenvalues, vectors = np.linalg.eigh(covariance)
@@ -94,8 +96,9 @@ def _principal_components(
         if eigenvalues[0] <= 1e-6 * data.shape[1]:
             msg = "nothing moved during training: there is no breathing to learn"
             raise ModelError(msg)
-        if last:
+        if not has_gaps or eigenvalues[0] - largest < FILLED_CHANGE * eigenvalues[0]:
             break
+        largest = eigenvalues[0]
         np.copyto(centred, scores @ (scores.T @ centred), where=gaps)
         shift = centred.mean(axis=0)
         centred -= shift

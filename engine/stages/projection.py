@@ -30,7 +30,7 @@ SMALL_STEP_MM = 1.0
 MAX_OUTLIERS_UNNOTICED = 0.01
 MIN_SEEN_SHARE = 0.02
 MIN_EXPLAINED_SHARE = 0.8
-MIN_MEAN_WEIGHT = 1e-3
+MIN_SLOPE = 0.1
 CHECK_CELL_PX = 25
 CHECK_MIN_SHARE = 0.4
 # One reading in a cell that jumped must not pass for a cell that does not fit; a hand makes them all jump.
@@ -129,7 +129,7 @@ def project(basis: Basis, roi: RoiDepth, start: FloatArray | None) -> Projection
         return None
     inside = usable.astype(np.float32)
     difference = (thin.depth_mm.ravel() - basis.sampled_mean_mm) * inside
-    frame = _Frame(difference=difference, usable=usable, inside=inside)
+    frame = _Frame(difference=difference, usable=usable, inside=inside, seen=seen)
     equations, widest = _settle(basis, frame, start)
     coefficients = _weigh_widths(basis, equations, widest)
     misfit = _misfit(basis, frame, coefficients)
@@ -144,11 +144,12 @@ def project(basis: Basis, roi: RoiDepth, start: FloatArray | None) -> Projection
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Frame:
-    """What was seen less the mean [mm], zero elsewhere; where it was seen; and the same as ones and zeros."""
+    """What was seen less the mean [mm], zero elsewhere; where it was seen; the same as ones and zeros; how many."""
 
     difference: FloatArray
     usable: BoolArray
     inside: FloatArray
+    seen: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -173,13 +174,14 @@ def _settle(basis: Basis, frame: _Frame, start: FloatArray | None) -> tuple[_Equ
     coefficients, misfit = _start(basis, frame, gram, start)
     limit_mm = SMALL_STEP_MM
     for _ in range(MAX_REWEIGHTINGS):
-        weights = _tukey(misfit) * frame.inside
+        ratio = _ratio(misfit)
+        weights = (1.0 - ratio) ** 2 * frame.inside
         positive = weights > 0.0
         if int(np.count_nonzero(believed != positive)) > MAX_OUTLIERS_UNNOTICED * believed.size:
             believed, gram, limit_mm = positive, _gram(basis, positive), CONVERGED_MM
-        # Weights that average one over what is believed: where nothing is an outlier one step then goes all the way.
-        mean_weight = float(weights.sum()) / max(int(np.count_nonzero(positive)), 1)
-        pull = (basis.sampled_modes @ (weights * misfit)).astype(np.float64) / max(mean_weight, MIN_MEAN_WEIGHT)
+        # Where nothing is an outlier the first step then goes all the way: Newton's, with the influence's mean slope.
+        slope = float(frame.seen - 6.0 * ratio.sum() + 5.0 * (ratio @ ratio)) / max(int(np.count_nonzero(positive)), 1)
+        pull = (basis.sampled_modes @ (weights * misfit)).astype(np.float64) / max(slope, MIN_SLOPE)
         equations = _Equations(gram=gram, right=gram @ coefficients + pull)
         answer = _solve(equations, basis.stiffness[-1])
         step = answer.coefficients - coefficients
@@ -209,7 +211,7 @@ def _misfit(basis: Basis, frame: _Frame, coefficients: FloatArray) -> FloatArray
 
 def _explained(misfit: FloatArray, frame: _Frame) -> float:
     """Share of what was seen that a misfit leaves explained, 0 to 1."""
-    return float((_tukey(misfit) * frame.inside).sum() / frame.inside.sum())
+    return float(((1.0 - _ratio(misfit)) ** 2 * frame.inside).sum() / frame.seen)
 
 
 def _gram(basis: Basis, usable: BoolArray) -> FloatArray:
@@ -242,10 +244,10 @@ def _solve(equations: _Equations, stiffness: FloatArray) -> _Answer:
     return _Answer(coefficients=answer, log_determinant=float(np.log(factor.diagonal()).sum()))
 
 
-def _tukey(misfit: FloatArray) -> FloatArray:
-    ratio = np.minimum(misfit * misfit * np.float32(1.0 / OUTLIER_MM**2), np.float32(1.0))
-    one_less: FloatArray = np.float32(1.0) - ratio
-    return one_less * one_less
+def _ratio(misfit: FloatArray) -> FloatArray:
+    """Square of a misfit over that of an outlier, up to 1; Tukey's weight is the square of what it lacks of 1."""
+    ratio: FloatArray = np.minimum(misfit * misfit * np.float32(1.0 / OUTLIER_MM**2), np.float32(1.0))
+    return ratio
 
 
 def _cell_sums() -> tuple[FloatArray, FloatArray]:
