@@ -87,6 +87,10 @@ class Errand(Protocol):
         """Whether there are enough."""
 
     @property
+    def needs_measured(self) -> bool:
+        """Whether only frames count that the present model measures."""
+
+    @property
     def progress(self) -> TrainingProgress:
         """How far it has come."""
 
@@ -119,6 +123,11 @@ class Learning:
     def is_complete(self) -> bool:
         """Whether it is time to fit."""
         return self._set.is_complete
+
+    @property
+    def needs_measured(self) -> bool:
+        """Whether only measured frames count: what lies on the patient must not be learned behind the zero's back."""
+        return self._keeps_zero
 
     @property
     def progress(self) -> TrainingProgress:
@@ -160,6 +169,11 @@ class Handover:
         return len(self._frames) >= HANDOVER_FRAMES and _seconds(self._frames) >= HANDOVER_SECONDS
 
     @property
+    def needs_measured(self) -> bool:
+        """Whether only measured frames count: the present model has to explain them."""
+        return True
+
+    @property
     def progress(self) -> TrainingProgress:
         """How far the gathering has come."""
         return _look_progress(self._frames, HANDOVER_SECONDS, "carrying the zero over to another model")
@@ -195,6 +209,11 @@ class Look:
     def is_complete(self) -> bool:
         """Whether the patient was looked at for long enough."""
         return len(self._frames) >= MIN_LOOK_FRAMES and _seconds(self._frames) >= self._limits.seconds
+
+    @property
+    def needs_measured(self) -> bool:
+        """Whether only measured frames count: here those count most that are not."""
+        return False
 
     @property
     def progress(self) -> TrainingProgress:

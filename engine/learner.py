@@ -101,6 +101,11 @@ class Learner:
         return self._errand is not None
 
     @property
+    def takes_lost_frames(self) -> bool:
+        """Whether frames are wanted that the present model does not measure."""
+        return self._active is None or (self._errand is not None and not self._errand.needs_measured)
+
+    @property
     def is_model_waiting(self) -> bool:
         """Whether a model is ready and waits for the gate to be disarmed."""
         return self._candidate is not None

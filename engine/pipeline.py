@@ -225,23 +225,21 @@ class Pipeline:
         if not self._table.is_settled:
             return self._unlearned(frame, roi, found)
         self._watch_split(frame, found)
-        self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
+        takes_lost_frames = self._learner.takes_lost_frames
+        if takes_lost_frames:
+            self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
         self._recent.add(roi, frame.timestamp_us)
         active = self._learner.active
         if active is None:
             return self._unlearned(frame, roi, found)
-        outcome = self._explain(active, roi)
-        if not isinstance(outcome, Lost):
-            outcome = self._doubt(active, outcome, found, frame.timestamp_us) or outcome
+        outcome = self._believed(active, roi, found, frame.timestamp_us)
         if isinstance(outcome, Lost):
-            self._coefficients = None
-            self._recent.forget()
-            if outcome.reason is LostReason.RESIDUAL_HIGH:
-                self._continuity.interrupt()
-            return self._measurement(frame, MeasurementState.LOST, lost=outcome, markers=found)
+            return self._lost(frame, outcome, found)
         self._coefficients, self._explained_by = outcome.coefficients, active
         self._node_depth_mm = active.node_depth_mm(outcome.coefficients)
         motion = self._motion(active, outcome, nodes.rays, frame.timestamp_us)
+        if not takes_lost_frames:
+            self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
         return self._measurement(frame, MeasurementState.MEASURING, motion=motion, markers=found)
 
     def _measurement(
@@ -265,6 +263,14 @@ class Pipeline:
             markers=markers,
             training=self._learner.progress,
         )
+
+    def _lost(self, frame: RgbdFrame, lost: Lost, found: Markers) -> Measurement:
+        """Answer for a frame that the model does not explain."""
+        self._coefficients = None
+        self._recent.forget()
+        if lost.reason is LostReason.RESIDUAL_HIGH:
+            self._continuity.interrupt()
+        return self._measurement(frame, MeasurementState.LOST, lost=lost, markers=found)
 
     def _forget(self) -> None:
         """Begin anew with the next frame: the patient was not seen."""
@@ -382,6 +388,11 @@ class Pipeline:
         before = self._coefficients if self._explained_by is active else None
         best = project(active.basis, roi, before)
         return self._coverage_lost(0.0) if best is None else self._refusal(best) or best
+
+    def _believed(self, active: ActiveModel, roi: RoiDepth, found: Markers, timestamp_us: int) -> Projection | Lost:
+        """Explain a frame, if it may be the surface of the frame before."""
+        outcome = self._explain(active, roi)
+        return outcome if isinstance(outcome, Lost) else self._doubt(active, outcome, found, timestamp_us) or outcome
 
     def _doubt(self, active: ActiveModel, outcome: Projection, found: Markers, timestamp_us: int) -> Lost | None:
         """Return why this cannot be the surface of the frame before; None when it can."""
