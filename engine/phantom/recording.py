@@ -27,6 +27,7 @@ from engine.laser_plane import LaserPlane
 from engine.oni.codec import encode_16zt, encode_jpeg
 from engine.oni.writer import OniWriter
 from engine.phantom.builds import NO_DEPARTURE, Departure, find_build
+from engine.phantom.costal import CostalStickers
 from engine.phantom.flow import Flow, breathe_through
 from engine.phantom.laser import LaserTruth, hang_laser, truth_columns
 from engine.phantom.scenarios import check_scenario
@@ -88,6 +89,7 @@ def make_volunteer(
     trace: Path | None = None,
     departure: Departure = NO_DEPARTURE,
     has_laser: bool = False,
+    has_extra_markers: bool = False,
     workers: int | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> None:
@@ -109,6 +111,8 @@ def make_volunteer(
         What differs from the volunteer as he was: camera's height, amplitude, holes.
     has_laser
         Throw a laser's line across the abdomen, and write its plane.
+    has_extra_markers
+        Put two more stickers at the costal margin; the truth's labels then hold ``split_rows``.
     workers
         Processes; as many as there are processors by default, 1 for none but this one.
     on_progress
@@ -135,6 +139,7 @@ def make_volunteer(
         trace=breathing,
         departure=departure,
         has_laser=has_laser,
+        has_extra_markers=has_extra_markers,
     )
     with _folder(out.resolve()) as draft:
         try:
@@ -366,4 +371,6 @@ def _labels(scene: Scene) -> str:
     head |= script.departure.labels
     if trace is not None:
         head |= {"trace_kind": trace.kind, "trace_axis": trace.axis}
+    if script.has_extra_markers:
+        head["split_rows"] = CostalStickers(scene.anatomy).split_rows(scene.rig, scene.skin, scene.timeline.pose(0.0))
     return json.dumps({**head, "events": events}, sort_keys=True)

@@ -30,6 +30,7 @@ class Script:
     trace: Trace | None = None
     departure: Departure = NO_DEPARTURE
     has_laser: bool = False
+    has_extra_markers: bool = False
 
     def rng(self, stream: int) -> np.random.Generator:
         """Random numbers of one purpose."""

@@ -16,6 +16,7 @@ from engine.phantom import occluders
 from engine.phantom.anatomy import BODY_HALF_MM, Anatomy
 from engine.phantom.body import Map, blur, sample_body
 from engine.phantom.color import ColorCamera, blur_lens, paint_body, paint_room, paint_trunk, stick
+from engine.phantom.costal import CostalStickers
 from engine.phantom.holes import Holes, cast_shadow, find_holes
 from engine.phantom.laser import LaserLight, hang_laser
 from engine.phantom.rig import HEIGHT_PX, WIDTH_PX, couch_from_body
@@ -56,6 +57,7 @@ class Studio:
             if script.has_laser
             else None
         )
+        self._costal = CostalStickers(scene.anatomy) if script.has_extra_markers else None
         self._depth_rays = Rays.of(scene.rig.depth)
         self._sticker_slopes = _sticker_slopes(scene.anatomy)
         # A body lies still but for one movement: the newest poses are enough.
@@ -100,6 +102,10 @@ class Studio:
             self._sticker_slopes,
             self._sticker_light(),
         )
+        if self._costal is not None:
+            centers_mm = self._costal.centers_mm(weights)
+            slopes, light = self._costal.slopes, self._costal.light
+            stick(picture, self.scene.rig.color, self.scene.color_rays, camera_from_body, centers_mm, slopes, light)
         if self._laser is not None:
             self._laser.shine(picture, stage.view, hit, frame)
         for thing in self._occluders(time_s):

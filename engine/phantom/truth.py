@@ -19,6 +19,7 @@ Keys (n depth frames, m colour frames; mm and litres; ``motion = reference depth
 ``depth_markers_px`` (n, 4, 2)    the same at the depth frames' times: the quadrilateral of the ROI
 ``trace_s``, ``trace_mm`` (k), (k, 2) the signals, abdomen and thorax, that drove the skin
 ``labels``           json         events: name, start_us, end_us, detail; and scenario, volunteer, seed
+                                  (with two more stickers also ``split_rows``: their line at column 0 and 199)
 ``spirometer_lag_s`` ()           what happens t seconds after the first depth frame stands at t + lag in ``flow.csv``
 ``laser_column_px``  (c)          only with a laser: columns of the colour picture
 ``laser_row_px``     (m, c)       row at which the laser's line crosses each of them in each colour frame

@@ -26,6 +26,9 @@ def phantom(
     camera_mm: Annotated[float | None, typer.Option(help="Height of the camera over the chest [mm].")] = None,
     amplitude_mm: Annotated[float | None, typer.Option(help="Amplitude of the abdomen in free breathing [mm].")] = None,
     hole_share: Annotated[float | None, typer.Option(help="Share of the body, 0 to 1, that is not read.")] = None,
+    extra_markers: Annotated[
+        bool, typer.Option("--extra-markers", help="Two more stickers at the costal margin part thorax from abdomen.")
+    ] = False,
     laser: Annotated[bool, typer.Option("--laser", help="Throw a laser's line across it; writes plane.json.")] = False,
     workers: Annotated[int | None, typer.Option(help="Processes; one a processor when not given.")] = None,
 ) -> None:
@@ -43,6 +46,7 @@ def phantom(
                 trace=trace,
                 departure=Departure(camera_mm=camera_mm, amplitude_mm=amplitude_mm, hole_share=hole_share),
                 has_laser=laser,
+                has_extra_markers=extra_markers,
                 workers=workers,
                 on_progress=lambda done, total: progress.update(task, completed=done, total=total),
             )

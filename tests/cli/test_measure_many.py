@@ -35,6 +35,7 @@ def test_names_that_collide_take_their_folders_name_and_then_a_number():
     assert names("1/a/rec.oni", "2/a/rec.oni") == ["a-rec", "a-rec-2"]
     assert names("a/rec.oni", "a/rec.oni", "a-rec.oni") == ["a-rec", "a-rec-2", "a-rec-3"]
     assert len({name.casefold() for name in names("a/Rec.oni", "b/rec.oni", "c/REC.oni")}) == 3
+    assert names("A/rec.oni", "a/rec.oni") == ["A-rec", "a-rec-2"]
 
 
 def test_no_folder_takes_the_summarys_name():

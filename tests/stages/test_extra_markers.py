@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from engine.frames import Markers
-from engine.phantom.color import stick
+from engine.phantom.costal import CostalStickers
 from engine.phantom.scene import Script
 from engine.phantom.studio import Studio
 from engine.phantom.view import Frustum
@@ -71,37 +71,17 @@ def test_too_few_pictures_settle_nothing():
 @pytest.fixture(scope="module")
 def photographed():
     """A virtual volunteer's pictures with two more stickers at the ribs, and where those truly are in the picture."""
-    studio = Studio(Script(scenario="regular", volunteer=3, seconds=6.0, fps=30.0, seed=2))
-    scene, anatomy = studio.scene, studio.scene.anatomy
-    superior_right, superior_left, inferior_left, inferior_right = anatomy.anchors_mm
-    places = np.array(
-        [
-            0.55 * superior_right + 0.45 * inferior_right,
-            0.5 * superior_left + 0.5 * inferior_left,
-        ]
-    )
-    x_mm, y_mm = places.T
-    slopes = np.column_stack(
-        [
-            anatomy.trunk_height(x_mm + 4.0, y_mm) - anatomy.trunk_height(x_mm - 4.0, y_mm),
-            anatomy.trunk_height(x_mm, y_mm + 4.0) - anatomy.trunk_height(x_mm, y_mm - 4.0),
-        ]
-    )
+    script = Script(scenario="regular", volunteer=3, seconds=6.0, fps=30.0, seed=2, has_extra_markers=True)
+    studio = Studio(script)
+    scene, costal = studio.scene, CostalStickers(studio.scene.anatomy)
     pictures, truth_px = [], []
     for frame in range(6):
         time_s = 0.5 + 0.7 * frame
-        weights = scene.breathing.weights(time_s)
         camera_from_body = Frustum(scene.rig.color_from_couch, scene.timeline.pose(time_s)).camera_from_body
-        height_mm = anatomy.trunk_height(x_mm, y_mm) + (anatomy.modes(x_mm, y_mm) * weights[:, None]).sum(axis=0)
-        centers_mm = np.column_stack([places, -height_mm])
-        picture = studio.color_frame(frame, time_s)
-        stick(
-            picture, scene.rig.color, scene.color_rays, camera_from_body, centers_mm, slopes / 8.0, np.array([1.0, 1])
-        )
-        pictures.append((picture, scene.markers_px(time_s)))
-        truth_px.append(scene.rig.color.project(camera_from_body.apply(centers_mm)))
-    distance_mm = float(camera_from_body.apply(centers_mm)[:, 2].mean())
-    search = MarkerSearch(diameter_px=20.0 * scene.rig.color.fx / distance_mm)
+        centers_mm = camera_from_body.apply(costal.centers_mm(scene.breathing.weights(time_s)))
+        pictures.append((studio.color_frame(frame, time_s), scene.markers_px(time_s)))
+        truth_px.append(scene.rig.color.project(centers_mm))
+    search = MarkerSearch(diameter_px=20.0 * scene.rig.color.fx / float(centers_mm[:, 2].mean()))
     return pictures, truth_px, search
 
 
