@@ -15,7 +15,7 @@ SMALLEST_MM, LARGEST_MM = 2.0, 200.0
 MAX_REPROJECTION_PX = 1.5
 LEAST_POINTS = 15
 # White paper is red, green and blue alike, and the camera is often near its limit on it.
-ON_PAPER = LineSettings(min_contrast=12.0, white_level=250.0, max_rival=0.75, max_step_px=4.0, is_on_pattern=True)
+ON_PAPER = LineSettings(min_contrast=12.0, max_rival=0.75, max_step_px=4.0, is_on_pattern=True)
 OFF_LINE_PX = 0.6
 
 

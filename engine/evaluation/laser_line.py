@@ -27,11 +27,10 @@ class LineSettings:
     across_sigma_px, along_sigma_px
         Gaussian smoothing across and along the line.
     min_contrast
-        How far red must stand out from green and blue, over its surroundings [levels of 255].
+        How far red must stand out from green and blue, over its surroundings [levels of 255]. A white sticker, and a
+        core that burns out to white, have nothing of this.
     max_rival
         A second peak in the column of more than this share of the first makes it ambiguous.
-    white_level
-        Green and blue both above this is burnt out or a white thing: the peak's place means nothing there.
     max_step_px
         How far a point may lie off the middle of its neighbours' places.
     is_on_pattern
@@ -44,7 +43,6 @@ class LineSettings:
     width_px: int = 15
     min_contrast: float = 25.0
     max_rival: float = 0.6
-    white_level: float = 235.0
     max_step_px: float = 2.5
     is_on_pattern: bool = False
     neighbours: int = 9
@@ -135,8 +133,7 @@ def _find_rows(patch: ColorImage, inside: BoolArray, settings: LineSettings) -> 
     columns = np.arange(ridge.shape[1])
     peak = ridge.argmax(axis=0)
     contrast = ridge[peak, columns]
-    white = np.minimum(green, blue)[peak, columns]
-    is_line = (contrast >= settings.min_contrast) & (white < settings.white_level)
+    is_line = contrast >= settings.min_contrast
     is_line &= _rival(ridge, peak, settings) <= settings.max_rival * contrast
     rows = np.where(is_line, peak + _parabola(excess if settings.is_on_pattern else red, peak), np.nan)
     return _without_strays(rows, settings), contrast

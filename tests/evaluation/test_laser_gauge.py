@@ -117,6 +117,26 @@ def test_the_laser_is_read_at_the_depth_frame_s_time_not_at_the_picture_s():
     assert comparison.place_rc[1:, 2, 0] == pytest.approx(place, abs=0.1)
 
 
+def test_on_a_slope_tidegate_s_surface_is_read_where_the_line_is_at_the_depth_frame_s_time():
+    # Half a colour period off: the line slides by a good part of a row in that time, on steep skin.
+    late_us, slope = PERIOD_US // 2, 0.8
+    gauge = LaserGauge(CALIBRATION, PLANE, cell_px=CELL_PX)
+
+    def chest(time_us):
+        return Chest(812.0 - 60e-6 * time_us, slope)
+
+    for index in range(12):
+        time_us = index * PERIOD_US
+        shown = frame(index, chest(time_us + late_us), color_us=time_us + late_us)
+        gauge.add(shown, measured(index, chest(time_us), chest(0)))
+    comparison = gauge.comparison()
+    # What the first colour picture, half a frame before, and the first zero leave is the same in every row.
+    error = (comparison.laser_mm - comparison.tidegate_mm)[1:-1]
+    raw = comparison.offset_mm
+    assert abs(raw) < 0.15
+    assert np.abs(error).max() < 0.2
+
+
 def test_where_the_line_is_hidden_nothing_is_measured_and_zero_waits_for_it():
     chests = [breath(index) for index in range(FRAMES)]
     gauge = LaserGauge(CALIBRATION, PLANE, cell_px=CELL_PX)

@@ -71,6 +71,15 @@ def test_a_line_across_a_white_sticker_is_left_out_there_and_nowhere_else():
     assert np.isfinite(found[82:]).mean() > 0.95
 
 
+def test_a_line_whose_core_burns_out_to_white_is_left_out():
+    drawn = picture(SLANTED).astype(float)
+    burnt = picture(SLANTED, red=900.0, leak=0.6, sigma_px=2.0)
+    drawn[:, 60:100] = burnt[:, 60:100]
+    found = rows_of(find_line(drawn.astype(np.uint8), EVERYWHERE))
+    assert np.isnan(found[63:97]).all()
+    assert np.isfinite(found[:57]).mean() > 0.95
+
+
 def test_skin_and_a_picture_without_a_line_hold_none():
     skin = np.full((*SHAPE, 3), (214, 168, 142), dtype=np.uint8)
     shirt = picture(np.full(SHAPE[1], -50.0), noise=4.0)

@@ -58,6 +58,13 @@ def test_one_series_gone_leaves_the_other():
     assert read[:, 1] == pytest.approx(series(TIMES_US[5:10])[:, 1])
 
 
+def test_at_the_ends_each_sample_counts_once():
+    noise = np.random.default_rng(4).normal(0.0, 1.0, (90, 1, 1))
+    near = np.abs(TIMES_US - TIMES_US[0]) <= 120_000
+    line = np.polyfit((TIMES_US[near] - TIMES_US[0]) * 1e-6, noise[near, 0, 0], 2)
+    assert fit_at(TIMES_US, noise, TIMES_US[:1])[0, 0, 0] == pytest.approx(line[-1])
+
+
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_too_few_samples_give_nothing(count):
     assert np.isnan(fit_at(TIMES_US[:count], series(TIMES_US[:count]), TIMES_US[:5])).all()
