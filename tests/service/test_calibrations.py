@@ -152,3 +152,11 @@ def test_no_form_of_a_foreign_page_uploads_a_calibration(client, calibration_tex
 def test_yaml_is_for_calibrations_only(client, session_body):
     answer = client.post("/api/v1/sessions", content=b"{}", headers={"Content-Type": "application/yaml"})
     assert answer.status_code == 415
+
+
+@pytest.mark.parametrize(("suffix", "media_type"), [("xml", "application/xml"), ("json", "application/json")])
+def test_the_other_flavours_of_opencv_are_taken_too(client, tmp_path, suffix, media_type):
+    values = storage_values() | {"camera": "a", "first_camera": "depth"}
+    answer = upload(client, write_storage(tmp_path / f"a.{suffix}", values), **{"Content-Type": media_type})
+    assert (answer.status_code, answer.json()["format"]) == (201, "opencv-filestorage")
+    assert answer.json()["notes"] == []
