@@ -29,7 +29,7 @@ from engine.threads import keep_calls_in_their_thread
 
 MEASURED, MEASURED_RECIPE = "measured.npz", "measured.json"
 MAX_JOBS = 64
-REPORT_EVERY_FRAMES = 15
+REPORT_EVERY_FRAMES = 10
 WAIT_S = 0.2
 
 

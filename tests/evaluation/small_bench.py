@@ -7,15 +7,20 @@ from engine.evaluation.trial import TrialSettings
 from engine.training import TrainingSettings
 
 SETTINGS = TrialSettings(
-    plain_frames=45,
-    training=TrainingSettings(min_frames=40, min_cycles=0, min_seconds=4.0, max_seconds=6.0, max_frames=200),
+    plain_frames=30,
+    training=TrainingSettings(min_frames=25, min_cycles=0, min_seconds=2.5, max_seconds=3.0, max_frames=100),
 )
 
 
-def small_run(name="D01", seconds=11.0, **changes) -> Run:
-    """A run of 110 frames; the first 46 teach the plain reading, fewer Tidegate."""
+def small_run(name="D01", seconds=7.0, **changes) -> Run:
+    """A run of 70 frames; the first 30 teach the plain reading, fewer Tidegate."""
     values = {"group": "table2", "scenario": "regular", "volunteer": 1, "seed": 5, "fps": 10.0}
     return Run(name=name, seconds=seconds, **(values | changes))
+
+
+def tiny_run(name="D01", **changes) -> Run:
+    """A run of ten frames, which teach nobody anything."""
+    return small_run(name, 2.0, **({"fps": 5.0} | changes))
 
 
 def files_under(folder: Path) -> list[str]:

@@ -5,7 +5,6 @@ import csv
 import json
 import re
 import shutil
-from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -18,7 +17,7 @@ from engine.evaluation.judged import judge_run
 from engine.evaluation.report import write_report
 from engine.evaluation.tables import Table
 from service.cli.evaluate import evaluate
-from tests.evaluation.small_bench import files_under, small_run
+from tests.evaluation.small_bench import files_under, small_run, tiny_run
 from tests.evaluation.test_bench_scores import N, breath, measured_track, outcome
 
 COMMAND = "tidegate evaluate --out OUT"
@@ -211,8 +210,7 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, arguments, field):
 
 
 def test_missed_marks_are_said_and_only_strict_fails(tmp_path, monkeypatch):
-    # 20 frames teach nobody anything: every mark is missed.
-    run = replace(small_run(), seconds=2.0)
+    run = tiny_run()  # teaches nobody anything: every mark is missed
     monkeypatch.setattr(datasets, "quick_plan", lambda _seed, _seconds: [run])
     arguments = ["--quick", "--jobs", "1", "--out", str(tmp_path / "out")]
     lenient = runner.invoke(evaluate, arguments)

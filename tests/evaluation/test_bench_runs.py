@@ -19,9 +19,10 @@ from engine.evaluation.datasets import (
 )
 from engine.evaluation.judged import judge_run
 from engine.evaluation.outcome import Outcome
-from tests.evaluation.small_bench import SETTINGS, files_under, small_run
+from tests.evaluation.small_bench import SETTINGS, files_under, small_run, tiny_run
 
 RUN = small_run(is_pictured=True)
+TINY = tiny_run()
 
 
 def nothing(_progress):
@@ -36,15 +37,18 @@ def measured(tmp_path_factory):
     return work, judged
 
 
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    """A work folder in which the tiny run is complete."""
+    work = tmp_path_factory.mktemp("tiny")
+    do_run(TINY, work, SETTINGS, nothing)
+    return work
+
+
 @pytest.fixture
-def work(measured, tmp_path):
+def work(tiny, tmp_path):
     """A copy of it that a test may spoil."""
-    shutil.copytree(measured[0], tmp_path / "work")
-    return tmp_path / "work"
-
-
-def cells_mm(judged):
-    return {name: score.cells_mm for name, score in judged.scores.items()}
+    return shutil.copytree(tiny, tmp_path / "work")
 
 
 class Witness:
@@ -86,34 +90,34 @@ def test_what_is_complete_is_not_done_again(measured):
     witness = Witness()
     (again,) = run_bench([RUN], work, jobs=1, report=witness, settings=SETTINGS)
     assert witness.doings == {"done"}
-    assert cells_mm(again) == cells_mm(judged)
+    assert again.scores["ours"].cells_mm == judged.scores["ours"].cells_mm
 
 
-def test_a_lost_measurement_is_measured_anew_from_the_same_recording(work, measured):
-    recording = work / RUN.name / "recording.oni"
+def test_a_lost_measurement_is_measured_anew_from_the_same_recording(work):
+    recording = work / TINY.name / "recording.oni"
     made_ns = recording.stat().st_mtime_ns
-    (work / RUN.name / "measured.npz").unlink()
+    (work / TINY.name / "measured.npz").unlink()
     witness = Witness()
-    (again,) = run_bench([RUN], work, jobs=1, report=witness, settings=SETTINGS)
-    assert witness.doings == {"measuring", "done"}
+    run_bench([TINY], work, jobs=1, report=witness, settings=SETTINGS)
+    assert "making" not in witness.doings
+    assert is_measured(TINY, work, SETTINGS)
     assert recording.stat().st_mtime_ns == made_ns
-    assert cells_mm(again) == cells_mm(measured[1])
 
 
 def test_other_settings_are_measured_anew(work):
     other = type(SETTINGS)(plain_frames=40, training=SETTINGS.training)
-    assert is_measured(RUN, work, SETTINGS)
-    assert not is_measured(RUN, work, other)
+    assert is_measured(TINY, work, SETTINGS)
+    assert not is_measured(TINY, work, other)
 
 
 def test_another_seed_is_another_recording(work):
-    folder = work / RUN.name
-    assert is_made(folder, RUN.recipe)
-    assert not is_made(folder, small_run(seed=6, is_pictured=True).recipe)
+    folder = work / TINY.name
+    assert is_made(folder, TINY.recipe)
+    assert not is_made(folder, tiny_run(seed=6).recipe)
 
 
 def test_a_recording_without_its_recipe_is_made_again(tmp_path):
-    run = small_run(seconds=2.0)
+    run = tiny_run()
     folder = tmp_path / run.name
     folder.mkdir()
     (folder / "recording.oni").write_bytes(b"half")
@@ -124,7 +128,7 @@ def test_a_recording_without_its_recipe_is_made_again(tmp_path):
 
 @pytest.mark.parametrize("stop_at", ["making", "measuring"])
 def test_an_interrupted_run_leaves_nothing_half_written(tmp_path, stop_at):
-    run = small_run(seconds=2.0)
+    run = tiny_run()
     with pytest.raises(KeyboardInterrupt):
         run_bench([run], tmp_path, jobs=1, report=Witness(stop_at), settings=SETTINGS)
     left = files_under(tmp_path)
@@ -143,7 +147,7 @@ def test_what_a_killed_process_left_is_cleared_away(tmp_path):
 
 
 def test_two_processes_stop_in_order_and_then_finish_the_plan(tmp_path):
-    plan = [small_run("D01", 2.0), small_run("D02", 2.0, seed=6)]
+    plan = [tiny_run("D01"), tiny_run("D02", seed=6)]
     with pytest.raises(KeyboardInterrupt):
         run_bench(plan, tmp_path, jobs=2, report=Witness("making"), settings=SETTINGS)
     assert not [name for name in files_under(tmp_path) if name.endswith(".partial") or "-" in name]
@@ -166,10 +170,8 @@ def test_an_impossible_number_of_processes_is_refused(tmp_path, jobs):
         run_bench([], tmp_path, jobs=jobs, report=nothing)
 
 
-def test_a_recording_that_never_taught_anything_is_judged_all_the_same(tmp_path):
-    run = small_run(seconds=2.0)
-    do_run(run, tmp_path, SETTINGS, nothing)
-    judged = judge_run(run, Outcome.load(tmp_path / run.name / "measured.npz"))
+def test_a_recording_that_never_taught_anything_is_judged_all_the_same(tiny):
+    judged = judge_run(TINY, Outcome.load(tiny / TINY.name / "measured.npz"))
     assert judged.scores == {}
 
 
