@@ -104,10 +104,10 @@ def cut_out(depth_mm: DepthImage, nodes_px: FloatArray, table_mm: FloatArray, st
     nodes = (nodes_px - (left, top)).T.astype(np.float32, order="C").reshape(2, NODE_ROWS, NODE_COLUMNS)
     x, y = rows @ nodes @ columns.T
     # Depth and sight are interpolated alike, so that their quotient is a mean of what was seen and of nothing else.
-    depth = cv2.remap(cv2.LUT(window, table_mm), x, y, cv2.INTER_LINEAR)
-    sight = cv2.remap((window > 0).astype(np.float32), x, y, cv2.INTER_LINEAR)
+    sum_mm = np.asarray(cv2.remap(cv2.LUT(window, table_mm), x, y, cv2.INTER_LINEAR), dtype=np.float32)
+    sight = np.asarray(cv2.remap((window > 0).astype(np.float32), x, y, cv2.INTER_LINEAR), dtype=np.float32)
     valid = sight >= MIN_SIGHT
-    depth /= np.maximum(sight, MIN_SIGHT)
+    depth = sum_mm / np.maximum(sight, MIN_SIGHT)
     depth *= valid
     return RoiDepth(depth_mm=depth, valid=valid, stride_px=stride_px)
 

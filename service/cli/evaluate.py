@@ -2,6 +2,7 @@
 
 import typer
 
+from service.cli.evaluate_ablations import ablations
 from service.cli.evaluate_bench import bench
 from service.cli.evaluate_laser import laser, plane
 from service.cli.evaluate_spirometer import spirometer
@@ -14,6 +15,7 @@ evaluate = typer.Typer(
     pretty_exceptions_show_locals=False,
 )
 evaluate.callback(invoke_without_command=True)(bench)
+evaluate.command("ablations")(ablations)
 evaluate.command("laser")(laser)
 evaluate.command("plane")(plane)
 evaluate.command("spirometer")(spirometer)

@@ -91,7 +91,7 @@ def _bench(out: Path, work: Path, *, is_quick: bool, jobs: int | None, seconds: 
     )
     console = Console() if sys.stdout.isatty() else Console(width=PIPED_WIDTH)
     for table in tables:
-        console.print(_rich(table), "")
+        console.print(rich_table(table), "")
     _conclude(marks, out)
     return marks
 
@@ -143,7 +143,8 @@ def _interrupt(_signal: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _rich(table: "Table") -> RichTable:
+def rich_table(table: "Table") -> RichTable:
+    """Show a table on a terminal, rows that missed their mark in red."""
     shown = RichTable(title=escape(table.title), title_justify="left", caption=escape(table.note) or None)
     shown.caption_justify = "left"
     for number, column in enumerate(table.columns):

@@ -1,0 +1,48 @@
+"""``tidegate evaluate ablations``: what each part of the method is worth."""
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import Progress, TaskID
+
+from engine.errors import TidegateError
+from service.cli.evaluate_bench import PIPED_WIDTH, rich_table
+from service.cli.terminal import NoBar, frame_bar, refused, say
+
+
+def ablations(
+    out: Annotated[Path, typer.Option(help="Folder for ablations.csv.")],
+    work: Annotated[Path | None, typer.Option(help="Folder of the bench's recordings; OUT/work by default.")] = None,
+    seed: Annotated[int, typer.Option(help="Same seed, same recordings.")] = 2017,
+) -> None:
+    """Measure five virtual volunteers with one part of the method changed at a time, and print the errors."""
+    from engine.evaluation.ablations import ablate, runs, table
+    from engine.evaluation.datasets import SECONDS, check_plan
+
+    try:
+        check_plan(seed, SECONDS)
+        planned, found = runs(seed), []
+        with frame_bar() as bar:
+            for run in planned:
+                task = bar.add_task(f"{run.name}, {run.scenario}", total=run.frames)
+                folder = (work or out / "work") / run.name
+                found.append(ablate(run, folder, partial(_advance, bar, task)))
+        shown = table(found)
+        out.mkdir(parents=True, exist_ok=True)
+        unfinished = out / "ablations.csv.partial"
+        unfinished.write_text(shown.to_csv(), encoding="utf-8")
+        unfinished.replace(out / "ablations.csv")
+    except TidegateError as error:
+        raise refused("evaluate ablations", error) from error
+    except OSError as error:
+        raise refused("evaluate ablations", f"{out} cannot be written ({error.strerror or error})") from error
+    console = Console()
+    (console if console.is_terminal else Console(width=PIPED_WIDTH)).print(rich_table(shown))
+    say(f"Written to {out / 'ablations.csv'}")
+
+
+def _advance(bar: "Progress | NoBar", task: TaskID, done: int) -> None:
+    bar.update(task, completed=done)
