@@ -7,7 +7,7 @@ STAMP := $(VENV)/.stamp
 export PYTHONDONTWRITEBYTECODE ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup openni test-system test lint types contracts openapi demo lock clean
+.PHONY: help setup openni test-system test lint types contracts openapi demo bench lock clean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -33,6 +33,9 @@ test: $(STAMP) test-system lint types contracts  ## everything that must hold: l
 
 demo: $(STAMP) openni  ## a 60 s volunteer through the whole of Tidegate; KEEP=1 stays up
 	$(BIN)/tidegate demo $(if $(KEEP),--keep)
+
+bench: $(STAMP)  ## how fast it is, against the marks; QUICK=1 is shorter, MINUTES=60 watches memory for an hour
+	$(BIN)/tidegate bench $(if $(QUICK),--quick) $(if $(MINUTES),--memory-minutes $(MINUTES)) $(if $(OUT),--out $(OUT))
 
 openapi: $(STAMP)  ## write the contract to openapi/
 	$(BIN)/tidegate openapi --out openapi

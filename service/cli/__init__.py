@@ -17,6 +17,7 @@ HOMES = {
     "demo": "demo",
     "evaluate": "evaluate",
     "calibrate": "calibrate",
+    "bench": "bench",
 }
 """Which module of this package holds which command; the function, or the group of commands, has the command's name."""
 

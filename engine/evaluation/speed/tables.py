@@ -1,0 +1,170 @@
+"""The bench's tables, as they are printed."""
+
+from engine.evaluation.speed.bench import SpeedFigures
+from engine.evaluation.speed.figures import Timing, bound_us
+from engine.evaluation.speed.marks import SpeedMark
+from engine.evaluation.tables import Cell, Table
+
+
+def speed_tables(figures: SpeedFigures, marks: list[SpeedMark]) -> list[Table]:
+    """Lay out what was measured; the marks come last."""
+    return [
+        _stages(figures),
+        _against_plain(figures),
+        _decoding(figures),
+        _throughput(figures),
+        _learning(figures),
+        _memory(figures),
+        _marks(marks),
+    ]
+
+
+def _stages(figures: SpeedFigures) -> Table:
+    frames = figures.frames
+    rows: list[tuple[Cell, ...]] = []
+    for stage in frames.stages:
+        bound = bound_us(stage.traffic_bytes, frames.bandwidth_bytes_s)
+        rows.append((stage.name, *_times(stage.timing), _percent(stage.share), stage.traffic_bytes / 1e3, bound))
+    traffic = sum(stage.traffic_bytes for stage in frames.stages)
+    bound = bound_us(traffic, frames.bandwidth_bytes_s)
+    rows += [
+        ("all, not taken apart", *_times(frames.whole), "", traffic / 1e3, bound),
+        ("all, processor time", *_times(frames.whole_cpu), "", None, None),
+    ]
+    return Table(
+        name="stages",
+        title="A frame's way: decoded pictures to the gate's decision, one core",
+        columns=("stage", "median [us]", "p99 [us]", "p99.9 [us]", "share", "moves at least [kB]", "bound [us]"),
+        rows=tuple(rows),
+        digits=1,
+        note=f"Median and p99 are medians over {frames.whole.blocks} blocks, p99.9 is of {frames.whole.samples} "
+        f"frames. Bound: each array of a stage read or written once, at the {frames.bandwidth_bytes_s / 1e9:.1f} GB/s "
+        f"that a large copy reaches here. Others had the core for {frames.lost_core_share:.1%} of the time.",
+    )
+
+
+def _against_plain(figures: SpeedFigures) -> Table:
+    frames = figures.frames
+    return Table(
+        name="plain",
+        title="The plain reading of the article on the same recording",
+        columns=("", "median [us]", "p99 [us]", "p99.9 [us]", "frames"),
+        rows=(
+            ("plain reading", *_times(frames.plain), frames.plain.samples),
+            ("Tidegate", *_times(frames.whole), frames.whole.samples),
+            ("times faster", frames.median_ratio, frames.p99_ratio, None, None),
+        ),
+        digits=1,
+        note="The plain reading ends with its reconstructed surface (equation 7); Tidegate goes on to regions, volume "
+        "and the gate's decision.",
+    )
+
+
+def _decoding(figures: SpeedFigures) -> Table:
+    return Table(
+        name="decoding",
+        title="Decoding a picture, one core",
+        columns=("picture", "median [us]", "p99 [us]", "p99.9 [us]", "coded [kB]", "decoded [kB]", "bound [us]"),
+        rows=tuple(
+            (
+                picture.name,
+                *_times(picture.timing),
+                picture.coded_bytes / 1e3,
+                picture.decoded_bytes / 1e3,
+                bound_us(picture.coded_bytes + picture.decoded_bytes, figures.frames.bandwidth_bytes_s),
+            )
+            for picture in figures.frames.decoding
+        ),
+        digits=1,
+    )
+
+
+def _throughput(figures: SpeedFigures) -> Table:
+    return Table(
+        name="throughput",
+        title="tidegate measure, from disk to motion.csv",
+        columns=(
+            "",
+            "frames",
+            "seconds",
+            "frames/s, start-up and learning included",
+            "frames/s, once learned",
+            "frames a second of processor time",
+        ),
+        rows=tuple(
+            (one.name, one.frames, one.run.seconds, one.whole_per_s, one.steady_per_s, one.per_processor_s)
+            for one in figures.throughput
+        ),
+        digits=1,
+    )
+
+
+def _learning(figures: SpeedFigures) -> Table:
+    fit = figures.fit
+    rows: list[tuple[Cell, ...]] = [
+        ("the fit alone (equations 1 to 5)", fit.fits, fit.fit_s, None, None, None, None),
+        ("all of it: judging, fit, preparing, zero", fit.fits, fit.job_s, None, None, None, None),
+    ]
+    rows += [
+        (
+            f"in the background, frames coming, {beside.cores} core{'s' * (beside.cores > 1)}",
+            beside.fits,
+            beside.job_s,
+            beside.timing.median_us / 1e3,
+            beside.timing.p99_us / 1e3,
+            beside.timing.max_us / 1e3,
+            beside.timing.samples,
+        )
+        for beside in figures.while_fitting
+    ]
+    return Table(
+        name="learning",
+        title=f"Learning from {fit.frames} frames, and the frames meanwhile",
+        columns=("", "fits", "seconds", "frame median [ms]", "frame p99 [ms]", "frame largest [ms]", "frames"),
+        rows=tuple(rows),
+        note="Medians of the fits. Meanwhile frames come at the recording's rate; the one that swaps models is among "
+        "them.",
+    )
+
+
+def _memory(figures: SpeedFigures) -> Table:
+    memory = figures.memory
+    return Table(
+        name="memory",
+        title="Resident memory of a session",
+        columns=("", "MB", "highest [MB]"),
+        rows=(
+            (f"after {memory.warm_s / 60.0:g} min", memory.start_mb, memory.peak_start_mb),
+            (f"after {memory.session_s / 60.0:g} min", memory.end_mb, memory.peak_end_mb),
+            ("growth", memory.growth_mb, None),
+        ),
+        digits=1,
+        note=f"{memory.frames} frames through the engine's loop, {memory.models} models learned in the background.",
+    )
+
+
+def _marks(marks: list[SpeedMark]) -> Table:
+    return Table(
+        name="marks",
+        title="The marks, and whether they are met",
+        columns=("mark", "bound", "measured", "unit", "verdict"),
+        rows=tuple(
+            (
+                mark.name,
+                f"{'≥' if mark.is_least else '≤'} {mark.bound:g}",
+                mark.value,
+                mark.unit,
+                "met" if mark.is_met else "NOT MET",
+            )
+            for mark in marks
+        ),
+        failed=frozenset(number for number, mark in enumerate(marks) if not mark.is_met),
+    )
+
+
+def _times(timing: Timing) -> tuple[float, float, float]:
+    return timing.median_us, timing.p99_us, timing.p999_us
+
+
+def _percent(share: float) -> str:
+    return f"{share:.0%}"
