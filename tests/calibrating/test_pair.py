@@ -86,7 +86,7 @@ def test_with_noise_they_come_back_within_what_is_said(seed):
 
 def test_what_is_said_of_the_accuracy_holds_in_the_mean():
     """Root mean square error over several sets of pictures, against the root mean square of what was said."""
-    results = [calibrate(BOARD, found(make_pairs(seed=seed)), camera="bench") for seed in range(10, 16)]
+    results = [calibrate(BOARD, found(make_pairs(seed=seed)), camera="bench") for seed in range(10, 14)]
     true_mm = np.sqrt(np.mean([np.square(alignment_errors_mm(result.calibration)).mean() for result in results]))
     said_mm = np.sqrt(np.mean([result.accuracy.alignment_mm**2 for result in results]))
     assert 0.5 < true_mm / said_mm < 1.4
