@@ -171,7 +171,13 @@ def _print_agreements(comparison: LaserComparison, agreements: list[Agreement]) 
         *(number(_mean([getattr(one, name) for one in whole]), 3) for name in _COLUMNS[:3]),
         number(_mean([one.correlation for one in whole]), 4),
     )
-    Console().print(table)
+    console = Console()
+    console.print(table)
+    console.print(
+        f"\ndepth of the skin, the laser's minus Tidegate's: {number(comparison.offset_mm, 2)} mm in the median",
+        highlight=False,
+        soft_wrap=True,
+    )
 
 
 _COLUMNS = ("mean_mm", "deviation_mm", "largest_mm", "correlation")

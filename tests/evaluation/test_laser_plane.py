@@ -11,6 +11,7 @@ from engine.errors import InvalidValueError
 from engine.evaluation.board import Board, LitBoard, read_board
 from engine.evaluation.plane_calibration import fit_plane
 from engine.laser_plane import LaserPlaneError, load_plane
+from engine.oni.writer import OniWriter
 from service.cli import app
 from tests.evaluation.boards import BOARD, POSES, RIG, draw, held, laser_plane
 
@@ -180,6 +181,17 @@ def test_the_command_finds_the_plane_and_names_what_it_left_out(pictures, tmp_pa
     assert angle_deg(load_plane(tmp_path / "plane.json"), PLANE) < 0.15
     assert "empty.jpg: left out, no board of 9 x 6 inner corners" in outcome.stderr
     assert "over 3 pictures" in outcome.stdout
+
+
+def test_frames_of_a_recording_are_pictures_too(pictures, tmp_path):
+    with OniWriter(tmp_path / "board.oni", fps=30.0) as writer:
+        for index, picture in enumerate(pictures[:3]):
+            writer.write_depth(1_000 + 33_333 * index, np.full((480, 640), 850, np.uint16))
+            writer.write_color(2_000 + 33_333 * index, picture)
+    outcome = invoke(tmp_path, tmp_path / "board.oni")
+    assert outcome.exit_code == 0, outcome.stderr
+    assert angle_deg(load_plane(tmp_path / "plane.json"), PLANE) < 0.15
+    assert "board.oni frame 2" in outcome.stdout
 
 
 def test_the_command_refuses_in_one_line(pictures, tmp_path):
