@@ -117,6 +117,28 @@ def test_without_carrying_over_the_new_model_would_step(patient):
     assert carry.correction_mm == pytest.approx(0.25, abs=0.05)
 
 
+def test_a_model_that_sees_everything_half_a_millimetre_deeper_still_moves_nothing(patient):
+    """Two models of one patient differ by hundredths; this one by so much that a wrong carry cannot hide."""
+    before = steady_mm(patient)
+
+    def deeper(model):
+        active = STAGES.prepare(model)
+        regions = replace(
+            active.regions, mean_mm=active.regions.mean_mm + np.linspace(0.3, 0.6, active.regions.mean_mm.size)
+        )
+        return replace(active, regions=regions, node_mean_mm=active.node_mean_mm + 0.5)
+
+    patient.learner._stages = replace(STAGES, prepare=deeper)
+    retrain(patient)
+    figures = patient.told(NoticeKind.SWAPPED)[-1].figures
+    step = np.abs(steady_mm(patient) - before)
+    assert figures["zero_after_mm"] - figures["zero_before_mm"] > 0.4
+    assert figures["volume_correction_l"] < -0.01
+    assert step[:-1].max() < 0.15
+    assert step[patient.whole] < 0.05
+    assert step[-1] < 0.001
+
+
 def test_the_sign_does_not_flip_over_retrainings(patient):
     retrain(patient)
     rest = patient.measured(gathered.frame(5000, excursion=(0.0, 0.0)))
