@@ -25,8 +25,9 @@ MIN_EXCURSION_MM = 0.8
 MIN_REGULARITY = 0.5
 MIN_CONFIDENCE = 0.7
 FIRST_PEAK_SHARE = 0.85  # two cycles later a signal agrees with itself as well as one cycle later
-TURNS = 10
-"""Each pair is looked at anew at every tenth bin, once a second, and not all at the same one."""
+EVERY_BINS = 4
+LEAST_PAIRS = 3
+"""One pair is looked at every fourth bin: each about once a second while there are three, and no frame pays for two."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -95,7 +96,9 @@ def _close_bin(state: LagState) -> LagState:
     seconds = np.append(state.seconds[first:], mean_s)
     signals_mm = np.concatenate([state.signals_mm[first:], np.array(state.open_signals_mm)[None] / state.open_frames])
     lags = list(state.lags)
-    for position in range(state.turn % TURNS, len(state.pairs), TURNS):
+    round_bins = EVERY_BINS * max(len(state.pairs), LEAST_PAIRS)
+    position, rest = divmod(state.turn % round_bins, EVERY_BINS)
+    if rest == 0 and position < len(state.pairs):
         name, first_at, other, second_at = state.pairs[position]
         lags[position] = find_lag(seconds, signals_mm[:, first_at], signals_mm[:, second_at], first=name, second=other)
     return replace(state, seconds=frozen(seconds), signals_mm=frozen(signals_mm), turn=state.turn + 1, lags=tuple(lags))
