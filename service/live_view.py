@@ -59,7 +59,9 @@ def live_sample(view: LiveView, plan: SessionPlan, *, is_stopping: bool, is_simu
         valid_share=None if projection is None else _rounded(projection.valid_share),
         regions_mm=None if motion is None else [[_rounded(cell) for cell in row] for row in motion.regions_mm.tolist()],
         named_mm=_named(motion, plan),
-        split_rows=None if motion is None or motion.split_rows is None else list(motion.split_rows),
+        split_rows=None
+        if motion is None or motion.split_rows is None
+        else [round(row, 2) for row in motion.split_rows],
         lags=None if motion is None else [_lag(lag) for lag in motion.lags],
         roi_px=_corners(measurement),
         fps=_rounded(view.fps),

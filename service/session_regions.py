@@ -10,6 +10,7 @@ from engine.polygons import NamedRegion
 from service import schemas
 
 NAMED_DTYPE = "<f4"
+DIGITS = 5  # what single precision holds of a length in mm
 
 
 def measuring_with(settings: PipelineSettings, regions: schemas.Regions) -> PipelineSettings:
@@ -34,4 +35,7 @@ def named_values(stored: bytes | None, count: int) -> list[float | None]:
     """Read them back; None for what was not measured."""
     if stored is None:
         return [None] * count
-    return [float(value) if np.isfinite(value) else None for value in np.frombuffer(stored, dtype=NAMED_DTYPE)]
+    return [
+        round(float(value), DIGITS) if np.isfinite(value) else None
+        for value in np.frombuffer(stored, dtype=NAMED_DTYPE)
+    ]
