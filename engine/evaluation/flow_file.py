@@ -15,7 +15,7 @@ from engine.frames import FloatArray, frozen
 
 MAX_BYTES = 64 * 1024 * 1024
 MIN_SAMPLES = 20
-MAX_STEP_S = 1.0
+MIN_STEP_S, MAX_STEP_S = 1e-4, 1.0
 LONGEST_S = 86_400.0
 _SECONDS = {"time_s": 1.0, "time_ms": 1e-3}
 _BOUNDS = {"flow_l_per_s": 20.0, "volume_l": 100.0}
@@ -107,7 +107,8 @@ def _numbers(line: str, names: list[str], separator: str, where: str) -> list[fl
         text = cell.strip().strip('"')
         bound = _BOUNDS.get(name, 1e12)
         try:
-            number = float(text.replace(",", ".") if separator == ";" else text)
+            # Python takes 1_0 for ten; no spirometer means that.
+            number = float(text.replace("_", "x").replace(",", "." if separator == ";" else ","))
         except ValueError as error:
             raise FlowFileError(f"{where}, {name}", text[:40], "a number") from error
         if not -bound <= number <= bound:
@@ -118,11 +119,11 @@ def _numbers(line: str, names: list[str], separator: str, where: str) -> list[fl
 
 def _check_times(path: Path, time_s: FloatArray, name: str, line_index: list[int]) -> None:
     steps = np.diff(time_s)
-    wrong = np.flatnonzero(~((steps > 0.0) & (steps <= MAX_STEP_S)))
+    wrong = np.flatnonzero(~((steps >= MIN_STEP_S) & (steps <= MAX_STEP_S)))
     if wrong.size:
         at = int(wrong[0]) + 1
         where = f"{path.name} line {line_index[at] + 1}, {name}"
-        bound = f"later than the line before by {MAX_STEP_S:g} s at most"
+        bound = f"later than the line before, by {MIN_STEP_S:g} to {MAX_STEP_S:g} s"
         raise FlowFileError(where, f"{steps[at - 1]:g} s after the line before", bound)
     if time_s[-1] - time_s[0] > LONGEST_S:
         raise FlowFileError(path.name, f"{time_s[-1] - time_s[0]:.0f} s long", f"at most {LONGEST_S:.0f} s long")

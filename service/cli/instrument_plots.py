@@ -30,8 +30,7 @@ def draw_laser(comparison: LaserComparison, path: Path) -> None:
             ax.plot(time_s, laser - ours, color=ERROR, linewidth=0.7, label="difference")
             ax.set_ylabel(f"{_place(comparison, point)}\n[mm]")
             _finish(ax, _span(time_s, np.isfinite(laser)))
-        axes[0].set_title("Motion towards the camera at points beside the laser's line (ROW,COL of the ROI grid)")
-        axes[0].legend(loc="upper right", ncols=3, fontsize=8, framealpha=0.9)
+        axes[0].set_title("Motion towards the camera beside the laser's line (ROW,COL of the ROI grid)", loc="left")
         axes[-1].set_xlabel("time since the first depth frame [s]")
 
     _draw(path, rows=count, height=1.9 * count + 0.8, fill=fill)
@@ -51,8 +50,8 @@ def draw_spirometer(time_s: FloatArray, comparison: SpirometerComparison, path: 
             ax.plot(time_s, ours, color=OURS, linewidth=1.1, label="Tidegate")
             ax.set_ylabel(label)
             _finish(ax, span)
-        axes[0].set_title(f"Volume: correlation {comparison.correlation:.4f}, lag {comparison.lag_s:.3f} s")
-        axes[0].legend(loc="upper right", ncols=2, fontsize=8, framealpha=0.9)
+        title = f"Volume: correlation {comparison.correlation:.4f}, lag {comparison.lag_s:.3f} s"
+        axes[0].set_title(title, loc="left")
         axes[-1].set_xlabel("time since the first depth frame [s]")
 
     _draw(path, rows=2, height=5.6, fill=fill)
@@ -62,7 +61,13 @@ def _draw(path: Path, *, rows: int, height: float, fill: "Callable[[list[Axes]],
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11.0, height), layout="constrained")
-    fill([figure.add_subplot(rows, 1, row + 1) for row in range(rows)])
+    axes = [figure.add_subplot(rows, 1, row + 1) for row in range(rows)]
+    fill(axes)
+    # Above the curves, not over them.
+    handles, labels = axes[0].get_legend_handles_labels()
+    axes[0].legend(
+        handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(labels), fontsize=8, frameon=False
+    )
     partial = path.with_name(path.name + ".partial")
     try:
         with partial.open("wb") as file:

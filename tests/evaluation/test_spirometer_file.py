@@ -2,6 +2,9 @@
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import make_interp_spline
 
 from engine.evaluation.flow_file import FlowFileError, read_flow
 
@@ -62,11 +65,13 @@ def lines_with(index, line):
         (lines_with(3, "0.12,half"), "flow.csv line 5, flow_l_per_s", "a number"),
         (lines_with(3, "0.12,0,5"), "flow.csv line 5", "2 columns"),
         (lines_with(3, "0.12"), "flow.csv line 5", "2 columns"),
+        (lines_with(3, "0.12,1_0"), "flow.csv line 5, flow_l_per_s", "a number"),
+        (lines_with(3, "0.08000001,0.5"), "flow.csv line 5, time_s", "later than the line before, by 0.0001"),
         (lines_with(3, "0.12,nan"), "flow.csv line 5, flow_l_per_s", "from -20 to 20"),
         (lines_with(3, "inf,0.5"), "flow.csv line 5, time_s", "from"),
         (lines_with(3, "0.12,21"), "flow.csv line 5, flow_l_per_s", "from -20 to 20"),
         (lines_with(3, "0.08,0.5"), "flow.csv line 5, time_s", "later than the line before"),
-        (lines_with(24, "3.5,0.5"), "flow.csv line 26, time_s", "later than the line before by 1 s at most"),
+        (lines_with(24, "3.5,0.5"), "flow.csv line 26, time_s", "later than the line before, by 0.0001 to 1 s"),
         (table(rows=["0.0,1.0"] * 3), "flow.csv", "20 samples or more"),
         (b"time_s,flow_l_per_s\n\xff\xfe", "flow.csv", "text in UTF-8"),
     ],
@@ -82,6 +87,31 @@ def test_lines_are_counted_over_empty_ones(tmp_path):
     text = lines_with(3, "0.08,0.5").replace("0.04,0.5\n", "0.04,0.5\n\n\n")
     with pytest.raises(FlowFileError, match=r"flow\.csv line 7, time_s"):
         read_flow(write(tmp_path, text))
+
+
+@given(
+    st.one_of(
+        st.binary(max_size=200),
+        st.lists(st.tuples(st.floats(), st.floats()), max_size=40).map(
+            lambda rows: ("time_ms,volume_l\n" + "\n".join(f"{a},{b}" for a, b in rows)).encode()
+        ),
+        st.lists(st.tuples(st.floats(0.0, 0.9), st.floats(-90.0, 90.0)), min_size=20, max_size=40).map(
+            lambda rows: (
+                "time_s;volume_l\n"
+                + "\n".join(f"{time};{row[1]}" for time, row in zip(np.cumsum([a for a, _ in rows]), rows, strict=True))
+            ).encode()
+        ),
+    )
+)
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+def test_whatever_is_in_a_file_it_is_read_or_refused(tmp_path, content):
+    try:
+        read = read_flow(write(tmp_path, content))
+    except FlowFileError:
+        return
+    assert np.isfinite(read.values).all()
+    assert np.diff(read.time_s).min() > 0.0
+    make_interp_spline(read.time_s, read.values, k=3)
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):
