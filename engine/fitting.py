@@ -17,8 +17,7 @@ MIN_FRAMES = 20
 KNOWN_SHARE = 0.5
 MAX_FILLINGS = 8
 FILLED_CHANGE = 0.003
-# Every so many known points are enough to tell the frames' likeness: the sensor's noise is correlated over nine pixels.
-COVARIANCE_STEP = 4
+CELL_PX = 10
 SMOOTHINGS_PX = (4.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 # The side of the squares that the noise is averaged over: well beyond its correlation, well below a breath's shapes.
 NOISE_SQUARE_PX = 24
@@ -59,7 +58,7 @@ def fit(
         raise ModelError(msg)
     stride_px = -(-ROI_ROWS // depth_mm.shape[1])
     data, seen = depth_mm[:, known], valid[:, known]
-    mean, centred, scores, eigenvalues = _principal_components(data, seen, components)
+    mean, centred, scores, eigenvalues = _principal_components(data, seen, known, stride_px, components)
     shapes = _smooth_shapes(centred, scores, known, stride_px)
     noise_mm = _noise_mm(centred - scores @ (scores.T @ centred), known, stride_px)
     return MotionModel(
@@ -76,9 +75,12 @@ def fit(
 
 
 def _principal_components(
-    data: FloatArray, seen: BoolArray, k: int
+    data: FloatArray, seen: BoolArray, known: BoolArray, stride_px: int, k: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """PCA of (n, m) data with gaps: fill with the mean, then with what the components say, and repeat.
+
+    The frames' likeness (the article's n x n covariance) is taken between their means over cells of 10 px: motion is
+    smooth and noise is not, so the spectrum shows the patient.
 
     Returns the mean (m,), the centred data (n, m), the frames' scores as orthonormal columns (n, k), and all
     eigenvalues (n,), summed over the m points.
@@ -89,8 +91,8 @@ def _principal_components(
     centred = (data - mean.astype(np.float32)) * seen
     largest = 0.0
     for _ in range(MAX_FILLINGS if has_gaps else 1):
-        thin = np.ascontiguousarray(centred[:, ::COVARIANCE_STEP])
-        covariance = (thin @ thin.T).astype(np.float64) * (data.shape[1] / thin.shape[1] / (len(data) - 1))
+        cells = _cell_means(centred, known, stride_px)
+        covariance = (cells @ cells.T).astype(np.float64) / (len(data) - 1)
         eigenvalues, vectors = np.linalg.eigh(covariance)
         eigenvalues, scores = np.maximum(eigenvalues[::-1], 0.0), vectors[:, ::-1][:, :k].astype(np.float32)
         if eigenvalues[0] <= 1e-6 * data.shape[1]:
@@ -104,6 +106,17 @@ def _principal_components(
         centred -= shift
         mean += shift
     return mean.astype(np.float32), centred, scores, eigenvalues
+
+
+def _cell_means(centred: FloatArray, known: BoolArray, stride_px: int) -> FloatArray:
+    """Average known points, shape (n, m), over cells, shape (n, cells), each times the root of its number of points."""
+    side = max(CELL_PX // stride_px, 1)
+    rows, columns = (np.arange(size) // side for size in known.shape)
+    cell = (rows[:, None] * (columns[-1] + 1) + columns)[known]
+    order = np.argsort(cell, kind="stable")
+    first = np.flatnonzero(np.diff(cell[order], prepend=-1))
+    counts = np.diff(np.append(first, len(order)))
+    return np.asarray(np.add.reduceat(centred[:, order], first, axis=1) / np.sqrt(counts, dtype=np.float32))
 
 
 def _smooth_shapes(centred: FloatArray, scores: FloatArray, known: BoolArray, stride_px: int) -> list[FloatArray]:
