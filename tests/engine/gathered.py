@@ -106,10 +106,11 @@ class Patient:
         )
 
     def see_until(self, is_done, *, most=1200, **surface):
-        """Offer frames until ``is_done()``; returns what was measured of them."""
+        """Offer frames until ``is_done()``; returns what was measured. A surface may be a function of the index."""
         measured = []
         for _ in range(most):
-            measured.append(self.see(**surface))
+            shown = {name: part(self.index) if callable(part) else part for name, part in surface.items()}
+            measured.append(self.see(**shown))
             if is_done():
                 return measured
         raise AssertionError(f"not done after {most} frames: {self.learner.progress}")

@@ -96,6 +96,7 @@ def test_the_whole_signal_steps_by_less_than_0_05_mm_at_a_swap_of_a_steady_phant
         pipeline.retrain()
         pipeline.keep_model(is_kept=True)
         while not pipeline.is_model_waiting:
+            assert camera.index < 3000
             assert pipeline.measure(next(camera)).state is MeasurementState.MEASURING
         held = [camera.held(5000 + number) for number in range(60)]
         before = [pipeline.measure(frame).motion.whole_mm for frame in held[:30]]

@@ -106,10 +106,7 @@ def test_a_signal_no_deeper_than_its_noise_is_no_breath():
 
 def test_a_shallow_breath_still_teaches():
     patient = Patient()
-    for index in range(2000):
-        patient.see(excursion=breath(index * FRAME_US / 1e6, depth_mm=2.0))
-        if patient.learner.active is not None:
-            break
+    patient.learn(excursion=lambda index: breath(index * FRAME_US / 1e6, depth_mm=2.0))
     assert patient.learner.active.model.provenance.quality.amplitude_mm == pytest.approx(1.1, abs=0.3)
 
 
@@ -119,19 +116,15 @@ def test_a_shallow_breath_still_teaches():
     ids=["across", "along"],
 )
 def test_a_patient_who_slides_is_refused(shift_mm, field):
-    patient = Patient()
-    while not patient.told("refused"):
-        patient.see(shift_mm=tuple(patient.index * mm for mm in shift_mm))
-    assert patient.told("refused")[0].figures["field"] == field
-    assert "lies still" in patient.told("refused")[0].detail
+    notice = refusal_of(Patient(), shift_mm=lambda index: tuple(index * mm for mm in shift_mm))
+    assert notice.figures["field"] == field
+    assert "lies still" in notice.detail
 
 
 def test_a_patient_who_turns_is_refused():
-    patient = Patient()
     across = np.linspace(-40.0, 40.0, BELLY.shape[1])
-    while not patient.told("refused"):
-        patient.see(shape=across * patient.index / 150.0)
-    assert patient.told("refused")[0].figures["field"] == "training.tilt_deg"
+    notice = refusal_of(Patient(), shape=lambda index: across * index / 150.0)
+    assert notice.figures["field"] == "training.tilt_deg"
 
 
 def test_breathing_itself_is_no_movement():
@@ -145,19 +138,14 @@ def test_a_hand_now_and_then_is_left_out_of_the_model_and_counted():
     clean, handled = Patient(), Patient()
     hand = np.where(BELLY > 0.8, -90.0, 0.0)
     learned = clean.learn()
-    while handled.learner.active is None:
-        handled.see(shape=hand if 40 <= handled.index < 60 else None)
-    model = handled.learner.active.model
+    model = handled.learn(shape=lambda index: hand if 40 <= index < 60 else None)
     assert model.provenance.quality.outlier_share == pytest.approx(20 / 170, abs=0.05)
     assert np.abs(model.mean_mm - learned.mean_mm).max() < 2.0
 
 
 def test_a_set_with_many_hands_is_refused():
-    patient = Patient()
     hand = np.where(BELLY > 0.8, -90.0, 0.0)
-    while not patient.told("refused"):
-        patient.see(shape=hand if patient.index % 120 >= 80 else None)
-    notice = patient.told("refused")[0]
+    notice = refusal_of(Patient(), shape=lambda index: hand if index % 120 >= 80 else None)
     assert notice.figures["field"] == "training.outlier_share"
     assert float(notice.figures["value"]) > 0.2
 
