@@ -94,6 +94,7 @@ def time_frames(recording: Recording, sizes: FrameSizes, switch_interval_s: floa
     _warm_up(ours, sizes.block_frames)
     walls, cpus, staged, plains = [], [], [], []
     for _ in range(sizes.blocks):
+        ours.arm()
         wall_ns, cpu_ns = _whole_block(ours, sizes.block_frames)
         walls.append(wall_ns)
         cpus.append(cpu_ns)

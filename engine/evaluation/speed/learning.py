@@ -164,6 +164,7 @@ def _paced(session: BenchSession, swaps: "_Retraining", fps: float) -> FloatArra
     """Take frames at their rate until the new model has taken over; how long each took [ns]."""
     period_ns, spent_ns = round(NS_PER_S / fps), []
     due_ns = time.perf_counter_ns()
+    session.arm()
     while not swaps.is_over:
         frame = session.read()  # before its time has come, as a player does
         due_ns += period_ns

@@ -15,7 +15,7 @@ from engine.evaluation.speed.machine import (
     set_memory_aside,
     settle_as_the_service,
 )
-from engine.evaluation.speed.session import LIMITS, EndlessSource, Recording
+from engine.evaluation.speed.session import EndlessSource, Recording
 from engine.frames import RgbdFrame
 from engine.live import LoopStatus
 from engine.loop import EngineLoop
@@ -96,7 +96,7 @@ def watch_memory(recording: Recording, sizes: MemorySizes, switch_interval_s: fl
         source=_WatchedSource(recording, most_frames=frames, on_second=lambda: resident.append(resident_bytes())),
         pipeline=pipeline,
         beam=SimulatedBeamLine(clock),
-        limits=LIMITS,
+        limits=recording.limits,
         clock=clock,
     )
     set_memory_aside()

@@ -19,7 +19,8 @@ from engine.training import Trainer, TrainingSettings
 
 READ_TIMEOUT_S = 5.0
 # Every breath of the volunteer is inside, so that the gate goes its longest way.
-LIMITS = GateLimits(window=GateWindow(lower_mm=-30.0, upper_mm=60.0), is_played=True)
+WINDOW = GateWindow(lower_mm=-30.0, upper_mm=60.0)
+LONGEST_GAP_PERIODS = 1.8
 MOST_TO_LEARN = 4000
 
 
@@ -48,6 +49,11 @@ class Recording:
     def calibration(self) -> Path:
         """The cameras' calibration."""
         return self.folder / "calibration.json"
+
+    @property
+    def limits(self) -> GateLimits:
+        """The gate's: as they are by default at 30 frames a second, and as patient with a slower recording."""
+        return GateLimits(window=WINDOW, max_gap_ms=1000.0 * LONGEST_GAP_PERIODS / self.fps, is_played=True)
 
 
 class EndlessSource:
@@ -108,6 +114,7 @@ class BenchSession:
         settings = PipelineSettings(training=recording.training if training is None else training)
         self._source = EndlessSource(recording)
         self._clock = MonotonicClock()
+        self._limits = recording.limits
         self._gate = Gate()
         self.pipeline = Pipeline(load_calibration(recording.calibration), settings, self._clock, trainer)
         self._source.open()
@@ -119,17 +126,21 @@ class BenchSession:
     def decide(self, frame: RgbdFrame) -> MeasurementState:
         """Go a frame's way from the decoded pictures to the gate's decision."""
         measurement = self.pipeline.measure(frame)
-        self._gate = step_gate(self._gate, measurement, self._clock.now_ns(), LIMITS)
+        self._gate = step_gate(self._gate, measurement, self._clock.now_ns(), self._limits)
         return measurement.state
 
     def learn(self) -> None:
         """Play until frames are measured with a model, and arm the gate."""
         for _ in range(MOST_TO_LEARN):
             if self.decide(self.read()) is MeasurementState.MEASURING:
-                self._gate = step_gate(self._gate, Arm(operator="bench"), self._clock.now_ns(), LIMITS)
+                self.arm()
                 return
         msg = f"{MOST_TO_LEARN} frames were not enough to learn a motion model"
         raise SpeedBenchError(msg)
+
+    def arm(self) -> None:
+        """Arm a gate that knows of no fault: a frame in which a model was fitted was too old to be decided on."""
+        self._gate = step_gate(Gate(), Arm(operator="bench"), self._clock.now_ns(), self._limits)
 
     @property
     def gate(self) -> Gate:
