@@ -72,7 +72,7 @@ def measure_file(task: FileTask, tell: Callable[[Progress], None]) -> FileOutcom
         total = describe(task.recording).depth_frames
         tell(Progress(frames=0, total=total))
         summary = measure_recording(
-            OniFileSource(task.recording, clock=clock),
+            OniFileSource(task.recording, clock=clock, is_helped=False),  # the other cores measure other files
             load_calibration(task.calibration),
             task.out,
             settings=task.settings,
