@@ -6,7 +6,7 @@ from pathlib import Path
 from engine.calibration import load_calibration
 from engine.capture.oni_file import OniFileSource
 from engine.capture.source import SourceDescription
-from engine.clock import MonotonicClock
+from engine.clock import Clock, MonotonicClock
 from engine.commands import Arm
 from engine.errands import Outcome
 from engine.errors import SourceEndedError
@@ -63,11 +63,13 @@ class EndlessSource:
     ----------
     most_frames
         Where it ends after all; None is never.
+    clock
+        Stamps the frames; the host's by default.
     """
 
-    def __init__(self, recording: Recording, *, most_frames: int | None = None) -> None:
+    def __init__(self, recording: Recording, *, most_frames: int | None = None, clock: Clock | None = None) -> None:
         self._period_us = round(1e6 / recording.fps)
-        self._source = OniFileSource(recording.path, clock=MonotonicClock(), is_helped=False)
+        self._source = OniFileSource(recording.path, clock=clock or MonotonicClock(), is_helped=False)
         self._most_frames = most_frames
         self._index = 0
         self._shift_us: int | None = None
@@ -109,11 +111,16 @@ class BenchSession:
     """Measures and decides on frames one by one, as the engine's loop does."""
 
     def __init__(
-        self, recording: Recording, trainer: Trainer[Outcome], *, training: TrainingSettings | None = None
+        self,
+        recording: Recording,
+        trainer: Trainer[Outcome],
+        *,
+        training: TrainingSettings | None = None,
+        clock: Clock | None = None,
     ) -> None:
         settings = PipelineSettings(training=recording.training if training is None else training)
-        self._source = EndlessSource(recording)
-        self._clock = MonotonicClock()
+        self._clock = clock or MonotonicClock()
+        self._source = EndlessSource(recording, clock=self._clock)
         self._limits = recording.limits
         self._gate = Gate()
         self.pipeline = Pipeline(load_calibration(recording.calibration), settings, self._clock, trainer)
