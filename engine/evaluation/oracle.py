@@ -3,8 +3,9 @@
 It is told how this body truly moves (the spatial modes of noise-free depth fields), where the stickers truly are, how
 deep the skin truly lies, what each reading meant before it was cut down to whole millimetres, and what the sensor shows
 of this skin on average (its still misfit, learned from the frames before the measurement against the truth). Left
-unknown are a few numbers a frame: the modes' weights, found by least squares over the pixels that were read. A method
-that has to learn the modes can hardly expect less error than this, unless it averages over time.
+unknown are a few numbers a frame: the modes' weights, found by least squares over the pixels that were read, each
+trusted as far as it is larger than its error. A method that has to learn the modes can hardly expect less error than
+this, unless it averages over time.
 
 The grid is the ROI's, sampled every second row and column; depth is z in the depth camera's frame [mm].
 """
@@ -29,6 +30,7 @@ FIELDS = 48
 MODE_RMS_MM = 0.01
 MAX_MODES = 16
 STILL_LEAST_FRAMES = 20
+OUTLIER_SHARE = 6.0
 
 _CORNERS = np.array(
     [[0, 0], [ROI_COLUMNS - 1, 0], [ROI_COLUMNS - 1, ROI_ROWS - 1], [0, ROI_ROWS - 1]], dtype=np.float32
@@ -46,12 +48,15 @@ class TrueModes:
     ----------
     mean_mm, modes
         Shapes (350, 200) and (k, 350, 200); the modes are orthonormal.
+    variances_mm2
+        Variance of each mode's weight over the recording, shape (k,).
     left_rms_mm
         What the modes leave of the noise-free fields they were taken from.
     """
 
     mean_mm: FloatArray
     modes: FloatArray
+    variances_mm2: FloatArray
     left_rms_mm: float
 
 
@@ -66,7 +71,9 @@ def true_modes(scene: Scene, times_s: FloatArray) -> TrueModes:
     count = min(int(np.searchsorted(-left, -MODE_RMS_MM)) + 1, MAX_MODES, len(sizes))
     full = np.stack([_on_whole_grid(field, rows, columns) for field in (mean, *shapes[:count])])
     orthonormal = np.linalg.qr(full[1:].reshape(count, -1).T)[0].T.reshape(count, ROI_ROWS, ROI_COLUMNS)
-    return TrueModes(mean_mm=full[0], modes=orthonormal, left_rms_mm=float(left[count - 1]))
+    # The weights are per point of the field's grid until here.
+    variances = sizes[:count] ** 2 / len(times_s) * (full[0].size / mean.size)
+    return TrueModes(mean_mm=full[0], modes=orthonormal, variances_mm2=variances, left_rms_mm=float(left[count - 1]))
 
 
 def _field_axes() -> tuple[Grid, Grid]:
@@ -93,13 +100,16 @@ class Oracle:
         self._exact_mm = _exact_depths_mm()
         self._still_sum = np.zeros(self._mean.shape)
         self._still_count = np.zeros(self._mean.shape)
+        self._fit_errors: list[FloatArray] = []
 
     def watch(self, depth_mm: DepthImage, markers_px: FloatArray, true_cells_mm: FloatArray) -> None:
-        """Learn from a frame before the measurement how the sensor misreads this body when the truth is known."""
-        weights = self._weights_of(true_cells_mm)
-        read, is_read = self._sample(depth_mm, markers_px, weights)
-        misfit = np.where(is_read, read - self._mean - weights.astype(np.float32) @ self._shapes, 0.0)
-        self._still_sum += misfit
+        """Learn from a frame before the measurement what the sensor makes of this body when the truth is known."""
+        true = self._weights_of(true_cells_mm)
+        read, is_read = self._sample(depth_mm, markers_px, true)
+        fitted = self._fit(read, is_read)
+        if fitted is not None:
+            self._fit_errors.append(fitted - true)
+        self._still_sum += np.where(is_read, read - self._mean - true.astype(np.float32) @ self._shapes, 0.0)
         self._still_count += is_read
 
     def measure(self, depth_mm: DepthImage, markers_px: FloatArray, true_cells_mm: FloatArray) -> Grid | None:
@@ -108,15 +118,31 @@ class Oracle:
         The truth says only where on the depth picture each grid point lies (0.02 px a millimetre), never how deep.
         """
         read, is_read = self._sample(depth_mm, markers_px, self._weights_of(true_cells_mm))
+        fitted = self._fit(read, is_read)
+        if fitted is None:
+            return None
+        return np.asarray(self.modes.mean_mm + np.tensordot(self._shrunk(fitted), self.modes.modes, axes=1))
+
+    def _fit(self, read: npt.NDArray[np.float32], is_read: BoolArray) -> FloatArray | None:
+        """Least squares over the pixels that were read, once more without those far off: the sensor's jumps."""
         usable = is_read & (self._still_count >= STILL_LEAST_FRAMES)
         if int(usable.sum()) < 50 * len(self._shapes):
             return None
         still = (self._still_sum / np.maximum(self._still_count, 1.0)).astype(np.float32)
-        shapes = self._shapes[:, usable]
-        misfit = (read - self._mean - still)[usable]
-        normal = (shapes @ shapes.T).astype(np.float64)
-        weights = np.linalg.solve(normal, (shapes @ misfit).astype(np.float64))
-        return np.asarray(self.modes.mean_mm + np.tensordot(weights, self.modes.modes, axes=1))
+        shapes, gap = self._shapes[:, usable], (read - self._mean - still)[usable]
+        weights = _least_squares(shapes, gap)
+        misfit = np.abs(gap - weights.astype(np.float32) @ shapes)
+        near = misfit <= OUTLIER_SHARE * np.median(misfit)
+        return _least_squares(shapes[:, near], gap[near])
+
+    def _shrunk(self, weights: FloatArray) -> FloatArray:
+        """Trust each weight as far as it is larger than its error: the best linear estimate when both are known."""
+        if len(self._fit_errors) < len(weights) + STILL_LEAST_FRAMES:
+            return weights
+        errors = np.stack(self._fit_errors)
+        true = np.diag(self.modes.variances_mm2)
+        share = np.linalg.solve(true + np.cov(errors, rowvar=False).reshape(true.shape), true)
+        return np.asarray((weights - errors.mean(axis=0)) @ share)
 
     def _weights_of(self, cells_mm: FloatArray) -> FloatArray:
         """Find the modes' weights that a true frame's cell means belong to, shape (k,)."""
@@ -153,6 +179,11 @@ class Oracle:
             read = read * np.float32(correction.scale) + np.float32(correction.offset_mm)
         is_read = np.isfinite(read)
         return np.where(is_read, read, np.float32(0.0)), is_read
+
+
+def _least_squares(shapes: FloatArray, gap: FloatArray) -> FloatArray:
+    normal = (shapes @ shapes.T).astype(np.float64)
+    return np.asarray(np.linalg.solve(normal, (shapes @ gap).astype(np.float64)))
 
 
 def _exact_depths_mm() -> npt.NDArray[np.float32]:

@@ -75,10 +75,10 @@ def page(heading: Heading, tables: list[Table], figures: list[Picture]) -> str:
 
 _HOW = """<h2 id=how>How it is judged</h2>
 <p>Every method reads the same frames of the same recording. Motion is the depth of a frame of reference minus the
-depth now, positive towards the camera. Each method takes its own first measured frame as reference, and that
-frame's noise is part of every error after it. All are judged on the same frames: those after the last of them has
-learned. An error is the absolute difference to the true motion of the skin that the region's grid points lie on;
-of cells of 10 x 10 points for the whole region (700 of them), of single points for the five.</p>
+depth now, positive towards the camera. Each method takes its own first measured frame as reference, the oracle
+ours, and that frame's noise is part of every error after it. All are judged on the same frames: those after the
+last of them has learned. An error is the absolute difference to the true motion of the skin that the region's grid
+points lie on; of cells of 10 x 10 points for the whole region (700 of them), of single points for the five.</p>
 <p>The plain reading learns from a hundred frames spread over the 15 s that they took at the article's 6.7 frames a
 second, fills holes with the mode filter and smooths with the bilateral filter on those alone, keeps three
 components, and lets a hole lie on the mean afterwards. The oracle is told the true spatial modes, the true place of

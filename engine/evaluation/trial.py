@@ -115,7 +115,7 @@ def measure_run(
 
 
 def _frames(recording: Path) -> Iterator[RgbdFrame]:
-    source = OniFileSource(recording, clock=ManualClock())
+    source = OniFileSource(recording, clock=ManualClock(), is_helped=False)
     try:
         source.open()
         while True:
@@ -147,7 +147,8 @@ class _Trial:
         if self._laser is not None:
             self._laser.take(frame, measured)
         plain = self._plain.take(frame)
-        self._oracle.take(frame, is_learning=plain is None)
+        # One frame of reference for both: which frame it is, is luck.
+        self._oracle.take(frame, is_learning=self._ours.track.reference is None)
         if self._is_pictured and plain is not None and frame.index in self._truth.full_index:
             self._pictures = _pictures(plain, self._plain.reading, measured, self._ours.pipeline)
             if self._pictures:
