@@ -107,21 +107,23 @@ def test_the_whole_signal_steps_by_less_than_0_05_mm_at_a_swap_of_a_steady_phant
     assert np.abs(steps).max() < 0.05
 
 
-def test_a_sheet_that_came_while_learning_again_is_not_learned_behind_the_zero_s_back(learned, frames):
+def test_a_sheet_that_lies_on_the_patient_is_not_learned_behind_the_zero_s_back(learned, frames):
     pipeline, camera = measuring(learned, frames)
     first = pipeline.model
-    pipeline.retrain()
     covered = []
     for shown in frames:
         depth = shown.depth_mm.copy()
-        depth[150:300, 250:390] -= 25
+        depth[110:380, 230:318] -= 4  # over one side: thin enough to be explained, were it not for how it came
         covered.append(scene.frame(shown.index, edit=lambda target, depth=depth: np.copyto(target, depth)))
     sheet = Played(covered)
     for _ in range(30):
         pipeline.measure(next(camera))
     sheet.index = camera.index
-    lost = [pipeline.measure(next(sheet)).state for _ in range(300)]
-    assert set(lost[30:]) == {MeasurementState.LOST}
+    sheet.phase = camera.phase
+    lost = [pipeline.measure(next(sheet)).state for _ in range(10)]
+    pipeline.retrain()
+    lost += [pipeline.measure(next(sheet)).state for _ in range(300)]
+    assert set(lost[3:]) == {MeasurementState.LOST}
     assert pipeline.model is first
     assert not [notice for notice in pipeline.take_notices() if notice.kind is NoticeKind.READY]
 
