@@ -44,10 +44,10 @@ def build_rig(build: Build, volunteer: int) -> Rig:
     color = _camera(rng, focal_px=527.5, k1=0.085, k2=-0.19)
     angles = np.deg2rad(rng.uniform(-0.5, 0.5, 3))
     pose = RigidTransform(rotation=_rotation(*angles), translation_mm=np.array([25.0, *rng.uniform(-0.8, 0.8, 2)]))
-    # A correction measured on a flat plate undoes most of the unit's error, not all of it.
+    # A correction measured on a flat plate, its whole millimetres undone, undoes most of the unit's error, not all.
     correction = DepthCorrection(
         scale=round(build.depth_scale + float(rng.uniform(-0.002, 0.002)), 5),
-        offset_mm=round(build.depth_offset_mm + 0.5 + float(rng.uniform(-1.0, 1.0)), 3),
+        offset_mm=round(build.depth_offset_mm + float(rng.uniform(-1.0, 1.0)), 3),
     )
     calibration = Calibration(
         camera=f"virtual Xtion {volunteer:02d}",
