@@ -287,7 +287,7 @@ def sweep(judged: list[Judged], group: str) -> Table:
         )
     return Table(
         name=f"sweep_{group}",
-        title=f"Error against {SWEEPS[group]} [mm]",
+        title=f"How the error grows: {SWEEPS[group]}",
         columns=(
             SWEEPS[group],
             *(f"{name} mean" for name in _METHODS),
@@ -303,8 +303,8 @@ def sweep(judged: list[Judged], group: str) -> Table:
         ),
         rows=tuple(rows),
         digits=3,
-        note="Mean over cells of 10 px and frames. Wrong by 1 mm: frames in which whole, thorax, abdomen or one of the "
-        "five points was; silently: those that a gate with its usual limits would have believed. There must be none.",
+        note="In mm, mean over cells of 10 px and frames. Wrong by 1 mm: frames in which whole, thorax, abdomen or one of "
+        "the five points was; silently: those that a gate with its usual limits would have believed. There must be none.",
         failed=frozenset(failed),
     )
 

@@ -54,7 +54,7 @@ def error_maps(judged: list[Judged]) -> Picture | None:
             surface(figure, panel, values, title, (0.0, highest), "mm")
 
     note = (
-        "Mean error of each cell of 10 px over the datasets of Table 2; superior is up, the right of the patient left. "
+        "Mean error of each cell of 10 px over the datasets of Table 2; up is superior, left the patient's right. "
         "The brightest 3 % are cut off."
     )
     return draw("more_error_maps", "Where the error is", note, (3.2 * len(maps), 4.4), paint)
