@@ -303,8 +303,8 @@ def sweep(judged: list[Judged], group: str) -> Table:
         ),
         rows=tuple(rows),
         digits=3,
-        note="In mm, mean over cells of 10 px and frames. Wrong by 1 mm: frames in which whole, thorax, abdomen or one of "
-        "the five points was; silently: those that a gate with its usual limits would have believed. There must be none.",
+        note="In mm, mean over cells of 10 px and frames. Wrong by 1 mm: frames in which whole, thorax, abdomen or one "
+        "of the five points was; silently: those that a gate with its usual limits would have believed.",
         failed=frozenset(failed),
     )
 

@@ -20,7 +20,8 @@ h3 { margin: 1.75rem 0 .4rem; font-size: 1rem; }
 p { margin: .4rem 0; max-width: 75ch; } .soft, .command { color: var(--soft); font-size: .87rem; }
 code { white-space: nowrap; font: .85rem ui-monospace, monospace; }
 nav a { margin-right: 1rem; color: inherit; }
-.scroll { overflow-x: auto; width: fit-content; max-width: 100%; border: 1px solid var(--line); border-radius: 6px; background: var(--card); }
+.scroll { overflow-x: auto; width: fit-content; max-width: 100%;
+  border: 1px solid var(--line); border-radius: 6px; background: var(--card); }
 table { border-collapse: collapse; min-width: 60%; font-size: .85rem; font-variant-numeric: tabular-nums; }
 th, td { padding: .3rem .6rem; text-align: left; border-bottom: 1px solid var(--line); vertical-align: top; }
 thead th { font-weight: 600; color: var(--soft); white-space: normal; }
