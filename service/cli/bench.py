@@ -1,6 +1,7 @@
 """``tidegate bench``: how fast it is on this machine, against its marks."""
 
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -8,6 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -56,6 +58,7 @@ def bench(
     It makes its own recording. Let nothing else run meanwhile: other programs' load is named beside the figures, but
     cannot be taken out of them.
     """
+    before = signal.signal(signal.SIGTERM, _interrupt)
     try:
         marks = _bench(out, work, is_quick=is_quick, memory_minutes=memory_minutes)
     except KeyboardInterrupt as stopped:
@@ -65,8 +68,15 @@ def bench(
         raise refused("bench", error) from error
     except OSError as error:
         raise refused("bench", f"{error.filename or out} cannot be written ({error.strerror or error})") from error
+    finally:
+        signal.signal(signal.SIGTERM, before)
     if is_strict and not all(mark.is_met for mark in marks):
         raise typer.Exit(1)
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    """Stop as for Ctrl-C: in order, with no process and no temporary folder left."""
+    raise KeyboardInterrupt
 
 
 def _bench(out: Path | None, work: Path | None, *, is_quick: bool, memory_minutes: float) -> list[SpeedMark]:
