@@ -2,6 +2,8 @@
 
 import json
 import os
+import signal
+import tempfile
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -366,6 +368,24 @@ def test_bad_options_are_refused_in_one_line(options, said):
     assert result.exit_code == 2
     assert said in result.output
     assert len(result.output.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=str)
+def test_told_to_end_it_leaves_no_temporary_folder_and_says_so_in_one_line(number, tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    seen = []
+
+    def told_to_end(work, _seconds, _tell):
+        seen.append(work.parent)
+        signal.raise_signal(number)
+
+    monkeypatch.setattr(bench_command, "make_recording", told_to_end)
+    before = signal.getsignal(signal.SIGTERM)
+    result = CliRunner().invoke(app, ["bench"])
+    assert (result.exit_code, result.output) == (130, "tidegate bench: stopped\n")
+    assert seen == [tmp_path]
+    assert list(tmp_path.iterdir()) == []
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_an_hour_is_what_sixty_minutes_are():
