@@ -40,6 +40,4 @@ class DepthTable:
         correction = self._correction
         if correction is None:
             return table_mm
-        table_mm = (table_mm * correction.scale + correction.offset_mm).astype(np.float32)
-        table_mm[0] = 0.0
-        return frozen(table_mm)
+        return frozen((table_mm * correction.scale + correction.offset_mm).astype(np.float32))

@@ -11,7 +11,7 @@ import numpy as np
 from engine.frames import FloatArray, frozen
 
 # Each step leaves a tenth of the error at most, with lenses of this kind.
-UNDISTORTION_STEPS = 8
+UNDISTORTION_STEPS = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -201,9 +201,10 @@ def _stencil(radius_steps: int) -> _Stencil:
     is_within = distance <= RING_RADII[1]
     return _Stencil(
         reach=reach,
-        ring=np.flatnonzero((distance > RING_RADII[0]) & is_within),
+        # Every second pixel of it, as on a chessboard, says as much.
+        ring=np.flatnonzero((distance > RING_RADII[0]) & is_within & ((x + y) % 2 == 0)),
         disc=np.flatnonzero(distance <= DISC_RADII),
-        moments=np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y]) * is_within[:, None],
+        moments=(np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y]) * is_within[:, None]).astype(np.float32),
     )
 
 
@@ -236,11 +237,11 @@ def _lie_inside(middles: FloatArray, reach: int, shape: tuple[int, ...]) -> Bool
 
 
 def _patches(color: ColorImage, middles: FloatArray, reach: int) -> FloatArray:
-    """Cut out the whiteness around each middle, shape (N, pixels), float64."""
+    """Cut out the whiteness around each middle, shape (N, pixels), float32."""
     corners = (middles - reach).astype(int).tolist()
     side = 2 * reach + 1
     windows = np.array([color[top : top + side, left : left + side] for left, top in corners])
-    return _whiteness(windows).reshape(len(corners), -1).astype(np.float64)
+    return _whiteness(windows).reshape(len(corners), -1).astype(np.float32)
 
 
 def _moments(patches: FloatArray, stencil: _Stencil, search: MarkerSearch) -> tuple[FloatArray, BoolArray]:
@@ -261,7 +262,7 @@ def _moments(patches: FloatArray, stencil: _Stencil, search: MarkerSearch) -> tu
     gain = 2.0 / np.maximum(contrast, 1.0)
     weights = patches * gain[:, None]
     weights -= (background * gain + 0.5)[:, None]
-    sums = np.minimum(np.maximum(weights, 0.0, out=weights), 1.0, out=weights) @ stencil.moments
+    sums = (np.minimum(np.maximum(weights, 0.0, out=weights), 1.0, out=weights) @ stencil.moments).astype(np.float64)
     total = sums[:, :1]
     is_marked &= total[:, 0] > 0.0
     sums[:, 1:] /= np.maximum(total, 1e-9)

@@ -75,12 +75,13 @@ def find_steps(occurrences: npt.NDArray[np.int64]) -> DepthSteps | None:
 
 
 def depth_table_mm(steps: DepthSteps | None) -> FloatArray:
-    """Depth [mm] of each of the 65536 readings, float32; 0 stays 0, which is "no reading"."""
+    """Depth [mm] of each of the 65536 readings, float32; NaN for 0, which is "no reading"."""
     table = _LEVELS_MM.copy()
     if steps is not None:
         span = slice(NEAREST_MM, FARTHEST_MM + 1)
         depth = steps.depth_mm(table[span].astype(np.float64))
         table[span] = np.where(np.abs(depth - table[span]) <= MAX_CORRECTION_MM, depth, table[span])
+    table[0] = np.nan
     return frozen(table)
 
 

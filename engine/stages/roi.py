@@ -14,6 +14,7 @@ from engine.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, DepthImage, FloatArr
 
 NODE_STEP = 25
 MIN_SIGHT = 0.5
+MUCH_SEEN = 0.8
 # Three markers in a line bound no region; what this makes of them lies outside of any picture.
 DEGENERATE = 1e-9
 NODE_ROWS = ROI_ROWS // NODE_STEP + 1
@@ -83,7 +84,7 @@ def cut_out(depth_mm: DepthImage, nodes_px: FloatArray, table_mm: FloatArray, st
     nodes_px
         Depth pixels (x, y) of the nodes, shape (nodes, 2).
     table_mm
-        What each of the 65536 readings means [mm], float32, zero for none: the sensor's steps undone, its scale
+        What each of the 65536 readings means [mm], float32, NaN for none: the sensor's steps undone, its scale
         corrected.
     stride_px
         Sample every so many rows and columns of the grid.
@@ -91,7 +92,8 @@ def cut_out(depth_mm: DepthImage, nodes_px: FloatArray, table_mm: FloatArray, st
     Returns
     -------
     RoiDepth
-        Valid where at least half of what a grid point is interpolated from has a reading; a hole takes no part.
+        Valid where all four depth pixels around a grid point have a reading; where too few points have, where at least
+        half of what a point is interpolated from has one. A hole takes no part in either.
     """
     left, top = (max(int(low) - 1, 0) for low in nodes_px.min(axis=0).tolist())
     right, bottom = (max(int(high) + 3, 0) for high in nodes_px.max(axis=0).tolist())
@@ -103,13 +105,29 @@ def cut_out(depth_mm: DepthImage, nodes_px: FloatArray, table_mm: FloatArray, st
         return RoiDepth(depth_mm=empty, valid=np.zeros_like(empty, dtype=np.bool_), stride_px=stride_px)
     nodes = (nodes_px - (left, top)).T.astype(np.float32, order="C").reshape(2, NODE_ROWS, NODE_COLUMNS)
     x, y = rows @ nodes @ columns.T
-    # Depth and sight are interpolated alike, so that their quotient is a mean of what was seen and of nothing else.
-    sum_mm = np.asarray(cv2.remap(cv2.LUT(window, table_mm), x, y, cv2.INTER_LINEAR), dtype=np.float32)
-    sight = np.asarray(cv2.remap((window > 0).astype(np.float32), x, y, cv2.INTER_LINEAR), dtype=np.float32)
-    valid = sight >= MIN_SIGHT
-    depth = sum_mm / np.maximum(sight, MIN_SIGHT)
-    depth *= valid
+    window_mm = np.asarray(cv2.LUT(window, table_mm), dtype=np.float32)
+    depth, valid = _wholly_seen(window_mm, x, y)
+    if np.count_nonzero(valid) < MUCH_SEEN * valid.size:
+        depth, valid = _partly_seen(window_mm, x, y)
     return RoiDepth(depth_mm=depth, valid=valid, stride_px=stride_px)
+
+
+def _wholly_seen(window_mm: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Read where all four pixels around a point saw something: the cleanest readings."""
+    sum_mm = cv2.remap(window_mm, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,))
+    valid = np.asarray(sum_mm > 0.0)  # a hole is NaN, and NaN is not
+    return np.where(valid, sum_mm, np.float32(0.0)), valid
+
+
+def _partly_seen(window_mm: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Read where at least half of what a point is interpolated from saw something."""
+    # Depth and sight are interpolated alike, so that their quotient is a mean of what was seen and of nothing else.
+    is_seen = window_mm > 0.0
+    sum_mm = cv2.remap(np.where(is_seen, window_mm, np.float32(0.0)), x, y, cv2.INTER_LINEAR)
+    sight = np.asarray(cv2.remap(is_seen.astype(np.float32), x, y, cv2.INTER_LINEAR), dtype=np.float32)
+    valid = sight >= MIN_SIGHT
+    depth = np.asarray(sum_mm, dtype=np.float32) / np.maximum(sight, MIN_SIGHT)
+    return np.where(valid, depth, np.float32(0.0)), valid
 
 
 @cache
