@@ -73,6 +73,8 @@ GOOD = SpeedFigures(
         end_mb=201.0,
         peak_start_mb=300.0,
         peak_end_mb=240.0,
+        used_start_mb=100.0,
+        used_end_mb=100.5,
     ),
     load_averages=(0.1, 1.0, 1.0),
 )

@@ -18,7 +18,7 @@ from engine.evaluation.speed import recording as recording_module
 from engine.evaluation.speed.bench import full_sizes, write_figures
 from engine.evaluation.speed.figures import bound_us, frames_per_s, timing_of
 from engine.evaluation.speed.frames import FrameSizes, time_frames
-from engine.evaluation.speed.machine import SpeedBenchError, on_cores, pinned
+from engine.evaluation.speed.machine import SpeedBenchError, heap_in_use_bytes, on_cores, pinned
 from engine.evaluation.speed.marks import reach
 from engine.evaluation.speed.memory import MemorySizes, memory_use
 from engine.evaluation.speed.recording import make_recording
@@ -94,22 +94,40 @@ def test_a_rate_counts_the_steps_between_stamps():
 def test_memory_grows_by_what_was_leaked_between_the_two_moments(leak_mb_s, growth_mb):
     resident = [round((200.0 + leak_mb_s * second) * MB) for second in range(40)]
     sizes = MemorySizes(session_s=40.0, warm_s=20.0, retrain_s=10.0)
-    use = memory_use(resident, sizes, frames=480, models=2)
+    use = memory_use(resident, resident, sizes, frames=480, models=2)
     assert use.growth_mb == pytest.approx(growth_mb)
     assert use.peak_end_mb == pytest.approx(200.0 + 39.0 * leak_mb_s)
+    assert use.used_end_mb - use.used_start_mb == pytest.approx(growth_mb)
 
 
 def test_scratch_that_comes_and_goes_is_no_growth():
     resident = [200 * MB] * 40
     resident[18] = resident[38] = 290 * MB
-    use = memory_use(resident, MemorySizes(session_s=40.0, warm_s=20.0, retrain_s=10.0), frames=480, models=2)
+    use = memory_use(
+        resident, [150 * MB] * 40, MemorySizes(session_s=40.0, warm_s=20.0, retrain_s=10.0), frames=480, models=2
+    )
     assert use.growth_mb == 0.0
     assert (use.peak_start_mb, use.peak_end_mb) == (290.0, 290.0)
+    assert (use.used_start_mb, use.used_end_mb) == (150.0, 150.0)
+
+
+def test_heap_in_use_rises_by_what_is_held_and_falls_when_it_is_let_go():
+    before = heap_in_use_bytes()
+    held_bytes = np.ones(40 * MB, dtype=np.uint8)
+    assert heap_in_use_bytes() - before == pytest.approx(40 * MB, rel=0.05)
+    del held_bytes
+    assert heap_in_use_bytes() - before == pytest.approx(0.0, abs=2 * MB)
 
 
 def test_a_session_shorter_than_its_warm_up_says_nothing_of_memory():
     with pytest.raises(SpeedBenchError, match="20 s is over before the 20 s"):
-        memory_use([200 * MB] * 20, MemorySizes(session_s=20.0, warm_s=20.0, retrain_s=10.0), frames=240, models=1)
+        memory_use(
+            [200 * MB] * 20,
+            [200 * MB] * 20,
+            MemorySizes(session_s=20.0, warm_s=20.0, retrain_s=10.0),
+            frames=240,
+            models=1,
+        )
 
 
 # -- watching stages from outside -----------------------------------------------------------------------------------
@@ -316,7 +334,7 @@ def test_tables_say_what_the_figures_say():
     assert tables["decoding"].rows[0][-1] == pytest.approx(70.0)
     assert tables["throughput"].rows[0][1:] == (1200, 4.0, 300.0, 320.0, 400.0)
     assert tables["learning"].rows[2][2:6] == (1.5, 0.5, 4.0, 16.0)
-    assert tables["memory"].rows[2][1] == pytest.approx(1.0)
+    assert tables["memory"].rows[2][1:] == (pytest.approx(1.0), None, pytest.approx(0.5))
     assert all(len(row) == len(table.columns) for table in tables.values() for row in table.rows)
 
 

@@ -1,5 +1,6 @@
 """The machine: what it is, how fast it copies, how busy others keep it, and fresh processes on chosen cores of it."""
 
+import ctypes
 import gc
 import multiprocessing
 import os
@@ -24,6 +25,10 @@ from engine.threads import keep_calls_in_their_thread
 COPIED_BYTES = 1 << 26
 COPIES = 15
 BUSY_LOAD = 1.0
+_HEAP_FIELDS = (
+    *("arena", "ordblks", "smblks", "hblks", "hblkhd"),
+    *("usmblks", "fsmblks", "uordblks", "fordblks", "keepcost"),
+)
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -109,6 +114,22 @@ def resident_bytes() -> int:
     """Memory of this process that is in use now [bytes]."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+class _HeapState(ctypes.Structure):
+    """What ``mallinfo2`` returns; <malloc.h>."""
+
+    _fields_ = tuple((name, ctypes.c_size_t) for name in _HEAP_FIELDS)
+
+
+def heap_in_use_bytes() -> float:
+    """Memory that the C library has given out and not got back [bytes]; NaN where it cannot tell (no glibc)."""
+    ask = getattr(ctypes.CDLL(None), "mallinfo2", None)
+    if ask is None:
+        return float("nan")
+    ask.restype = _HeapState
+    state = ask()
+    return float(state.uordblks + state.hblkhd)
 
 
 @contextmanager

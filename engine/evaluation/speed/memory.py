@@ -11,6 +11,7 @@ from engine.calibration import load_calibration
 from engine.clock import MonotonicClock
 from engine.evaluation.speed.machine import (
     SpeedBenchError,
+    heap_in_use_bytes,
     resident_bytes,
     set_memory_aside,
     settle_as_the_service,
@@ -48,6 +49,8 @@ class MemoryUse:
         Median over a little while before the warm-up's end, and before the session's.
     peak_start_mb, peak_end_mb
         Largest up to the warm-up's end, and after it.
+    used_start_mb, used_end_mb
+        Least of the heap in use over the same little whiles: a leak grows here, memory kept for later does not.
     models
         How many were learned on the way.
     """
@@ -60,6 +63,8 @@ class MemoryUse:
     end_mb: float
     peak_start_mb: float
     peak_end_mb: float
+    used_start_mb: float
+    used_end_mb: float
 
     @property
     def growth_mb(self) -> float:
@@ -85,7 +90,13 @@ class _WatchedSource(EndlessSource):
 def watch_memory(recording: Recording, sizes: MemorySizes, switch_interval_s: float) -> MemoryUse:
     """Run a whole session and watch its memory; for a process of its own."""
     settle_as_the_service(switch_interval_s)
-    resident: list[int] = []
+    resident: list[float] = []
+    used: list[float] = []
+
+    def look() -> None:
+        resident.append(resident_bytes())
+        used.append(heap_in_use_bytes())
+
     frames = round(sizes.session_s * recording.fps)
     clock = MonotonicClock()
     training = replace(recording.training, retrain_interval_s=sizes.retrain_s)
@@ -93,7 +104,7 @@ def watch_memory(recording: Recording, sizes: MemorySizes, switch_interval_s: fl
         load_calibration(recording.calibration), PipelineSettings(training=training), clock, BackgroundTrainer()
     )
     loop = EngineLoop(
-        source=_WatchedSource(recording, most_frames=frames, on_second=lambda: resident.append(resident_bytes())),
+        source=_WatchedSource(recording, most_frames=frames, on_second=look),
         pipeline=pipeline,
         beam=SimulatedBeamLine(clock),
         limits=recording.limits,
@@ -107,12 +118,12 @@ def watch_memory(recording: Recording, sizes: MemorySizes, switch_interval_s: fl
         loop.stop(timeout_s=10.0)
     if loop.status is not LoopStatus.ENDED:
         raise SpeedBenchError(f"the session for the memory's sake failed: {loop.error}")
-    return memory_use(resident, sizes, frames=frames, models=pipeline.model_generation)
+    return memory_use(resident, used, sizes, frames=frames, models=pipeline.model_generation)
 
 
-def memory_use(resident: list[int], sizes: MemorySizes, *, frames: int, models: int) -> MemoryUse:
-    """Sum up what was resident at each second of the session [bytes]."""
-    mb = np.array(resident) / MB
+def memory_use(resident: list[float], used: list[float], sizes: MemorySizes, *, frames: int, models: int) -> MemoryUse:
+    """Sum up what was resident, and what of the heap was in use, at each second of the session [bytes]."""
+    mb, used_mb = np.array(resident) / MB, np.array(used) / MB
     warm, whole = max(1, round(sizes.warm_s)), len(mb)
     if whole <= warm:
         raise SpeedBenchError(f"a session of {whole} s is over before the {warm} s that it warms up for")
@@ -126,6 +137,8 @@ def memory_use(resident: list[int], sizes: MemorySizes, *, frames: int, models: 
         end_mb=float(np.median(mb[-judged:])),
         peak_start_mb=float(mb[:warm].max()),
         peak_end_mb=float(mb[warm:].max()),
+        used_start_mb=float(used_mb[warm - judged : warm].min()),
+        used_end_mb=float(used_mb[-judged:].min()),
     )
 
 

@@ -132,14 +132,15 @@ def _memory(figures: SpeedFigures) -> Table:
     return Table(
         name="memory",
         title="Resident memory of a session",
-        columns=("", "MB", "highest [MB]"),
+        columns=("", "resident [MB]", "highest [MB]", "heap in use, least [MB]"),
         rows=(
-            (f"after {memory.warm_s / 60.0:g} min", memory.start_mb, memory.peak_start_mb),
-            (f"after {memory.session_s / 60.0:g} min", memory.end_mb, memory.peak_end_mb),
-            ("growth", memory.growth_mb, None),
+            (f"after {memory.warm_s / 60.0:g} min", memory.start_mb, memory.peak_start_mb, memory.used_start_mb),
+            (f"after {memory.session_s / 60.0:g} min", memory.end_mb, memory.peak_end_mb, memory.used_end_mb),
+            ("growth", memory.growth_mb, None, memory.used_end_mb - memory.used_start_mb),
         ),
         digits=1,
-        note=f"{memory.frames} frames through the engine's loop, {memory.models} models learned in the background.",
+        note=f"{memory.frames} frames through the engine's loop, {memory.models} models learned in the background. "
+        "Resident memory includes what the C library keeps for later; a leak grows in the last column.",
     )
 
 
