@@ -3,7 +3,8 @@
 A sheet or a hand that comes to lie on the patient is smooth, and thin enough it passes for motion: the model explains
 it. But it comes within a frame or two, faster than a chest can move. From then on the surface is believed again when
 its shape is back, breathing aside, or when a person has looked: set a new zero or learned a new model. A patient who
-moves takes his markers along, and is followed.
+moves does so as a whole: what a plane can follow is followed, however fast, and so is a change that takes the markers
+along.
 """
 
 from dataclasses import dataclass
@@ -11,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.frames import FloatArray
+from engine.stages.roi import NODE_COLUMNS, NODE_ROWS
 
 # A cough moves an abdomen at 50 mm/s; noise adds some tenths of a millimetre.
-MAX_STEP_MM = 2.5
+MAX_STEP_MM = 2.0
 MAX_STEP_OF_NOISE = 0.25
 FRAME_US = 40_000
 # So much slower than a cough is what frames that were never seen may have hidden.
@@ -60,10 +62,11 @@ class Continuity:
         """
         last = self._last
         if last is not None and np.abs(seen.markers_px - last.markers_px).max() <= MOVED_PX:
-            change = seen.depth_mm - last.depth_mm
+            change = _less_plane(seen.depth_mm - last.depth_mm)
             allowed_mm = max(MAX_STEP_MM, MAX_STEP_OF_NOISE * noise_mm)
             if self._is_broken:
-                change = change - np.linalg.lstsq(shapes.T, change, rcond=None)[0] @ shapes
+                known = np.concatenate([_PLANES, shapes])
+                change = change - np.linalg.lstsq(known.T, change, rcond=None)[0] @ known
             else:
                 hidden_us = min(max(seen.timestamp_us - last.timestamp_us - FRAME_US, 0), MAX_HIDDEN_US)
                 allowed_mm += MAX_SPEED_MM_S * hidden_us / 1e6
@@ -76,3 +79,16 @@ class Continuity:
                 )
         self._last, self._is_broken = seen, False
         return ""
+
+
+def _planes() -> FloatArray:
+    """Piston and both tilts at the nodes, orthonormal, shape (3, nodes)."""
+    rows, columns = np.mgrid[0:NODE_ROWS, 0:NODE_COLUMNS].reshape(2, -1).astype(np.float64)
+    return np.ascontiguousarray(np.linalg.qr(np.column_stack([np.ones_like(rows), rows, columns]))[0].T)
+
+
+_PLANES = _planes()
+
+
+def _less_plane(change_mm: FloatArray) -> FloatArray:
+    return change_mm - (_PLANES @ change_mm) @ _PLANES

@@ -33,7 +33,7 @@ def continuity():
 def test_breathing_and_a_cough_are_believed(continuity):
     depth = REST_MM
     for frame in range(1, 40):
-        depth = depth - 1.9 * BREATH[0] * (1.0 if frame % 20 < 10 else -1.0)
+        depth = depth - 1.6 * BREATH[0] * (1.0 if frame % 20 < 10 else -1.0)
         assert not continuity.doubt(seen(depth, frame), BREATH, NOISE_MM)
 
 
@@ -59,19 +59,26 @@ def test_a_person_who_sets_the_zero_or_a_new_model_is_believed(continuity):
     assert not continuity.doubt(seen(sheet(4.0), 3), BREATH, NOISE_MM)
 
 
+def test_a_patient_or_a_couch_that_moves_as_a_whole_is_followed_however_fast(continuity):
+    tilt = np.repeat(np.linspace(-4.0, 4.0, 15), 9)
+    assert not continuity.doubt(seen(REST_MM - 12.0 + tilt, 1), BREATH, NOISE_MM)
+    continuity.interrupt()
+    assert not continuity.doubt(seen(REST_MM + 9.0 - 5.0 * BREATH[0], 2), BREATH, NOISE_MM)
+
+
 def test_a_patient_who_takes_the_markers_along_is_followed(continuity):
     assert not continuity.doubt(seen(sheet(9.0), 1, moved_px=8.0), BREATH, NOISE_MM)
     assert continuity.doubt(seen(sheet(18.0), 2, moved_px=9.0), BREATH, NOISE_MM)
 
 
 def test_frames_that_nobody_saw_allow_for_what_they_hid_but_not_for_everything(continuity):
-    assert not continuity.doubt(seen(REST_MM - 5.0, 4), BREATH, NOISE_MM)
-    assert continuity.doubt(seen(REST_MM - 30.0, 400), BREATH, NOISE_MM)
+    assert not continuity.doubt(seen(sheet(4.0), 4), BREATH, NOISE_MM)
+    assert continuity.doubt(seen(sheet(30.0), 400), BREATH, NOISE_MM)
 
 
 def test_a_noisier_sensor_is_allowed_more(continuity):
-    step = REST_MM - (MAX_STEP_MM + 0.4)
-    assert continuity.doubt(seen(step, 1), np.zeros((1, NODES)), NOISE_MM)
+    step = sheet(1.3 * MAX_STEP_MM)
+    assert continuity.doubt(seen(step, 1), BREATH, NOISE_MM)
     fresh = Continuity()
     assert not fresh.doubt(seen(REST_MM, 0), BREATH, 12.0)
     assert not fresh.doubt(seen(step, 1), BREATH, 12.0)
