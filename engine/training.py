@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from engine.errors import InvalidValueError, ModelError
+from engine.memory import give_freed_memory_back
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,7 +143,11 @@ class BackgroundTrainer(Generic[T]):
             msg = "a model is being fitted already"
             raise ModelError(msg)
         self._is_busy = True
-        threading.Thread(target=lambda: self._finished.put(_outcome(job)), name="tidegate-trainer", daemon=True).start()
+        threading.Thread(target=self._work, args=([job],), name="tidegate-trainer", daemon=True).start()
+
+    def _work(self, jobs: list[Callable[[], T]]) -> None:
+        self._finished.put(_outcome(jobs.pop()))  # popped, so that the frames it holds are free by the next line
+        give_freed_memory_back()
 
     @property
     def is_busy(self) -> bool:
