@@ -26,3 +26,22 @@ def faults_a_frame(setting):
 
 def test_frames_that_follow_use_the_memory_of_those_before():
     assert faults_a_frame("kept") < 50 < faults_a_frame("given back")
+
+
+GIVING_BACK = """
+import numpy as np
+from engine.memory import give_freed_memory_back, keep_freed_memory
+def resident_mb():
+    return int(open("/proc/self/statm").read().split()[1]) * 4096 / 1e6
+keep_freed_memory()
+pieces = [np.ones(200_000, np.uint8) for _ in range(600)]
+pieces = pieces[::10]
+before = resident_mb()
+give_freed_memory_back()
+print(int(before - resident_mb()))
+"""
+
+
+def test_what_lies_free_between_pieces_that_stay_is_given_back():
+    ran = subprocess.run([sys.executable, "-c", GIVING_BACK], capture_output=True, text=True, check=True)
+    assert int(ran.stdout) > 60  # of 108 MB freed
