@@ -59,6 +59,15 @@ CALIBRATION = {
 }
 
 
+WAITING = {
+    "frames": 0,
+    "cycles": 0,
+    "seconds": 0.0,
+    "share": 1.0,
+    "note": "a new model is ready: it takes over when the gate is disarmed",
+}
+
+
 def motion_at(seconds: float) -> dict[str, Any]:
     """Return the measured part of a sample of someone breathing calmly."""
     depth_of_breath = (1.0 - math.cos(2.0 * math.pi * seconds / 4.0)) / 2.0
@@ -106,6 +115,9 @@ def sample(**changes: Any) -> dict[str, Any]:
             "hysteresis_mm": 0.2,
         },
         **motion_at(0.0),
+        "named_mm": {},
+        "split_rows": None,
+        "lags": [],
         "roi_px": ROI_PX,
         "fps": 29.9,
         "frames": 513,
@@ -124,6 +136,8 @@ NOTHING_MEASURED = dict.fromkeys(
         "residual_mm",
         "valid_share",
         "regions_mm",
+        "named_mm",
+        "lags",
         "roi_px",
     )
 )

@@ -6,7 +6,7 @@ import pytest
 from playwright.sync_api import BrowserContext, Page, expect
 
 from tests.browser.conftest import Tab
-from tests.browser.fake_service import SESSION, SESSION_ID, FakeService, sample
+from tests.browser.fake_service import SESSION, SESSION_ID, WAITING, FakeService, sample
 
 pytestmark = pytest.mark.browser
 
@@ -47,7 +47,7 @@ def test_each_button_is_offered_only_where_it_makes_sense(fake: FakeService, tab
     expect_enabled(page, "stop")
     fake.sample = sample(gate="hold")
     tab.sees("hold")
-    expect_enabled(page, "stop")
+    expect_enabled(page, "retrain", "stop")
     expect(page.locator("#do-acknowledge")).to_be_hidden()
     fake.sample = FAULT
     tab.sees("fault")
@@ -60,7 +60,6 @@ def test_each_button_is_offered_only_where_it_makes_sense(fake: FakeService, tab
     [
         ("arm", "arm", DISARMED),
         ("reference", "reference", DISARMED),
-        ("retrain", "models/retrain", DISARMED),
         ("disarm", "disarm", sample(gate="hold")),
         ("acknowledge", "acknowledge", FAULT),
     ],
@@ -170,14 +169,16 @@ def test_a_session_made_elsewhere_is_taken_up_by_a_page_that_waits(fake: FakeSer
 def test_nothing_the_page_can_send_names_a_beam(fake: FakeService, tab: Tab):
     """Press everything in every state: the calls are those of the contract, and none of them is "on"."""
     fake.mode = "samples"
-    for message in (DISARMED, sample(gate="hold"), FAULT):
+    for message in (DISARMED, sample(gate="hold", training=WAITING), FAULT):
         fake.sample = message
         page = tab.open(message["gate"])
         tab.named()
         for button in page.locator(".controls button:visible:enabled").all():
             button.click(timeout=1000, trial=False)
             page.wait_for_timeout(30)
-    allowed = re.compile(rf"/sessions/{SESSION_ID}/(arm|disarm|reference|acknowledge|stop|models/retrain)$")
+    allowed = re.compile(
+        rf"/sessions/{SESSION_ID}/(arm|disarm|reference|acknowledge|stop|models/retrain|models/apply)$"
+    )
     paths = [path for path, _ in fake.posts()]
     assert len(set(paths)) >= 4
     assert all(allowed.match(path) for path in paths), paths

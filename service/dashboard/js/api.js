@@ -56,7 +56,9 @@ export const listAudit = (id, limit) => call("GET", `/audit?session_id=${encodeU
 
 /** `action` is one of start, arm, disarm, reference, acknowledge, stop. */
 export const act = (id, action, operator) => call("POST", `${session(id)}/${action}`, { operator });
-export const retrain = (id, operator) => call("POST", `${session(id)}/models/retrain`, { operator });
+export const retrain = (id, operator, keepsReference) =>
+  call("POST", `${session(id)}/models/retrain`, { operator, keeps_reference: keepsReference });
+export const applyModel = (id, operator) => call("POST", `${session(id)}/models/apply`, { operator });
 
 export function uploadCalibration(text, operator) {
   return call("POST", `/calibrations?operator=${encodeURIComponent(operator)}`, text, once());

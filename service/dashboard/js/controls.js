@@ -5,8 +5,9 @@
  * or Esc, at any time a running session is known, with or without a name or a fresh connection.
  */
 
-import { act, retrain } from "./api.js";
+import { act, applyModel, retrain } from "./api.js";
 import { setText } from "./gate.js";
+import { needsZero, stageOf } from "./learning.js";
 
 const OPERATOR_KEY = "tidegate.operator";
 const UNNAMED = "unnamed at the page";
@@ -21,13 +22,15 @@ const DONE = {
   acknowledge: "Fault acknowledged.",
   stop: "Session stopped.",
   retrain: "Learning again in the background.",
+  apply: "Disarmed. The new model takes over.",
 };
 
 /** Why an action makes no sense now, in the order a person would fix it; empty when it does. */
 const OBSTACLES = {
-  arm: (c) => named(c) || running(c) || still(c) || (c.sample.gate === "fault" ? "acknowledge the fault first" : "") || measuring(c),
+  arm: (c) => named(c) || running(c) || still(c) || (c.sample.gate === "fault" ? "acknowledge the fault first" : "") || measuring(c) || compared(c) || zeroed(c),
   reference: (c) => named(c) || running(c) || still(c) || measuring(c),
-  retrain: (c) => named(c) || running(c) || still(c) || (c.sample.state === "training" ? "already learning" : ""),
+  retrain: (c) => named(c) || running(c) || compared(c) || (isLearning(c.sample) ? "already learning" : ""),
+  apply: (c) => named(c) || running(c) || (stageOf(c.sample) === "waiting" ? "" : "no new model waits"),
   acknowledge: (c) => named(c) || running(c),
   start: (c) => named(c) || (c.kind === "idle" ? "" : "a session is running") || (waits(c) ? "" : "create a session first"),
   stop: (c) => named(c) || (waits(c) ? "" : running(c)),
@@ -38,6 +41,10 @@ const waits = (c) => c.kind === "idle" && c.selected?.status === "created";
 const named = (c) => (c.operator === "" ? "enter the operator's name" : "");
 const running = (c) => (c.sample === null ? "no running session" : "");
 const still = (c) => (c.sample.is_armed ? "disarm first" : "");
+const compared = (c) => (stageOf(c.sample) === "comparing" ? "the stored model is still being compared" : "");
+const zeroed = (c) => (needsZero(c.sample, c.selected) ? "set the reference first" : "");
+/** A patient who is not seen teaches nothing behind a kept zero: learning may then begin anew. */
+const isLearning = (s) => s.state === "training" || stageOf(s) === "fitting" || (s.state === "measuring" && stageOf(s) === "gathering");
 const measuring = (c) => (c.sample.state === "measuring" ? "" : c.sample.state === "training" ? "still learning" : "the patient is not seen");
 
 export class Controls {
@@ -49,6 +56,7 @@ export class Controls {
     this.context = { kind: "connecting", sample: null, selected: null, operator: "" };
     this.outcome = document.getElementById("outcome");
     this.operator = document.getElementById("operator");
+    this.keepsZero = document.getElementById("keeps-zero");
     this.operator.value = sessionStorage.getItem(OPERATOR_KEY) ?? "";
     this.operator.addEventListener("input", () => {
       sessionStorage.setItem(OPERATOR_KEY, this.operatorName);
@@ -81,6 +89,8 @@ export class Controls {
     const isFault = context.sample?.gate === "fault";
     button("acknowledge").hidden = !isFault;
     button("arm").hidden = isFault;
+    button("apply").hidden = stageOf(context.sample) !== "waiting";
+    this.keepsZero.disabled = button("retrain").disabled;
   }
 
   async disarm() {
@@ -111,7 +121,7 @@ export class Controls {
     this.say("busy", "Sending…");
     this.update(this.context);
     try {
-      await (action === "retrain" ? retrain(id, operator) : act(id, action, operator));
+      await this.#call(action, id, operator);
       if (this.busy === mine) this.say("done", DONE[action]);
     } catch (error) {
       // A refused or failed disarm is never hidden behind a later answer: it names what else stops the beam.
@@ -121,6 +131,16 @@ export class Controls {
       if (this.busy === mine) this.busy = null;
       this.update(this.context);
       this.onChange();
+    }
+  }
+
+  async #call(action, id, operator) {
+    if (action === "apply") await applyModel(id, operator);
+    else if (action !== "retrain") await act(id, action, operator);
+    else {
+      await retrain(id, operator, this.keepsZero.checked);
+      // To give the zero up is a choice for once.
+      this.keepsZero.checked = true;
     }
   }
 
@@ -144,5 +164,5 @@ function button(action) {
 }
 
 function label(action) {
-  return { reference: "Set reference", retrain: "Learn again" }[action] ?? action[0].toUpperCase() + action.slice(1);
+  return { reference: "Set reference", retrain: "Learn again", apply: "Apply" }[action] ?? action[0].toUpperCase() + action.slice(1);
 }

@@ -28,6 +28,23 @@ export function renderCalibration(kind) {
   document.getElementById("badge-uncalibrated").hidden = kind !== "device registration";
 }
 
+/** How far today's patient is from the stored model the session began with; nothing where there is none. */
+export function renderLikeness(sample, likeness) {
+  const row = document.getElementById("likeness");
+  row.hidden = !likeness;
+  if (!likeness) return;
+  setText(document.getElementById("likeness-name"), `${likeness.is_accepted ? "Stored" : "Refused"} model: shift · tilt · shape`);
+  const figure = document.getElementById("figure-likeness");
+  setText(figure, sample ? distance(likeness) : NONE);
+  figure.dataset.bad = likeness.is_accepted ? "no" : "yes";
+  row.title = likeness.refusal ?? "";
+}
+
+function distance({ shift_mm: shift, tilt_deg: tilt, shape_mm: shape }) {
+  const millimetres = (value) => with_(value, (v) => `${v.toFixed(1)} mm`);
+  return `${millimetres(Math.hypot(...shift))} · ${with_(tilt, (v) => `${v.toFixed(1)}°`)} · ${millimetres(shape)}`;
+}
+
 function with_(value, textOf) {
   return Number.isFinite(value) ? textOf(value) : NONE;
 }
@@ -35,32 +52,4 @@ function with_(value, textOf) {
 function latency(times) {
   const part = (value) => with_(value, (v) => v.toFixed(1));
   return times ? `${part(times.last)} · ${part(times.p50)} · ${part(times.p99)}` : NONE;
-}
-
-/** Learning, measuring or lost, in words and with a bar. */
-export function renderLearning(sample, isFresh) {
-  const view = learning(sample, isFresh);
-  document.getElementById("learning").dataset.phase = view.phase;
-  setText(document.getElementById("learning-title"), view.title);
-  setText(document.getElementById("learning-share"), view.share === null ? "" : `${Math.round(100 * view.share)} %`);
-  setText(document.getElementById("learning-detail"), view.detail);
-  const bar = document.getElementById("learning-bar");
-  bar.value = view.share ?? 0;
-  bar.hidden = view.share === null;
-}
-
-function learning(sample, isFresh) {
-  if (!sample) return { phase: "none", title: isFresh ? "Not measuring" : "Not known", share: null, detail: "" };
-  const progress = sample.training;
-  const parts = progress ? [`${progress.frames} frames`, cycles(progress.cycles), `${progress.seconds.toFixed(0)} s`] : [];
-  if (progress?.note) parts.push(progress.note);
-  const detail = parts.join(" · ");
-  if (sample.state === "training") return { phase: "training", title: "Learning the breathing", share: progress?.share ?? null, detail };
-  if (sample.state === "lost") return { phase: "lost", title: "Patient not seen", share: null, detail: sample.lost?.detail ?? "" };
-  if (progress) return { phase: "measuring", title: "Measuring, learning again", share: progress.share, detail };
-  return { phase: "measuring", title: "Measuring", share: null, detail: sample.is_armed ? "Armed: the gate decides." : "The model is in use. Not armed." };
-}
-
-function cycles(count) {
-  return count === 1 ? "1 breath" : `${count} breaths`;
 }

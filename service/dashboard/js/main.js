@@ -3,9 +3,10 @@
 import { listSessions, readSession } from "./api.js";
 import { Controls } from "./controls.js";
 import { EventList } from "./events.js";
-import { renderCalibration, renderFigures, renderLearning } from "./figures.js";
+import { renderCalibration, renderFigures, renderLikeness } from "./figures.js";
 import { GatePanel, setText } from "./gate.js";
 import { GridPanel } from "./grid.js";
+import { needsZero, renderLearning } from "./learning.js";
 import { LiveStream } from "./live.js";
 import { PicturePanel } from "./picture.js";
 import { Range } from "./scale.js";
@@ -19,6 +20,8 @@ const TRACE_MS = 40;
 const PANEL_MS = 120;
 /** How often a page without a running session looks for one [ms]. */
 const LOOK_MS = 1500;
+/** How often the running session is asked for what the stream does not tell: its zero, its likeness [ms]. */
+const DESCRIBE_MS = 2000;
 
 const byId = (id) => document.getElementById(id);
 const liveUrl = new URL("/api/v1/live", window.location.href);
@@ -43,6 +46,7 @@ let drawn = { trace: -Infinity, panels: -Infinity };
 let hasLooked = false;
 let isSimulatedBeam = false;
 let nextLookMs = 0;
+let nextDescribeMs = 0;
 
 function receive(message, nowMs) {
   if (message.type !== "sample") return;
@@ -71,7 +75,8 @@ async function describe(id) {
     const answer = await readSession(id);
     if (id === shownSessionId) session = answer;
   } catch {
-    // Who the patient is stays a dash until the controller says so; the gate does not depend on it.
+    // Who the patient is stays; what changes is not known any more. The gate depends on neither.
+    if (id === shownSessionId && session !== null) session = { ...session, has_reference: null, likeness: null };
   }
 }
 
@@ -97,6 +102,10 @@ function follow(view, sample, nowMs) {
   if (sample !== null && sample.session_id !== shownSessionId) {
     shownSessionId = sample.session_id;
     session = null;
+    nextDescribeMs = nowMs + DESCRIBE_MS;
+    describe(shownSessionId);
+  } else if (sample?.session_status === "running" && nowMs >= nextDescribeMs && !document.hidden) {
+    nextDescribeMs = nowMs + DESCRIBE_MS;
     describe(shownSessionId);
   }
   if (view.kind !== "idle") nextLookMs = 0;
@@ -129,6 +138,7 @@ function render() {
   const isSample = view.isFresh && stream.message?.type === "sample";
   const sample = isSample ? stream.message : null;
   view.warning = mismatch.check(sample, nowMs) || view.warning;
+  if (view.kind === "disarmed" && needsZero(sample, session)) view.reason = `${view.reason.replace(/\.$/, "")}. Set the reference before arming.`;
   gate.render(view, nowMs);
   // With the gate, not with the other numbers: the two must never seem to disagree.
   setText(byId("figure-line"), lineText(sample));
@@ -164,7 +174,8 @@ function drawPanels(nowMs, view, sample) {
   isSimulatedBeam = sample?.is_simulated_beam ?? session?.is_simulated_beam ?? isSimulatedBeam;
   renderFigures(sample, isSimulatedBeam);
   renderCalibration(sample?.calibration ?? session?.calibration);
-  renderLearning(sample, view.isFresh);
+  renderLikeness(sample, session?.likeness);
+  renderLearning(sample, session, view.isFresh);
   renderWho(view);
   const value = sample ? sample[trace.choice === "gated" ? "signal_mm" : `${trace.choice}_mm`] : null;
   setText(byId("trace-value"), Number.isFinite(value) ? value.toFixed(1).replace("-", "−") : "–");
