@@ -17,10 +17,10 @@ from engine import fitting
 from engine.calibration import load_calibration
 from engine.capture.oni_file import OniFileSource
 from engine.clock import ManualClock
-from engine.errors import SourceEndedError
 from engine.evaluation.datasets import Run, full_plan, make_dataset
+from engine.evaluation.playing import decoded_frames
 from engine.evaluation.tables import Cell, Table
-from engine.frames import BoolArray, FloatArray, RgbdFrame, RoiDepth
+from engine.frames import BoolArray, FloatArray, RoiDepth
 from engine.model import MotionModel
 from engine.phantom.truth import CELL_PX, load_truth
 from engine.pipeline import Pipeline, PipelineSettings
@@ -29,7 +29,6 @@ from engine.threads import keep_calls_in_their_thread
 from engine.training import InlineTrainer, TrainingSettings
 
 RUNS = ("D02", "I03", "S01", "H01", "V01")
-READ_TIMEOUT_S = 5.0
 Patches = Mapping[tuple[str, str], object]
 
 
@@ -116,7 +115,8 @@ def ablate(run: Run, folder: Path, on_frame: Callable[[int], None]) -> Ablation:
             pipelines.append(Pipeline(calibration, settings, ManualClock(), InlineTrainer()))
     shape = (len(VARIANTS), *truth.cell_depth_mm.shape)
     motion_mm = np.full(shape, np.nan, dtype=np.float32)
-    for frame in _frames(folder / "recording.oni"):
+    source = OniFileSource(folder / "recording.oni", clock=ManualClock(), is_helped=False)
+    for frame in decoded_frames(source):
         for number, (variant, pipeline) in enumerate(zip(VARIANTS, pipelines, strict=True)):
             with variant.applied():
                 motion = pipeline.measure(frame).motion
@@ -148,19 +148,6 @@ def table(ablations: list[Ablation]) -> Table:
         note="One part changed at a time, the same recordings for all.",
         digits=3,
     )
-
-
-def _frames(recording: Path) -> Iterator[RgbdFrame]:
-    source = OniFileSource(recording, clock=ManualClock())
-    try:
-        source.open()
-        while True:
-            try:
-                yield source.read(READ_TIMEOUT_S)
-            except SourceEndedError:
-                return
-    finally:
-        source.close()
 
 
 def _errors_mm(motion_mm: FloatArray, depth_mm: FloatArray) -> FloatArray:

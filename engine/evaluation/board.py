@@ -5,42 +5,16 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from engine.errors import InvalidValueError
+from engine.calibrating.boards import Board
 from engine.evaluation.laser_line import LineSettings, find_line
 from engine.frames import BoolArray, ColorImage, FloatArray, frozen
 from engine.geometry import Intrinsics, RigidTransform
 
-FEWEST_CORNERS, MOST_CORNERS = 3, 50
-SMALLEST_MM, LARGEST_MM = 2.0, 200.0
 MAX_REPROJECTION_PX = 1.5
 LEAST_POINTS = 15
 # White paper is red, green and blue alike, and the camera is often near its limit on it.
 ON_PAPER = LineSettings(min_contrast=12.0, max_rival=0.75, max_step_px=4.0, is_on_pattern=True)
 OFF_LINE_PX = 0.6
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Board:
-    """A checkerboard: inner corners along its two sides, and the side of a square [mm]."""
-
-    columns: int
-    rows: int
-    square_mm: float
-
-    def __post_init__(self) -> None:
-        """Refuse what is no board."""
-        for field, value in (("columns", self.columns), ("rows", self.rows)):
-            if not FEWEST_CORNERS <= value <= MOST_CORNERS:
-                raise InvalidValueError(field, value, f"from {FEWEST_CORNERS} to {MOST_CORNERS} inner corners")
-        if not SMALLEST_MM <= self.square_mm <= LARGEST_MM:
-            raise InvalidValueError("square-mm", self.square_mm, f"from {SMALLEST_MM:g} to {LARGEST_MM:g}")
-
-    @property
-    def corners_mm(self) -> FloatArray:
-        """Its inner corners in its own frame (z = 0), row by row, shape (n, 3)."""
-        columns, rows = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
-        flat = np.column_stack([columns.ravel(), rows.ravel(), np.zeros(columns.size)])
-        return np.asarray(flat * self.square_mm, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -100,18 +74,18 @@ def _spacing(corners_px: FloatArray) -> float:
 
 def _pose(corners_px: FloatArray, board: Board, camera: Intrinsics) -> tuple[RigidTransform | None, float]:
     is_solved, turn, shift = cv2.solvePnP(
-        board.corners_mm, corners_px, camera.matrix, np.array(camera.distortion), flags=cv2.SOLVEPNP_IPPE
+        board.points_mm, corners_px, camera.matrix, np.array(camera.distortion), flags=cv2.SOLVEPNP_IPPE
     )
     if not is_solved:
         return None, float("inf")
     turn, shift = cv2.solvePnPRefineLM(
-        board.corners_mm, corners_px, camera.matrix, np.array(camera.distortion), turn, shift
+        board.points_mm, corners_px, camera.matrix, np.array(camera.distortion), turn, shift
     )
     pose = RigidTransform(
         rotation=np.asarray(cv2.Rodrigues(turn)[0], dtype=np.float64),
         translation_mm=np.asarray(shift, dtype=np.float64).ravel(),
     )
-    error = camera.project(pose.apply(board.corners_mm)) - corners_px
+    error = camera.project(pose.apply(board.points_mm)) - corners_px
     return pose, float(np.sqrt((error**2).sum(axis=1).mean()))
 
 

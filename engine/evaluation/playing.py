@@ -13,6 +13,19 @@ from engine.training import InlineTrainer
 READ_TIMEOUT_S = 5.0
 
 
+def decoded_frames(source: DepthSource) -> Iterator[RgbdFrame]:
+    """Open a recording, deliver every frame of it, and close it."""
+    try:
+        source.open()
+        while True:
+            try:
+                yield source.read(READ_TIMEOUT_S)
+            except SourceEndedError:
+                return
+    finally:
+        source.close()
+
+
 def play(
     source: DepthSource, calibration: Calibration, settings: PipelineSettings
 ) -> Iterator[tuple[RgbdFrame, Measurement]]:
@@ -27,16 +40,8 @@ def play(
     """
     pipeline = Pipeline(calibration, settings, ManualClock(), InlineTrainer())
     frames = 0
-    try:
-        source.open()
-        while True:
-            try:
-                frame = source.read(READ_TIMEOUT_S)
-            except SourceEndedError:
-                break
-            frames += 1
-            yield frame, pipeline.measure(frame)
-    finally:
-        source.close()
+    for frame in decoded_frames(source):
+        frames += 1
+        yield frame, pipeline.measure(frame)
     if pipeline.model is None:
         raise ModelError(f"{frames} frames were not enough to learn a motion model: nothing to compare")

@@ -5,7 +5,7 @@ Every frame is decoded once and handed to all of them.
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,7 +14,6 @@ import numpy as np
 from engine.calibration import Calibration, load_calibration
 from engine.capture.oni_file import OniFileSource
 from engine.clock import ManualClock
-from engine.errors import SourceEndedError
 from engine.evaluation.baseline import (
     TRAINING_FRAMES,
     PlainFrame,
@@ -29,6 +28,7 @@ from engine.evaluation.instruments import LaserSide, add_spirometer
 from engine.evaluation.oracle import FIELDS, Oracle, true_modes
 from engine.evaluation.outcome import COEFFICIENTS, LOST, MEASURING, TRAINING, Outcome, Track
 from engine.evaluation.plain_volume import PlainVolume
+from engine.evaluation.playing import decoded_frames
 from engine.frames import ROI_COLUMNS, ROI_ROWS, FloatArray, Measurement, MeasurementState, Motion, RgbdFrame
 from engine.limits import GateLimits, GateWindow
 from engine.phantom.recording import load_truth
@@ -38,7 +38,6 @@ from engine.pipeline import Pipeline, PipelineSettings
 from engine.threads import keep_calls_in_their_thread
 from engine.training import InlineTrainer, TrainingSettings
 
-READ_TIMEOUT_S = 5.0
 EIGENVALUES = 10
 GATE = GateLimits(window=GateWindow(lower_mm=-1.0, upper_mm=1.0))
 """The limits of trust a gate has when nobody changed them; the window takes no part."""
@@ -103,7 +102,8 @@ def measure_run(
     calibration = load_calibration(folder / "calibration.json")
     laser = LaserSide(calibration, folder) if run.has_laser else None
     trial = _Trial(run, calibration, truth, settings or TrialSettings(), laser)
-    for frame in _frames(folder / "recording.oni"):
+    source = OniFileSource(folder / "recording.oni", clock=ManualClock(), is_helped=False)
+    for frame in decoded_frames(source):
         trial.take(frame)
         if on_frame is not None:
             on_frame(frame.index + 1)
@@ -112,19 +112,6 @@ def measure_run(
         lag_s = truth.spirometer_lag_s
         add_spirometer(outcome, folder, None if lag_s is None else float(lag_s))
     return outcome
-
-
-def _frames(recording: Path) -> Iterator[RgbdFrame]:
-    source = OniFileSource(recording, clock=ManualClock(), is_helped=False)
-    try:
-        source.open()
-        while True:
-            try:
-                yield source.read(READ_TIMEOUT_S)
-            except SourceEndedError:
-                return
-    finally:
-        source.close()
 
 
 class _Trial:

@@ -8,10 +8,11 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from engine.calibrating.boards import Board
 from engine.calibration import Calibration, load_calibration
 from engine.errors import InvalidValueError, TidegateError
 from engine.evaluation.agreement import MIN_FRAMES, Agreement
-from engine.evaluation.board import Board, LitBoard, read_board
+from engine.evaluation.board import LitBoard, read_board
 from engine.evaluation.color_pictures import read_pictures
 from engine.evaluation.laser import CELL_PX, LaserComparison, LaserGauge
 from engine.evaluation.plane_calibration import PlaneCalibration, fit_plane

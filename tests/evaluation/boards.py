@@ -5,7 +5,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from engine.evaluation.board import Board
+from engine.calibrating.boards import Board
 from engine.geometry import Intrinsics, RigidTransform
 from engine.laser_plane import LaserPlane
 from engine.phantom.builds import find_build
@@ -40,7 +40,7 @@ def held(depth_mm, tilt_x_deg=0.0, tilt_y_deg=0.0, roll_deg=0.0, x_mm=0.0, y_mm=
         for axis in (np.array([tilt_x_deg, 0.0, 0.0]), np.array([0.0, tilt_y_deg, 0.0]), np.array([0.0, 0.0, roll_deg]))
     ]
     rotation = turns[2] @ turns[1] @ turns[0]
-    middle = BOARD.corners_mm.mean(axis=0)
+    middle = BOARD.points_mm.mean(axis=0)
     return RigidTransform(rotation=rotation, translation_mm=np.array([x_mm, y_mm, depth_mm]) - rotation @ middle)
 
 

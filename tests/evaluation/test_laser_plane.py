@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from engine.calibrating.boards import Board
 from engine.errors import InvalidValueError
-from engine.evaluation.board import Board, LitBoard, read_board
+from engine.evaluation.board import LitBoard, read_board
 from engine.evaluation.plane_calibration import fit_plane
 from engine.laser_plane import LaserPlaneError, load_plane
 from engine.oni.writer import OniWriter
@@ -97,8 +98,8 @@ def test_a_line_up_and_down_the_board_is_found_too():
     [
         ({"columns": 2}, "columns"),
         ({"rows": 51}, "rows"),
-        ({"square_mm": 0.0}, "square-mm"),
-        ({"square_mm": float("nan")}, "square-mm"),
+        ({"square_mm": 0.0}, "square_mm"),
+        ({"square_mm": float("nan")}, "square_mm"),
     ],
 )
 def test_a_board_that_is_none_is_refused(arguments, field):
