@@ -152,7 +152,15 @@ def _cut_out(args: tuple[Any, ...], roi: object) -> int:
 def _projection(args: tuple[Any, ...], found: object) -> int:
     """Count the sampled basis, the sampled region and the coefficients."""
     basis, roi, start = args
-    read = (basis.sampled_modes, basis.sampled_mean_mm, basis.sampled_known, basis.known_gram, basis.stiffness)
+    read = (
+        basis.sampled_components,
+        basis.cosine_rows,
+        basis.cosine_columns,
+        basis.sampled_mean_mm,
+        basis.sampled_known,
+        basis.known_gram,
+        basis.stiffness,
+    )
     thin = roi.thinned(STRIDE_PX)
     return array_bytes(read) + array_bytes(thin) + array_bytes(start) + array_bytes(found)
 
