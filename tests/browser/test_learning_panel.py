@@ -103,6 +103,8 @@ def test_what_the_learning_has_to_say_moves_no_button(fake: FakeService, tab: Ta
     expect(page.locator("#learning")).to_have_attribute("data-stage", "waiting" if training is WAITING else "refused")
     assert page.locator("#do-apply").is_visible() == (training is WAITING)
     assert [button.bounding_box() for button in buttons] == before
+    spills = "e => e.scrollHeight > e.clientHeight && getComputedStyle(e).overflowY === 'visible'"
+    assert not page.locator("#learning").evaluate(spills), "the text lies over the operator's name"
 
 
 def test_apply_is_gone_when_the_stream_is_silent(fake: FakeService, tab: Tab):
