@@ -3,8 +3,8 @@
 A sheet or a hand that comes to lie on the patient is smooth, and thin enough it passes for motion: the model explains
 it. But it comes within a frame or two, faster than a chest can move. From then on the surface is believed again when
 its shape is back, breathing aside, or when a person has looked: set a new zero or learned a new model. A patient who
-moves does so as a whole: what a plane can follow is followed, however fast, and so is a change that takes the markers
-along.
+moves does so as a whole: what a plane can follow, all but a little, is followed, however fast, and so is a change that
+takes the markers along.
 """
 
 from dataclasses import dataclass
@@ -22,6 +22,8 @@ FRAME_US = 40_000
 MAX_SPEED_MM_S = 25.0
 MAX_HIDDEN_US = 500_000
 MOVED_PX = 5.0
+# A patient who moves as a whole leaves this much of the change to be bent; a sheet over one side leaves half of it.
+BENT_SHARE = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -62,16 +64,15 @@ class Continuity:
         """
         last = self._last
         if last is not None and np.abs(seen.markers_px - last.markers_px).max() <= MOVED_PX:
-            change = _less_plane(seen.depth_mm - last.depth_mm)
+            change: FloatArray = seen.depth_mm - last.depth_mm
             allowed_mm = max(MAX_STEP_MM, MAX_STEP_OF_NOISE * noise_mm)
             if self._is_broken:
-                known = np.concatenate([_PLANES, shapes])
-                change = change - np.linalg.lstsq(known.T, change, rcond=None)[0] @ known
+                change = _less(change, shapes)
             else:
                 hidden_us = min(max(seen.timestamp_us - last.timestamp_us - FRAME_US, 0), MAX_HIDDEN_US)
                 allowed_mm += MAX_SPEED_MM_S * hidden_us / 1e6
             largest_mm = float(np.abs(change).max())
-            if not largest_mm <= allowed_mm:
+            if not (largest_mm <= allowed_mm or _is_of_a_whole(change, allowed_mm)):
                 self._is_broken = True
                 return (
                     f"the surface changed by {largest_mm:.1f} mm and skin cannot: look whether anything lies on the "
@@ -81,14 +82,23 @@ class Continuity:
         return ""
 
 
+def _is_of_a_whole(change_mm: FloatArray, allowed_mm: float) -> bool:
+    """Whether a plane follows all of a change but a little; what is no number it does not."""
+    if not np.isfinite(change_mm).all():
+        return False
+    bent_mm = float(np.abs(_less(change_mm, _PLANES)).max())
+    return bent_mm <= min(allowed_mm, BENT_SHARE * float(np.abs(change_mm).max()))
+
+
+def _less(change_mm: FloatArray, shapes: FloatArray) -> FloatArray:
+    """Take out of a change what some shapes can follow of it."""
+    return change_mm - np.linalg.lstsq(shapes.T, change_mm, rcond=None)[0] @ shapes
+
+
 def _planes() -> FloatArray:
-    """Piston and both tilts at the nodes, orthonormal, shape (3, nodes)."""
+    """Piston and both tilts at the nodes, shape (3, nodes)."""
     rows, columns = np.mgrid[0:NODE_ROWS, 0:NODE_COLUMNS].reshape(2, -1).astype(np.float64)
-    return np.ascontiguousarray(np.linalg.qr(np.column_stack([np.ones_like(rows), rows, columns]))[0].T)
+    return np.stack([np.ones_like(rows), rows - rows.mean(), columns - columns.mean()])
 
 
 _PLANES = _planes()
-
-
-def _less_plane(change_mm: FloatArray) -> FloatArray:
-    return change_mm - (_PLANES @ change_mm) @ _PLANES

@@ -59,6 +59,12 @@ def test_a_person_who_sets_the_zero_or_a_new_model_is_believed(continuity):
     assert not continuity.doubt(seen(sheet(4.0), 3), BREATH, NOISE_MM)
 
 
+def test_a_sheet_over_one_side_is_no_patient_who_tilts(continuity):
+    one_side = REST_MM.reshape(15, 9).copy()
+    one_side[:, :5] -= 4.0
+    assert continuity.doubt(seen(one_side.ravel(), 1), BREATH, NOISE_MM)
+
+
 def test_a_patient_or_a_couch_that_moves_as_a_whole_is_followed_however_fast(continuity):
     tilt = np.repeat(np.linspace(-4.0, 4.0, 15), 9)
     assert not continuity.doubt(seen(REST_MM - 12.0 + tilt, 1), BREATH, NOISE_MM)

@@ -399,7 +399,10 @@ def test_told_to_end_it_leaves_no_temporary_folder_and_says_so_in_one_line(numbe
 
     monkeypatch.setattr(bench_command, "make_recording", told_to_end)
     before = signal.getsignal(signal.SIGTERM)
+    # Started in the background, as a test run may be, Python leaves Ctrl-C ignored.
+    interrupt = signal.signal(signal.SIGINT, signal.default_int_handler)
     result = CliRunner().invoke(app, ["bench"])
+    signal.signal(signal.SIGINT, interrupt)
     assert (result.exit_code, result.output) == (130, "tidegate bench: stopped\n")
     assert seen == [tmp_path]
     assert list(tmp_path.iterdir()) == []
