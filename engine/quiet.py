@@ -13,7 +13,8 @@ from engine.frames import FloatArray, Projection, RoiDepth
 from engine.stages.projection import STRIDE_PX, project
 
 FRAMES = 15
-MIN_FRAMES = 9
+WINDOW_US = 500_000  # a breath bends more than a parabola over longer, whatever the frame rate
+MIN_FRAMES = 7
 MAX_GAP_US = 100_000
 DEGREE = 2
 
@@ -36,7 +37,9 @@ class RecentFrames:
 
     def settled(self, active: ActiveModel, newest: Projection) -> FloatArray:
         """Coefficients of the newest frame as the last frames together say; its own where they are too few."""
-        explained = [(stamp, project(active.basis, roi, newest.coefficients)) for stamp, roi in self._frames]
+        since_us = self._frames[-1][0] - WINDOW_US if self._frames else 0
+        recent = [(stamp, roi) for stamp, roi in self._frames if stamp >= since_us]
+        explained = [(stamp, project(active.basis, roi, newest.coefficients)) for stamp, roi in recent]
         usable = [(stamp, found.coefficients) for stamp, found in explained if found is not None]
         if len(usable) < MIN_FRAMES:
             return newest.coefficients

@@ -58,6 +58,17 @@ def test_without_noise_it_is_the_newest_frame(active):
     assert abs(settled[0] - newest.coefficients[0]) * np.abs(active.model.components[0]).max() < 0.03
 
 
+def test_a_slow_camera_is_not_averaged_over_half_a_breath(active):
+    recent = RecentFrames()
+    amplitudes = 4.0 - 4.0 * np.cos(np.arange(40) * 2.0 * np.pi / 40)  # four seconds at ten frames a second
+    for index, amplitude in enumerate(amplitudes[:20]):
+        newest = roi(amplitude, index, 0.0)
+        recent.add(newest, index * 99_000)
+    found = project(active.basis, newest, None)
+    alone_mm = surface_error_mm(active, found.coefficients, amplitudes[19])
+    assert surface_error_mm(active, recent.settled(active, found), amplitudes[19]) < alone_mm + 0.02
+
+
 def test_too_few_frames_or_a_gap_leave_the_newest_alone(active):
     recent = RecentFrames()
     newest = fill(recent, active, SIGNAL_MM[10:16])
