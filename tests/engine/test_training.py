@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from engine import training
 from engine.errors import InvalidValueError, ModelError, TrainingRefusedError
 from engine.gathering import TrainingSet
 from engine.quality import find_outliers, refuse_breathless, refuse_disturbed, refuse_moving
@@ -231,3 +232,18 @@ def test_whatever_goes_wrong_in_a_job_comes_back_as_a_refusal_and_the_trainer_is
             outcome = trainer.collect()
         assert isinstance(outcome, ModelError)
         assert not trainer.is_busy
+
+
+def test_freed_memory_is_given_back_after_every_tenth_fit_and_no_oftener(monkeypatch):
+    given = threading.Semaphore(0)
+    monkeypatch.setattr(training, "give_freed_memory_back", given.release)
+    trainer, done = BackgroundTrainer(), []
+    for job in range(20):
+        trainer.start(lambda job=job: job)
+        while (result := trainer.collect()) is None:
+            pass
+        done.append(result)
+    assert done == list(range(20))
+    assert given.acquire(timeout=5.0)
+    assert given.acquire(timeout=5.0)
+    assert not given.acquire(blocking=False)
