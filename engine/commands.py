@@ -64,4 +64,43 @@ class ActivateModel:
     model: MotionModel
 
 
-Command = Arm | Disarm | Acknowledge | SetReference | Retrain | ApplyModel | ActivateModel
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HoldBeam:
+    """Hold the beam until somebody releases it; the gate stays armed. Never refused."""
+
+    operator: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReleaseBeam:
+    """Take back what :class:`HoldBeam` asked for; the gate decides again, after a full dwell."""
+
+    operator: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CorrectBaseline:
+    """Move the window by the baseline's drift, as a person has seen and confirmed it; disarms.
+
+    Attributes
+    ----------
+    by
+        How far the window moves [mm, l of the volume].
+    """
+
+    operator: str
+    by: float
+
+
+Command = (
+    Arm
+    | Disarm
+    | Acknowledge
+    | SetReference
+    | Retrain
+    | ApplyModel
+    | ActivateModel
+    | HoldBeam
+    | ReleaseBeam
+    | CorrectBaseline
+)

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 from engine.beam.line import BeamLine
 from engine.clock import Clock
+from engine.limits import GateLimits
 from engine.permits import GateState, HoldReason
-from engine.stages.gate import Gate, GateLimits, Interruption, lease_of
+from engine.stages.gate import Gate, Interruption, lease_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

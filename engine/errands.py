@@ -14,7 +14,7 @@ from engine.active_model import ActiveModel
 from engine.carry import Carry, Explain, compare_models, recent
 from engine.errors import TrainingRefusedError
 from engine.fitting import fit
-from engine.frames import TrainingProgress
+from engine.frames import Projection, TrainingProgress
 from engine.gathering import MAX_GAP_S, GatheredFrame, TrainingSet, Vertices, evenly, mean_surface
 from engine.likeness import Likeness, LikenessLimits, compare_with_patient
 from engine.model import MotionModel
@@ -23,7 +23,7 @@ from engine.provenance import Provenance, TrainingQuality
 from engine.quality import find_outliers, refuse_breathless, refuse_disturbed, refuse_moving
 from engine.training import TrainingSettings
 
-QUALITY_FRAMES = 30
+QUALITY_FRAMES = 60
 SURFACE_FRAMES = 120
 HANDOVER_SECONDS = 2.0
 HANDOVER_FRAMES = 30
@@ -239,6 +239,7 @@ def _learned(
     model = _fitted(kept, gathered, settings, calibration_sha256)
     model = replace(model, surface_mm=mean_surface(evenly(kept, SURFACE_FRAMES), stages.vertices))
     active = stages.prepare(model)
+    explained = _explained(active, evenly(kept, QUALITY_FRAMES), stages)
     quality = TrainingQuality(
         amplitude_mm=amplitude_mm,
         noise_mm=noise_mm,
@@ -246,10 +247,11 @@ def _learned(
         shift_mm=shift_mm,
         tilt_deg=tilt_deg,
         outlier_share=outlier_share,
-        residual_mm=_residual_mm(active, evenly(kept, QUALITY_FRAMES), stages),
+        residual_mm=float(np.median([outcome.residual_mm for outcome in explained])),
     )
     settled = {field.name: float(getattr(settings, field.name)) for field in fields(settings)}
-    model = replace(model, provenance=Provenance(quality=quality, settings=settled))
+    scores_mm = np.stack([outcome.beta for outcome in explained]).astype(np.float32)
+    model = replace(model, scores_mm=scores_mm, provenance=Provenance(quality=quality, settings=settled))
     return replace(active, model=model), kept
 
 
@@ -281,14 +283,15 @@ def _carry(
     return carry
 
 
-def _residual_mm(active: ActiveModel, frames: list[GatheredFrame], stages: LearningStages) -> float:
+def _explained(active: ActiveModel, frames: list[GatheredFrame], stages: LearningStages) -> list[Projection]:
+    """Explain training frames with the model learned from them."""
     outcomes = [stages.explain(active, frame.roi, None) for frame in frames]
-    residuals = [outcome.residual_mm for outcome in outcomes if outcome is not None]
-    if not residuals:
+    explained = [outcome for outcome in outcomes if outcome is not None]
+    if not explained:
         raise TrainingRefusedError(
             "training.explained", "no frame", "explained by its own model", "clear the view of the camera"
         )
-    return float(np.median(residuals))
+    return explained
 
 
 def _drop_before_gap(frames: list[GatheredFrame], frame: GatheredFrame) -> None:

@@ -1,10 +1,13 @@
 """What the loop asks of the measuring, so that the loop can be tried on a pipeline that measures what it is told."""
 
+from collections.abc import Iterable
 from typing import Protocol
 
+from engine.breath import SignalChoice
 from engine.frames import Measurement, RgbdFrame
 from engine.model import MotionModel
 from engine.notices import LearningNotice
+from engine.windows import Ranges
 
 
 class FramePipeline(Protocol):
@@ -25,6 +28,9 @@ class FramePipeline(Protocol):
     @property
     def has_reference(self) -> bool:
         """Whether motion has a zero."""
+
+    def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
+        """Return the range each signal had while the model was learned, against the present zero."""
 
     def measure(self, frame: RgbdFrame) -> Measurement:
         """Measure one frame; "cannot tell" is data, an exception is a bug."""

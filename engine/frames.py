@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from engine.breath import Breath
+
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]
 DepthImage = npt.NDArray[np.uint16]
@@ -252,7 +254,8 @@ class Measurement:
     """The outcome of one frame: exactly one a frame, in order.
 
     ``motion`` is set if and only if ``state`` is measuring; ``lost`` if and only if it is lost. ``markers`` are those
-    of this frame when they were found, also while training.
+    of this frame when they were found, also while training. ``breaths`` say where the breath stands, one a signal that
+    is watched; none before there is a motion.
     """
 
     frame_index: int
@@ -265,6 +268,7 @@ class Measurement:
     lost: Lost | None = None
     markers: Markers | None = None
     training: "TrainingProgress | None" = None
+    breaths: tuple[Breath, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

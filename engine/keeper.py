@@ -23,6 +23,7 @@ from engine.permits import GateState, HoldReason
 from engine.stages.gate import Ending, Gate, GateEvent, Interruption, step_gate
 from engine.tally import Tally
 from engine.watchdog import Watchdog
+from engine.windows import Ranges, signal_of
 
 WATCHDOG_DETAIL = "the engine did not decide in time"
 
@@ -50,6 +51,7 @@ class GateKeeper:
         watchdog: Watchdog,
     ) -> None:
         self._clock, self._limits = clock, limits
+        self._told_window = limits.window
         self._outbox, self._mailbox, self._watchdog = outbox, mailbox, watchdog
         self._driver = BeamDriver(beam=beam, clock=clock, limits=limits)
         self._tally = Tally()
@@ -111,7 +113,7 @@ class GateKeeper:
         view, last = self._latest, self.gate.last
         if view is None or last is None or view.record.measurement.state is not MeasurementState.MEASURING:
             raise CommandRefusedError("the newest frame was not measured: see that the patient is in view")
-        if view.record.signal_mm is None:
+        if not self._is_signal_measured(view.record.measurement):
             raise CommandRefusedError("the gated motion is not measured: choose a region inside the grid")
         age_ms = (self._clock.now_ns() - last.received_ns) / NS_PER_MS
         if age_ms > self._limits.max_gap_ms + self._limits.max_frame_age_ms:
@@ -171,17 +173,39 @@ class GateKeeper:
         return gate.reason is not HoldReason.WATCHDOG or self._watchdog_told.acquire(blocking=False)
 
     def _record(self, measurement: Measurement, decided_ns: int, asserted_ns: int, *, is_on: bool) -> FrameRecord:
-        signal_mm = math.nan if measurement.motion is None else self._limits.window.signal_mm(measurement.motion)
         return FrameRecord(
             measurement=measurement,
             gate_state=self.gate.state,
             hold_reason=self.gate.reason,
-            signal_mm=signal_mm if math.isfinite(signal_mm) else None,
+            signal_mm=self._signal_mm(measurement),
             received_ns=measurement.received_ns,
             decided_ns=decided_ns,
             asserted_ns=asserted_ns,
             line_on=is_on,
         )
+
+    def _is_signal_measured(self, measurement: Measurement) -> bool:
+        """Whether every signal the window looks at was measured."""
+        motion = measurement.motion
+        choices = self._limits.window.choices
+        return motion is not None and all(math.isfinite(signal_of(choice, motion)) for choice in choices)
+
+    def _signal_mm(self, measurement: Measurement) -> float | None:
+        """Return the first gated signal; None where it was not measured, or is the volume."""
+        choice = self._limits.window.choices[0]
+        if measurement.motion is None or choice.is_volume:
+            return None
+        signal_mm = signal_of(choice, measurement.motion)
+        return signal_mm if math.isfinite(signal_mm) else None
+
+    def settle_window(self, ranges: Ranges) -> None:
+        """Turn a window told in per cent into mm and l, now that the learned range and the reference are known."""
+        self._limits = replace(self._limits, window=self._told_window.resolved(ranges))
+
+    @property
+    def is_window_unsettled(self) -> bool:
+        """Whether a part of the window is still told in per cent."""
+        return self._limits.window.needs_ranges
 
     def _show(self, record: FrameRecord, color: ColorImage) -> None:
         if self.description is None:

@@ -4,17 +4,21 @@ Owned by the pipeline's thread. Kept apart from the measuring: a frame's way doe
 present model measures on until another is ready; while an armed gate decides by it, the other waits.
 """
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 from engine.active_model import ActiveModel, Reference
+from engine.breath import SignalChoice
 from engine.errands import Candidate, Errand, Handover, Learning, LearningStages, Look, Outcome, quality_figures
 from engine.errors import CommandRefusedError, ModelError, ModelMismatchError
 from engine.frames import FloatArray, TrainingProgress
 from engine.gathering import GatheredFrame
+from engine.learned_range import learned_ranges
 from engine.likeness import Likeness, LikenessLimits
 from engine.model import MotionModel
 from engine.notices import Figures, LearningNotice, NoticeKind
 from engine.training import Trainer, TrainingSettings
+from engine.windows import Ranges
 
 REFUSAL_SHOWN_S = 30.0
 """How long a refusal stays on show where the model before it measures on."""
@@ -150,6 +154,12 @@ class Learner:
             self._needs_zero = self._needs_zero and not self._is_reference_wanted
             self._is_reference_wanted = False
         return self._reference
+
+    def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
+        """Return the range each signal had in the training, against the zero; empty before there is one."""
+        if self._active is None or self._reference is None or self._is_reference_wanted:
+            return {}
+        return learned_ranges(self._active, self._reference, choices)
 
     # -- commands -----------------------------------------------------------------------------------------------
 

@@ -1,91 +1,15 @@
-"""The numbers a gate decides by: the amplitude window and the limits of trust, each bounded where it is made.
+"""The numbers a gate decides by: the window, how often it may switch, and the limits of trust, each bounded here.
 
 Lengths are motion against the reference [mm], positive towards the camera. A session may be given tighter limits than a
 site's, and nothing may change them while it runs: the values are frozen and the loop takes them once.
 """
 
-import enum
-import math
 from dataclasses import dataclass
 
+from engine.breath import BreathEventKind
 from engine.clock import NS_PER_MS
 from engine.errors import InvalidValueError
-from engine.frames import ROI_COLUMNS, ROI_ROWS, Motion
-
-MAX_MOTION_MM = 200.0
-
-
-class GateSignal(enum.StrEnum):
-    """Which motion is gated on."""
-
-    WHOLE = "whole"
-    THORAX = "thorax"
-    ABDOMEN = "abdomen"
-    REGION = "region"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GateWindow:
-    """The amplitude window.
-
-    Attributes
-    ----------
-    signal
-        Which motion is compared; a plain string of the same value is accepted.
-    row, column
-        Cell of the region grid, for ``region`` only.
-    lower_mm, upper_mm
-        The window; its edges belong to it.
-    hysteresis_mm
-        How far inside the edges the signal must be to *enter*; it leaves at the edges themselves, so hysteresis can
-        only take beam-on time away.
-    """
-
-    signal: GateSignal | str = GateSignal.WHOLE
-    row: int | None = None
-    column: int | None = None
-    lower_mm: float
-    upper_mm: float
-    hysteresis_mm: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse a window that is none."""
-        if self.signal not in set(GateSignal):
-            raise InvalidValueError("signal", self.signal, f"one of {', '.join(GateSignal)}")
-        object.__setattr__(self, "signal", GateSignal(self.signal))
-        self._check_cell("row", self.row, ROI_ROWS)
-        self._check_cell("column", self.column, ROI_COLUMNS)
-        _check_number("lower_mm", self.lower_mm, -MAX_MOTION_MM, MAX_MOTION_MM)
-        _check_number("upper_mm", self.upper_mm, -MAX_MOTION_MM, MAX_MOTION_MM)
-        _check_number("hysteresis_mm", self.hysteresis_mm, 0.0, MAX_MOTION_MM)
-        if not self.lower_mm < self.upper_mm:
-            raise InvalidValueError("upper_mm", self.upper_mm, f"more than lower_mm ({self.lower_mm:g})")
-        half_width_mm = 0.5 * (self.upper_mm - self.lower_mm)
-        if not self.hysteresis_mm < half_width_mm:
-            bound = f"less than half the window's width ({half_width_mm:g})"
-            raise InvalidValueError("hysteresis_mm", self.hysteresis_mm, bound)
-
-    def signal_mm(self, motion: Motion) -> float:
-        """Pick the gated motion [mm]; NaN where the region grid has no such cell."""
-        if self.signal is not GateSignal.REGION:
-            return float(getattr(motion, f"{self.signal}_mm"))
-        row, column = self.row, self.column
-        rows, columns = motion.regions_mm.shape
-        if row is None or column is None or row >= rows or column >= columns:
-            return math.nan
-        return float(motion.regions_mm[row, column])
-
-    def contains(self, signal_mm: float, *, was_inside: bool) -> bool:
-        """Whether the signal is inside; NaN never is."""
-        margin_mm = 0.0 if was_inside else self.hysteresis_mm
-        return self.lower_mm + margin_mm <= signal_mm <= self.upper_mm - margin_mm
-
-    def _check_cell(self, name: str, value: int | None, size: int) -> None:
-        if self.signal is not GateSignal.REGION:
-            if value is not None:
-                raise InvalidValueError(name, value, "absent unless signal is region")
-        elif isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < size:
-            raise InvalidValueError(name, value, f"a whole number from 0 to {size - 1}")
+from engine.windows import GateWindow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,6 +45,34 @@ class GateLimits:
         Largest mean misfit of any cell of the region that the motion model may leave.
     max_jump_mm
         Largest step of the signal from one frame to the next.
+    min_on_ms
+        Shortest time on that is worth it. It never keeps a beam on: after a shorter one the dwell is longer by it,
+        until the beam has stayed on for so long once.
+    min_off_ms
+        Shortest time from off to the next on.
+    max_cycles_per_min
+        How often the beam may go on within a minute.
+    max_repeated_frames
+        How often the same picture, of depth or colour, may come again with new times.
+    max_clock_jump_ms
+        How much further than the host's clock the device's may step from one frame to the next.
+    min_fps
+        Least rate of frames over the last second [1/s].
+    max_shift_mm, max_turn_deg
+        How far the markers may have moved along the couch and turned since the reference was set.
+    warn_latency_ms, max_latency_ms
+        From capture to the line read back: worth a warning, and a fault (AAPM TG-142 asks for gating to be timed
+        within 100 ms; TG-76 for 500 ms in all).
+    camera_latency_ms
+        How long the camera itself takes for a frame, as measured by the site; part of the latency.
+    max_model_age_min
+        How long a model may be measured with after it was learned or compared with the patient.
+    operator_timeout_s
+        How long the page of the person who armed may be silent; 0 does not ask.
+    is_calibrated
+        Whether the camera's geometry was measured; without, the beam is held.
+    holding_events
+        What in the breathing holds the beam.
     is_played
         The frames come from a recording. A player that falls behind plays late, and then its lag says nothing about
         the age of a frame; the loop sets this from what the source says of itself, whatever was given.
@@ -139,19 +91,39 @@ class GateLimits:
     min_inlier_share: float = 0.6
     max_residual_mm: float = 3.0
     max_jump_mm: float = 4.0
+    min_on_ms: float = 0.0
+    min_off_ms: float = 0.0
+    max_cycles_per_min: int = 120
+    max_repeated_frames: int = 0
+    max_clock_jump_ms: float = 250.0
+    min_fps: float = 20.0
+    max_shift_mm: float = 15.0
+    max_turn_deg: float = 5.0
+    warn_latency_ms: float = 100.0
+    max_latency_ms: float = 500.0
+    camera_latency_ms: float = 0.0
+    max_model_age_min: float = 240.0
+    operator_timeout_s: float = 0.0
+    is_calibrated: bool = True
+    holding_events: frozenset[BreathEventKind] = frozenset()
     is_played: bool = False
 
     def __post_init__(self) -> None:
         """Refuse every number out of its bound."""
         for name, (low, high) in LIMIT_BOUNDS.items():
             _check_number(name, getattr(self, name), low, high)
-        if not isinstance(self.min_good_frames, int):
-            raise InvalidValueError("min_good_frames", self.min_good_frames, "a whole number")
+        for name in WHOLE_NUMBERS:
+            if not isinstance(getattr(self, name), int):
+                raise InvalidValueError(name, getattr(self, name), "a whole number")
+        if self.max_latency_ms < self.warn_latency_ms:
+            bound = f"at least warn_latency_ms ({self.warn_latency_ms:g})"
+            raise InvalidValueError("max_latency_ms", self.max_latency_ms, bound)
         if self.max_silence_ms < self.max_gap_ms:
             bound = f"at least max_gap_ms ({self.max_gap_ms:g})"
             raise InvalidValueError("max_silence_ms", self.max_silence_ms, bound)
 
 
+# Lowest and highest value each limit may take; a site can only choose within.
 LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "dwell_ms": (0.0, 10_000.0),
     "min_good_frames": (2, 300),
@@ -165,8 +137,21 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "min_inlier_share": (0.1, 1.0),
     "max_residual_mm": (0.1, 20.0),
     "max_jump_mm": (0.1, 20.0),
+    "min_on_ms": (0.0, 10_000.0),
+    "min_off_ms": (0.0, 60_000.0),
+    "max_cycles_per_min": (1, 120),
+    "max_repeated_frames": (0, 30),
+    "max_clock_jump_ms": (50.0, 2_000.0),
+    "min_fps": (5.0, 60.0),
+    "max_shift_mm": (1.0, 100.0),
+    "max_turn_deg": (0.5, 45.0),
+    "warn_latency_ms": (20.0, 500.0),
+    "max_latency_ms": (100.0, 1_000.0),
+    "camera_latency_ms": (0.0, 300.0),
+    "max_model_age_min": (1.0, 1_440.0),
+    "operator_timeout_s": (0.0, 600.0),
 }
-"""Lowest and highest value each limit may take; a site can only choose within."""
+WHOLE_NUMBERS = ("min_good_frames", "max_cycles_per_min", "max_repeated_frames")
 
 
 def ns_from_ms(duration_ms: float) -> int:

@@ -86,6 +86,7 @@ class EngineLoop:
             beam=beam, clock=clock, limits=limits, outbox=self._outbox, mailbox=self._mailbox, watchdog=self._watchdog
         )
         self._generation = pipeline.model_generation
+        self._settled_generation: int | None = None
         self._listening_since_ns = 0
         self._stop_requested = threading.Event()
         self._thread = threading.Thread(target=self._work, name="tidegate-engine", daemon=True)
@@ -245,6 +246,7 @@ class EngineLoop:
         if self._pipeline.model_generation != self._generation:
             self._generation = self._pipeline.model_generation
             events.append(Ending(reason=HoldReason.DISARMED, detail="the model or the reference has changed"))
+        self._settle_window()
         if not _is_of(measurement, frame):
             events.append(Interruption(reason=HoldReason.VALUE_INVALID, detail="a measurement of another frame"))
         events.append(measurement)
@@ -253,6 +255,15 @@ class EngineLoop:
         elif not self._pipeline.has_reference:
             events.append(Interruption(reason=HoldReason.REFERENCE_MISSING))
         self._keeper.decide(*events, cause=Cause(frame=frame, measurement=measurement))
+
+    def _settle_window(self) -> None:
+        """Turn per cent into mm once after every change of model or zero, and never while nothing changed."""
+        if self._settled_generation == self._generation or not self._limits.window.needs_ranges:
+            return
+        ranges = self._pipeline.learned_ranges(self._limits.window.choices)
+        self._keeper.settle_window(ranges)
+        if ranges:
+            self._settled_generation = self._generation
 
     # Commands.
 
@@ -302,8 +313,9 @@ class EngineLoop:
         self._keeper.decide(Ending(reason=HoldReason.DISARMED, detail=detail), cause=Cause(operator=operator))
 
     def _arm(self, command: Arm) -> None:
-        self._refuse_unless_ready()
         self._generation = self._pipeline.model_generation
+        self._settle_window()
+        self._refuse_unless_ready()
         self._beam.rearm()
         self._keeper.decide(command, cause=Cause(operator=command.operator))
         if not self._keeper.gate.is_armed:
@@ -321,6 +333,10 @@ class EngineLoop:
             raise CommandRefusedError(self._pipeline.model_shortcoming)
         if not self._pipeline.has_reference:
             raise CommandRefusedError("there is no reference yet: set it first")
+        if self._keeper.is_window_unsettled:
+            raise CommandRefusedError(
+                "the window is told in per cent of a range that the model does not tell: learn again"
+            )
         if not self._watchdog.is_watching:
             raise CommandRefusedError("the watchdog does not run: this engine cannot be armed")
         self._keeper.refuse_without_fresh_signal()

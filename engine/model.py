@@ -41,6 +41,9 @@ class MotionModel:
     surface_mm
         Mean of the surface's vertices at the region's nodes, in the depth camera's frame [mm], shape (nodes, 3), NaN
         where none was seen; None where nobody noted them. It tells a later fraction how far the patient lies from here.
+    scores_mm
+        First coefficients, of the components, of some of the training frames [mm], shape (frames, k): the range the
+        patient breathed over. None where nobody noted them.
     provenance
         How good the training was, and where the model comes from.
     """
@@ -55,6 +58,7 @@ class MotionModel:
     calibration_sha256: str
     noise_mm: float = USUAL_NOISE_MM
     surface_mm: FloatArray | None = None
+    scores_mm: FloatArray | None = None
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:
@@ -70,7 +74,12 @@ class MotionModel:
         if surface is not None and (surface.shape[1:] != (3,) or np.isinf(surface).any()):
             msg = f"a model's surface is made of points, not {surface.shape}, and none is infinitely far"
             raise ModelError(msg)
-        for array in (self.mean_mm, self.components, self.eigenvalues_mm2, self.known, self.surface_mm):
+        scores = self.scores_mm
+        if scores is not None and (scores.shape[1:] != (len(self.components),) or not np.isfinite(scores).all()):
+            msg = f"a model's scores are one number a component, all finite, not {scores.shape}"
+            raise ModelError(msg)
+        arrays = (self.mean_mm, self.components, self.eigenvalues_mm2, self.known, self.surface_mm, self.scores_mm)
+        for array in arrays:
             if array is not None:
                 frozen(array)
 

@@ -35,13 +35,31 @@ class HoldReason(enum.StrEnum):
     FRAME_MISSING = "frame_missing"
     FRAME_LATE = "frame_late"
     OPERATOR_HOLD = "operator_hold"
+    OPERATOR_LOST = "operator_lost"
+    FRAME_FROZEN = "frame_frozen"
+    FRAME_RATE_LOW = "frame_rate_low"
+    PATIENT_SHIFTED = "patient_shifted"
+    MODEL_OLD = "model_old"
+    CALIBRATION_MISSING = "calibration_missing"
+    BREATHING_IRREGULAR = "breathing_irregular"
+    PHASE_UNKNOWN = "phase_unknown"
+    RANGE_UNKNOWN = "range_unknown"
+    BREATH_HOLD_AWAITED = "breath_hold_awaited"
+    BREATH_HOLD_SETTLING = "breath_hold_settling"
+    BREATH_HOLD_DRIFTED = "breath_hold_drifted"
+    BREATH_HOLD_OVER = "breath_hold_over"
+    SHORTEST_OFF = "shortest_off"
+    CYCLE_LIMIT = "cycle_limit"
     # Faults: they latch until a named person acknowledges them.
     FRAME_STALE = "frame_stale"
     FRAME_TIMEOUT = "frame_timeout"
     CLOCK_BACKWARDS = "clock_backwards"
+    CLOCK_JUMPED = "clock_jumped"
+    LATENCY_HIGH = "latency_high"
     VALUE_INVALID = "value_invalid"
     SOURCE_LOST = "source_lost"
     BEAM_LINE_FAILED = "beam_line_failed"
+    BEAM_LINE_MISMATCH = "beam_line_mismatch"
     AUDIT_BEHIND = "audit_behind"
     RECORDER_BEHIND = "recorder_behind"
     DISK_LOW = "disk_low"
@@ -74,6 +92,21 @@ _CLEARS_BY_ITSELF = frozenset(
         HoldReason.FRAME_MISSING,
         HoldReason.FRAME_LATE,
         HoldReason.OPERATOR_HOLD,
+        HoldReason.OPERATOR_LOST,
+        HoldReason.FRAME_FROZEN,
+        HoldReason.FRAME_RATE_LOW,
+        HoldReason.PATIENT_SHIFTED,
+        HoldReason.MODEL_OLD,
+        HoldReason.CALIBRATION_MISSING,
+        HoldReason.BREATHING_IRREGULAR,
+        HoldReason.PHASE_UNKNOWN,
+        HoldReason.RANGE_UNKNOWN,
+        HoldReason.BREATH_HOLD_AWAITED,
+        HoldReason.BREATH_HOLD_SETTLING,
+        HoldReason.BREATH_HOLD_DRIFTED,
+        HoldReason.BREATH_HOLD_OVER,
+        HoldReason.SHORTEST_OFF,
+        HoldReason.CYCLE_LIMIT,
     }
 )
 

@@ -4,11 +4,13 @@ Owned by one thread. It keeps what must be remembered between frames (where the 
 that the stages need not; the model and the zero are :class:`engine.learner.Learner`'s.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from engine.active_model import ActiveModel, Reference, prepare_model
+from engine.breath import SignalChoice
 from engine.calibration import Calibration
 from engine.clock import Clock
 from engine.continuity import Continuity, Seen
@@ -46,6 +48,7 @@ from engine.stages.roi import NODE_COLUMNS, NODE_ROWS, NODE_STEP, at_nodes, cut_
 from engine.stages.surface import end_at_markers, vertices_mm
 from engine.threads import keep_calls_in_their_thread
 from engine.training import BackgroundTrainer, Trainer, TrainingSettings
+from engine.windows import Ranges
 
 US_PER_S = 1e6
 MARKERS_BETWEEN_NODES = 1.0 - 1.0 / NODE_STEP
@@ -176,6 +179,10 @@ class Pipeline:
     def likeness(self) -> Likeness | None:
         """How far today's patient is from the stored model that was begun with."""
         return self._learner.likeness
+
+    def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
+        """Return the range each signal had while the model was learned, against the present zero."""
+        return self._learner.learned_ranges(choices)
 
     def take_notices(self) -> list[LearningNotice]:
         """Return what the learning has to tell since the last call."""

@@ -13,8 +13,9 @@ import numpy as np
 
 from engine.clock import NS_PER_MS, NS_PER_US
 from engine.frames import LostReason, Measurement, MeasurementState, Motion
-from engine.limits import GateLimits, GateWindow
+from engine.limits import GateLimits
 from engine.permits import HoldReason
+from engine.windows import ConditionState, GateWindow, signal_of
 
 MAX_JUMP_FRAMES = 5
 """A signal not seen for longer is compared as if it had been this many frames: a gap is no excuse for any step."""
@@ -38,26 +39,27 @@ class EventKind(enum.StrEnum):
 
 
 class Verdict(NamedTuple):
-    """What an event means, why, and in words for a person."""
+    """What an event means, why, and in words for a person; and what the window remembers of a frame it has judged."""
 
     kind: EventKind
     reason: HoldReason | None = None
     detail: str = ""
+    conditions: tuple[ConditionState, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LastFrame:
     """What the gate remembers of the frames so far, to compare the next with.
 
-    ``least_lag_ns`` is the least host time minus device time seen, let grow by the clocks' drift; ``signal_mm`` was
-    measured ``signal_age_frames`` frames ago.
+    ``least_lag_ns`` is the least host time minus device time seen, let grow by the clocks' drift; ``signals_mm``
+    were measured ``signal_age_frames`` frames ago.
     """
 
     index: int
     timestamp_us: int
     received_ns: int
     least_lag_ns: int
-    signal_mm: float | None
+    signals_mm: tuple[float, ...] | None
     signal_age_frames: int
 
 
@@ -76,6 +78,7 @@ def distrust(last: LastFrame | None, frame: Measurement, now_ns: int, limits: Ga
         _refuse_bad_value(frame.motion, limits)
         or _refuse_poor_fit(frame.motion, limits)
         or _refuse_jump(last, frame, frame.motion, limits)
+        or _refuse_irregular(frame, limits)
     )
 
 
@@ -91,16 +94,16 @@ def unusable(reason: HoldReason, detail: str) -> Verdict:
 
 def last_frame(before: LastFrame | None, frame: Measurement, window: GateWindow) -> LastFrame:
     """Return what the next frame is compared with."""
-    signal_mm = math.nan if frame.motion is None else window.signal_mm(frame.motion)
-    is_measured = math.isfinite(signal_mm)
-    kept_mm = None if before is None else before.signal_mm
+    signals_mm = () if frame.motion is None else _watched_mm(frame.motion, window)
+    is_measured = bool(signals_mm) and all(math.isfinite(signal_mm) for signal_mm in signals_mm)
+    kept_mm = None if before is None else before.signals_mm
     age = 0 if before is None else before.signal_age_frames + 1 + max(frame.missed_frames, 0)
     return LastFrame(
         index=frame.frame_index,
         timestamp_us=frame.timestamp_us,
         received_ns=frame.received_ns,
         least_lag_ns=_least_lag_ns(before, frame),
-        signal_mm=signal_mm if is_measured else kept_mm,
+        signals_mm=signals_mm if is_measured else kept_mm,
         signal_age_frames=0 if is_measured else age,
     )
 
@@ -183,7 +186,7 @@ def _judge_unmeasured(frame: Measurement) -> Verdict:
 def _refuse_bad_value(motion: Motion, limits: GateLimits) -> Verdict | None:
     fit = motion.projection
     values = {
-        f"{limits.window.signal} (gated)": limits.window.signal_mm(motion),
+        **{f"{choice.label} (gated)": signal_of(choice, motion) for choice in limits.window.choices},
         "whole": motion.whole_mm,
         "thorax": motion.thorax_mm,
         "abdomen": motion.abdomen_mm,
@@ -214,11 +217,27 @@ def _refuse_poor_fit(motion: Motion, limits: GateLimits) -> Verdict | None:
     return None
 
 
+def _watched_mm(motion: Motion, window: GateWindow) -> tuple[float, ...]:
+    """Pick what may not jump: the gated signals that are lengths, or the whole region for a volume."""
+    lengths = tuple(signal_of(choice, motion) for choice in window.choices if not choice.is_volume)
+    return lengths or (motion.whole_mm,)
+
+
 def _refuse_jump(last: LastFrame | None, frame: Measurement, motion: Motion, limits: GateLimits) -> Verdict | None:
-    if last is None or last.signal_mm is None:
+    if last is None or last.signals_mm is None:
         return None
     frames = min(last.signal_age_frames + 1 + frame.missed_frames, MAX_JUMP_FRAMES)
-    step_mm = abs(limits.window.signal_mm(motion) - last.signal_mm)
+    signals_mm = _watched_mm(motion, limits.window)
+    step_mm = max(abs(now - before) for now, before in zip(signals_mm, last.signals_mm, strict=True))
     if not step_mm <= limits.max_jump_mm * frames:
         return unusable(HoldReason.JUMP, f"{step_mm:.1f} mm in {frames} frames")
+    return None
+
+
+def _refuse_irregular(frame: Measurement, limits: GateLimits) -> Verdict | None:
+    """Hold for what the site wants no beam in: a cough, speech, a breath that is not periodic."""
+    for breath in frame.breaths:
+        for event in breath.events:
+            if event.kind in limits.holding_events:
+                return unusable(HoldReason.BREATHING_IRREGULAR, f"{event.kind}: {event.detail}")
     return None

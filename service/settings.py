@@ -13,10 +13,12 @@ from typing import Annotated, Any, Self
 from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from engine.breath import BreathEventKind
 from engine.errors import InvalidValueError
 from engine.likeness import LIKENESS_BOUNDS, LikenessLimits
 from engine.limits import LIMIT_BOUNDS, GateLimits
 from engine.training import TRAINING_BOUNDS, TrainingSettings
+from engine.windows import HOLD_BOUNDS
 
 PREFIX = "TIDEGATE_"
 SETTING_OF = {"retrain_interval_s": "retrain_interval_min"}
@@ -24,6 +26,7 @@ SETTING_OF = {"retrain_interval_s": "retrain_interval_min"}
 
 LIMIT_DEFAULTS = {field.name: field.default for field in dataclasses.fields(GateLimits)}
 FolderList = Annotated[tuple[Path, ...], NoDecode]
+EventList = Annotated[tuple[BreathEventKind, ...], NoDecode]
 NameList = Annotated[tuple[str, ...], NoDecode]
 
 
@@ -89,6 +92,31 @@ class Settings(BaseSettings):
     min_inlier_share: float = _limit("min_inlier_share")
     max_residual_mm: float = _limit("max_residual_mm")
     max_jump_mm: float = _limit("max_jump_mm")
+    min_on_ms: float = _limit("min_on_ms")
+    min_off_ms: float = _limit("min_off_ms")
+    max_cycles_per_min: int = _limit("max_cycles_per_min")
+    max_repeated_frames: int = _limit("max_repeated_frames")
+    max_clock_jump_ms: float = _limit("max_clock_jump_ms")
+    min_fps: float = _limit("min_fps")
+    max_shift_mm: float = _limit("max_shift_mm")
+    max_turn_deg: float = _limit("max_turn_deg")
+    warn_latency_ms: float = _limit("warn_latency_ms")
+    max_latency_ms: float = _limit("max_latency_ms")
+    camera_latency_ms: float = _limit("camera_latency_ms")
+    max_model_age_min: float = _limit("max_model_age_min")
+    operator_timeout_s: float = _limit("operator_timeout_s")
+    beam_without_calibration: bool = Field(
+        default=True, description="A session on a camera's own registration may be gated: research only"
+    )
+    holding_events: EventList = Field(
+        default=(), description="What in the breathing holds the beam, comma-separated; see docs/breathing.md"
+    )
+    max_breath_hold_s: float = Field(
+        default=HOLD_BOUNDS["timeout_s"][1], ge=HOLD_BOUNDS["timeout_s"][0], le=HOLD_BOUNDS["timeout_s"][1]
+    )
+    max_baseline_correction_mm: float = Field(
+        default=5.0, ge=0.0, le=50.0, description="No correction of the baseline moves a window further"
+    )
     window_lower_mm: float = Field(default=-100.0, ge=-100.0, le=100.0, description="No session's window goes below")
     window_upper_mm: float = Field(default=100.0, ge=-100.0, le=100.0, description="No session's window goes above")
 
@@ -118,7 +146,7 @@ class Settings(BaseSettings):
     def _split_folders(cls, value: object) -> object:
         return tuple(part for part in value.split(os.pathsep) if part) if isinstance(value, str) else value
 
-    @field_validator("allowed_hosts", "allowed_origins", mode="before")
+    @field_validator("allowed_hosts", "allowed_origins", "holding_events", mode="before")
     @classmethod
     def _split_names(cls, value: object) -> object:
         return tuple(part.strip() for part in value.split(",") if part.strip()) if isinstance(value, str) else value
@@ -141,6 +169,12 @@ class Settings(BaseSettings):
             msg = f"{name} must be {error.bound}"
             raise ValueError(msg) from error
         return self
+
+    @property
+    def gate_limits(self) -> dict[str, Any]:
+        """The limits of trust that no session changes, by the engine's names."""
+        own = {"dwell_ms", "min_on_ms", "min_off_ms", "max_cycles_per_min"}
+        return {name: getattr(self, name) for name in LIMIT_BOUNDS if name not in own}
 
     @property
     def training(self) -> TrainingSettings:

@@ -1,6 +1,7 @@
 """A session's window within the site's limits: it may narrow them, never widen them."""
 
-from engine.limits import LIMIT_BOUNDS, GateLimits, GateWindow
+from engine.limits import GateLimits
+from engine.windows import amplitude_window
 from service import schemas
 from service.errors import BoundError
 from service.settings import Settings
@@ -18,11 +19,14 @@ def check_window(window: schemas.Window, settings: Settings) -> None:
 
 def gate_limits(window: schemas.Window, settings: Settings) -> GateLimits:
     """Put the session's window and the site's limits into the engine's words; raise InvalidValueError."""
-    site = {name: getattr(settings, name) for name in LIMIT_BOUNDS if name in Settings.model_fields}
     return GateLimits(
-        window=GateWindow(**window.model_dump(exclude={"dwell_ms"})),
+        window=amplitude_window(**window.model_dump(exclude={"dwell_ms"})),
         dwell_ms=window.dwell_ms,
-        **site,
+        min_on_ms=settings.min_on_ms,
+        min_off_ms=settings.min_off_ms,
+        max_cycles_per_min=settings.max_cycles_per_min,
+        holding_events=frozenset(settings.holding_events),
+        **settings.gate_limits,
     )
 
 

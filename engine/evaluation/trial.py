@@ -30,16 +30,17 @@ from engine.evaluation.outcome import COEFFICIENTS, LOST, MEASURING, TRAINING, O
 from engine.evaluation.plain_volume import PlainVolume
 from engine.evaluation.playing import decoded_frames
 from engine.frames import ROI_COLUMNS, ROI_ROWS, FloatArray, Measurement, MeasurementState, Motion, RgbdFrame
-from engine.limits import GateLimits, GateWindow
+from engine.limits import GateLimits
 from engine.phantom.recording import load_truth
 from engine.phantom.scene import Scene, Script
 from engine.phantom.truth import CELL_PX, POINTS_RC, Truth
 from engine.pipeline import Pipeline, PipelineSettings
 from engine.threads import keep_calls_in_their_thread
 from engine.training import InlineTrainer, TrainingSettings
+from engine.windows import amplitude_window
 
 EIGENVALUES = 10
-GATE = GateLimits(window=GateWindow(lower_mm=-1.0, upper_mm=1.0))
+GATE = GateLimits(window=amplitude_window(lower_mm=-1.0, upper_mm=1.0))
 """The limits of trust a gate has when nobody changed them; the window takes no part."""
 
 _STATES = {

@@ -10,30 +10,15 @@ Times are host monotonic nanoseconds and are arguments: nothing here reads a clo
 
 from dataclasses import dataclass, replace
 
-from engine.clock import NS_PER_MS, NS_PER_US
+from engine.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from engine.commands import Acknowledge, Arm, Disarm
 from engine.frames import Measurement, Motion
-from engine.limits import LIMIT_BOUNDS, GateLimits, GateSignal, GateWindow, ns_from_ms
+from engine.limits import GateLimits, ns_from_ms
 from engine.permits import GateState, HoldReason, Lease
 from engine.trust import EventKind, LastFrame, Verdict, distrust, fault, last_frame
+from engine.windows import ConditionState, Sight, at_rest, interrupted, left
 
-__all__ = [
-    "LIMIT_BOUNDS",
-    "TRANSITIONS",
-    "Ending",
-    "EventKind",
-    "Gate",
-    "GateEvent",
-    "GateLimits",
-    "GateSignal",
-    "GateWindow",
-    "Interruption",
-    "LastFrame",
-    "Silence",
-    "lease_of",
-    "next_state",
-    "step_gate",
-]
+CYCLES_WITHIN_NS = 60 * NS_PER_S
 
 _S, _K = GateState, EventKind
 
@@ -103,6 +88,14 @@ class Gate:
     good_frames, inside_since_ns, inside_since_us
         The run of good frames the dwell is counted by: its length, and when its first frame was received and
         captured. 0 and None outside of ``DWELL`` and ``BEAM_ON``.
+    conditions
+        What the window remembers, one state a condition; empty before the first frame.
+    turned_on_ns
+        When the beam went on, within the last minute, the newest last.
+    off_since_ns
+        When the beam last went off; None before that.
+    was_cut_short
+        The beam was last on for less than the shortest time on.
     """
 
     state: GateState = GateState.DISARMED
@@ -113,6 +106,10 @@ class Gate:
     inside_since_ns: int | None = None
     inside_since_us: int | None = None
     last: LastFrame | None = None
+    conditions: tuple[ConditionState, ...] = ()
+    turned_on_ns: tuple[int, ...] = ()
+    off_since_ns: int | None = None
+    was_cut_short: bool = False
 
     @property
     def is_armed(self) -> bool:
@@ -124,11 +121,18 @@ class Gate:
         """Whether a run of good frames inside the window is under way."""
         return self.state in {GateState.DWELL, GateState.BEAM_ON}
 
+    @property
+    def breath_holds(self) -> int:
+        """How many breath holds were counted since the gate was armed."""
+        return max((state.holds for state in self.conditions), default=0)
+
 
 def step_gate(gate: Gate, event: GateEvent, now_ns: int, limits: GateLimits) -> Gate:
     """Return the gate after ``event``; ``now_ns`` is read after whatever made the event."""
     verdict = _judge(gate, event, now_ns, limits)
-    moved = _move(gate, verdict, now_ns)
+    moved = _count_switching(gate, _move(gate, verdict, now_ns), now_ns, limits)
+    if isinstance(event, Arm):
+        moved = replace(moved, conditions=at_rest(limits.window))
     if not isinstance(event, Measurement):
         return moved
     return _remember(gate, moved, event, limits)
@@ -157,7 +161,29 @@ def _move(gate: Gate, verdict: Verdict, now_ns: int) -> Gate:
         good_frames=0,
         inside_since_ns=None,
         inside_since_us=None,
+        conditions=_conditions_in(state, gate, verdict),
     )
+
+
+def _conditions_in(state: GateState, gate: Gate, verdict: Verdict) -> tuple[ConditionState, ...]:
+    """Keep what the window has to remember; whoever was inside enters again where the gate as a whole is outside."""
+    if verdict.conditions is None:
+        return interrupted(gate.conditions)
+    return verdict.conditions if state in {GateState.DWELL, GateState.BEAM_ON} else left(verdict.conditions)
+
+
+def _count_switching(before: Gate, moved: Gate, now_ns: int, limits: GateLimits) -> Gate:
+    """Note when the beam went on and off: what the next time on has to wait for."""
+    was_on, is_on = before.state is GateState.BEAM_ON, moved.state is GateState.BEAM_ON
+    if is_on and not was_on:
+        recent = tuple(at_ns for at_ns in before.turned_on_ns if now_ns - at_ns < CYCLES_WITHIN_NS)
+        return replace(moved, turned_on_ns=(*recent, now_ns))
+    if not was_on:
+        return moved
+    was_short = now_ns - before.turned_on_ns[-1] < ns_from_ms(limits.min_on_ms)
+    if not is_on:
+        return replace(moved, off_since_ns=now_ns, was_cut_short=was_short)
+    return moved if was_short else replace(moved, was_cut_short=False)
 
 
 def _reason_in(state: GateState, gate: Gate, verdict: Verdict) -> tuple[HoldReason | None, str]:
@@ -222,24 +248,41 @@ def _judge_frame(gate: Gate, frame: Measurement, now_ns: int, limits: GateLimits
         return verdict
     if frame.motion is None:  # cannot be: a frame without motion is not trusted
         return fault(HoldReason.VALUE_INVALID, "no motion")
-    return _judge_amplitude(gate, frame, frame.motion, limits)
+    return _judge_window(gate, frame, frame.motion, now_ns, limits)
 
 
-def _judge_amplitude(gate: Gate, frame: Measurement, motion: Motion, limits: GateLimits) -> Verdict:
+def _judge_window(gate: Gate, frame: Measurement, motion: Motion, now_ns: int, limits: GateLimits) -> Verdict:
     window = limits.window
-    signal_mm = window.signal_mm(motion)
-    if not window.contains(signal_mm, was_inside=gate.is_inside):
-        detail = f"{signal_mm:.2f} mm is not inside {window.lower_mm:g} to {window.upper_mm:g} mm"
-        return Verdict(EventKind.OUTSIDE, HoldReason.OUTSIDE_WINDOW, detail)
-    if _has_dwelt(gate, frame, limits):
-        return Verdict(EventKind.DWELT)
-    return Verdict(EventKind.INSIDE, HoldReason.DWELL)
+    states = gate.conditions if len(gate.conditions) == len(window.leaves) else at_rest(window)
+    found = window.judge(Sight(motion, frame.breaths, frame.timestamp_us), states)
+    if not found.is_inside:
+        return Verdict(EventKind.OUTSIDE, found.reason, found.detail, found.states)
+    if not _has_dwelt(gate, frame, limits):
+        return Verdict(EventKind.INSIDE, HoldReason.DWELL, conditions=found.states)
+    return _too_soon(gate, now_ns, limits, found.states) or Verdict(EventKind.DWELT, conditions=found.states)
+
+
+def _too_soon(gate: Gate, now_ns: int, limits: GateLimits, states: tuple[ConditionState, ...]) -> Verdict | None:
+    """Return why the beam may not go on yet although all else is well; a beam that is on is not asked."""
+    if gate.state is GateState.BEAM_ON:
+        return None
+    off_ns = needed_ns = ns_from_ms(limits.min_off_ms)
+    if gate.off_since_ns is not None:
+        off_ns = max(now_ns - gate.off_since_ns, 0)
+    if off_ns < needed_ns:
+        detail = f"off for {off_ns / NS_PER_MS:.0f} of {limits.min_off_ms:g} ms"
+        return Verdict(EventKind.INSIDE, HoldReason.SHORTEST_OFF, detail, states)
+    cycles = sum(now_ns - at_ns < CYCLES_WITHIN_NS for at_ns in gate.turned_on_ns)
+    if cycles >= limits.max_cycles_per_min:
+        detail = f"{cycles} times on within a minute, {limits.max_cycles_per_min} allowed"
+        return Verdict(EventKind.INSIDE, HoldReason.CYCLE_LIMIT, detail, states)
+    return None
 
 
 def _has_dwelt(gate: Gate, frame: Measurement, limits: GateLimits) -> bool:
     if gate.inside_since_ns is None or gate.inside_since_us is None:
         return False
-    dwell_ns = ns_from_ms(limits.dwell_ms)
+    dwell_ns = ns_from_ms(limits.dwell_ms + (limits.min_on_ms if gate.was_cut_short else 0.0))
     return (
         gate.good_frames + 1 >= limits.min_good_frames
         and frame.received_ns - gate.inside_since_ns >= dwell_ns

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from engine.errors import InvalidValueError
-from engine.limits import GateWindow
 from engine.mesh_files import MeshWishes
 from engine.polygons import NamedRegion, check_regions
 from engine.region_file import load_regions, parse_region
+from engine.windows import GateWindow, amplitude_window
 
 CALIBRATION_NAME = "calibration.json"
 SUMMARY_NAME = "summary.csv"
@@ -57,7 +57,7 @@ def window(text: str) -> GateWindow:
         signal, (lower, upper) = parts[0], (float(part) for part in parts[1:])
     except ValueError as error:
         raise InvalidValueError("window", text, "SIGNAL:LOWER:UPPER, a name and two numbers") from error
-    return GateWindow(signal=signal, lower_mm=lower, upper_mm=upper)
+    return amplitude_window(signal=signal, lower_mm=lower, upper_mm=upper)
 
 
 def superior(head: str) -> tuple[float, float] | None:

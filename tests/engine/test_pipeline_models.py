@@ -14,11 +14,12 @@ from engine.commands import Retrain
 from engine.errors import SourceEndedError
 from engine.frames import MeasurementState
 from engine.likeness import LikenessLimits
-from engine.limits import GateLimits, GateWindow
+from engine.limits import GateLimits
 from engine.loop import EngineLoop
 from engine.notices import NoticeKind
 from engine.pipeline import Pipeline, PipelineSettings
 from engine.training import BackgroundTrainer, InlineTrainer, TrainingSettings
+from engine.windows import amplitude_window
 from tests.engine import scene
 
 SETTINGS = PipelineSettings(
@@ -26,7 +27,7 @@ SETTINGS = PipelineSettings(
     likeness=LikenessLimits(seconds=1.0),
 )
 PATIENT_LIMITS = GateLimits(
-    window=GateWindow(lower_mm=-50.0, upper_mm=50.0),
+    window=amplitude_window(lower_mm=-50.0, upper_mm=50.0),
     max_frame_age_ms=200.0,
     max_gap_ms=200.0,
     max_silence_ms=2000.0,

@@ -6,8 +6,10 @@ import numpy as np
 
 from engine.commands import Acknowledge, Arm
 from engine.frames import Lost, LostReason, Measurement, MeasurementState, Motion, Projection
+from engine.limits import GateLimits
 from engine.permits import GateState, HoldReason
-from engine.stages.gate import Gate, GateEvent, GateLimits, GateWindow, Interruption, step_gate
+from engine.stages.gate import Gate, GateEvent, Interruption, step_gate
+from engine.windows import amplitude_window
 
 PERIOD_US = 33_367
 PERIOD_NS = PERIOD_US * 1_000
@@ -15,7 +17,9 @@ MS = 1_000_000
 START_NS = 5_000 * MS
 MEASURING_NS = 5 * MS
 LEVEL_MM = 2.0
-LIMITS = GateLimits(window=GateWindow(lower_mm=-1.0, upper_mm=3.0, hysteresis_mm=0.2), dwell_ms=100.0, max_jump_mm=1.5)
+LIMITS = GateLimits(
+    window=amplitude_window(lower_mm=-1.0, upper_mm=3.0, hysteresis_mm=0.2), dwell_ms=100.0, max_jump_mm=1.5
+)
 FRAMES_A_DWELL = 4
 """Three periods are 100.1 ms: the fourth good frame is the first that may turn the beam on."""
 

@@ -88,7 +88,7 @@ def test_the_allowed_step_grows_with_the_frames_that_went_unmeasured(lost_frames
 
 
 def test_a_long_loss_is_no_excuse_for_any_step():
-    limits = replace(LIMITS, window=replace(LIMITS.window, upper_mm=30.0))
+    limits = replace(LIMITS, window=replace(LIMITS.window, upper=30.0))
     for step_mm, is_jump in [(1.5 * MAX_JUMP_FRAMES, False), (1.5 * MAX_JUMP_FRAMES + 0.1, True)]:
         stream = stream_in(GateState.HOLD, limits=limits)
         for _ in range(90):

@@ -7,12 +7,13 @@ import pytest
 
 from engine.commands import Arm
 from engine.errors import InvalidValueError
-from engine.limits import LIMIT_BOUNDS
+from engine.limits import LIMIT_BOUNDS, WHOLE_NUMBERS, GateLimits
 from engine.permits import GateState, HoldReason, Lease
-from engine.stages.gate import Gate, GateLimits, GateWindow, lease_of
+from engine.stages.gate import Gate, lease_of
+from engine.windows import amplitude_window, signal_of
 from tests.gate.constructed import LIMITS, MS, PERIOD_NS, PERIOD_US, Stream, measured, motion_of, stream_in
 
-WINDOW = GateWindow(lower_mm=-1.0, upper_mm=3.0, hysteresis_mm=0.2)
+WINDOW = amplitude_window(lower_mm=-1.0, upper_mm=3.0, hysteresis_mm=0.2)
 
 
 @pytest.mark.parametrize(("signal_mm", "enters"), [(-0.81, False), (-0.8, True), (2.8, True), (2.81, False)])
@@ -36,7 +37,7 @@ def test_hysteresis_only_ever_takes_beam_on_time_away():
     path_mm = [1.0 + 2.2 * math.sin(0.21 * frame) for frame in range(300)]
     on = {}
     for hysteresis_mm in (0.0, 0.5):
-        stream = Stream(replace(LIMITS, window=replace(WINDOW, hysteresis_mm=hysteresis_mm)))
+        stream = Stream(replace(LIMITS, window=replace(WINDOW, hysteresis=hysteresis_mm)))
         stream.feed()
         stream.step(Arm(operator="ann"))
         on[hysteresis_mm] = []
@@ -56,15 +57,15 @@ def test_hysteresis_only_ever_takes_beam_on_time_away():
     ],
 )
 def test_each_signal_is_the_one_that_is_gated_on(signal, row, column, changes):
-    window = GateWindow(signal=signal, row=row, column=column, lower_mm=-1.0, upper_mm=3.0)
-    assert window.signal_mm(motion_of(**changes)) == 1.75
+    window = amplitude_window(signal=signal, row=row, column=column, lower_mm=-1.0, upper_mm=3.0)
+    assert signal_of(window.choice, motion_of(**changes)) == 1.75
     others = {"whole_mm": 9.0, "thorax_mm": 9.0, "abdomen_mm": 9.0, "regions_mm": 9.0} | changes
-    assert window.contains(window.signal_mm(motion_of(**others)), was_inside=False)
+    assert window.contains(signal_of(window.choice, motion_of(**others)), was_inside=False)
 
 
 @pytest.mark.parametrize(("row", "column"), [(14, 0), (0, 8)])
 def test_a_region_that_is_not_in_the_grid_faults_instead_of_gating_on_another(row, column):
-    window = GateWindow(signal="region", row=row, column=column, lower_mm=-1.0, upper_mm=3.0)
+    window = amplitude_window(signal="region", row=row, column=column, lower_mm=-1.0, upper_mm=3.0)
     gate = Stream(replace(LIMITS, window=window)).feed()
     assert (gate.state, gate.reason) == (GateState.FAULT, HoldReason.VALUE_INVALID)
 
@@ -148,7 +149,7 @@ GOOD_WINDOW = {"lower_mm": -1.0, "upper_mm": 3.0}
 )
 def test_a_window_that_is_none_is_refused_by_field_and_bound(changes, field):
     with pytest.raises(InvalidValueError) as refusal:
-        GateWindow(**(GOOD_WINDOW | changes))
+        amplitude_window(**(GOOD_WINDOW | changes))
     assert refusal.value.field == field
     assert refusal.value.bound
 
@@ -156,7 +157,7 @@ def test_a_window_that_is_none_is_refused_by_field_and_bound(changes, field):
 @pytest.mark.parametrize("name", LIMIT_BOUNDS)
 def test_every_limit_is_refused_just_out_of_its_bounds_and_as_nan(name):
     low, high = LIMIT_BOUNDS[name]
-    step = 1 if name == "min_good_frames" else 1e-6
+    step = 1 if name in WHOLE_NUMBERS else 1e-6
     for value in (low - step, high + step, math.nan, math.inf, None, "5"):
         with pytest.raises(InvalidValueError) as refusal:
             GateLimits(window=WINDOW, **{name: value})
@@ -164,7 +165,12 @@ def test_every_limit_is_refused_just_out_of_its_bounds_and_as_nan(name):
 
 
 def test_every_number_among_the_limits_has_a_bound():
-    assert {field.name for field in fields(GateLimits)} - {"window", "is_played"} == set(LIMIT_BOUNDS)
+    assert {field.name for field in fields(GateLimits)} - {
+        "window",
+        "is_played",
+        "is_calibrated",
+        "holding_events",
+    } == set(LIMIT_BOUNDS)
 
 
 def test_limits_that_contradict_each_other_are_refused():

@@ -1,7 +1,7 @@
 """A scripted source, a pipeline that measures what it is told, and lines that fail: enough to run the real loop."""
 
 import queue
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from typing import TypeVar
@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from engine.beam.simulated import SimulatedBeamLine
+from engine.breath import SignalChoice
 from engine.capture.source import SourceDescription
 from engine.clock import Clock, ManualClock
 from engine.commands import Command
@@ -21,6 +22,7 @@ from engine.notices import LearningNotice
 from engine.permits import HoldReason, Lease
 from engine.stages.gate import GateLimits
 from engine.watchdog import Watchdog
+from engine.windows import Ranges
 from tests.gate.constructed import LIMITS, MEASURING_NS, MS, PERIOD_NS, START_NS, measured
 
 DEPTH = np.full((4, 6), 850, dtype=np.uint16)
@@ -111,6 +113,7 @@ class ToldPipeline:
         self.is_model_waiting = False
         self.notices: list[LearningNotice] = []
         self.was_kept: list[bool] = []
+        self.ranges: Ranges = {}
         self.calls: list[str] = []
         self.trouble: Exception | None = None
 
@@ -125,6 +128,9 @@ class ToldPipeline:
             measured_ns=self.clock.now_ns(),
         )
         return self.spoil.get(frame.index, lambda same: same)(good_frame)
+
+    def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
+        return {choice: self.ranges[choice] for choice in choices if choice in self.ranges}
 
     def set_reference(self) -> None:
         self._change("set_reference")

@@ -7,12 +7,13 @@ import numpy as np
 from engine.capture.source import SourceDescription
 from engine.clock import NS_PER_S, Clock
 from engine.frames import RgbdFrame
-from engine.stages.gate import GateLimits, GateWindow
+from engine.limits import GateLimits
+from engine.windows import amplitude_window
 from tests.gate.constructed import PERIOD_NS
 from tests.loop.fakes import COLOR, DEPTH, DESCRIPTION
 
 PATIENT_LIMITS = GateLimits(
-    window=GateWindow(lower_mm=-1.0, upper_mm=3.0),
+    window=amplitude_window(lower_mm=-1.0, upper_mm=3.0),
     dwell_ms=100.0,
     lease_ms=200.0,
     max_frame_age_ms=200.0,

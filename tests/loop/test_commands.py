@@ -9,7 +9,7 @@ from engine.errors import CommandRefusedError, ModelError
 from engine.frames import LostReason, MeasurementState
 from engine.live import LoopStatus
 from engine.permits import GateState, HoldReason
-from engine.stages.gate import GateWindow
+from engine.windows import amplitude_window
 from tests.gate.constructed import LIMITS, MS, unmeasured
 from tests.loop.fakes import Bench, after, good, silent
 from tests.loop.test_decisions import ARM, LEARNED, armed_bench
@@ -76,17 +76,17 @@ def test_arming_is_refused_on_an_old_frame():
 
 
 def test_arming_is_refused_where_the_gated_region_is_not_measured():
-    window = GateWindow(signal="region", row=13, column=7, lower_mm=-1.0, upper_mm=3.0)
+    window = amplitude_window(signal="region", row=13, column=7, lower_mm=-1.0, upper_mm=3.0)
     bench = armed_bench([good] * 8, limits=replace(LIMITS, window=window)).run()
     assert bench.answers[0].exception(timeout=0) is None
-    outside = replace(window, row=14)
+    outside = replace(window, choice=replace(window.choice, row=14))
     bench = armed_bench([good] * 8, limits=replace(LIMITS, window=outside)).run()
     assert "acknowledge" in _refusal(bench)  # a signal that is no number has faulted the gate already
     assert _is_off(bench)
 
 
 def test_arming_is_refused_right_after_acknowledging_what_the_newest_frame_still_lacks():
-    window = GateWindow(signal="region", row=14, column=7, lower_mm=-1.0, upper_mm=3.0)
+    window = amplitude_window(signal="region", row=14, column=7, lower_mm=-1.0, upper_mm=3.0)
     bench = Bench([good] * 3, limits=replace(LIMITS, window=window))
 
     def acknowledge_and_arm():

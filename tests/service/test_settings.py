@@ -7,7 +7,8 @@ import sys
 import pytest
 from pydantic import ValidationError
 
-from engine.limits import LIMIT_BOUNDS, GateLimits, GateWindow
+from engine.limits import LIMIT_BOUNDS, GateLimits
+from engine.windows import amplitude_window
 from service import schemas
 from service.settings import Settings, SettingsError, load_settings
 from service.site_limits import gate_limits
@@ -78,7 +79,9 @@ def test_every_gate_limit_of_the_engine_can_be_set_by_a_site_and_reaches_the_gat
         limits = gate_limits(window, Settings(**{name: value, **others}))
         assert getattr(limits, name) == value
     assert gate_limits(window, Settings()).dwell_ms == WINDOW["dwell_ms"]
-    engine_defaults = GateLimits(window=GateWindow(lower_mm=-1.0, upper_mm=3.0, hysteresis_mm=0.2), dwell_ms=200.0)
+    engine_defaults = GateLimits(
+        window=amplitude_window(lower_mm=-1.0, upper_mm=3.0, hysteresis_mm=0.2), dwell_ms=200.0
+    )
     assert gate_limits(window, Settings()) == engine_defaults
 
 

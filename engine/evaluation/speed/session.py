@@ -12,14 +12,15 @@ from engine.errands import Outcome
 from engine.errors import SourceEndedError
 from engine.evaluation.speed.machine import SpeedBenchError
 from engine.frames import MeasurementState, RgbdFrame
-from engine.limits import GateLimits, GateWindow
+from engine.limits import GateLimits
 from engine.pipeline import Pipeline, PipelineSettings
 from engine.stages.gate import Gate, step_gate
 from engine.training import Trainer, TrainingSettings
+from engine.windows import amplitude_window
 
 READ_TIMEOUT_S = 5.0
 # Every breath of the volunteer is inside, so that the gate goes its longest way.
-WINDOW = GateWindow(lower_mm=-30.0, upper_mm=60.0)
+WINDOW = amplitude_window(lower_mm=-30.0, upper_mm=60.0)
 LONGEST_GAP_PERIODS = 1.8
 MOST_TO_LEARN = 4000
 

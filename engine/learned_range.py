@@ -1,0 +1,65 @@
+"""The range a patient breathed over while the model was learned: what a window told in per cent is told of.
+
+From the model alone, so that it is the same for a stored one: its training frames' coefficients give the depth of
+every region then, and the present reference makes motion of it. The 5th percentile is 0 %, the end of exhale; the 95th
+is 100 %.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from engine.active_model import ActiveModel, Reference
+from engine.breath import GateSignal, SignalChoice
+from engine.frames import FloatArray
+from engine.stages.surface import vertices_mm
+from engine.windows import LearnedRange, Ranges
+
+PERCENTILES = (5.0, 95.0)
+
+
+def learned_ranges(active: ActiveModel, reference: Reference, choices: Iterable[SignalChoice]) -> Ranges:
+    """Return the range of each signal against the reference [mm or l]; one that is not known is left out."""
+    scores = active.model.scores_mm
+    if scores is None or len(scores) < 2:
+        return {}
+    coefficients = np.zeros((len(scores), len(active.node_modes)))
+    coefficients[:, : scores.shape[1]] = scores
+    found = {}
+    for choice in choices:
+        low, high = np.percentile(_signal(choice, active, reference, coefficients), PERCENTILES)
+        if np.isfinite(low) and high > low:
+            found[choice] = LearnedRange(low=float(low), high=float(high))
+    return found
+
+
+def _signal(choice: SignalChoice, active: ActiveModel, reference: Reference, coefficients: FloatArray) -> FloatArray:
+    if choice.is_volume:
+        return _volumes_l(active, reference, coefficients)
+    position = _position(choice, active)
+    if position is None or not active.regions.is_known[position]:
+        return np.full(len(coefficients), np.nan)
+    depth_mm = active.regions.mean_mm[position] + coefficients @ active.regions.modes[position]
+    return np.asarray(reference.regions_mm[position] - depth_mm)
+
+
+def _volumes_l(active: ActiveModel, reference: Reference, coefficients: FloatArray) -> FloatArray:
+    surface = active.model.surface_mm
+    if surface is None or not np.isfinite(surface).all():
+        return np.full(len(coefficients), np.nan)
+    rays = surface[:, :2] / surface[:, 2:]
+    return np.array([reference.volume_above_l(vertices_mm(rays, active.node_depth_mm(one))) for one in coefficients])
+
+
+def _position(choice: SignalChoice, active: ActiveModel) -> int | None:
+    """Find a signal among the regions' means; None where there is no such cell, point or region."""
+    regions = active.regions
+    match choice.signal:
+        case GateSignal.REGION:
+            row, column = choice.row or 0, choice.column or 0
+            return row * regions.columns + column if row < regions.rows and column < regions.columns else None
+        case GateSignal.POINT:
+            return regions.points_from + choice.index if choice.index < len(regions.layout.points) else None
+        case GateSignal.NAMED:
+            return regions.named_from + choice.index if choice.index < len(regions.layout.named) else None
+    return regions.cells + (GateSignal.WHOLE, GateSignal.THORAX, GateSignal.ABDOMEN).index(GateSignal(choice.signal))
