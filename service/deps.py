@@ -6,8 +6,9 @@ from typing import Annotated, cast
 from fastapi import Depends, Header, Path, Query, Request
 from starlette.requests import HTTPConnection
 
-from service import ports, schemas
+from service import ports
 from service.errors import MediaTypeError
+from service.schema_base import Identifier, Name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,12 +53,12 @@ def require_json(request: Request) -> None:
 
 Offered = Annotated[Services, Depends(services)]
 Body = Annotated[bytes, Depends(json_body)]
-SessionId = Annotated[schemas.Identifier, Path(description="The session's id")]
-CalibrationId = Annotated[schemas.Identifier, Path(description="The calibration's id")]
-ModelId = Annotated[schemas.Identifier, Path(description="The model's id")]
+SessionId = Annotated[Identifier, Path(description="The session's id")]
+CalibrationId = Annotated[Identifier, Path(description="The calibration's id")]
+ModelId = Annotated[Identifier, Path(description="The model's id")]
 Cursor = Annotated[str | None, Query(max_length=80, description="`next_cursor` of the page before")]
 Limit = Annotated[int, Query(ge=1, le=500, description="Most items on the page")]
-OperatorName = Annotated[schemas.Name, Query(description="Who uploads", examples=["A. Physicist"])]
+OperatorName = Annotated[Name, Query(description="Who uploads", examples=["A. Physicist"])]
 IdempotencyKey = Annotated[
     str | None,
     Header(

@@ -51,8 +51,13 @@ class EngineAdapter:
 
     def open(self, plan: SessionPlan) -> RunningEngine:
         """Start an engine on a session, disarmed; raise a TidegateError when source or window cannot be used."""
-        limits = gate_limits(plan.window, self._settings)
-        measuring = measuring_with(self._measuring, plan.regions)
+        limits = gate_limits(
+            plan.window,
+            self._settings,
+            plan.regions,
+            is_calibrated=not plan.calibration.is_device_registration,
+        )
+        measuring = measuring_with(self._measuring, plan.regions, plan.window)
         pipeline = Pipeline(plan.calibration, measuring, self._clock)
         if plan.model is not None:
             pipeline.resume(plan.model)

@@ -57,15 +57,48 @@ class LiveTraining(Message):
     shift_mm: float | None = Field(default=None, description="How far the region has moved since the gathering began")
 
 
-class LiveWindow(Message):
-    """The gating window of the session."""
+SignalName = Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]
+HoldStageName = Literal["awaited", "settling", "held", "drifted", "over"]
 
-    signal: Literal["whole", "thorax", "abdomen", "region"]
+
+class LiveCondition(Message):
+    """One condition of the window, as the gate judges by it; what its kind does not have is null."""
+
+    kind: Literal["amplitude", "breath_hold", "phase"]
+    signal: SignalName
     row: int | None
     column: int | None
-    lower_mm: float
-    upper_mm: float
-    hysteresis_mm: float
+    name: str | None = Field(description="Of the session's own region, for signal `named`")
+    label: str = Field(description="The signal, named for a person")
+    unit: Literal["mm", "l", "percent"] | None = Field(
+        default=None, description="Of edges, `still` and `max_drift`; per cent until the learned range is known"
+    )
+    lower: float | None = None
+    upper: float | None = None
+    hysteresis: float | None = None
+    hold: Literal["inspiration", "expiration"] | None = None
+    settle_ms: float | None = None
+    still: float | None = Field(default=None, description="mm, l of the volume")
+    max_drift: float | None = Field(default=None, description="mm, l of the volume")
+    timeout_s: float | None = None
+    from_percent: float | None = None
+    to_percent: float | None = None
+    min_confidence: float | None = None
+    is_inside: bool = Field(description="Whether the newest trusted frame met it")
+    stage: HoldStageName | None = Field(default=None, description="Of a breath hold")
+
+
+class LiveWindow(Message):
+    """The gating window; the edges beside the list are the first condition's, null where it has none in mm."""
+
+    signal: SignalName
+    row: int | None
+    column: int | None
+    lower_mm: float | None
+    upper_mm: float | None
+    hysteresis_mm: float | None
+    join: Literal["and", "or"] = "and"
+    conditions: list[LiveCondition] = Field(default=[], max_length=4)
 
 
 class LiveLatency(Message):

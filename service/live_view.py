@@ -8,9 +8,11 @@ from engine.likeness import Likeness
 from engine.live import LiveView, LoopStatus
 from service import schemas
 from service.hold_texts import hold_text
-from service.live_messages import LiveLag, LiveLatency, LiveLost, LiveTraining, LiveWindow, Sample
+from service.live_messages import LiveLag, LiveLatency, LiveLost, LiveTraining, Sample
 from service.ports import SessionPlan
+from service.site_limits import gate_window
 from service.uncalibrated import kind_of
+from service.window_view import live_window
 
 DIGITS = 4
 NEVER = datetime(1970, 1, 1, tzinfo=UTC)
@@ -49,7 +51,7 @@ def live_sample(view: LiveView, plan: SessionPlan, *, is_stopping: bool, is_simu
         hold_reason=None if record.hold_reason is None else record.hold_reason.value,
         hold_text=hold_text(record.hold_reason),
         line_on=record.line_on,
-        window=live_window(plan.window),
+        window=live_window(gate_window(plan.window, plan.regions)),
         signal_mm=_rounded(record.signal_mm),
         whole_mm=None if motion is None else _rounded(motion.whole_mm),
         thorax_mm=None if motion is None else _rounded(motion.thorax_mm),
@@ -71,11 +73,6 @@ def live_sample(view: LiveView, plan: SessionPlan, *, is_stopping: bool, is_simu
             last=_rounded(view.latency.last_ms), p50=_rounded(view.latency.p50_ms), p99=_rounded(view.latency.p99_ms)
         ),
     )
-
-
-def live_window(window: schemas.Window) -> LiveWindow:
-    """Leave out what the page does not draw."""
-    return LiveWindow.model_validate(window.model_dump(exclude={"dwell_ms"}))
 
 
 def gate_view(view: LiveView) -> schemas.GateView:

@@ -20,6 +20,7 @@ from engine.notices import LearningNotice
 from engine.permits import HoldReason
 from service import schemas
 from service.live_messages import Sample
+from service.window_schemas import Window
 
 CommandName = Literal["arm", "disarm", "reference", "acknowledge"]
 AnswerT = TypeVar("AnswerT")
@@ -36,7 +37,7 @@ class SessionPlan:
     source: schemas.RecordingSource | schemas.DeviceSource
     recording: Path | None
     calibration: Calibration
-    window: schemas.Window
+    window: Window
     regions: schemas.Regions = field(default_factory=schemas.Regions)
     patient_reference: str = ""
     model: MotionModel | None = None

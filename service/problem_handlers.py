@@ -10,13 +10,13 @@ from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 
 from engine.errors import TidegateError
-from service import schemas
 from service.deps import services
 from service.errors import MediaTypeError, problem_of, problem_response
+from service.schema_base import Identifier, Name
 
 logger = logging.getLogger(__name__)
-NAME: TypeAdapter[str] = TypeAdapter(schemas.Name)
-SESSION_ID: TypeAdapter[str] = TypeAdapter(schemas.Identifier)
+NAME: TypeAdapter[str] = TypeAdapter(Name)
+SESSION_ID: TypeAdapter[str] = TypeAdapter(Identifier)
 
 
 def install_problem_handlers(app: FastAPI) -> None:

@@ -38,6 +38,7 @@ from service.sessions import SOURCE, SessionBook, session_answer
 from service.settings import Settings
 from service.surface_view import mesh_answer
 from service.uncalibrated import described
+from service.window_schemas import Window
 
 COMMANDS: dict[CommandName, Callable[[str], Command]] = {
     "arm": lambda operator: Arm(operator=operator),
@@ -214,7 +215,7 @@ class SessionRunner:
                 source=source,
                 recording=find_recording(source.path, folders) if isinstance(source, schemas.RecordingSource) else None,
                 calibration=parse_calibration(document.encode()),
-                window=schemas.Window.model_validate_json(row.window),
+                window=Window.model_validate_json(row.window),
                 regions=schemas.Regions.model_validate_json(row.regions),
                 patient_reference=row.patient_reference,
                 model=None if row.model_id is None else self._stored_model(db, row.model_id, row.patient_reference),

@@ -6,46 +6,17 @@ anything out of bounds; the bounds here are those of any site, and the site's ow
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, StringConstraints, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import AwareDatetime, ConfigDict, Field, StringConstraints, model_validator
 
 from engine.errors import InvalidValueError
 from engine.polygons import MAX_REGIONS, MAX_VERTICES, MIN_VERTICES, NAME_PATTERN, NamedRegion
 from engine.stages.regions import MIN_PART_ROWS
+from service.schema_base import Answer, Identifier, Name, Request, SourceText, broken
+from service.window_schemas import Window
 
-
-def _broken(field: str, value: object, bound: str) -> PydanticCustomError:
-    """Make the error of a rule between fields; `service.errors` reads field, value and bound from its context."""
-    context = {"field": field, "value": repr(value), "bound": bound}
-    return PydanticCustomError("inconsistent", "{field} must be {bound}", context)
-
-
-def _printable(text: str) -> str:
-    if not text.isprintable() or not text.strip():
-        msg = "must be printable characters, and not only spaces"
-        raise ValueError(msg)
-    return text
-
-
-Name = Annotated[str, StringConstraints(min_length=1, max_length=80), AfterValidator(_printable)]
-SourceText = Annotated[str, StringConstraints(min_length=1, max_length=1024), AfterValidator(_printable)]
-Identifier = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{32}$")]
 SessionStatus = Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
-SignalName = Literal["whole", "thorax", "abdomen", "region"]
 CalibrationKind = Literal["uploaded", "device registration"]
 CalibrationFormat = Literal["tidegate.calibration/1", "opencv-filestorage", "ros-camera-info"]
-
-
-class Request(BaseModel):
-    """Base of everything read from a client."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
-class Answer(BaseModel):
-    """Base of everything told to a client."""
-
-    model_config = ConfigDict(frozen=True)
 
 
 class RecordingSource(Request):
@@ -71,36 +42,6 @@ class DeviceSource(Request):
 Source = Annotated[RecordingSource | DeviceSource, Field(discriminator="kind")]
 
 
-class Window(Request):
-    """The gating window; the beam may be on only while the signal stays inside it."""
-
-    signal: SignalName = "whole"
-    row: int | None = Field(default=None, ge=0, le=13, description="Row of the region grid; only for signal `region`")
-    column: int | None = Field(
-        default=None, ge=0, le=7, description="Column of the region grid; only for signal `region`"
-    )
-    lower_mm: float = Field(ge=-100.0, le=100.0, examples=[-1.0])
-    upper_mm: float = Field(ge=-100.0, le=100.0, examples=[3.0])
-    hysteresis_mm: float = Field(default=0.2, ge=0.0, le=10.0, description="How far inside the signal must be to enter")
-    dwell_ms: float = Field(
-        default=200.0, ge=0.0, le=10_000.0, description="How long it must stay inside before beam on"
-    )
-
-    @model_validator(mode="after")
-    def _is_consistent(self) -> "Window":
-        half_mm = (self.upper_mm - self.lower_mm) / 2.0
-        if half_mm <= 0.0:
-            raise _broken("lower_mm", self.lower_mm, f"below upper_mm ({self.upper_mm:g})")
-        if self.hysteresis_mm >= half_mm:
-            raise _broken("hysteresis_mm", self.hysteresis_mm, f"below half of the window ({half_mm:g})")
-        for field, value in (("row", self.row), ("column", self.column)):
-            if self.signal == "region" and value is None:
-                raise _broken(field, value, "given for signal region")
-            if self.signal != "region" and value is not None:
-                raise _broken(field, value, f"left out for signal {self.signal}")
-        return self
-
-
 GridRow = Annotated[float, Field(ge=-0.5, le=349.5)]
 GridVertex = Annotated[list[GridRow], Field(min_length=2, max_length=2)]
 
@@ -122,7 +63,7 @@ class Region(Request):
             NamedRegion(name=self.name, vertices=tuple((row, column) for row, column in self.vertices))
         except InvalidValueError as error:
             field = "name" if error.field == "region" else "vertices"
-            raise _broken(field, error.value.strip("'"), error.bound) from error
+            raise broken(field, error.value.strip("'"), error.bound) from error
         return self
 
 
@@ -147,7 +88,7 @@ class Regions(Request):
         names = [region.name for region in self.named]
         for name in names:
             if names.count(name) > 1:
-                raise _broken("named", name, "regions of different names")
+                raise broken("named", name, "regions of different names")
         return self
 
 

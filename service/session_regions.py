@@ -8,20 +8,29 @@ from engine.frames import Motion
 from engine.pipeline import PipelineSettings
 from engine.polygons import NamedRegion
 from service import schemas
+from service.window_schemas import Window
 
 NAMED_DTYPE = "<f4"
 DIGITS = 5  # what single precision holds of a length in mm
 
 
-def measuring_with(settings: PipelineSettings, regions: schemas.Regions) -> PipelineSettings:
-    """Return how the pipeline measures a session with these regions."""
+def measuring_with(
+    settings: PipelineSettings, regions: schemas.Regions, window: Window | None = None
+) -> PipelineSettings:
+    """Return how the pipeline measures a session with these regions, and the points its window looks at."""
     named = tuple(
         NamedRegion(name=region.name, vertices=tuple((row, column) for row, column in region.vertices))
         for region in regions.named
     )
     line = regions.split
     split = settings.split if line is None else (line.right_row, line.left_row)
-    return replace(settings, named=named, split=split, extra_markers=regions.extra_markers or settings.extra_markers)
+    return replace(
+        settings,
+        named=named,
+        split=split,
+        points=settings.points if window is None else tuple(dict.fromkeys((*window.points, *settings.points))),
+        extra_markers=regions.extra_markers or settings.extra_markers,
+    )
 
 
 def named_bytes(motion: Motion | None) -> bytes | None:

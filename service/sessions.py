@@ -31,6 +31,7 @@ from service.session_regions import named_values
 from service.settings import Settings
 from service.site_limits import check_window, gate_limits
 from service.uncalibrated import check_allowed, described, kind_of, warning_of
+from service.window_schemas import Window
 
 ACTION = "session.create"
 CSV_COLUMNS = (
@@ -131,7 +132,7 @@ class SessionBook:
 
     def _check(self, request: schemas.SessionRequest) -> None:
         check_window(request.window, self._settings)
-        gate_limits(request.window, self._settings)
+        gate_limits(request.window, self._settings, request.regions)
         if isinstance(request.source, schemas.RecordingSource):
             find_recording(request.source.path, self._settings.recording_folders)
 
@@ -196,7 +197,7 @@ def session_answer(row: SessionRow) -> schemas.Session:
         calibration=kind_of(row.calibration.camera),
         calibration_warning=warning_of(row.calibration.camera),
         source=SOURCE.validate_json(row.source),
-        window=schemas.Window.model_validate_json(row.window),
+        window=Window.model_validate_json(row.window),
         regions=schemas.Regions.model_validate_json(row.regions),
     )
 

@@ -1,37 +1,109 @@
-"""A session's window within the site's limits: it may narrow them, never widen them."""
+"""A session's window within the site's limits: it may narrow them, never widen them.
 
+Edges in per cent are of a range that nobody knows yet: whether they lie inside the site's is asked when they are
+turned into mm, at arming (`engine.loop`). The site's edges are mm; there are none for volumes.
+"""
+
+from typing import TypeVar
+
+from engine.breath import SignalChoice
 from engine.limits import GateLimits
-from engine.windows import amplitude_window
+from engine.windows import GateWindow, JoinedWindow
 from service import schemas
 from service.errors import BoundError
 from service.settings import Settings
+from service.window_schemas import Condition, Window
+
+NO_REGIONS = schemas.Regions()
+NumberT = TypeVar("NumberT", int, float)
 
 
-def check_window(window: schemas.Window, settings: Settings) -> None:
+def check_window(window: Window, settings: Settings) -> None:
     """Refuse a window wider than the site allows; raise BoundError."""
-    _at_least("window.lower_mm", window.lower_mm, settings.window_lower_mm)
+    for path, condition in window.conditions():
+        if condition.lower_mm is not None:
+            _at_least(f"{path}.lower_mm", condition.lower_mm, settings.window_lower_mm)
+        if condition.upper_mm is not None:
+            _at_most(f"{path}.upper_mm", condition.upper_mm, settings.window_upper_mm)
+        if condition.timeout_s is not None:
+            _at_most(f"{path}.timeout_s", condition.timeout_s, settings.max_breath_hold_s)
     _at_least("window.dwell_ms", window.dwell_ms, settings.min_dwell_ms)
-    if window.upper_mm > settings.window_upper_mm:
-        bound = f"at most {settings.window_upper_mm:g}, this site's limit"
-        msg = f"window.upper_mm must be {bound}"
-        raise BoundError(msg, field="window.upper_mm", value=window.upper_mm, bound=bound)
+    if window.min_on_ms is not None:
+        _at_least("window.min_on_ms", window.min_on_ms, settings.min_on_ms)
+    if window.min_off_ms is not None:
+        _at_least("window.min_off_ms", window.min_off_ms, settings.min_off_ms)
+    if window.max_cycles_per_min is not None:
+        _at_most("window.max_cycles_per_min", window.max_cycles_per_min, settings.max_cycles_per_min)
 
 
-def gate_limits(window: schemas.Window, settings: Settings) -> GateLimits:
-    """Put the session's window and the site's limits into the engine's words; raise InvalidValueError."""
+def gate_limits(
+    window: Window, settings: Settings, regions: schemas.Regions = NO_REGIONS, *, is_calibrated: bool = True
+) -> GateLimits:
+    """Put the session's window and the site's limits into the engine's words.
+
+    Raises
+    ------
+    InvalidValueError
+        The engine knows no such window.
+    BoundError
+        A condition looks at a named region that the session does not have.
+    """
     return GateLimits(
-        window=amplitude_window(**window.model_dump(exclude={"dwell_ms"})),
+        window=gate_window(window, regions),
         dwell_ms=window.dwell_ms,
-        min_on_ms=settings.min_on_ms,
-        min_off_ms=settings.min_off_ms,
-        max_cycles_per_min=settings.max_cycles_per_min,
+        min_on_ms=_or(window.min_on_ms, settings.min_on_ms),
+        min_off_ms=_or(window.min_off_ms, settings.min_off_ms),
+        max_cycles_per_min=_or(window.max_cycles_per_min, settings.max_cycles_per_min),
         holding_events=frozenset(settings.holding_events),
+        is_calibrated=is_calibrated or settings.beam_without_calibration,
         **settings.gate_limits,
     )
 
 
+def gate_window(window: Window, regions: schemas.Regions = NO_REGIONS) -> GateWindow:
+    """Make the engine's window; points and named regions are found by their place among those that are measured."""
+    made = tuple(
+        condition.to_engine(_index_of(path, condition, window, regions)) for path, condition in window.conditions()
+    )
+    return made[0] if len(made) == 1 else JoinedWindow(conditions=made, join=window.join)
+
+
+def breath_signals(window: Window, regions: schemas.Regions = NO_REGIONS) -> tuple[SignalChoice, ...]:
+    """Return the signals whose breath is followed: the first condition's, and those that are gated by phase."""
+    return tuple(
+        dict.fromkeys(
+            condition.choice(_index_of(path, condition, window, regions))
+            for path, condition in window.conditions()
+            if condition is window or condition.kind == "phase"
+        )
+    )
+
+
+def _index_of(path: str, condition: Condition, window: Window, regions: schemas.Regions) -> int:
+    if condition.row is not None and condition.column is not None and condition.signal == "point":
+        return window.points.index((condition.row, condition.column))
+    if condition.name is None:
+        return 0
+    names = [region.name for region in regions.named]
+    if condition.name not in names:
+        bound = f"one of the session's own regions: {', '.join(names) or 'there is none'}"
+        raise _broken(f"{path}.name", condition.name, bound)
+    return names.index(condition.name)
+
+
+def _or(given: NumberT | None, otherwise: NumberT) -> NumberT:
+    return otherwise if given is None else given
+
+
 def _at_least(field: str, value: float, low: float) -> None:
     if value < low:
-        bound = f"at least {low:g}, this site's limit"
-        msg = f"{field} must be {bound}"
-        raise BoundError(msg, field=field, value=value, bound=bound)
+        raise _broken(field, value, f"at least {low:g}, this site's limit")
+
+
+def _at_most(field: str, value: float, high: float) -> None:
+    if value > high:
+        raise _broken(field, value, f"at most {high:g}, this site's limit")
+
+
+def _broken(field: str, value: object, bound: str) -> BoundError:
+    return BoundError(f"{field} must be {bound}", field=field, value=value, bound=bound)

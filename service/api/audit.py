@@ -6,6 +6,7 @@ from fastapi import APIRouter, Query
 
 from service import deps, schemas
 from service.api import problems
+from service.schema_base import Identifier
 
 router = APIRouter(prefix="/audit", tags=["audit"])
 
@@ -15,7 +16,7 @@ def list_audit(
     services: deps.Offered,
     cursor: deps.Cursor = None,
     limit: deps.Limit = 100,
-    session_id: Annotated[schemas.Identifier | None, Query(description="Only what belongs to this session")] = None,
+    session_id: Annotated[Identifier | None, Query(description="Only what belongs to this session")] = None,
 ) -> schemas.AuditPage:
     """List audit rows, newest first."""
     return services.audit.page(cursor, limit, session_id)

@@ -77,6 +77,7 @@ def test_every_request_body_refuses_what_it_does_not_know_and_bounds_its_numbers
         "RetrainRequest",
         "RecordingSource",
         "DeviceSource",
+        "Condition",
         "Window",
         "Region",
         "SplitLine",

@@ -30,7 +30,8 @@ def test_a_session_is_created_as_asked(client, session_body):
     assert {name: session[name] for name in session_body if name not in {"window"}} == {
         name: session_body[name] for name in session_body if name not in {"window"}
     }
-    assert session["window"] == {**session_body["window"], "row": None, "column": None}
+    shown = {name: value for name, value in session["window"].items() if value not in (None, [])}
+    assert shown == {**session_body["window"], "kind": "amplitude", "join": "and"}
     assert session["created_at"].endswith("Z")
     assert client.get(f"{URL}/{session['id']}").json()["patient_reference"] == "P-0001"
 

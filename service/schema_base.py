@@ -1,0 +1,36 @@
+"""What every schema is made of: strict requests, plain answers, names that can be printed."""
+
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, StringConstraints
+from pydantic_core import PydanticCustomError
+
+
+def broken(field: str, value: object, bound: str) -> PydanticCustomError:
+    """Make the error of a rule between fields; `service.errors` reads field, value and bound from its context."""
+    context = {"field": field, "value": value if isinstance(value, str) else repr(value), "bound": bound}
+    return PydanticCustomError("inconsistent", "{field} must be {bound}", context)
+
+
+def _printable(text: str) -> str:
+    if not text.isprintable() or not text.strip():
+        msg = "must be printable characters, and not only spaces"
+        raise ValueError(msg)
+    return text
+
+
+Name = Annotated[str, StringConstraints(min_length=1, max_length=80), AfterValidator(_printable)]
+SourceText = Annotated[str, StringConstraints(min_length=1, max_length=1024), AfterValidator(_printable)]
+Identifier = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{32}$")]
+
+
+class Request(BaseModel):
+    """Base of everything read from a client."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class Answer(BaseModel):
+    """Base of everything told to a client."""
+
+    model_config = ConfigDict(frozen=True)
