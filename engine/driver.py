@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from engine.beam.line import BeamLine
 from engine.clock import Clock
+from engine.errors import BeamLineMismatchError
 from engine.limits import GateLimits
 from engine.permits import GateState, HoldReason
 from engine.stages.gate import Gate, Interruption, lease_of
@@ -15,11 +16,13 @@ class LineReport:
     """What came of telling the line.
 
     ``is_on`` is as read back, and True when the line did not answer, since it may be on. ``trouble`` is what the gate
-    has to know; the line was held for it already.
+    has to know; the line was held for it already. ``is_settling`` says that the order may still be on its way: a
+    permitted line is not yet on, a held one still on, and neither is a trouble until the line says so.
     """
 
     is_on: bool
     trouble: Interruption | None = None
+    is_settling: bool = False
 
 
 class BeamDriver:
@@ -44,27 +47,41 @@ class BeamDriver:
             return self._hold_for(Interruption(HoldReason.FRAME_LATE, "the decision took longer than its lease"))
         try:
             self._beam.permit(lease)
-            if self._beam.is_on():
-                return LineReport(is_on=True)
-            problem = "the line is off, though permitted"
+            is_on, is_settling = self._read_back()
+            if is_on or is_settling:
+                return LineReport(is_on=is_on, is_settling=not is_on)
+            trouble = Interruption(HoldReason.BEAM_LINE_MISMATCH, "the line is off, though permitted")
         except Exception as error:  # noqa: BLE001 - whatever a line raises, it is the line that failed
-            problem = str(error) or type(error).__name__
+            trouble = _trouble_of(error)
         if not lease.is_live(self._clock.now_ns()):
             return self._hold_for(Interruption(HoldReason.FRAME_LATE, "the lease lapsed while the line was told"))
-        return self._hold_for(Interruption(HoldReason.BEAM_LINE_FAILED, problem))
+        return self._hold_for(trouble)
 
     def _hold_for(self, trouble: Interruption) -> LineReport:
         report = self._hold(trouble.reason)
-        return LineReport(is_on=report.is_on, trouble=report.trouble or trouble)
+        return LineReport(is_on=report.is_on, trouble=report.trouble or trouble, is_settling=report.is_settling)
 
     def _hold(self, reason: HoldReason) -> LineReport:
         try:
             self._beam.hold(reason)
-            if not self._beam.is_on():
-                return LineReport(is_on=False)
-            problem = "the line is on, though held"
+            is_on, is_settling = self._read_back()
+            if not is_on or is_settling:
+                return LineReport(is_on=is_on, is_settling=is_on)
+            trouble = Interruption(HoldReason.BEAM_LINE_MISMATCH, "the line is on, though held")
         except Exception as error:  # noqa: BLE001 - a line that cannot even be held is still to be told of
-            problem = str(error) or type(error).__name__
+            trouble = _trouble_of(error)
         with contextlib.suppress(Exception):
-            self._beam.hold(HoldReason.BEAM_LINE_FAILED)
-        return LineReport(is_on=True, trouble=Interruption(HoldReason.BEAM_LINE_FAILED, problem))
+            self._beam.hold(trouble.reason)
+        return LineReport(is_on=True, trouble=trouble)
+
+    def _read_back(self) -> tuple[bool, bool]:
+        """Read whether the line is on, and whether it settles; asked twice, for its own thread goes on meanwhile."""
+        is_settling = self._beam.is_settling
+        is_on = self._beam.is_on()
+        return is_on, is_settling or self._beam.is_settling
+
+
+def _trouble_of(error: Exception) -> Interruption:
+    is_mismatch = isinstance(error, BeamLineMismatchError)
+    reason = HoldReason.BEAM_LINE_MISMATCH if is_mismatch else HoldReason.BEAM_LINE_FAILED
+    return Interruption(reason, str(error) or type(error).__name__)

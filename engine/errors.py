@@ -93,6 +93,12 @@ class BeamLineError(TidegateError):
     code = "beam_line_failed"
 
 
+class BeamLineMismatchError(BeamLineError):
+    """The beam line reads back otherwise than it was told."""
+
+    code = "beam_line_mismatch"
+
+
 class CommandRefusedError(TidegateError):
     """The engine will not do that now; the message says why and what would help."""
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from engine.beam.deadman import DeadMan, Grant
+from engine.beam.line import TroubleListener, tell_nobody
 from engine.clock import NS_PER_MS, NS_PER_S, Clock
 from engine.errors import BeamLineError
 from engine.permits import HoldReason, Lease
@@ -73,6 +74,7 @@ class DatagramBeamLine:
         self._clock = clock
         self._own_path = path.with_name(f"{path.name}.{os.getpid()}")
         self._deadman = DeadMan()
+        self.on_trouble: TroubleListener = tell_nobody
         self._socket: socket.socket | None = None
         self._asked = 0
 
@@ -128,6 +130,11 @@ class DatagramBeamLine:
                 return answer.kind is MessageKind.IS_ON
         msg = "the beam line does not answer"
         raise BeamLineError(msg)
+
+    @property
+    def is_settling(self) -> bool:
+        """Never: what is told is so at once."""
+        return False
 
     def close(self) -> None:
         """Hold, then disconnect."""

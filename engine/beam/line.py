@@ -1,8 +1,11 @@
 """The role of everything that carries the permit to the accelerator."""
 
-from typing import Protocol
+from collections.abc import Callable
+from typing import Protocol, TypeAlias
 
 from engine.permits import HoldReason, Lease
+
+TroubleListener: TypeAlias = Callable[[HoldReason, str], None]
 
 
 class BeamLine(Protocol):
@@ -13,7 +16,17 @@ class BeamLine(Protocol):
 
     A hold wins every race with a permit: a lease granted before the newest hold is refused. A hold for a fault (see
     :attr:`HoldReason.is_fault`) latches: every permit is refused until ``rearm``, which only a person's arming calls.
+
+    A line with a wire takes time. While its last order is on the way it is settling: after a permit it counts as not
+    yet on, after a hold as still on. It judges by itself when that takes too long, holds, latches, and then raises.
+
+    Attributes
+    ----------
+    on_trouble
+        Called once for each trouble that the line itself finds, after it was held, in a thread of the line.
     """
+
+    on_trouble: TroubleListener
 
     def open(self) -> None:
         """Connect; the line is off. Raise BeamLineError if it does not answer."""
@@ -28,7 +41,23 @@ class BeamLine(Protocol):
         """Take the permit back now."""
 
     def is_on(self) -> bool:
-        """Read back whether the line is on; raise BeamLineError if it does not answer."""
+        """Read back whether the line is on.
+
+        Raises
+        ------
+        BeamLineMismatchError
+            It reads back otherwise than told.
+        BeamLineError
+            It does not answer.
+        """
+
+    @property
+    def is_settling(self) -> bool:
+        """Whether the last order may still be on its way; never for a line that acts at once."""
 
     def close(self) -> None:
         """Hold, then disconnect; safe to call twice."""
+
+
+def tell_nobody(_reason: HoldReason, _detail: str) -> None:
+    """Listen to no trouble: what a line has until somebody else listens."""

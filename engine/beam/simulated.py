@@ -4,6 +4,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from engine.beam.deadman import DeadMan, Grant
+from engine.beam.line import TroubleListener, tell_nobody
 from engine.clock import Clock
 from engine.errors import BeamLineError
 from engine.permits import HoldReason, Lease
@@ -26,6 +27,7 @@ class SimulatedBeamLine:
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._deadman = DeadMan()
+        self.on_trouble: TroubleListener = tell_nobody
         self._is_open = False
         self._happened: deque[tuple[int, Lease | HoldReason]] = deque(maxlen=HISTORY)
 
@@ -56,6 +58,11 @@ class SimulatedBeamLine:
     def is_on(self) -> bool:
         """Whether the line is on."""
         return self._is_open and self._deadman.is_on(self._clock.now_ns())
+
+    @property
+    def is_settling(self) -> bool:
+        """Never: what is told is so at once."""
+        return False
 
     def close(self) -> None:
         """Hold, then disconnect."""

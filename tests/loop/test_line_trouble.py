@@ -2,9 +2,10 @@
 
 import pytest
 
+from engine.beam.simulated import SimulatedBeamLine
 from engine.clock import ManualClock
 from engine.driver import BeamDriver
-from engine.errors import BeamLineError
+from engine.errors import BeamLineError, BeamLineMismatchError
 from engine.permits import GateState, HoldReason
 from tests.gate.constructed import LIMITS, MS, stream_in
 from tests.loop.fakes import WatchedBeamLine, good
@@ -45,16 +46,32 @@ class Mute(WatchedBeamLine):
         return super().is_on()
 
 
-@pytest.mark.parametrize("line", [Refusing, Deaf, Mute])
-def test_a_line_that_does_not_do_as_told_is_held_and_faults(line):
+class Contrary(WatchedBeamLine):
+    """Says of itself, after the third permit, that it reads back otherwise than told."""
+
+    def is_on(self):
+        if self.permits and self.permits[-1].sequence == 3:
+            raise BeamLineMismatchError("off for 160 ms though told on")
+        return super().is_on()
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        (Refusing, HoldReason.BEAM_LINE_FAILED),
+        (Deaf, HoldReason.BEAM_LINE_MISMATCH),
+        (Mute, HoldReason.BEAM_LINE_FAILED),
+        (Contrary, HoldReason.BEAM_LINE_MISMATCH),
+    ],
+)
+def test_a_line_that_does_not_do_as_told_is_held_and_faults(line, reason):
     bench = armed_bench([good] * 10, beam=line).run()
     records = bench.records()
     assert [record.line_on for record in records[ON_AT : ON_AT + 2]] == [True, True]
     assert {record.gate_state for record in records[ON_AT + 2 :]} == {GateState.FAULT}
-    assert records[ON_AT + 2].hold_reason is HoldReason.BEAM_LINE_FAILED
+    assert records[ON_AT + 2].hold_reason is reason
     assert len([lease for lease in bench.beam.permits if lease.sequence > 3]) == 0
-    bench.beam.is_mute = False
-    assert not bench.beam.is_on()
+    assert not SimulatedBeamLine.is_on(bench.beam)
 
 
 def test_a_line_that_does_not_answer_is_told_of_as_perhaps_on():
@@ -78,9 +95,69 @@ def test_a_line_that_stays_on_though_held_faults():
     records = bench.run().records()
     assert (records[ON_AT + 1].gate_state, records[ON_AT + 1].hold_reason) == (
         GateState.FAULT,
-        HoldReason.BEAM_LINE_FAILED,
+        HoldReason.BEAM_LINE_MISMATCH,
     )
     assert records[ON_AT + 1].line_on
+
+
+class Slow(WatchedBeamLine):
+    """Reads back what it was told only after two more readings, and says meanwhile that it settles."""
+
+    def __init__(self, clock):
+        super().__init__(clock)
+        self.shown, self.left = False, 0
+
+    @property
+    def is_settling(self):
+        return self.left > 0
+
+    def permit(self, lease):
+        super().permit(lease)
+        self._tell(is_on=True)
+
+    def hold(self, reason):
+        super().hold(reason)
+        self._tell(is_on=False)
+
+    def _tell(self, *, is_on):
+        if is_on is self.shown:
+            return
+        self.left = self.left - 1 if self.left else 2
+        if not self.left:
+            self.shown = is_on
+
+    def is_on(self):
+        return self.shown
+
+
+def test_a_line_that_settles_is_no_trouble_and_counts_as_not_yet_on_and_then_as_still_on():
+    bench = armed_bench([good] * 10, beam=Slow)
+    bench.pipeline.spoil[ON_AT + 4] = _outside
+    records = bench.run().records()
+    assert [record.line_on for record in records[ON_AT : ON_AT + 7]] == [False, False, True, True, True, True, False]
+    assert [str(record.gate_state) for record in records[ON_AT : ON_AT + 5]] == ["beam_on"] * 4 + ["hold"]
+    assert GateState.FAULT not in {record.gate_state for record in records}
+
+
+class TurningOver(WatchedBeamLine):
+    """Its own thread finds out between two questions that the line may be on: it settles by the second."""
+
+    asked = 0
+
+    @property
+    def is_settling(self):
+        self.asked += 1
+        return self.asked % 2 == 0
+
+    def is_on(self):
+        return not super().is_on()
+
+
+def test_a_line_that_begins_to_settle_between_two_questions_is_no_trouble():
+    clock = ManualClock(0)
+    line = TurningOver(clock)
+    report = BeamDriver(beam=line, clock=clock, limits=LIMITS).carry_out(stream_in(GateState.HOLD).gate, 0)
+    assert (report.is_on, report.is_settling, report.trouble) == (True, True, None)
 
 
 def _outside(frame):
