@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from engine.beam.line import BeamLine
 from engine.capture.source import SourceDescription
 from engine.clock import NS_PER_MS, Clock
-from engine.commands import Acknowledge
+from engine.commands import Acknowledge, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam
 from engine.driver import BeamDriver, LineReport
 from engine.errors import CommandRefusedError
 from engine.frames import ColorImage, Measurement, MeasurementState, RgbdFrame
@@ -20,8 +20,11 @@ from engine.live import FrameRecord, GateTransition, LiveView, LoopStatus
 from engine.mailbox import Mailbox
 from engine.outbox import Outbox
 from engine.permits import GateState, HoldReason
+from engine.presence import Presence
+from engine.settled_window import SettledWindow, refuse_wide, window_text
 from engine.stages.gate import Ending, Gate, GateEvent, Interruption, step_gate
 from engine.tally import Tally
+from engine.trust import captured_ns
 from engine.watchdog import Watchdog
 from engine.windows import Ranges, signal_of
 
@@ -30,11 +33,12 @@ WATCHDOG_DETAIL = "the engine did not decide in time"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cause:
-    """What a decision is made on: a frame, a person, or neither."""
+    """What a decision is made on: a frame, a person, or neither; told to the audit if the gate changed, or always."""
 
     frame: RgbdFrame | None = None
     measurement: Measurement | None = None
     operator: str | None = None
+    is_always_told: bool = False
 
 
 class GateKeeper:
@@ -51,10 +55,12 @@ class GateKeeper:
         watchdog: Watchdog,
     ) -> None:
         self._clock, self._limits = clock, limits
-        self._told_window = limits.window
+        self._window = SettledWindow(told=limits.window, settled=limits.window)
+        self._presence = Presence(clock=clock, timeout_s=limits.operator_timeout_s)
+        self._operator_hold: str | None = None
         self._outbox, self._mailbox, self._watchdog = outbox, mailbox, watchdog
         self._driver = BeamDriver(beam=beam, clock=clock, limits=limits)
-        self._tally = Tally()
+        self._tally = Tally(warn_latency_ms=limits.warn_latency_ms)
         self._latest: LiveView | None = None
         self._shown_by_watchdog: tuple[LiveView, LiveView] | None = None
         self._watchdog_told = threading.Lock()  # taken by whoever tells of it first: the watchdog, or the engine
@@ -89,7 +95,7 @@ class GateKeeper:
         before = self.gate
         decided_ns = self._clock.now_ns()
         # Interlocks first, so that they are named as the cause; and last, so that no event clears them.
-        interlocks = self._interlocks()
+        interlocks = self._interlocks(decided_ns)
         gate = before
         for event in (*interlocks, *events, *interlocks):
             gate = step_gate(gate, event, decided_ns, self._limits)
@@ -107,6 +113,49 @@ class GateKeeper:
         if self._watchdog_told.locked():
             self._watchdog_told.release()
         self.decide(command, cause=Cause(operator=command.operator))
+
+    def disarm(self, command: Disarm) -> None:
+        """Leave the decision to nobody; who held the beam by hand holds it no more."""
+        self._operator_hold = None
+        self.decide(command, cause=Cause(operator=command.operator))
+
+    def hold(self, command: HoldBeam) -> None:
+        """Hold until somebody releases; the first who held stays named."""
+        self._operator_hold = self._operator_hold or command.operator
+        self.decide(cause=Cause(operator=command.operator))
+
+    def release(self, command: ReleaseBeam) -> None:
+        """Let the gate decide again, after a full dwell."""
+        if self._operator_hold is None:
+            raise CommandRefusedError("nobody holds the beam by hand")
+        self._operator_hold = None
+        released = Interruption(HoldReason.DWELL, f"released by {command.operator}")
+        self.decide(released, cause=Cause(operator=command.operator))
+
+    def note_presence(self, operator: str) -> None:
+        """Hear from a person's page, from any thread."""
+        self._presence.note(operator)
+
+    def watch_for(self, operator: str) -> None:
+        """Watch for the person who arms."""
+        self._presence.arm(operator)
+
+    def refuse_wide_window(self) -> None:
+        """Raise InvalidValueError where the window, as settled and corrected, lies beyond the site's limits."""
+        refuse_wide(self._limits.window, self._limits)
+
+    def correct_baseline(self, command: CorrectBaseline) -> None:
+        """Disarm, then move the window; the audit hears of both windows even where nobody was armed."""
+        corrected = self._window.corrected(command.by, self._limits)
+        refuse_wide(corrected.window, self._limits)
+        change = f"the window was {window_text(self._window.window)} and is {window_text(corrected.window)}"
+        detail = f"the baseline is corrected by {command.by:g}: {change}"
+        self.decide(Ending(HoldReason.DISARMED, detail), cause=Cause(operator=command.operator, is_always_told=True))
+        self._decide_by(corrected)
+
+    def forget_correction(self) -> None:
+        """Return to the window as told: motion is counted from a new zero."""
+        self._decide_by(self._window.without_correction())
 
     def refuse_without_fresh_signal(self) -> None:
         """Raise CommandRefusedError unless the newest frame is fresh and its gated motion was measured."""
@@ -128,13 +177,17 @@ class GateKeeper:
             if self._latest is not None:
                 self._latest = replace(self._latest, status=status, error=error)
 
-    def _interlocks(self) -> list[Interruption]:
+    def _interlocks(self, now_ns: int) -> list[Interruption]:
         self._outbox.flush()
         found = [] if not self._watchdog.has_fired else [Interruption(HoldReason.WATCHDOG, WATCHDOG_DETAIL)]
         report = self._mailbox.take_report()
         trouble = self._outbox.trouble()
         found += [] if report is None else [report]
         found += [] if trouble is None else [Interruption(trouble, "a queue to the disk is full")]
+        absence = self._presence.silence(now_ns)
+        found += [Interruption(HoldReason.OPERATOR_LOST, absence)] if absence else []
+        holder = self._operator_hold or self._mailbox.hold_asked_by
+        found += [] if holder is None else [Interruption(HoldReason.OPERATOR_HOLD, f"held by {holder}")]
         return found
 
     def _named(self, trouble: Interruption) -> Interruption:
@@ -143,7 +196,9 @@ class GateKeeper:
 
     def _tell(self, before: Gate, cause: Cause, decided_ns: int, asserted_ns: int, report: LineReport) -> None:
         gate, frame = self.gate, cause.frame
-        if (gate.state, gate.reason) != (before.state, before.reason) and self._may_tell(gate):
+        is_news = cause.is_always_told or (gate.state, gate.reason) != (before.state, before.reason)
+        taken_ns = self._captured_ns(cause.measurement)
+        if is_news and self._may_tell(gate):
             self._outbox.put_transition(
                 GateTransition(
                     at_ns=decided_ns,
@@ -151,22 +206,39 @@ class GateKeeper:
                     from_state=before.state,
                     to_state=gate.state,
                     reason=gate.reason,
-                    operator=cause.operator,
+                    operator=cause.operator or self._holder_of(gate),
                     detail=gate.detail,
                     captured_us=None if frame is None else frame.timestamp_us,
                     received_ns=None if frame is None else frame.received_ns,
                     decided_ns=decided_ns,
                     asserted_ns=asserted_ns,
+                    captured_ns=taken_ns,
                 )
             )
         if frame is not None and cause.measurement is not None:
-            record = self._record(cause.measurement, decided_ns, asserted_ns, is_on=report.is_on)
+            record = replace(
+                self._record(cause.measurement, decided_ns, asserted_ns, is_on=report.is_on), captured_ns=taken_ns
+            )
             self._outbox.put_sample(record)
-            self._tally.count(received_ns=frame.received_ns, asserted_ns=asserted_ns, missed_frames=frame.missed_frames)
+            self._tally.count(
+                captured_ns=frame.received_ns if taken_ns is None else taken_ns,
+                received_ns=frame.received_ns,
+                asserted_ns=asserted_ns,
+                missed_frames=frame.missed_frames,
+            )
             self._show(record, frame.color)
         elif self._latest is not None:
             record = replace(self._latest.record, gate_state=gate.state, hold_reason=gate.reason, line_on=report.is_on)
             self._show(record, self._latest.color)
+
+    def _captured_ns(self, measurement: Measurement | None) -> int | None:
+        last = self.gate.last
+        return None if measurement is None or last is None else captured_ns(last, measurement, self._limits)
+
+    def _holder_of(self, gate: Gate) -> str | None:
+        """Name who asked for a hold that a frame's decision has obeyed already."""
+        is_held = gate.is_armed and gate.reason is HoldReason.OPERATOR_HOLD
+        return self._operator_hold or self._mailbox.hold_asked_by if is_held else None
 
     def _may_tell(self, gate: Gate) -> bool:
         """Tell a fault of the watchdog once only: it does so itself while the engine hangs, else the engine does."""
@@ -200,12 +272,16 @@ class GateKeeper:
 
     def settle_window(self, ranges: Ranges) -> None:
         """Turn a window told in per cent into mm and l, now that the learned range and the reference are known."""
-        self._limits = replace(self._limits, window=self._told_window.resolved(ranges))
+        self._decide_by(self._window.with_ranges(ranges))
 
     @property
     def is_window_unsettled(self) -> bool:
         """Whether a part of the window is still told in per cent."""
         return self._limits.window.needs_ranges
+
+    def _decide_by(self, window: SettledWindow) -> None:
+        self._window = window
+        self._limits = replace(self._limits, window=window.window)
 
     def _show(self, record: FrameRecord, color: ColorImage) -> None:
         if self.description is None:
@@ -223,6 +299,10 @@ class GateKeeper:
             description=self.description,
             status=self.status,
             error=self.error,
+            window=self._limits.window,
+            conditions=self.gate.conditions,
+            operator_hold=self._operator_hold,
+            breath_holds=self.gate.breath_holds,
         )
 
     def _tell_watchdog(self, at_ns: int) -> None:

@@ -71,6 +71,11 @@ class GateLimits:
         How long the page of the person who armed may be silent; 0 does not ask.
     is_calibrated
         Whether the camera's geometry was measured; without, the beam is held.
+    max_baseline_correction_mm
+        How far a person's correction of the baseline may move the window in all; of a window on the volume, as much as
+        the region would hold.
+    window_lower_mm, window_upper_mm
+        No edge of a window may lie beyond, as settled and corrected: nobody arms with one that does.
     holding_events
         What in the breathing holds the beam.
     is_played
@@ -104,6 +109,9 @@ class GateLimits:
     camera_latency_ms: float = 0.0
     max_model_age_min: float = 240.0
     operator_timeout_s: float = 0.0
+    max_baseline_correction_mm: float = 5.0
+    window_lower_mm: float = -100.0
+    window_upper_mm: float = 100.0
     is_calibrated: bool = True
     holding_events: frozenset[BreathEventKind] = frozenset()
     is_played: bool = False
@@ -150,6 +158,9 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "camera_latency_ms": (0.0, 300.0),
     "max_model_age_min": (1.0, 1_440.0),
     "operator_timeout_s": (0.0, 600.0),
+    "max_baseline_correction_mm": (0.0, 50.0),
+    "window_lower_mm": (-100.0, 100.0),
+    "window_upper_mm": (-100.0, 100.0),
 }
 WHOLE_NUMBERS = ("min_good_frames", "max_cycles_per_min", "max_repeated_frames")
 

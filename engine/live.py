@@ -8,8 +8,10 @@ import enum
 from dataclasses import dataclass
 
 from engine.capture.source import SourceDescription
+from engine.clock import NS_PER_MS
 from engine.frames import ColorImage, Measurement
 from engine.permits import GateState, HoldReason
+from engine.windows import ConditionState, GateWindow
 
 
 class LoopStatus(enum.StrEnum):
@@ -40,6 +42,8 @@ class FrameRecord:
         When the frame was in our hands, the gate had decided, and the line had been told and read back.
     line_on
         The line as read back; True also when it did not answer, since it may be on.
+    captured_ns
+        When the camera took the frame, on the host's clock; see :func:`engine.trust.captured_ns`.
     """
 
     measurement: Measurement
@@ -50,14 +54,20 @@ class FrameRecord:
     decided_ns: int
     asserted_ns: int
     line_on: bool
+    captured_ns: int | None = None
+
+    @property
+    def latency_ms(self) -> float | None:
+        """From capture to the line read back."""
+        return _latency_ms(self.captured_ns, self.asserted_ns)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GateTransition:
     """One change of the gate's state, or of the reason for the state; for the audit.
 
-    ``frame_index``, ``captured_us`` and ``received_ns`` are those of the frame that caused it, None when none did;
-    ``operator`` is the person who did.
+    ``frame_index``, ``captured_us``, ``captured_ns`` and ``received_ns`` are those of the frame that caused it, None
+    when none did; ``operator`` is the person who did.
     """
 
     at_ns: int
@@ -71,15 +81,30 @@ class GateTransition:
     received_ns: int | None
     decided_ns: int
     asserted_ns: int
+    captured_ns: int | None = None
+
+    @property
+    def latency_ms(self) -> float | None:
+        """From capture to the line read back; None where no frame was the cause."""
+        return _latency_ms(self.captured_ns, self.asserted_ns)
+
+
+def _latency_ms(captured_ns: int | None, asserted_ns: int) -> float | None:
+    return None if captured_ns is None else (asserted_ns - captured_ns) / NS_PER_MS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatencySummary:
-    """From a frame in our hands to the line read back [ms], over the last frames."""
+    """From capture to the line read back [ms]: the last frame, the last few hundred, and the slowest of all.
+
+    ``is_warned`` says that the last frame took longer than the site wants to be warned of.
+    """
 
     last_ms: float
     p50_ms: float
     p99_ms: float
+    max_ms: float = 0.0
+    is_warned: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,6 +112,17 @@ class LiveView:
     """The newest of everything, for a page; its age is the reader's to compute from ``record.received_ns``.
 
     Between frames (silence, commands, the end) the record repeats the last frame with the gate and line of now.
+
+    Attributes
+    ----------
+    window
+        As the gate decides by it: per cent turned into mm or l where that can be, and corrected.
+    conditions
+        What the window remembers, one state a condition; empty before the first frame.
+    operator_hold
+        Who holds the beam by hand; None where nobody does.
+    breath_holds
+        How many breath holds were counted since the gate was armed.
     """
 
     record: FrameRecord
@@ -101,3 +137,7 @@ class LiveView:
     description: SourceDescription
     status: LoopStatus
     error: str | None
+    window: GateWindow
+    conditions: tuple[ConditionState, ...] = ()
+    operator_hold: str | None = None
+    breath_holds: int = 0

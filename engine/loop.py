@@ -13,7 +13,19 @@ from dataclasses import dataclass
 from engine.beam.line import BeamLine
 from engine.capture.source import DepthSource, SourceDescription
 from engine.clock import NS_PER_MS, NS_PER_S, Clock
-from engine.commands import Acknowledge, ActivateModel, ApplyModel, Arm, Command, Disarm, Retrain, SetReference
+from engine.commands import (
+    Acknowledge,
+    ActivateModel,
+    ApplyModel,
+    Arm,
+    Command,
+    CorrectBaseline,
+    Disarm,
+    HoldBeam,
+    ReleaseBeam,
+    Retrain,
+    SetReference,
+)
 from engine.errors import (
     BeamLineError,
     CommandRefusedError,
@@ -28,7 +40,7 @@ from engine.frames import Measurement, RgbdFrame
 from engine.keeper import Cause, GateKeeper
 from engine.limits import GateLimits, ns_from_ms
 from engine.live import FrameRecord, GateTransition, LiveView, LoopStatus
-from engine.mailbox import Letter, Mailbox
+from engine.mailbox import URGENT, Letter, Mailbox
 from engine.notices import LearningNotice
 from engine.outbox import Outbox
 from engine.permits import GateState, HoldReason
@@ -120,7 +132,7 @@ class EngineLoop:
         ------
         CommandRefusedError
             Too many commands wait already, or the session is over. What the engine itself refuses comes through the
-            future. A :class:`Disarm` is never refused while the engine runs.
+            future. A :class:`Disarm` or :class:`HoldBeam` is never refused while the engine runs.
         """
         return self._mailbox.submit(command)
 
@@ -131,6 +143,10 @@ class EngineLoop:
         acknowledgement.
         """
         self._mailbox.report(Interruption(reason=reason, detail=detail))
+
+    def note_presence(self, operator: str) -> None:
+        """Hear that a person's page is still looked at, from any thread; never waits."""
+        self._keeper.note_presence(operator)
 
     @property
     def samples(self) -> queue.Queue[FrameRecord]:
@@ -270,7 +286,7 @@ class EngineLoop:
     def _answer(self, letter: Letter) -> None:
         """Obey, and answer only when the line has been told."""
         is_wanted = letter.answer.set_running_or_notify_cancel()
-        if not is_wanted and not isinstance(letter.command, Disarm):
+        if not is_wanted and not isinstance(letter.command, URGENT):
             return
         try:
             self._obey(letter.command)
@@ -289,12 +305,23 @@ class EngineLoop:
             case Arm():
                 self._arm(command)
             case Disarm():
-                self._keeper.decide(command, cause=Cause(operator=command.operator))
+                self._keeper.disarm(command)
+            case HoldBeam():
+                self._keeper.hold(command)
+            case ReleaseBeam():
+                self._keeper.release(command)
             case Acknowledge():
                 self._acknowledge(command)
+            case CorrectBaseline():
+                self._keeper.correct_baseline(command)
+            case _:
+                self._change(command)
+
+    def _change(self, command: SetReference | Retrain | ApplyModel | ActivateModel) -> None:
+        """Obey what changes the zero or the model."""
+        match command:
             case SetReference():
-                self._disarm_for("the reference is set", command.operator)
-                self._pipeline.set_reference()
+                self._set_reference(command)
             case Retrain():
                 self._pipeline.retrain(keeps_zero=command.keeps_zero)
             case ApplyModel():
@@ -302,6 +329,11 @@ class EngineLoop:
             case ActivateModel():
                 self._disarm_for("another model is activated", command.operator)
                 self._pipeline.activate(command.model)
+
+    def _set_reference(self, command: SetReference) -> None:
+        self._disarm_for("the reference is set", command.operator)
+        self._pipeline.set_reference()
+        self._keeper.forget_correction()
 
     def _apply_model(self, command: ApplyModel) -> None:
         if not self._pipeline.is_model_waiting:
@@ -317,6 +349,7 @@ class EngineLoop:
         self._settle_window()
         self._refuse_unless_ready()
         self._beam.rearm()
+        self._keeper.watch_for(command.operator)
         self._keeper.decide(command, cause=Cause(operator=command.operator))
         if not self._keeper.gate.is_armed:
             raise CommandRefusedError(f"a fault came up: {self._keeper.gate.reason}")
@@ -337,6 +370,7 @@ class EngineLoop:
             raise CommandRefusedError(
                 "the window is told in per cent of a range that the model does not tell: learn again"
             )
+        self._keeper.refuse_wide_window()
         if not self._watchdog.is_watching:
             raise CommandRefusedError("the watchdog does not run: this engine cannot be armed")
         self._keeper.refuse_without_fresh_signal()

@@ -1,7 +1,8 @@
 """How other threads reach the engine: commands with futures, and faults that somebody else has seen.
 
-Bounded, and never waited for. A disarming is never refused, overtakes everything, and takes back every arming asked for
-before it; any other command that had to wait too long is refused rather than carried out as a surprise.
+Bounded, and never waited for. A disarming or a hold by hand is never refused, overtakes everything, and takes back
+every arming or release asked for before it; any other command that had to wait too long is refused rather than carried
+out as a surprise.
 """
 
 import threading
@@ -10,11 +11,16 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 
 from engine.clock import NS_PER_MS, Clock
-from engine.commands import Arm, Command, Disarm
+from engine.commands import Arm, Command, Disarm, HoldBeam, ReleaseBeam
 from engine.errors import CommandRefusedError
 from engine.stages.gate import Interruption
 
 MAX_WAIT_NS = 1_000 * NS_PER_MS
+
+URGENT = (Disarm, HoldBeam)
+"""What overtakes everything, and is carried out even if its asker has given up."""
+
+_TAKES_BACK: dict[type, type] = {Disarm: Arm, HoldBeam: ReleaseBeam}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,7 +45,7 @@ class Mailbox:
         self._capacity = capacity
         self._lock = threading.Lock()
         self._letters: deque[Letter] = deque()
-        self._disarm: Letter | None = None
+        self._urgent: list[Letter] = []
         self._report: Interruption | None = None
         self._closed_because: str | None = None
 
@@ -49,14 +55,21 @@ class Mailbox:
         with self._lock:
             if self._closed_because is not None:
                 raise CommandRefusedError(self._closed_because)
-            if not isinstance(command, Disarm):
+            if not isinstance(command, URGENT):
                 self._put(letter)
                 return letter.answer
-            taken_back = self._take_back_armings()
-            self._disarm = disarm = self._disarm or letter  # one that waits already does for both
+            taken_back = self._take_back(_TAKES_BACK[type(command)])
+            urgent = self._put_urgent(letter)
+        sentence = "disarmed" if isinstance(command, Disarm) else "the beam was held"
         for earlier in taken_back:  # outside of the lock: an answer may call its asker back
-            earlier.refuse("disarmed before it was carried out")
-        return disarm.answer
+            earlier.refuse(f"{sentence} before it was carried out")
+        return urgent.answer
+
+    @property
+    def hold_asked_by(self) -> str | None:
+        """Who waits for the beam to be held by hand: a decision on its way must not turn it on any more."""
+        holds = (letter.command.operator for letter in tuple(self._urgent) if isinstance(letter.command, HoldBeam))
+        return next(holds, None)
 
     def report(self, fault: Interruption) -> None:
         """Leave a fault for the next decision; the first one stays."""
@@ -73,13 +86,12 @@ class Mailbox:
         return report
 
     def take(self) -> list[Letter]:
-        """Take all commands that wait, a disarming first; refuse those that are too old."""
+        """Take all commands that wait, the urgent ones first; refuse those that are too old."""
         with self._lock:
-            disarm, self._disarm = self._disarm, None
+            taken, self._urgent = self._urgent, []
             letters = list(self._letters)
             self._letters.clear()
         now_ns = self._clock.now_ns()
-        taken = [] if disarm is None else [disarm]
         for letter in letters:
             if now_ns - letter.submitted_ns > MAX_WAIT_NS:
                 letter.refuse("the engine was busy for too long: look, and ask again")
@@ -88,16 +100,17 @@ class Mailbox:
         return taken
 
     def close(self, sentence: str) -> None:
-        """Refuse everything from now on, and what still waits; a disarming has then come true by itself."""
+        """Refuse everything from now on, and what still waits; what was urgent has then come true by itself."""
         with self._lock:
             self._closed_because = sentence
-            letters, disarm = list(self._letters), self._disarm
+            letters, urgent = list(self._letters), self._urgent
             self._letters.clear()
-            self._disarm = None
+            self._urgent = []
         for letter in letters:
             letter.refuse(sentence)
-        if disarm is not None and disarm.answer.set_running_or_notify_cancel():
-            disarm.answer.set_result(None)
+        for letter in urgent:
+            if letter.answer.set_running_or_notify_cancel():
+                letter.answer.set_result(None)
 
     def _put(self, letter: Letter) -> None:
         if len(self._letters) >= self._capacity:
@@ -105,8 +118,15 @@ class Mailbox:
             raise CommandRefusedError(msg)
         self._letters.append(letter)
 
-    def _take_back_armings(self) -> list[Letter]:
-        armings = [letter for letter in self._letters if isinstance(letter.command, Arm)]
-        for letter in armings:
+    def _put_urgent(self, letter: Letter) -> Letter:
+        """Queue it last; one of its kind that waits already does for both, in the newer one's place."""
+        kind = type(letter.command)
+        waiting = next((earlier for earlier in self._urgent if type(earlier.command) is kind), letter)
+        self._urgent = [other for other in self._urgent if other is not waiting] + [waiting]
+        return waiting
+
+    def _take_back(self, kind: type) -> list[Letter]:
+        taken = [letter for letter in self._letters if isinstance(letter.command, kind)]
+        for letter in taken:
             self._letters.remove(letter)
-        return armings
+        return taken

@@ -15,16 +15,19 @@ FRAMES_A_SUMMARY = 8
 class Tally:
     """Running figures of one engine's life; owned by the engine thread."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, warn_latency_ms: float) -> None:
+        self._warn_latency_ms = warn_latency_ms
         self.frames = 0
         self.missed_frames = 0
         self._received_ns: deque[int] = deque()
         self._latencies_ms: deque[float] = deque(maxlen=LATENCIES_KEPT)
-        self._p50_ms = self._p99_ms = 0.0
+        self._p50_ms = self._p99_ms = self._max_ms = 0.0
 
-    def count(self, *, received_ns: int, asserted_ns: int, missed_frames: int) -> None:
+    def count(self, *, captured_ns: int, received_ns: int, asserted_ns: int, missed_frames: int) -> None:
         """Count one frame."""
-        self._latencies_ms.append((asserted_ns - received_ns) / NS_PER_MS)
+        latency_ms = (asserted_ns - captured_ns) / NS_PER_MS
+        self._latencies_ms.append(latency_ms)
+        self._max_ms = max(self._max_ms, latency_ms)
         if self.frames % FRAMES_A_SUMMARY == 0:
             p50_ms, p99_ms = np.percentile(self._latencies_ms, [50, 99])
             self._p50_ms, self._p99_ms = float(p50_ms), float(p99_ms)
@@ -42,6 +45,12 @@ class Tally:
 
     @property
     def latency(self) -> LatencySummary:
-        """Latency of the last frame, and of the last few hundred."""
+        """Latency of the last frame, of the last few hundred, and the longest so far."""
         last_ms = self._latencies_ms[-1] if self._latencies_ms else 0.0
-        return LatencySummary(last_ms=last_ms, p50_ms=self._p50_ms, p99_ms=self._p99_ms)
+        return LatencySummary(
+            last_ms=last_ms,
+            p50_ms=self._p50_ms,
+            p99_ms=self._p99_ms,
+            max_ms=self._max_ms,
+            is_warned=last_ms > self._warn_latency_ms,
+        )

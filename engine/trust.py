@@ -13,7 +13,7 @@ import numpy as np
 
 from engine.clock import NS_PER_MS, NS_PER_US
 from engine.frames import LostReason, Measurement, MeasurementState, Motion
-from engine.limits import GateLimits
+from engine.limits import GateLimits, ns_from_ms
 from engine.permits import HoldReason
 from engine.windows import ConditionState, GateWindow, signal_of
 
@@ -106,6 +106,16 @@ def last_frame(before: LastFrame | None, frame: Measurement, window: GateWindow)
         signals_mm=signals_mm if is_measured else kept_mm,
         signal_age_frames=0 if is_measured else age,
     )
+
+
+def captured_ns(last: LastFrame, frame: Measurement, limits: GateLimits) -> int:
+    """Return when the camera took ``frame``, on the host's clock; ``last`` remembers it already.
+
+    The promptest frame so far came at once, but for what the site measured its camera to take. A recording's player
+    that falls behind plays late, and its frames count as taken when they came.
+    """
+    lag_ns = 0 if limits.is_played else max(_lag_ns(frame) - last.least_lag_ns, 0)
+    return frame.received_ns - lag_ns - ns_from_ms(limits.camera_latency_ms)
 
 
 def _lag_ns(frame: Measurement) -> int:

@@ -17,6 +17,7 @@ from engine.live import FrameRecord, GateTransition, LatencySummary, LiveView, L
 from engine.model import MotionModel
 from engine.notices import LearningNotice
 from engine.permits import GateState, HoldReason
+from engine.windows import amplitude_window
 from service import schemas
 from service.ports import SessionPlan
 
@@ -147,6 +148,7 @@ class FakeRunning:
             ),
             status=self.status,
             error=None,
+            window=amplitude_window(lower_mm=-1.0, upper_mm=3.0, hysteresis_mm=0.2),
         )
         return record
 
