@@ -178,12 +178,10 @@ def _count_switching(before: Gate, moved: Gate, now_ns: int, limits: GateLimits)
     if is_on and not was_on:
         recent = tuple(at_ns for at_ns in before.turned_on_ns if now_ns - at_ns < CYCLES_WITHIN_NS)
         return replace(moved, turned_on_ns=(*recent, now_ns))
-    if not was_on:
+    if is_on or not was_on:
         return moved
     was_short = now_ns - before.turned_on_ns[-1] < ns_from_ms(limits.min_on_ms)
-    if not is_on:
-        return replace(moved, off_since_ns=now_ns, was_cut_short=was_short)
-    return moved if was_short else replace(moved, was_cut_short=False)
+    return replace(moved, off_since_ns=now_ns, was_cut_short=was_short)
 
 
 def _reason_in(state: GateState, gate: Gate, verdict: Verdict) -> tuple[HoldReason | None, str]:

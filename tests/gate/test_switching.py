@@ -81,6 +81,17 @@ def test_no_more_cycles_in_any_minute_than_allowed():
     assert len(stream.gate.turned_on_ns) <= 5
 
 
+def test_cycles_count_for_a_whole_minute():
+    stream = stream_in(GateState.HOLD, limits=replace(EASY, max_cycles_per_min=3))
+    for away in (930, 120, 120):  # on at 0, 31 and 35 s
+        assert GateState.BEAM_ON in stream.good(6)
+        leave(stream, away)
+    first_ns = stream.gate.turned_on_ns[0]
+    states = stream.good(900)
+    assert GateState.BEAM_ON in states
+    assert stream.gate.turned_on_ns[-1] - first_ns >= 60_000 * MS
+
+
 def test_the_cycle_limit_is_told():
     limits = replace(EASY, max_cycles_per_min=1)
     stream = on(limits)
