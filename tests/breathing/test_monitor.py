@@ -1,0 +1,158 @@
+"""The monitor on breathing of which everything is known: phase, rate, level, and silence where it cannot tell."""
+
+import math
+
+import numpy as np
+import pytest
+
+from engine.breath import SignalChoice
+from engine.stages.breathing import follow_breathing, shifted, start_breathing, with_baseline
+from tests.breathing.traces import breath, follow, kinds, onsets, regular, times
+
+
+def turn_error(told_percent, true_percent):
+    return abs((told_percent - true_percent + 50.0) % 100.0 - 50.0)
+
+
+@pytest.mark.parametrize("fps", [5.0, 10.0, 30.0, 60.0])
+@pytest.mark.parametrize(("amplitude", "period"), [(4.0, 5.0), (10.0, 4.0), (16.0, 3.0), (12.0, 7.0)])
+def test_the_phase_of_regular_breathing_is_true_to_a_few_per_cent(fps, amplitude, period):
+    at, value, true = regular(60.0, amplitude=amplitude, period=period, fps=fps)
+    told = follow(at, value)
+    late = [(one, phase) for one, phase, seconds in zip(told, true, at, strict=True) if seconds > 6.0 * period]
+    assert all(one.phase_percent is not None for one, _ in late)
+    errors = [turn_error(one.phase_percent, phase) for one, phase in late]
+    assert np.mean(errors) < 4.0
+    assert np.percentile(errors, 95) < 10.0
+    assert min(one.phase_confidence for one, _ in late[20:]) > 0.6
+
+
+def test_the_phase_never_goes_back_within_a_breath():
+    at, value, _ = regular(80.0, noise=0.3)
+    phases = [one.phase_percent for one in follow(at, value) if one.phase_percent is not None]
+    steps = np.diff(phases)
+    back = steps[steps < 0.0]
+    assert len(phases) > 1800
+    assert np.all(back < -60.0)  # only from one breath to the next
+    assert len(back) == pytest.approx(len(phases) / 30.0 / 4.0, abs=1.5)
+
+
+def test_rate_depth_and_level_are_told_in_the_signals_own_unit():
+    at, value, _ = regular(40.0, amplitude=10.0, period=4.0)
+    last = follow(at, value + 3.0)[-1]
+    assert last.rate_per_min == pytest.approx(15.0, rel=0.02)
+    assert last.rate_confidence > 0.8
+    assert last.amplitude == pytest.approx(10.0, rel=0.06)
+    assert last.baseline == pytest.approx(3.0, abs=0.3)
+    assert last.drift == pytest.approx(0.0, abs=0.2)
+    assert last.drift_per_s == pytest.approx(0.0, abs=0.03)
+    assert last.regularity > 0.9
+
+
+def test_a_volume_is_told_in_litres():
+    at, value, _ = regular(40.0, amplitude=6.0, period=4.0)
+    choice = SignalChoice(signal="volume")
+    last = follow(at, 0.1 * value, choice)[-1]
+    assert last.signal == choice
+    assert last.amplitude == pytest.approx(0.6, rel=0.06)
+    assert last.phase_percent is not None
+
+
+def test_nothing_is_told_before_breaths_were_seen_and_then_why():
+    at, value, _ = regular(3.0)
+    last = follow(at, value)[-1]
+    assert (last.phase_percent, last.rate_per_min, last.note) == (None, None, "too little seen yet")
+
+
+@pytest.mark.parametrize("what", ["constant", "noise", "heart"])
+def test_a_doll_does_not_breathe(what):
+    at = times(120.0)
+    value = {
+        "constant": 0.0 * at,
+        "noise": np.random.default_rng(1).normal(0.0, 0.1, len(at)),
+        "heart": 0.15 * np.sin(2.0 * np.pi * 1.1 * at) + np.random.default_rng(1).normal(0.0, 0.1, len(at)),
+    }[what]
+    told = follow(at, value)
+    assert all(one.phase_percent is None and not one.events for one in told)
+
+
+@pytest.mark.parametrize("way", ["missing", "nan"])
+def test_after_a_gap_no_phase_is_told_until_breaths_are_found_again(way):
+    at, value, _ = regular(80.0)
+    is_gap = (at >= 40.0) & (at < 41.0)
+    if way == "nan":
+        told = follow(at, np.where(is_gap, math.nan, value))
+    else:
+        at = at[~is_gap]
+        told = follow(at, value[~is_gap])
+    after = {round(seconds, 2): one for seconds, one in zip(at, told, strict=True)}
+    assert after[39.9].phase_percent is not None
+    assert after[41.5].phase_percent is None
+    assert after[41.5].note == "nothing was measured for a moment"
+    assert after[58.0].phase_percent is not None
+    assert onsets(told, at) == []
+
+
+def test_a_frame_or_two_that_are_lost_cost_nothing():
+    at, value, true = regular(60.0)
+    kept = np.ones(len(at), dtype=bool)
+    kept[1200:1203] = kept[1500:1501] = False
+    told = follow(at[kept], value[kept])
+    late = [(one, phase) for one, phase, seconds in zip(told, true[kept], at[kept], strict=True) if seconds > 30.0]
+    assert all(one.phase_percent is not None for one, _ in late)
+
+
+def test_quantised_breathing_is_followed_as_well():
+    at, value, true = regular(60.0, amplitude=8.0)
+    told = follow(at, np.round(value / 0.5) * 0.5)
+    errors = [turn_error(one.phase_percent, phase) for one, phase in list(zip(told, true, strict=True))[900:]]
+    assert np.mean(errors) < 4.0
+    assert onsets(told, at) == []
+
+
+@pytest.mark.parametrize("share", [0.15, 0.55, 0.9], ids=["in", "out", "rest"])
+def test_another_zero_is_no_event_and_keeps_the_phase(share):
+    at, value, _ = regular(60.0)
+    cut = round((40.0 + 4.0 * share) * 30)
+    state = start_breathing(SignalChoice())
+    for seconds, one in zip(at[:cut].tolist(), value[:cut].tolist(), strict=True):
+        state = follow_breathing(state, seconds, one)
+    state = shifted(state, -25.0)
+    told = follow(at[cut:], value[cut:] - 25.0, state=state)
+    assert all(one.phase_percent is not None and not one.events for one in told)
+    assert told[-1].drift == pytest.approx(0.0, abs=0.2)
+    assert told[-1].baseline == pytest.approx(-25.0, abs=0.3)
+
+
+def test_a_shift_that_nobody_told_of_is_seen():
+    at, value, _ = regular(80.0)
+    told = follow(at, np.where(at > 40.0, value - 6.0, value))
+    assert told[-1].drift == pytest.approx(-6.0, abs=0.3)
+    assert "drift" in {kind for kind, _ in onsets(told, at)}
+
+
+def test_a_baseline_that_a_person_confirmed_ends_the_drift():
+    at, value, _ = regular(80.0)
+    state = start_breathing(SignalChoice())
+    for seconds, one in zip(at.tolist(), (value + np.clip(0.2 * (at - 30.0), 0.0, 4.0)).tolist(), strict=True):
+        state = follow_breathing(state, seconds, one)
+    assert kinds(state.breath) == {"drift"}
+    assert state.breath.drift == pytest.approx(4.0, abs=0.3)
+    confirmed = with_baseline(state, state.breath.baseline)
+    assert kinds(confirmed.breath) == set()
+    assert confirmed.breath.drift == pytest.approx(0.0, abs=0.01)
+    later, more, _ = regular(120.0)
+    told = follow(later[2400:], more[2400:] + 4.0, state=confirmed)
+    assert onsets(told, later[2400:]) == []
+
+
+def test_what_was_not_measured_is_told_as_such():
+    at, value, _ = regular(40.0)
+    value[-1] = math.nan
+    last = follow(at, value)[-1]
+    assert (last.phase_percent, last.events, last.note) == (None, (), "not measured")
+
+
+def test_breath_shapes_of_the_tests_are_what_they_say():
+    assert breath(0.0) == pytest.approx(1.0)
+    assert breath(0.6) == pytest.approx(0.0, abs=1e-6)
