@@ -1,7 +1,8 @@
 """Takes each decision from its events to the line, and then to everybody who is told.
 
 The order is the point: the gate is stepped, the line is told and read back, and only then are records made. Interlocks
-(the watchdog, the recorder, the audit, a fault left by another thread) are part of every decision.
+(the watchdog, the recorder, the audit, a fault left by another thread, a person's hold, what stands against the beam
+since the newest frame) are part of every decision.
 """
 
 import math
@@ -24,7 +25,7 @@ from engine.presence import Presence
 from engine.settled_window import SettledWindow, refuse_wide, window_text
 from engine.stages.gate import Ending, Gate, GateEvent, Interruption, step_gate
 from engine.tally import Tally
-from engine.trust import captured_ns
+from engine.trust import captured_ns, too_slow
 from engine.watchdog import Watchdog
 from engine.windows import Ranges, signal_of
 
@@ -66,6 +67,7 @@ class GateKeeper:
         self._watchdog_told = threading.Lock()  # taken by whoever tells of it first: the watchdog, or the engine
         watchdog.on_fired = self._tell_watchdog
         self.gate = Gate(since_ns=clock.now_ns())
+        self.standing: tuple[Interruption, ...] = ()
         self.status = LoopStatus.STARTING
         self.error: str | None = None
         self.description: SourceDescription | None = None
@@ -103,6 +105,11 @@ class GateKeeper:
         if report.trouble is not None:
             gate = step_gate(gate, self._named(report.trouble), decided_ns, self._limits)
         asserted_ns = self._clock.now_ns()
+        slowness = self._slowness(gate, cause.measurement, asserted_ns)
+        if slowness is not None:
+            gate = step_gate(gate, slowness, decided_ns, self._limits)
+            report = self._driver.carry_out(gate, decided_ns)
+            asserted_ns = self._clock.now_ns()
         self.gate = gate
         self._watchdog.feed(decided_ns, is_armed=gate.is_armed)
         self._tell(before, cause, decided_ns, asserted_ns, report)
@@ -184,11 +191,23 @@ class GateKeeper:
         trouble = self._outbox.trouble()
         found += [] if report is None else [report]
         found += [] if trouble is None else [Interruption(trouble, "a queue to the disk is full")]
+        found += self.standing
+        if not self._limits.is_calibrated:
+            found.append(Interruption(HoldReason.CALIBRATION_MISSING, "nothing was measured for this camera"))
         absence = self._presence.silence(now_ns)
         found += [Interruption(HoldReason.OPERATOR_LOST, absence)] if absence else []
         holder = self._operator_hold or self._mailbox.hold_asked_by
         found += [] if holder is None else [Interruption(HoldReason.OPERATOR_HOLD, f"held by {holder}")]
         return found
+
+    def _slowness(self, gate: Gate, measurement: Measurement | None, asserted_ns: int) -> Interruption | None:
+        """Fault where the line was told too late: only now is it known how long that took."""
+        if measurement is None or gate.last is None:
+            return None
+        latency_ms = (asserted_ns - captured_ns(gate.last, measurement, self._limits)) / NS_PER_MS
+        if latency_ms <= self._limits.max_latency_ms:
+            return None
+        return Interruption(HoldReason.LATENCY_HIGH, too_slow(latency_ms, self._limits))
 
     def _named(self, trouble: Interruption) -> Interruption:
         """Name the watchdog as the cause where its hold is why the line refused a permit."""

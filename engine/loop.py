@@ -36,6 +36,7 @@ from engine.errors import (
     TidegateError,
 )
 from engine.frame_pipeline import FramePipeline
+from engine.frame_watch import FrameWatch
 from engine.frames import Measurement, RgbdFrame
 from engine.keeper import Cause, GateKeeper
 from engine.limits import GateLimits, ns_from_ms
@@ -97,6 +98,7 @@ class EngineLoop:
         self._keeper = GateKeeper(
             beam=beam, clock=clock, limits=limits, outbox=self._outbox, mailbox=self._mailbox, watchdog=self._watchdog
         )
+        self._watch = FrameWatch(limits)
         self._generation = pipeline.model_generation
         self._settled_generation: int | None = None
         self._listening_since_ns = 0
@@ -240,7 +242,15 @@ class EngineLoop:
             return
         self._pipeline.keep_model(is_kept=self._keeper.gate.is_armed)
         measurement = self._pipeline.measure(frame)
-        self._outbox.put_notices(self._pipeline.take_notices())
+        notices = self._pipeline.take_notices()
+        self._outbox.put_notices(notices)
+        self._keeper.standing = self._watch.look(
+            frame,
+            measurement,
+            model=self._pipeline.model,
+            has_zero=self._pipeline.has_reference,
+            notices=notices,
+        )
         self._decide_on(frame, measurement)
 
     def _read_timeout_ns(self) -> int:
@@ -334,6 +344,7 @@ class EngineLoop:
         self._disarm_for("the reference is set", command.operator)
         self._pipeline.set_reference()
         self._keeper.forget_correction()
+        self._watch.forget_position()
 
     def _apply_model(self, command: ApplyModel) -> None:
         if not self._pipeline.is_model_waiting:

@@ -67,6 +67,7 @@ def distrust(last: LastFrame | None, frame: Measurement, now_ns: int, limits: Ga
     """Return why ``frame`` must not be decided on, faults before holds, or None."""
     verdict = (
         _refuse_disorder(last, frame, now_ns)
+        or _refuse_clock_jump(last, frame, limits)
         or _refuse_late(last, frame, now_ns, limits)
         or _refuse_gap(last, frame, limits)
     )
@@ -118,6 +119,11 @@ def captured_ns(last: LastFrame, frame: Measurement, limits: GateLimits) -> int:
     return frame.received_ns - lag_ns - ns_from_ms(limits.camera_latency_ms)
 
 
+def too_slow(latency_ms: float, limits: GateLimits) -> str:
+    """Say by how much the way from the camera to the line took too long."""
+    return f"{latency_ms:.0f} ms since the camera took the frame, {limits.max_latency_ms:g} allowed"
+
+
 def _lag_ns(frame: Measurement) -> int:
     return frame.received_ns - frame.timestamp_us * NS_PER_US
 
@@ -147,13 +153,27 @@ def _refuse_disorder(last: LastFrame | None, frame: Measurement, now_ns: int) ->
     return fault(HoldReason.CLOCK_BACKWARDS, disorder) if disorder else None
 
 
+def _refuse_clock_jump(last: LastFrame | None, frame: Measurement, limits: GateLimits) -> Verdict | None:
+    """No device's clock gets ahead of the host's from one frame to the next; a recording's player may catch up."""
+    if last is None or limits.is_played:
+        return None
+    device_ns = (frame.timestamp_us - last.timestamp_us) * NS_PER_US
+    ahead_ms = (device_ns - (frame.received_ns - last.received_ns)) / NS_PER_MS
+    if ahead_ms <= limits.max_clock_jump_ms:
+        return None
+    return fault(HoldReason.CLOCK_JUMPED, f"the device's clock went {ahead_ms:.0f} ms further than the host's")
+
+
 def _refuse_late(last: LastFrame | None, frame: Measurement, now_ns: int, limits: GateLimits) -> Verdict | None:
     age_ms = (now_ns - frame.received_ns) / NS_PER_MS
     if age_ms > limits.max_silence_ms:
         return fault(HoldReason.FRAME_STALE, f"the newest frame is {age_ms:.0f} ms old")
+    lag_ms = (_lag_ns(frame) - _least_lag_ns(last, frame)) / NS_PER_MS
+    latency_ms = limits.camera_latency_ms + (0.0 if limits.is_played else lag_ms) + age_ms
+    if latency_ms > limits.max_latency_ms:
+        return fault(HoldReason.LATENCY_HIGH, too_slow(latency_ms, limits))
     if age_ms > limits.max_frame_age_ms:
         return unusable(HoldReason.FRAME_LATE, f"decided {age_ms:.0f} ms after it came")
-    lag_ms = (_lag_ns(frame) - _least_lag_ns(last, frame)) / NS_PER_MS
     if lag_ms > limits.max_lag_ms and not limits.is_played:
         return unusable(HoldReason.FRAME_LATE, f"came {lag_ms:.0f} ms later than the promptest frame")
     return None

@@ -31,6 +31,21 @@ DESCRIPTION = SourceDescription(
     kind="script", name="test", depth_size=(6, 4), color_size=(6, 4), fps=29.97, is_live=False
 )
 T = TypeVar("T")
+
+
+def depth_picture(index: int) -> np.ndarray:
+    """A picture unlike the one before it, as a real sensor's always is."""
+    picture = DEPTH.copy()
+    picture[0, 0] += index % 100
+    return picture
+
+
+def color_picture(index: int) -> np.ndarray:
+    picture = COLOR.copy()
+    picture[0, 0] += index % 100
+    return picture
+
+
 Step = Callable[["ScriptedSource", float], RgbdFrame]
 
 
@@ -68,8 +83,8 @@ class ScriptedSource:
             timestamp_us=self.clock.now_ns() // 1_000,
             color_timestamp_us=self.clock.now_ns() // 1_000,
             received_ns=self.clock.now_ns(),
-            depth_mm=DEPTH,
-            color=COLOR,
+            depth_mm=depth_picture(index),
+            color=color_picture(index),
         )
 
 

@@ -2,15 +2,13 @@
 
 import threading
 
-import numpy as np
-
 from engine.capture.source import SourceDescription
 from engine.clock import NS_PER_S, Clock
 from engine.frames import RgbdFrame
 from engine.limits import GateLimits
 from engine.windows import amplitude_window
 from tests.gate.constructed import PERIOD_NS
-from tests.loop.fakes import COLOR, DEPTH, DESCRIPTION
+from tests.loop.fakes import DESCRIPTION, color_picture, depth_picture
 
 PATIENT_LIMITS = GateLimits(
     window=amplitude_window(lower_mm=-1.0, upper_mm=3.0),
@@ -54,8 +52,8 @@ class PacedSource:
             timestamp_us=1_000 + due_ns // 1_000,
             color_timestamp_us=1_000 + due_ns // 1_000,
             received_ns=self._clock.now_ns(),
-            depth_mm=np.array(DEPTH),
-            color=np.array(COLOR),
+            depth_mm=depth_picture(index),
+            color=color_picture(index),
         )
 
     def close(self) -> None:

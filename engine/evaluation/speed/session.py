@@ -54,7 +54,9 @@ class Recording:
     @property
     def limits(self) -> GateLimits:
         """The gate's: as they are by default at 30 frames a second, and as patient with a slower recording."""
-        return GateLimits(window=WINDOW, max_gap_ms=1000.0 * LONGEST_GAP_PERIODS / self.fps, is_played=True)
+        longest_gap_ms = 1000.0 * LONGEST_GAP_PERIODS / self.fps
+        min_fps = max(min(20.0, self.fps / LONGEST_GAP_PERIODS), 5.0)
+        return GateLimits(window=WINDOW, max_gap_ms=longest_gap_ms, min_fps=min_fps, is_played=True)
 
 
 class EndlessSource:
