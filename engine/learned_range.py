@@ -12,10 +12,12 @@ import numpy as np
 from engine.active_model import ActiveModel, Reference
 from engine.breath import GateSignal, SignalChoice
 from engine.frames import FloatArray
+from engine.stages.roi import NODE_COLUMNS
 from engine.stages.surface import vertices_mm
 from engine.windows import LearnedRange, Ranges
 
 PERCENTILES = (5.0, 95.0)
+MIN_SEEN_SHARE = 0.5
 
 
 def learned_ranges(active: ActiveModel, reference: Reference, choices: Iterable[SignalChoice]) -> Ranges:
@@ -44,11 +46,22 @@ def _signal(choice: SignalChoice, active: ActiveModel, reference: Reference, coe
 
 
 def _volumes_l(active: ActiveModel, reference: Reference, coefficients: FloatArray) -> FloatArray:
-    surface = active.model.surface_mm
-    if surface is None or not np.isfinite(surface).all():
+    rays = None if active.model.surface_mm is None else _rays(active.model.surface_mm)
+    if rays is None:
         return np.full(len(coefficients), np.nan)
-    rays = surface[:, :2] / surface[:, 2:]
     return np.array([reference.volume_above_l(vertices_mm(rays, active.node_depth_mm(one))) for one in coefficients])
+
+
+def _rays(surface_mm: FloatArray) -> FloatArray | None:
+    """Return the depth camera's rays (x/z, y/z) at the nodes; unseen ones lie as the others do."""
+    rows, columns = np.divmod(np.arange(len(surface_mm)), NODE_COLUMNS)
+    is_seen = np.asarray(np.isfinite(surface_mm).all(axis=1))
+    if is_seen.sum() < MIN_SEEN_SHARE * len(surface_mm):
+        return None
+    rays = surface_mm[:, :2] / surface_mm[:, 2:]
+    place = np.column_stack([np.ones(len(rows)), rows, columns, rows * columns])
+    plane, *_ = np.linalg.lstsq(place[is_seen], rays[is_seen], rcond=None)
+    return np.where(is_seen[:, None], rays, place @ plane)
 
 
 def _position(choice: SignalChoice, active: ActiveModel) -> int | None:

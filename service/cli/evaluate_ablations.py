@@ -6,11 +6,10 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import Progress, TaskID
 
 from engine.errors import TidegateError
 from service.cli.evaluate_bench import PIPED_WIDTH, rich_table
-from service.cli.terminal import NoBar, frame_bar, refused, say
+from service.cli.terminal import advance, frame_bar, refused, say
 
 
 def ablations(
@@ -29,7 +28,7 @@ def ablations(
             for run in planned:
                 task = bar.add_task(f"{run.name}, {run.scenario}", total=run.frames)
                 folder = (work or out / "work") / run.name
-                found.append(ablate(run, folder, partial(_advance, bar, task)))
+                found.append(ablate(run, folder, partial(advance, bar, task)))
         shown = table(found)
         out.mkdir(parents=True, exist_ok=True)
         unfinished = out / "ablations.csv.partial"
@@ -42,7 +41,3 @@ def ablations(
     console = Console()
     (console if console.is_terminal else Console(width=PIPED_WIDTH)).print(rich_table(shown))
     say(f"Written to {out / 'ablations.csv'}")
-
-
-def _advance(bar: "Progress | NoBar", task: TaskID, done: int) -> None:
-    bar.update(task, completed=done)

@@ -61,3 +61,8 @@ def frame_bar() -> AbstractContextManager["Progress | NoBar"]:
         console=Console(stderr=True),
         transient=True,
     )
+
+
+def advance(bar: "Progress | NoBar", task: "TaskID", done: int) -> None:
+    """Show how many frames are done."""
+    bar.update(task, completed=done)
