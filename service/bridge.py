@@ -21,6 +21,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from engine.errors import TidegateError
+from engine.frames import Measurement
 from engine.live import FrameRecord, GateTransition, LoopStatus
 from engine.model import MotionModel
 from engine.model_file import header_text
@@ -38,6 +39,7 @@ from service.live_view import known
 from service.model_store import ModelStore
 from service.ports import RunningEngine
 from service.session_regions import named_bytes
+from service.tallies import Tallies
 
 logger = logging.getLogger(__name__)
 
@@ -86,6 +88,7 @@ class SessionWriter(threading.Thread):
         database: Database,
         models: ModelStore,
         settings: WriterSettings,
+        tallies: Tallies,
         on_over: Callable[[], None],
     ) -> None:
         super().__init__(name="tidegate-writer", daemon=True)
@@ -95,6 +98,7 @@ class SessionWriter(threading.Thread):
         self._database = database
         self._models = models
         self._settings = settings
+        self._tallies = tallies
         self._on_over = on_over
         self._anchor = TimeAnchor.now()
         self._transitions: list[GateTransition] = []
@@ -187,6 +191,9 @@ class SessionWriter(threading.Thread):
                 db.execute(insert(SampleRow), [sample_values(self._session_id, record) for record in self._samples])
         for record in self._samples:
             self.figures.add(record)
+            self._tallies.frame(record)
+        for transition in self._transitions:
+            self._tallies.transition(transition)
         self.figures.transitions += len(self._transitions)
         self._transitions.clear()
         self._samples.clear()
@@ -267,6 +274,8 @@ def transition_event(session_id: str, transition: GateTransition) -> Event:
             "received_ns": transition.received_ns,
             "decided_ns": transition.decided_ns,
             "asserted_ns": transition.asserted_ns,
+            "captured_ns": transition.captured_ns,
+            "latency_ms": transition.latency_ms,
         },
     )
 
@@ -311,7 +320,14 @@ def sample_values(session_id: str, record: FrameRecord) -> dict[str, object]:
         "region_rows": None if regions is None else regions.shape[0],
         "regions_mm": None if regions is None else regions.astype("<f4").tobytes(),
         "named_mm": named_bytes(motion),
+        "captured_ns": record.captured_ns,
+        "phase_percent": _phase_percent(measurement),
     }
+
+
+def _phase_percent(measurement: Measurement) -> float | None:
+    """Return the phase of the first signal whose breath is followed, which is the first one gated on."""
+    return known(measurement.breaths[0].phase_percent) if measurement.breaths else None
 
 
 def _record_model(db: Session, session_id: str, sha256: str, model: MotionModel) -> str:

@@ -21,6 +21,7 @@ class Services:
     models: ports.ModelsPort
     audit: ports.AuditPort
     health: ports.HealthPort
+    metrics: ports.MetricsPort
     engine: ports.EnginePort
 
 

@@ -186,6 +186,10 @@ class LoopEngine:
         """Ask."""
         return self._loop.submit(command)
 
+    def note_presence(self, operator: str) -> None:
+        """Hear that a person's page is still looked at."""
+        self._loop.note_presence(operator)
+
     def report_fault(self, reason: HoldReason, detail: str) -> None:
         """Hold the beam because something around the engine failed."""
         self._loop.report_fault(reason, detail)

@@ -14,6 +14,7 @@ from service.audit_log import AuditLog
 from service.calibrations import CalibrationShelf
 from service.db.engine import Database
 from service.deps import Services
+from service.metrics import Metrics
 from service.model_store import ModelStore
 from service.motion_models import ModelShelf
 from service.ports import EnginePort
@@ -22,6 +23,7 @@ from service.room import Room
 from service.runner import SessionRunner
 from service.sessions import SessionBook
 from service.settings import Settings
+from service.tallies import Tallies
 from service.ws.live import LiveStream
 
 DATABASE_NAME = "tidegate.db"
@@ -68,11 +70,18 @@ def _open(settings: Settings, engine: EnginePort) -> _House:
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     database = Database(settings.data_dir / DATABASE_NAME)
     database.migrate()
-    log, room = AuditLog(database), Room()
+    log, room, tallies = AuditLog(database), Room(), Tallies()
     models = ModelStore(settings.data_dir / MODELS_FOLDER)
     book = SessionBook(database, log, settings, room, engine)
     runner = SessionRunner(
-        engine=engine, database=database, log=log, book=book, models=models, room=room, settings=settings
+        engine=engine,
+        database=database,
+        log=log,
+        book=book,
+        models=models,
+        room=room,
+        settings=settings,
+        tallies=tallies,
     )
     services = Services(
         sessions=book,
@@ -81,6 +90,7 @@ def _open(settings: Settings, engine: EnginePort) -> _House:
         models=ModelShelf(database, room),
         audit=log,
         health=ReadinessProbe(database, settings),
+        metrics=Metrics(tallies, room),
         engine=engine,
     )
     log.write(Event(actor=SYSTEM, action="service.start", detail=_start_detail(settings, engine)))

@@ -84,7 +84,7 @@ class LiveCondition(Message):
     from_percent: float | None = None
     to_percent: float | None = None
     min_confidence: float | None = None
-    is_inside: bool = Field(description="Whether the newest trusted frame met it")
+    is_inside: bool = Field(description="Whether the newest frame meets it")
     stage: HoldStageName | None = Field(default=None, description="Of a breath hold")
 
 
@@ -102,11 +102,51 @@ class LiveWindow(Message):
 
 
 class LiveLatency(Message):
-    """From the frame in our hands to the beam line told [ms]."""
+    """From the camera taking the frame to the beam line read back [ms]."""
 
     last: float | None
     p50: float | None
     p99: float | None
+    max: float | None = Field(default=None, description="Of the whole session")
+    warned: bool = Field(default=False, description="The last frame took longer than the site wants to be warned of")
+
+
+class LiveBreathEvent(Message):
+    """Something in the breathing that is no quiet breath, and is under way."""
+
+    kind: Literal["cough", "sigh", "apnoea", "talking", "irregular", "drift"]
+    confidence: float = Field(description="0 to 1")
+    since_s: float
+    detail: str
+
+
+class LiveBreath(Message):
+    """Where the first gated signal stands in the breath; what cannot be told is null."""
+
+    signal: str = Field(description="The signal, named for a person")
+    unit: Literal["mm", "l"] = Field(description="Of amplitude, baseline and drift")
+    phase_percent: float | None = Field(description="0 at the end of inhale, about 50 at the end of exhale")
+    phase_confidence: float = Field(description="0 to 1")
+    note: str = Field(description="Why there is no phase; empty when there is one")
+    rate_per_min: float | None
+    rate_confidence: float
+    amplitude: float | None
+    baseline: float | None = Field(description="Level of the end of exhale, of the last breaths")
+    drift: float | None = Field(description="How far the baseline is from where it was learned")
+    drift_per_s: float | None
+    regularity: float | None = Field(description="How much a breath is like those before it, 0 to 1")
+    events: list[LiveBreathEvent]
+
+
+class LiveBreathHold(Message):
+    """Where the breath hold of the window stands."""
+
+    hold: Literal["inspiration", "expiration"]
+    stage: HoldStageName
+    count: int = Field(description="Breath holds since the gate was armed")
+    seconds: float | None = Field(description="Since this stage began; null while the hold is awaited")
+    settle_s: float
+    timeout_s: float
 
 
 class LiveLag(Message):
@@ -141,8 +181,12 @@ class Sample(Message):
     gate: Literal["disarmed", "hold", "dwell", "beam_on", "fault"]
     hold_reason: str | None
     hold_text: str | None
+    hold_detail: str = Field(default="", description="More about why, with figures")
+    operator_hold: str | None = Field(default=None, description="Who holds the beam by hand")
     line_on: bool
-    window: LiveWindow
+    window: LiveWindow = Field(description="As the gate judges by it: settled in mm or l, and corrected")
+    breath: LiveBreath | None = Field(default=None, description="null while nothing is measured")
+    breath_hold: LiveBreathHold | None = Field(default=None, description="null where the window has none")
     signal_mm: float | None
     whole_mm: float | None
     thorax_mm: float | None

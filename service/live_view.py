@@ -7,10 +7,10 @@ from engine.frames import Measurement, Motion, PhaseLag
 from engine.likeness import Likeness
 from engine.live import LiveView, LoopStatus
 from service import schemas
+from service.breath_view import live_breath, live_breath_hold
 from service.hold_texts import hold_text
 from service.live_messages import LiveLag, LiveLatency, LiveLost, LiveTraining, Sample
 from service.ports import SessionPlan
-from service.site_limits import gate_window
 from service.uncalibrated import kind_of
 from service.window_view import live_window
 
@@ -50,8 +50,12 @@ def live_sample(view: LiveView, plan: SessionPlan, *, is_stopping: bool, is_simu
         gate=record.gate_state.value,
         hold_reason=None if record.hold_reason is None else record.hold_reason.value,
         hold_text=hold_text(record.hold_reason),
+        hold_detail="" if record.hold_reason is None else view.detail,
+        operator_hold=view.operator_hold,
         line_on=record.line_on,
-        window=live_window(gate_window(plan.window, plan.regions)),
+        window=live_window(view.window, view.conditions, measurement),
+        breath=live_breath(view),
+        breath_hold=live_breath_hold(view),
         signal_mm=_rounded(record.signal_mm),
         whole_mm=None if motion is None else _rounded(motion.whole_mm),
         thorax_mm=None if motion is None else _rounded(motion.thorax_mm),
@@ -70,7 +74,11 @@ def live_sample(view: LiveView, plan: SessionPlan, *, is_stopping: bool, is_simu
         frames=view.frames,
         missed_frames=view.missed_frames,
         latency_ms=LiveLatency(
-            last=_rounded(view.latency.last_ms), p50=_rounded(view.latency.p50_ms), p99=_rounded(view.latency.p99_ms)
+            last=_rounded(view.latency.last_ms),
+            p50=_rounded(view.latency.p50_ms),
+            p99=_rounded(view.latency.p99_ms),
+            max=_rounded(view.latency.max_ms),
+            warned=view.latency.is_warned,
         ),
     )
 
@@ -83,6 +91,8 @@ def gate_view(view: LiveView) -> schemas.GateView:
         is_armed=view.is_armed,
         hold_reason=None if record.hold_reason is None else record.hold_reason.value,
         hold_text=hold_text(record.hold_reason),
+        hold_detail="" if record.hold_reason is None else view.detail,
+        operator_hold=view.operator_hold,
         line_on=record.line_on,
     )
 

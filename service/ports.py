@@ -19,10 +19,11 @@ from engine.model import MotionModel
 from engine.notices import LearningNotice
 from engine.permits import HoldReason
 from service import schemas
+from service.gate_schemas import BaselineCorrectionRequest, InterlockList
 from service.live_messages import Sample
 from service.window_schemas import Window
 
-CommandName = Literal["arm", "disarm", "reference", "acknowledge"]
+CommandName = Literal["arm", "disarm", "reference", "acknowledge", "hold", "release"]
 AnswerT = TypeVar("AnswerT")
 
 
@@ -109,6 +110,9 @@ class RunningEngine(Protocol):
     def submit(self, command: Command) -> "Future[None]":
         """Ask; raise CommandRefusedError at once when too much is being asked already."""
 
+    def note_presence(self, operator: str) -> None:
+        """Hear that a person's page is still looked at; never waits."""
+
     def report_fault(self, reason: HoldReason, detail: str) -> None:
         """Fault the gate because something around the engine failed; ``reason`` must be one that latches."""
 
@@ -173,6 +177,12 @@ class RunnerPort(Protocol):
     def activate(self, model_id: str, operator: str) -> schemas.SessionDetail:
         """Measure with a stored model of the running session."""
 
+    def correct_baseline(self, session_id: str, request: BaselineCorrectionRequest) -> schemas.SessionDetail:
+        """Move the window by a drift that a person saw and confirms; disarms."""
+
+    def note_presence(self, session_id: str, operator: str) -> None:
+        """Hear that a person's page is still looked at."""
+
     def picture(self, session_id: str) -> Picture:
         """Encode the newest colour frame."""
 
@@ -226,6 +236,20 @@ class AuditPort(Protocol):
 
     def refused(self, *, actor: str, action: str, session_id: str | None, problem: schemas.Problem) -> None:
         """Write down a call that was refused before anyone acted on it."""
+
+
+class InterlocksPort(Protocol):
+    """The reasons to hold a beam, with this site's bounds."""
+
+    def interlocks(self) -> InterlockList:
+        """List them."""
+
+
+class MetricsPort(Protocol):
+    """What a monitoring system reads."""
+
+    def text(self) -> bytes:
+        """Write the metrics in the text format of Prometheus."""
 
 
 class HealthPort(Protocol):

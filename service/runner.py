@@ -17,7 +17,19 @@ import cv2
 from sqlalchemy.orm import Session
 
 from engine.calibration import parse_calibration
-from engine.commands import Acknowledge, ActivateModel, ApplyModel, Arm, Command, Disarm, Retrain, SetReference
+from engine.commands import (
+    Acknowledge,
+    ActivateModel,
+    ApplyModel,
+    Arm,
+    Command,
+    CorrectBaseline,
+    Disarm,
+    HoldBeam,
+    ReleaseBeam,
+    Retrain,
+    SetReference,
+)
 from engine.errors import TidegateError
 from engine.live import LiveView, LoopStatus
 from engine.model import MotionModel
@@ -25,18 +37,21 @@ from engine.provenance import check_patient
 from service import audit, schemas
 from service.audit import Event
 from service.audit_log import AuditLog
+from service.baseline import check_correction, correction_detail, moved_window
 from service.bridge import SessionWriter, WriterSettings
 from service.db import repository
 from service.db.engine import Database
 from service.errors import EngineTimeoutError, PictureMissingError, SessionActiveError, SessionStateError, StartError
+from service.gate_schemas import BaselineCorrectionRequest
 from service.live_view import live_sample
 from service.model_store import ModelStore, origin_of
-from service.ports import CommandName, EnginePort, LiveFrame, Picture, SessionPlan
+from service.ports import CommandName, EnginePort, LiveFrame, Picture, RunningEngine, SessionPlan
 from service.recordings import find_recording
 from service.room import Room, Running
 from service.sessions import SOURCE, SessionBook, session_answer
 from service.settings import Settings
 from service.surface_view import mesh_answer
+from service.tallies import Tallies
 from service.uncalibrated import described
 from service.window_schemas import Window
 
@@ -45,7 +60,12 @@ COMMANDS: dict[CommandName, Callable[[str], Command]] = {
     "disarm": lambda operator: Disarm(operator=operator),
     "reference": lambda operator: SetReference(operator=operator),
     "acknowledge": lambda operator: Acknowledge(operator=operator),
+    "hold": lambda operator: HoldBeam(operator=operator),
+    "release": lambda operator: ReleaseBeam(operator=operator),
 }
+TAKES_PERMISSION_AWAY = (Disarm, HoldBeam)
+"""Done first and written down after; all else is written down first."""
+
 WRITER_BUSY_TIMEOUT_S = 0.5
 WRITER_JOIN_S = 10.0
 START_TIMEOUT_S = 5.0
@@ -67,6 +87,7 @@ class SessionRunner:
         models: ModelStore,
         room: Room,
         settings: Settings,
+        tallies: Tallies,
     ) -> None:
         self._engine = engine
         self._database = database
@@ -77,6 +98,7 @@ class SessionRunner:
         self._models = models
         self._room = room
         self._settings = settings
+        self._tallies = tallies
         # A stop that comes while a session starts waits for it, and then finds it.
         self._coming_and_going = threading.Lock()
         self._newest: tuple[LiveView, LiveFrame] | None = None
@@ -118,6 +140,23 @@ class SessionRunner:
         detail: dict[str, object] = {"model_id": model_id, "sha256": sha256}
         self._ask(session_id, ActivateModel(operator=operator, model=model), operator, action, detail)
         return self._book.detail(session_id)
+
+    def correct_baseline(self, session_id: str, request: BaselineCorrectionRequest) -> schemas.SessionDetail:
+        """Move the window by a drift that a person saw and confirms; disarms."""
+        action = "session.baseline_correction"
+        running = self._room.of(session_id)
+        before = None if running is None else running.engine.latest
+        detail = correction_detail(request, before)
+        if running is not None:
+            with self._log.refusals(actor=request.operator, action=action, session_id=session_id, detail=detail):
+                check_correction(request, before, self._settings)
+        command = CorrectBaseline(operator=request.operator, by=request.by)
+        self._ask(session_id, command, request.operator, action, detail, after=lambda now: moved_window(now, before))
+        return self._book.detail(session_id)
+
+    def note_presence(self, session_id: str, operator: str) -> None:
+        """Hear that a person's page is still looked at; every second, so it is not audited."""
+        self._running(session_id).engine.note_presence(operator)
 
     def stop(self, session_id: str, operator: str) -> schemas.Session:
         """Hold the beam, end the engine, close the session; never refused while there is something to stop."""
@@ -242,6 +281,7 @@ class SessionRunner:
                 sample_batch_s=self._settings.sample_batch_ms / 1000,
                 min_free_disk_bytes=self._settings.min_free_disk_mb * MIB,
             ),
+            tallies=self._tallies,
             on_over=lambda: self._room.leave(plan.session_id),
         )
         running = Running(plan=plan, engine=engine, writer=writer)
@@ -263,15 +303,18 @@ class SessionRunner:
         operator: str,
         action: str,
         detail: dict[str, object] | None = None,
+        *,
+        after: Callable[[RunningEngine], dict[str, object]] | None = None,
     ) -> None:
-        """Put a command to the engine and write down who asked, before and after."""
+        """Put a command to the engine and write down who asked, before and after; ``after`` finds what came of it."""
         done = Event(actor=operator, action=action, session_id=session_id, detail=detail or {})
         with self._log.refusals(actor=operator, action=action, session_id=session_id, detail=detail):
             running = self._running(session_id)
-            if not isinstance(command, Disarm):
+            if not isinstance(command, TAKES_PERMISSION_AWAY):
                 self._log.write(replace(done, outcome="requested"))
             self._await(running, command)
-        self._log.write(done)
+        found = {} if after is None else after(running.engine)
+        self._log.write(replace(done, detail={**done.detail, **found}))
 
     def _await(self, running: Running, command: Command) -> None:
         future = running.engine.submit(command)

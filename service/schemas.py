@@ -11,6 +11,7 @@ from pydantic import AwareDatetime, ConfigDict, Field, StringConstraints, model_
 from engine.errors import InvalidValueError
 from engine.polygons import MAX_REGIONS, MAX_VERTICES, MIN_VERTICES, NAME_PATTERN, NamedRegion
 from engine.stages.regions import MIN_PART_ROWS
+from service.live_messages import LiveBreath, LiveBreathHold, LiveWindow
 from service.schema_base import Answer, Identifier, Name, Request, SourceText, broken
 from service.window_schemas import Window
 
@@ -187,6 +188,8 @@ class GateView(Answer):
     is_armed: bool
     hold_reason: str | None
     hold_text: str | None
+    hold_detail: str = Field(default="", description="More about why, with figures")
+    operator_hold: str | None = Field(default=None, description="Who holds the beam by hand")
     line_on: bool
 
 
@@ -216,10 +219,11 @@ class LikenessView(Answer):
 
 
 class LatencyView(Answer):
-    """From the frame in our hands to the beam line told [ms]."""
+    """From the camera taking a frame to the beam line read back [ms]."""
 
     p50_ms: float | None
     p99_ms: float | None
+    max_ms: float | None = None
 
 
 class Summary(Answer):
@@ -269,6 +273,11 @@ class SessionDetail(Session):
     has_reference: bool | None = Field(
         default=None, description="Whether motion has a zero to arm with; null unless running"
     )
+    gate_window: LiveWindow | None = Field(
+        default=None, description="As the gate judges by it: settled in mm or l, and corrected; null unless running"
+    )
+    breath: LiveBreath | None = Field(default=None, description="null while nothing is measured")
+    breath_hold: LiveBreathHold | None = Field(default=None, description="null where the window has none")
     likeness: LikenessView | None = Field(
         default=None, description="null without a stored model, and until the patient was looked at for long enough"
     )
@@ -370,9 +379,13 @@ class Transition(Answer):
     operator: str | None
     detail: str
     captured_us: int | None
+    captured_ns: int | None = Field(default=None, description="The frame's capture on the host's clock")
     received_ns: int | None
     decided_ns: int | None
     asserted_ns: int | None
+    latency_ms: float | None = Field(
+        default=None, description="From capture to the line read back; null where no frame was the cause"
+    )
 
 
 class TransitionPage(Answer):

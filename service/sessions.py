@@ -16,6 +16,7 @@ from engine.live import LiveView
 from service import audit, schemas
 from service.audit import SYSTEM, Event
 from service.audit_log import AuditLog
+from service.breath_view import live_breath, live_breath_hold
 from service.calibrations import kept_row
 from service.db import repository
 from service.db.engine import Database
@@ -32,11 +33,12 @@ from service.settings import Settings
 from service.site_limits import check_window, gate_limits
 from service.uncalibrated import check_allowed, described, kind_of, warning_of
 from service.window_schemas import Window
+from service.window_view import live_window
 
 ACTION = "session.create"
 CSV_COLUMNS = (
     *("frame_index", "timestamp_us", "state", "whole_mm", "thorax_mm", "abdomen_mm", "volume_l", "gate", "hold_reason"),
-    *("received_ns", "decided_ns", "asserted_ns"),
+    *("received_ns", "decided_ns", "asserted_ns", "captured_ns", "phase_percent"),
 )
 SOURCE: TypeAdapter[schemas.RecordingSource | schemas.DeviceSource] = TypeAdapter(schemas.Source)
 
@@ -102,6 +104,9 @@ class SessionBook:
             active_model_id=None if running is None else running.writer.active_model_id,
             has_reference=None if running is None else running.engine.has_reference,
             likeness=None if running is None else likeness_view(running.engine.likeness),
+            gate_window=None if view is None else live_window(view.window, view.conditions, view.record.measurement),
+            breath=None if view is None else live_breath(view),
+            breath_hold=None if view is None else live_breath_hold(view),
             summary=_summary(running, view, stored),
         )
 
@@ -209,7 +214,10 @@ def _summary(running: Running | None, view: LiveView | None, stored: str | None)
     figures = Figures() if running is None else running.writer.figures
     if view is None:
         return figures.summary(schemas.LatencyView(p50_ms=None, p99_ms=None))
-    return figures.summary(schemas.LatencyView(p50_ms=known(view.latency.p50_ms), p99_ms=known(view.latency.p99_ms)))
+    latency = schemas.LatencyView(
+        p50_ms=known(view.latency.p50_ms), p99_ms=known(view.latency.p99_ms), max_ms=known(view.latency.max_ms)
+    )
+    return figures.summary(latency)
 
 
 def _refuse_other_model(db: Session, request: schemas.SessionRequest, calibration: CalibrationRow) -> None:

@@ -1,6 +1,7 @@
 """The window as the gate judges by it, in the words of the live stream: edges in mm or l, moved and settled."""
 
 from engine.breath import SignalChoice
+from engine.frames import Measurement
 from engine.windows import (
     AmplitudeWindow,
     BreathHoldWindow,
@@ -9,6 +10,7 @@ from engine.windows import (
     GateWindow,
     JoinedWindow,
     PhaseWindow,
+    Sight,
     Unit,
     at_rest,
 )
@@ -17,10 +19,15 @@ from service.live_messages import LiveCondition, LiveWindow
 DIGITS = 4
 
 
-def live_window(window: GateWindow, states: tuple[ConditionState, ...] = ()) -> LiveWindow:
-    """Tell the window, condition by condition, with where each stands."""
+def live_window(
+    window: GateWindow, states: tuple[ConditionState, ...] = (), measurement: Measurement | None = None
+) -> LiveWindow:
+    """Tell the window, condition by condition, with whether the frame meets each."""
     kept = states if len(states) == len(window.leaves) else at_rest(window)
-    conditions = [_condition(leaf, state) for leaf, state in zip(window.leaves, kept, strict=True)]
+    conditions = [
+        _condition(leaf, state, is_inside=_is_inside(leaf, state, measurement))
+        for leaf, state in zip(window.leaves, kept, strict=True)
+    ]
     first = conditions[0]
     in_mm = first.unit == "mm"
     return LiveWindow(
@@ -35,7 +42,15 @@ def live_window(window: GateWindow, states: tuple[ConditionState, ...] = ()) -> 
     )
 
 
-def _condition(leaf: Condition, state: ConditionState) -> LiveCondition:
+def _is_inside(leaf: Condition, state: ConditionState, measurement: Measurement | None) -> bool:
+    """Judge the frame once more, by one condition: the gate forgets who was inside where not all were."""
+    if measurement is None or measurement.motion is None:
+        return False
+    sight = Sight(measurement.motion, measurement.breaths, measurement.timestamp_us)
+    return leaf.judge(sight, (state,)).is_inside
+
+
+def _condition(leaf: Condition, state: ConditionState, *, is_inside: bool) -> LiveCondition:
     match leaf:
         case PhaseWindow():
             return LiveCondition(
@@ -44,7 +59,7 @@ def _condition(leaf: Condition, state: ConditionState) -> LiveCondition:
                 from_percent=leaf.from_percent,
                 to_percent=leaf.to_percent,
                 min_confidence=leaf.min_confidence,
-                is_inside=state.is_inside,
+                is_inside=is_inside,
             )
         case BreathHoldWindow():
             return LiveCondition(
@@ -56,10 +71,10 @@ def _condition(leaf: Condition, state: ConditionState) -> LiveCondition:
                 still=leaf.still,
                 max_drift=leaf.max_drift,
                 timeout_s=leaf.timeout_s,
-                is_inside=state.is_inside,
+                is_inside=is_inside,
                 stage=state.stage.value,
             )
-    return LiveCondition(kind="amplitude", **_place(leaf.choice), **_edges(leaf), is_inside=state.is_inside)
+    return LiveCondition(kind="amplitude", **_place(leaf.choice), **_edges(leaf), is_inside=is_inside)
 
 
 def _place(choice: SignalChoice) -> dict[str, object]:

@@ -5,6 +5,7 @@ from fastapi.responses import StreamingResponse
 
 from service import deps, schemas
 from service.api import problems
+from service.gate_schemas import BaselineCorrectionRequest
 
 router = APIRouter(prefix="/sessions", tags=["sessions"])
 READ = problems(404, 422, 503)
@@ -75,6 +76,36 @@ def acknowledge_fault(
 ) -> schemas.SessionDetail:
     """Say that a person has seen the latched fault; the gate goes back to disarmed."""
     return services.runner.command(session_id, "acknowledge", request.operator)
+
+
+@router.post("/{session_id}/hold", name="session.hold", responses=ACT)
+def hold_beam(
+    session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
+) -> schemas.SessionDetail:
+    """Hold the beam until somebody releases it; the session stays armed. Never refused while it runs."""
+    return services.runner.command(session_id, "hold", request.operator)
+
+
+@router.post("/{session_id}/release", name="session.release", responses=ACT)
+def release_beam(
+    session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
+) -> schemas.SessionDetail:
+    """Let the gate decide again, after a full dwell; refused when nobody holds."""
+    return services.runner.command(session_id, "release", request.operator)
+
+
+@router.post("/{session_id}/presence", status_code=204, responses=ACT)
+def note_presence(session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered) -> None:
+    """Say that the page of this person is still looked at; where the site asks for it, silence holds the beam."""
+    services.runner.note_presence(session_id, request.operator)
+
+
+@router.post("/{session_id}/baseline-correction", name="session.baseline_correction", responses=ACT)
+def correct_baseline(
+    session_id: deps.SessionId, request: BaselineCorrectionRequest, services: deps.Offered
+) -> schemas.SessionDetail:
+    """Move the window by a drift of the baseline that a person saw and confirms; disarms."""
+    return services.runner.correct_baseline(session_id, request)
 
 
 @router.post("/{session_id}/stop", name="session.stop", responses=ACT)

@@ -79,6 +79,8 @@ class SampleRow(Base):
     region_rows: Mapped[int | None]
     regions_mm: Mapped[bytes | None] = mapped_column(LargeBinary)
     named_mm: Mapped[bytes | None] = mapped_column(LargeBinary)
+    captured_ns: Mapped[int | None]
+    phase_percent: Mapped[float | None]
 
 
 class ModelRow(Base):

@@ -112,7 +112,9 @@ def summary(db: Session, session_id: str) -> schemas.Summary:
         duty_cycle=_count(db, is_armed & SampleRow.line_on) / armed if armed else None,
         transitions=db.scalar(transitions) or 0,
         latency=schemas.LatencyView(
-            p50_ms=_latency_ms(db, session_id, frames, 0.50), p99_ms=_latency_ms(db, session_id, frames, 0.99)
+            p50_ms=_latency_ms(db, session_id, frames, 0.50),
+            p99_ms=_latency_ms(db, session_id, frames, 0.99),
+            max_ms=_latency_ms(db, session_id, frames, 1.0),
         ),
     )
 
@@ -130,7 +132,7 @@ def _count(db: Session, condition: ColumnElement[bool]) -> int:
 def _latency_ms(db: Session, session_id: str, frames: int, share: float) -> float | None:
     if frames == 0:
         return None
-    latency_ns = SampleRow.asserted_ns - SampleRow.received_ns
+    latency_ns = SampleRow.asserted_ns - func.coalesce(SampleRow.captured_ns, SampleRow.received_ns)
     query = select(latency_ns).where(SampleRow.session_id == session_id).order_by(latency_ns)
     value = db.scalar(query.offset(min(int(share * frames), frames - 1)).limit(1))
     return None if value is None else value / 1e6

@@ -3,13 +3,15 @@
 import queue
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
 from itertools import count
 
 import numpy as np
 
+from engine.breath import Breath
 from engine.calibration import Calibration, nominal_calibration
 from engine.capture.source import SourceDescription
-from engine.commands import Acknowledge, Arm, Command, Disarm
+from engine.commands import Acknowledge, Arm, Command, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam
 from engine.errors import CommandRefusedError, TidegateError
 from engine.frames import Lost, LostReason, Measurement, MeasurementState, Motion, Projection, TrainingProgress
 from engine.likeness import Likeness
@@ -17,7 +19,7 @@ from engine.live import FrameRecord, GateTransition, LatencySummary, LiveView, L
 from engine.model import MotionModel
 from engine.notices import LearningNotice
 from engine.permits import GateState, HoldReason
-from engine.windows import amplitude_window
+from engine.windows import ConditionState, GateWindow, amplitude_window
 from service import schemas
 from service.ports import SessionPlan
 
@@ -88,6 +90,12 @@ class FakeRunning:
         self.faults: list[HoldReason] = []
         self.refuse_with: TidegateError | None = None
         self.is_silent = False
+        self.present: list[str] = []
+        self.window: GateWindow = amplitude_window(lower_mm=-1.0, upper_mm=3.0, hysteresis_mm=0.2)
+        self.conditions: tuple[ConditionState, ...] = ()
+        self.breaths: tuple[Breath, ...] = ()
+        self.operator_hold: str | None = None
+        self.camera_ms: float | None = None
         self.gate = GateState.DISARMED
         self._index = count()
 
@@ -102,8 +110,23 @@ class FakeRunning:
         states = {Arm: GateState.HOLD, Disarm: GateState.DISARMED, Acknowledge: GateState.DISARMED}
         if type(command) in states:
             self.transition(states[type(command)], HoldReason.DISARMED, operator=command.operator)
+        self._obey(command)
         answer.set_result(None)
         return answer
+
+    def _obey(self, command: Command) -> None:
+        match command:
+            case HoldBeam():
+                self.operator_hold = command.operator
+            case ReleaseBeam():
+                self.operator_hold = None
+            case CorrectBaseline():
+                self.window = self.window.shifted(self.window.choices[0], command.by)
+                if self.latest is not None:
+                    self.latest = replace(self.latest, window=self.window)
+
+    def note_presence(self, operator: str) -> None:
+        self.present.append(operator)
 
     def report_fault(self, reason: HoldReason, detail: str) -> None:
         assert detail, "a fault says why"
@@ -122,6 +145,7 @@ class FakeRunning:
         index = next(self._index)
         received_ns = 1_000_000_000 + index * FRAME_NS
         measurement = make_measurement(index, whole_mm=whole_mm, received_ns=received_ns)
+        measurement = replace(measurement, breaths=self.breaths if whole_mm is not None else ())
         record = FrameRecord(
             measurement=measurement,
             gate_state=self.gate,
@@ -131,6 +155,7 @@ class FakeRunning:
             decided_ns=received_ns + 4_000_000,
             asserted_ns=received_ns + 5_000_000 + index * 1_000,
             line_on=line_on,
+            captured_ns=None if self.camera_ms is None else received_ns - int(self.camera_ms * 1e6),
         )
         self.samples.put_nowait(record)
         self.latest = LiveView(
@@ -140,7 +165,7 @@ class FakeRunning:
             missed_frames=0,
             dropped_records=0,
             fps=29.97,
-            latency=LatencySummary(last_ms=5.0, p50_ms=5.0, p99_ms=9.0),
+            latency=LatencySummary(last_ms=5.0, p50_ms=5.0, p99_ms=9.0, max_ms=31.0),
             is_armed=self.gate not in {GateState.DISARMED, GateState.FAULT},
             detail="",
             description=SourceDescription(
@@ -148,7 +173,10 @@ class FakeRunning:
             ),
             status=self.status,
             error=None,
-            window=amplitude_window(lower_mm=-1.0, upper_mm=3.0, hysteresis_mm=0.2),
+            window=self.window,
+            conditions=self.conditions,
+            operator_hold=self.operator_hold,
+            breath_holds=max((state.holds for state in self.conditions), default=0),
         )
         return record
 

@@ -185,6 +185,8 @@ def test_a_transition_is_audited_with_its_person_and_its_times(client, session_i
         "received_ns": 1_999_999_997,
         "decided_ns": 2_000_000_000,
         "asserted_ns": 2_000_000_003,
+        "captured_ns": None,
+        "latency_ms": None,
     }
 
 

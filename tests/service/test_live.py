@@ -16,7 +16,16 @@ from engine.frames import Markers, TrainingProgress
 from engine.permits import GateState, HoldReason
 from service.app import create_app
 from service.hold_texts import HOLD_TEXTS, hold_text
-from service.live_messages import LIVE_MESSAGE, Sample
+from service.live_messages import (
+    LIVE_MESSAGE,
+    LiveBreath,
+    LiveBreathEvent,
+    LiveBreathHold,
+    LiveCondition,
+    LiveLatency,
+    LiveWindow,
+    Sample,
+)
 from service.live_view import live_sample
 from service.ports import SessionPlan
 from service.schemas import RecordingSource, Window
@@ -25,6 +34,7 @@ from tests.service.conftest import WINDOW, act, make_calibration
 from tests.service.fakes import FakeRunning
 
 ROOT = Path(__file__).parents[2]
+PARTS = (LiveWindow, LiveCondition, LiveBreath, LiveBreathEvent, LiveBreathHold, LiveLatency)
 SCHEMA = Draft202012Validator(json.loads((ROOT / "openapi" / "live.schema.json").read_text()))
 
 
@@ -109,11 +119,8 @@ def test_a_sample_has_exactly_the_fields_of_the_architecture_page():
     text = (ROOT / "docs" / "architecture.md").read_text()
     block = text[text.index('{"type": "sample"') :]
     block = block[: block.index("```")]
-    assert set(re.findall(r'"([a-z0-9_]+)":', re.sub(r"//.*", "", block))) - {"last", "p50", "p99"} >= (
-        Sample.model_fields.keys()
-    )
-    for name in Sample.model_fields:
-        assert f'"{name}"' in block
+    shown = set(re.findall(r'"([a-z0-9_]+)":', re.sub(r"//.*", "", block)))
+    assert {name for part in (Sample, *PARTS) for name in part.model_fields} <= shown
 
 
 def test_what_could_not_be_measured_is_null(plan):
@@ -141,9 +148,20 @@ def test_regions_and_corners_go_out_in_order(plan):
     assert message["roi_px"] == corners.tolist()
     assert (len(message["regions_mm"]), len(message["regions_mm"][0])) == (14, 8)
     assert message["regions_mm"][0][:2] == [None, 1.5]
-    assert message["window"] == {name: value for name, value in WINDOW.items() if name != "dwell_ms"} | {
-        "row": None,
-        "column": None,
+    edges = {name: value for name, value in WINDOW.items() if name != "dwell_ms"}
+    assert edges.items() <= message["window"].items()
+    (condition,) = message["window"].pop("conditions")
+    assert message["window"] == edges | {"row": None, "column": None, "join": "and"}
+    told = {name: value for name, value in condition.items() if value is not None}
+    assert told == {
+        "kind": "amplitude",
+        "signal": "whole",
+        "label": "whole",
+        "unit": "mm",
+        "lower": -1.0,
+        "upper": 3.0,
+        "hysteresis": 0.2,
+        "is_inside": True,
     }
 
 

@@ -141,12 +141,14 @@ def test_a_running_session_shows_its_gate_and_figures(client, session_id, runnin
         "is_armed": True,
         "hold_reason": None,
         "hold_text": None,
+        "hold_detail": "",
+        "operator_hold": None,
         "line_on": True,
     }
     summary = detail["summary"]
     assert (summary["lost"], summary["missed_frames"], summary["transitions"]) == (1, 0, 2)
     assert summary["duty_cycle"] == pytest.approx(2 / 3)
-    assert summary["latency"] == {"p50_ms": 5.0, "p99_ms": 9.0}, "as the engine counts them"
+    assert summary["latency"] == {"p50_ms": 5.0, "p99_ms": 9.0, "max_ms": 31.0}, "as the engine counts them"
     act(client, session_id, "stop")
     closed = detail_of(client, session_id)["summary"]
     assert closed["latency"]["p50_ms"] == pytest.approx(5.002), "over all that was stored"
@@ -162,9 +164,9 @@ def test_the_samples_are_exported_with_nothing_where_nothing_was_measured(client
     answer = client.get(f"/api/v1/sessions/{session_id}/samples")
     assert answer.headers["content-type"].startswith("text/csv")
     assert answer.text.splitlines() == [
-        "frame_index,timestamp_us,state,whole_mm,thorax_mm,abdomen_mm,volume_l,gate,hold_reason,received_ns,decided_ns,asserted_ns",
-        "0,0,measuring,1.5,1.1,1.9,0.21,disarmed,disarmed,1000000000,1004000000,1005000000",
-        "1,33370,lost,,,,,disarmed,disarmed,1033370000,1037370000,1038371000",
+        "frame_index,timestamp_us,state,whole_mm,thorax_mm,abdomen_mm,volume_l,gate,hold_reason,received_ns,decided_ns,asserted_ns,captured_ns,phase_percent",
+        "0,0,measuring,1.5,1.1,1.9,0.21,disarmed,disarmed,1000000000,1004000000,1005000000,,",
+        "1,33370,lost,,,,,disarmed,disarmed,1033370000,1037370000,1038371000,,",
     ]
 
 

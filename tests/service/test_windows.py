@@ -23,6 +23,7 @@ from service.site_limits import breath_signals, check_window, gate_limits, gate_
 from service.window_schemas import Window
 from service.window_view import live_window
 from tests.service.conftest import WINDOW, make_session_body
+from tests.service.fakes import make_measurement
 
 URL = "/api/v1/sessions"
 MM = {"lower_mm": -1.0, "upper_mm": 3.0}
@@ -271,13 +272,21 @@ def test_the_live_window_is_the_one_the_gate_judges_by_and_says_where_each_condi
         {"lower_percent": 0, "upper_percent": 50, "further": [PHASE, HOLD | {"hold": "inspiration"}]}
     )
     settled = gate_window(told).resolved({SignalChoice(): LearnedRange(low=-1.0, high=9.0)})
-    states = (ConditionState(is_inside=True), ConditionState(), ConditionState(stage=HoldStage.SETTLING))
-    shown = live_window(settled, states)
+    states = (ConditionState(), ConditionState(), ConditionState(stage=HoldStage.SETTLING, since_us=33_370))
+    shown = live_window(settled, states, make_measurement(1, whole_mm=1.5))
     assert (shown.lower_mm, shown.upper_mm, shown.hysteresis_mm, shown.join) == (-1.0, 4.0, 0.2, "and")
     first, phase, hold = shown.conditions
     assert (first.unit, first.lower, first.upper, first.is_inside, first.stage) == ("mm", -1.0, 4.0, True, None)
     assert (phase.kind, phase.from_percent, phase.to_percent, phase.lower, phase.unit) == ("phase", 30, 70, None, None)
     assert (hold.kind, hold.stage, hold.is_inside, hold.timeout_s) == ("breath_hold", "settling", False, 25.0)
+
+
+def test_a_frame_that_was_not_measured_meets_nothing():
+    window = gate_window(Window.model_validate(MM))
+    states = (ConditionState(is_inside=True),)
+    assert live_window(window, states, make_measurement(1, whole_mm=1.5)).conditions[0].is_inside
+    for missing in (None, make_measurement(1, whole_mm=None)):
+        assert not live_window(window, states, missing).conditions[0].is_inside
 
 
 def test_a_window_that_is_not_settled_shows_per_cent_and_no_mm():

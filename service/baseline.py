@@ -1,0 +1,100 @@
+"""A correction of the baseline, checked against what is true now: nobody confirms what they no longer see.
+
+The window never follows the patient by itself. A person names how far, and which drift they saw; the engine moves the
+window and disarms, and the audit keeps the drift and both windows.
+"""
+
+import time
+
+from engine.breath import Breath, SignalChoice
+from engine.errors import CommandRefusedError
+from engine.live import LiveView
+from service.errors import BoundError
+from service.gate_schemas import BaselineCorrectionRequest
+from service.ports import RunningEngine
+from service.settings import Settings
+from service.window_view import live_window
+
+LITRES_PER_MM = 0.1
+"""As `engine.settled_window` counts it."""
+
+TOLERANCE = {"mm": 1.0, "l": 0.1}
+"""How far the drift may have gone on since a person saw it."""
+
+MOVED_WITHIN_S = 0.3
+POLL_S = 0.02
+
+
+def check_correction(request: BaselineCorrectionRequest, view: LiveView | None, settings: Settings) -> None:
+    """Refuse a correction that is too large, in the wrong unit, or of a drift that is not there.
+
+    Raises
+    ------
+    BoundError
+        Beyond the site's bound, or not towards the drift that was seen.
+    CommandRefusedError
+        The drift is not known now, or is another by now.
+    """
+    if view is None:
+        raise CommandRefusedError("no frame has come yet")
+    choice = view.window.choices[0]
+    unit = "l" if choice.is_volume else "mm"
+    if request.unit != unit:
+        raise _broken(f"by_{request.unit}", request.by, f"left out: the window is on {choice.label}, give it in {unit}")
+    reach = settings.max_baseline_correction_mm * (LITRES_PER_MM if choice.is_volume else 1.0)
+    if abs(request.by) > reach:
+        raise _broken(f"by_{unit}", request.by, f"from {-reach:g} to {reach:g}, this site's limit")
+    if request.by * request.drift_seen < 0.0 or abs(request.by) > abs(request.drift_seen) + TOLERANCE[unit]:
+        raise _broken(f"by_{unit}", request.by, f"from 0 to the drift that was seen ({request.drift_seen:g})")
+    drift = known_drift(view)
+    if drift is None:
+        raise CommandRefusedError("the drift of the baseline is not known now: let the patient breathe, and look again")
+    if abs(drift - request.drift_seen) > TOLERANCE[unit]:
+        msg = f"the drift is {drift:.2f} {unit} by now, not {request.drift_seen:g}: look again"
+        raise CommandRefusedError(msg)
+
+
+def known_drift(view: LiveView) -> float | None:
+    """Return how far the baseline of the gated signal is from where it was learned."""
+    breath = gated_breath(view.record.measurement.breaths, view.window.choices[0])
+    return None if breath is None else breath.drift
+
+
+def gated_breath(breaths: tuple[Breath, ...], choice: SignalChoice) -> Breath | None:
+    """Return the breath of the window's first signal; None where it is not followed."""
+    return next((breath for breath in breaths if breath.signal == choice), None)
+
+
+def correction_detail(request: BaselineCorrectionRequest, view: LiveView | None) -> dict[str, object]:
+    """Tell the audit what was asked, of what."""
+    return {
+        "by": request.by,
+        "unit": request.unit,
+        "drift_seen": request.drift_seen,
+        "drift_known": None if view is None else known_drift(view),
+        "window_before": None if view is None else window_detail(view),
+    }
+
+
+def moved_window(engine: RunningEngine, before: LiveView | None) -> dict[str, object]:
+    """Tell the audit the window as it is now; waits for the frame or two that it takes to be shown."""
+    end_s = time.monotonic() + MOVED_WITHIN_S
+    while time.monotonic() < end_s:
+        view = engine.latest
+        if view is not None and before is not None and view.window != before.window:
+            return {"window_after": window_detail(view)}
+        time.sleep(POLL_S)
+    view = engine.latest
+    return {"window_after": None if view is None else window_detail(view)}
+
+
+def window_detail(view: LiveView) -> list[dict[str, object]]:
+    """Write the window as the gate judges by it, without where its conditions stand."""
+    state = {"is_inside", "stage"}
+    return [
+        one.model_dump(mode="json", exclude=state, exclude_none=True) for one in live_window(view.window).conditions
+    ]
+
+
+def _broken(field: str, value: float, bound: str) -> BoundError:
+    return BoundError(f"{field} must be {bound}", field=field, value=value, bound=bound)
