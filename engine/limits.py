@@ -102,8 +102,8 @@ class GateLimits:
     max_repeated_frames: int = 0
     max_clock_jump_ms: float = 250.0
     min_fps: float = 20.0
-    max_shift_mm: float = 15.0
-    max_turn_deg: float = 5.0
+    max_shift_mm: float = 6.0
+    max_turn_deg: float = 3.0
     warn_latency_ms: float = 100.0
     max_latency_ms: float = 500.0
     camera_latency_ms: float = 0.0

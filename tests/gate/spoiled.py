@@ -75,6 +75,10 @@ FAULTS: dict[str, tuple[Spoil, HoldReason]] = {
         lambda frame: replace(frame, frame_index=frame.frame_index - 1),
         HoldReason.CLOCK_BACKWARDS,
     ),
+    "device clock jumps ahead": (
+        lambda frame: replace(frame, timestamp_us=frame.timestamp_us + 251_000),
+        HoldReason.CLOCK_JUMPED,
+    ),
     "received before the last frame": (
         lambda frame: replace(frame, received_ns=frame.received_ns - 34 * MS),
         HoldReason.CLOCK_BACKWARDS,

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import pytest
 
+from engine.breath import Breath, BreathEvent, BreathEventKind
 from engine.commands import Acknowledge, Arm, Disarm
 from engine.frames import MeasurementState
 from engine.permits import GateState, HoldReason
 from engine.stages.gate import Interruption, Silence
-from engine.trust import MAX_JUMP_FRAMES
+from engine.trust import MAX_JUMP_FRAMES, captured_ns
 from tests.gate.constructed import (
     FRAMES_A_DWELL,
     LIMITS,
@@ -149,6 +150,109 @@ def test_silence_holds_at_once_and_faults_when_it_is_no_hiccup(silence_ms, state
     last_ns = stream.gate.last.received_ns
     gate = stream.step(Silence(since_ns=0), last_ns + silence_ms * MS)
     assert (gate.state, gate.reason) == (state, reason)
+
+
+@pytest.mark.parametrize(
+    ("ahead_ms", "is_played", "reason"),
+    [
+        (250, False, HoldReason.FRAME_MISSING),
+        (251, False, HoldReason.CLOCK_JUMPED),
+        (251, True, HoldReason.FRAME_MISSING),
+    ],
+)
+def test_a_device_clock_that_gets_ahead_of_the_host_s_faults_but_a_player_may_catch_up(ahead_ms, is_played, reason):
+    stream = stream_in(GateState.BEAM_ON, limits=replace(LIMITS, is_played=is_played))
+    frame = stream.upcoming()
+    gate = stream.feed(replace(frame, timestamp_us=frame.timestamp_us + ahead_ms * 1_000))
+    assert gate.reason is reason
+
+
+def test_frames_that_come_in_a_burst_after_a_stall_are_no_jump_of_the_clock():
+    stream = stream_in(GateState.BEAM_ON)
+    stalled_ns = stream.upcoming().received_ns + 400 * MS
+    for behind in range(10):  # a player or a driver that hands over what it kept, one after the other
+        frame = replace(stream.upcoming(), received_ns=stalled_ns + behind * MS)
+        assert stream.feed(frame).state is GateState.HOLD
+
+
+@pytest.mark.parametrize("step", [-1, 1])
+def test_after_a_jump_is_acknowledged_frames_are_timed_by_the_clock_as_it_is_now(step):
+    stream = stream_in(GateState.BEAM_ON)
+    states = []
+    jump_us = step * 400_000
+    frame = stream.upcoming()
+    stream.feed(replace(frame, timestamp_us=frame.timestamp_us + jump_us))
+    clear_and_arm(stream)
+    for _ in range(FRAMES_A_DWELL):
+        frame = stream.upcoming()
+        states.append(stream.feed(replace(frame, timestamp_us=frame.timestamp_us + jump_us)).state)
+    assert states == DWELL_THEN_ON
+
+
+@pytest.mark.parametrize(
+    ("lag_ms", "camera_ms", "reason"),
+    [
+        (0, 0, None),
+        (0, 300, HoldReason.LATENCY_HIGH),
+        (240, 50, HoldReason.FRAME_LATE),
+        (296, 0, HoldReason.LATENCY_HIGH),
+        (200, 96, HoldReason.LATENCY_HIGH),
+    ],
+)
+def test_a_frame_decided_too_long_after_the_camera_took_it_faults(lag_ms, camera_ms, reason):
+    """What a decision takes, 5 ms, counts too: 300 ms are allowed here."""
+    limits = replace(LIMITS, max_latency_ms=300.0, max_lag_ms=200.0)
+    stream = stream_in(GateState.BEAM_ON, limits=limits)
+    stream.limits = replace(limits, camera_latency_ms=float(camera_ms))
+    frame = stream.upcoming()
+    gate = stream.feed(replace(frame, received_ns=frame.received_ns + lag_ms * MS))
+    assert gate.reason is reason
+
+
+def test_a_recording_played_late_is_not_late_itself():
+    stream = stream_in(GateState.BEAM_ON, limits=replace(LIMITS, is_played=True))
+    frame = stream.upcoming()
+    assert stream.feed(replace(frame, received_ns=frame.received_ns + 600 * MS)).reason is HoldReason.FRAME_MISSING
+
+
+def test_when_a_frame_was_taken_is_counted_back_from_when_it_came():
+    limits = replace(LIMITS, camera_latency_ms=40.0)
+    stream = stream_in(GateState.BEAM_ON, limits=limits)
+    frame = stream.upcoming()
+    late = replace(frame, received_ns=frame.received_ns + 20 * MS)
+    gate = stream.feed(late)
+    drift_ns = 40_000  # what the clocks may have drifted apart since the promptest frame
+    assert captured_ns(gate.last, late, limits) == pytest.approx(frame.received_ns - 40 * MS, abs=drift_ns)
+    assert captured_ns(gate.last, late, replace(limits, is_played=True)) == late.received_ns - 40 * MS
+
+
+IRREGULAR = Breath(
+    events=(
+        BreathEvent(kind=BreathEventKind.SIGH, start_us=1, confidence=0.9),
+        BreathEvent(kind=BreathEventKind.COUGH, start_us=1, confidence=0.9, detail="two spikes"),
+    )
+)
+
+
+@pytest.mark.parametrize(
+    ("holding", "reason"),
+    [
+        (set(), None),
+        ({BreathEventKind.TALKING}, None),
+        ({BreathEventKind.COUGH}, HoldReason.BREATHING_IRREGULAR),
+        (set(BreathEventKind), HoldReason.BREATHING_IRREGULAR),
+    ],
+    ids=str,
+)
+def test_what_happens_in_the_breathing_holds_where_the_site_wants_it(holding, reason):
+    stream = stream_in(GateState.BEAM_ON, limits=replace(LIMITS, holding_events=frozenset(holding)))
+    calm = replace(stream.upcoming(), breaths=(Breath(), Breath()))
+    assert stream.feed(calm).state is GateState.BEAM_ON
+    gate = stream.feed(replace(stream.upcoming(), breaths=(Breath(), IRREGULAR)))
+    assert gate.reason is reason
+    if holding == {BreathEventKind.COUGH}:
+        assert gate.detail == "cough: two spikes"
+        assert stream.good(FRAMES_A_DWELL) == DWELL_THEN_ON
 
 
 def test_a_camera_that_has_not_begun_yet_is_waited_for():
