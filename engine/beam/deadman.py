@@ -67,6 +67,11 @@ class DeadMan:
         return grant is not None and not self._is_latched and self._is_newer(grant) and now_ns < grant.expires_ns
 
     @property
+    def held_at_ns(self) -> int | None:
+        """When it was last held, by the teller's clock; None if never."""
+        return self._held_at_ns
+
+    @property
     def expires_ns(self) -> int | None:
         """When the present permit lapses by itself; None without one."""
         grant = self._grant
