@@ -1,4 +1,4 @@
-"""What a batch run leaves in its folder: motion.csv, regions.npz and motion_summary.json.
+"""What a batch run leaves in its folder: motion.csv, breathing.csv, regions.npz and motion_summary.json.
 
 A value that could not be measured is empty in the table, NaN in the arrays and null in the summary, never zero. Each
 file appears whole or not at all.
@@ -6,6 +6,7 @@ file appears whole or not at all.
 
 import csv
 import json
+import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import BinaryIO, TextIO
 
 import numpy as np
 
+from engine.breath import Breath
 from engine.frames import FloatArray, Measurement, MeasurementState, Motion, PhaseLag
 from engine.pipeline import PipelineSettings
 from engine.stages.gate import Gate
@@ -30,6 +32,19 @@ COLUMNS = (
     "volume_l",
     "gate",
     "hold_reason",
+)
+BREATH_COLUMNS = (
+    "frame_index",
+    "timestamp_us",
+    "phase_percent",
+    "phase_confidence",
+    "rate_per_min",
+    "amplitude_mm",
+    "baseline_mm",
+    "drift_mm",
+    "drift_mm_s",
+    "regularity",
+    "events",
 )
 
 
@@ -129,6 +144,19 @@ class MotionTable:
         )
 
 
+class BreathTable:
+    """Writes ``breathing.csv``, a row a frame: where the first signal that is followed stands in its breath."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._writer = csv.writer(file, lineterminator="\n")
+        self._writer.writerow(BREATH_COLUMNS)
+
+    def write(self, measurement: Measurement) -> None:
+        """Write a frame's row; empty where nothing is known."""
+        told = _breath(measurement.breaths[0]) if measurement.breaths else [""] * (len(BREATH_COLUMNS) - 2)
+        self._writer.writerow([measurement.frame_index, measurement.timestamp_us, *told])
+
+
 class Results:
     """Gathers what goes to ``regions.npz`` and to the summary."""
 
@@ -220,6 +248,18 @@ class Results:
         """Return what was said of each pair, one a measured frame."""
         said = [lags for lags in self._lags if lags]
         return [[lags[position] for lags in said] for position in range(len(self._pairs))]
+
+
+def _breath(breath: Breath) -> list[str]:
+    values = (breath.rate_per_min, breath.amplitude, breath.baseline, breath.drift, breath.drift_per_s)
+    phase = breath.phase_percent
+    return [
+        # Cut, not rounded: 100 is the next breath's 0.
+        "" if phase is None else f"{math.floor(phase * 100.0) / 100.0:.2f}",
+        "" if phase is None else f"{breath.phase_confidence:.3f}",
+        *_texts([*map(_number, values), _number(breath.regularity)]),
+        ";".join(event.kind.value for event in breath.events),
+    ]
 
 
 def _wide(motion: Motion) -> list[str]:

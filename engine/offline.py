@@ -17,7 +17,7 @@ from engine.limits import GateLimits
 from engine.mesh_files import MeshSaver, MeshWishes
 from engine.model import MotionModel
 from engine.model_file import save_model
-from engine.motion_files import MotionTable, OfflineSummary, Results
+from engine.motion_files import BreathTable, MotionTable, OfflineSummary, Results
 from engine.pipeline import Pipeline, PipelineSettings
 from engine.provenance import ModelOrigin
 from engine.stages.gate import Gate, step_gate
@@ -52,7 +52,7 @@ def measure_recording(
     model: MotionModel | None = None,
     origin: ModelOrigin | None = None,
 ) -> OfflineSummary:
-    """Measure every frame of ``source``; write motion.csv, regions.npz, motion_summary.json and model.npz to ``out``.
+    """Measure every frame of ``source``; write the tables, regions.npz, motion_summary.json and model.npz to ``out``.
 
     With ``limits`` the gate is armed at the first measured frame, so the file shows what it would have decided; without
     them it stays disarmed. The files appear whole or not at all. A recording that turns out damaged is measured up to
@@ -85,14 +85,15 @@ def measure_recording(
     saver = MeshSaver(out, meshes or MeshWishes())
     gate = _OfflineGate(limits)
     damage = None
-    partial = out / "motion.csv.partial"
+    partial, breaths_partial = out / "motion.csv.partial", out / "breathing.csv.partial"
     try:
-        with partial.open("w", newline="") as file:
-            table = MotionTable(file, settings)
+        with partial.open("w", newline="") as file, breaths_partial.open("w", newline="") as breaths_file:
+            table, breaths = MotionTable(file, settings), BreathTable(breaths_file)
             try:
                 for measurement in _measurements(source, pipeline):
                     _refuse_unlike(pipeline)
                     table.write(measurement, gate.decide(measurement))
+                    breaths.write(measurement)
                     results.add(measurement)
                     saver.save(measurement)
                     if on_frame is not None:
@@ -102,8 +103,10 @@ def measure_recording(
                     raise
                 damage = str(error)
         partial.replace(out / "motion.csv")
+        breaths_partial.replace(out / "breathing.csv")
     finally:
         partial.unlink(missing_ok=True)
+        breaths_partial.unlink(missing_ok=True)
     results.save(out / "regions.npz")
     if pipeline.model is None:
         msg = f"{results.frames} frames were not enough to learn a motion model: {_why(results)}"

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from engine.active_model import ActiveModel, Reference, prepare_model
-from engine.breath import SignalChoice
+from engine.breath import WHOLE, Breath, SignalChoice
+from engine.breath_watch import BreathWatch, check_signals
 from engine.calibration import Calibration
 from engine.clock import Clock
 from engine.continuity import Continuity, Seen
@@ -74,6 +75,8 @@ class PipelineSettings:
         Grid points (row, column) to report singly.
     named
         Polygons on the grid to report, each under its name.
+    breath_signals
+        Whose breath is followed, at most four.
     superior_px
         Where the patient's head is in the picture; see :class:`engine.stages.markers.MarkerSearch`.
     max_pair_gap_ms
@@ -88,6 +91,7 @@ class PipelineSettings:
     extra_markers: bool = False
     points: tuple[tuple[int, int], ...] = ()
     named: tuple[NamedRegion, ...] = ()
+    breath_signals: tuple[SignalChoice, ...] = (WHOLE,)
     marker_diameter_mm: float = 20.0
     superior_px: tuple[float, float] | None = None
     max_layout_change: float = 0.08
@@ -99,8 +103,9 @@ class PipelineSettings:
     likeness: LikenessLimits = field(default_factory=LikenessLimits)
 
     def __post_init__(self) -> None:
-        """Check the grid settings."""
+        """Check the grid settings and the signals."""
         self.layout()
+        check_signals(self.breath_signals)
 
     def layout(self, marked_split: tuple[float, float] | None = None) -> RegionLayout:
         """Return what motion is averaged over; a line that stickers mark goes before one that was given."""
@@ -147,6 +152,8 @@ class Pipeline:
         self._explained_by: ActiveModel | None = None
         self._split_finder = SplitFinder() if settings.extra_markers else None
         pairs = settings.lag_pairs()
+        self._breaths = BreathWatch(settings.breath_signals)
+        self._zero: Reference | None = None
         self._lags = start_lags(pairs, len(WIDE) + len(settings.points) + len(settings.named))
 
     @property
@@ -208,6 +215,10 @@ class Pipeline:
         """Swap to the model that waits; the caller has disarmed."""
         self._learner.apply_model()
 
+    def correct_baseline(self, choice: SignalChoice, by: float) -> None:
+        """Count that signal's drift from so much further on [mm or l]: a person has confirmed it."""
+        self._breaths.correct(choice, by)
+
     def resume(self, model: MotionModel) -> None:
         """Begin with a model of an earlier fraction, which is compared with the patient; before the first frame."""
         self._learner.resume(model)
@@ -247,7 +258,8 @@ class Pipeline:
         motion = self._motion(active, outcome, nodes.rays, frame.timestamp_us)
         if not takes_lost_frames:
             self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
-        return self._measurement(frame, MeasurementState.MEASURING, motion=motion, markers=found)
+        breaths = self._breaths.follow(motion, frame.timestamp_us)
+        return self._measurement(frame, MeasurementState.MEASURING, motion=motion, markers=found, breaths=breaths)
 
     def _measurement(
         self,
@@ -257,6 +269,7 @@ class Pipeline:
         motion: Motion | None = None,
         lost: Lost | None = None,
         markers: Markers | None = None,
+        breaths: tuple[Breath, ...] = (),
     ) -> Measurement:
         return Measurement(
             frame_index=frame.index,
@@ -269,6 +282,7 @@ class Pipeline:
             lost=lost,
             markers=markers,
             training=self._learner.progress,
+            breaths=breaths,
         )
 
     def _lost(self, frame: RgbdFrame, lost: Lost, found: Markers) -> Measurement:
@@ -425,11 +439,22 @@ class Pipeline:
         depth_mm = active.regions.depth_mm(outcome.coefficients)
         node_depth_mm = active.node_depth_mm(outcome.coefficients)
         surface = _surface(rays, node_depth_mm)
-        reference = self._reference(active, outcome, surface, rays)
+        self._lags = follow_lags(self._lags, timestamp_us / US_PER_S, -depth_mm[active.regions.cells :])
+        is_zero_new = self._learner.is_zero_due
+        zero, reference = self._zero, self._reference(active, outcome, surface, rays)
+        motion = self._against(reference, active, outcome, depth_mm, surface)
+        if self._breaths.is_zero_moved(active, is_zero_new=is_zero_new) and zero is not None:
+            self._breaths.move(self._against(zero, active, outcome, depth_mm, surface), motion)
+        self._zero = reference
+        return motion
+
+    def _against(
+        self, reference: Reference, active: ActiveModel, outcome: Projection, depth_mm: FloatArray, surface: FloatArray
+    ) -> Motion:
+        """Tell a surface as motion from a zero."""
         motion_mm = reference.regions_mm - depth_mm
         regions = active.regions
         cells, shape = regions.cells, (regions.rows, regions.columns)
-        self._lags = follow_lags(self._lags, timestamp_us / US_PER_S, -depth_mm[cells:])
         whole, thorax, abdomen = motion_mm[cells : regions.points_from].tolist()
         return Motion(
             whole_mm=whole,

@@ -26,8 +26,8 @@ def measure(
     out: Annotated[
         Path,
         typer.Option(
-            help="Folder for motion.csv, regions.npz, motion_summary.json and model.npz; with more than one recording "
-            "it gets a folder for each, and summary.csv."
+            help="Folder for motion.csv, breathing.csv, regions.npz, motion_summary.json and model.npz; with more than "
+            "one recording it gets a folder for each, and summary.csv."
         ),
     ],
     calibration: Annotated[
@@ -84,8 +84,9 @@ def measure(
 ) -> None:
     """Measure recordings: every frame once, as fast as it can be read.
 
-    Writes motion.csv (one row a depth frame), regions.npz, motion_summary.json and model.npz. Motion is in mm, positive
-    towards the camera. Of many recordings each is measured by itself, and one that fails does not stop the others.
+    Writes motion.csv and breathing.csv (one row a depth frame), regions.npz, motion_summary.json and model.npz. Motion
+    is in mm, positive towards the camera. Of many recordings each is measured by itself, and one that fails does not
+    stop the others.
     """
     try:
         settings = PipelineSettings(

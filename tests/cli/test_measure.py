@@ -231,6 +231,21 @@ def test_a_cut_recording_keeps_what_was_readable_and_says_so(regular_volunteer, 
     assert rows[-1]["state"] == "measuring"
 
 
+def test_the_breath_has_a_row_for_every_frame_and_nothing_where_nothing_is_known(regular):
+    with (regular.out / "breathing.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == [
+        *("frame_index", "timestamp_us", "phase_percent", "phase_confidence", "rate_per_min", "amplitude_mm"),
+        *("baseline_mm", "drift_mm", "drift_mm_s", "regularity", "events"),
+    ]
+    assert [row["frame_index"] for row in rows] == [row["frame_index"] for row in regular.rows]
+    assert [row["timestamp_us"] for row in rows] == [row["timestamp_us"] for row in regular.rows]
+    assert set(list(rows[0].values())[2:]) == {""}
+    assert all(0.0 <= float(row["phase_percent"]) < 100.0 for row in rows if row["phase_percent"])
+    assert float(rows[-1]["rate_per_min"]) == pytest.approx(15.0, rel=0.1)
+    assert {row["events"] for row in rows} == {""}
+
+
 def test_a_recording_too_short_to_learn_from_says_why(regular_volunteer, tmp_path):
     folder = tmp_path / "in"
     folder.mkdir()
@@ -241,6 +256,7 @@ def test_a_recording_too_short_to_learn_from_says_why(regular_volunteer, tmp_pat
     assert result.exit_code == 2
     assert "breathing cycles" in result.output
     assert (tmp_path / "out" / "motion.csv").exists()
+    assert (tmp_path / "out" / "breathing.csv").exists()
     assert not list((tmp_path / "out").glob("*.partial"))
 
 

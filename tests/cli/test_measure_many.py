@@ -171,7 +171,7 @@ def test_every_recording_has_its_row_in_the_order_given(many):
     assert float(good["recording_s"]) == pytest.approx(24.0, abs=0.1)
     assert float(good["fps"]) > 0.0
     assert sorted(path.name for path in Path(good["folder"]).iterdir()) == [
-        *("model.npz", "motion.csv", "motion_summary.json", "regions.npz"),
+        *("breathing.csv", "model.npz", "motion.csv", "motion_summary.json", "regions.npz"),
     ]
     assert Path(good["calibration"]).name == "calibration.json"
 

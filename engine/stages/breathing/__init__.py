@@ -3,6 +3,7 @@
 from engine.stages.breathing.cycles import count_cycles, excursion_mm, noise_mm, smoothed, speed_mm_s
 from engine.stages.breathing.monitor import (
     BreathingState,
+    correct_baseline,
     follow_breathing,
     lose_breathing,
     shifted,
@@ -12,6 +13,7 @@ from engine.stages.breathing.monitor import (
 
 __all__ = [
     "BreathingState",
+    "correct_baseline",
     "count_cycles",
     "excursion_mm",
     "follow_breathing",

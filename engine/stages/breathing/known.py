@@ -100,7 +100,7 @@ def with_breath(known: Known, cycle: Cycle) -> Known:
     """Take a complete breath."""
     is_disturbed = known.disturbed_s >= cycle.start_s
     cycles = with_cycle(known.cycles, replace(cycle, is_disturbed=is_disturbed), known.habit)
-    is_consistent = known.habit is not None and cycles[-1].odd < CONSISTENT_BELOW and not is_disturbed
+    is_consistent = cycles[-1].odd < CONSISTENT_BELOW and not is_disturbed
     calm = [one for one in cycles if not one.is_disturbed]
     learned = known.learned
     if learned is None and len(calm) >= LEARNED_CYCLES:

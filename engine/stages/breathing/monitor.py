@@ -88,6 +88,12 @@ def with_baseline(state: BreathingState, baseline: float) -> BreathingState:
     return _telling(replace(state, known=replace(state.known, learned=baseline / state.unit), events=events))
 
 
+def correct_baseline(state: BreathingState, by: float) -> BreathingState:
+    """Let drift be told against a level so much higher than before [mm, l of the volume]."""
+    learned = state.known.learned
+    return state if learned is None else with_baseline(state, learned * state.unit + by)
+
+
 def shifted(state: BreathingState, by: float) -> BreathingState:
     """Move all that is remembered: the signal has another zero from now on [mm, l of the volume]."""
     if not math.isfinite(by):
