@@ -1,4 +1,4 @@
-"""An engine in a process of its own, with a line in another: ``python -m tests.beam.engine_process SOCKET``.
+"""An engine in a process of its own, with a line in another: ``python -m tests.beam.engine_process KIND WHERE``.
 
 It arms itself and runs until it is killed, and writes each transition as a line.
 """
@@ -9,21 +9,30 @@ import sys
 from pathlib import Path
 
 from engine.beam.datagram import DatagramBeamLine
-from engine.clock import MonotonicClock
+from engine.beam.line import BeamLine
+from engine.beam.wired import WiredBeamLine
+from engine.clock import Clock, MonotonicClock
 from engine.commands import Acknowledge, Arm
 from engine.errors import CommandRefusedError
 from engine.loop import EngineLoop
 from engine.permits import GateState
+from tests.beam.receivers import wire_to
 from tests.loop.fakes import ToldPipeline, drained
 from tests.loop.paced import PATIENT_LIMITS, PacedSource
 
 
-def main(socket_path: Path) -> None:
+def beam_line(kind: str, where: str, clock: Clock) -> BeamLine:
+    if kind == "datagram":
+        return DatagramBeamLine(Path(where), clock, reply_ms=500.0)
+    return WiredBeamLine(wire_to(kind, where), clock)
+
+
+def main(kind: str, where: str) -> None:
     clock = MonotonicClock()
     loop = EngineLoop(
         source=PacedSource(clock),
         pipeline=ToldPipeline(clock),
-        beam=DatagramBeamLine(socket_path, clock, reply_ms=500.0),
+        beam=beam_line(kind, where, clock),
         limits=PATIENT_LIMITS,
         clock=clock,
     )
@@ -47,4 +56,4 @@ def _arm(loop: EngineLoop) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(sys.argv[1], sys.argv[2])

@@ -58,7 +58,7 @@ def _await_on(receiver: subprocess.Popen[str]) -> None:
 def test_an_engine_killed_outright_ends_in_a_line_that_is_off(line):
     path, receiver = line
     while True:
-        with _process("tests.beam.engine_process", str(path)) as engine:
+        with _process("tests.beam.engine_process", "datagram", str(path)) as engine:
             _await_on(receiver)
             engine.send_signal(signal.SIGKILL)
             killed_ns = time.monotonic_ns()
@@ -71,7 +71,7 @@ def test_an_engine_killed_outright_ends_in_a_line_that_is_off(line):
 
 def test_an_engine_that_is_stopped_and_goes_on_later_is_off_in_between_and_pays_a_full_dwell(line):
     path, receiver = line
-    with _process("tests.beam.engine_process", str(path)) as engine:
+    with _process("tests.beam.engine_process", "datagram", str(path)) as engine:
         while True:
             _await_on(receiver)
             os.kill(engine.pid, signal.SIGSTOP)

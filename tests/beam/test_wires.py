@@ -1,0 +1,208 @@
+"""What goes over the wires, byte by byte, and what of an answer counts."""
+
+import pytest
+from pymodbus.client import ModbusTcpClient
+
+from engine.beam import serial_relay
+from engine.beam.modbus import MAP_BOUNDS, RegisterMap, rtu_wire, tcp_wire
+from engine.beam.serial_relay import RELAY_PROTOCOLS, RelayWire
+from engine.errors import BeamLineError, InvalidValueError
+from tests.beam.receivers import REGISTERS, receiver
+
+
+class FakePort:
+    """A board that says what it is told to say, a piece at a time, and a modem line that is what it is set to."""
+
+    def __init__(self, answers, **lines):
+        self.answers, self.written, self.is_open = list(answers), [], True
+        self.cts = self.dsr = self.cd = False
+        for name, state in lines.items():
+            setattr(self, name, state)
+
+    def write(self, sent):
+        self.written.append(sent)
+
+    def reset_input_buffer(self):
+        self.written.append(None)
+
+    @property
+    def in_waiting(self):
+        return len(self.answers[0]) if self.answers else 0
+
+    def read(self, _size):
+        return self.answers.pop(0) if self.answers else b""
+
+    def close(self):
+        self.is_open = False
+
+
+def relay(port, protocol="lcus", **options):
+    wire = RelayWire(device="/dev/none", baud=9_600, protocol=protocol, **{"channel": 1, **options})
+    wire._port = port
+    return wire
+
+
+def test_an_lcus_board_is_sent_its_frames_and_asked_for_its_state():
+    port = FakePort([b"\xa0\x01\x01\xa2"])
+    assert relay(port).exchange(is_on=True, heartbeat=1, within_s=0.1) is True
+    assert port.written == [b"\xa0\x01\x01\xa2", None, b"\xa0\x01\x05\xa6"]
+    port = FakePort([b"\xa0\x01\x00\xa1"])
+    assert relay(port).exchange(is_on=False, heartbeat=1, within_s=0.1) is False
+    assert port.written[0] == b"\xa0\x01\x00\xa1"
+
+
+def test_a_numato_board_is_sent_its_words_with_its_own_numbering():
+    port = FakePort([b"relay off B\n\r>relay re", b"ad B\n\roff\n\r", b">"])
+    assert relay(port, "numato", channel=11).exchange(is_on=False, heartbeat=1, within_s=0.1) is False
+    assert port.written == [b"relay off B\r", None, b"relay read B\r"]
+
+
+@pytest.mark.parametrize(("heartbeat", "code"), [(1, b"\xa0\x02\x01\xa3"), (2, b"\xa0\x02\x00\xa2")])
+def test_the_heartbeat_s_relay_switches_at_every_count(heartbeat, code):
+    port = FakePort([b"\xa0\x01\x01\xa2"])
+    relay(port, heartbeat_channel=2).exchange(is_on=True, heartbeat=heartbeat, within_s=0.1)
+    assert port.written[1] == code
+
+
+@pytest.mark.parametrize(
+    ("protocol", "said", "state"),
+    [
+        ("lcus", b"\xa0\x01\x01\xa2", True),
+        ("lcus", b"\xa0\x01\x00\xa1", False),
+        ("lcus", b"\xa0\x01\x01", None),
+        ("lcus-text", b"CH1: ON \r\nCH2: OFF \r\n", True),
+        ("lcus-text", b"CH1:OFF\r\nCH2:ON\r\n", False),
+        ("lcus-text", b"ch1: on", None),
+        ("lcus-text", b"CH11: ON\r\n", None),
+        ("numato", b"relay read 1\n\ron\n\r>", True),
+        ("numato", b"relay on 1\n\r>relay read 1\n\roff\n\r>", False),
+        ("numato", b"relay read 1\n\ron\n\r", None),
+        ("numato", b"relay on 1\n\r>", None),
+    ],
+)
+def test_a_status_is_read_only_when_it_is_whole(protocol, said, state):
+    assert RELAY_PROTOCOLS[protocol].parse(said, 1) is state
+
+
+@pytest.mark.parametrize(
+    ("protocol", "said"),
+    [
+        ("lcus", b"\xa0\x02\x01\xa3"),
+        ("lcus", b"\xa0\x01\x01\xa3"),
+        ("lcus", b"\xa0\x01\x01\xa2\xa0"),
+        ("lcus-text", b"CH1: ONLINE\r\n"),
+        ("numato", b"relay read 1\n\rinvalid\n\r>"),
+        ("numato", b"relay read 1\n\ron\n\roff\n\r>"),
+    ],
+)
+def test_a_status_that_is_none_is_an_error_not_a_state(protocol, said):
+    with pytest.raises(BeamLineError, match=r"no sta"):
+        RELAY_PROTOCOLS[protocol].parse(said, 1)
+
+
+def test_a_board_that_says_nothing_or_chatters_without_end_is_given_up():
+    with pytest.raises(BeamLineError, match="no status within the time"):
+        relay(FakePort([])).exchange(is_on=True, heartbeat=1, within_s=0.02)
+    with pytest.raises(BeamLineError, match="it said b'x"):
+        relay(FakePort([b"x" * 60] * 1000), "numato").exchange(is_on=True, heartbeat=1, within_s=5.0)
+
+
+@pytest.mark.parametrize("line", ["cts", "dsr", "cd"])
+@pytest.mark.parametrize("is_on", [True, False])
+@pytest.mark.parametrize("board", [True, False])
+@pytest.mark.parametrize("contact", [True, False])
+def test_board_and_contact_must_both_say_what_was_told_and_who_contradicts_wins(line, is_on, board, contact):
+    port = FakePort([b"\xa0\x01\x01\xa2" if board else b"\xa0\x01\x00\xa1"], **{line: contact})
+    read = relay(port, contact=line).exchange(is_on=is_on, heartbeat=1, within_s=0.1)
+    assert read is (is_on if board is is_on and contact is is_on else not is_on)
+
+
+def test_a_port_that_is_closed_takes_nothing():
+    wire = relay(FakePort([]))
+    wire.close()
+    wire.close()
+    with pytest.raises(BeamLineError, match="closed"):
+        wire.exchange(is_on=True, heartbeat=1, within_s=0.1)
+
+
+def test_what_the_board_had_still_to_say_is_thrown_away_when_connecting(monkeypatch):
+    port = FakePort([b"\xa0\x01\x01\xa2", b"\xa0"])
+    monkeypatch.setattr(serial_relay.serial, "Serial", lambda *_args, **_options: port)
+    wire = relay(None)
+    wire.connect()
+    assert port.answers == []
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"channel": 0}, "channel"),
+        ({"channel": 17}, "channel"),
+        ({"protocol": "numato", "channel": 32}, "channel"),
+        ({"channel": 1, "heartbeat_channel": 1}, "heartbeat_channel"),
+        ({"channel": 1, "heartbeat_channel": 99}, "heartbeat_channel"),
+        ({"channel": 1, "baud": 300}, "baud"),
+    ],
+    ids=str,
+)
+def test_a_relay_that_no_board_has_is_refused(options, field):
+    with pytest.raises(InvalidValueError, match=f"^{field}"):
+        RelayWire(**{"device": "/dev/none", "baud": 9_600, "protocol": "lcus", **options})
+
+
+@pytest.mark.parametrize("name", MAP_BOUNDS)
+@pytest.mark.parametrize("value", [-1, 65_536, 1.5, True])
+def test_an_address_that_no_device_has_is_refused(name, value):
+    with pytest.raises(InvalidValueError, match=name):
+        RegisterMap(**{name: value})
+
+
+def test_unit_0_would_tell_everybody_and_be_answered_by_nobody():
+    with pytest.raises(InvalidValueError, match="unit"):
+        RegisterMap(unit=0)
+
+
+def test_a_speed_that_no_line_has_is_refused():
+    with pytest.raises(InvalidValueError, match="baud"):
+        rtu_wire(device="/dev/none", baud=1_200, parity="even", stop_bits=1, registers=REGISTERS)
+
+
+@pytest.mark.parametrize(
+    ("registers", "refused"),
+    [
+        (RegisterMap(unit=7, permit_coil=400, heartbeat_register=11, readback_input=5), "the permit"),
+        (RegisterMap(unit=7, permit_coil=3, heartbeat_register=12, readback_input=5), "the heartbeat"),
+        (RegisterMap(unit=7, permit_coil=3, heartbeat_register=11, readback_input=600), "the read back"),
+    ],
+    ids=["coil", "register", "input"],
+)
+def test_a_device_that_has_no_such_address_is_told_of_by_what_it_refuses(registers, refused):
+    with receiver("tcp") as far:
+        wire = tcp_wire(host="127.0.0.1", port=int(far.where), registers=registers)
+        wire.connect()
+        with pytest.raises(BeamLineError, match=f"refuses {refused} .Modbus exception"):
+            wire.exchange(is_on=False, heartbeat=1, within_s=1.0)
+        wire.close()
+
+
+def test_a_device_that_confirms_another_permit_than_it_was_told_is_not_believed(monkeypatch):
+    write_coil = ModbusTcpClient.write_coil
+    with receiver("tcp") as far:
+        wire = tcp_wire(host="127.0.0.1", port=int(far.where), registers=REGISTERS)
+        wire.connect()
+        monkeypatch.setattr(
+            ModbusTcpClient,
+            "write_coil",
+            lambda client, address, value, **options: write_coil(client, address, not value, **options),
+        )
+        with pytest.raises(BeamLineError, match="another permit"):
+            wire.exchange(is_on=False, heartbeat=1, within_s=1.0)
+        wire.close()
+
+
+def test_a_wire_that_lost_its_connection_does_not_make_one_by_itself():
+    with receiver("tcp") as far:
+        wire = tcp_wire(host="127.0.0.1", port=int(far.where), registers=REGISTERS)
+        with pytest.raises(BeamLineError, match="connection is gone"):
+            wire.exchange(is_on=True, heartbeat=1, within_s=1.0)
+        assert far.seen == []
