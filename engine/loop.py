@@ -98,6 +98,7 @@ class EngineLoop:
         self._keeper = GateKeeper(
             beam=beam, clock=clock, limits=limits, outbox=self._outbox, mailbox=self._mailbox, watchdog=self._watchdog
         )
+        beam.on_trouble = self.report_fault  # a line with a thread of its own finds trouble between two frames
         self._watch = FrameWatch(limits)
         self._generation = pipeline.model_generation
         self._settled_generation: int | None = None

@@ -216,6 +216,16 @@ def test_every_transition_of_a_frame_carries_its_latency_and_one_of_a_person_has
         assert change.captured_ns == change.received_ns
 
 
+@pytest.mark.parametrize("reason", [HoldReason.BEAM_LINE_FAILED, HoldReason.BEAM_LINE_MISMATCH])
+def test_what_a_line_finds_by_itself_between_two_frames_faults_at_the_next_decision_and_is_named(reason):
+    bench = on_bench([])
+    bench.source.script += [after(lambda: bench.beam.on_trouble(reason, "the line itself saw it")), *[good] * 3]
+    records = bench.run().records()
+    assert seen_of(records[ON + 1 :]) == {(GateState.FAULT, reason, False)}
+    fault = next(change for change in bench.transitions() if change.to_state is GateState.FAULT)
+    assert fault.detail == "the line itself saw it"
+
+
 def test_a_device_clock_that_jumps_ahead_faults_a_live_camera():
     def jump(source, timeout_s):
         frame = good(source, timeout_s)
