@@ -7,15 +7,12 @@ that the stages need not; the model and the zero are :class:`engine.learner.Lear
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from engine.active_model import ActiveModel, Reference, prepare_model
 from engine.breath import WHOLE, Breath, SignalChoice
 from engine.breath_watch import BreathWatch, check_signals
 from engine.calibration import Calibration
 from engine.clock import Clock
 from engine.continuity import Continuity, Seen
-from engine.depth_table import DepthTable
 from engine.errands import LearningStages, Outcome
 from engine.frames import (
     FloatArray,
@@ -38,14 +35,12 @@ from engine.model import MotionModel
 from engine.notices import LearningNotice
 from engine.polygons import NamedRegion
 from engine.quiet import RecentFrames
+from engine.region_finder import RegionFinder, coverage_lost
 from engine.split_finder import SplitFinder
-from engine.stages import markers as marker_stage
-from engine.stages.markers import MarkerSearch
 from engine.stages.phase_lag import follow_lags, start_lags
 from engine.stages.projection import STRIDE_PX, project
 from engine.stages.regions import WIDE, RegionLayout, horizontal_split
-from engine.stages.registration import Aligned, align
-from engine.stages.roi import NODE_COLUMNS, NODE_ROWS, NODE_STEP, at_nodes, cut_out, roi_nodes
+from engine.stages.roi import NODE_COLUMNS, NODE_ROWS, NODE_STEP
 from engine.stages.surface import end_at_markers, vertices_mm
 from engine.threads import keep_calls_in_their_thread
 from engine.training import BackgroundTrainer, Trainer, TrainingSettings
@@ -141,13 +136,15 @@ class Pipeline:
             stages=LearningStages(prepare=self._prepared, explain=self._explained, vertices=self._vertices),
             trainer=BackgroundTrainer() if trainer is None else trainer,
         )
-        self._depth_from_color = calibration.color_from_depth.inverse
-        self._table = DepthTable(calibration.depth_correction)
+        self._finder = RegionFinder(
+            calibration,
+            marker_diameter_mm=settings.marker_diameter_mm,
+            superior_px=settings.superior_px,
+            max_pair_gap_ms=settings.max_pair_gap_ms,
+            max_layout_change=settings.max_layout_change,
+        )
         self._recent = RecentFrames()
         self._continuity = Continuity()
-        self._markers: Markers | None = None
-        self._layout_px: FloatArray | None = None
-        self._node_depth_mm: FloatArray | None = None
         self._coefficients: FloatArray | None = None
         self._explained_by: ActiveModel | None = None
         self._split_finder = SplitFinder() if settings.extra_markers else None
@@ -233,14 +230,14 @@ class Pipeline:
         """
         self._calibration.check_sizes(depth=frame.depth_mm.shape, color=frame.color.shape)
         self._learner.collect(frame.timestamp_us)
-        if not self._table.is_settled:
-            self._table.look_at(frame.depth_mm)
-        found = self._find_markers(frame)
+        found = self._finder.find(frame)
         if isinstance(found, Lost):
             self._forget()
             return self._measurement(frame, MeasurementState.LOST, lost=found)
-        nodes, roi = self._region(frame, found)
-        if not self._table.is_settled:
+        is_learning = self._learner.active is None or self._learner.is_gathering
+        stride_px = LEARNING_STRIDE_PX if is_learning else STRIDE_PX
+        nodes, roi = self._finder.region(frame, found, stride_px, has_model=self._learner.active is not None)
+        if not self._finder.is_settled:
             return self._unlearned(frame, roi, found)
         self._watch_split(frame, found)
         takes_lost_frames = self._learner.takes_lost_frames
@@ -254,7 +251,7 @@ class Pipeline:
         if isinstance(outcome, Lost):
             return self._lost(frame, outcome, found)
         self._coefficients, self._explained_by = outcome.coefficients, active
-        self._node_depth_mm = active.node_depth_mm(outcome.coefficients)
+        self._finder.expect(active.node_depth_mm(outcome.coefficients))
         motion = self._motion(active, outcome, nodes.rays, frame.timestamp_us)
         if not takes_lost_frames:
             self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
@@ -295,88 +292,26 @@ class Pipeline:
 
     def _forget(self) -> None:
         """Begin anew with the next frame: the patient was not seen."""
-        self._markers, self._coefficients = None, None
+        self._finder.forget()
+        self._coefficients = None
         self._recent.forget()
 
     def _unlearned(self, frame: RgbdFrame, roi: RoiDepth, found: Markers) -> Measurement:
         """Answer for a frame that no model can explain yet."""
         if roi.valid.mean() < self._settings.min_valid_share:
-            lost = self._coverage_lost(float(roi.valid.mean()))
+            lost = coverage_lost(float(roi.valid.mean()))
             return self._measurement(frame, MeasurementState.LOST, lost=lost, markers=found)
         return self._measurement(frame, MeasurementState.TRAINING, markers=found)
-
-    # -- markers ------------------------------------------------------------------------------------------------
-
-    def _find_markers(self, frame: RgbdFrame) -> Markers | Lost:
-        gap_ms = frame.pair_gap_us / 1000.0
-        if gap_ms > self._settings.max_pair_gap_ms:
-            return Lost(
-                reason=LostReason.MARKER_LOST, detail=f"the colour picture is {gap_ms:.0f} ms off the depth frame"
-            )
-        search = self._marker_search(frame)
-        if search is None:
-            return self._coverage_lost(0.0)
-        found: Markers | Lost | None = None
-        if self._markers is not None:
-            found = marker_stage.track_markers(frame.color, self._markers.centers_px, search)
-        if not isinstance(found, Markers):
-            found = marker_stage.find_markers(frame.color, search)
-        if isinstance(found, Lost):
-            return found
-        if self._layout_px is not None:
-            change = marker_stage.layout_change(found.centers_px, self._layout_px)
-            if change > self._settings.max_layout_change:
-                return Lost(
-                    reason=LostReason.LAYOUT_CHANGED, detail=f"a distance between markers changed by {change:.0%}"
-                )
-        self._markers = found
-        return found
-
-    def _marker_search(self, frame: RgbdFrame) -> MarkerSearch | None:
-        distance_mm = self._distance_mm(frame)
-        if distance_mm is None:
-            return None
-        return MarkerSearch(
-            diameter_px=self._settings.marker_diameter_mm * self._calibration.color.fx / distance_mm,
-            superior_px=self._settings.superior_px,
-        )
-
-    def _distance_mm(self, frame: RgbdFrame) -> float | None:
-        """Distance of the chest: as measured last, or the middle of the picture's."""
-        if self._node_depth_mm is not None:
-            return float(self._node_depth_mm.mean())
-        height, width = frame.depth_mm.shape
-        middle = frame.depth_mm[height // 3 : -height // 3 : 4, width // 3 : -width // 3 : 4]
-        readings = middle[middle > 0]
-        return float(np.median(readings)) if readings.size >= 0.1 * middle.size else None
-
-    # -- region -------------------------------------------------------------------------------------------------
-
-    def _region(self, frame: RgbdFrame, found: Markers) -> tuple[Aligned, RoiDepth]:
-        """Cut the region out at the depth expected from the frame before; the first frame has to settle first."""
-        color_rays = self._calibration.color.rays(roi_nodes(found.centers_px))
-        rounds = 1
-        if self._node_depth_mm is None:
-            self._node_depth_mm = np.full(NODE_ROWS * NODE_COLUMNS, self._distance_mm(frame) or 1.0)
-            rounds = 3
-        is_learning = self._learner.active is None or self._learner.is_gathering
-        stride_px = LEARNING_STRIDE_PX if is_learning else STRIDE_PX
-        for _ in range(rounds):
-            nodes = align(color_rays, self._node_depth_mm, self._depth_from_color, self._calibration.depth)
-            roi = cut_out(frame.depth_mm, nodes.pixels_px, self._table.table_mm, stride_px)
-            if self._learner.active is None:
-                self._node_depth_mm = _blended(self._node_depth_mm, roi, 1.0 if rounds > 1 else 0.3)
-        return nodes, roi
 
     # -- learning -----------------------------------------------------------------------------------------------
 
     def _learn(self, roi: RoiDepth, timestamp_us: int, found: Markers, nodes_px: FloatArray) -> None:
-        if self._layout_px is not None and not self._learner.is_gathering:
+        if self._finder.has_layout and not self._learner.is_gathering:
             return
         if roi.valid.mean() < self._settings.min_valid_share:
             return
-        if self._layout_px is None:
-            self._layout_px = found.centers_px
+        if not self._finder.has_layout:
+            self._finder.keep_layout(found)
         if self._learner.is_gathering:
             self._learner.learn(GatheredFrame(roi=roi, timestamp_us=timestamp_us, nodes_px=nodes_px))
 
@@ -390,7 +325,7 @@ class Pipeline:
         return None if self._split_finder is None else self._split_finder.split
 
     def _watch_split(self, frame: RgbdFrame, found: Markers) -> None:
-        search = self._marker_search(frame) if self._split_finder is not None and self._learner.active is None else None
+        search = self._finder.search(frame) if self._split_finder is not None and self._learner.active is None else None
         if self._split_finder is not None and search is not None:
             self._split_finder.look(frame.color, search, found.centers_px)
 
@@ -408,7 +343,7 @@ class Pipeline:
     def _explain(self, active: ActiveModel, roi: RoiDepth) -> Projection | Lost:
         before = self._coefficients if self._explained_by is active else None
         best = project(active.basis, roi, before)
-        return self._coverage_lost(0.0) if best is None else self._refusal(best) or best
+        return coverage_lost(0.0) if best is None else self._refusal(best) or best
 
     def _believed(self, active: ActiveModel, roi: RoiDepth, found: Markers, timestamp_us: int) -> Projection | Lost:
         """Explain a frame, if it may be the surface of the frame before."""
@@ -427,7 +362,7 @@ class Pipeline:
         """Why a frame that was explained so is not measured; None when it is."""
         wanted = self._settings
         if best.valid_share < wanted.min_valid_share:
-            return self._coverage_lost(best.valid_share)
+            return coverage_lost(best.valid_share)
         if best.inlier_share < wanted.min_inlier_share or not best.residual_mm <= wanted.max_residual_mm:
             return Lost(
                 reason=LostReason.RESIDUAL_HIGH,
@@ -478,16 +413,7 @@ class Pipeline:
         settled = self._recent.settled(active, outcome)
         return self._learner.reference(active, settled, _surface(rays, active.node_depth_mm(settled)))
 
-    def _coverage_lost(self, share: float) -> Lost:
-        return Lost(reason=LostReason.COVERAGE_LOW, detail=f"the camera sees {share:.0%} of the region")
-
 
 def _surface(rays: FloatArray, depth_mm: FloatArray) -> FloatArray:
     """Push rays of the nodes out to their depth; the last nodes lie a pixel of the grid beyond the markers."""
     return vertices_mm(end_at_markers(rays, NODE_ROWS, NODE_COLUMNS, MARKERS_BETWEEN_NODES), depth_mm)
-
-
-def _blended(before_mm: FloatArray, roi: RoiDepth, share: float) -> FloatArray:
-    """Follow the surface at the nodes before there is a model: a little of each frame, nothing from holes."""
-    valid = at_nodes(roi.valid, roi.stride_px) > 0.0
-    return np.where(valid, (1.0 - share) * before_mm + share * at_nodes(roi.depth_mm, roi.stride_px), before_mm)

@@ -14,7 +14,9 @@ import numpy as np
 
 import engine.evaluation.speed.session as session_module
 import engine.pipeline as pipeline_module
+import engine.region_finder as finder_module
 from engine.pipeline import Pipeline
+from engine.region_finder import RegionFinder
 from engine.stages import markers as marker_stage
 from engine.stages.markers import RADIUS_STEP_PX, RING_RADII
 from engine.stages.projection import STRIDE_PX
@@ -27,10 +29,10 @@ STAGES = (MARKERS, RAYS, ALIGNMENT, CUT_OUT, PROJECTION, MOTION, GATE, REST)
 Place = tuple[object, str, str]
 PLACES: tuple[Place, ...] = (
     (Pipeline, "measure", REST),
-    (Pipeline, "_find_markers", MARKERS),
-    (Pipeline, "_region", RAYS),
-    (pipeline_module, "align", ALIGNMENT),
-    (pipeline_module, "cut_out", CUT_OUT),
+    (RegionFinder, "find", MARKERS),
+    (RegionFinder, "region", RAYS),
+    (finder_module, "align", ALIGNMENT),
+    (finder_module, "cut_out", CUT_OUT),
     (pipeline_module, "project", PROJECTION),
     (Pipeline, "_motion", MOTION),
     (session_module, "step_gate", GATE),
