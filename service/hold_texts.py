@@ -33,7 +33,7 @@ HOLD_TEXTS: dict[HoldReason, str] = {
     HoldReason.SHORTEST_OFF: "Waiting out the shortest time off",
     HoldReason.CYCLE_LIMIT: "The beam was switched as often as it may be in a minute",
     HoldReason.FRAME_STALE: "The newest camera frame is too old",
-    HoldReason.FRAME_TIMEOUT: "The camera went silent",
+    HoldReason.FRAME_TIMEOUT: "The camera went silent, or shows nothing new",
     HoldReason.CLOCK_BACKWARDS: "The camera's clock went back",
     HoldReason.CLOCK_JUMPED: "The camera's clock jumped",
     HoldReason.LATENCY_HIGH: "From camera to beam line it took too long",

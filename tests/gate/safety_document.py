@@ -2,8 +2,12 @@
 
 import sys
 
+from engine.interlocks import INTERLOCKS, Interlock
+from engine.limits import LIMIT_BOUNDS
 from engine.permits import GateState, HoldReason
 from engine.stages.gate import EventKind, next_state
+from service.hold_texts import HOLD_TEXTS
+from service.settings import PREFIX, Settings
 
 
 def transition_table() -> str:
@@ -23,5 +27,27 @@ def reason_lists() -> str:
     )
 
 
+def interlock_table() -> str:
+    """One row an interlock: its code and words, what trips it, whether it latches, what bounds it, where it is from."""
+    head = ["| code | shown as | trips on | is a | bounded by: default, lowest to highest | from |", "|---" * 6 + "|"]
+    return "\n".join(head + [_interlock_row(interlock) for interlock in INTERLOCKS])
+
+
+def _interlock_row(interlock: Interlock) -> str:
+    bounds = "; ".join(_bound(name) for name in interlock.settings) or "-"
+    kind = "fault" if interlock.is_fault else "hold"
+    text = HOLD_TEXTS[interlock.code]
+    return f"| `{interlock.code}` | {text} | {interlock.trips} | {kind} | {bounds} | {interlock.source} |"
+
+
+def _bound(name: str) -> str:
+    default = Settings.model_fields[name].default
+    setting = f"`{PREFIX}{name.upper()}`"
+    if name not in LIMIT_BOUNDS:
+        return f"{setting}: {default or 'none'}" if isinstance(default, tuple) else f"{setting}: {default}"
+    low, high = LIMIT_BOUNDS[name]
+    return f"{setting}: {default:g}, {low:g} to {high:g}"
+
+
 if __name__ == "__main__":
-    sys.stdout.write(f"{transition_table()}\n\n{reason_lists()}\n")
+    sys.stdout.write(f"{transition_table()}\n\n{reason_lists()}\n\n{interlock_table()}\n")

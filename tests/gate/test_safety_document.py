@@ -5,14 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.gate.safety_document import reason_lists, transition_table
+from tests.gate.safety_document import interlock_table, reason_lists, transition_table
 
 ROOT = Path(__file__).parents[2]
 DOCUMENT = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
 NAMED_TESTS = sorted(set(re.findall(r"`(tests/[\w/]+\.py)::(test_\w+)`", DOCUMENT)))
 
 
-@pytest.mark.parametrize("made", [transition_table, reason_lists], ids=lambda made: made.__name__)
+@pytest.mark.parametrize("made", [transition_table, reason_lists, interlock_table], ids=lambda made: made.__name__)
 def test_the_document_holds_the_tables_the_code_makes(made):
     assert made() in DOCUMENT
 
