@@ -7,7 +7,6 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 
-from engine.beam.simulated import SimulatedBeamLine
 from engine.calibration import Calibration
 from engine.capture.oni_file import OniFileSource
 from engine.capture.openni import OpenNiSource, list_devices, registered_calibration, runtime_available
@@ -23,6 +22,7 @@ from engine.notices import LearningNotice
 from engine.permits import HoldReason
 from engine.pipeline import Pipeline, PipelineSettings
 from service import schemas
+from service.beam_lines import make_beam_line
 from service.ports import RunningEngine, SessionPlan
 from service.session_regions import measuring_with
 from service.settings import Settings
@@ -46,8 +46,8 @@ class EngineAdapter:
 
     @property
     def is_simulated_beam(self) -> bool:
-        """Whether the beam line is a simulation; it is the only one so far."""
-        return True
+        """Whether any line is a simulation."""
+        return self._settings.is_simulated_beam
 
     def open(self, plan: SessionPlan) -> RunningEngine:
         """Start an engine on a session, disarmed; raise a TidegateError when source or window cannot be used."""
@@ -65,7 +65,7 @@ class EngineAdapter:
             loop = EngineLoop(
                 source=self._source(plan),
                 pipeline=pipeline,
-                beam=SimulatedBeamLine(self._clock),
+                beam=make_beam_line(self._settings, self._clock),
                 limits=limits,
                 clock=self._clock,
             )

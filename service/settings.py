@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 from pydantic import Field, ValidationError, field_validator, model_validator
-from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+from pydantic_settings import NoDecode, SettingsConfigDict
 
 from engine.breath import BreathEventKind
 from engine.errors import InvalidValueError
@@ -19,8 +19,8 @@ from engine.likeness import LIKENESS_BOUNDS, LikenessLimits
 from engine.limits import LIMIT_BOUNDS, GateLimits
 from engine.training import TRAINING_BOUNDS, TrainingSettings
 from engine.windows import HOLD_BOUNDS
+from service.beam_settings import PREFIX, BeamSettings
 
-PREFIX = "TIDEGATE_"
 SETTING_OF = {"retrain_interval_s": "retrain_interval_min"}
 """Settings of the training that a site gives under another name, in another unit."""
 
@@ -52,7 +52,7 @@ class SettingsError(Exception):
     """The settings cannot be used; the message is one line a setting, for the person who starts the service."""
 
 
-class Settings(BaseSettings):
+class Settings(BeamSettings):
     """The site's settings."""
 
     model_config = SettingsConfigDict(

@@ -112,6 +112,16 @@ RELAY_PROTOCOLS: dict[Protocol, RelayProtocol] = {
 }
 
 
+def check_channels(protocol: Protocol, channel: int, heartbeat_channel: int | None) -> None:
+    """Refuse relays that no such board has, or one for two purposes; raise InvalidValueError."""
+    low, high = RELAY_PROTOCOLS[protocol].channels
+    for name, number in (("channel", channel), ("heartbeat_channel", heartbeat_channel)):
+        if number is not None and not low <= number <= high:
+            raise InvalidValueError(name, number, f"a whole number from {low} to {high} for {protocol}")
+    if heartbeat_channel == channel:
+        raise InvalidValueError("heartbeat_channel", heartbeat_channel, f"another than channel {channel}")
+
+
 class RelayWire:
     """Exchanges with a board; `Wire`.
 
@@ -129,14 +139,9 @@ class RelayWire:
         contact: Contact = "none",
         heartbeat_channel: int | None = None,
     ) -> None:
-        self._protocol = RELAY_PROTOCOLS[protocol]
-        low, high = self._protocol.channels
-        for name, number in (("channel", channel), ("heartbeat_channel", heartbeat_channel)):
-            if number is not None and not low <= number <= high:
-                raise InvalidValueError(name, number, f"a whole number from {low} to {high} for {protocol}")
-        if heartbeat_channel == channel:
-            raise InvalidValueError("heartbeat_channel", heartbeat_channel, f"another than channel {channel}")
+        check_channels(protocol, channel, heartbeat_channel)
         check_baud(baud)
+        self._protocol = RELAY_PROTOCOLS[protocol]
         self._device, self._baud = device, baud
         self._channel, self._heartbeat_channel, self._contact = channel, heartbeat_channel, contact
         self._port: serial.Serial | None = None

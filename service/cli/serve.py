@@ -54,7 +54,8 @@ def _run(settings: Settings, console: Console) -> None:
         )
     app = create_app(settings)
     _set_memory_aside()
-    console.print(f"Tidegate on http://{settings.host}:{settings.port}/ (SIMULATED beam line; research only)")
+    line = "SIMULATED beam line" if settings.is_simulated_beam else f"beam line {' and '.join(settings.beam_lines)}"
+    console.print(f"Tidegate on http://{settings.host}:{settings.port}/ ({line}; {settings.mode} mode, not cleared)")
     # Uvicorn raises the signal again once it has shut down; asked to stop and stopped is success.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _already_obeyed)

@@ -14,7 +14,7 @@ from fastapi.testclient import TestClient
 from engine.capture.oni_file import OniFileSource
 from engine.pipeline import PipelineSettings
 from engine.training import TrainingSettings
-from service import engine_adapter
+from service import beam_lines, engine_adapter
 from service.app import create_app
 from service.engine_adapter import EngineAdapter
 from service.settings import Settings
@@ -123,7 +123,7 @@ def test_no_call_turns_the_beam_on_while_nothing_can_be_measured(tmp_path, regul
     """Every changing call there is, again and again, on a running engine that has learned nothing."""
     lines = []
 
-    class WatchedLine(engine_adapter.SimulatedBeamLine):
+    class WatchedLine(beam_lines.SimulatedBeamLine):
         def __init__(self, clock):
             super().__init__(clock)
             self.permits = 0
@@ -133,7 +133,7 @@ def test_no_call_turns_the_beam_on_while_nothing_can_be_measured(tmp_path, regul
             self.permits += 1
             super().permit(lease)
 
-    monkeypatch.setattr(engine_adapter, "SimulatedBeamLine", WatchedLine)
+    monkeypatch.setattr(beam_lines, "SimulatedBeamLine", WatchedLine)
     settings = Settings(data_dir=tmp_path / "data", recordings_dirs=(regular_volunteer,), allowed_hosts=("testserver",))
     with TestClient(create_app(settings, EngineAdapter)) as client:
         source = {"kind": "recording", "path": "recording.oni", "player": "reader"}

@@ -1,0 +1,73 @@
+"""Builds the beam line that a site's settings name."""
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+
+from engine.beam.announcer import Announcer, HttpSender, Sender, UdpSender
+from engine.beam.line import BeamLine
+from engine.beam.modbus import rtu_wire, tcp_wire
+from engine.beam.paired import PairedBeamLine
+from engine.beam.serial_relay import RelayWire
+from engine.beam.simulated import SimulatedBeamLine
+from engine.beam.told import ToldBeamLine
+from engine.beam.wired import Wire, WiredBeamLine
+from engine.clock import Clock
+from service.beam_settings import BeamSettings, LineKind, udp_target
+
+
+def make_beam_line(settings: BeamSettings, clock: Clock) -> BeamLine:
+    """Make the line, not open yet: one or two, with whoever is told of it."""
+    first, *others = [_line(kind, settings, clock) for kind in settings.beam_lines]
+    line: BeamLine = PairedBeamLine(first, others[0]) if others else first
+    senders = _senders(settings)
+    if not senders:
+        return line
+    return ToldBeamLine(line, [Announcer(sender, clock, utc_now=_utc_now) for sender in senders], clock)
+
+
+def _line(kind: LineKind, settings: BeamSettings, clock: Clock) -> BeamLine:
+    if kind == "simulated":
+        return SimulatedBeamLine(clock)
+    return WiredBeamLine(WIRES[kind](settings), clock, settings.beam_times)
+
+
+def _tcp(settings: BeamSettings) -> Wire:
+    return tcp_wire(host=settings.beam_modbus_host, port=settings.beam_modbus_port, registers=settings.beam_registers)
+
+
+def _rtu(settings: BeamSettings) -> Wire:
+    return rtu_wire(
+        device=settings.beam_rtu_device,
+        baud=settings.beam_rtu_baud,
+        parity=settings.beam_rtu_parity,
+        stop_bits=settings.beam_rtu_stop_bits,
+        registers=settings.beam_registers,
+    )
+
+
+def _relay(settings: BeamSettings) -> Wire:
+    return RelayWire(
+        device=settings.beam_relay_device,
+        baud=settings.beam_relay_baud,
+        protocol=settings.beam_relay_protocol,
+        channel=settings.beam_relay_channel,
+        contact=settings.beam_relay_contact,
+        heartbeat_channel=settings.beam_heartbeat_channel,
+    )
+
+
+WIRES: dict[LineKind, Callable[[BeamSettings], Wire]] = {
+    "modbus-tcp": _tcp,
+    "modbus-rtu": _rtu,
+    "serial-relay": _relay,
+}
+
+
+def _senders(settings: BeamSettings) -> list[Sender]:
+    over_udp = [UdpSender(*udp_target(target)) for target in settings.beam_notify_udp]
+    over_http = [HttpSender(url, timeout_s=settings.beam_notify_timeout_s) for url in settings.beam_notify_http]
+    return [*over_udp, *over_http]
+
+
+def _utc_now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
