@@ -93,14 +93,14 @@ def breathe(build: Build, habit: Habit, time_s: Grid, rng: np.random.Generator) 
     starts, lengths, amplitudes, shares = _breaths(build, habit, time_s, rng)
     which = np.clip(np.searchsorted(starts, time_s, side="right") - 1, 0, len(starts) - 1)
     phase = np.clip((time_s - starts[which]) / lengths[which], 0.0, 1.0)
-    shape = _breath_shape(phase)
+    shape = breath_shape(phase)
     abdomen = build.amplitude_mm * amplitudes[which] * shape
     thorax = build.amplitude_mm * build.thorax_share * amplitudes[which] * shares[which] * shape
     wander = habit.wander_mm * _wander(time_s, rng)
     return Signals(time_s=time_s, abdomen_mm=abdomen + wander, thorax_mm=thorax + 0.6 * wander)
 
 
-def _breath_shape(phase: Grid) -> Grid:
+def breath_shape(phase: Grid) -> Grid:
     """One breath, from 0 over 1 back to 0, flat at both ends; in takes 42 % of it."""
     warped = phase + 0.55 * phase * (1.0 - phase) ** 2
     return np.asarray(np.sin(np.pi * warped) ** 4)

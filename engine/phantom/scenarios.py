@@ -11,6 +11,7 @@ import numpy.typing as npt
 from engine.errors import InvalidValueError
 from engine.phantom.breathing import IRREGULAR, REGULAR, Signals, breathe, time_grid
 from engine.phantom.builds import Build
+from engine.phantom.episodes import lay_out_course
 from engine.phantom.traces import Trace
 
 Grid = npt.NDArray[np.float64]
@@ -24,6 +25,7 @@ SHORTEST_S = {
     "drift": 10.0,
     "shift": 28.0,
     "occlusion": 36.0,
+    "events": 60.0,
 }
 LONGEST_S = 1800.0
 TRACE_SCENARIOS = ("regular", "drift", "shift", "occlusion")
@@ -98,19 +100,21 @@ def plan(
         time_s = time_grid(seconds)
         motion = trace.at(time_s)
         signals = Signals(time_s=time_s, abdomen_mm=motion, thorax_mm=build.thorax_share * motion)
+    timeline = Timeline(signals=signals, events=(Event(name="free", start_s=0.0, end_s=seconds),))
     match scenario:
         case "isovolume":
-            return _isovolume(signals, build, seconds, rng, volume_ratio)
+            timeline = _isovolume(signals, build, seconds, rng, volume_ratio)
         case "dibh":
-            return _dibh(signals, build, seconds, rng)
+            timeline = _dibh(signals, build, seconds, rng)
         case "drift":
-            return _drift(signals, seconds, rng)
+            timeline = _drift(signals, seconds, rng)
         case "shift":
-            return _shift(signals, seconds, rng)
+            timeline = _shift(signals, seconds, rng)
         case "occlusion":
-            return _occlusion(signals, seconds, rng)
-        case _:
-            return Timeline(signals=signals, events=(Event(name="free", start_s=0.0, end_s=seconds),))
+            timeline = _occlusion(signals, seconds, rng)
+        case "events":
+            timeline = _events(build, seconds, rng)
+    return timeline
 
 
 def check_scenario(scenario: str, seconds: float, trace: Trace | None) -> None:
@@ -204,6 +208,17 @@ def _drift(signals: Signals, seconds: float, rng: np.random.Generator) -> Timeli
             Event(name="drift", start_s=start, end_s=seconds, detail={"abdomen_mm": total_mm}),
         ),
     )
+
+
+def _events(build: Build, seconds: float, rng: np.random.Generator) -> Timeline:
+    """Cough, sigh, stop breathing, talk, breathe irregularly, drift: one after the other, as far as the time goes."""
+    course = lay_out_course(build, time_grid(seconds), seconds, rng, quiet_s=FREE_S)
+    events = [
+        Event(name=episode.kind, start_s=episode.start_s, end_s=episode.end_s, detail=episode.detail)
+        for episode in course.episodes
+    ]
+    free = Event(name="free", start_s=0.0, end_s=events[0].start_s if events else seconds)
+    return Timeline(signals=course.signals, events=(free, *events))
 
 
 def _shift(signals: Signals, seconds: float, rng: np.random.Generator) -> Timeline:

@@ -13,7 +13,10 @@ from service.cli.terminal import frame_bar, refused, say
 
 def phantom(
     scenario: Annotated[
-        str, typer.Argument(help="regular, irregular, isovolume, dibh, drift, shift or occlusion.", metavar="SCENARIO")
+        str,
+        typer.Argument(
+            help="regular, irregular, isovolume, dibh, drift, shift, occlusion or events.", metavar="SCENARIO"
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for recording.oni, calibration.json, truth.npz and flow.csv.")],
     volunteer: Annotated[int, typer.Option(help="Which of the ten volunteers, 1 to 10.")] = 1,

@@ -25,7 +25,7 @@ def during(timeline, event):
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("scenario", ["isovolume", "dibh", "shift", "occlusion"])
+@pytest.mark.parametrize("scenario", ["isovolume", "dibh", "shift", "occlusion", "events"])
 def test_free_breathing_comes_first_for_twenty_seconds(scenario, seed):
     events = lay_out(scenario, SHORTEST_S[scenario], seed).events
     assert events[0].name == "free"
@@ -104,7 +104,7 @@ def test_a_recording_too_short_for_its_scenario_is_refused(scenario):
 
 
 def test_an_unknown_scenario_is_refused_with_those_there_are():
-    with pytest.raises(InvalidValueError, match=r"scenario is 'dance': must be one of regular, .*, occlusion"):
+    with pytest.raises(InvalidValueError, match=r"scenario is 'dance': must be one of regular, .*, occlusion, events"):
         check_scenario("dance", 30.0, None)
 
 

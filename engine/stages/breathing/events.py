@@ -1,5 +1,6 @@
 """Events in the breathing, each from one simple sign, with how sure it is. In mm and s; see docs/breathing.md."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from engine.breath import BreathEvent, BreathEventKind
@@ -13,14 +14,15 @@ MIN_APNOEA_S = 4.5
 MAX_APNOEA_S = 8.5
 APNOEA_PERIODS = 1.25
 LOW_SHARE = 0.4
-QUICK_TIMES = 1.45
-VERY_QUICK_TIMES = 2.0
+QUICK_TIMES = 1.4
+VERY_QUICK_TIMES = 1.8
 ENOUGH_QUICK = 2
 MOST_QUICK = 3
+QUICK_RISE_SHARE = 0.4
 QUICK_WAIT_SHARE = 0.55
 TALK_OVER_PERIODS = 3.0
-IRREGULAR_BELOW = 0.55
-REGULAR_ABOVE = 0.65
+IRREGULAR_BELOW = 0.52
+REGULAR_ABOVE = 0.62
 LOST_PERIODS = 2.5
 DRIFT_MM_PER_PERIOD_S = 0.15
 MAX_DRIFT_MM = 1.2
@@ -37,29 +39,27 @@ class Signs:
 
     Attributes
     ----------
-    low
-        Level of the last end of exhale.
     height
-        Of the signal over it, mean of 0.3 s.
-    still_s
-        How long it has been at rest.
-    still_height
-        How high over the last end of exhale it rests.
-    since_turn_s
-        How long ago the signal turned last.
-    is_cough, cough_bends
-        Whether it has bent as a cough does, and how often.
-    quick
-        Inhales of late that were quicker than usual, 0 to 3.
-    is_quick_out
-        The last inhale was quick and the exhale after it is not over for some time.
+        Of the signal over the last end of exhale, mean of 0.3 s.
+    still_s, still_height
+        How long it has been at rest, and how high over the last end of exhale.
+    lost_s
+        How long it has neither turned nor been disturbed.
+    is_cough, cough_s, cough_bends
+        Whether it has bent as a cough does, since when, and how often.
+    quick, quick_s
+        Points for inhales of late that were quicker than usual, and when the first was.
+    drifts
+        How far the last two ends of exhale are from where it was learned; None where that says nothing.
+    scatter
+        How the end of exhale scatters, standard deviation.
     """
 
     now_s: float
     height: float
     still_s: float
     still_height: float
-    since_turn_s: float
+    lost_s: float
     is_cough: bool
     cough_s: float
     cough_bends: int
@@ -81,19 +81,12 @@ def find_event(events: Events, kind: BreathEventKind) -> BreathEvent | None:
 def judge(events: Events, signs: Signs, habit: Habit | None) -> Events:
     """Return the events under way at this moment, the newest last."""
     events = _told(events, BreathEventKind.COUGH, _cough(signs), signs.cough_s)
-    if habit is None:
+    if habit is None or signs.is_cough:
         return events
-    is_coughing = find_event(events, BreathEventKind.COUGH) is not None
-    if is_coughing:
-        return events
-    for kind, (found, start_s) in (
-        (BreathEventKind.APNOEA, _apnoea(signs, habit)),
-        (BreathEventKind.SIGH, _sigh(events, signs, habit)),
-        (BreathEventKind.TALKING, _talking(events, signs)),
-        (BreathEventKind.DRIFT, _drift(events, signs, habit)),
-        (BreathEventKind.IRREGULAR, _irregular(events, signs, habit)),
-    ):
-        events = _told(events, kind, found, start_s)
+    for kind, sign in _SIGNS.items():
+        outcome = sign(events, signs, habit)
+        if outcome is not None:
+            events = _told(events, kind, *outcome)
     return events
 
 
@@ -103,6 +96,10 @@ class Found:
 
     confidence: float
     detail: str
+
+
+Outcome = tuple[Found | None, float]
+"""What was found, and since when; no outcome at all leaves things as they are."""
 
 
 def _told(events: Events, kind: BreathEventKind, found: Found | None, start_s: float) -> Events:
@@ -124,7 +121,7 @@ def _cough(signs: Signs) -> Found | None:
     return Found(confidence=1.0 - 0.4 * 0.6 ** (signs.cough_bends - 3), detail=f"{signs.cough_bends} fast bends")
 
 
-def _apnoea(signs: Signs, habit: Habit) -> tuple[Found | None, float]:
+def _apnoea(_: Events, signs: Signs, habit: Habit) -> Outcome:
     start_s = signs.now_s - signs.still_s
     enough_s = still_enough_s(habit)
     if signs.still_s <= enough_s or signs.still_height > LOW_SHARE * habit.rise:
@@ -138,11 +135,12 @@ def still_enough_s(habit: Habit) -> float:
     return min(max(MIN_APNOEA_S, APNOEA_PERIODS * habit.period_s), MAX_APNOEA_S)
 
 
-def _sigh(events: Events, signs: Signs, habit: Habit) -> tuple[Found | None, float]:
+def _sigh(events: Events, signs: Signs, habit: Habit) -> Outcome:
     present = find_event(events, BreathEventKind.SIGH)
     times = signs.height / habit.rise
     if present is None:
-        if times < SIGH_SHARE:
+        is_irregular = find_event(events, BreathEventKind.IRREGULAR) is not None  # then no depth is usual
+        if times < SIGH_SHARE or is_irregular:
             return None, signs.now_s
         return Found(confidence=min(1.0, 0.7 + 0.6 * (times - SIGH_SHARE)), detail=_times(times)), signs.now_s
     if times < SIGH_OVER_SHARE or signs.now_s - present.start_us / US_PER_S > SIGH_LONGEST_S:
@@ -154,17 +152,19 @@ def _times(times: float) -> str:
     return f"{times:.1f} times a usual breath"
 
 
-def _talking(events: Events, signs: Signs) -> tuple[Found | None, float]:
+def _talking(events: Events, signs: Signs, _: Habit) -> Outcome:
     present = find_event(events, BreathEventKind.TALKING)
     if signs.quick < (ENOUGH_QUICK if present is None else 1):
         return None, signs.now_s
     return Found(confidence=0.5 + 0.15 * signs.quick, detail="quick in, long out"), signs.quick_s
 
 
-def _irregular(events: Events, signs: Signs, habit: Habit) -> tuple[Found | None, float]:
+def _irregular(events: Events, signs: Signs, habit: Habit) -> Outcome | None:
+    if signs.quick:
+        return None
     present = find_event(events, BreathEventKind.IRREGULAR)
-    if signs.since_turn_s > LOST_PERIODS * habit.period_s and signs.still_s < still_enough_s(habit):
-        return Found(confidence=0.8, detail=f"no breath can be told for {signs.since_turn_s:.0f} s"), signs.now_s
+    if signs.lost_s > LOST_PERIODS * habit.period_s and signs.still_s < still_enough_s(habit):
+        return Found(confidence=0.8, detail=f"no breath can be told for {signs.lost_s:.0f} s"), signs.now_s
     if signs.regularity is None:
         return None, signs.now_s
     bound = IRREGULAR_BELOW if present is None else REGULAR_ABOVE
@@ -183,10 +183,10 @@ def drift_bound_mm(habit: Habit, scatter: float) -> float:
     )
 
 
-def _drift(events: Events, signs: Signs, habit: Habit) -> tuple[Found | None, float]:
+def _drift(events: Events, signs: Signs, habit: Habit) -> Outcome | None:
     present = find_event(events, BreathEventKind.DRIFT)
     if signs.drifts is None:
-        return None, signs.now_s
+        return None
     before, drift = signs.drifts
     bound = drift_bound_mm(habit, signs.scatter)
     if present is not None:
@@ -199,3 +199,12 @@ def _drift(events: Events, signs: Signs, habit: Habit) -> tuple[Found | None, fl
     return Found(
         confidence=min(1.0, 0.3 + 0.4 * abs(drift) / bound), detail=f"the end of exhale went {way}"
     ), signs.now_s
+
+
+_SIGNS: dict[BreathEventKind, Callable[[Events, Signs, Habit], Outcome | None]] = {
+    BreathEventKind.APNOEA: _apnoea,
+    BreathEventKind.SIGH: _sigh,
+    BreathEventKind.TALKING: _talking,
+    BreathEventKind.DRIFT: _drift,
+    BreathEventKind.IRREGULAR: _irregular,
+}

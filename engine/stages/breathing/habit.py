@@ -11,8 +11,9 @@ from statistics import median
 KEPT_CYCLES = 8
 USUAL_CYCLES = 6
 RECENT_CYCLES = 4
-PERIOD_SPREAD = 0.25
-AMPLITUDE_SPREAD = 0.32
+JUDGED_CYCLES = 5
+PERIOD_SPREAD = 0.27
+AMPLITUDE_SPREAD = 0.27
 LEVEL_SPREAD = 0.30
 """How far a breath may be from the usual, as a share of it, to be odd by one."""
 MAX_ODD = 2.2
@@ -96,7 +97,7 @@ def with_cycle(cycles: tuple[Cycle, ...], cycle: Cycle, habit: Habit | None) -> 
 
 def regularity_of(cycles: Sequence[Cycle]) -> float | None:
     """How much the last breaths are like those before, 0 to 1; None before three."""
-    judged = [cycle.odd for cycle in cycles[1:] if not cycle.is_disturbed][-RECENT_CYCLES:]
+    judged = [cycle.odd for cycle in cycles[1:] if not cycle.is_disturbed][-JUDGED_CYCLES:]
     if len(judged) < 2:
         return None
     return 1.0 / (1.0 + sum(judged) / len(judged))

@@ -85,12 +85,12 @@ def with_low(known: Known, at_s: float, low: float) -> Known:
     return replace(known, lows=lows, speed=_slope(lows), watched_s=None)
 
 
-def with_inhale(known: Known, now_s: float, speed: float) -> Known:
-    """Judge an inhale that has ended by its speed [mm/s]; a quick one counts once its exhale has taken its time."""
+def with_inhale(known: Known, now_s: float, speed: float, rise: float) -> Known:
+    """Judge an inhale that has ended by its speed [mm/s] for its rise; it counts once its exhale has taken its time."""
     habit = known.habit
     if habit is None:
         return known
-    times = speed / (habit.speed * habit.rise)
+    times = speed / (habit.speed * rise) if rise > judging.QUICK_RISE_SHARE * habit.rise else 0.0
     if times < judging.QUICK_TIMES:
         return replace(known, quick=max(0, known.quick - 1), watched_s=None)
     return replace(known, watched_s=now_s, points=1 if times < judging.VERY_QUICK_TIMES else 2)

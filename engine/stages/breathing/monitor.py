@@ -37,7 +37,7 @@ NO_PHASE = {
     BreathEventKind.IRREGULAR: (MISSING_AT_FIRST, "irregular"),
 }
 """Events in which no phase is told, how many consistent breaths it takes afterwards, and what is said meanwhile."""
-DISTURBING = {BreathEventKind.APNOEA, BreathEventKind.TALKING, BreathEventKind.SIGH}
+DISTURBING = {BreathEventKind.APNOEA, BreathEventKind.TALKING}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -214,10 +214,12 @@ def _turned(state: BreathingState, seconds: float, was: int) -> BreathingState:
     # The smoothed signal is late by as much as it is smoothed.
     timely = replace(turns, high_s=turns.high_s - SMOOTHING_S, low_s=turns.low_s - SMOOTHING_S)
     course, cycle = turned(state.course, timely, seconds)
+    if was == UNKNOWN and turns.way == FALLING:
+        return replace(state, course=Course())  # the signal may have begun on its way down: that was no end of inhale
     if turns.way == RISING:
         known = knowing.with_low(known, timely.low_s, state.course.low if was != UNKNOWN else math.nan)
     else:
-        known = knowing.with_inhale(known, seconds, state.course.speed)
+        known = knowing.with_inhale(known, seconds, state.course.speed, turns.high - state.course.trough)
         known = known if cycle is None else knowing.with_breath(known, cycle)
     track = state.track
     if known.habit is not None:
@@ -258,7 +260,7 @@ def _signs(state: BreathingState, known: Known, seconds: float) -> judging.Signs
         height=bins.short_level - known.low,
         still_s=seconds - bins.still_s,
         still_height=bins.still_at - known.low,
-        since_turn_s=seconds - state.turns.turned_s,
+        lost_s=seconds - max(state.turns.turned_s, known.disturbed_s),
         is_cough=spikes.is_cough(seconds),
         cough_s=spikes.first_s,
         cough_bends=spikes.bends,
@@ -272,7 +274,7 @@ def _signs(state: BreathingState, known: Known, seconds: float) -> judging.Signs
 
 def _drifts(state: BreathingState, known: Known) -> tuple[float, float] | None:
     """How far the last two ends of exhale are from where it was learned; one under way counts where it is lower."""
-    if known.learned is None or len(known.lows) < 2:
+    if known.learned is None or len(known.lows) < 2 or known.lows[-2][0] < known.disturbed_s:
         return None
     before, last = (low - known.learned for _, low in known.lows[-2:])
     now = state.course.low - known.learned

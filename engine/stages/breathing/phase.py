@@ -12,7 +12,7 @@ from engine.stages.breathing.habit import Habit
 from engine.stages.breathing.turns import RISING
 
 ERROR_SHARE = 0.35
-WAIT_FOR_NONE = 30.0
+WAIT_FOR_NONE = 25.0
 """Per cent of a breath that the signal may be late before there is no phase."""
 ERROR_SCALE = 14.0
 SPREAD_SCALE = 0.30
