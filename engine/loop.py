@@ -13,22 +13,9 @@ from dataclasses import dataclass
 from engine.beam.line import BeamLine
 from engine.capture.source import DepthSource, SourceDescription
 from engine.clock import NS_PER_MS, NS_PER_S, Clock
-from engine.commands import (
-    Acknowledge,
-    ActivateModel,
-    ApplyModel,
-    Arm,
-    Command,
-    CorrectBaseline,
-    Disarm,
-    HoldBeam,
-    ReleaseBeam,
-    Retrain,
-    SetReference,
-)
+from engine.commands import Command
 from engine.errors import (
     BeamLineError,
-    CommandRefusedError,
     FrameTimeoutError,
     RecordingError,
     SourceEndedError,
@@ -43,8 +30,9 @@ from engine.limits import GateLimits, ns_from_ms
 from engine.live import FrameRecord, GateTransition, LiveView, LoopStatus
 from engine.mailbox import URGENT, Letter, Mailbox
 from engine.notices import LearningNotice
+from engine.orders import Orders
 from engine.outbox import Outbox
-from engine.permits import GateState, HoldReason
+from engine.permits import HoldReason
 from engine.stages.gate import Ending, Gate, GateEvent, Interruption, Silence
 from engine.watchdog import Watchdog
 
@@ -100,8 +88,15 @@ class EngineLoop:
         )
         beam.on_trouble = self.report_fault  # a line with a thread of its own finds trouble between two frames
         self._watch = FrameWatch(limits)
-        self._generation = pipeline.model_generation
-        self._settled_generation: int | None = None
+        self._orders = Orders(
+            pipeline=pipeline,
+            beam=beam,
+            limits=limits,
+            keeper=self._keeper,
+            watch=self._watch,
+            watchdog=self._watchdog,
+            outbox=self._outbox,
+        )
         self._listening_since_ns = 0
         self._stop_requested = threading.Event()
         self._thread = threading.Thread(target=self._work, name="tidegate-engine", daemon=True)
@@ -270,10 +265,9 @@ class EngineLoop:
 
     def _decide_on(self, frame: RgbdFrame, measurement: Measurement) -> None:
         events: list[GateEvent] = []
-        if self._pipeline.model_generation != self._generation:
-            self._generation = self._pipeline.model_generation
+        if self._orders.has_model_changed():
             events.append(Ending(reason=HoldReason.DISARMED, detail="the model or the reference has changed"))
-        self._settle_window()
+        self._orders.settle_window()
         if not _is_of(measurement, frame):
             events.append(Interruption(reason=HoldReason.VALUE_INVALID, detail="a measurement of another frame"))
         events.append(measurement)
@@ -283,15 +277,6 @@ class EngineLoop:
             events.append(Interruption(reason=HoldReason.REFERENCE_MISSING))
         self._keeper.decide(*events, cause=Cause(frame=frame, measurement=measurement))
 
-    def _settle_window(self) -> None:
-        """Turn per cent into mm once after every change of model or zero, and never while nothing changed."""
-        if self._settled_generation == self._generation or not self._limits.window.needs_ranges:
-            return
-        ranges = self._pipeline.learned_ranges(self._limits.window.choices)
-        self._keeper.settle_window(ranges)
-        if ranges:
-            self._settled_generation = self._generation
-
     # Commands.
 
     def _answer(self, letter: Letter) -> None:
@@ -300,7 +285,7 @@ class EngineLoop:
         if not is_wanted and not isinstance(letter.command, URGENT):
             return
         try:
-            self._obey(letter.command)
+            self._orders.obey(letter.command)
         except TidegateError as error:
             letter.answer.set_exception(error)
         except BaseException as error:
@@ -310,90 +295,6 @@ class EngineLoop:
         else:
             if is_wanted:
                 letter.answer.set_result(None)
-
-    def _obey(self, command: Command) -> None:
-        match command:
-            case Arm():
-                self._arm(command)
-            case Disarm():
-                self._keeper.disarm(command)
-            case HoldBeam():
-                self._keeper.hold(command)
-            case ReleaseBeam():
-                self._keeper.release(command)
-            case Acknowledge():
-                self._acknowledge(command)
-            case CorrectBaseline():
-                self._keeper.correct_baseline(command)
-            case _:
-                self._change(command)
-
-    def _change(self, command: SetReference | Retrain | ApplyModel | ActivateModel) -> None:
-        """Obey what changes the zero or the model."""
-        match command:
-            case SetReference():
-                self._set_reference(command)
-            case Retrain():
-                self._pipeline.retrain(keeps_zero=command.keeps_zero)
-            case ApplyModel():
-                self._apply_model(command)
-            case ActivateModel():
-                self._disarm_for("another model is activated", command.operator)
-                self._pipeline.activate(command.model)
-
-    def _set_reference(self, command: SetReference) -> None:
-        self._disarm_for("the reference is set", command.operator)
-        self._pipeline.set_reference()
-        self._keeper.forget_correction()
-        self._watch.forget_position()
-
-    def _apply_model(self, command: ApplyModel) -> None:
-        if not self._pipeline.is_model_waiting:
-            raise CommandRefusedError("no new model waits to be applied")
-        self._disarm_for("a new model is applied", command.operator)
-        self._pipeline.apply_model()
-
-    def _disarm_for(self, detail: str, operator: str) -> None:
-        self._keeper.decide(Ending(reason=HoldReason.DISARMED, detail=detail), cause=Cause(operator=operator))
-
-    def _arm(self, command: Arm) -> None:
-        self._generation = self._pipeline.model_generation
-        self._settle_window()
-        self._refuse_unless_ready()
-        self._beam.rearm()
-        self._keeper.watch_for(command.operator)
-        self._keeper.decide(command, cause=Cause(operator=command.operator))
-        if not self._keeper.gate.is_armed:
-            raise CommandRefusedError(f"a fault came up: {self._keeper.gate.reason}")
-
-    def _refuse_unless_ready(self) -> None:
-        gate = self._keeper.gate
-        if gate.state is GateState.FAULT:
-            raise CommandRefusedError(f"a fault is latched ({gate.reason}): acknowledge it first")
-        if gate.is_armed:
-            raise CommandRefusedError("the gate is armed already")
-        if self._pipeline.model is None:
-            raise CommandRefusedError("there is no motion model yet: wait for the training to end")
-        if self._pipeline.model_shortcoming is not None:
-            raise CommandRefusedError(self._pipeline.model_shortcoming)
-        if not self._pipeline.has_reference:
-            raise CommandRefusedError("there is no reference yet: set it first")
-        if self._keeper.is_window_unsettled:
-            raise CommandRefusedError(
-                "the window is told in per cent of a range that the model does not tell: learn again"
-            )
-        self._keeper.refuse_wide_window()
-        if not self._watchdog.is_watching:
-            raise CommandRefusedError("the watchdog does not run: this engine cannot be armed")
-        self._keeper.refuse_without_fresh_signal()
-
-    def _acknowledge(self, command: Acknowledge) -> None:
-        if self._keeper.gate.state is not GateState.FAULT:
-            raise CommandRefusedError("there is no fault to acknowledge")
-        trouble = self._outbox.trouble()
-        if trouble is not None:
-            raise CommandRefusedError(f"the fault persists ({trouble}): nothing can be recorded")
-        self._keeper.acknowledge(command)
 
 
 def _is_of(measurement: Measurement, frame: RgbdFrame) -> bool:

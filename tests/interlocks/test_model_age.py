@@ -66,3 +66,21 @@ def test_no_model_has_no_age():
     age = ModelAge(LIMITS)
     is_held(age, 0)
     assert not is_held(age, 3 * LONGEST_NS, None)
+
+
+def test_a_model_that_took_over_unannounced_is_as_young_as_that():
+    age = ModelAge(LIMITS)
+    is_held(age, 0)
+    assert not is_held(age, LONGEST_NS + 1, SECOND)
+    assert not is_held(age, 2 * LONGEST_NS, SECOND)
+    assert is_held(age, 2 * LONGEST_NS + 2, SECOND)
+
+
+def test_a_model_learned_from_nothing_has_nothing_of_the_age_of_one_that_waited_before():
+    age = ModelAge(LIMITS)
+    is_held(age, 0)
+    is_held(age, 100, FIRST, told(NoticeKind.READY))
+    is_held(age, 200, SECOND, told(NoticeKind.SWAPPED))
+    is_held(age, LONGEST_NS, None)
+    is_held(age, LONGEST_NS + 50, FIRST, told(NoticeKind.SWAPPED))
+    assert not is_held(age, 2 * LONGEST_NS, FIRST)
