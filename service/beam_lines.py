@@ -1,6 +1,6 @@
 """Builds the beam line that a site's settings name."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 
 from engine.beam.announcer import Announcer, HttpSender, Sender, UdpSender
@@ -17,15 +17,24 @@ from service.beam_settings import BeamSettings, LineKind, udp_target
 
 def make_beam_line(settings: BeamSettings, clock: Clock) -> BeamLine:
     """Make the line, not open yet: one or two, with whoever is told of it."""
-    first, *others = [_line(kind, settings, clock) for kind in settings.beam_lines]
-    line: BeamLine = PairedBeamLine(first, others[0]) if others else first
+    line = joined(beam_line_parts(settings, clock))
     senders = _senders(settings)
     if not senders:
         return line
     return ToldBeamLine(line, [Announcer(sender, clock, utc_now=_utc_now) for sender in senders], clock)
 
 
-def _line(kind: LineKind, settings: BeamSettings, clock: Clock) -> BeamLine:
+def beam_line_parts(settings: BeamSettings, clock: Clock) -> tuple[SimulatedBeamLine | WiredBeamLine, ...]:
+    """Make the one or two lines that the settings name, each for itself."""
+    return tuple(_line(kind, settings, clock) for kind in settings.beam_lines)
+
+
+def joined(parts: Sequence[BeamLine]) -> BeamLine:
+    """Make one line of one or two."""
+    return parts[0] if len(parts) == 1 else PairedBeamLine(*parts)
+
+
+def _line(kind: LineKind, settings: BeamSettings, clock: Clock) -> SimulatedBeamLine | WiredBeamLine:
     if kind == "simulated":
         return SimulatedBeamLine(clock)
     return WiredBeamLine(WIRES[kind](settings), clock, settings.beam_times)

@@ -107,6 +107,8 @@ class LineJudge:
         On was told, or nothing is known yet, and no later answer has proved the line off.
     edges
         Orders that were read back, as far as a bounded history reaches.
+    answers_ns
+        How long the answers took, as far as it reaches [ns].
     """
 
     def __init__(self, times: LineTimes, *, now_ns: int) -> None:
@@ -115,6 +117,7 @@ class LineJudge:
         self.reads_on = False
         self.may_be_on = True
         self.edges: deque[ReadEdge] = deque(maxlen=HISTORY)
+        self.answers_ns: deque[int] = deque(maxlen=HISTORY)
         self._asked_ns: int | None = None
         self._answered_ns = now_ns
         self._on_since_ns = now_ns - times.follow_ns
@@ -136,6 +139,7 @@ class LineJudge:
         """Note an answer; return what is wrong with it."""
         took_ns = now_ns - (now_ns if self._asked_ns is None else self._asked_ns)
         self._asked_ns = None
+        self.answers_ns.append(took_ns)
         self._answered_ns = now_ns
         self.reads_on = reads_on
         self._follow(reads_on=reads_on, now_ns=now_ns)

@@ -133,6 +133,16 @@ class WiredBeamLine:
         """Orders that were read back, oldest first, as far as a bounded history reaches."""
         return tuple(self._judge.edges)
 
+    @property
+    def name(self) -> str:
+        """What is at the other end, for a person."""
+        return self._wire.name
+
+    @property
+    def answers_ms(self) -> tuple[float, ...]:
+        """How long each answer took, as far as a bounded history reaches [ms]."""
+        return tuple(took_ns / NS_PER_MS for took_ns in tuple(self._judge.answers_ns))
+
     def close(self) -> None:
         """Hold, tell the line off as far as it still listens, and disconnect."""
         self.hold(HoldReason.ENGINE_STOPPED)

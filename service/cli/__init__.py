@@ -18,8 +18,10 @@ HOMES = {
     "evaluate": "evaluate",
     "calibrate": "calibrate",
     "bench": "bench",
+    "beam-line": "beam_line",
 }
-"""Which module of this package holds which command; the function, or the group of commands, has the command's name."""
+"""Which module of this package holds which command; the function, or the group of commands, has the command's name with
+underscores for dashes."""
 
 
 class LazyCommands(TyperGroup):
@@ -35,7 +37,7 @@ class LazyCommands(TyperGroup):
         if cmd_name not in self.list_commands(ctx):
             return None
         module = importlib.import_module(f"{__name__}.{HOMES[cmd_name]}")
-        held = getattr(module, cmd_name)
+        held = getattr(module, cmd_name.replace("-", "_"))
         if isinstance(held, typer.Typer):
             return typer.main.get_command(held)
         single = typer.Typer(add_completion=False, pretty_exceptions_show_locals=False)

@@ -1,0 +1,128 @@
+"""``tidegate beam-line check``: is the configured line there, and how long does it take."""
+
+import threading
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from service.cli.terminal import frame_bar, refused, say
+
+if TYPE_CHECKING:
+    from engine.beam.line import BeamLine
+    from engine.beam.simulated import SimulatedBeamLine
+    from engine.beam.wired import WiredBeamLine
+    from engine.clock import Clock
+    from service.settings import Settings
+
+COMMAND = "beam-line check"
+WATCHED_S = 2.0
+MAX_REPEATS = 1_000
+Rows = list[tuple[str, Sequence[float]]]
+
+beam_line = typer.Typer(
+    help="The beam line that TIDEGATE_BEAM_LINE names.", no_args_is_help=True, pretty_exceptions_show_locals=False
+)
+
+
+@beam_line.callback()
+def _beam_line() -> None:
+    """Keep `check` a command of its own: a group with one command would be that command."""
+
+
+@beam_line.command()
+def check(
+    *,
+    pulse: Annotated[
+        float | None,
+        typer.Option(help="Also permit the beam for leases of this length [ms], 20 to 200.", show_default=False),
+    ] = None,
+    repeats: Annotated[int, typer.Option(help="How often.", min=1, max=MAX_REPEATS)] = 20,
+    is_safe: Annotated[
+        bool, typer.Option("--yes-the-beam-is-safe", help="Nobody is in the room and the accelerator is made safe.")
+    ] = False,
+) -> None:
+    """Open the line, read it back, and say how long its answers take; with --pulse, how long its edges take.
+
+    Only while no session runs: two programs that tell one line contradict each other. It tells the line off, and with
+    --pulse it PERMITS THE BEAM, outside of any gating.
+    """
+    if pulse is not None and not is_safe:
+        raise refused(COMMAND, "--pulse permits the beam: give --yes-the-beam-is-safe too, when it is")
+    from engine.beam.pulse import PULSE_BOUNDS_MS
+    from engine.errors import TidegateError
+    from service.settings import SettingsError, load_settings
+
+    low, high = PULSE_BOUNDS_MS
+    if pulse is not None and not low <= pulse <= high:
+        raise refused(COMMAND, f"--pulse is {pulse:g}: must be a number from {low:g} to {high:g} ms")
+    try:
+        _check(load_settings(), pulse, repeats)
+    except (SettingsError, TidegateError) as error:
+        raise refused(COMMAND, error) from error
+
+
+def _check(settings: "Settings", pulse_ms: float | None, repeats: int) -> None:
+    from engine.clock import MonotonicClock
+    from service.beam_lines import beam_line_parts, joined
+
+    clock = MonotonicClock()
+    parts = beam_line_parts(settings, clock)
+    line = joined(parts)
+    rows: Rows = []
+    try:
+        line.open()
+        say(f"{' and '.join(settings.beam_lines)}: open, reads {'on' if line.is_on() else 'off'}")
+        threading.Event().wait(WATCHED_S)
+        line.is_on()  # raises where the line has found a trouble meanwhile
+        if pulse_ms is not None:
+            rows += _pulsed(line, clock, pulse_ms, repeats)
+    finally:
+        line.close()
+    _print([*_answers(settings, parts), *rows])
+
+
+def _answers(settings: "Settings", parts: "Sequence[SimulatedBeamLine | WiredBeamLine]") -> Rows:
+    from engine.beam.wired import WiredBeamLine
+
+    return [
+        (f"{kind}: asked -> answered", part.answers_ms if isinstance(part, WiredBeamLine) else ())
+        for kind, part in zip(settings.beam_lines, parts, strict=True)
+    ]
+
+
+def _pulsed(line: "BeamLine", clock: "Clock", pulse_ms: float, repeats: int) -> Rows:
+    from engine.beam.pulse import Pulser
+    from engine.clock import NS_PER_S
+
+    def wait_ns(span_ns: int) -> None:
+        threading.Event().wait(span_ns / NS_PER_S)
+
+    pulser = Pulser(line, clock, pulse_ms=pulse_ms, wait_ns=wait_ns)
+    pulser.arm()
+    taken = []
+    with frame_bar() as bar:
+        task = bar.add_task("pulses", total=repeats)
+        for done in range(repeats):
+            taken.append(pulser.pulse())
+            bar.update(task, completed=done + 1)
+    return [
+        ("permit -> read back on", [ms for times in taken for ms in times.on_ms]),
+        ("hold -> read back off", [times.held_ms for times in taken]),
+        ("end of lease -> read back off", [times.lapsed_ms for times in taken]),
+    ]
+
+
+def _print(rows: Rows) -> None:
+    import numpy as np
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(show_edge=False)
+    table.add_column("")
+    for name in ("n", "median, ms", "p99, ms", "max, ms"):
+        table.add_column(name, justify="right")
+    for name, taken_ms in rows:
+        figures = [*np.percentile(taken_ms, (50, 99)), max(taken_ms)] if taken_ms else []
+        table.add_row(name, str(len(taken_ms)), *(f"{figure:.1f}" for figure in figures))
+    Console(highlight=False).print(table)

@@ -1,0 +1,204 @@
+"""``tidegate beam-line check``: what it measures, what it refuses, and that it never leaves a line on."""
+
+import itertools
+import os
+
+import pytest
+from typer.testing import CliRunner
+
+from engine.beam.pulse import PULSE_BOUNDS_MS, Pulser
+from engine.beam.simulated import SimulatedBeamLine
+from engine.clock import ManualClock
+from engine.errors import BeamLineError, InvalidValueError
+from service.cli import app
+from tests.beam.receivers import receiver
+from tests.beam.stepped import MS, World
+
+SAFE = "--yes-the-beam-is-safe"
+
+
+@pytest.fixture(autouse=True)
+def no_settings_around(monkeypatch):
+    for name in list(os.environ):
+        if name.startswith("TIDEGATE_"):
+            monkeypatch.delenv(name)
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["beam-line", "check", *arguments])
+
+
+def _pulser(line, clock, wait_ns=None, pulse_ms=60.0):
+    return Pulser(line, clock, pulse_ms=pulse_ms, wait_ns=wait_ns or clock.advance_ns)
+
+
+def test_a_pulse_measures_the_edges_and_ends_off():
+    world = World(answer_ms=4)
+    world.line.open()
+    steps = iter(range(10**9))
+
+    def wait_ns(span_ns):
+        """The line's threads go on while it waits: one exchange every fifth millisecond."""
+        for _ in range(max(span_ns // MS, 1)):
+            world.clock.advance_ns(MS)
+            if next(steps) % 5 == 0:
+                world.wire.answer_ms = 0
+                world.line.exchange_once()
+
+    pulser = _pulser(world.line, world.clock, wait_ns)
+    pulser.arm()
+    times = pulser.pulse()
+    assert all(0 < on_ms <= 10 for on_ms in times.on_ms)
+    assert 0 < times.held_ms <= 10
+    assert 0 <= times.lapsed_ms <= 10
+    told = [is_on for _, is_on, _ in world.wire.told]
+    edges = [told[0], *(b for a, b in itertools.pairwise(told) if a is not b)]
+    assert edges == [False, True, False, True, False]
+    assert not world.line.is_on()
+
+
+def test_a_line_that_never_reads_on_is_held_and_told():
+    class Dead(SimulatedBeamLine):
+        holds = 0
+
+        def is_on(self):
+            return False
+
+        def hold(self, reason):
+            self.holds += 1
+            super().hold(reason)
+
+    clock = ManualClock(MS)
+    line = Dead(clock)
+    line.open()
+    pulser = _pulser(line, clock)
+    pulser.arm()
+    with pytest.raises(BeamLineError, match="never read back on"):
+        pulser.pulse()
+    assert line.holds == 1
+    assert not line._deadman.is_on(clock.now_ns())
+
+
+def test_a_line_that_never_reads_off_is_held_and_told():
+    class Stuck(SimulatedBeamLine):
+        def is_on(self):
+            return True
+
+    clock = ManualClock(MS)
+    line = Stuck(clock)
+    line.open()
+    pulser = _pulser(line, clock)
+    pulser.arm()
+    with pytest.raises(BeamLineError, match="never read back off"):
+        pulser.pulse()
+    assert not line._deadman.is_on(clock.now_ns())
+
+
+def test_a_line_that_does_not_let_itself_be_armed_is_given_up():
+    class Unready(SimulatedBeamLine):
+        def rearm(self):
+            raise BeamLineError("not yet")
+
+    clock = ManualClock(MS)
+    with pytest.raises(BeamLineError, match="not yet"):
+        _pulser(Unready(clock), clock).arm()
+    assert clock.now_ns() >= 3_000 * MS
+
+
+@pytest.mark.parametrize("pulse_ms", [0.0, 19.9, 200.1, -60.0, float("nan"), float("inf")])
+def test_a_pulse_longer_than_any_lease_or_too_short_is_refused(pulse_ms):
+    clock = ManualClock(MS)
+    with pytest.raises(InvalidValueError, match="pulse"):
+        _pulser(SimulatedBeamLine(clock), clock, pulse_ms=pulse_ms)
+    refused = run("--pulse", str(pulse_ms), SAFE)
+    assert refused.exit_code == 2
+    assert f"from {PULSE_BOUNDS_MS[0]:g} to {PULSE_BOUNDS_MS[1]:g} ms" in refused.stderr
+
+
+def test_a_pulse_without_the_word_that_the_beam_is_safe_is_refused_and_nothing_is_opened(monkeypatch):
+    with receiver("tcp") as far:
+        _point_at(monkeypatch, far)
+        refused = run("--pulse", "60")
+        assert refused.exit_code == 2
+        assert refused.stdout == ""
+        assert refused.stderr.count("\n") == 1
+        assert SAFE in refused.stderr
+    assert far.seen == []
+
+
+@pytest.mark.parametrize("repeats", ["0", "1001", "many"])
+def test_the_number_of_pulses_is_bounded(repeats):
+    assert run("--pulse", "60", SAFE, "--repeats", repeats).exit_code == 2
+
+
+def _point_at(monkeypatch, far):
+    names = {
+        "LINE": "modbus-tcp",
+        "MODBUS_HOST": "127.0.0.1",
+        "MODBUS_PORT": far.where,
+        "MODBUS_UNIT": "7",
+        "MODBUS_PERMIT_COIL": "3",
+        "MODBUS_HEARTBEAT_REGISTER": "11",
+        "MODBUS_READBACK_INPUT": "5",
+    }
+    for name, value in names.items():
+        monkeypatch.setenv(f"TIDEGATE_BEAM_{name}", value)
+
+
+def test_a_line_is_opened_read_and_timed_and_never_permitted(monkeypatch):
+    monkeypatch.setattr("service.cli.beam_line.WATCHED_S", 0.2)
+    with receiver("tcp") as far:
+        _point_at(monkeypatch, far)
+        done = run()
+        assert done.exit_code == 0, done.stderr
+    assert far.seen == []
+    assert "modbus-tcp: asked -> answered" in done.stdout
+    assert "permit ->" not in done.stdout
+
+
+def test_pulses_are_what_the_receiver_sees(monkeypatch):
+    monkeypatch.setattr("service.cli.beam_line.WATCHED_S", 0.2)
+    with receiver("tcp") as far:
+        _point_at(monkeypatch, far)
+        done = run("--pulse", "150", SAFE, "--repeats", "3")
+        assert done.exit_code == 0, done.stderr
+    assert [edge[0] for edge in far.seen] == ["on", "off"] * 6
+    assert [row.split("│")[1].strip() for row in done.stdout.splitlines() if "->" in row][1:] == ["6", "3", "3"]
+
+
+def test_a_simulated_line_is_checked_too():
+    done = run("--pulse", "60", SAFE, "--repeats", "1")
+    assert done.exit_code == 0
+    assert "simulated: open, reads off" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        ({"TIDEGATE_BEAM_LINE": "modbus-tcp", "TIDEGATE_BEAM_MODBUS_HOST": "127.0.0.1"}, "does not answer"),
+        ({"TIDEGATE_BEAM_LINE": "none"}, "TIDEGATE_BEAM_LINE"),
+    ],
+    ids=["nobody there", "no such line"],
+)
+def test_a_line_that_is_not_there_is_refused_in_one_line(monkeypatch, names, said):
+    for name, value in names.items():
+        monkeypatch.setenv(name, value)
+    if "TIDEGATE_BEAM_MODBUS_HOST" in names:
+        monkeypatch.setenv("TIDEGATE_BEAM_MODBUS_PORT", "1")
+    refused = run()
+    assert refused.exit_code == 2
+    assert refused.stderr.count("\n") == 1
+    assert refused.stderr.startswith("tidegate beam-line check: ")
+    assert said in refused.stderr
+
+
+def test_a_receiver_that_fails_under_pulses_ends_in_one_line_and_off(monkeypatch):
+    monkeypatch.setattr("service.cli.beam_line.WATCHED_S", 0.2)
+    with receiver("tcp") as far:
+        _point_at(monkeypatch, far)
+        far.spoil("stuck off")
+        refused = run("--pulse", "200", SAFE, "--repeats", "1")
+        assert refused.exit_code == 2
+        assert refused.stderr.splitlines()[-1].startswith("tidegate beam-line check: ")
+        assert far.next_edge()[0] == "on"
+        assert far.next_edge()[0] == "off"
