@@ -9,7 +9,7 @@ from fastapi.staticfiles import StaticFiles
 from starlette.middleware import Middleware
 
 from engine import __version__
-from service.api import audit, calibrations, devices, health, metrics, models, sessions
+from service.api import audit, calibrations, devices, health, interlocks, metrics, models, sessions
 from service.deps import require_json
 from service.engine_adapter import EngineAdapter
 from service.lifespan import make_lifespan
@@ -45,7 +45,7 @@ def create_app(settings: Settings, make_engine: Callable[[Settings], EnginePort]
     app.include_router(health.router)
     app.include_router(metrics.router)
     api = APIRouter(prefix="/api/v1", dependencies=[Depends(require_json)])
-    for module in (sessions, models, calibrations, devices, audit):
+    for module in (sessions, models, calibrations, devices, interlocks, audit):
         api.include_router(module.router)
     app.include_router(api)
     app.include_router(live.router, prefix="/api/v1")

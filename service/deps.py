@@ -21,6 +21,7 @@ class Services:
     models: ports.ModelsPort
     audit: ports.AuditPort
     health: ports.HealthPort
+    interlocks: ports.InterlocksPort
     metrics: ports.MetricsPort
     engine: ports.EnginePort
 

@@ -54,13 +54,14 @@ class BaselineCorrectionRequest(Request):
         return float(getattr(self, f"drift_{self.unit}"))
 
 
-class InterlockLimit(Answer):
-    """One number that bounds an interlock, as this site has set it."""
+class InterlockSetting(Answer):
+    """One of the site's settings that bounds an interlock."""
 
     name: str = Field(examples=["max_latency_ms"])
-    value: float
-    low: float = Field(description="Lowest value that a site may set")
-    high: float = Field(description="Highest value that a site may set")
+    variable: str = Field(description="In the environment", examples=["TIDEGATE_MAX_LATENCY_MS"])
+    value: float | bool | list[str]
+    low: float | None = Field(description="Lowest value that a site may set; null where it is no number")
+    high: float | None = Field(description="Highest value that a site may set; null where it is no number")
 
 
 class Interlock(Answer):
@@ -68,9 +69,10 @@ class Interlock(Answer):
 
     code: str = Field(examples=["frame_stale"])
     text: str = Field(description="In the words of the treatment room")
+    trips: str = Field(description="What trips it, for a physicist")
     latches: bool = Field(description="A fault: stays until a named person acknowledges it")
-    limits: list[InterlockLimit]
-    source: str = Field(description="The guideline it comes from")
+    settings: list[InterlockSetting]
+    source: str = Field(description="The guideline it comes from; `own` where none asks for it")
 
 
 class InterlockList(Answer):

@@ -14,6 +14,7 @@ from service.audit_log import AuditLog
 from service.calibrations import CalibrationShelf
 from service.db.engine import Database
 from service.deps import Services
+from service.interlocks import InterlockTable
 from service.metrics import Metrics
 from service.model_store import ModelStore
 from service.motion_models import ModelShelf
@@ -90,6 +91,7 @@ def _open(settings: Settings, engine: EnginePort) -> _House:
         models=ModelShelf(database, room),
         audit=log,
         health=ReadinessProbe(database, settings),
+        interlocks=InterlockTable(settings),
         metrics=Metrics(tallies, room),
         engine=engine,
     )

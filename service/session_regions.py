@@ -8,6 +8,7 @@ from engine.frames import Motion
 from engine.pipeline import PipelineSettings
 from engine.polygons import NamedRegion
 from service import schemas
+from service.site_limits import breath_signals
 from service.window_schemas import Window
 
 NAMED_DTYPE = "<f4"
@@ -17,7 +18,7 @@ DIGITS = 5  # what single precision holds of a length in mm
 def measuring_with(
     settings: PipelineSettings, regions: schemas.Regions, window: Window | None = None
 ) -> PipelineSettings:
-    """Return how the pipeline measures a session with these regions, and the points its window looks at."""
+    """Return how the pipeline measures a session: with its regions, and with the points and breaths of its window."""
     named = tuple(
         NamedRegion(name=region.name, vertices=tuple((row, column) for row, column in region.vertices))
         for region in regions.named
@@ -29,6 +30,7 @@ def measuring_with(
         named=named,
         split=split,
         points=settings.points if window is None else tuple(dict.fromkeys((*window.points, *settings.points))),
+        breath_signals=settings.breath_signals if window is None else breath_signals(window, regions),
         extra_markers=regions.extra_markers or settings.extra_markers,
     )
 

@@ -248,6 +248,7 @@ def test_the_points_of_a_window_are_measured_and_found_by_their_place():
     window = Window.model_validate(first | {"further": [second, first]})
     settings = measuring_with(PipelineSettings(points=((7, 7), (200, 60))), schemas.Regions(), window)
     assert settings.points == ((100, 50), (200, 60), (7, 7))
+    assert settings.breath_signals == (SignalChoice(signal="point", row=100, column=50, index=0),)
     choices = [condition.choice for condition in gate_window(window).leaves]
     assert [settings.points[choice.index] for choice in choices] == [(100, 50), (200, 60), (100, 50)]
 
@@ -257,11 +258,11 @@ def test_the_breath_of_the_first_signal_and_of_every_phase_is_followed():
     window = Window.model_validate(
         {"signal": "thorax", **MM, "further": [MM | {"signal": "volume"} | VOLUME, belly, PHASE]}
     )
-    assert breath_signals(window, REGIONS) == (
-        SignalChoice(signal="thorax"),
-        SignalChoice(signal="named", name="belly", index=1),
-        SignalChoice(),
-    )
+    followed = (SignalChoice(signal="thorax"), SignalChoice(signal="named", name="belly", index=1), SignalChoice())
+    assert breath_signals(window, REGIONS) == followed
+    assert measuring_with(PipelineSettings(), REGIONS, window).breath_signals == followed
+    gated = [leaf.choice for leaf in gate_window(window, REGIONS).leaves]
+    assert set(followed) <= set(gated), "the gate finds a breath by the very same signal"
 
 
 VOLUME = {"lower_mm": None, "upper_mm": None, "lower_l": 0.1, "upper_l": 0.2}
