@@ -4,6 +4,7 @@ The only importer of pymodbus. Its clients are asked without retries and with wh
 exchange: whether an answer counts is for :mod:`engine.beam.judge` to say, not for a library to try again.
 """
 
+import logging
 import time
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -16,7 +17,6 @@ from engine.beam.serial_line import PARITY_LETTERS, Parity, check_baud
 from engine.errors import BeamLineError, InvalidValueError
 
 CONNECT_S = 0.5
-SHORTEST_S = 0.002
 
 MAP_BOUNDS: dict[str, tuple[int, int]] = {
     "unit": (1, 247),
@@ -103,15 +103,24 @@ class ModbusWire:
         self._client.close()  # type: ignore[no-untyped-call]
 
     def _allow(self, until_s: float) -> None:
-        """Let the next request take what is left; a client that lost its connection must not make one by itself."""
+        """Let the next request take what is left.
+
+        A client that lost its connection must not make one by itself, and what was decided before this process was
+        stopped must not be told when it goes on.
+        """
         if not self._client.connected:
             msg = "the connection is gone"
             raise BeamLineError(msg)
-        self._client.comm_params.timeout_connect = max(until_s - time.monotonic(), SHORTEST_S)
+        left_s = until_s - time.monotonic()
+        if left_s <= 0.0:
+            msg = "the time for an answer is over"
+            raise BeamLineError(msg)
+        self._client.comm_params.timeout_connect = left_s
 
 
 def tcp_wire(*, host: str, port: int, registers: RegisterMap) -> ModbusWire:
     """Make a wire over TCP."""
+    _silence_library()
     client = ModbusTcpClient(host, port=port, timeout=CONNECT_S, retries=0)
     return ModbusWire(client, registers, name=f"the beam line at {host}:{port}")
 
@@ -119,6 +128,7 @@ def tcp_wire(*, host: str, port: int, registers: RegisterMap) -> ModbusWire:
 def rtu_wire(*, device: str, baud: int, parity: Parity, stop_bits: int, registers: RegisterMap) -> ModbusWire:
     """Make a wire over a serial line, RTU framing, eight data bits; raise InvalidValueError for an unknown speed."""
     check_baud(baud)
+    _silence_library()
     client = ModbusSerialClient(
         device,
         baudrate=baud,
@@ -129,6 +139,11 @@ def rtu_wire(*, device: str, baud: int, parity: Parity, stop_bits: int, register
         retries=0,
     )
     return ModbusWire(client, registers, name=f"the beam line on {device}")
+
+
+def _silence_library() -> None:
+    """Keep pymodbus from logging each failed attempt, four a second: what it has to say is told as a trouble."""
+    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
 
 def _good(answer: ModbusPDU, asked: str) -> ModbusPDU:

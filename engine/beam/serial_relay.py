@@ -168,6 +168,9 @@ class RelayWire:
             raise BeamLineError(msg)
         until_s = time.monotonic() + within_s
         port.write_timeout = within_s
+        if time.monotonic() >= until_s:  # this process was stopped, and goes on with what was decided before
+            msg = "the time for an answer is over"
+            raise BeamLineError(msg)
         port.write(self._protocol.order(self._channel, is_on))
         if self._heartbeat_channel is not None:
             port.write(self._protocol.order(self._heartbeat_channel, heartbeat % 2 == 1))

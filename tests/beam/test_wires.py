@@ -206,3 +206,24 @@ def test_a_wire_that_lost_its_connection_does_not_make_one_by_itself():
         with pytest.raises(BeamLineError, match="connection is gone"):
             wire.exchange(is_on=True, heartbeat=1, within_s=1.0)
         assert far.seen == []
+
+
+def test_what_was_decided_before_this_process_was_stopped_is_not_told_when_it_goes_on():
+    with receiver("tcp") as far:
+        wire = tcp_wire(host="127.0.0.1", port=int(far.where), registers=REGISTERS)
+        wire.connect()
+        with pytest.raises(BeamLineError, match="time for an answer is over"):
+            wire.exchange(is_on=True, heartbeat=1, within_s=0.0)
+        wire.close()
+    assert far.seen == []
+    port = FakePort([b"\xa0\x01\x01\xa2"])
+    with pytest.raises(BeamLineError, match="time for an answer is over"):
+        relay(port).exchange(is_on=True, heartbeat=1, within_s=0.0)
+    assert port.written == []
+
+
+def test_the_library_does_not_log_what_is_told_as_a_trouble(caplog):
+    wire = tcp_wire(host="127.0.0.1", port=1, registers=REGISTERS)
+    with pytest.raises(BeamLineError, match="cannot connect"):
+        wire.connect()
+    assert caplog.records == []
