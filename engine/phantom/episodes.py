@@ -15,7 +15,8 @@ from engine.phantom.builds import Build
 
 Grid = npt.NDArray[np.float64]
 _Shape = Callable[[Grid], Grid]
-KINDS = ("cough", "sigh", "apnoea", "talking", "irregular", "drift")
+KINDS = ("sigh", "apnoea", "talking", "irregular", "drift", "cough")
+"""In this order: no skin moves as fast as in a hard cough, and what is measured after it has to be believed again."""
 QUIET_S = 16.0
 """Shortest quiet breathing between two episodes [s]."""
 TAIL_S = 3.0

@@ -4,6 +4,7 @@ import typer
 
 from service.cli.evaluate_ablations import ablations
 from service.cli.evaluate_bench import bench
+from service.cli.evaluate_breathing import breathing
 from service.cli.evaluate_gate import gate
 from service.cli.evaluate_laser import laser, plane
 from service.cli.evaluate_spirometer import spirometer
@@ -18,6 +19,7 @@ evaluate = typer.Typer(
 evaluate.callback(invoke_without_command=True)(bench)
 evaluate.command("ablations")(ablations)
 evaluate.command("gate")(gate)
+evaluate.command("breathing")(breathing)
 evaluate.command("laser")(laser)
 evaluate.command("plane")(plane)
 evaluate.command("spirometer")(spirometer)

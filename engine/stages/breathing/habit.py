@@ -114,11 +114,15 @@ def level_scatter(cycles: Sequence[Cycle]) -> float:
 
 
 def _odd(cycle: Cycle, habit: Habit, before: tuple[Cycle, ...]) -> float:
+    """Judge a breath by the usual one and by the one before, whichever is more like it: a new habit is soon one."""
+    by_habit = _apart(cycle, habit.period_s, habit.rise)
+    by_last = _apart(cycle, before[-1].period_s, before[-1].rise) if before else MAX_ODD
     # By how much the level went elsewhere than it was going: a steady drift is not irregular.
     level = cycle.low - 2.0 * before[1].low + before[0].low if len(before) == 2 else 0.0
-    return min(
-        MAX_ODD,
-        (math.log(cycle.period_s / habit.period_s) / PERIOD_SPREAD) ** 2
-        + (math.log(max(cycle.rise, 1e-6) / habit.rise) / AMPLITUDE_SPREAD) ** 2
-        + (0.5 * level / habit.rise / LEVEL_SPREAD) ** 2,
-    )
+    return min(MAX_ODD, min(by_habit, by_last) + (0.5 * level / habit.rise / LEVEL_SPREAD) ** 2)
+
+
+def _apart(cycle: Cycle, period_s: float, rise: float) -> float:
+    longer = math.log(cycle.period_s / period_s) / PERIOD_SPREAD
+    deeper = math.log(cycle.rise / rise) / AMPLITUDE_SPREAD
+    return longer**2 + deeper**2
