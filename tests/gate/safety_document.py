@@ -3,7 +3,6 @@
 import sys
 
 from engine.interlocks import INTERLOCKS, Interlock
-from engine.limits import LIMIT_BOUNDS
 from engine.permits import GateState, HoldReason
 from engine.stages.gate import EventKind, next_state
 from service.hold_texts import HOLD_TEXTS
@@ -41,12 +40,12 @@ def _interlock_row(interlock: Interlock) -> str:
 
 
 def _bound(name: str) -> str:
-    default = Settings.model_fields[name].default
+    field = Settings.model_fields[name]
     setting = f"`{PREFIX}{name.upper()}`"
-    if name not in LIMIT_BOUNDS:
-        return f"{setting}: {default or 'none'}" if isinstance(default, tuple) else f"{setting}: {default}"
-    low, high = LIMIT_BOUNDS[name]
-    return f"{setting}: {default:g}, {low:g} to {high:g}"
+    if isinstance(field.default, bool | tuple):
+        return f"{setting}: {str(field.default or 'none').lower()}"
+    bounds = {kind: getattr(one, kind) for one in field.metadata for kind in ("ge", "le") if hasattr(one, kind)}
+    return f"{setting}: {field.default:g}, {bounds['ge']:g} to {bounds['le']:g}"
 
 
 if __name__ == "__main__":
