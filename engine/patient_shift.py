@@ -33,11 +33,11 @@ class PatientShift:
 
     def __init__(self, limits: GateLimits) -> None:
         self._limits = limits
-        self._zero_mm: FloatArray | None = None
+        self._zero: MarkersAtZero | None = None
 
     def forget(self) -> None:
         """Take the next measured frame for the position: the zero is set anew."""
-        self._zero_mm = None
+        self._zero = None
 
     def look(self, motion: Motion | None, *, has_zero: bool) -> Interruption | None:
         """Return the hold where the patient lies elsewhere; a model that took over with the zero changes nothing."""
@@ -47,10 +47,10 @@ class PatientShift:
         if motion is None or len(motion.surface_mm) != NODES:
             return None  # not measured: the frame itself holds
         markers_mm = np.asarray(motion.surface_mm[list(CORNERS)], dtype=np.float64)
-        if self._zero_mm is None:
-            self._zero_mm = markers_mm
+        if self._zero is None:
+            self._zero = MarkersAtZero(markers_mm)
             return None
-        return self._judge(movement_of(self._zero_mm, markers_mm))
+        return self._judge(self._zero.movement(markers_mm))
 
     def _judge(self, moved: Movement) -> Interruption | None:
         limits = self._limits
@@ -63,28 +63,45 @@ class PatientShift:
         return None
 
 
-def movement_of(zero_mm: FloatArray, now_mm: FloatArray) -> Movement:
-    """Return how far four markers have moved, seen in the plane they lay in.
+class MarkersAtZero:
+    """Where the four markers were, and the plane they lay in, in which later movements are seen.
 
     Parameters
     ----------
-    zero_mm, now_mm
-        The markers, superior right, superior left, inferior left, inferior right, in the depth camera's frame [mm],
-        shape (4, 3).
+    markers_mm
+        Superior right, superior left, inferior left, inferior right, in the depth camera's frame [mm], shape (4, 3).
     """
-    axes = _body_axes(zero_mm)
-    middle_mm = zero_mm.mean(axis=0)
-    before, now = (zero_mm - middle_mm) @ axes, (now_mm - middle_mm) @ axes
-    offset_mm = now.mean(axis=0)
-    turned = now - offset_mm
-    cross = float((before[:, 0] * turned[:, 1] - before[:, 1] * turned[:, 0]).sum())
-    along = float((before[:, :2] * turned[:, :2]).sum())
-    lift_mm = turned[:, 2] - before[:, 2]
-    left_over_right_mm = float(lift_mm[1] + lift_mm[2] - lift_mm[0] - lift_mm[3]) / 2.0
-    width_mm = float(before[1, 0] + before[2, 0] - before[0, 0] - before[3, 0]) / 2.0
-    turns_rad = (math.atan2(cross, along), math.atan2(left_over_right_mm, width_mm))
-    turn_deg = math.nan if any(map(math.isnan, turns_rad)) else max(abs(math.degrees(turn)) for turn in turns_rad)
-    return Movement(shift_mm=math.hypot(*offset_mm[:2]), turn_deg=turn_deg)
+
+    def __init__(self, markers_mm: FloatArray) -> None:
+        self._axes = _body_axes(markers_mm)
+        self._middle_mm = markers_mm.mean(axis=0)
+        self._before = self._seen(markers_mm)
+
+    def movement(self, now_mm: FloatArray) -> Movement:
+        """Return how far they have moved; NaN where a marker is no number. Four points: plain floats are quicker."""
+        before, now = self._before, self._seen(now_mm)
+        across_mm, along_mm, lift_mm = (sum(axis) / len(axis) for axis in zip(*now, strict=True))
+        cross = dot = 0.0
+        for (x0, y0, _), (x, y, _) in zip(before, now, strict=True):
+            cross += x0 * (y - along_mm) - y0 * (x - across_mm)
+            dot += x0 * (x - across_mm) + y0 * (y - along_mm)
+        right, left = (0, 3), (1, 2)
+        lifts_mm = [after[2] - lift_mm - first[2] for first, after in zip(before, now, strict=True)]
+        left_over_right_mm = sum(lifts_mm[one] for one in left) - sum(lifts_mm[one] for one in right)
+        width_mm = sum(before[one][0] for one in left) - sum(before[one][0] for one in right)
+        turns_rad = (math.atan2(cross, dot), math.atan2(left_over_right_mm, width_mm))
+        turn_deg = math.nan if any(map(math.isnan, turns_rad)) else max(abs(math.degrees(turn)) for turn in turns_rad)
+        return Movement(shift_mm=math.hypot(across_mm, along_mm), turn_deg=turn_deg)
+
+    def _seen(self, markers_mm: FloatArray) -> list[list[float]]:
+        """Across the body, along it, and out of the plane, from the middle of where they were [mm]."""
+        seen: list[list[float]] = ((markers_mm - self._middle_mm) @ self._axes).tolist()
+        return seen
+
+
+def movement_of(zero_mm: FloatArray, now_mm: FloatArray) -> Movement:
+    """Return how far four markers have moved from where they were."""
+    return MarkersAtZero(zero_mm).movement(now_mm)
 
 
 def _body_axes(markers_mm: FloatArray) -> FloatArray:
