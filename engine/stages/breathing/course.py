@@ -7,6 +7,9 @@ from engine.stages.breathing.habit import Cycle
 from engine.stages.breathing.turns import RISING, Turns
 
 
+MIN_SPEED_MM_S = 0.1
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Course:
     """What is remembered of it.
@@ -62,5 +65,5 @@ def _completed(course: Course, turns: Turns) -> Cycle | None:
         rise=rise,
         up_share=min(max((rose_s - peak_s) / period_s, 0.05), 0.95),
         down_share=min(max((course.fell_s - peak_s) / period_s, 0.02), 0.6),
-        speed=course.speed / rise,
+        speed=max(course.speed, MIN_SPEED_MM_S) / rise,
     )
