@@ -43,8 +43,8 @@ SESSION = {
     "operator": "A. Therapist",
     "source": {"kind": "recording", "path": "demo/recording.oni", "player": "auto"},
     "calibration_id": "ca" * 16,
-    "window": {"signal": "whole", "row": None, "column": None, "lower_mm": -1.0, "upper_mm": 3.0}
-    | {"hysteresis_mm": 0.2, "dwell_ms": 200.0},
+    "window": {"kind": "amplitude", "signal": "whole", "row": None, "column": None, "lower_mm": -1.0, "upper_mm": 3.0}
+    | {"hysteresis_mm": 0.2, "dwell_ms": 200.0, "join": "and", "further": []},
     "is_simulated_beam": True,
     "created_at": "2026-11-21T03:00:00Z",
     "started_at": None,
@@ -66,6 +66,56 @@ WAITING = {
     "share": 1.0,
     "note": "a new model is ready: it takes over when the gate is disarmed",
 }
+
+
+BREATH = {
+    "signal": "whole",
+    "unit": "mm",
+    "phase_percent": 37.4,
+    "phase_confidence": 0.92,
+    "note": "",
+    "rate_per_min": 14.96,
+    "rate_confidence": 0.95,
+    "amplitude": 9.02,
+    "baseline": -0.42,
+    "drift": 0.21,
+    "drift_per_s": 0.004,
+    "regularity": 0.94,
+    "events": [],
+}
+
+
+def condition(**changes: Any) -> dict[str, Any]:
+    """Return an amplitude condition on the whole as the stream tells it; `changes` say what is different."""
+    nothing = dict.fromkeys(
+        (
+            *("row", "column", "name", "hold", "settle_ms", "still", "max_drift", "timeout_s", "stage"),
+            *("from_percent", "to_percent", "min_confidence"),
+        )
+    )
+    edges = {"unit": "mm", "lower": -1.0, "upper": 3.0, "hysteresis": 0.2}
+    return nothing | edges | {"kind": "amplitude", "signal": "whole", "label": "whole", "is_inside": False} | changes
+
+
+def breath_hold(**changes: Any) -> dict[str, Any]:
+    """Return a condition of a held inspiration."""
+    numbers = {"settle_ms": 1000.0, "still": 1.0, "max_drift": 2.0, "timeout_s": 25.0, "lower": 6.0, "upper": 10.0}
+    return condition(kind="breath_hold", hold="inspiration", stage="settling", **numbers) | changes
+
+
+def phase(**changes: Any) -> dict[str, Any]:
+    """Return a condition on the phase around the end of exhale."""
+    nothing = dict.fromkeys(("unit", "lower", "upper", "hysteresis"))
+    phases = {"from_percent": 30.0, "to_percent": 70.0, "min_confidence": 0.6}
+    return condition(kind="phase") | nothing | phases | changes
+
+
+def window(*conditions: dict[str, Any], join: str = "and") -> dict[str, Any]:
+    """Return a window of these conditions."""
+    first = conditions[0]
+    edges = {f"{name}_mm": first[name] if first["unit"] == "mm" else None for name in ("lower", "upper", "hysteresis")}
+    place = {name: first[name] for name in ("signal", "row", "column")}
+    return place | edges | {"join": join, "conditions": list(conditions)}
 
 
 def motion_at(seconds: float) -> dict[str, Any]:
@@ -105,15 +155,12 @@ def sample(**changes: Any) -> dict[str, Any]:
         "gate": "hold",
         "hold_reason": "outside_window",
         "hold_text": "The signal is outside the window.",
+        "hold_detail": "4.10 mm is not inside -1 to 3 mm",
+        "operator_hold": None,
         "line_on": False,
-        "window": {
-            "signal": "whole",
-            "row": None,
-            "column": None,
-            "lower_mm": -1.0,
-            "upper_mm": 3.0,
-            "hysteresis_mm": 0.2,
-        },
+        "window": window(condition()),
+        "breath": BREATH,
+        "breath_hold": None,
         **motion_at(0.0),
         "named_mm": {},
         "split_rows": None,
@@ -122,7 +169,7 @@ def sample(**changes: Any) -> dict[str, Any]:
         "fps": 29.9,
         "frames": 513,
         "missed_frames": 0,
-        "latency_ms": {"last": 5.2, "p50": 5.0, "p99": 9.1},
+        "latency_ms": {"last": 5.2, "p50": 5.0, "p99": 9.1, "max": 31.4, "warned": False},
     } | changes
 
 
@@ -138,6 +185,7 @@ NOTHING_MEASURED = dict.fromkeys(
         "regions_mm",
         "named_mm",
         "lags",
+        "breath",
         "roi_px",
     )
 )

@@ -177,7 +177,7 @@ def test_nothing_the_page_can_send_names_a_beam(fake: FakeService, tab: Tab):
             button.click(timeout=1000, trial=False)
             page.wait_for_timeout(30)
     allowed = re.compile(
-        rf"/sessions/{SESSION_ID}/(arm|disarm|reference|acknowledge|stop|models/retrain|models/apply)$"
+        rf"/sessions/{SESSION_ID}/(arm|disarm|hold|release|presence|reference|acknowledge|stop|models/retrain|models/apply)$"
     )
     paths = [path for path, _ in fake.posts()]
     assert len(set(paths)) >= 4

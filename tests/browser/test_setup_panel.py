@@ -49,7 +49,8 @@ def test_the_form_sends_what_the_contract_asks_for(fake: FakeService, tab: Tab, 
                 "fraction_number": 2,
                 "source": {"kind": "recording", "player": "auto", "path": "demo/recording.oni"},
                 "calibration_id": CALIBRATION["id"],
-                "window": {"signal": "whole", "lower_mm": -1, "upper_mm": 3, "hysteresis_mm": 0.2, "dwell_ms": 200},
+                "window": {"kind": "amplitude", "signal": "whole", "lower_mm": -1, "upper_mm": 3}
+                | {"hysteresis_mm": 0.2, "dwell_ms": 200},
             },
         )
     ]

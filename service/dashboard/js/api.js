@@ -2,6 +2,7 @@
 
 const ROOT = "/api/v1";
 const TIMEOUT_MS = 8000;
+const PRESENCE_TIMEOUT_MS = 2000;
 
 export class ApiError extends Error {
   constructor(status, problem) {
@@ -29,8 +30,8 @@ async function call(method, path, body, headers = {}) {
   return answer;
 }
 
-async function send(method, path, body, headers) {
-  const request = { method, headers: { Accept: "application/json", ...headers }, signal: AbortSignal.timeout(TIMEOUT_MS), cache: "no-store" };
+async function send(method, path, body, headers, timeoutMs = TIMEOUT_MS) {
+  const request = { method, headers: { Accept: "application/json", ...headers }, signal: AbortSignal.timeout(timeoutMs), cache: "no-store" };
   if (body !== undefined) {
     request.body = typeof body === "string" ? body : JSON.stringify(body);
     request.headers["Content-Type"] = "application/json";
@@ -54,10 +55,15 @@ export const listCalibrations = () => call("GET", "/calibrations?limit=100");
 export const listDevices = () => call("GET", "/devices");
 export const listAudit = (id, limit) => call("GET", `/audit?session_id=${encodeURIComponent(id)}&limit=${limit}`);
 
-/** `action` is one of start, arm, disarm, reference, acknowledge, stop. */
+/** `action` is one of start, arm, disarm, hold, release, reference, acknowledge, stop. */
 export const act = (id, action, operator) => call("POST", `${session(id)}/${action}`, { operator });
 export const retrain = (id, operator, keepsReference) =>
   call("POST", `${session(id)}/models/retrain`, { operator, keeps_reference: keepsReference });
+/** `unit` is mm or l; `by` and `drift` are what the person saw and confirms. */
+export const correctBaseline = (id, operator, unit, by, drift) =>
+  call("POST", `${session(id)}/baseline-correction`, { operator, [`by_${unit}`]: by, [`drift_${unit}`]: drift });
+/** Somebody looks at this page; not worth waiting for. */
+export const notePresence = (id, operator) => send("POST", `${session(id)}/presence`, { operator }, {}, PRESENCE_TIMEOUT_MS);
 export const applyModel = (id, operator) => call("POST", `${session(id)}/models/apply`, { operator });
 
 export function uploadCalibration(text, operator) {

@@ -1,14 +1,17 @@
 /**
  * The buttons of a session. None can turn the beam on: arming only lets the gate decide.
  *
- * Each is enabled only where it makes sense, and the line below says what is missing. Disarm is the exception: one click
- * or Esc, at any time a running session is known, with or without a name or a fresh connection.
+ * Each is enabled only where it makes sense, and the line below says what is missing. Disarm and Hold are the exceptions:
+ * one click or their key, at any time a running session is known, with or without a name or a fresh connection.
  */
 
 import { act, applyModel, retrain } from "./api.js";
 import { setText } from "./gate.js";
 import { needsZero, stageOf } from "./learning.js";
+import { rememberArming } from "./presence.js";
 
+/** What only takes permission away, and its key: never refused by the page, never asked twice. */
+const HALTS = { disarm: "Escape", hold: "F8" };
 const OPERATOR_KEY = "tidegate.operator";
 const UNNAMED = "unnamed at the page";
 /** How long "Stop" waits for the second click [ms]. */
@@ -17,6 +20,9 @@ const CONFIRM_MS = 4000;
 const DONE = {
   start: "Session started.",
   arm: "Armed: the gate decides now.",
+  hold: "Held until released.",
+  release: "Released: the gate decides again, after the dwell.",
+  correct: "Disarmed. The window was moved.",
   disarm: "Disarmed.",
   reference: "Reference set.",
   acknowledge: "Fault acknowledged.",
@@ -28,6 +34,7 @@ const DONE = {
 /** Why an action makes no sense now, in the order a person would fix it; empty when it does. */
 const OBSTACLES = {
   arm: (c) => named(c) || running(c) || still(c) || (c.sample.gate === "fault" ? "acknowledge the fault first" : "") || measuring(c) || compared(c) || zeroed(c),
+  release: (c) => named(c) || running(c) || (c.sample.operator_hold ? "" : "nobody holds the beam"),
   reference: (c) => named(c) || running(c) || still(c) || measuring(c),
   retrain: (c) => named(c) || running(c) || compared(c) || (isLearning(c.sample) ? "already learning" : ""),
   apply: (c) => named(c) || running(c) || (stageOf(c.sample) === "waiting" ? "" : "no new model waits"),
@@ -63,9 +70,12 @@ export class Controls {
       this.update(this.context);
     });
     for (const action of Object.keys(OBSTACLES)) button(action).addEventListener("click", () => this.#press(action));
-    button("disarm").addEventListener("click", () => this.disarm());
+    for (const action of Object.keys(HALTS)) button(action).addEventListener("click", () => this.halt(action));
     document.addEventListener("keydown", (event) => {
-      if (event.key === "Escape" && !event.repeat) this.disarm();
+      const action = Object.keys(HALTS).find((one) => HALTS[one] === event.key);
+      if (action === undefined) return;
+      if (action === "hold") event.preventDefault();
+      if (!event.repeat) this.halt(action);
     }, { capture: true });
   }
 
@@ -85,17 +95,24 @@ export class Controls {
       button(action).title = why === "" ? "" : `Not now: ${why}`;
     }
     setText(document.getElementById("hint"), hint(this.context));
-    button("disarm").disabled = this.lastRunningId === null;
+    for (const action of Object.keys(HALTS)) button(action).disabled = this.lastRunningId === null;
+    button("release").classList.toggle("go", Boolean(context.sample?.operator_hold));
     const isFault = context.sample?.gate === "fault";
     button("acknowledge").hidden = !isFault;
     button("arm").hidden = isFault;
+    button("release").hidden = isFault;
     button("apply").hidden = stageOf(context.sample) !== "waiting";
     this.keepsZero.disabled = button("retrain").disabled;
   }
 
-  async disarm() {
+  async halt(action) {
     if (this.lastRunningId === null) return;
-    await this.#send("disarm", this.lastRunningId, this.operatorName || UNNAMED);
+    await this.#send(action, this.lastRunningId, this.operatorName || UNNAMED);
+  }
+
+  /** Do something of another panel's, told of here like all else. */
+  async run(action, call) {
+    await this.#attempt(action, call);
   }
 
   #press(action) {
@@ -117,15 +134,19 @@ export class Controls {
   }
 
   async #send(action, id, operator) {
+    await this.#attempt(action, () => this.#call(action, id, operator));
+  }
+
+  async #attempt(action, call) {
     const mine = (this.busy = Symbol(action));
     this.say("busy", "Sending…");
     this.update(this.context);
     try {
-      await this.#call(action, id, operator);
+      await call();
       if (this.busy === mine) this.say("done", DONE[action]);
     } catch (error) {
-      // A refused or failed disarm is never hidden behind a later answer: it names what else stops the beam.
-      const hint = action === "disarm" ? " The page could not disarm: use the room's interlock." : "";
+      // A refused or failed halt is never hidden behind a later answer: it names what else stops the beam.
+      const hint = action in HALTS ? ` The page could not ${action}: use the room's interlock.` : "";
       this.say("failed", `${label(action)}: ${error.message}${hint}`);
     } finally {
       if (this.busy === mine) this.busy = null;
@@ -136,7 +157,10 @@ export class Controls {
 
   async #call(action, id, operator) {
     if (action === "apply") await applyModel(id, operator);
-    else if (action !== "retrain") await act(id, action, operator);
+    else if (action !== "retrain") {
+      await act(id, action, operator);
+      if (action === "arm") rememberArming(id, operator);
+    }
     else {
       await retrain(id, operator, this.keepsZero.checked);
       // To give the zero up is a choice for once.
@@ -164,5 +188,5 @@ function button(action) {
 }
 
 function label(action) {
-  return { reference: "Set reference", retrain: "Learn again", apply: "Apply" }[action] ?? action[0].toUpperCase() + action.slice(1);
+  return { reference: "Set reference", retrain: "Learn again", apply: "Apply", correct: "Correct baseline" }[action] ?? action[0].toUpperCase() + action.slice(1);
 }

@@ -19,6 +19,7 @@ const FIGURES = {
 
 export function renderFigures(sample, isSimulatedBeam) {
   for (const [id, textOf] of Object.entries(FIGURES)) setText(document.getElementById(id), sample ? textOf(sample) : NONE);
+  document.getElementById("figure-latency").dataset.bad = sample?.latency_ms?.warned === true ? "yes" : "no";
   document.getElementById("figure-missed").dataset.bad = sample?.missed_frames > 0 ? "yes" : "no";
   document.getElementById("badge-simulated").hidden = !isSimulatedBeam;
 }
@@ -51,5 +52,5 @@ function with_(value, textOf) {
 
 function latency(times) {
   const part = (value) => with_(value, (v) => v.toFixed(1));
-  return times ? `${part(times.last)} · ${part(times.p50)} · ${part(times.p99)}` : NONE;
+  return times ? `${part(times.last)} · ${part(times.p50)} · ${part(times.p99)} · ${part(times.max)}` : NONE;
 }

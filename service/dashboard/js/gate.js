@@ -12,6 +12,7 @@ export class GatePanel {
     this.root = root;
     this.word = root.querySelector("#gate-word");
     this.reason = root.querySelector("#gate-reason");
+    this.detail = root.querySelector("#gate-detail");
     this.age = root.querySelector("#gate-age");
     this.warning = root.querySelector("#gate-warning");
     this.politely = root.querySelector("#say-politely");
@@ -28,6 +29,7 @@ export class GatePanel {
     setText(this.word, view.word);
     this.word.dataset.length = view.word.length <= 7 ? "short" : view.word.length <= 10 ? "long" : "longest";
     setText(this.reason, view.reason);
+    setText(this.detail, view.detail);
     setText(this.warning, view.warning);
     setText(this.age, ageText(view));
     // A hidden tab is frozen sooner or later: its title must not go on claiming a state.

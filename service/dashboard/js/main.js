@@ -1,6 +1,8 @@
 /** Puts the page together: the stream feeds the panels, two clocks make sure that nothing old is shown as new. */
 
 import { listSessions, readSession } from "./api.js";
+import { BaselineButton } from "./baseline.js";
+import { renderBreath } from "./breath.js";
 import { Controls } from "./controls.js";
 import { EventList } from "./events.js";
 import { renderCalibration, renderFigures, renderLikeness } from "./figures.js";
@@ -9,10 +11,12 @@ import { GridPanel } from "./grid.js";
 import { needsZero, renderLearning } from "./learning.js";
 import { LiveStream } from "./live.js";
 import { PicturePanel } from "./picture.js";
+import { Presence } from "./presence.js";
 import { Range } from "./scale.js";
 import { Setup } from "./setup.js";
 import { MismatchWatch, present } from "./state.js";
 import { Trace } from "./trace.js";
+import { describe as describeWindow, gatedUnit, gatedValue } from "./window.js";
 
 const TICK_MS = 50;
 /** Redraw periods: the trace smoothly, pictures and numbers as fast as a person reads them [ms]. */
@@ -34,6 +38,8 @@ const picture = new PicturePanel(byId("picture"), byId("overlay"));
 const grid = new GridPanel(byId("grid"), byId("legend"), byId("grid-readout"));
 const events = new EventList(byId("events"), byId("events-empty"));
 const controls = new Controls(() => lookAgain());
+const baseline = new BaselineButton(byId("do-correct"), controls);
+const presence = new Presence();
 const setup = new Setup(() => controls.operatorName, select);
 const range = new Range();
 const mismatch = new MismatchWatch();
@@ -145,6 +151,8 @@ function render() {
   const running = sample?.session_status === "running" ? sample : null;
   follow(view, sample, nowMs);
   controls.update({ kind: view.kind, sample: running, selected: session });
+  baseline.update(view.isCurrent ? running : null, session);
+  presence.tend(running, controls.operatorName, nowMs);
   if (view.isFresh) events.tend(nowMs);
   return { nowMs, view, sample };
 }
@@ -173,17 +181,21 @@ function drawPanels(nowMs, view, sample) {
   grid.draw(sample?.regions_mm ?? null, rangeMm, sample?.window);
   isSimulatedBeam = sample?.is_simulated_beam ?? session?.is_simulated_beam ?? isSimulatedBeam;
   renderFigures(sample, isSimulatedBeam);
+  renderBreath(sample);
   renderCalibration(sample?.calibration ?? session?.calibration);
   renderLikeness(sample, session?.likeness);
   renderLearning(sample, session, view.isFresh);
   renderWho(view);
-  const value = sample ? sample[trace.choice === "gated" ? "signal_mm" : `${trace.choice}_mm`] : null;
-  setText(byId("trace-value"), Number.isFinite(value) ? value.toFixed(1).replace("-", "−") : "–");
-  setText(byId("trace-name"), sample && trace.choice === "gated" ? `· gated on ${signalName(sample.window)}` : "");
+  renderTraceValue(sample);
 }
 
-function signalName(window) {
-  return window.signal === "region" ? `region row ${window.row}, column ${window.column}` : window.signal;
+function renderTraceValue(sample) {
+  const isGated = trace.choice === "gated";
+  const unit = isGated && sample ? gatedUnit(sample.window) : "mm";
+  const value = sample ? (isGated ? gatedValue(sample) : sample[`${trace.choice}_mm`]) : null;
+  setText(byId("trace-value"), Number.isFinite(value) ? value.toFixed(unit === "l" ? 2 : 1).replace("-", "−") : "–");
+  setText(byId("trace-unit"), unit);
+  setText(byId("trace-name"), sample && isGated ? `· gated on ${describeWindow(sample.window)}` : "");
 }
 
 byId("trace-choice").addEventListener("change", (event) => {

@@ -1,11 +1,11 @@
 /** Choosing a session, creating one, uploading a calibration. It never covers the gate or the trace. */
 
 import { createSession, listCalibrations, listDevices, listSessions, uploadCalibration } from "./api.js";
+import { Conditions } from "./conditions.js";
 
 const SHOWN = 12;
 const MAX_CALIBRATION_BYTES = 1_000_000;
-const WHOLE_NUMBERS = new Set(["fraction_number", "window.row", "window.column"]);
-const NUMBERS = new Set([...WHOLE_NUMBERS, "window.lower_mm", "window.upper_mm", "window.hysteresis_mm", "window.dwell_ms"]);
+const OPTIONAL = new Set(["fraction_number", "source.uri", "calibration_id", "regions.named"]);
 
 export class Setup {
   /**
@@ -21,6 +21,8 @@ export class Setup {
     this.outcome = document.getElementById("setup-outcome");
     this.toggle.addEventListener("click", () => this.show(this.panel.hidden));
     document.getElementById("setup-close").addEventListener("click", () => this.show(false));
+    this.conditions = new Conditions(byId("conditions"), byId("condition-template"), byId("add-condition"), () => this.#showWindow());
+    this.conditions.append();
     this.form.addEventListener("change", () => this.#showFields());
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
@@ -141,11 +143,14 @@ export class Setup {
       if (!input.name || input.closest("[hidden]")) continue;
       const value = read(input);
       if (value === null) continue;
-      const [group, key] = input.name.split(".");
-      if (key === undefined) request[group] = value;
-      else (request[group] ??= {})[key] = value;
+      put(request, input.name.split("."), value);
     }
     return request;
+  }
+
+  #showWindow() {
+    byId("join-field").hidden = this.conditions.count < 2;
+    byId("own-regions").hidden = !this.conditions.asksForRegions;
   }
 
   #isNamed() {
@@ -156,7 +161,7 @@ export class Setup {
   }
 
   #showFields() {
-    const chosen = new Set([this.#input("source.kind").value, this.#input("window.signal").value]);
+    const chosen = new Set([this.#input("source.kind").value]);
     for (const field of this.form.querySelectorAll("[data-only]")) field.hidden = !chosen.has(field.dataset.only);
   }
 
@@ -179,14 +184,33 @@ export class Setup {
   }
 }
 
+/** Put a value where its path says: numbers in a path are places in a list. */
+function put(target, [key, ...rest], value) {
+  if (rest.length === 0) target[key] = value;
+  else put((target[key] ??= /^\d+$/.test(rest[0]) ? [] : {}), rest, value);
+}
+
+/** Regions as the command line writes them; what is none goes as text, and the controller says what is wrong. */
+function regions(text) {
+  const found = text.split(/\s+/).map((one) => {
+    const [name, corners = ""] = one.split("=");
+    return { name, vertices: corners.split(";").map((corner) => corner.split(",").map(Number)) };
+  });
+  return found.every((one) => one.vertices.flat().every(Number.isFinite)) ? found : text;
+}
+
 /** The value to send: null to leave the key out. Numbers that are none go as text, and the controller says what is wrong. */
 function read(input) {
   const text = input.value.trim();
-  const isOptional = input.name === "fraction_number" || input.name === "source.uri" || input.name === "calibration_id";
-  if (text === "" && isOptional) return null;
-  if (!NUMBERS.has(input.name)) return text;
+  if (text === "" && (OPTIONAL.has(input.name) || "optional" in input.dataset)) return null;
+  if (input.name === "regions.named") return regions(text);
+  if (input.type !== "number") return text;
   const number = Number(text);
   return text !== "" && Number.isFinite(number) ? number : text;
+}
+
+function byId(id) {
+  return document.getElementById(id);
 }
 
 function status(session) {

@@ -22,7 +22,7 @@ const UNKNOWN = "The state of the gate is not known here.";
 const MISMATCH_MS = 250;
 
 /**
- * @returns {{kind: string, word: string, reason: string, ageMs: ?number, isFresh: boolean, isCurrent: boolean,
+ * @returns {{kind: string, word: string, reason: string, detail: string, ageMs: ?number, isFresh: boolean, isCurrent: boolean,
  *   warning: string}} `isFresh`: the state of the gate is known; `isCurrent`: so is what the camera sees
  */
 export function present(stream, nowMs) {
@@ -51,7 +51,13 @@ function gate(message, ageMs) {
   if (kind === "beam_on" && message.line_on !== true) {
     return fresh("hold", "Line off", "The gate permits the beam, but the beam line reads off.", ageMs);
   }
-  return fresh(kind, WORDS[kind], message.hold_text || REASONS[kind], ageMs);
+  return { ...fresh(kind, WORDS[kind], message.hold_text || REASONS[kind], ageMs), detail: detailOf(message) };
+}
+
+/** More about why, and who holds by hand where that is not the reason told. */
+function detailOf(message) {
+  const holder = message.operator_hold && message.hold_reason !== "operator_hold" ? `Held by ${message.operator_hold} too.` : "";
+  return [message.hold_detail ?? "", holder].filter(Boolean).join(" · ");
 }
 
 /** Watches for a beam line that reads on although nothing permits it. */
@@ -82,9 +88,9 @@ function stale(ageMs, reason = UNKNOWN) {
 }
 
 function stopped(kind, word, reason, ageMs) {
-  return { kind, word, reason, ageMs, isFresh: false, isCurrent: false, warning: "" };
+  return { kind, word, reason, detail: "", ageMs, isFresh: false, isCurrent: false, warning: "" };
 }
 
 function fresh(kind, word, reason, ageMs) {
-  return { kind, word, reason, ageMs, isFresh: true, isCurrent: (ageMs ?? 0) <= STALE_MS, warning: "" };
+  return { kind, word, reason, detail: "", ageMs, isFresh: true, isCurrent: (ageMs ?? 0) <= STALE_MS, warning: "" };
 }

@@ -1,16 +1,18 @@
 /**
- * The trace: half a minute of one signal in mm, inhale up, on the camera's own time.
+ * The trace: half a minute of one signal in mm, or l of the volume, inhale up, on the camera's own time.
  *
  * Two samples are joined only when they are neighbours that were both measured; everything else is a gap, hatched when it
  * is long enough to see. Nothing is interpolated and nothing is drawn at zero for want of a value.
  */
 
 import { font, hatch, INK, note, prepare } from "./canvas.js";
+import { BreathMarks } from "./marks.js";
+import { conditionsOf, gatedUnit, gatedValue, hasEdges, hasSameSignal, signalName } from "./window.js";
 
 const SPAN_S = 30;
 /** The stream may leave frames out for a slow reader; up to this it is still the same stroke [s]. */
 const JOIN_S = 0.15;
-const MARGIN = { left: 46, right: 14, top: 12, bottom: 24 };
+const MARGIN = { left: 58, right: 14, top: 12, bottom: 24 };
 const COLORS = { line: "#8fd3ff", on: "46, 214, 140", window: "#e8d27a", now: "#ffffff" };
 
 export class Trace {
@@ -18,6 +20,7 @@ export class Trace {
     this.canvas = canvas;
     this.choice = "gated";
     this.range = null;
+    this.marks = new BreathMarks();
     this.reset(null);
   }
 
@@ -25,6 +28,7 @@ export class Trace {
     this.sessionId = sessionId;
     this.samples = [];
     this.window = null;
+    this.marks.reset();
   }
 
   add(sample, arrivedMs) {
@@ -37,13 +41,15 @@ export class Trace {
       t,
       arrivedMs,
       missed: sample.missed_frames,
-      gated: sample.signal_mm,
+      gated: gatedValue(sample),
       whole: sample.whole_mm,
       thorax: sample.thorax_mm,
       abdomen: sample.abdomen_mm,
       isOn: sample.gate === "beam_on" && sample.line_on === true,
       state: sample.state,
+      isInPhase: conditionsOf(sample.window).some((one) => one.kind === "phase" && one.is_inside),
     });
+    this.marks.add(sample.breath, t, t - SPAN_S - 2);
     while (this.samples.length > 0 && this.samples[0].t < t - SPAN_S - 2) this.samples.shift();
   }
 
@@ -58,15 +64,19 @@ export class Trace {
     this.#fitRange();
     const box = { x0: MARGIN.left, x1: width - MARGIN.right, y0: MARGIN.top, y1: height - MARGIN.bottom };
     const x = (t) => box.x1 - ((nowS - t) / SPAN_S) * (box.x1 - box.x0);
-    const y = (mm) => box.y1 - ((mm - this.range.low) / (this.range.high - this.range.low)) * (box.y1 - box.y0);
-    drawAxes(context, box, this.range, y);
+    const y = (value) => box.y1 - ((value - this.range.low) / (this.range.high - this.range.low)) * (box.y1 - box.y0);
+    drawAxes(context, box, this.range, y, this.#unit());
     context.save();
     context.beginPath();
     context.rect(box.x0, box.y0, box.x1 - box.x0, box.y1 - box.y0);
     context.clip();
     this.#drawBeam(context, box, x);
     this.#drawGaps(context, box, x, nowS);
-    if (this.#showsGated()) drawWindow(context, box, y, this.window);
+    for (const condition of this.#shown()) if (hasEdges(condition)) drawWindow(context, box, y, condition);
+    if (this.#showsGated()) {
+      this.#drawPhase(context, box, x);
+      this.marks.draw(context, box, x, y);
+    }
     this.#drawLine(context, x, y);
     context.restore();
     this.#labelGated(context, box);
@@ -76,12 +86,25 @@ export class Trace {
     return this.window !== null && (this.choice === "gated" || this.choice === this.window.signal);
   }
 
+  #unit() {
+    return this.choice === "gated" ? gatedUnit(this.window) : "mm";
+  }
+
+  /** The conditions on the signal that is shown. */
+  #shown() {
+    const all = conditionsOf(this.window);
+    if (this.choice !== "gated") return all.filter((one) => one.signal === this.choice);
+    return all.filter((one) => hasSameSignal(one, all[0]));
+  }
+
   #fitRange() {
     const values = this.samples.map((s) => s[this.choice]).filter(Number.isFinite);
-    if (this.#showsGated()) values.push(this.window.lower_mm, this.window.upper_mm);
+    for (const condition of this.#shown()) if (hasEdges(condition)) values.push(condition.lower, condition.upper);
+    if (this.choice === "gated") values.push(...this.marks.lately());
     values.push(0);
-    const low = Math.floor(Math.min(...values) - 0.6);
-    const high = Math.ceil(Math.max(...values) + 0.6);
+    const whole = this.#unit() === "l" ? 0.05 : 1;
+    const low = Math.floor(Math.min(...values) / whole - 0.6) * whole;
+    const high = Math.ceil(Math.max(...values) / whole + 0.6) * whole;
     const spare = this.range && this.range.high - this.range.low > 1.6 * (high - low);
     const fits = this.range && low >= this.range.low && high <= this.range.high;
     if (!fits || spare || this.range.choice !== this.choice) this.range = { low, high, choice: this.choice };
@@ -94,6 +117,12 @@ export class Trace {
       context.fillStyle = `rgba(${COLORS.on}, 0.95)`;
       context.fillRect(x(from), box.y1 - 5, x(to) - x(from), 5);
     }
+  }
+
+  /** A strip at the top: when the phase was inside its window. */
+  #drawPhase(context, box, x) {
+    context.fillStyle = COLORS.window;
+    for (const [from, to] of runs(this.samples, (s) => s.isInPhase)) context.fillRect(x(from), box.y0, Math.max(2, x(to) - x(from)), 4);
   }
 
   #drawGaps(context, box, x, nowS) {
@@ -135,12 +164,12 @@ export class Trace {
   }
 
   #labelGated(context, box) {
-    if (this.window === null || this.#showsGated()) return;
+    if (this.window === null || this.#showsGated() || this.#shown().length > 0) return;
     context.fillStyle = INK.faint;
     context.font = font(12);
     context.textAlign = "right";
     context.textBaseline = "top";
-    context.fillText(`not the gated signal: the window is on ${this.window.signal}`, box.x1 - 6, box.y0 + 4);
+    context.fillText(`not the gated signal: the window is on ${signalName(conditionsOf(this.window)[0])}`, box.x1 - 6, box.y0 + 4);
   }
 }
 
@@ -162,17 +191,19 @@ function runs(samples, holds) {
   return found;
 }
 
-function drawAxes(context, box, range, y) {
-  const step = [0.5, 1, 2, 5, 10, 20, 50].find((s) => ((box.y1 - box.y0) * s) / (range.high - range.low) >= 32) ?? 100;
+function drawAxes(context, box, range, y, unit) {
+  const step = [0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50].find((s) => ((box.y1 - box.y0) * s) / (range.high - range.low) >= 32) ?? 100;
   context.font = font(12);
   context.lineWidth = 1;
   context.textAlign = "right";
   context.textBaseline = "middle";
-  for (let mm = Math.ceil(range.low / step) * step; mm <= range.high; mm += step) {
-    context.strokeStyle = mm === 0 ? "#4a5865" : INK.line;
-    stroke(context, box.x0, y(mm), box.x1, y(mm));
+  const digits = step < 0.1 ? 2 : step < 1 ? 1 : 0;
+  for (let i = Math.ceil(range.low / step - 1e-6); i * step <= range.high + 1e-9; i += 1) {
+    const value = i * step;
+    context.strokeStyle = i === 0 ? "#4a5865" : INK.line;
+    stroke(context, box.x0, y(value), box.x1, y(value));
     context.fillStyle = INK.text;
-    context.fillText(mm.toFixed(step < 1 ? 1 : 0).replace("-", "−"), box.x0 - 7, y(mm));
+    context.fillText(value.toFixed(digits).replace("-", "−"), box.x0 - 7, y(value));
   }
   context.textBaseline = "alphabetic";
   context.fillStyle = INK.faint;
@@ -187,28 +218,30 @@ function drawAxes(context, box, range, y) {
   context.translate(11, (box.y0 + box.y1) / 2);
   context.rotate(-Math.PI / 2);
   context.textAlign = "center";
-  context.fillText("mm · inhale up", 0, 0);
+  context.fillText(`${unit} · inhale up`, 0, 0);
   context.restore();
 }
 
-function drawWindow(context, box, y, window) {
-  const { lower_mm: lower, upper_mm: upper, hysteresis_mm: inner } = window;
+function drawWindow(context, box, y, condition) {
+  const { lower, upper, hysteresis: inner, unit } = condition;
   context.fillStyle = "rgba(232, 210, 122, 0.07)";
   context.fillRect(box.x0, y(upper), box.x1 - box.x0, y(lower) - y(upper));
   context.strokeStyle = COLORS.window;
   context.lineWidth = 1.5;
-  for (const mm of [lower, upper]) stroke(context, box.x0, y(mm), box.x1, y(mm));
+  for (const edge of [lower, upper]) stroke(context, box.x0, y(edge), box.x1, y(edge));
   if (inner > 0) {
     context.lineWidth = 1;
     context.setLineDash([3, 5]);
-    for (const mm of [lower + inner, upper - inner]) stroke(context, box.x0, y(mm), box.x1, y(mm));
+    for (const edge of [lower + inner, upper - inner]) stroke(context, box.x0, y(edge), box.x1, y(edge));
     context.setLineDash([]);
   }
   context.fillStyle = COLORS.window;
   context.font = font(11);
   context.textAlign = "left";
   context.textBaseline = "bottom";
-  context.fillText(`window ${lower.toFixed(1)} to ${upper.toFixed(1)} mm`.replaceAll("-", "−"), box.x0 + 6, y(upper) - 3);
+  const digits = unit === "l" ? 2 : 1;
+  const name = condition.kind === "breath_hold" ? "breath hold" : "window";
+  context.fillText(`${name} ${lower.toFixed(digits)} to ${upper.toFixed(digits)} ${unit}`.replaceAll("-", "−"), box.x0 + 6, y(upper) - 3);
 }
 
 function stroke(context, x0, y0, x1, y1) {

@@ -1,0 +1,86 @@
+/**
+ * The button that lets the window follow a drift. The window never follows by itself: a named person clicks twice, and what
+ * they confirm is the number they saw at the first click.
+ */
+
+import { correctBaseline } from "./api.js";
+import { setText } from "./gate.js";
+import { signed } from "./grid.js";
+import { conditionsOf, hasEdges, hasSameSignal } from "./window.js";
+
+/** What is too little to move a window for. */
+const LEAST = { mm: 0.5, l: 0.05 };
+const STEPS = { mm: 10, l: 100 };
+const CONFIRM_MS = 6000;
+
+export class BaselineButton {
+  /** @param {object} controls that name the operator, do the call and tell what came of it */
+  constructor(button, controls) {
+    this.button = button;
+    this.controls = controls;
+    this.offer = null;
+    this.confirmed = null;
+    button.addEventListener("click", () => this.#press());
+  }
+
+  /** @param {?object} sample the newest one of a running session; @param {?object} session as last described */
+  update(sample, session) {
+    this.offer = sample === null ? null : offerOf(sample, session);
+    if (this.confirmed !== null && this.confirmed.id !== sample?.session_id) this.#forget();
+    const why = this.#obstacle(sample);
+    this.button.disabled = why !== "" || this.controls.busy !== null;
+    this.button.title = why === "" ? "" : `Not now: ${why}`;
+    this.button.dataset.asks = this.confirmed === null ? "no" : "yes";
+    setText(this.button, this.#label());
+  }
+
+  #obstacle(sample) {
+    if (sample === null) return "no running session";
+    if (this.confirmed !== null) return this.controls.operatorName === "" ? "enter the operator's name" : "";
+    if (this.offer === null) return "the drift is not known, or the window has no edges on this signal";
+    if (this.offer.isSmall) return "the window lies where the baseline is";
+    return this.controls.operatorName === "" ? "enter the operator's name" : "";
+  }
+
+  #label() {
+    if (this.confirmed !== null) return `Really move the window by ${text(this.confirmed)}? Disarms`;
+    return this.offer === null || this.offer.isSmall ? "Correct baseline" : `Correct baseline by ${text(this.offer)}`;
+  }
+
+  #press() {
+    document.activeElement?.blur();
+    if (this.confirmed === null) {
+      this.confirmed = this.offer;
+      this.asking = setTimeout(() => this.#forget(), CONFIRM_MS);
+      return;
+    }
+    const { id, unit, by, drift } = this.confirmed;
+    this.#forget();
+    this.controls.run("correct", () => correctBaseline(id, this.controls.operatorName, unit, by, drift));
+  }
+
+  #forget() {
+    clearTimeout(this.asking);
+    this.confirmed = null;
+  }
+}
+
+function text({ by, unit }) {
+  return `${signed(by, unit === "l" ? 2 : 1)} ${unit}`;
+}
+
+function offerOf(sample, session) {
+  const { breath } = sample;
+  const [gated] = conditionsOf(sample.window);
+  const edges = conditionsOf(sample.window).find((one) => hasEdges(one) && hasSameSignal(one, gated));
+  if (!Number.isFinite(breath?.drift) || edges === undefined) return null;
+  const { unit, drift } = breath;
+  const by = Math.round(drift * STEPS[unit]) / STEPS[unit];
+  return { id: sample.session_id, unit, by, drift, isSmall: Math.abs(drift - moved(edges, gated, session, unit)) < LEAST[unit] };
+}
+
+/** How far the window was moved already, where it was told in the same unit. */
+function moved(edges, gated, session, unit) {
+  const told = session?.window?.[`lower_${unit}`];
+  return Number.isFinite(told) && edges === gated ? edges.lower - told : 0;
+}
