@@ -78,19 +78,19 @@ class MarkersAtZero:
         self._before = self._seen(markers_mm)
 
     def movement(self, now_mm: FloatArray) -> Movement:
-        """Return how far they have moved; NaN where a marker is no number. Four points: plain floats are quicker."""
+        """Return how far they have moved; a shift of NaN where a marker is no number. Plain floats: they are four."""
         before, now = self._before, self._seen(now_mm)
-        across_mm, along_mm, lift_mm = (sum(axis) / len(axis) for axis in zip(*now, strict=True))
+        across_mm, along_mm, _ = (sum(axis) / len(axis) for axis in zip(*now, strict=True))
         cross = dot = 0.0
         for (x0, y0, _), (x, y, _) in zip(before, now, strict=True):
             cross += x0 * (y - along_mm) - y0 * (x - across_mm)
             dot += x0 * (x - across_mm) + y0 * (y - along_mm)
         right, left = (0, 3), (1, 2)
-        lifts_mm = [after[2] - lift_mm - first[2] for first, after in zip(before, now, strict=True)]
-        left_over_right_mm = sum(lifts_mm[one] for one in left) - sum(lifts_mm[one] for one in right)
+        # At the zero both sides were equally high, by the choice of the plane.
+        left_over_right_mm = sum(now[one][2] for one in left) - sum(now[one][2] for one in right)
         width_mm = sum(before[one][0] for one in left) - sum(before[one][0] for one in right)
         turns_rad = (math.atan2(cross, dot), math.atan2(left_over_right_mm, width_mm))
-        turn_deg = math.nan if any(map(math.isnan, turns_rad)) else max(abs(math.degrees(turn)) for turn in turns_rad)
+        turn_deg = max(abs(math.degrees(turn)) for turn in turns_rad)
         return Movement(shift_mm=math.hypot(across_mm, along_mm), turn_deg=turn_deg)
 
     def _seen(self, markers_mm: FloatArray) -> list[list[float]]:

@@ -113,6 +113,13 @@ def test_an_abdomen_that_rises_alone_is_no_turn():
     assert (moved.shift_mm, moved.turn_deg) == pytest.approx((0.0, 0.0), abs=1e-9)
 
 
+def test_markers_that_lie_in_no_plane_turn_only_when_they_turn():
+    zero_mm = np.array([[-100.0, -150.0, 780.0], [100.0, -150.0, 840.0], [100.0, 150.0, 790.0], [-100.0, 150.0, 860.0]])
+    assert movement_of(zero_mm, zero_mm) == pytest.approx((0.0, 0.0), abs=1e-9)
+    breath_mm = zero_mm - np.array([0.0, 0.0, 15.0])
+    assert movement_of(zero_mm, breath_mm).turn_deg == pytest.approx(0.0, abs=1e-9)
+
+
 def test_a_camera_that_hangs_at_an_angle_sees_the_same_shift():
     zero_mm = np.array([[-100.0, -150.0, 0.0], [100.0, -150.0, 0.0], [100.0, 150.0, 0.0], [-100.0, 150.0, 0.0]])
     tilt = math.radians(35.0)
