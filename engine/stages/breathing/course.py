@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from engine.stages.breathing.habit import Cycle
 from engine.stages.breathing.turns import RISING, Turns
 
-
 MIN_SPEED_MM_S = 0.1
 
 

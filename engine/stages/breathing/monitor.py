@@ -82,7 +82,7 @@ def start_breathing(choice: SignalChoice) -> BreathingState:
 
 def with_baseline(state: BreathingState, baseline: float) -> BreathingState:
     """Let drift be told against this level of the end of exhale from now on [mm, l of the volume]."""
-    if not math.isfinite(baseline):
+    if not abs(baseline) <= MAX_ABS_MM:
         return state
     events = tuple(event for event in state.events if event.kind is not BreathEventKind.DRIFT)
     return _telling(replace(state, known=replace(state.known, learned=baseline / state.unit), events=events))
@@ -96,7 +96,7 @@ def correct_baseline(state: BreathingState, by: float) -> BreathingState:
 
 def shifted(state: BreathingState, by: float) -> BreathingState:
     """Move all that is remembered: the signal has another zero from now on [mm, l of the volume]."""
-    if not math.isfinite(by):
+    if not abs(by) <= MAX_ABS_MM:  # the signal itself is no number now
         return state
     mm = by / state.unit
     spikes, bins, turns, course = state.spikes, state.bins, state.turns, state.course
