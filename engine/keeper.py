@@ -34,12 +34,12 @@ WATCHDOG_DETAIL = "the engine did not decide in time"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cause:
-    """What a decision is made on: a frame, a person, or neither; told to the audit if the gate changed, or always."""
+    """What a decision is made on: a frame, a person, or neither; what has a detail of its own is told in any case."""
 
     frame: RgbdFrame | None = None
     measurement: Measurement | None = None
     operator: str | None = None
-    is_always_told: bool = False
+    detail: str = ""
 
 
 class GateKeeper:
@@ -157,7 +157,7 @@ class GateKeeper:
         refuse_wide(corrected.window, self._limits)
         change = f"the window was {window_text(self._window.window)} and is {window_text(corrected.window)}"
         detail = f"the baseline is corrected by {command.by:g}: {change}"
-        self.decide(Ending(HoldReason.DISARMED, detail), cause=Cause(operator=command.operator, is_always_told=True))
+        self.decide(Ending(HoldReason.DISARMED, detail), cause=Cause(operator=command.operator, detail=detail))
         self._decide_by(corrected)
 
     def forget_correction(self) -> None:
@@ -215,9 +215,9 @@ class GateKeeper:
 
     def _tell(self, before: Gate, cause: Cause, decided_ns: int, asserted_ns: int, report: LineReport) -> None:
         gate, frame = self.gate, cause.frame
-        is_news = cause.is_always_told or (gate.state, gate.reason) != (before.state, before.reason)
+        is_news = (gate.state, gate.reason) != (before.state, before.reason)
         taken_ns = self._captured_ns(cause.measurement)
-        if is_news and self._may_tell(gate):
+        if cause.detail or (is_news and self._may_tell(gate)):
             self._outbox.put_transition(
                 GateTransition(
                     at_ns=decided_ns,
@@ -226,7 +226,7 @@ class GateKeeper:
                     to_state=gate.state,
                     reason=gate.reason,
                     operator=cause.operator or self._holder_of(gate),
-                    detail=gate.detail,
+                    detail=cause.detail or gate.detail,
                     captured_us=None if frame is None else frame.timestamp_us,
                     received_ns=None if frame is None else frame.received_ns,
                     decided_ns=decided_ns,

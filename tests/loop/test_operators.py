@@ -271,3 +271,24 @@ def test_a_volume_is_corrected_in_litres_within_as_much_as_the_region_would_hold
     bench.run()
     assert bench.answers[0].exception(timeout=0).bound == "a number from -0.5 to 0.5 l"
     assert (round(bench.loop.latest.window.lower, 9), round(bench.loop.latest.window.upper, 9)) == (0.1, 0.5)
+
+
+@pytest.mark.parametrize("before", ["fault", "held by hand", "watchdog"])
+def test_the_audit_names_both_windows_whatever_else_stands_against_the_beam(before):
+    bench = _on_bench([])
+
+    def fire():
+        bench.clock.advance_ns(300 * MS)
+        assert bench.watchdog.check(bench.clock.now_ns())
+
+    troubles = {
+        "fault": lambda: bench.loop.report_fault(HoldReason.DISK_LOW, "20 MB left"),
+        "held by hand": bench.ask(HOLD),
+        "watchdog": fire,
+    }
+    bench.source.script += [after(troubles[before]), good, after(bench.ask(_correct(1.5))), good]
+    bench.run()
+    change = next(one for one in bench.transitions() if "baseline" in one.detail)
+    assert "was whole -1 to 3 mm and is whole 0.5 to 4.5 mm" in change.detail
+    assert change.operator == "bob"
+    assert bench.loop.gate.reason is not None
