@@ -39,6 +39,7 @@ def breathing(
 
     Writes the tables as CSV and a picture of each recorded trace with phase, baseline and events.
     """
+    from engine.evaluation.breath_bench import check_plan
     from engine.evaluation.breath_recorded import RpmSense
 
     try:
@@ -47,8 +48,10 @@ def breathing(
         traces = trace or []
         if len(traces) > MAX_TRACES:
             raise InvalidValueError("trace", len(traces), f"at most {MAX_TRACES} traces")
+        workers = len(os.sched_getaffinity(0)) if jobs is None else jobs
+        check_plan(seeds, hours, workers)
         recorded = _listen(traces, RpmSense(not_periodic=rpm_flag, zero=rpm_zero))
-        tables = [*_bench(seeds, hours, jobs or len(os.sched_getaffinity(0))), *_recorded_tables(recorded)]
+        tables = [*_bench(seeds, hours, workers), *_recorded_tables(recorded)]
         for table in tables:
             write_whole(out / f"{table.name}.csv", table.to_csv().encode())
         _draw(recorded, out)
@@ -64,10 +67,9 @@ def breathing(
 
 
 def _bench(seeds: int, hours: float, jobs: int) -> "list[Table]":
-    from engine.evaluation.breath_bench import check_plan, plan, run
+    from engine.evaluation.breath_bench import plan, run
     from engine.evaluation.breath_tables import tables_of
 
-    check_plan(seeds, hours, jobs)
     planned = plan(seeds, hours)
     if not planned:
         return []
