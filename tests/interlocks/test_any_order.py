@@ -1,0 +1,62 @@
+"""Interlocks in any order, for any time, in a running loop: the line is on exactly after a full dwell free of all."""
+
+from dataclasses import replace
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from engine.breath import Breath, BreathEvent, BreathEventKind
+from engine.commands import HoldBeam, ReleaseBeam
+from engine.frames import LostReason, MeasurementState
+from tests.gate.constructed import FRAMES_A_DWELL, LIMITS, motion_of, unmeasured
+from tests.interlocks.test_in_the_loop import ON, frozen, lying_at, on_bench
+from tests.loop.fakes import after, good
+
+LIMITED = replace(LIMITS, holding_events=frozenset({BreathEventKind.COUGH}))
+COUGH = Breath(events=(BreathEvent(kind=BreathEventKind.COUGH, start_us=0, confidence=1.0),))
+KINDS = ("free", "frozen", "held by hand", "shifted", "cough", "lost", "outside")
+
+stretches = st.lists(st.tuples(st.sampled_from(KINDS), st.integers(1, 7)), min_size=1, max_size=8)
+
+
+def _spoils(bench, at: int, kind: str) -> None:
+    here = bench.pipeline.spoil[at]
+    if kind == "shifted":
+        bench.pipeline.spoil[at] = bench.pipeline.spoil[199]
+    elif kind == "cough":
+        bench.pipeline.spoil[at] = lambda frame: replace(here(frame), breaths=(COUGH,))
+    elif kind == "lost":
+        bench.pipeline.spoil[at] = lambda frame: unmeasured(frame, MeasurementState.LOST, LostReason.MARKER_LOST)
+    elif kind == "outside":
+        bench.pipeline.spoil[at] = lambda frame: replace(
+            here(frame), motion=replace(motion_of(3.2), surface_mm=here(frame).motion.surface_mm)
+        )
+
+
+def _asked(bench, kind: str, before: str):
+    """The step that delivers a frame, with what a person asks for just before it."""
+    if kind == "held by hand" and before != kind:
+        return after(bench.ask(HoldBeam(operator="bob")))
+    if before == "held by hand" and kind != before:
+        release = bench.ask(ReleaseBeam(operator="bob"))
+        return after(release) if kind != "frozen" else lambda source, wait: (release(), frozen(source, wait))[1]
+    return frozen if kind == "frozen" else good
+
+
+@settings(max_examples=60, deadline=None)
+@given(stretches)
+def test_the_line_is_on_exactly_after_a_full_dwell_without_any_interlock(drawn):
+    kinds = [kind for kind, length in [*drawn, ("free", FRAMES_A_DWELL + 1)] for _ in range(length)]
+    bench = on_bench([], limits=LIMITED)
+    lying_at(bench, 150, 7.0)
+    bench.source.script += [_asked(bench, kind, before) for before, kind in zip(["free", *kinds], kinds, strict=False)]
+    for number, kind in enumerate(kinds):
+        _spoils(bench, ON + 1 + number, kind)
+    records = bench.run().records()
+    free_frames = FRAMES_A_DWELL
+    for number, (before, kind) in enumerate(zip(["free", *kinds], kinds, strict=False)):
+        # The first of alike pictures is like any other; a release is obeyed when its frame was decided on.
+        is_clear = kind == "free" or (kind == "frozen" and before != kind)
+        is_clear = is_clear and before != "held by hand"
+        free_frames = free_frames + 1 if is_clear else 0
+        assert records[ON + 1 + number].line_on is (free_frames >= FRAMES_A_DWELL), (number, before, kind)
