@@ -219,17 +219,19 @@ class WiredBeamLine:
             self._wire.connect()
             self._is_connected = True
 
-    def _rest(self) -> None:
-        """Wait for the next cycle, the end of the lease or the bell, whichever comes first."""
+    def rest_ns(self) -> int:
+        """How long nothing is to be told unless somebody rings: until the next cycle, or the end of the lease."""
         now_ns = self._clock.now_ns()
         if self._judge.tells_on and not self._wants_on(now_ns):
-            return  # the lease ended while the line was told
-        until_ns = now_ns + (CYCLE_NS if self._is_connected else RECONNECT_NS)
+            return 0  # the lease ended while the line was told
+        longest_ns = CYCLE_NS if self._is_connected else RECONNECT_NS
         expires_ns = self._deadman.expires_ns
-        if expires_ns is not None and expires_ns > now_ns:
-            until_ns = min(until_ns, expires_ns)
+        return longest_ns if expires_ns is None or expires_ns <= now_ns else min(longest_ns, expires_ns - now_ns)
+
+    def _rest(self) -> None:
+        rest_ns = self.rest_ns()
         with contextlib.suppress(queue.Empty):
-            self._bell.get(timeout=(until_ns - now_ns) / NS_PER_S)
+            self._bell.get(timeout=rest_ns / NS_PER_S)
             while True:
                 self._bell.get_nowait()
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from engine.beam.judge import WATCH_MS, LineTimes
-from engine.beam.wired import CYCLE_NS, RECONNECT_NS, WiredBeamLine
+from engine.beam.wired import WiredBeamLine
 from engine.clock import ManualClock
 from engine.errors import BeamLineError
 from engine.permits import HoldReason, Lease
@@ -136,10 +136,8 @@ class World:
             return self
 
     def _rest(self) -> None:
-        rest_ms = (CYCLE_NS if self.line._is_connected else RECONNECT_NS) // MS
-        for _ in range(rest_ms):
-            is_over = self.line._judge.tells_on and not self.line._wants_on(self.clock.now_ns())
-            if is_over or not self.line._bell.empty():
+        for _ in range(-(-self.line.rest_ns() // MS)):
+            if not self.line._bell.empty():
                 break
             self.pass_ms(1)
         while not self.line._bell.empty():

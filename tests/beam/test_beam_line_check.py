@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import threading
 
 import pytest
 from typer.testing import CliRunner
@@ -152,6 +153,7 @@ def test_a_line_is_opened_read_and_timed_and_never_permitted(monkeypatch):
         done = run()
         assert done.exit_code == 0, done.stderr
     assert far.seen == []
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("tidegate-beam")]
     assert "modbus-tcp: asked -> answered" in done.stdout
     assert "permit ->" not in done.stdout
 

@@ -252,6 +252,7 @@ def test_an_answer_that_is_not_2xx_is_a_failure(listener, status):
     assert (announcer.sent, announcer.last_error) == (0, f"answered {status}")
 
 
+@pytest.mark.timeout(15)
 def test_a_listener_that_never_answers_holds_nobody_up_and_is_given_up_in_time():
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))

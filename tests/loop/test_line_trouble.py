@@ -211,3 +211,17 @@ def test_a_line_is_not_even_asked_once_the_lease_it_would_get_has_ended():
     report = BeamDriver(beam=line, clock=clock, limits=LIMITS).carry_out(gate, clock.now_ns())
     assert (report.is_on, report.trouble.reason) == (False, HoldReason.FRAME_LATE)
     assert line.permits == []
+
+
+def test_a_line_that_cannot_be_read_after_a_hold_is_latched():
+    class Unread(WatchedBeamLine):
+        def is_on(self):
+            raise BeamLineError("no answer")
+
+    clock = ManualClock(0)
+    line = Unread(clock)
+    line.open()
+    line.rearm()
+    report = BeamDriver(beam=line, clock=clock, limits=LIMITS).carry_out(stream_in(GateState.HOLD).gate, 0)
+    assert (report.is_on, report.trouble.reason) == (True, HoldReason.BEAM_LINE_FAILED)
+    assert line._deadman._is_latched
