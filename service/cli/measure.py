@@ -57,7 +57,10 @@ def measure(
     components: Annotated[int, typer.Option(help="Principal components to keep.")] = 3,
     window: Annotated[
         str | None,
-        typer.Option(help="SIGNAL:LOWER:UPPER in mm, e.g. whole:-1:3, to fill in what the gate would have decided."),
+        typer.Option(
+            help="SIGNAL:LOWER:UPPER in mm, l for volume, e.g. whole:-1:3, to fill in what the gate would have decided. "
+            "The signal may also be a --point, as pROW_COL, or a --region, by its name."
+        ),
     ] = None,
     head: Annotated[
         str,
@@ -105,7 +108,9 @@ def measure(
                 calibration=cameras,
                 out=folder,
                 settings=settings,
-                limits=None if window is None else GateLimits(window=options.window(window)),
+                limits=None
+                if window is None
+                else GateLimits(window=options.window(window, settings.points, settings.named)),
                 meshes=options.meshes(mesh, mesh_format),
                 model=stored,
                 origin=model_origin(recording, patient),

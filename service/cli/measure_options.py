@@ -5,15 +5,17 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from engine.breath import GateSignal, SignalChoice
 from engine.errors import InvalidValueError
 from engine.mesh_files import MeshWishes
 from engine.polygons import NamedRegion, check_regions
 from engine.region_file import load_regions, parse_region
-from engine.windows import GateWindow, amplitude_window
+from engine.windows import AmplitudeWindow, GateWindow, Unit
 
 CALIBRATION_NAME = "calibration.json"
 SUMMARY_NAME = "summary.csv"
 MAX_JOBS = 64
+WITHOUT_PLACE = (GateSignal.WHOLE, GateSignal.THORAX, GateSignal.ABDOMEN, GateSignal.VOLUME)
 HEAD_DIRECTIONS: dict[str, tuple[float, float] | None] = {
     "auto": None,
     "up": (0.0, -1.0),
@@ -50,14 +52,28 @@ def regions(texts: Sequence[str], file: Path | None) -> tuple[NamedRegion, ...]:
     return named
 
 
-def window(text: str) -> GateWindow:
-    """Read ``SIGNAL:LOWER:UPPER``."""
+def window(text: str, points: Sequence[tuple[int, int]] = (), named: Sequence[NamedRegion] = ()) -> GateWindow:
+    """Read ``SIGNAL:LOWER:UPPER``; the signal may be a point (``pROW_COL``) or a region that are measured too."""
     parts = text.split(":")
     try:
         signal, (lower, upper) = parts[0], (float(part) for part in parts[1:])
     except ValueError as error:
         raise InvalidValueError("window", text, "SIGNAL:LOWER:UPPER, a name and two numbers") from error
-    return amplitude_window(signal=signal, lower_mm=lower, upper_mm=upper)
+    choice = _signal(signal, points, [region.name for region in named])
+    return AmplitudeWindow(choice=choice, lower=lower, upper=upper, unit=Unit.L if choice.is_volume else Unit.MM)
+
+
+def _signal(text: str, points: Sequence[tuple[int, int]], names: Sequence[str]) -> SignalChoice:
+    if text in names:
+        return SignalChoice(signal=GateSignal.NAMED, name=text, index=names.index(text))
+    columns = [f"p{row}_{column}" for row, column in points]
+    if text in columns:
+        index = columns.index(text)
+        return SignalChoice(signal=GateSignal.POINT, row=points[index][0], column=points[index][1], index=index)
+    if text not in WITHOUT_PLACE:
+        bound = f"one of {', '.join([*WITHOUT_PLACE, *columns, *names])}; points and regions have to be asked for"
+        raise InvalidValueError("window's signal", text, bound)
+    return SignalChoice(signal=text)
 
 
 def superior(head: str) -> tuple[float, float] | None:

@@ -104,6 +104,49 @@ def test_a_recording_is_learned_gated_recorded_and_audited(real_client, regular_
     assert client.get("/api/v1/audit/verify").json()["is_intact"]
 
 
+BELLY = {"name": "belly", "vertices": [[220.0, 40.0], [220.0, 160.0], [320.0, 100.0]]}
+ANYWHERE = {
+    "signal": "point",
+    "row": 250,
+    "column": 100,
+    "lower_percent": -90,
+    "upper_percent": 290,
+    "hysteresis_percent": 0,
+    "dwell_ms": 100.0,
+    "further": [
+        {"signal": "named", "name": "belly", "lower_mm": -40.0, "upper_mm": 40.0},
+        {"signal": "volume", "lower_l": -5.0, "upper_l": 5.0},
+    ],
+}
+"""A window that holds nobody back and looks at a point, a region of the session's own and the volume."""
+
+
+def test_a_window_of_many_conditions_is_settled_gated_held_and_released(real_client, regular_volunteer):
+    client = real_client
+    source = {"kind": "recording", "path": "recording.oni", "player": "reader"}
+    calibration = (regular_volunteer / "calibration.json").read_bytes()
+    wishes = {"source": source, "window": ANYWHERE, "regions": {"named": [BELLY]}}
+    session_id = open_session(client, calibration, **wishes)
+    act(client, session_id, "start")
+    arm_when_ready(client, session_id)
+    gate_window = detail_of(client, session_id)["gate_window"]
+    assert [one["unit"] for one in gate_window["conditions"]] == ["mm", "mm", "l"]
+    assert gate_window["conditions"][0]["lower"] < gate_window["conditions"][0]["upper"]
+    act(client, session_id, "hold", operator="C. Nurse")
+    held = detail_of(client, session_id)
+    assert (held["gate"]["operator_hold"], held["gate"]["line_on"]) == ("C. Nurse", False)
+    assert held["breath"]["signal"] == "point 250,100"
+    assert act(client, session_id, "presence").status_code == 204
+    act(client, session_id, "release")
+    eventually(lambda: detail_of(client, session_id)["status"] != "running", within_s=60.0)
+    moves = [row["detail"] for row in audit_rows(client, "gate.transition")]
+    states = [(one["to_state"], one["reason"]) for one in moves]
+    at = next(place for place, (_, reason) in enumerate(states) if reason == "operator_hold")
+    assert ("beam_on", None) in states[at:], "released, and on again after a dwell"
+    assert all(one["latency_ms"] > 0.0 for one in moves if one["captured_ns"] is not None)
+    assert detail_of(client, session_id)["summary"]["latency"]["max_ms"] > 0.0
+
+
 def _check_samples(client, session_id, frames):
     rows = list(csv.DictReader(io.StringIO(client.get(f"/api/v1/sessions/{session_id}/samples").text)))
     assert [int(row["frame_index"]) for row in rows] == list(range(frames))
@@ -117,6 +160,12 @@ def _check_samples(client, session_id, frames):
     on = raw.execute("SELECT count(*) FROM samples WHERE line_on AND gate <> 'beam_on'").fetchone()
     raw.close()
     assert on == (0,)
+
+
+CALLS = (
+    *("arm", "reference", "acknowledge", "hold", "release", "disarm", "arm", "presence", "start", "models/retrain"),
+    *("hold", "release", "arm"),
+)
 
 
 def test_no_call_turns_the_beam_on_while_nothing_can_be_measured(tmp_path, regular_volunteer, monkeypatch):
@@ -140,9 +189,11 @@ def test_no_call_turns_the_beam_on_while_nothing_can_be_measured(tmp_path, regul
         session_id = open_session(client, (regular_volunteer / "calibration.json").read_bytes(), source=source)
         act(client, session_id, "start")
         for _ in range(5):
-            for action in ("arm", "reference", "acknowledge", "disarm", "arm", "start", "models/retrain", "arm"):
+            for action in CALLS:
                 act(client, session_id, action)
             client.post(f"/api/v1/models/{'0' * 32}/activate", json={"operator": "me"})
+            by = {"operator": "me", "by_mm": 1.0, "drift_mm": 1.0}
+            client.post(f"/api/v1/sessions/{session_id}/baseline-correction", json=by)
             assert not lines[0].is_on()
         act(client, session_id, "stop")
     assert lines[0].permits == 0
