@@ -11,6 +11,7 @@ import time
 import pytest
 
 from engine.beam.judge import DETECTION_MS
+from engine.beam.paired import PairedBeamLine
 from engine.beam.wired import WiredBeamLine
 from engine.clock import NS_PER_MS, MonotonicClock
 from engine.errors import BeamLineError
@@ -216,3 +217,29 @@ def test_a_line_can_be_closed_and_opened_again_and_leaves_no_thread(far):
         line.close()
     assert threading.active_count() == before
     assert all(first != second for first, second in itertools.pairwise([edge[0] for edge in far.seen]))
+
+
+@pytest.mark.parametrize("breaks", ["killed", "stuck off"])
+def test_of_two_real_lines_both_are_on_or_neither(breaks):
+    with receiver("tcp") as first, receiver("lcus") as second:
+        clock = MonotonicClock()
+        lines = [WiredBeamLine(wire_to(far.kind, far.where), clock) for far in (first, second)]
+        pair = PairedBeamLine(*lines)
+        pair.open()
+        renewing = Renewing(pair)
+        renewing.arm()
+        renewing.on()
+        for far in (first, second):
+            assert far.next_edge()[0] == "on"
+        if breaks == "killed":
+            first.process.kill()
+        else:
+            first.spoil("stuck off")
+        broken_ns = time.monotonic_ns()
+        off_ns, cause = _off_edge(second)
+        assert cause == "told"
+        assert off_ns - broken_ns <= DETECTION_NS + BUSY_NS
+        renewing.trouble()
+        with pytest.raises(queue.Empty):
+            second._lines.get(timeout=0.3)  # permits rain on
+        renewing.end()

@@ -1,7 +1,9 @@
 """Any history of permits, holds and lapses: the line never says off while the contact is on, and follows in time."""
 
+import queue
 import threading
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -115,3 +117,34 @@ def test_holding_from_many_threads_while_permits_rain_on_a_wired_line_ends_off()
     assert len(wire.told) > told
     assert not any(wire.told[told:])
     line.close()
+
+
+class _HungWire(_InstantWire):
+    """Its driver never comes back, from when it is told to hang."""
+
+    def __init__(self):
+        super().__init__()
+        self.hangs, self.released = threading.Event(), threading.Event()
+
+    def exchange(self, *, is_on, **_unused):
+        if self.hangs.is_set():
+            self.released.wait()
+        return super().exchange(is_on=is_on)
+
+
+def test_a_driver_that_hangs_is_latched_by_the_other_thread_and_nobody_waits_for_it():
+    wire, heard = _HungWire(), queue.SimpleQueue()
+    line = WiredBeamLine(wire, MonotonicClock())
+    line.on_trouble = lambda reason, detail: heard.put((reason, detail))
+    line.open()
+    wire.hangs.set()
+    reason, detail = heard.get(timeout=20.0)
+    assert reason is HoldReason.BEAM_LINE_FAILED
+    assert detail.startswith("the beam line has not answered for")
+    with pytest.raises(BeamLineError, match="has not answered"):
+        line.is_on()
+    with pytest.raises(BeamLineError, match="has not answered"):
+        line.rearm()
+    line.hold(HoldReason.WATCHDOG)
+    line.close()  # comes back, though the thread does not
+    wire.released.set()
