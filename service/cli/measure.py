@@ -58,7 +58,7 @@ def measure(
     window: Annotated[
         str | None,
         typer.Option(
-            help="SIGNAL:LOWER:UPPER in mm, l for volume, e.g. whole:-1:3, to fill in what the gate would have decided. "
+            help="SIGNAL:LOWER:UPPER in mm, l for volume, e.g. whole:-1:3: fill in what the gate would have decided. "
             "The signal may also be a --point, as pROW_COL, or a --region, by its name."
         ),
     ] = None,
