@@ -143,7 +143,7 @@ def lay_out_course(
             episode, burst = _cough(time_s, breaths.at_s + float(rng.uniform(0.0, build.period_s)), rng)
             spikes += burst
         elif kind == "drift":
-            episode, ramp = _drift(time_s, breaths.at_s, rng, drift_mm_s)
+            episode, ramp = _drift(time_s, breaths.at_s + float(rng.uniform(0.0, build.period_s)), rng, drift_mm_s)
             offset += ramp
         else:
             episode = _breathed(kind, breaths, rng)

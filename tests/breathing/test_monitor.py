@@ -156,3 +156,30 @@ def test_what_was_not_measured_is_told_as_such():
 def test_breath_shapes_of_the_tests_are_what_they_say():
     assert breath(0.0) == pytest.approx(1.0)
     assert breath(0.6) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_phase_waits_for_a_breath_that_is_late_and_is_given_up_before_long():
+    at = times(80.0)
+    pause = np.clip(at - 50.8, 0.0, 3.0)  # at 70 %, at rest
+    value = 10.0 * breath((at - pause) / 4.0) + np.random.default_rng(0).normal(0.0, 0.05, len(at))
+    waiting = [one for seconds, one in zip(at, follow(at, value), strict=True) if 51.0 < seconds < 53.7]
+    told = [one for one in waiting if one.phase_percent is not None]
+    assert told
+    assert all(60.0 < one.phase_percent < 85.0 for one in told)
+    assert waiting[-1].phase_percent is None
+    assert waiting[-1].note == "the breath is late"
+    assert told[-1].phase_confidence < 0.3 < told[0].phase_confidence
+
+
+def test_a_cycle_that_is_longer_by_a_quarter_does_not_run_ahead():
+    at = times(60.0)
+    stretched = np.where(at < 40.0, at / 4.0, 10.0 + (at - 40.0) / 5.0)
+    value = 10.0 * breath(stretched) + np.random.default_rng(0).normal(0.0, 0.05, len(at))
+    told = follow(at, value)
+    errors = [
+        turn_error(one.phase_percent, 100.0 * (true % 1.0))
+        for one, true, seconds in zip(told, stretched, at, strict=True)
+        if 40.0 < seconds < 55.0 and one.phase_percent is not None
+    ]
+    assert len(errors) > 400
+    assert max(errors) < 22.0
