@@ -58,7 +58,7 @@ class BreathWatch:
         )
 
     def correct(self, choice: SignalChoice, by: float) -> None:
-        """Count drift from so much further on: a person has seen and confirmed it."""
+        """Tell drift against a level so much higher than the learned one: a person has seen and confirmed it."""
         self._states = tuple(correct_baseline(state, by) if state.choice == choice else state for state in self._states)
 
     def follow(self, motion: Motion, timestamp_us: int) -> tuple[Breath, ...]:

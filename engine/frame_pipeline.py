@@ -38,6 +38,9 @@ class FramePipeline(Protocol):
     def set_reference(self) -> None:
         """Make the present position the zero; raise a TidegateError where there is none."""
 
+    def correct_baseline(self, choice: SignalChoice, by: float) -> None:
+        """Tell drift of a signal against a level so much higher than the learned one [mm or l]."""
+
     @property
     def is_model_waiting(self) -> bool:
         """Whether a model is ready and waits for the gate to be disarmed."""

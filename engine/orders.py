@@ -76,6 +76,7 @@ class Orders:
                 self._acknowledge(command)
             case CorrectBaseline():
                 self._keeper.correct_baseline(command)
+                self._pipeline.correct_baseline(self._limits.window.choices[0], command.by)
             case _:
                 self._change(command)
 

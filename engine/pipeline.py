@@ -213,7 +213,7 @@ class Pipeline:
         self._learner.apply_model()
 
     def correct_baseline(self, choice: SignalChoice, by: float) -> None:
-        """Count that signal's drift from so much further on [mm or l]: a person has confirmed it."""
+        """Tell that signal's drift against so much more than was learned [mm or l]: a person has confirmed it."""
         self._breaths.correct(choice, by)
 
     def resume(self, model: MotionModel) -> None:

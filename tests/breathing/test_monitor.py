@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine.breath import SignalChoice
-from engine.stages.breathing import follow_breathing, shifted, start_breathing, with_baseline
+from engine.stages.breathing import correct_baseline, follow_breathing, shifted, start_breathing, with_baseline
 from tests.breathing.traces import breath, follow, kinds, onsets, regular, times
 
 
@@ -144,6 +144,17 @@ def test_a_baseline_that_a_person_confirmed_ends_the_drift():
     later, more, _ = regular(120.0)
     told = follow(later[2400:], more[2400:] + 4.0, state=confirmed)
     assert onsets(told, later[2400:]) == []
+
+
+def test_a_correction_counts_from_where_the_level_was_learned_and_can_be_taken_back():
+    at, value, _ = regular(40.0)
+    state = start_breathing(SignalChoice())
+    for seconds, one in zip(at.tolist(), value.tolist(), strict=True):
+        state = follow_breathing(state, seconds, one)
+    drift = state.breath.drift
+    twice = correct_baseline(correct_baseline(state, 2.0), 2.0)
+    assert twice.breath.drift == pytest.approx(drift - 2.0)
+    assert correct_baseline(twice, 0.0).breath.drift == pytest.approx(drift)
 
 
 def test_what_was_not_measured_is_told_as_such():

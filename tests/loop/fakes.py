@@ -147,6 +147,9 @@ class ToldPipeline:
     def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
         return {choice: self.ranges[choice] for choice in choices if choice in self.ranges}
 
+    def correct_baseline(self, choice: SignalChoice, by: float) -> None:
+        self.calls.append(f"correct {choice.label} {by:g}")
+
     def set_reference(self) -> None:
         self._change("set_reference")
 

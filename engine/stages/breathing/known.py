@@ -28,8 +28,9 @@ class Known:
         The last complete breaths, what is usual, how alike they are, and how their ends of exhale scatter.
     lows, speed
         Time and level of the last ends of exhale, and how fast they move [mm/s].
-    learned
-        Where the end of exhale was learned, or was last set to be; None before.
+    learned, correction
+        Where the end of exhale was learned, or was last set to be, None before; and how far from there a person has
+        confirmed that it is now.
     missing, why
         How many consistent breaths have to be seen before a phase is told, and why.
     quick, quick_s, quick_last_s
@@ -47,6 +48,7 @@ class Known:
     lows: Lows = ()
     speed: float | None = None
     learned: float | None = None
+    correction: float = 0.0
     missing: int = MISSING_AT_FIRST
     why: str = TOO_EARLY
     quick: int = 0
@@ -60,6 +62,11 @@ class Known:
     def rise(self) -> float:
         """How deep a usual breath is [mm]; 0 where it is not known."""
         return 0.0 if self.habit is None else self.habit.rise
+
+    @property
+    def expected(self) -> float | None:
+        """The level of the end of exhale that drift is told against; None while it is not known."""
+        return None if self.learned is None else self.learned + self.correction
 
     @property
     def low(self) -> float:

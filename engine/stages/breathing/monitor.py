@@ -85,13 +85,16 @@ def with_baseline(state: BreathingState, baseline: float) -> BreathingState:
     if not abs(baseline) <= MAX_ABS_MM:
         return state
     events = tuple(event for event in state.events if event.kind is not BreathEventKind.DRIFT)
-    return _telling(replace(state, known=replace(state.known, learned=baseline / state.unit), events=events))
+    known = replace(state.known, learned=baseline / state.unit, correction=0.0)
+    return _telling(replace(state, known=known, events=events))
 
 
 def correct_baseline(state: BreathingState, by: float) -> BreathingState:
-    """Let drift be told against a level so much higher than before [mm, l of the volume]."""
-    learned = state.known.learned
-    return state if learned is None else with_baseline(state, learned * state.unit + by)
+    """Let drift be told against a level so much higher than the learned one [mm, l of the volume]; 0 takes it back."""
+    if not abs(by) <= MAX_ABS_MM:
+        return state
+    events = tuple(event for event in state.events if event.kind is not BreathEventKind.DRIFT)
+    return _telling(replace(state, known=replace(state.known, correction=by / state.unit), events=events))
 
 
 def shifted(state: BreathingState, by: float) -> BreathingState:
@@ -274,8 +277,9 @@ def _signs(state: BreathingState, known: Known, seconds: float) -> judging.Signs
 
 def _drifts(state: BreathingState, known: Known) -> tuple[float, float] | None:
     """How far the last two ends of exhale are from where it was learned; one under way counts where it is lower."""
-    if known.learned is None or len(known.lows) < 2 or known.lows[-2][0] < known.disturbed_s:
+    expected = known.expected
+    if expected is None or len(known.lows) < 2 or known.lows[-2][0] < known.disturbed_s:
         return None
-    before, last = (low - known.learned for _, low in known.lows[-2:])
-    now = state.course.low - known.learned
+    before, last = (low - expected for _, low in known.lows[-2:])
+    now = state.course.low - expected
     return (last, now) if state.turns.way == FALLING and now < min(last, 0.0) else (before, last)

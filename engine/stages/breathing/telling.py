@@ -34,7 +34,7 @@ def tell(choice: SignalChoice, unit: float, known: Known, track: PhaseTrack, eve
         rate_confidence=_rate_confidence(known, habit) if is_breathing else 0.0,
         amplitude=habit.rise * unit,
         baseline=known.low * unit if has_low else None,
-        drift=(known.low - known.learned) * unit if has_low and known.learned is not None else None,
+        drift=(known.low - known.expected) * unit if has_low and known.expected is not None else None,
         drift_per_s=None if known.speed is None else known.speed * unit,
         regularity=known.regularity,
         events=events,
