@@ -172,6 +172,7 @@ def main(out: Path) -> None:
     """Write the pictures."""
     out.mkdir(parents=True, exist_ok=True)
     fake = FakeService()
+    fake.sessions[0]["window"] = None  # each picture has a window of its own
     fake.mode = "samples"
     with ServerThread(fake.app()) as server, sync_playwright() as playwright:
         browser = launch_chromium(playwright)

@@ -154,13 +154,13 @@ def test_a_window_on_the_volume_is_shown_in_litres(fake: FakeService, tab: Tab):
     page = show(fake, tab, window=window(volume), signal_mm=None, volume_l=0.317)
     expect(page.locator("#trace-value")).to_have_text("0.32")
     expect(page.locator("#trace-unit")).to_have_text("l")
-    expect(page.locator("#trace-name")).to_have_text("· gated on volume")
+    expect(page.locator("#trace-name")).to_have_text("Gated on volume")
 
 
 def test_all_conditions_are_named_beside_the_trace(fake: FakeService, tab: Tab):
     both = window(condition(), phase(signal="abdomen"), join="or")
     page = show(fake, tab, window=both)
-    expect(page.locator("#trace-name")).to_have_text("· gated on whole or abdomen, phase")
+    expect(page.locator("#trace-name")).to_have_text("Gated on whole or abdomen, phase")
 
 
 def test_a_drift_is_corrected_by_two_clicks_of_a_named_person_and_by_what_they_saw(fake: FakeService, tab: Tab):

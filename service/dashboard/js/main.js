@@ -195,7 +195,7 @@ function renderTraceValue(sample) {
   const value = sample ? (isGated ? gatedValue(sample) : sample[`${trace.choice}_mm`]) : null;
   setText(byId("trace-value"), Number.isFinite(value) ? value.toFixed(unit === "l" ? 2 : 1).replace("-", "−") : "–");
   setText(byId("trace-unit"), unit);
-  setText(byId("trace-name"), sample && isGated ? `· gated on ${describeWindow(sample.window)}` : "");
+  setText(byId("trace-name"), sample && isGated ? `Gated on ${describeWindow(sample.window)}` : "");
 }
 
 byId("trace-choice").addEventListener("change", (event) => {
