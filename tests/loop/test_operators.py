@@ -161,6 +161,7 @@ def test_a_corrected_baseline_disarms_moves_the_window_and_the_audit_names_both(
     )
     window = bench.loop.latest.window
     assert (window.lower, window.upper, window.hysteresis) == (0.5, 4.5, 0.2)
+    assert bench.pipeline.calls == ["correct whole 1.5"]  # drift is told against the same level
 
 
 def test_the_audit_hears_of_a_correction_even_where_nobody_is_armed():
