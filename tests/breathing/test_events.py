@@ -78,6 +78,7 @@ def test_drift_is_noticed_within_three_cycles(volunteer, rate):
     assert episode.start_s < found < episode.start_s + 3.0 * find_build(volunteer).period_s
     later = told[np.searchsorted(at, found + 6.0)]
     assert np.sign(later.drift) == np.sign(rate)
+    assert {kind for kind, _ in onsets(told, at)} == {"drift"}  # and breathing that drifts is regular all the same
     assert later.drift_per_s == pytest.approx(rate, rel=0.5)
 
 
@@ -135,3 +136,21 @@ def test_events_of_a_volume_are_found_in_litres():
     assert episode.start_s < found < episode.start_s + 3.0 * find_build(2).period_s
     at, value, episode = course("sigh", 2, seed=52)
     assert first(follow(at, 0.1 * value, choice), at, "sigh") is not None
+
+
+@pytest.mark.parametrize("offset", [-3.0, 2.0])
+def test_one_exhale_that_ends_elsewhere_is_no_drift(offset):
+    at, value, _ = regular(80.0)
+    around = np.exp(-(((at - 42.4) / 1.0) ** 2))  # at 60 %, the end of exhale
+    told = follow(at, value + offset * around)
+    assert "drift" not in {kind for kind, _ in onsets(told, at)}
+
+
+def test_an_event_that_was_under_way_is_not_told_behind_a_gap_but_a_drift_is():
+    at, value, _ = regular(80.0)
+    value = value + np.where(at > 30.0, 4.0, 0.0) + spikes(at, 60.0, 3, 10.0)
+    kept = (at < 61.3) | (at > 62.3)
+    told = follow(at[kept], value[kept])
+    before, behind = told[np.searchsorted(at[kept], 61.2)], told[np.searchsorted(at[kept], 62.31)]
+    assert kinds(before) == {"cough", "drift"}
+    assert kinds(behind) == {"drift"}

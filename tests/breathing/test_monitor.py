@@ -89,6 +89,7 @@ def test_after_a_gap_no_phase_is_told_until_breaths_are_found_again(way):
     assert after[39.9].phase_percent is not None
     assert after[41.5].phase_percent is None
     assert after[41.5].note == "nothing was measured for a moment"
+    assert after[48.0].phase_percent is None  # one breath is not enough
     assert after[58.0].phase_percent is not None
     assert onsets(told, at) == []
 
