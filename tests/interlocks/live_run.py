@@ -107,6 +107,7 @@ class LiveRun:
         self.lease_ns = int(limits.lease_ms * NS_PER_MS)
         self.records: list[FrameRecord] = []
         self.transitions: list[GateTransition] = []
+        self.learned_ns = 0
         self.is_present = self.is_recording = self.is_auditing = True
         self._stop_requested = threading.Event()
         self._writer = threading.Thread(target=self._write, daemon=True)
