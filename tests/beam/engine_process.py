@@ -13,10 +13,10 @@ from engine.beam.line import BeamLine
 from engine.beam.wired import WiredBeamLine
 from engine.clock import Clock, MonotonicClock
 from engine.commands import Acknowledge, Arm
-from engine.errors import CommandRefusedError
+from engine.errors import BeamLineError, CommandRefusedError
 from engine.loop import EngineLoop
 from engine.permits import GateState
-from tests.beam.receivers import wire_to
+from tests.beam.receivers import TIMES, wire_to
 from tests.loop.fakes import ToldPipeline, drained
 from tests.loop.paced import PATIENT_LIMITS, PacedSource
 
@@ -24,7 +24,7 @@ from tests.loop.paced import PATIENT_LIMITS, PacedSource
 def beam_line(kind: str, where: str, clock: Clock) -> BeamLine:
     if kind == "datagram":
         return DatagramBeamLine(Path(where), clock, reply_ms=500.0)
-    return WiredBeamLine(wire_to(kind, where), clock)
+    return WiredBeamLine(wire_to(kind, where), clock, TIMES)
 
 
 def main(kind: str, where: str) -> None:
@@ -49,7 +49,7 @@ def main(kind: str, where: str) -> None:
 
 def _arm(loop: EngineLoop) -> None:
     """Do as an operator does who clears every fault; refused until there is a frame, and tried again."""
-    with contextlib.suppress(CommandRefusedError):
+    with contextlib.suppress(CommandRefusedError, BeamLineError):
         if loop.gate.state is GateState.FAULT:
             loop.submit(Acknowledge(operator="ann")).result(timeout=5.0)
         loop.submit(Arm(operator="ann")).result(timeout=5.0)

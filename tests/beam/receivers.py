@@ -10,9 +10,10 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from engine.beam.judge import LineTimes
 from engine.beam.modbus import RegisterMap, rtu_wire, tcp_wire
 from engine.beam.serial_relay import RelayWire
-from engine.beam.wired import Wire
+from engine.beam.wired import Wire, WiredBeamLine
 from engine.clock import NS_PER_MS, MonotonicClock
 from engine.errors import BeamLineError
 from engine.permits import HoldReason, Lease
@@ -23,6 +24,9 @@ BUSY_NS = 150 * NS_PER_MS
 """What a busy test machine may add: processes and threads that are woken late."""
 
 PATIENCE_S = 20.0
+TIMES = LineTimes(answer_ms=150.0, settle_ms=10.0)
+"""As patient as a line may be: a busy machine answers late without being wrong."""
+
 REGISTERS = RegisterMap(
     unit=modbus_server.UNIT,
     permit_coil=modbus_server.COIL,
@@ -40,6 +44,19 @@ def wire_to(kind: str, where: str) -> Wire:
         return rtu_wire(device=where, baud=baud, parity="none", stop_bits=1, registers=REGISTERS)
     channel, heartbeat = relay_board.CHANNEL, relay_board.HEARTBEAT_CHANNEL
     return RelayWire(device=where, baud=115_200, protocol=kind, channel=channel, heartbeat_channel=heartbeat)
+
+
+def opened(kind: str, where: str) -> WiredBeamLine:
+    """An open line to a receiver; tried again where a busy machine made it answer late."""
+    line = WiredBeamLine(wire_to(kind, where), MonotonicClock(), TIMES)
+    deadline_s = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            line.open()
+        except BeamLineError:
+            assert time.monotonic() < deadline_s, "the line never opened"
+        else:
+            return line
 
 
 class Receiver:

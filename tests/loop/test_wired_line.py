@@ -11,7 +11,7 @@ from engine.commands import Acknowledge, Arm, Disarm
 from engine.errors import BeamLineError, CommandRefusedError
 from engine.loop import EngineLoop
 from engine.permits import GateState, HoldReason
-from tests.beam.receivers import receiver, wire_to
+from tests.beam.receivers import TIMES, receiver, wire_to
 from tests.loop.fakes import ToldPipeline, drained
 from tests.loop.paced import PATIENT_LIMITS, PacedSource
 
@@ -24,7 +24,7 @@ class Room:
     def __init__(self, far):
         self.far = far
         clock = MonotonicClock()
-        self.line = WiredBeamLine(wire_to(far.kind, far.where), clock)
+        self.line = WiredBeamLine(wire_to(far.kind, far.where), clock, TIMES)
         self.loop = EngineLoop(
             source=PacedSource(clock),
             pipeline=ToldPipeline(clock),
@@ -75,7 +75,7 @@ def room():
 
 @pytest.mark.parametrize(
     ("spoiled", "reason"),
-    [("stuck off", HoldReason.BEAM_LINE_MISMATCH), ("late 140", HoldReason.BEAM_LINE_FAILED)],
+    [("stuck off", HoldReason.BEAM_LINE_MISMATCH), ("late 180", HoldReason.BEAM_LINE_FAILED)],
 )
 def test_a_trouble_of_the_line_faults_the_gate_by_name_and_after_acknowledging_and_arming_it_goes_on(
     room, spoiled, reason
