@@ -103,8 +103,9 @@ class ConditionState:
         Of a breath hold: where it stands, and since when by the device's clock.
     lowest, highest
         Of a breath hold: extremes of the signal while it settles.
-    settled_at
-        Of a breath hold: level at which it was found still.
+    settled_at, held_since_us
+        Of a breath hold: the level at which it was found still, and when; kept over frames that could not be judged,
+        for the patient has not breathed meanwhile. None before it was.
     holds
         Breath holds counted so far: those that came to be still.
     """
@@ -114,7 +115,8 @@ class ConditionState:
     since_us: int = 0
     lowest: float = math.inf
     highest: float = -math.inf
-    settled_at: float = math.nan
+    settled_at: float | None = None
+    held_since_us: int = 0
     holds: int = 0
 
 
@@ -292,15 +294,18 @@ class BreathHoldWindow:
                 HoldReason.BREATH_HOLD_AWAITED if inside.reason is HoldReason.OUTSIDE_WINDOW else inside.reason,
                 inside.detail,
             )
+        if state.stage in _OVER:
+            return _outside(state, _OVER[state.stage], self._needs_a_breath())
         value = signal_of(self.level.choice, sight.motion)
+        ended = self._end(state, value, sight.timestamp_us)
+        if ended is not None:
+            return ended
         match state.stage:
-            case HoldStage.AWAITED:
-                return self._settle(_begun(state, value, sight.timestamp_us), value, sight.timestamp_us)
-            case HoldStage.SETTLING:
-                return self._settle(state, value, sight.timestamp_us)
             case HoldStage.HELD:
-                return self._keep(state, value, sight.timestamp_us)
-        return _outside(state, _OVER[state.stage], self._needs_a_breath())
+                return WindowVerdict(is_inside=True, states=(replace(state, is_inside=True),))
+            case HoldStage.AWAITED:
+                state = _begun(state, value, sight.timestamp_us)
+        return self._settle(state, value, sight.timestamp_us)
 
     def _settle(self, state: ConditionState, value: float, now_us: int) -> WindowVerdict:
         lowest, highest = min(state.lowest, value), max(state.highest, value)
@@ -309,23 +314,26 @@ class BreathHoldWindow:
         state = replace(state, lowest=lowest, highest=highest)
         if (now_us - state.since_us) * NS_PER_US < self.settle_ms * NS_PER_MS:
             return self._still_settling(state, f"still for {(now_us - state.since_us) / 1e6:.1f} s")
-        held = replace(
-            state, stage=HoldStage.HELD, since_us=now_us, settled_at=value, holds=state.holds + 1, is_inside=True
-        )
+        held = replace(state, stage=HoldStage.HELD, since_us=now_us, is_inside=True)
+        if held.settled_at is None:
+            held = replace(held, settled_at=value, held_since_us=now_us, holds=state.holds + 1)
         return WindowVerdict(is_inside=True, states=(held,))
 
     def _still_settling(self, state: ConditionState, detail: str) -> WindowVerdict:
         return _outside(state, HoldReason.BREATH_HOLD_SETTLING, f"{detail}; {self.settle_ms / 1000.0:g} s needed")
 
-    def _keep(self, state: ConditionState, value: float, now_us: int) -> WindowVerdict:
+    def _end(self, state: ConditionState, value: float, now_us: int) -> WindowVerdict | None:
+        """End a hold that was found still once, on drift or by time; None while it may go on, or has not begun."""
+        if state.settled_at is None:
+            return None
         if not abs(value - state.settled_at) <= self.max_drift:
             ended = replace(state, stage=HoldStage.DRIFTED, since_us=now_us)
             detail = f"{abs(value - state.settled_at):.1f} {self.level.unit} from where it settled"
             return _outside(ended, HoldReason.BREATH_HOLD_DRIFTED, f"{detail}, {self.max_drift:g} allowed")
-        if (now_us - state.since_us) * NS_PER_US >= self.timeout_s * NS_PER_S:
+        if (now_us - state.held_since_us) * NS_PER_US >= self.timeout_s * NS_PER_S:
             ended = replace(state, stage=HoldStage.OVER, since_us=now_us)
             return _outside(ended, HoldReason.BREATH_HOLD_OVER, f"held for {self.timeout_s:g} s")
-        return WindowVerdict(is_inside=True, states=(replace(state, is_inside=True),))
+        return None
 
     def _needs_a_breath(self) -> str:
         return f"the patient breathes before the next {self.kind} is held"
@@ -471,12 +479,15 @@ def at_rest(window: GateWindow) -> tuple[ConditionState, ...]:
 
 
 def interrupted(states: tuple[ConditionState, ...]) -> tuple[ConditionState, ...]:
-    """Return what is remembered after a frame that could not be judged.
+    """Return what is remembered after a frame that could not be judged: what has to be inside enters anew.
 
-    How many breath holds there were, and that one has ended and a breath is due; all else begins anew.
+    Of a breath hold it is kept how many there were, that one has ended and a breath is due, and, of one that was found
+    still, where and since when: whoever is not seen for a moment has not breathed.
     """
     return tuple(
-        replace(state, is_inside=False) if state.stage in _OVER else ConditionState(holds=state.holds)
+        replace(state, is_inside=False)
+        if state.stage in _OVER
+        else ConditionState(settled_at=state.settled_at, held_since_us=state.held_since_us, holds=state.holds)
         for state in states
     )
 
@@ -513,7 +524,7 @@ _OVER = {HoldStage.DRIFTED: HoldReason.BREATH_HOLD_DRIFTED, HoldStage.OVER: Hold
 
 def _begun(state: ConditionState, value: float, now_us: int) -> ConditionState:
     """Begin to settle, at this frame."""
-    return ConditionState(stage=HoldStage.SETTLING, since_us=now_us, lowest=value, highest=value, holds=state.holds)
+    return replace(state, stage=HoldStage.SETTLING, since_us=now_us, lowest=value, highest=value, is_inside=False)
 
 
 def _outside(state: ConditionState, reason: HoldReason | None, detail: str) -> WindowVerdict:

@@ -15,7 +15,7 @@ from engine.commands import Acknowledge, Arm, Disarm
 from engine.frames import Measurement, Motion
 from engine.limits import GateLimits, ns_from_ms
 from engine.permits import GateState, HoldReason, Lease
-from engine.trust import EventKind, LastFrame, Verdict, distrust, fault, last_frame
+from engine.trust import EventKind, LastFrame, Verdict, distrust, fault, last_frame, unusable
 from engine.windows import ConditionState, Sight, at_rest, interrupted, left
 
 CYCLES_WITHIN_NS = 60 * NS_PER_S
@@ -241,12 +241,22 @@ def _judge_silence(gate: Gate, event: Silence, now_ns: int, limits: GateLimits) 
 
 
 def _judge_frame(gate: Gate, frame: Measurement, now_ns: int, limits: GateLimits) -> Verdict:
-    verdict = distrust(gate.last, frame, now_ns, limits)
+    verdict = distrust(gate.last, frame, now_ns, limits) or _refuse_lapsed(gate, now_ns, limits)
     if verdict is not None:
         return verdict
     if frame.motion is None:  # cannot be: a frame without motion is not trusted
         return fault(HoldReason.VALUE_INVALID, "no motion")
     return _judge_window(gate, frame, frame.motion, now_ns, limits)
+
+
+def _refuse_lapsed(gate: Gate, now_ns: int, limits: GateLimits) -> Verdict | None:
+    """Refuse to go on with a line whose lease has lapsed: it is off, and goes on after a dwell and what else is due."""
+    if gate.state is not GateState.BEAM_ON or gate.last is None:
+        return None
+    late_ns = now_ns - gate.last.received_ns - ns_from_ms(limits.lease_ms)
+    if late_ns < 0:
+        return None
+    return unusable(HoldReason.FRAME_LATE, f"decided {late_ns / NS_PER_MS:.0f} ms after the line's lease had lapsed")
 
 
 def _judge_window(gate: Gate, frame: Measurement, motion: Motion, now_ns: int, limits: GateLimits) -> Verdict:

@@ -109,8 +109,20 @@ def test_a_long_loss_is_no_excuse_for_any_step():
     ],
 )
 def test_a_decision_needs_a_fresh_frame(age_ns, state, reason):
-    gate = stream_in(GateState.BEAM_ON).feed(age_ns=age_ns)
+    limits = replace(LIMITS, lease_ms=200.0)
+    gate = stream_in(GateState.BEAM_ON, limits=limits).feed(age_ns=age_ns)
     assert (gate.state, gate.reason) == (state, reason)
+
+
+@pytest.mark.parametrize(("age_ns", "is_on"), [(80 * MS - PERIOD_NS - 1, True), (80 * MS - PERIOD_NS, False)])
+def test_a_line_whose_lease_has_lapsed_goes_on_after_a_dwell_and_a_time_off_like_any_other(age_ns, is_on):
+    stream = stream_in(GateState.BEAM_ON, limits=replace(LIMITS, min_off_ms=400.0))
+    gate = stream.feed(age_ns=age_ns)
+    assert (gate.state is GateState.BEAM_ON) is is_on
+    if not is_on:
+        assert gate.reason is HoldReason.FRAME_LATE
+        assert GateState.BEAM_ON not in stream.good(11)  # 400 ms are twelve periods
+        assert stream.good(3)[-1] is GateState.BEAM_ON
 
 
 def test_a_late_decision_costs_a_full_dwell():

@@ -140,6 +140,28 @@ def test_a_bad_frame_does_not_pass_for_the_breath_that_is_due():
     assert stream.gate.reason is HoldReason.BREATH_HOLD_DRIFTED
 
 
+def test_lost_frames_do_not_make_a_longer_hold_of_it():
+    stream = held()
+    spoil, _ = HOLDS["marker lost"]
+    on = 0
+    for _ in range(8):  # a frame is lost after every second and a half, for twelve seconds
+        on += stream.good(44).count(GateState.BEAM_ON)
+        stream.feed(spoil(stream.upcoming()))
+    assert on < 90  # three seconds are ninety frames
+    assert stream.gate.reason is not None
+    assert stream.gate.breath_holds == 1
+
+
+def test_a_hold_that_was_not_seen_for_a_moment_still_may_not_drift_from_where_it_settled():
+    stream = held(20.0)
+    spoil, _ = HOLDS["marker lost"]
+    for level_mm in (20.5, 21.0, 21.4, 21.8):
+        stream.feed(spoil(stream.upcoming()))
+        stream.level_mm = level_mm
+        stream.good(SETTLE_FRAMES + 1)
+    assert stream.gate.reason is HoldReason.BREATH_HOLD_DRIFTED
+
+
 def test_arming_counts_from_nought():
     stream = held()
     assert stream.gate.breath_holds == 1
