@@ -69,7 +69,7 @@ def test_labelled_events_are_told_by_their_name(kind, volunteer):
     assert episode.start_s <= found <= episode.end_s + 3.0
 
 
-@pytest.mark.parametrize("volunteer", [2, 10])
+@pytest.mark.parametrize("volunteer", [2, 9, 10])
 @pytest.mark.parametrize("rate", [0.1, 0.2, 0.4, 0.74, -0.1, -0.2, -0.4, -0.74])
 def test_drift_is_noticed_within_three_cycles(volunteer, rate):
     at, value, episode = course("drift", volunteer, seed=51, drift_mm_s=rate)
@@ -79,7 +79,7 @@ def test_drift_is_noticed_within_three_cycles(volunteer, rate):
     later = told[np.searchsorted(at, found + 6.0)]
     assert np.sign(later.drift) == np.sign(rate)
     assert {kind for kind, _ in onsets(told, at)} == {"drift"}  # and breathing that drifts is regular all the same
-    assert later.drift_per_s == pytest.approx(rate, rel=0.5)
+    assert later.drift_per_s == pytest.approx(rate, rel=0.6)
 
 
 def test_an_apnoea_has_no_phase_and_no_rate_and_is_over_with_the_next_breath():

@@ -52,9 +52,10 @@ def test_rate_depth_and_level_are_told_in_the_signals_own_unit():
 def test_a_volume_is_told_in_litres():
     at, value, _ = regular(40.0, amplitude=6.0, period=4.0)
     choice = SignalChoice(signal="volume")
-    last = follow(at, 0.1 * value, choice)[-1]
+    last = follow(at, 0.1 * value + 2.0, choice)[-1]
     assert last.signal == choice
     assert last.amplitude == pytest.approx(0.6, rel=0.06)
+    assert last.baseline == pytest.approx(2.0, abs=0.03)
     assert last.phase_percent is not None
 
 
@@ -89,7 +90,7 @@ def test_after_a_gap_no_phase_is_told_until_breaths_are_found_again(way):
     assert after[39.9].phase_percent is not None
     assert after[41.5].phase_percent is None
     assert after[41.5].note == "nothing was measured for a moment"
-    assert after[48.0].phase_percent is None  # one breath is not enough
+    assert after[50.0].phase_percent is None  # one breath is not enough
     assert after[58.0].phase_percent is not None
     assert onsets(told, at) == []
 
@@ -123,6 +124,18 @@ def test_another_zero_is_no_event_and_keeps_the_phase(share):
     assert all(one.phase_percent is not None and not one.events for one in told)
     assert told[-1].drift == pytest.approx(0.0, abs=0.2)
     assert told[-1].baseline == pytest.approx(-25.0, abs=0.3)
+
+
+def test_a_zero_that_is_set_twice_in_a_second_is_no_cough():
+    at, value, _ = regular(44.0)
+    state, told = start_breathing(SignalChoice()), []
+    for seconds, one in zip(at.tolist(), value.tolist(), strict=True):
+        for moment, by in ((40.0, -25.0), (40.5, 25.0)):
+            state = shifted(state, by) if abs(seconds - moment) < 0.01 else state
+        zero = 25.0 if 39.99 < seconds < 40.49 else 0.0
+        state = follow_breathing(state, seconds, one - zero)
+        told.append(state.breath)
+    assert onsets(told, at) == []
 
 
 def test_a_shift_that_nobody_told_of_is_seen():

@@ -11,7 +11,7 @@ from engine.stages.breathing import events as judging
 from engine.stages.breathing.habit import Cycle, Habit, habit_of, level_scatter, regularity_of, with_cycle
 
 LEARNED_CYCLES = 3
-KEPT_LOWS = 4
+KEPT_LOWS = 3
 MISSING_AT_FIRST = 2
 CONSISTENT_BELOW = 1.3
 TOO_EARLY = "too little seen yet"
