@@ -183,6 +183,22 @@ def test_a_line_that_is_told_too_late_faults_and_is_held_at_once():
     assert bench.hold_reason_of_the_line() is HoldReason.LATENCY_HIGH
 
 
+def test_a_line_whose_lease_lapsed_between_two_good_frames_pays_a_full_dwell():
+    """A frame 59 ms after the last, measured in 25: each is allowed, and the lease of 80 ms is over."""
+    bench = on_bench([every(59.0), *[good] * 6])
+
+    def dawdle(frame):
+        bench.clock.advance_ns(20 * MS)
+        return frame
+
+    bench.pipeline.spoil[ON + 1] = dawdle
+    records = bench.run().records()
+    assert records[ON].line_on
+    assert (records[ON + 1].hold_reason, records[ON + 1].line_on) == (HoldReason.FRAME_LATE, False)
+    assert [record.line_on for record in records[ON + 2 :]] == [False] * (FRAMES_A_DWELL - 1) + [True] * 3
+    assert bench.beam.edges[1].reason is None  # it had lapsed by itself
+
+
 def test_latency_is_measured_from_capture_and_warned_of_without_a_hold():
     bench = live(on_bench([good] * 5, limits=replace(LIMITS, warn_latency_ms=40.0, camera_latency_ms=30.0)))
     views = []
