@@ -3,14 +3,16 @@
 What the monitor was tuned on were seeds below 100; the bench begins at 100, so that it reports on others.
 """
 
+import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context
 
 import numpy as np
 
-from engine.errors import InvalidValueError
+from engine.errors import InvalidValueError, RecordingError
 from engine.evaluation.breath_scores import Finding, false_alarms, find, phase_errors
 from engine.evaluation.breath_trials import DRIFT_S, EVENT_S, LEARN_S, Span, listen, make_trial
 from engine.frames import FloatArray
@@ -108,8 +110,18 @@ def judge(job: Job) -> Judged:
 
 
 def run(planned: list[Job], jobs: int, on_done: Callable[[int], object]) -> list[Judged]:
-    """Judge them all, in the plan's order; ``on_done`` is told how many there are so far."""
-    return [judged for _, judged in sorted(_judged(planned, jobs, on_done), key=lambda pair: pair[0])]
+    """Judge them all, in the plan's order; ``on_done`` is told how many there are so far.
+
+    Raises
+    ------
+    RecordingError
+        A process was killed.
+    """
+    try:
+        pairs = sorted(_judged(planned, jobs, on_done), key=lambda pair: pair[0])
+    except BrokenProcessPool as error:
+        raise RecordingError("a process of the bench was killed; is there memory enough?") from error
+    return [judged for _, judged in pairs]
 
 
 def _judged(planned: list[Job], jobs: int, on_done: Callable[[int], object]) -> Iterator[tuple[int, Judged]]:
@@ -118,7 +130,7 @@ def _judged(planned: list[Job], jobs: int, on_done: Callable[[int], object]) -> 
             yield number, judge(job)
             on_done(number + 1)
         return
-    with ProcessPoolExecutor(max_workers=jobs, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(max_workers=jobs, mp_context=get_context("spawn"), initializer=_end_quietly) as pool:
         numbers = {pool.submit(judge, job): number for number, job in enumerate(planned)}
         try:
             for done, future in enumerate(as_completed(numbers), start=1):
@@ -127,3 +139,8 @@ def _judged(planned: list[Job], jobs: int, on_done: Callable[[int], object]) -> 
         finally:
             for future in numbers:
                 future.cancel()
+
+
+def _end_quietly() -> None:
+    """Let Ctrl-C end a worker at once: the command itself says that it stopped."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)

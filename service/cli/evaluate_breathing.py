@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 
 from engine.errors import InvalidValueError, TidegateError
-from service.cli.evaluate_bench import PIPED_WIDTH, rich_table
+from service.cli.evaluate_bench import PIPED_WIDTH, STOPPED, rich_table
 from service.cli.terminal import frame_bar, refused, say
 from service.cli.written import write_whole
 
@@ -55,6 +55,9 @@ def breathing(
         for table in tables:
             write_whole(out / f"{table.name}.csv", table.to_csv().encode())
         _draw(recorded, out)
+    except KeyboardInterrupt as stopped:
+        say("tidegate evaluate breathing: stopped; nothing is written", "yellow")
+        raise typer.Exit(STOPPED) from stopped
     except TidegateError as error:
         raise refused("evaluate breathing", error) from error
     except OSError as error:
