@@ -94,6 +94,9 @@ class EngineAdapter:
     def _source(self, plan: SessionPlan) -> DepthSource:
         if isinstance(plan.source, schemas.DeviceSource):
             return self._camera(plan.source.uri, plan.calibration)
+        if self._settings.mode == "clinical":
+            bound = "a camera: in clinical mode no recording gates the beam"
+            raise InvalidValueError("source.kind", plan.source.kind, bound)
         assert plan.recording is not None, "a recording was resolved when the session started"
         return self._player(plan.recording, plan.source.player)
 

@@ -1,0 +1,80 @@
+"""The whole service on a real line: a session over HTTP turns a receiver in another process on, and off at its end."""
+
+import pytest
+from fastapi.testclient import TestClient
+
+from service.app import create_app
+from service.settings import Settings
+from tests.beam import modbus_server
+from tests.beam.receivers import TIMES, receiver
+from tests.service.conftest import act, audit_rows, eventually
+from tests.service.test_real_engine import PATIENT_LIMITS, HurriedEngine, arm_when_ready, detail_of, open_session
+
+
+@pytest.fixture
+def far():
+    with receiver("tcp") as held:
+        yield held
+
+
+@pytest.fixture
+def mode():
+    return "research"
+
+
+@pytest.fixture
+def client(tmp_path, regular_volunteer, far, mode):
+    settings = Settings(
+        data_dir=tmp_path / "data",
+        recordings_dirs=(regular_volunteer,),
+        allowed_hosts=("testserver",),
+        mode=mode,
+        beam_line="modbus-tcp",
+        beam_modbus_host="127.0.0.1",
+        beam_modbus_port=int(far.where),
+        beam_modbus_unit=modbus_server.UNIT,
+        beam_modbus_permit_coil=modbus_server.COIL,
+        beam_modbus_heartbeat_register=modbus_server.REGISTER,
+        beam_modbus_readback_input=modbus_server.INPUT,
+        beam_answer_ms=TIMES.answer_ms,
+        beam_settle_ms=TIMES.settle_ms,
+        **PATIENT_LIMITS,
+    )
+    with TestClient(create_app(settings, HurriedEngine)) as held:
+        yield held
+
+
+def test_a_session_turns_a_real_receiver_on_and_leaves_it_off(client, far, regular_volunteer):
+    source = {"kind": "recording", "path": "recording.oni", "player": "reader"}
+    session_id = open_session(client, (regular_volunteer / "calibration.json").read_bytes(), source=source)
+    assert detail_of(client, session_id)["is_simulated_beam"] is False
+    assert act(client, session_id, "start").json()["status"] == "running"
+    assert far.seen == []
+    while not far.seen:
+        arm_when_ready(client, session_id)
+        eventually(lambda: far.seen or detail_of(client, session_id)["gate"]["state"] == "fault", within_s=30.0)
+    act(client, session_id, "stop")
+    eventually(lambda: detail_of(client, session_id)["status"] != "running", within_s=30.0)
+    eventually(lambda: far.seen[-1][0] == "off", within_s=10.0)
+    assert far.seen[0][0] == "on"
+    assert audit_rows(client, "service.start")[0]["detail"]["is_simulated_beam"] is False
+
+
+def test_a_session_on_a_receiver_that_is_gone_does_not_start_and_says_why(client, far, regular_volunteer):
+    far.process.kill()
+    far.process.wait()
+    source = {"kind": "recording", "path": "recording.oni", "player": "reader"}
+    session_id = open_session(client, (regular_volunteer / "calibration.json").read_bytes(), source=source)
+    answer = act(client, session_id, "start")
+    assert answer.status_code >= 400
+    assert "does not answer" in answer.text
+
+
+@pytest.mark.parametrize("mode", ["clinical"])
+def test_in_clinical_mode_no_recording_gates_a_beam(client, far, regular_volunteer):
+    source = {"kind": "recording", "path": "recording.oni", "player": "reader"}
+    session_id = open_session(client, (regular_volunteer / "calibration.json").read_bytes(), source=source)
+    answer = act(client, session_id, "start")
+    assert answer.status_code == 422
+    assert "in clinical mode no recording gates the beam" in answer.text
+    assert far.seen == []
