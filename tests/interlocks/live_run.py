@@ -34,6 +34,7 @@ LIMITS = GateLimits(
     max_latency_ms=300.0,
     max_silence_ms=350.0,
     watchdog_ms=480.0,
+    min_fps=14.0,
     operator_timeout_s=1.0,
     holding_events=frozenset({BreathEventKind.COUGH}),
 )
@@ -41,7 +42,7 @@ LIMITS = GateLimits(
 
 SAMPLES_KEPT, TRANSITIONS_KEPT = 45, 24
 STAYS_OFF_FRAMES = 8
-TRIES = 4
+TRIES = 8
 """A machine that is busy with other things may hold the beam for a reason of its own just then: look again."""
 
 

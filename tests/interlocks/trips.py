@@ -74,11 +74,13 @@ def _earlier_by(us: int) -> Callable[[RgbdFrame], RgbdFrame]:
 
 def _backlog(run: LiveRun) -> None:
     """Each frame comes 30 ms later after it was taken than the one before: a driver that queues."""
-    behind = [0]
+    behind_us, last_us = 0, 0
 
     def edit(frame: RgbdFrame) -> RgbdFrame:
-        behind[0] += 30_000
-        return _earlier_by(behind[0])(frame)
+        nonlocal behind_us, last_us
+        behind_us += 30_000
+        last_us = max(last_us + 1_000, frame.timestamp_us - behind_us)  # order is kept, however frames come
+        return replace(frame, timestamp_us=last_us, color_timestamp_us=last_us)
 
     run.mischief.edit = edit
 
@@ -159,7 +161,7 @@ TRIPS: tuple[Trip, ...] = (
     Trip(code=R.FRAME_MISSING, how="no frame comes, for a moment", act=_wrong(is_silent=True), undo=_right),
     Trip(code=R.FRAME_TIMEOUT, how="no frame comes any more", act=_wrong(is_silent=True), undo=_right),
     Trip(code=R.FRAME_FROZEN, how="the same picture with new times", act=_wrong(is_frozen=True), undo=_right),
-    Trip(code=R.FRAME_RATE_LOW, how="16 frames a second", act=_wrong(period_ns=62 * NS_PER_MS), undo=_right),
+    Trip(code=R.FRAME_RATE_LOW, how="11 frames a second", act=_wrong(period_ns=90 * NS_PER_MS), undo=_right),
     Trip(
         code=R.CLOCK_BACKWARDS, how="the camera's clock goes back 1 s", act=_wrong(edit=_earlier_by(10**6)), undo=_right
     ),
