@@ -29,6 +29,10 @@ class FramePipeline(Protocol):
     def has_reference(self) -> bool:
         """Whether motion has a zero."""
 
+    @property
+    def zero_number(self) -> int:
+        """Counts the zeros that were set; a zero that is carried over to another model is the same one."""
+
     def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
         """Return the range each signal had while the model was learned, against the present zero."""
 

@@ -160,6 +160,11 @@ class GateKeeper:
         self.decide(Ending(HoldReason.DISARMED, detail), cause=Cause(operator=command.operator, detail=detail))
         self._decide_by(corrected)
 
+    @property
+    def correction(self) -> float:
+        """How far the window was moved in all [mm, l of the volume]."""
+        return self._window.correction
+
     def forget_correction(self) -> None:
         """Return to the window as told: motion is counted from a new zero."""
         self._decide_by(self._window.without_correction())

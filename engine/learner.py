@@ -49,6 +49,7 @@ class Learner:
         self._reference: Reference | None = None
         self._is_reference_wanted = False
         self._needs_zero = False
+        self._zero_number = 0
         self._is_kept = False
         self._is_on_trial = False
         self._likeness: Likeness | None = None
@@ -151,9 +152,15 @@ class Learner:
         """Return the zero of motion; the position given here when there is none yet or a new one is wanted."""
         if self._reference is None or self._is_reference_wanted:
             self._reference = active.reference(coefficients, surface)
+            self._zero_number += 1
             self._needs_zero = self._needs_zero and not self._is_reference_wanted
             self._is_reference_wanted = False
         return self._reference
+
+    @property
+    def zero_number(self) -> int:
+        """Counts the zeros that were set; one that is carried over to another model is the same."""
+        return self._zero_number
 
     def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
         """Return the range each signal had in the training, against the zero; empty before there is one."""

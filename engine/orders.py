@@ -45,7 +45,7 @@ class Orders:
         self._pipeline, self._beam, self._limits = pipeline, beam, limits
         self._keeper, self._watch, self._watchdog, self._outbox = keeper, watch, watchdog, outbox
         self._generation = pipeline.model_generation
-        self._settled_generation: int | None = None
+        self._settled_zero: int | None = None
 
     def has_model_changed(self) -> bool:
         """Whether model or zero are others than at the last call, or at the last arming."""
@@ -53,13 +53,18 @@ class Orders:
         return before != self._generation
 
     def settle_window(self) -> None:
-        """Turn per cent into mm once after every change of model or zero, and never while nothing changed."""
-        if self._settled_generation == self._generation or not self._limits.window.needs_ranges:
+        """Turn per cent into mm, once for every zero that is set.
+
+        Another model behind the same zero has learned another range, where the patient lies by now: a window that took
+        it would follow a drift that nobody has confirmed.
+        """
+        zero = self._pipeline.zero_number
+        if self._settled_zero == zero or not self._limits.window.needs_ranges:
             return
         ranges = self._pipeline.learned_ranges(self._limits.window.choices)
         self._keeper.settle_window(ranges)
         if ranges:
-            self._settled_generation = self._generation
+            self._settled_zero = zero
 
     def obey(self, command: Command) -> None:
         """Carry a command out; raise a TidegateError where it is refused."""
@@ -76,7 +81,7 @@ class Orders:
                 self._acknowledge(command)
             case CorrectBaseline():
                 self._keeper.correct_baseline(command)
-                self._pipeline.correct_baseline(self._limits.window.choices[0], command.by)
+                self._pipeline.correct_baseline(self._limits.window.choices[0], self._keeper.correction)
             case _:
                 self._change(command)
 
@@ -97,6 +102,7 @@ class Orders:
         self._disarm_for("the reference is set", command.operator)
         self._pipeline.set_reference()
         self._keeper.forget_correction()
+        self._pipeline.correct_baseline(self._limits.window.choices[0], 0.0)
         self._watch.forget_position()
 
     def _apply_model(self, command: ApplyModel) -> None:

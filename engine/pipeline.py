@@ -184,6 +184,11 @@ class Pipeline:
         """How far today's patient is from the stored model that was begun with."""
         return self._learner.likeness
 
+    @property
+    def zero_number(self) -> int:
+        """Counts the zeros that were set; one that is carried over to another model is the same."""
+        return self._learner.zero_number
+
     def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
         """Return the range each signal had while the model was learned, against the present zero."""
         return self._learner.learned_ranges(choices)

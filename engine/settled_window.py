@@ -1,7 +1,7 @@
 """The window the gate decides by: as it was told, with per cent turned into mm or l, and moved as a person confirmed.
 
-Nothing moves it by itself. A correction is counted from where the window was told, so that many small ones never add up
-to more than the site allows.
+Nothing moves it by itself. Corrections add up, and their sum is bounded, so that many small ones never come to more
+than the site allows.
 """
 
 import math
@@ -35,7 +35,7 @@ class SettledWindow:
         return self.settled if self.correction == 0.0 else self.settled.shifted(self.told.choices[0], self.correction)
 
     def with_ranges(self, ranges: Ranges) -> "SettledWindow":
-        """Settle anew; a correction goes, for the range that was learned last lies where the patient is now."""
+        """Settle anew, for another zero; a correction of the one before goes with it."""
         return SettledWindow(told=self.told, settled=self.told.resolved(ranges))
 
     def without_correction(self) -> "SettledWindow":
@@ -43,22 +43,23 @@ class SettledWindow:
         return replace(self, correction=0.0)
 
     def corrected(self, by: float, limits: GateLimits) -> "SettledWindow":
-        """Move the edges on the first signal by ``by``, counted from where they were told.
+        """Move the edges on the first signal by ``by``, on top of earlier corrections.
 
         Raises
         ------
         InvalidValueError
-            Not finite, further than the site allows, without an edge to move, or still in per cent.
+            Not finite, in all further than the site allows, without an edge to move, or still in per cent.
         """
         choice = self.told.choices[0]
+        unit = "l" if choice.is_volume else "mm"
         reach = limits.max_baseline_correction_mm * (LITRES_PER_MM if choice.is_volume else 1.0)
-        if isinstance(by, bool) or not isinstance(by, int | float) or not math.isfinite(by) or not abs(by) <= reach:
-            raise InvalidValueError(
-                "by", by, f"a number from {-reach:g} to {reach:g} {'l' if choice.is_volume else 'mm'}"
-            )
+        low, high = -reach - self.correction, reach - self.correction
+        if isinstance(by, bool) or not isinstance(by, int | float) or not math.isfinite(by) or not low <= by <= high:
+            before = f", {self.correction:g} {unit} of {reach:g} being used up" if self.correction else ""
+            raise InvalidValueError("by", by, f"a number from {low:g} to {high:g} {unit}{before}")
         if all(isinstance(leaf, PhaseWindow) for leaf in self.told.leaves if choice in leaf.choices):
             raise InvalidValueError("by", by, f"absent: the window has no edges on {choice.label} that it could move")
-        moved = replace(self, correction=float(by))
+        moved = replace(self, correction=self.correction + float(by))
         _ = moved.window  # refuses what is still told in per cent
         return moved
 

@@ -105,6 +105,18 @@ def test_a_swap_steps_no_region_and_no_volume_of_a_steady_surface(patient):
     assert step[-1] < 0.0005
 
 
+def test_a_zero_that_is_carried_over_is_the_same_zero_and_one_that_is_set_another(patient):
+    assert patient.learner.zero_number == 1
+    retrain(patient)
+    assert patient.learner.zero_number == 1
+    patient.learner.set_reference()
+    patient.see()
+    assert patient.learner.zero_number == 2
+    retrain(patient, keeps_zero=False)
+    patient.see()
+    assert patient.learner.zero_number == 3
+
+
 def test_without_carrying_over_the_new_model_would_step(patient):
     """The test above proves something only if the two models disagree at all."""
     bowed = replace(patient.learner.active.model, mean_mm=patient.learner.active.model.mean_mm + np.float32(0.3))

@@ -129,6 +129,7 @@ class ToldPipeline:
         self.notices: list[LearningNotice] = []
         self.was_kept: list[bool] = []
         self.ranges: Ranges = {}
+        self.zero_number = 1
         self.calls: list[str] = []
         self.trouble: Exception | None = None
 
@@ -152,6 +153,7 @@ class ToldPipeline:
 
     def set_reference(self) -> None:
         self._change("set_reference")
+        self.zero_number += 1
 
     def retrain(self, *, keeps_zero: bool = True) -> None:
         self.calls.append("retrain" if keeps_zero else "retrain without zero")

@@ -178,12 +178,15 @@ def test_the_gate_decides_by_the_corrected_window(by, is_on):
     assert bench.run().records()[-1].line_on is is_on
 
 
-def test_another_correction_replaces_the_one_before_so_that_they_never_add_up():
+def test_corrections_add_up_and_their_sum_is_bounded():
     bench = Bench([good] * 3)
-    for by in (4.0, 4.0, 4.0, 2.0):
+    for by in (4.0, 2.0, 1.0, -3.0):
         bench.source.script += [after(bench.ask(_correct(by)))]
     bench.run()
-    assert bench.loop.latest.window.lower == 1.0
+    assert bench.loop.latest.window.lower == 1.0  # -1 and 4 and 1 and -3; 2 was refused
+    error = bench.answers[1].exception(timeout=0)
+    assert error.bound == "a number from -9 to 1 mm, 4 mm of 5 being used up"
+    assert bench.pipeline.calls == ["correct whole 4", "correct whole 5", "correct whole 2"]
 
 
 def test_setting_the_reference_returns_to_the_window_as_told():
@@ -191,6 +194,7 @@ def test_setting_the_reference_returns_to_the_window_as_told():
     bench.source.script += [after(bench.ask(_correct(4.0))), after(bench.ask(SetReference(operator="bob"))), good]
     bench.run()
     assert bench.loop.latest.window == LIMITS.window
+    assert bench.pipeline.calls[-1] == "correct whole 0"
 
 
 @pytest.mark.parametrize("by", [float("nan"), float("inf"), 5.01, -5.01, True, "1"])
@@ -245,16 +249,18 @@ def test_a_window_in_per_cent_is_shown_settled_and_corrected_in_mm():
     assert (window.lower, window.upper, str(window.unit)) == (1.0, 5.0, "mm")
 
 
-def test_a_newly_learned_range_takes_a_correction_of_per_cent_away():
+@pytest.mark.parametrize(("has_new_zero", "edges"), [(False, (1.0, 5.0)), (True, (3.0, 7.0))])
+def test_per_cent_are_of_the_range_at_the_zero_and_a_model_behind_the_same_zero_moves_nothing(has_new_zero, edges):
     bench = _per_cent_bench()
 
     def learn_again():
         bench.pipeline.model_generation += 1
-        bench.pipeline.ranges = {SignalChoice(): LearnedRange(low=1.0, high=9.0)}
+        bench.pipeline.zero_number += has_new_zero
+        bench.pipeline.ranges = {SignalChoice(): LearnedRange(low=3.0, high=11.0)}
 
     bench.source.script += [after(bench.ask(_correct(1.0))), after(learn_again), good]
     bench.run()
-    assert (bench.loop.latest.window.lower, bench.loop.latest.window.upper) == (1.0, 5.0)
+    assert (bench.loop.latest.window.lower, bench.loop.latest.window.upper) == edges
 
 
 def test_a_window_still_in_per_cent_cannot_be_corrected():
