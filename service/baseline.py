@@ -5,9 +5,11 @@ window and disarms, and the audit keeps the drift and both windows.
 """
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from engine.breath import Breath, SignalChoice
-from engine.errors import CommandRefusedError
+from engine.errors import CommandRefusedError, InvalidValueError
 from engine.live import LiveView
 from service.errors import BoundError
 from service.gate_schemas import BaselineCorrectionRequest
@@ -52,6 +54,17 @@ def check_correction(request: BaselineCorrectionRequest, view: LiveView | None, 
     if abs(drift - request.drift_seen) > TOLERANCE[unit]:
         msg = f"the drift is {drift:.2f} {unit} by now, not {request.drift_seen:g}: look again"
         raise CommandRefusedError(msg)
+
+
+@contextmanager
+def told_in(request: BaselineCorrectionRequest) -> Iterator[None]:
+    """Name the field that a refusal of the engine came in: it knows only of a number."""
+    try:
+        yield
+    except InvalidValueError as error:
+        if error.field != "by":
+            raise
+        raise _broken(f"by_{request.unit}", request.by, error.bound) from error
 
 
 def known_drift(view: LiveView) -> float | None:

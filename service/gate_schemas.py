@@ -18,7 +18,7 @@ class BaselineCorrectionRequest(Request):
         ge=-50.0,
         le=50.0,
         examples=[1.5],
-        description="How far the edges move, counted from where the window was told; 0 takes a correction back",
+        description="How far the edges move, on top of earlier corrections; the sum is bounded by the site",
     )
     drift_mm: float | None = Field(
         default=None, ge=-200.0, le=200.0, examples=[1.5], description="The drift of the baseline that the person saw"

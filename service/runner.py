@@ -37,7 +37,7 @@ from engine.provenance import check_patient
 from service import audit, schemas
 from service.audit import Event
 from service.audit_log import AuditLog
-from service.baseline import check_correction, correction_detail, moved_window
+from service.baseline import check_correction, correction_detail, moved_window, told_in
 from service.bridge import SessionWriter, WriterSettings
 from service.db import repository
 from service.db.engine import Database
@@ -151,7 +151,10 @@ class SessionRunner:
             with self._log.refusals(actor=request.operator, action=action, session_id=session_id, detail=detail):
                 check_correction(request, before, self._settings)
         command = CorrectBaseline(operator=request.operator, by=request.by)
-        self._ask(session_id, command, request.operator, action, detail, after=lambda now: moved_window(now, before))
+        with told_in(request):
+            self._ask(
+                session_id, command, request.operator, action, detail, after=lambda now: moved_window(now, before)
+            )
         return self._book.detail(session_id)
 
     def note_presence(self, session_id: str, operator: str) -> None:

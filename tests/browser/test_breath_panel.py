@@ -9,7 +9,6 @@ from tests.browser.conftest import Tab
 from tests.browser.fake_service import (
     BREATH,
     NOTHING_MEASURED,
-    SESSION,
     SESSION_ID,
     FakeService,
     breath_hold,
@@ -192,13 +191,12 @@ def test_a_correction_that_is_not_confirmed_is_forgotten(fake: FakeService, tab:
     assert corrections(fake) == []
 
 
-def test_a_window_that_was_moved_already_is_not_offered_again(fake: FakeService, tab: Tab):
-    fake.sessions = [SESSION]
-    fake.mode = "samples"
-    fake.sample = DRIFTED | {"window": window(condition(lower=0.7, upper=4.7))}
+def test_after_a_correction_only_what_is_left_of_the_drift_is_offered(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", DRIFTED
     page = tab.open("hold")
     tab.named()
-    expect(page.locator("#who-patient")).to_have_text("P-0117")
+    expect(page.locator("#do-correct")).to_be_enabled()
+    fake.sample = sample(breath=BREATH | {"drift": 0.04}, window=window(condition(lower=0.7, upper=4.7)))
     expect(page.locator("#do-correct")).to_be_disabled()
     expect(page.locator("#do-correct")).to_have_text("Correct baseline")
 

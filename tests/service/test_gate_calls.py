@@ -6,6 +6,7 @@ import pytest
 
 from engine.breath import Breath, SignalChoice
 from engine.commands import CorrectBaseline, HoldBeam, ReleaseBeam
+from engine.errors import InvalidValueError
 from engine.windows import AmplitudeWindow
 from tests.service.conftest import act, audit_rows, eventually
 from tests.service.fakes import REFUSED
@@ -126,9 +127,12 @@ def test_nobody_confirms_a_drift_that_is_not_there_any_more(client, session_id, 
     assert running.commands == []
 
 
-def test_a_correction_is_taken_back_with_none(client, session_id, drifting):
-    assert correct(client, session_id, by_mm=0.0, drift_mm=1.7).status_code == 200
-    assert drifting.commands == [CorrectBaseline(operator="B. Physicist", by=0.0)]
+def test_what_the_engine_finds_too_much_in_all_is_refused_by_the_field_it_came_in(client, session_id, drifting):
+    drifting.refuse_with = InvalidValueError("by", 1.5, "a number from -9 to 1 mm, 4 mm of 5 being used up")
+    answer = correct(client, session_id)
+    assert (answer.status_code, answer.json()["field"]) == (422, "by_mm")
+    assert "4 mm of 5 being used up" in answer.json()["bound"]
+    assert [row["outcome"] for row in audit_rows(client, ACTION)] == ["requested", "refused"]
 
 
 def test_a_window_on_the_volume_is_corrected_in_litres(client, session_id, running):

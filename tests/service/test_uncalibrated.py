@@ -208,6 +208,35 @@ def test_the_engine_leaves_a_running_session_s_camera_alone(camera, monkeypatch)
     assert adapter.registered_calibration(None).is_device_registration
 
 
+@pytest.mark.parametrize(
+    ("may_gate", "is_nominal", "expected"), [(False, True, False), (False, False, True), (True, True, True)]
+)
+def test_the_gate_is_told_whether_the_camera_was_calibrated(camera, monkeypatch, may_gate, is_nominal, expected):
+    monkeypatch.setattr(engine_adapter, "OpenNiSource", lambda *_args, **_named: StillSource())
+    taken = []
+
+    class WatchedLoop(engine_adapter.EngineLoop):
+        def __init__(self, **parts):
+            taken.append(parts["limits"])
+            super().__init__(**parts)
+
+    monkeypatch.setattr(engine_adapter, "EngineLoop", WatchedLoop)
+    adapter = EngineAdapter(Settings(beam_without_calibration=may_gate))
+    calibration = adapter.registered_calibration(None) if is_nominal else make_calibration()
+    adapter.open(make_plan(calibration)).stop()
+    assert [limits.is_calibrated for limits in taken] == [expected]
+
+
+def test_presence_reaches_the_loop(camera, monkeypatch):
+    monkeypatch.setattr(engine_adapter, "OpenNiSource", lambda *_args, **_named: StillSource())
+    heard = []
+    monkeypatch.setattr(engine_adapter.EngineLoop, "note_presence", lambda _loop, operator: heard.append(operator))
+    engine = EngineAdapter(Settings()).open(make_plan(make_calibration()))
+    engine.note_presence("Ada L.")
+    engine.stop()
+    assert heard == ["Ada L."]
+
+
 class TestAStrictSite:
     @pytest.fixture
     def settings(self, settings: Settings) -> Settings:

@@ -23,9 +23,9 @@ export class BaselineButton {
     button.addEventListener("click", () => this.#press());
   }
 
-  /** @param {?object} sample the newest one of a running session; @param {?object} session as last described */
-  update(sample, session) {
-    this.offer = sample === null ? null : offerOf(sample, session);
+  /** @param {?object} sample the newest one of a running session */
+  update(sample) {
+    this.offer = sample === null ? null : offerOf(sample);
     if (this.confirmed !== null && this.confirmed.id !== sample?.session_id) this.#forget();
     const why = this.#obstacle(sample);
     this.button.disabled = why !== "" || this.controls.busy !== null;
@@ -69,18 +69,13 @@ function text({ by, unit }) {
   return `${signed(by, unit === "l" ? 2 : 1)} ${unit}`;
 }
 
-function offerOf(sample, session) {
+/** The drift is told from where the window was moved to last, so that it is what is left to confirm. */
+function offerOf(sample) {
   const { breath } = sample;
   const [gated] = conditionsOf(sample.window);
   const edges = conditionsOf(sample.window).find((one) => hasEdges(one) && hasSameSignal(one, gated));
   if (!Number.isFinite(breath?.drift) || edges === undefined) return null;
   const { unit, drift } = breath;
   const by = Math.round(drift * STEPS[unit]) / STEPS[unit];
-  return { id: sample.session_id, unit, by, drift, isSmall: Math.abs(drift - moved(edges, gated, session, unit)) < LEAST[unit] };
-}
-
-/** How far the window was moved already, where it was told in the same unit. */
-function moved(edges, gated, session, unit) {
-  const told = session?.window?.[`lower_${unit}`];
-  return Number.isFinite(told) && edges === gated ? edges.lower - told : 0;
+  return { id: sample.session_id, unit, by, drift, isSmall: Math.abs(drift) < LEAST[unit] };
 }

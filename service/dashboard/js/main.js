@@ -151,7 +151,7 @@ function render() {
   const running = sample?.session_status === "running" ? sample : null;
   follow(view, sample, nowMs);
   controls.update({ kind: view.kind, sample: running, selected: session });
-  baseline.update(view.isCurrent ? running : null, session);
+  baseline.update(view.isCurrent ? running : null);
   presence.tend(running, controls.operatorName, nowMs);
   if (view.isFresh) events.tend(nowMs);
   return { nowMs, view, sample };
