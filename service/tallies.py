@@ -1,6 +1,6 @@
 """Counters over the life of the process, fed by the writer's thread as frames are written down."""
 
-from prometheus_client import CollectorRegistry, Counter, Histogram
+from prometheus_client import CollectorRegistry, Counter, Histogram, disable_created_metrics
 
 from engine.frames import MeasurementState
 from engine.live import FrameRecord, GateTransition
@@ -13,6 +13,7 @@ class Tallies:
     """Counters over the life of the process, across sessions."""
 
     def __init__(self) -> None:
+        disable_created_metrics()  # when a counter began says nothing that it does not
         self.registry = CollectorRegistry()
         self._frames = Counter("tidegate_frames", "Frames measured and written down", ["state"], registry=self.registry)
         self._missed = Counter(

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -12,8 +13,11 @@ from fastapi.testclient import TestClient
 from jsonschema import Draft202012Validator
 from starlette.websockets import WebSocketDisconnect
 
+from engine.breath import Breath
 from engine.frames import Markers, TrainingProgress
+from engine.live import LatencySummary
 from engine.permits import GateState, HoldReason
+from engine.windows import AmplitudeWindow, BreathHoldWindow, ConditionState, HoldStage
 from service.app import create_app
 from service.hold_texts import HOLD_TEXTS, hold_text
 from service.live_messages import (
@@ -163,6 +167,31 @@ def test_regions_and_corners_go_out_in_order(plan):
         "hysteresis": 0.2,
         "is_inside": True,
     }
+
+
+def test_breath_hold_and_who_holds_are_told_with_the_reason_in_figures(plan):
+    running = FakeRunning(plan)
+    running.window = BreathHoldWindow(level=AmplitudeWindow(lower=-1.0, upper=3.0))
+    running.conditions = (ConditionState(stage=HoldStage.SETTLING, holds=2),)
+    running.breaths = (Breath(rate_per_min=14.0, note="the breath is held"),)
+    running.operator_hold = "C. Nurse"
+    running.frame()
+    latency = LatencySummary(last_ms=120.0, p50_ms=30.0, p99_ms=90.0, max_ms=130.0, is_warned=True)
+    message = message_of(replace(running.latest, detail="still for 0.4 s", latency=latency), plan)
+    SCHEMA.validate(message)
+    assert (message["breath"]["rate_per_min"], message["breath"]["note"]) == (14.0, "the breath is held")
+    assert (message["breath_hold"]["stage"], message["breath_hold"]["count"]) == ("settling", 2)
+    assert (message["operator_hold"], message["hold_detail"]) == ("C. Nurse", "still for 0.4 s")
+    assert message["latency_ms"] == {"last": 120.0, "p50": 30.0, "p99": 90.0, "max": 130.0, "warned": True}
+    assert (message["window"]["lower_mm"], message["window"]["conditions"][0]["kind"]) == (-1.0, "breath_hold")
+
+
+def test_a_beam_that_is_on_is_not_held_for_any_reason(plan):
+    running = FakeRunning(plan)
+    running.gate = GateState.BEAM_ON
+    running.frame(line_on=True)
+    message = message_of(replace(running.latest, detail="an older reason"), plan)
+    assert (message["hold_reason"], message["hold_text"], message["hold_detail"]) == (None, None, "")
 
 
 def test_training_is_told(plan):

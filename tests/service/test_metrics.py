@@ -21,6 +21,7 @@ def test_without_a_session_there_are_counts_and_no_states(client):
     found = read(client)
     assert found["tidegate_session_running",] == 0.0
     assert found["tidegate_frames_total", "measuring"] == 0.0
+    assert not [name for name, *_ in found if name.endswith("_created")]
     assert not [name for name, *_ in found if name in {"tidegate_line_on", "tidegate_fps", "tidegate_gate_state"}]
 
 
