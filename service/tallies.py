@@ -13,7 +13,8 @@ class Tallies:
     """Counters over the life of the process, across sessions."""
 
     def __init__(self) -> None:
-        disable_created_metrics()  # when a counter began says nothing that it does not
+        # When a counter began says nothing that the counter does not.
+        disable_created_metrics()  # type: ignore[no-untyped-call]
         self.registry = CollectorRegistry()
         self._frames = Counter("tidegate_frames", "Frames measured and written down", ["state"], registry=self.registry)
         self._missed = Counter(
