@@ -117,6 +117,7 @@ def lay_out_course(
     *,
     kinds: tuple[str, ...] = KINDS,
     quiet_s: float = QUIET_S,
+    first_s: float | None = None,
     drift_mm_s: float | None = None,
 ) -> Course:
     """Breathe quietly for ``quiet_s``, then one episode of each kind with as much quiet between, while there is time.
@@ -127,13 +128,15 @@ def lay_out_course(
         Where the signals are wanted [s].
     seconds
         The recording's length: the last episode ends before it.
+    first_s
+        How long the quiet before the first episode is; ``quiet_s`` when not given.
     drift_mm_s
         How fast the drift is; drawn when not given, with its sign.
     """
     breaths = _Breaths(build, time_s, rng)
     episodes: list[Episode] = []
     offset, spikes = np.zeros(len(time_s)), np.zeros(len(time_s))
-    quiet_until_s = quiet_s
+    quiet_until_s = quiet_s if first_s is None else first_s
     for kind in kinds:
         while breaths.at_s < quiet_until_s:
             breaths.breathe()

@@ -16,6 +16,8 @@ from engine.phantom.traces import Trace
 
 Grid = npt.NDArray[np.float64]
 FREE_S = 20.0
+USUAL_S = 36.0
+"""Quiet breathing before the first of the events: a model is learned, and after that what is usual [s]."""
 # Shortest recording in which each scenario's event fits behind the free breathing [s].
 SHORTEST_S = {
     "regular": 2.0,
@@ -212,7 +214,7 @@ def _drift(signals: Signals, seconds: float, rng: np.random.Generator) -> Timeli
 
 def _events(build: Build, seconds: float, rng: np.random.Generator) -> Timeline:
     """Cough, sigh, stop breathing, talk, breathe irregularly, drift: one after the other, as far as the time goes."""
-    course = lay_out_course(build, time_grid(seconds), seconds, rng, quiet_s=FREE_S)
+    course = lay_out_course(build, time_grid(seconds), seconds, rng, quiet_s=FREE_S, first_s=USUAL_S)
     events = [
         Event(name=episode.kind, start_s=episode.start_s, end_s=episode.end_s, detail=episode.detail)
         for episode in course.episodes

@@ -7,6 +7,7 @@ from engine.breath import SignalChoice
 from engine.phantom.breathing import time_grid
 from engine.phantom.builds import find_build
 from engine.phantom.episodes import lay_out_course
+from engine.stages.breathing import follow_breathing, start_breathing
 from tests.breathing.traces import breath, follow, kinds, onsets, regular, times
 
 SECONDS = 100.0
@@ -154,3 +155,12 @@ def test_an_event_that_was_under_way_is_not_told_behind_a_gap_but_a_drift_is():
     before, behind = told[np.searchsorted(at[kept], 61.2)], told[np.searchsorted(at[kept], 62.31)]
     assert kinds(before) == {"cough", "drift"}
     assert kinds(behind) == {"drift"}
+
+
+def test_a_cough_makes_no_breath():
+    at, value, _ = regular(48.0)
+    state = start_breathing(SignalChoice())
+    for seconds, one in zip(at.tolist(), (value + spikes(at, 42.4, 4, 15.0)).tolist(), strict=True):
+        state = follow_breathing(state, seconds, one)
+    assert not [cycle for cycle in state.known.cycles if 42.2 < cycle.end_s < 44.0]
+    assert not [at_s for at_s, _ in state.known.lows if 42.2 < at_s < 44.0]

@@ -208,3 +208,13 @@ def test_a_cycle_that_is_longer_by_a_quarter_does_not_run_ahead():
     ]
     assert len(errors) > 400
     assert max(errors) < 22.0
+
+
+def test_a_signal_that_begins_on_its_way_down_is_no_odd_first_breath():
+    at, value, _ = regular(40.0)
+    state = start_breathing(SignalChoice())
+    for seconds, one in zip(at[36:].tolist(), value[36:].tolist(), strict=True):  # 30 % after the end of inhale
+        state = follow_breathing(state, seconds, one)
+    assert state.known.cycles
+    assert all(cycle.period_s == pytest.approx(4.0, abs=0.3) for cycle in state.known.cycles)
+    assert state.breath.regularity > 0.95
