@@ -66,7 +66,7 @@ class ActivateModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HoldBeam:
-    """Hold the beam until somebody releases it; the gate stays armed. Never refused."""
+    """Hold the beam until somebody releases it, or disarms; the gate stays armed. Never refused."""
 
     operator: str
 

@@ -86,7 +86,8 @@ class GateKeeper:
             return view
         left_behind, shown = self._shown_by_watchdog or (None, None)
         if shown is None or view is not left_behind:  # one view for all who look: readers tell news by identity
-            record = replace(view.record, gate_state=GateState.FAULT, hold_reason=HoldReason.WATCHDOG, line_on=False)
+            # The line was held, but nobody has read it back since: it may be on where it was on.
+            record = replace(view.record, gate_state=GateState.FAULT, hold_reason=HoldReason.WATCHDOG)
             shown = replace(view, record=record, is_armed=False, detail=WATCHDOG_DETAIL)
             self._shown_by_watchdog = (view, shown)
         return shown
@@ -201,6 +202,8 @@ class GateKeeper:
             found.append(Interruption(HoldReason.CALIBRATION_MISSING, "nothing was measured for this camera"))
         absence = self._presence.silence(now_ns)
         found += [Interruption(HoldReason.OPERATOR_LOST, absence)] if absence else []
+        leaver = self._mailbox.disarm_asked_by
+        found += [] if leaver is None else [Interruption(HoldReason.DISARMED, f"{leaver} disarms")]
         holder = self._operator_hold or self._mailbox.hold_asked_by
         found += [] if holder is None else [Interruption(HoldReason.OPERATOR_HOLD, f"held by {holder}")]
         return found

@@ -148,7 +148,7 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "min_on_ms": (0.0, 10_000.0),
     "min_off_ms": (0.0, 60_000.0),
     "max_cycles_per_min": (1, 120),
-    "max_repeated_frames": (0, 30),
+    "max_repeated_frames": (0, 3),
     "max_clock_jump_ms": (50.0, 2_000.0),
     "min_fps": (5.0, 60.0),
     "max_shift_mm": (1.0, 100.0),

@@ -116,6 +116,8 @@ class EngineLoop:
         if self._thread.is_alive():
             self._beam.hold(HoldReason.ENGINE_STOPPED)
             self._mailbox.close("the engine hangs; the beam is held")
+            with contextlib.suppress(Exception):
+                self._beam.close()  # a line of its own threads would go on beside the next session's
         return not self._thread.is_alive()
 
     def join(self, timeout_s: float | None = None) -> bool:
@@ -275,6 +277,8 @@ class EngineLoop:
             events.append(Interruption(reason=HoldReason.MODEL_MISSING))
         elif not self._pipeline.has_reference:
             events.append(Interruption(reason=HoldReason.REFERENCE_MISSING))
+        if self._stop_requested.is_set():  # while this frame was measured: it must not turn anything on any more
+            events.append(Ending(reason=HoldReason.ENGINE_STOPPED))
         self._keeper.decide(*events, cause=Cause(frame=frame, measurement=measurement))
 
     # Commands.

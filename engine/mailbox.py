@@ -68,8 +68,16 @@ class Mailbox:
     @property
     def hold_asked_by(self) -> str | None:
         """Who waits for the beam to be held by hand: a decision on its way must not turn it on any more."""
-        holds = (letter.command.operator for letter in tuple(self._urgent) if isinstance(letter.command, HoldBeam))
-        return next(holds, None)
+        return self._asked_by(HoldBeam)
+
+    @property
+    def disarm_asked_by(self) -> str | None:
+        """Who waits for the gate to be disarmed, likewise."""
+        return self._asked_by(Disarm)
+
+    def _asked_by(self, kind: type[HoldBeam | Disarm]) -> str | None:
+        asked = (letter.command.operator for letter in tuple(self._urgent) if isinstance(letter.command, kind))
+        return next(asked, None)
 
     def report(self, fault: Interruption) -> None:
         """Leave a fault for the next decision; the first one stays."""

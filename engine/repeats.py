@@ -1,10 +1,11 @@
 """Whether the camera shows the same picture again: frames that come with new times, and show the past.
 
 A real sensor's pictures are never alike in every pixel. Exact equality is asked for: a patient who lies still is no
-frozen picture.
+frozen picture. The last few pictures count, for a buffer that is stuck may hand out several in turn.
 """
 
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -18,14 +19,21 @@ from engine.stages.gate import Interruption
 THINNING_PX = 16
 """Every so many rows and columns are compared first: pictures that differ do so there, at a hundredth of the time."""
 
+KEPT = 8
+"""A driver's buffers: so many pictures that come in turn are known for old ones, by their thinned views."""
+
 Picture = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 
 @dataclass(slots=True, kw_only=True)
 class _Stream:
-    """The newest picture of one stream; ``since_ns`` is when it first came, ``repeats`` how often it came again."""
+    """The last pictures of one stream.
+
+    ``since_ns`` is when the newest picture that was new came, ``repeats`` how many have come since that were not.
+    """
 
     picture: Picture | None = None
+    views: deque[bytes] = field(default_factory=lambda: deque(maxlen=KEPT))
     timestamp_us: int | None = None
     since_ns: int = 0
     repeats: int = 0
@@ -34,14 +42,25 @@ class _Stream:
         if timestamp_us == self.timestamp_us:
             return  # delivered beside another depth frame, and not said to be taken anew
         self.timestamp_us = timestamp_us
-        if self.picture is not None and _are_alike(self.picture, picture):
+        view = picture[::THINNING_PX, ::THINNING_PX].tobytes()
+        is_old = any(view) and self._was_seen(view, picture)
+        self.picture = picture
+        if is_old:
             self.repeats += 1
             return
-        self.picture, self.since_ns, self.repeats = picture, received_ns, 0
+        self.views.append(view)
+        self.since_ns, self.repeats = received_ns, 0
+
+    def _was_seen(self, view: bytes, picture: Picture) -> bool:
+        """Whether it is the picture before, in every pixel, or one of those before that."""
+        if view not in self.views:
+            return False
+        is_next_to_last = self.repeats == 0 and view == self.views[-1]
+        return not is_next_to_last or (self.picture is not None and np.array_equal(self.picture, picture))
 
 
 class Repeats:
-    """Compares each picture with the one before it; owned by the engine thread."""
+    """Compares each picture with those before it; owned by the engine thread."""
 
     def __init__(self, limits: GateLimits) -> None:
         self._limits = limits
@@ -61,9 +80,3 @@ class Repeats:
             if stream.repeats > self._limits.max_repeated_frames:
                 return Interruption(HoldReason.FRAME_FROZEN, f"the {name} picture came again ({stream.repeats})")
         return None
-
-
-def _are_alike(before: Picture, now: Picture) -> bool:
-    """Whether two pictures are the same in every pixel; an empty one is no picture, and what sees nothing is lost."""
-    step = (slice(None, None, THINNING_PX), slice(None, None, THINNING_PX))
-    return np.array_equal(before[step], now[step]) and bool(now.any()) and np.array_equal(before, now)

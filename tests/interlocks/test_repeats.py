@@ -47,6 +47,16 @@ def test_the_same_picture_again_holds_and_a_new_one_clears_it(stream):
 
 
 @pytest.mark.parametrize("stream", ["depth", "color"])
+@pytest.mark.parametrize("buffers", [2, 3, 8])
+def test_old_pictures_that_take_turns_hold_and_then_are_a_silence(stream, buffers):
+    frames = [frame(index, **{stream: index % buffers}) for index in range(40)]
+    found = reasons(frames)
+    assert found[:buffers] == [None] * buffers
+    assert set(found[buffers : buffers + 10]) == {HoldReason.FRAME_FROZEN}
+    assert found[-1] is HoldReason.FRAME_TIMEOUT
+
+
+@pytest.mark.parametrize("stream", ["depth", "color"])
 def test_a_picture_that_stands_for_longer_than_a_silence_may_last_is_a_silence(stream):
     frames = [frame(index, **{stream: 0}) for index in range(20)]
     found = reasons(frames)

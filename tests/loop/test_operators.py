@@ -111,6 +111,21 @@ def test_a_disarming_clears_a_hold_by_hand_and_a_hold_after_it_stands(first, sec
     assert bench.run().records()[-1].line_on is is_on
 
 
+@pytest.mark.parametrize("way", ["disarm", "hold", "stop"])
+def test_a_frame_that_was_on_its_way_when_somebody_wanted_off_turns_nothing_on(way):
+    bench = _on_bench([])
+    acts = {
+        "disarm": bench.ask(Disarm(operator="bob")),
+        "hold": bench.ask(HOLD),
+        "stop": bench.loop._stop_requested.set,  # what stop() does first, without waiting here for itself
+    }
+    bench.source.script += [after(acts[way])]
+    records = bench.run().records()
+    assert records[-2].line_on
+    assert not records[-1].line_on
+    assert bench.beam.permits[-1].granted_ns < records[-1].received_ns
+
+
 def test_releasing_what_nobody_holds_is_refused():
     bench = _on_bench([])
     bench.source.script += [after(bench.ask(RELEASE)), good]

@@ -68,10 +68,10 @@ def test_once_it_has_fired_no_feeding_and_no_permit_brings_the_beam_back():
     clock.advance_ns(MS)
     watchdog.feed(clock.now_ns(), is_armed=True)
     assert watchdog.has_fired
-    with pytest.raises(BeamLineError, match="latched"):
+    with pytest.raises(BeamLineError, match="closed"):  # nothing of it goes on beside the next session's line
         line.permit(Lease(granted_ns=clock.now_ns(), expires_ns=clock.now_ns() + MS, sequence=2))
     watchdog.reset()
-    with pytest.raises(BeamLineError, match="latched"):
+    with pytest.raises(BeamLineError, match="closed"):  # nothing of it goes on beside the next session's line
         line.permit(Lease(granted_ns=clock.now_ns(), expires_ns=clock.now_ns() + MS, sequence=3))
 
 
@@ -122,7 +122,8 @@ def test_a_source_that_hangs_in_its_driver_ends_in_beam_off_and_a_told_fault(run
     assert not line.is_on()
     view = loop.latest
     assert (view.record.gate_state, view.record.hold_reason) == (GateState.FAULT, HoldReason.WATCHDOG)
-    assert (view.is_armed, view.record.line_on) == (False, False)
+    assert not view.is_armed
+    assert view.record.line_on  # as it was read last: nobody has read it back since it was held
     assert loop.latest is view  # readers tell news by identity: a hung engine has none
 
 
@@ -146,7 +147,7 @@ def test_an_engine_that_comes_back_stays_faulted_until_acknowledged_and_armed(ru
     assert not line.is_on()
 
 
-def test_stopping_a_hung_engine_latches_the_line_and_says_that_it_hangs(running):
+def test_stopping_a_hung_engine_latches_and_closes_the_line_and_says_that_it_hangs(running):
     loop, source, line = running
     source.hangs.set()
     assert source.is_hanging.wait(20.0)
@@ -155,5 +156,5 @@ def test_stopping_a_hung_engine_latches_the_line_and_says_that_it_hangs(running)
     assert not line.is_on()
     assert waiting.result(timeout=20.0) is None
     now_ns = MonotonicClock().now_ns()
-    with pytest.raises(BeamLineError, match="latched"):
+    with pytest.raises(BeamLineError, match="closed"):  # nothing of it goes on beside the next session's line
         line.permit(Lease(granted_ns=now_ns, expires_ns=now_ns + MS, sequence=10**9))
