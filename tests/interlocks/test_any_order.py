@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -9,8 +10,8 @@ from engine.breath import Breath, BreathEvent, BreathEventKind
 from engine.commands import HoldBeam, ReleaseBeam
 from engine.frames import LostReason, MeasurementState
 from tests.gate.constructed import FRAMES_A_DWELL, LIMITS, motion_of, unmeasured
-from tests.interlocks.test_in_the_loop import ON, frozen, lying_at, on_bench
-from tests.loop.fakes import after, good
+from tests.interlocks.test_in_the_loop import ON, lying_at, on_bench
+from tests.loop.fakes import DEPTH, after, good
 
 LIMITED = replace(LIMITS, holding_events=frozenset({BreathEventKind.COUGH}))
 COUGH = Breath(events=(BreathEvent(kind=BreathEventKind.COUGH, start_us=0, confidence=1.0),))
@@ -33,14 +34,24 @@ def _spoils(bench, at: int, kind: str) -> None:
         )
 
 
-def _asked(bench, kind: str, before: str):
+def _frozen(number: int):
+    """A picture of its own for each stretch: one that came before would be known."""
+
+    def step(source, timeout_s):
+        return replace(good(source, timeout_s), depth_mm=DEPTH + np.uint16(1_000 + number))
+
+    return step
+
+
+def _asked(bench, kind: str, before: str, still):
     """The step that delivers a frame, with what a person asks for just before it."""
+    shown = still if kind == "frozen" else good
     if kind == "held by hand" and before != kind:
         return after(bench.ask(HoldBeam(operator="bob")))
     if before == "held by hand" and kind != before:
         release = bench.ask(ReleaseBeam(operator="bob"))
-        return after(release) if kind != "frozen" else lambda source, wait: (release(), frozen(source, wait))[1]
-    return frozen if kind == "frozen" else good
+        return lambda source, timeout_s: (release(), shown(source, timeout_s))[1]
+    return shown
 
 
 @settings(max_examples=60, deadline=None)
@@ -51,7 +62,10 @@ def test_the_line_is_on_exactly_after_a_full_dwell_without_any_interlock(drawn):
     kinds = [kind for kind, length in [*apart, ("free", FRAMES_A_DWELL + 1)] for _ in range(length)]
     bench = on_bench([], limits=LIMITED)
     lying_at(bench, 150, 7.0)
-    bench.source.script += [_asked(bench, kind, before) for before, kind in zip(["free", *kinds], kinds, strict=False)]
+    number = 0
+    for before, kind in zip(["free", *kinds], kinds, strict=False):
+        number += before != kind
+        bench.source.script.append(_asked(bench, kind, before, _frozen(number)))
     for number, kind in enumerate(kinds):
         _spoils(bench, ON + 1 + number, kind)
     records = bench.run().records()
