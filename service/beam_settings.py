@@ -113,7 +113,7 @@ class BeamSettings(BaseSettings):
     @model_validator(mode="after")
     def _is_one_line(self) -> Self:
         self._refuse_simulation_in_clinical_mode()
-        self._refuse_two_of_a_kind()
+        self._refuse_two_that_do_not_add_up()
         self._refuse_what_is_not_used()
         self._refuse_what_is_missing()
         self._refuse_what_cannot_be_met()
@@ -126,8 +126,13 @@ class BeamSettings(BaseSettings):
 
     @property
     def is_simulated_beam(self) -> bool:
-        """Whether any line is a simulation."""
+        """Whether the line is a simulation; one is never used beside a real one."""
         return "simulated" in self.beam_lines
+
+    @property
+    def has_real_beam(self) -> bool:
+        """Whether any line leads to a contact that closes."""
+        return any(kind != "simulated" for kind in self.beam_lines)
 
     @property
     def beam_times(self) -> LineTimes:
@@ -162,7 +167,13 @@ class BeamSettings(BaseSettings):
             )
             raise ValueError(msg)
 
-    def _refuse_two_of_a_kind(self) -> None:
+    def _refuse_two_that_do_not_add_up(self) -> None:
+        if self.beam_line_2 is not None and self.is_simulated_beam:
+            msg = (
+                f"{PREFIX}BEAM_LINE_2 is {self.beam_line_2} beside {self.beam_line}: a simulated line is no second "
+                "line, and a session that says it is simulated while a real contact closes misleads"
+            )
+            raise ValueError(msg)
         if self.beam_line == self.beam_line_2:
             msg = f"{PREFIX}BEAM_LINE_2 must be of another kind than {PREFIX}BEAM_LINE ({self.beam_line})"
             raise ValueError(msg)

@@ -23,10 +23,11 @@ from engine.permits import HoldReason
 from engine.pipeline import Pipeline, PipelineSettings
 from service import schemas
 from service.beam_lines import make_beam_line
+from service.played_beam import check_source
 from service.ports import RunningEngine, SessionPlan
 from service.session_regions import measuring_with
 from service.settings import Settings
-from service.site_limits import gate_limits
+from service.site_limits import check_window, gate_limits
 
 STOP_TIMEOUT_S = 3.0
 RUNTIME_HINT = "the OpenNI2 runtime is missing: apt-get install libopenni2-0"
@@ -50,7 +51,12 @@ class EngineAdapter:
         return self._settings.is_simulated_beam
 
     def open(self, plan: SessionPlan) -> RunningEngine:
-        """Start an engine on a session, disarmed; raise a TidegateError when source or window cannot be used."""
+        """Start an engine on a session, disarmed; raise a TidegateError when source or window cannot be used.
+
+        The site's rules are asked once more: a session may have been written down under others.
+        """
+        check_source(plan.source, self._settings)
+        check_window(plan.window, self._settings)
         limits = gate_limits(
             plan.window,
             self._settings,
@@ -94,9 +100,6 @@ class EngineAdapter:
     def _source(self, plan: SessionPlan) -> DepthSource:
         if isinstance(plan.source, schemas.DeviceSource):
             return self._camera(plan.source.uri, plan.calibration)
-        if self._settings.mode == "clinical":
-            bound = "a camera: in clinical mode no recording gates the beam"
-            raise InvalidValueError("source.kind", plan.source.kind, bound)
         assert plan.recording is not None, "a recording was resolved when the session started"
         return self._player(plan.recording, plan.source.player)
 

@@ -45,6 +45,7 @@ from service.errors import EngineTimeoutError, PictureMissingError, SessionActiv
 from service.gate_schemas import BaselineCorrectionRequest
 from service.live_view import live_sample
 from service.model_store import ModelStore, origin_of
+from service.played_beam import described_source
 from service.ports import CommandName, EnginePort, LiveFrame, Picture, RunningEngine, SessionPlan
 from service.recordings import find_recording
 from service.room import Room, Running
@@ -263,7 +264,7 @@ class SessionRunner:
                 model=None if row.model_id is None else self._stored_model(db, row.model_id, row.patient_reference),
             )
             row.status, row.started_at = "running", datetime.now(UTC)
-            detail = {**self._beam_detail(), **described(plan.calibration.camera), **_model_detail(row.model_id)}
+            detail = {**self._beam_detail(source), **described(plan.calibration.camera), **_model_detail(row.model_id)}
             audit.append(db, Event(actor=operator, action=action, session_id=session_id, detail=detail))
         return plan
 
@@ -335,9 +336,9 @@ class SessionRunner:
                 raise _state_error(repository.session_row(db, session_id).status, "running")
         return running
 
-    def _beam_detail(self) -> dict[str, object]:
+    def _beam_detail(self, source: schemas.RecordingSource | schemas.DeviceSource) -> dict[str, object]:
         if not self._engine.is_simulated_beam:
-            return {"is_simulated_beam": False}
+            return {"is_simulated_beam": False, **described_source(source, self._settings)}
         return {"is_simulated_beam": True, "beam_line": "SIMULATED: no accelerator is gated by this session"}
 
 

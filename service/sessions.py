@@ -25,6 +25,7 @@ from service.errors import SessionActiveError
 from service.figures import Figures
 from service.idempotency import earlier_answer, keep_answer
 from service.live_view import gate_view, known, likeness_view, training_view
+from service.played_beam import check_source, described_source
 from service.ports import EnginePort, Kept
 from service.recordings import find_recording
 from service.room import Room, Running
@@ -136,6 +137,7 @@ class SessionBook:
                 audit.append(db, event)
 
     def _check(self, request: schemas.SessionRequest) -> None:
+        check_source(request.source, self._settings)
         check_window(request.window, self._settings)
         gate_limits(request.window, self._settings, request.regions)
         if isinstance(request.source, schemas.RecordingSource):
@@ -177,6 +179,7 @@ class SessionBook:
         detail = {**request.model_dump(mode="json"), "calibration_id": calibration.id, **described(calibration.camera)}
         if self._engine.is_simulated_beam:
             detail["beam_line"] = "SIMULATED: no accelerator is gated by this session"
+        detail |= described_source(request.source, self._settings)
         return Event(actor=request.operator, action=ACTION, session_id=session_id, detail=detail)
 
     def _csv_pieces(self, session_id: str, named: list[str]) -> Iterator[str]:

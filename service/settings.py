@@ -24,6 +24,7 @@ from service.beam_settings import PREFIX, BeamSettings
 SETTING_OF = {"retrain_interval_s": "retrain_interval_min"}
 """Settings of the training that a site gives under another name, in another unit."""
 
+RECORDINGS = f"{PREFIX}RECORDINGS_MAY_GATE"
 LIMIT_DEFAULTS = {field.name: field.default for field in dataclasses.fields(GateLimits)}
 FolderList = Annotated[tuple[Path, ...], NoDecode]
 EventList = Annotated[tuple[BreathEventKind, ...], NoDecode]
@@ -70,6 +71,9 @@ class Settings(BeamSettings):
         default=(), description="Folders recordings may be opened from, colon-separated"
     )
 
+    recordings_may_gate: bool = Field(
+        default=False, description="A played recording may gate a real beam line: for benches and phantoms alone"
+    )
     allow_device_registration: bool = Field(
         default=True, description="Sessions without a calibration may run on a camera's own registration: research only"
     )
@@ -159,6 +163,8 @@ class Settings(BeamSettings):
                 f"set {PREFIX}ALLOW_REMOTE=true only where the network itself keeps strangers out"
             )
             raise ValueError(msg)
+        if self.mode == "clinical":
+            self._refuse_research_settings()
         if self.window_lower_mm >= self.window_upper_mm:
             msg = f"window_lower_mm must be below window_upper_mm ({self.window_upper_mm:g})"
             raise ValueError(msg)
@@ -169,6 +175,18 @@ class Settings(BeamSettings):
             msg = f"{name} must be {error.bound}"
             raise ValueError(msg) from error
         return self
+
+    def _refuse_research_settings(self) -> None:
+        """Refuse in clinical mode what is for research; every one is named at once."""
+        if self.beam_without_calibration or self.allow_device_registration:
+            msg = (
+                f"{PREFIX}MODE is clinical, and nobody has measured a camera without a calibration: "
+                f"set {PREFIX}BEAM_WITHOUT_CALIBRATION=false and {PREFIX}ALLOW_DEVICE_REGISTRATION=false"
+            )
+            raise ValueError(msg)
+        if self.recordings_may_gate:
+            msg = f"{PREFIX}MODE is clinical, and what a recording shows is not the patient: leave {RECORDINGS} out"
+            raise ValueError(msg)
 
     @property
     def gate_limits(self) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from tests.beam.receivers import receiver
 TCP = {"BEAM_LINE": "modbus-tcp", "BEAM_MODBUS_HOST": "127.0.0.1"}
 RTU = {"BEAM_LINE": "modbus-rtu", "BEAM_RTU_DEVICE": "/dev/ttyUSB0"}
 RELAY = {"BEAM_LINE": "serial-relay", "BEAM_RELAY_DEVICE": "/dev/ttyUSB1"}
+CLINICAL = {"MODE": "clinical", "BEAM_WITHOUT_CALIBRATION": "false", "ALLOW_DEVICE_REGISTRATION": "false"}
 
 
 @pytest.fixture(autouse=True)
@@ -102,14 +103,11 @@ def test_two_lines_are_a_pair_and_no_simulation_only_if_neither_is_one(site):
     assert not settings.is_simulated_beam
 
 
-def test_a_pair_with_a_simulation_is_a_simulation(site):
-    assert site(**TCP, BEAM_LINE_2="simulated").is_simulated_beam
-
-
 def test_whoever_is_told_is_told_of_the_whole_line(site):
     settings = site(
         **TCP,
-        BEAM_LINE_2="simulated",
+        BEAM_LINE_2="serial-relay",
+        BEAM_RELAY_DEVICE="/dev/ttyUSB1",
         BEAM_NOTIFY_UDP="127.0.0.1:5000, [::1]:5001",
         BEAM_NOTIFY_HTTP="https://example.invalid/beam",
         BEAM_NOTIFY_TIMEOUT_S=2,
@@ -133,6 +131,9 @@ def test_whoever_is_told_is_told_of_the_whole_line(site):
         ({"BEAM_LINE": "modbus-rtu"}, "TIDEGATE_BEAM_RTU_DEVICE is needed"),
         ({"BEAM_LINE": "serial-relay"}, "TIDEGATE_BEAM_RELAY_DEVICE is needed"),
         ({**TCP, "BEAM_LINE_2": "modbus-tcp"}, "another kind"),
+        ({**TCP, "BEAM_LINE_2": "simulated"}, "TIDEGATE_BEAM_LINE_2 is simulated beside modbus-tcp"),
+        ({**RELAY, "BEAM_LINE": "simulated", "BEAM_LINE_2": "serial-relay"}, "is serial-relay beside simulated"),
+        ({"BEAM_LINE_2": "simulated"}, "TIDEGATE_BEAM_LINE_2"),
         ({"BEAM_MODBUS_HOST": "plc"}, "TIDEGATE_BEAM_MODBUS_HOST is set, but no beam line is modbus-tcp"),
         ({**TCP, "BEAM_RTU_BAUD": 9600}, "TIDEGATE_BEAM_RTU_BAUD is set, but no beam line is modbus-rtu"),
         ({**TCP, "BEAM_RELAY_CHANNEL": 2}, "TIDEGATE_BEAM_RELAY_CHANNEL is set"),
@@ -176,7 +177,24 @@ def test_settings_that_make_no_line_are_refused_by_name(site, names, said):
     ids="+".join,
 )
 def test_clinical_mode_takes_a_line_that_drops_by_itself(site, names):
-    assert not site(MODE="clinical", **names).is_simulated_beam
+    assert not site(**CLINICAL, **names).is_simulated_beam
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        ({}, ("TIDEGATE_BEAM_WITHOUT_CALIBRATION=false", "TIDEGATE_ALLOW_DEVICE_REGISTRATION=false")),
+        ({"BEAM_WITHOUT_CALIBRATION": "false"}, ("TIDEGATE_ALLOW_DEVICE_REGISTRATION=false",)),
+        ({"ALLOW_DEVICE_REGISTRATION": "false"}, ("TIDEGATE_BEAM_WITHOUT_CALIBRATION=false",)),
+        ({**CLINICAL, "RECORDINGS_MAY_GATE": "true"}, ("TIDEGATE_RECORDINGS_MAY_GATE",)),
+    ],
+    ids=["both", "registration", "calibration", "recordings"],
+)
+def test_clinical_mode_takes_nothing_that_is_for_research_alone(site, names, said):
+    with pytest.raises(SettingsError) as refusal:
+        site(**{"MODE": "clinical", **TCP, **names})
+    assert all(name in str(refusal.value) for name in said)
+    assert len(str(refusal.value).splitlines()) == 1
 
 
 def test_research_mode_takes_a_simulated_line(site):

@@ -7,7 +7,7 @@ from service.app import create_app
 from service.settings import Settings
 from tests.beam import modbus_server
 from tests.beam.receivers import TIMES, receiver
-from tests.service.conftest import act, audit_rows, eventually
+from tests.service.conftest import act, audit_rows, eventually, make_session_body, upload
 from tests.service.test_real_engine import PATIENT_LIMITS, HurriedEngine, arm_when_ready, detail_of, open_session
 
 
@@ -18,17 +18,17 @@ def far():
 
 
 @pytest.fixture
-def mode():
-    return "research"
+def site():
+    return {"recordings_may_gate": True}
 
 
 @pytest.fixture
-def client(tmp_path, regular_volunteer, far, mode):
+def client(tmp_path, regular_volunteer, far, site):
     settings = Settings(
         data_dir=tmp_path / "data",
         recordings_dirs=(regular_volunteer,),
         allowed_hosts=("testserver",),
-        mode=mode,
+        **site,
         beam_line="modbus-tcp",
         beam_modbus_host="127.0.0.1",
         beam_modbus_port=int(far.where),
@@ -70,11 +70,41 @@ def test_a_session_on_a_receiver_that_is_gone_does_not_start_and_says_why(client
     assert "does not answer" in answer.text
 
 
-@pytest.mark.parametrize("mode", ["clinical"])
-def test_in_clinical_mode_no_recording_gates_a_beam(client, far, regular_volunteer):
-    source = {"kind": "recording", "path": "recording.oni", "player": "reader"}
-    session_id = open_session(client, (regular_volunteer / "calibration.json").read_bytes(), source=source)
-    answer = act(client, session_id, "start")
-    assert answer.status_code == 422
-    assert "in clinical mode no recording gates the beam" in answer.text
+FILM = {"kind": "recording", "path": "recording.oni", "player": "reader"}
+
+
+@pytest.mark.parametrize(
+    "site",
+    [{}, {"mode": "clinical", "beam_without_calibration": False, "allow_device_registration": False}],
+    ids=["research", "clinical"],
+)
+def test_no_recording_gates_a_real_line_unless_the_site_says_so(client, far, regular_volunteer):
+    calibration_id = upload(client, (regular_volunteer / "calibration.json").read_bytes()).json()["id"]
+    answer = client.post("/api/v1/sessions", json=make_session_body(calibration_id) | {"source": FILM})
+    assert (answer.status_code, answer.json()["field"]) == (422, "source.kind")
+    assert "TIDEGATE_RECORDINGS_MAY_GATE" in answer.json()["bound"]
+    assert client.get("/api/v1/sessions").json()["items"] == []
     assert far.seen == []
+
+
+@pytest.mark.parametrize("site", [{}])
+def test_a_recording_that_was_allowed_when_its_session_was_made_is_refused_when_it_starts(
+    client, far, tmp_path, regular_volunteer, site
+):
+    earlier = Settings(data_dir=tmp_path / "data", recordings_dirs=(regular_volunteer,), allowed_hosts=("testserver",))
+    with TestClient(create_app(earlier, HurriedEngine)) as before:
+        session_id = open_session(before, (regular_volunteer / "calibration.json").read_bytes(), source=FILM)
+    answer = act(client, session_id, "start")
+    assert (answer.status_code, answer.json()["field"]) == (422, "source.kind")
+    assert detail_of(client, session_id)["status"] == "failed"
+    assert far.seen == []
+
+
+def test_a_recording_that_gates_a_real_line_is_said_loudly_in_the_audit(client, regular_volunteer):
+    session_id = open_session(client, (regular_volunteer / "calibration.json").read_bytes(), source=FILM)
+    act(client, session_id, "start")
+    act(client, session_id, "stop")
+    for action in ("session.create", "session.start"):
+        (row,) = audit_rows(client, action)
+        assert row["detail"]["source_warning"].startswith("RECORDING")
+        assert "REAL beam line (modbus-tcp)" in row["detail"]["source_warning"]
