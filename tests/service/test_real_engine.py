@@ -147,6 +147,29 @@ def test_a_window_of_many_conditions_is_settled_gated_held_and_released(real_cli
     assert detail_of(client, session_id)["summary"]["latency"]["max_ms"] > 0.0
 
 
+def test_per_cent_that_come_to_lie_beyond_the_site_s_edges_are_refused_at_arming(tmp_path, regular_volunteer):
+    site = {"window_lower_mm": -0.5, "window_upper_mm": 0.5}
+    settings = Settings(
+        data_dir=tmp_path / "data",
+        recordings_dirs=(regular_volunteer,),
+        allowed_hosts=("testserver",),
+        **PATIENT_LIMITS | site,
+    )
+    source = {"kind": "recording", "path": "recording.oni", "player": "reader"}
+    per_cent = {"lower_percent": -50, "upper_percent": 250, "dwell_ms": 100.0}
+    with TestClient(create_app(settings, HurriedEngine)) as client:
+        calibration = (regular_volunteer / "calibration.json").read_bytes()
+        session_id = open_session(client, calibration, source=source, window=per_cent)
+        act(client, session_id, "start")
+        eventually(lambda: detail_of(client, session_id)["measurement_state"] == "measuring", within_s=60.0)
+        answer = act(client, session_id, "arm")
+        assert (answer.status_code, answer.json()["code"]) == (422, "invalid_value"), answer.text
+        assert answer.json()["field"] in {"window.lower_mm", "window.upper_mm"}
+        assert "the site's limit" in answer.json()["bound"]
+        act(client, session_id, "stop")
+        assert "hold" not in {row["detail"]["to_state"] for row in audit_rows(client, "gate.transition")}
+
+
 def _check_samples(client, session_id, frames):
     rows = list(csv.DictReader(io.StringIO(client.get(f"/api/v1/sessions/{session_id}/samples").text)))
     assert [int(row["frame_index"]) for row in rows] == list(range(frames))
