@@ -28,6 +28,7 @@ from service.ports import RunningEngine, SessionPlan
 from service.session_regions import measuring_with
 from service.settings import Settings
 from service.site_limits import check_window, gate_limits
+from service.uncalibrated import check_still_allowed
 
 STOP_TIMEOUT_S = 3.0
 RUNTIME_HINT = "the OpenNI2 runtime is missing: apt-get install libopenni2-0"
@@ -57,6 +58,7 @@ class EngineAdapter:
         """
         check_source(plan.source, self._settings)
         check_window(plan.window, self._settings)
+        check_still_allowed(plan.calibration, self._settings)
         limits = gate_limits(
             plan.window,
             self._settings,

@@ -18,11 +18,14 @@ from engine.errors import InvalidValueError
 from engine.likeness import LIKENESS_BOUNDS, LikenessLimits
 from engine.limits import LIMIT_BOUNDS, GateLimits
 from engine.training import TRAINING_BOUNDS, TrainingSettings
-from engine.windows import HOLD_BOUNDS
+from engine.windows import HOLD_BOUNDS, amplitude_window
 from service.beam_settings import PREFIX, BeamSettings
 
 SETTING_OF = {"retrain_interval_s": "retrain_interval_min"}
 """Settings of the training that a site gives under another name, in another unit."""
+
+SHORTEST_SILENCE_OF_A_PAGE_S = 3.0
+"""A page is heard of every second; one that is slow once has not gone away."""
 
 RECORDINGS = f"{PREFIX}RECORDINGS_MAY_GATE"
 LIMIT_DEFAULTS = {field.name: field.default for field in dataclasses.fields(GateLimits)}
@@ -121,6 +124,9 @@ class Settings(BeamSettings):
     max_baseline_correction_mm: float = Field(
         default=5.0, ge=0.0, le=50.0, description="No correction of the baseline moves a window further"
     )
+    min_phase_confidence: float = Field(
+        default=0.6, ge=0.1, le=1.0, description="No session's window asks for less confidence in a phase"
+    )
     window_lower_mm: float = Field(default=-100.0, ge=-100.0, le=100.0, description="No session's window goes below")
     window_upper_mm: float = Field(default=100.0, ge=-100.0, le=100.0, description="No session's window goes above")
 
@@ -168,6 +174,7 @@ class Settings(BeamSettings):
         if self.window_lower_mm >= self.window_upper_mm:
             msg = f"window_lower_mm must be below window_upper_mm ({self.window_upper_mm:g})"
             raise ValueError(msg)
+        self._refuse_limits_that_contradict()
         try:
             _ = self.training  # settings that cannot be met together are refused where they are read
         except InvalidValueError as error:
@@ -175,6 +182,35 @@ class Settings(BeamSettings):
             msg = f"{name} must be {error.bound}"
             raise ValueError(msg) from error
         return self
+
+    def _refuse_limits_that_contradict(self) -> None:
+        """Refuse limits that no frame, or no person, could meet together: each alone is within its bound."""
+        try:
+            GateLimits(
+                window=amplitude_window(lower_mm=-1.0, upper_mm=1.0),
+                dwell_ms=self.min_dwell_ms,
+                min_on_ms=self.min_on_ms,
+                min_off_ms=self.min_off_ms,
+                max_cycles_per_min=self.max_cycles_per_min,
+                **self.gate_limits,
+            )
+        except InvalidValueError as error:
+            msg = f"{PREFIX}{error.field.upper()} is {error.value}: must be {error.bound}"
+            raise ValueError(msg) from error
+        limits = (
+            ("camera_latency_ms", self.camera_latency_ms < self.max_latency_ms, "less than", "max_latency_ms"),
+            ("max_silence_ms", self.max_silence_ms >= self.max_frame_age_ms, "at least", "max_frame_age_ms"),
+            ("watchdog_ms", self.watchdog_ms > self.lease_ms, "more than", "lease_ms"),
+        )
+        for name, is_met, words, other in limits:
+            if not is_met:
+                bound = f"{words} {PREFIX}{other.upper()} ({getattr(self, other):g})"
+                msg = f"{PREFIX}{name.upper()} is {getattr(self, name):g}: must be {bound}"
+                raise ValueError(msg)
+        if 0.0 < self.operator_timeout_s < SHORTEST_SILENCE_OF_A_PAGE_S:
+            bound = f"0, which does not ask, or at least {SHORTEST_SILENCE_OF_A_PAGE_S:g}"
+            msg = f"{PREFIX}OPERATOR_TIMEOUT_S is {self.operator_timeout_s:g}: must be {bound}"
+            raise ValueError(msg)
 
     def _refuse_research_settings(self) -> None:
         """Refuse in clinical mode what is for research; every one is named at once."""
@@ -193,6 +229,14 @@ class Settings(BeamSettings):
         """The limits of trust that no session changes, by the engine's names."""
         own = {"dwell_ms", "min_on_ms", "min_off_ms", "max_cycles_per_min"}
         return {name: getattr(self, name) for name in LIMIT_BOUNDS if name not in own}
+
+    @property
+    def bounds_position(self) -> bool:
+        """Whether the site has set how far from the reference the beam may be on."""
+        return (self.window_lower_mm, self.window_upper_mm) != (
+            LIMIT_DEFAULTS["window_lower_mm"],
+            LIMIT_DEFAULTS["window_upper_mm"],
+        )
 
     @property
     def training(self) -> TrainingSettings:

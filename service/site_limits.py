@@ -1,32 +1,35 @@
 """A session's window within the site's limits: it may narrow them, never widen them.
 
 Edges in per cent are of a range that nobody knows yet: whether they lie inside the site's is asked when they are
-turned into mm, at arming (`engine.loop`). The site's edges are mm; there are none for volumes.
+turned into mm, at arming (`engine.keeper`). The site's edges are mm. A phase and a volume bound no position: where the
+site has set its edges, every way into the beam needs a condition on a length beside them.
 """
 
 from typing import TypeVar
 
-from engine.breath import SignalChoice
+from engine.breath import BreathEventKind, SignalChoice
 from engine.limits import GateLimits
 from engine.windows import GateWindow, JoinedWindow
 from service import schemas
+from service.beam_settings import PREFIX
 from service.errors import BoundError
 from service.settings import Settings
 from service.window_schemas import Condition, Window
 
 NO_REGIONS = schemas.Regions()
+TOLD_OF_HELD_BREATH = frozenset(
+    {BreathEventKind.APNOEA, BreathEventKind.IRREGULAR, BreathEventKind.SIGH, BreathEventKind.TALKING}
+)
+"""Events that a breath held on purpose may look like, and the breath before and after it."""
+
 NumberT = TypeVar("NumberT", int, float)
 
 
 def check_window(window: Window, settings: Settings) -> None:
     """Refuse a window wider than the site allows; raise BoundError."""
     for path, condition in window.conditions():
-        if condition.lower_mm is not None:
-            _at_least(f"{path}.lower_mm", condition.lower_mm, settings.window_lower_mm)
-        if condition.upper_mm is not None:
-            _at_most(f"{path}.upper_mm", condition.upper_mm, settings.window_upper_mm)
-        if condition.timeout_s is not None:
-            _at_most(f"{path}.timeout_s", condition.timeout_s, settings.max_breath_hold_s)
+        _check_condition(path, condition, settings)
+    _refuse_way_around(window, settings)
     _at_least("window.dwell_ms", window.dwell_ms, settings.min_dwell_ms)
     if window.min_on_ms is not None:
         _at_least("window.min_on_ms", window.min_on_ms, settings.min_on_ms)
@@ -77,6 +80,50 @@ def breath_signals(window: Window, regions: schemas.Regions = NO_REGIONS) -> tup
             if condition is window or condition.kind == "phase"
         )
     )
+
+
+def _check_condition(path: str, condition: Condition, settings: Settings) -> None:
+    if condition.lower_mm is not None:
+        _at_least(f"{path}.lower_mm", condition.lower_mm, settings.window_lower_mm)
+    if condition.upper_mm is not None:
+        _at_most(f"{path}.upper_mm", condition.upper_mm, settings.window_upper_mm)
+    if condition.timeout_s is not None:
+        _at_most(f"{path}.timeout_s", condition.timeout_s, settings.max_breath_hold_s)
+    if condition.min_confidence is not None:
+        _at_least(f"{path}.min_confidence", condition.min_confidence, settings.min_phase_confidence)
+    _refuse_hold_that_holds(path, condition, settings)
+
+
+def _refuse_hold_that_holds(path: str, condition: Condition, settings: Settings) -> None:
+    """Refuse a breath hold where the site holds the beam for what a held breath is."""
+    told = [kind for kind in settings.holding_events if kind in TOLD_OF_HELD_BREATH]
+    if condition.kind == "breath_hold" and told:
+        bound = (
+            f"amplitude or phase: this site holds the beam for {' and '.join(told)} ({PREFIX}HOLDING_EVENTS), "
+            "which a breath that is held may look like"
+        )
+        raise _broken(f"{path}.kind", condition.kind, bound)
+
+
+def _refuse_way_around(window: Window, settings: Settings) -> None:
+    """Refuse a window that may be met wherever the patient is, where the site has said where that may be."""
+    unbound = [(path, condition) for path, condition in window.conditions() if not _bounds_position(condition)]
+    is_way_around = window.join == "or" or len(unbound) == 1 + len(window.further)
+    if not settings.bounds_position or not unbound or not is_way_around:
+        return
+    path, condition = unbound[0]
+    name = "kind" if condition.kind == "phase" else "signal"
+    what = "a phase" if condition.kind == "phase" else "a volume"
+    site = f"{settings.window_lower_mm:g} to {settings.window_upper_mm:g} mm"
+    bound = (
+        f"on a length, amplitude or breath_hold, or joined by and with one that is: the beam may be on at {site}, "
+        f"this site's limit, and {what} bounds no position"
+    )
+    raise _broken(f"{path}.{name}", getattr(condition, name), bound)
+
+
+def _bounds_position(condition: Condition) -> bool:
+    return condition.kind != "phase" and condition.signal != "volume"
 
 
 def _index_of(path: str, condition: Condition, window: Window, regions: schemas.Regions) -> int:

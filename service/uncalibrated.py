@@ -6,6 +6,7 @@ from service.errors import BoundError
 from service.settings import Settings
 
 FIELD = "calibration_id"
+FORBIDDEN = "a measured calibration: this site does not allow a camera's own registration"
 WARNING = (
     "no calibration: the camera's own registration and nominal geometry are used; scale and alignment of this unit "
     "were not measured: not for treatment"
@@ -41,8 +42,18 @@ def check_allowed(request: schemas.SessionRequest, settings: Settings) -> None:
     if isinstance(request.source, schemas.RecordingSource):
         bound = "a measured calibration: nothing in a recording tells whether the camera registered depth to colour"
     elif not settings.allow_device_registration:
-        bound = "a measured calibration: this site does not allow a camera's own registration"
+        bound = FORBIDDEN
     else:
         return
+    raise _refused(request.calibration_id or "missing", bound)
+
+
+def check_still_allowed(calibration: Calibration, settings: Settings) -> None:
+    """Refuse to start on a camera's own registration what was made when the site allowed it; raise BoundError."""
+    if calibration.is_device_registration and not settings.allow_device_registration:
+        raise _refused(calibration.camera, FORBIDDEN)
+
+
+def _refused(value: str, bound: str) -> BoundError:
     msg = f"{FIELD} must be {bound}"
-    raise BoundError(msg, field=FIELD, value=request.calibration_id or "missing", bound=bound)
+    return BoundError(msg, field=FIELD, value=value, bound=bound)

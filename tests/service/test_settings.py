@@ -109,6 +109,41 @@ def test_a_session_cannot_widen_a_site_s_limit(settings, engine, calibration_tex
 
 
 @pytest.mark.parametrize(
+    ("site", "said"),
+    [
+        ({"warn_latency_ms": 500.0, "max_latency_ms": 100.0}, "TIDEGATE_MAX_LATENCY_MS is 100"),
+        ({"max_silence_ms": 99.0, "max_gap_ms": 100.0}, "TIDEGATE_MAX_SILENCE_MS is 99"),
+        ({"camera_latency_ms": 300.0, "max_latency_ms": 300.0}, "TIDEGATE_CAMERA_LATENCY_MS is 300: must be less than"),
+        ({"operator_timeout_s": 0.01}, "TIDEGATE_OPERATOR_TIMEOUT_S is 0.01: must be 0"),
+        ({"operator_timeout_s": 2.9}, "TIDEGATE_OPERATOR_TIMEOUT_S is 2.9"),
+        ({"max_silence_ms": 80.0, "max_frame_age_ms": 81.0}, "TIDEGATE_MAX_SILENCE_MS is 80: must be at least"),
+        ({"watchdog_ms": 80.0}, "TIDEGATE_WATCHDOG_MS is 80: must be more than TIDEGATE_LEASE_MS .80"),
+    ],
+    ids=str,
+)
+def test_limits_that_contradict_each_other_are_refused_by_name_where_they_are_read(monkeypatch, site, said):
+    for name, value in site.items():
+        monkeypatch.setenv(f"TIDEGATE_{name.upper()}", str(value))
+    with pytest.raises(SettingsError, match=said):
+        load_settings()
+
+
+@pytest.mark.parametrize(
+    "site",
+    [
+        {"operator_timeout_s": 0.0},
+        {"operator_timeout_s": 3.0},
+        {"camera_latency_ms": 299.0, "max_latency_ms": 300.0},
+        {"max_silence_ms": 80.0, "max_frame_age_ms": 80.0},
+        {"watchdog_ms": 81.0},
+    ],
+    ids=str,
+)
+def test_limits_that_just_go_together_are_taken(site):
+    assert all(getattr(Settings(**site), name) == value for name, value in site.items())
+
+
+@pytest.mark.parametrize(
     ("environment", "said"),
     [({"TIDEGATE_PROT": "1"}, "TIDEGATE_PROT"), ({"TIDEGATE_HOST": "0.0.0.0"}, "TIDEGATE_ALLOW_REMOTE")],
     ids=str,

@@ -202,6 +202,8 @@ def test_a_window_that_is_none_is_refused_by_its_field(client, session_body, tol
         ({"max_breath_hold_s": 24.0}, HOLD, "window.timeout_s"),
         ({"max_breath_hold_s": 20.0}, MM | {"further": [HOLD | {"timeout_s": 21}]}, "window.further.0.timeout_s"),
         ({"min_dwell_ms": 300.0}, PHASE, "window.dwell_ms"),
+        ({"min_phase_confidence": 0.61}, PHASE, "window.min_confidence"),
+        ({"min_phase_confidence": 0.9}, MM | {"further": [PHASE]}, "window.further.0.min_confidence"),
         ({"min_on_ms": 300.0}, MM | {"min_on_ms": 299.0}, "window.min_on_ms"),
         ({"min_off_ms": 1000.0}, MM | {"min_off_ms": 999.0}, "window.min_off_ms"),
         ({"max_cycles_per_min": 30}, MM | {"max_cycles_per_min": 31}, "window.max_cycles_per_min"),
@@ -214,6 +216,71 @@ def test_no_part_of_a_window_is_wider_than_the_site_s(site, told, field):
         check_window(Window.model_validate(told), settings)
     assert caught.value.field == field
     check_window(Window.model_validate(told), Settings())
+
+
+LITRES = {"signal": "volume", "lower_l": -0.1, "upper_l": 0.2}
+HELD_LITRES = {"kind": "breath_hold", "signal": "volume", "lower_l": 0.8, "upper_l": 1.2}
+IN_PER_CENT = {"signal": "abdomen", "lower_percent": 0, "upper_percent": 30}
+SITE = {"window_lower_mm": -5.0, "window_upper_mm": 20.0}
+WAYS_AROUND = [
+    (PHASE, "window.kind"),
+    (LITRES, "window.signal"),
+    (HELD_LITRES, "window.signal"),
+    ({"signal": "volume", "lower_percent": 0, "upper_percent": 30}, "window.signal"),
+    (PHASE | {"signal": "volume"}, "window.kind"),
+    (PHASE | {"further": [LITRES]}, "window.kind"),
+    (LITRES | {"further": [PHASE, HELD_LITRES]}, "window.signal"),
+    (MM | {"join": "or", "further": [PHASE]}, "window.further.0.kind"),
+    (MM | {"join": "or", "further": [HOLD, LITRES]}, "window.further.1.signal"),
+    (PHASE | {"join": "or", "further": [MM]}, "window.kind"),
+]
+
+
+@pytest.mark.parametrize(("told", "field"), WAYS_AROUND, ids=lambda part: str(part)[:60])
+@pytest.mark.parametrize("site", [SITE, {"window_lower_mm": -99.0}, {"window_upper_mm": 99.0}], ids=str)
+def test_no_window_is_a_way_around_the_site_s(site, told, field):
+    with pytest.raises(BoundError, match="bounds no position") as caught:
+        check_window(Window.model_validate(told), Settings(**site))
+    assert caught.value.field == field
+    check_window(Window.model_validate(told), Settings())
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        MM,
+        HOLD,
+        IN_PER_CENT,
+        HOLD | {"signal": "thorax"},
+        MM | {"further": [PHASE, LITRES]},
+        PHASE | {"further": [LITRES, IN_PER_CENT]},
+        MM | {"join": "or", "further": [HOLD, IN_PER_CENT]},
+    ],
+    ids=lambda part: str(part)[:60],
+)
+def test_a_window_that_bounds_a_length_wherever_it_is_met_is_within_the_site_s(told):
+    check_window(Window.model_validate(told), Settings(**SITE))
+
+
+@pytest.mark.parametrize("kind", ["apnoea", "irregular", "sigh", "talking"])
+@pytest.mark.parametrize(
+    ("told", "field"),
+    [
+        (HOLD, "window.kind"),
+        (HOLD | {"hold": "expiration"}, "window.kind"),
+        (MM | {"join": "or", "further": [PHASE, HOLD]}, "window.further.1.kind"),
+    ],
+    ids=["alone", "expiration", "joined"],
+)
+def test_no_breath_is_held_where_the_site_holds_the_beam_for_what_that_looks_like(kind, told, field):
+    with pytest.raises(BoundError, match=f"{kind} .TIDEGATE_HOLDING_EVENTS") as caught:
+        check_window(Window.model_validate(told), Settings(holding_events=("cough", kind)))
+    assert caught.value.field == field
+    check_window(Window.model_validate(MM | {"further": [PHASE]}), Settings(holding_events=("cough", kind)))
+
+
+def test_a_breath_is_held_where_the_site_holds_the_beam_for_a_cough_or_a_drift():
+    check_window(Window.model_validate(HOLD), Settings(holding_events=("cough", "drift")))
 
 
 def test_how_often_the_beam_may_switch_is_the_site_s_unless_the_session_is_stricter():
