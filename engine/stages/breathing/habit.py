@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import median
 
+from engine.stages.breathing.shape import Shape, usual_shape
+
 KEPT_CYCLES = 8
 USUAL_CYCLES = 6
 RECENT_CYCLES = 4
@@ -37,6 +39,8 @@ class Cycle:
         When it was known to rise, and to fall, as a share of the breath from its start.
     speed
         Fastest rise as a share of ``rise`` [1/s].
+    shape
+        How high the signal stood at each phase.
     odd
         Square of how far it is from the usual.
     is_disturbed
@@ -51,6 +55,7 @@ class Cycle:
     up_share: float
     down_share: float
     speed: float
+    shape: Shape
     odd: float = 0.0
     is_disturbed: bool = False
 
@@ -70,6 +75,7 @@ class Habit:
     down_share: float
     speed: float
     period_spread: float
+    shape: Shape
 
 
 def habit_of(cycles: Sequence[Cycle]) -> Habit | None:
@@ -85,6 +91,7 @@ def habit_of(cycles: Sequence[Cycle]) -> Habit | None:
         down_share=median(cycle.down_share for cycle in usual),
         speed=median(cycle.speed for cycle in usual),
         period_spread=median(abs(cycle.period_s - period_s) for cycle in usual) * SIGMA_OF_MEDIAN / period_s,
+        shape=usual_shape([cycle.shape for cycle in usual]),
     )
 
 

@@ -12,12 +12,13 @@ from engine.breath import Breath, BreathEventKind, SignalChoice
 from engine.stages.breathing import events as judging
 from engine.stages.breathing import known as knowing
 from engine.stages.breathing.bins import Bins, follow_bins
-from engine.stages.breathing.course import Course, gone_on, turned
+from engine.stages.breathing.body import Place, is_elsewhere
+from engine.stages.breathing.course import Course, gone_on, lifted, turned
 from engine.stages.breathing.habit import Habit
 from engine.stages.breathing.known import MISSING_AT_FIRST, Known, doubting
 from engine.stages.breathing.phase import PhaseTrack, advance, set_right
 from engine.stages.breathing.spikes import Spikes, follow_spikes
-from engine.stages.breathing.telling import AFTER_GAP, APNOEA, HELD, NOT_MEASURED, tell
+from engine.stages.breathing.telling import AFTER_GAP, APNOEA, ELSEWHERE, HELD, NOT_MEASURED, tell
 from engine.stages.breathing.turns import FALLING, RISING, UNKNOWN, Turns, follow_turns
 
 LITRES_PER_MM = 0.1
@@ -116,7 +117,7 @@ def shifted(state: BreathingState, by: float) -> BreathingState:
                 still_at=bins.still_at + mm,
             ),
             turns=replace(turns, high=turns.high + mm, low=turns.low + mm),
-            course=replace(course, trough=course.trough + mm, low=course.low + mm),
+            course=lifted(course, mm),
             known=knowing.moved(state.known, mm),
         )
     )
@@ -165,7 +166,18 @@ def _followed(state: BreathingState, before_s: float, seconds: float, mm: float)
     state = replace(state, seconds=seconds, fast=fast, spikes=spikes, bins=bins, turns=turns, track=track)
     if has_turned:
         state = _turned(state, seconds, was)
-    return _judged(state, seconds) if is_closed else state
+    return _placed(_judged(state, seconds) if is_closed else state, seconds)
+
+
+def _placed(state: BreathingState, seconds: float) -> BreathingState:
+    """Tell no phase before another consistent breath where the body is not where the phase says."""
+    known, track, habit = state.known, state.track, state.known.habit
+    if habit is None or known.missing > 0 or not math.isfinite(track.shown):
+        return state
+    place = Place(track.percent, track.late > 0.0, known.low, seconds, state.fast)
+    if not is_elsewhere(place, habit, state.turns, state.course):
+        return state
+    return replace(state, known=doubting(known, 1, ELSEWHERE))
 
 
 def _telling(state: BreathingState) -> BreathingState:
@@ -174,7 +186,12 @@ def _telling(state: BreathingState) -> BreathingState:
 
 def _begun(state: BreathingState, seconds: float, mm: float) -> BreathingState:
     """Begin with this value; where the end of exhale was learned is kept, for the patient is the same."""
-    fresh = replace(start_breathing(state.choice), known=Known(learned=state.known.learned), seconds=seconds, fast=mm)
+    fresh = replace(
+        start_breathing(state.choice),
+        known=Known(learned=state.known.learned, correction=state.known.correction),
+        seconds=seconds,
+        fast=mm,
+    )
     return replace(fresh, spikes=follow_spikes(fresh.spikes, seconds, mm, 0.0))
 
 
@@ -236,7 +253,7 @@ def _turned(state: BreathingState, seconds: float, was: int) -> BreathingState:
 def _judged(state: BreathingState, seconds: float) -> BreathingState:
     """Judge what goes on."""
     bins, known = state.bins, knowing.watched(state.known, seconds)
-    course = gone_on(state.course, bins.level if bins.is_level_known else None, bins.speed)
+    course = gone_on(state.course, bins.level if bins.is_level_known else None, bins.speed, (seconds, state.fast))
     first = (*state.first, bins.short_level)[-FIRST_BINS:] if known.habit is None and bins.values else ()
     events = judging.judge(state.events, _signs(state, known, seconds), known.habit)
     for event in events:

@@ -12,9 +12,16 @@ AFTER_GAP = "nothing was measured for a moment"
 NOT_MEASURED = "not measured"
 HELD = "held"
 LATE = "the breath is late"
+ELSEWHERE = "the body is not where the phase says"
+DRIFTED = "the baseline has drifted"
 APNOEA = "apnoea"
 RATE_SPREAD = 0.35
 SURE_REGULARITY = 0.8
+DRIFT_SHARE = 1.0 / 3.0
+MIN_DRIFT_MM = 2.0
+MAX_DRIFT_MM = 5.0
+"""No phase beyond so much drift, as a share of a usual breath, and within these bounds: a phase bounds no position, and
+the body then lies by as much elsewhere as it moves within a usual window."""
 
 
 def tell(choice: SignalChoice, unit: float, known: Known, track: PhaseTrack, events: Events) -> Breath:
@@ -50,5 +57,11 @@ def _phase(known: Known, habit: Habit, track: PhaseTrack) -> tuple[float | None,
         return None, 0.0, known.why
     if track.late >= WAIT_FOR_NONE:
         return None, 0.0, LATE
+    if known.expected is not None and not abs(known.low - known.expected) <= _drift_bound_mm(habit):
+        return None, 0.0, DRIFTED
     trust = 0.5 if known.regularity is None else min(1.0, known.regularity / SURE_REGULARITY)
     return track.percent, trust * confidence_of(track, habit), ""
+
+
+def _drift_bound_mm(habit: Habit) -> float:
+    return min(max(MIN_DRIFT_MM, DRIFT_SHARE * habit.rise), MAX_DRIFT_MM)
