@@ -5,6 +5,7 @@ may be switched at every cycle as a heartbeat, for a retriggerable timer between
 What the board says of itself is no contact of its own; a modem line wired to the relay's second contact is one.
 """
 
+import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,12 +16,14 @@ import serial
 from engine.beam.serial_line import check_baud
 from engine.errors import BeamLineError, InvalidValueError
 
+ECHO = "no status: it sends back what it is sent, and no board answers"
 Protocol: TypeAlias = Literal["lcus", "lcus-text", "numato"]
 Contact: TypeAlias = Literal["none", "cts", "dsr", "cd"]
 MAX_ANSWER_BYTES = 512
 SHORTEST_S = 0.002
 QUIET_S = 0.05
 CONNECT_S = 0.5
+ASKED_S = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,12 +40,15 @@ class RelayProtocol:
         What to send to ask for a relay's state.
     parse
         The state in what the board has sent since it was asked; None while the answer is not whole.
+    says_no_more
+        Whether the board sends its answer and nothing else, ever: what comes besides is no board's.
     """
 
     channels: tuple[int, int]
     order: Callable[[int, bool], bytes]
     question: Callable[[int], bytes]
     parse: Callable[[bytes, int], bool | None]
+    says_no_more: bool = False
 
 
 def _framed(channel: int, code: int) -> bytes:
@@ -56,6 +62,8 @@ def _parse_framed(said: bytes, channel: int) -> bool | None:
     for state in (True, False):
         if said == _framed(channel, int(state)):
             return state
+    if said.startswith(_framed(channel, 5)):
+        raise BeamLineError(ECHO)
     msg = f"no status of relay {channel}: {said[:16].hex(' ')}"
     raise BeamLineError(msg)
 
@@ -96,6 +104,7 @@ RELAY_PROTOCOLS: dict[Protocol, RelayProtocol] = {
         order=lambda channel, is_on: _framed(channel, int(is_on)),
         question=lambda channel: _framed(channel, 5),
         parse=_parse_framed,
+        says_no_more=True,
     ),
     "lcus-text": RelayProtocol(
         channels=(1, 16),
@@ -152,13 +161,21 @@ class RelayWire:
         return f"the relay board on {self._device}"
 
     def connect(self) -> None:
-        """Open the port, for us alone."""
+        """Open the port, for us alone, and ask once without an order.
+
+        An order that comes back as an echo looks like the status that was hoped for; a question that does is none.
+        """
         self.close()
         port = serial.Serial(self._device, baudrate=self._baud, timeout=QUIET_S, write_timeout=0.5, exclusive=True)
+        try:
+            until_s = time.monotonic() + CONNECT_S
+            while port.read(MAX_ANSWER_BYTES) and time.monotonic() < until_s:
+                continue  # an answer to what was asked before the connection was lost
+            self._ask(port)
+        except BaseException:
+            port.close()
+            raise
         self._port = port
-        until_s = time.monotonic() + CONNECT_S
-        while port.read(MAX_ANSWER_BYTES) and time.monotonic() < until_s:
-            continue  # an answer to what was asked before the connection was lost
 
     def exchange(self, *, is_on: bool, heartbeat: int, within_s: float) -> bool:
         """Order, beat, ask; return what was told only if everything that can be read agrees with it."""
@@ -171,12 +188,16 @@ class RelayWire:
         if time.monotonic() >= until_s:  # this process was stopped, and goes on with what was decided before
             msg = "the time for an answer is over"
             raise BeamLineError(msg)
+        if is_on:
+            self._refuse_surplus(port)  # an off is told in any case
         port.write(self._protocol.order(self._channel, is_on))
         if self._heartbeat_channel is not None:
             port.write(self._protocol.order(self._heartbeat_channel, heartbeat % 2 == 1))
+        self._refuse_surplus(port)
         port.reset_input_buffer()
         port.write(self._protocol.question(self._channel))
         says_on = self._answer(port, until_s)
+        self._refuse_surplus(port)
         agrees = says_on is is_on and (self._contact == "none" or self._is_closed(port) is is_on)
         return is_on if agrees else not is_on
 
@@ -186,6 +207,22 @@ class RelayWire:
             self._port.close()
             self._port = None
 
+    def _ask(self, port: serial.Serial) -> None:
+        """Ask for the state, whatever it is; where nobody tells it, order off all the same and raise BeamLineError."""
+        port.write(self._protocol.question(self._channel))
+        try:
+            self._answer(port, time.monotonic() + ASKED_S)
+        except BeamLineError:
+            with contextlib.suppress(Exception):
+                port.write(self._protocol.order(self._channel, False))  # noqa: FBT003 - the protocol's callable
+            raise
+
+    def _refuse_surplus(self, port: serial.Serial) -> None:
+        """Raise BeamLineError where something was sent that nobody asked for: an echo, or another program's answer."""
+        if self._protocol.says_no_more and port.in_waiting:
+            msg = f"it says more than its status: {port.read(MAX_ANSWER_BYTES)[:16].hex(' ')}"
+            raise BeamLineError(msg)
+
     def _answer(self, port: serial.Serial, until_s: float) -> bool:
         said = b""
         while (left_s := until_s - time.monotonic()) > 0.0 and len(said) < MAX_ANSWER_BYTES:
@@ -194,6 +231,8 @@ class RelayWire:
             state = self._protocol.parse(said, self._channel)
             if state is not None:
                 return state
+        if said == self._protocol.question(self._channel):
+            raise BeamLineError(ECHO)
         msg = f"no status within the time; it said {said[:60]!r}" if said else "no status within the time"
         raise BeamLineError(msg)
 

@@ -1,33 +1,43 @@
 """What goes over the wires, byte by byte, and what of an answer counts."""
 
+import os
+import select
+import threading
+import tty
+
 import pytest
 from pymodbus.client import ModbusTcpClient
 
 from engine.beam import serial_relay
 from engine.beam.modbus import MAP_BOUNDS, RegisterMap, rtu_wire, tcp_wire
 from engine.beam.serial_relay import RELAY_PROTOCOLS, RelayWire
+from engine.beam.wired import WiredBeamLine
+from engine.clock import MonotonicClock
 from engine.errors import BeamLineError, InvalidValueError
 from tests.beam.receivers import REGISTERS, receiver
+
+QUESTIONS = {RELAY_PROTOCOLS[kind].question(channel) for kind in RELAY_PROTOCOLS for channel in (1, 11)}
 
 
 class FakePort:
     """A board that says what it is told to say, a piece at a time, and a modem line that is what it is set to."""
 
     def __init__(self, answers, **lines):
-        self.answers, self.written, self.is_open = list(answers), [], True
+        self.answers, self.written, self.is_open, self.is_asked = list(answers), [], True, False
         self.cts = self.dsr = self.cd = False
         for name, state in lines.items():
             setattr(self, name, state)
 
     def write(self, sent):
         self.written.append(sent)
+        self.is_asked |= sent in QUESTIONS
 
     def reset_input_buffer(self):
         self.written.append(None)
 
     @property
     def in_waiting(self):
-        return len(self.answers[0]) if self.answers else 0
+        return len(self.answers[0]) if self.answers and self.is_asked else 0
 
     def read(self, _size):
         return self.answers.pop(0) if self.answers else b""
@@ -128,11 +138,110 @@ def test_a_port_that_is_closed_takes_nothing():
 
 
 def test_what_the_board_had_still_to_say_is_thrown_away_when_connecting(monkeypatch):
-    port = FakePort([b"\xa0\x01\x01\xa2", b"\xa0"])
-    monkeypatch.setattr(serial_relay.serial, "Serial", lambda *_args, **_options: port)
-    wire = relay(None)
+    port = FakePort([b"\xa0\x01\x01\xa2", b"\xa0", b"", STATUS_OFF])
+    wire = connecting(port, monkeypatch)
     wire.connect()
     assert port.answers == []
+    assert port.written == [b"\xa0\x01\x05\xa6"], "asked, and nothing ordered"
+
+
+def connecting(port, monkeypatch, protocol="lcus"):
+    monkeypatch.setattr(serial_relay.serial, "Serial", lambda *_args, **_options: port)
+    return relay(None, protocol)
+
+
+STATUS_ON, STATUS_OFF = b"\xa0\x01\x01\xa2", b"\xa0\x01\x00\xa1"
+ECHOED_QUESTION = b"\xa0\x01\x05\xa6"
+
+
+@pytest.mark.parametrize("protocol", RELAY_PROTOCOLS)
+@pytest.mark.parametrize("pieces", [1, 2, 100], ids=["whole", "halves", "bytes"])
+def test_a_port_that_echoes_the_question_is_no_board_and_is_told_off_and_closed(monkeypatch, protocol, pieces):
+    question = RELAY_PROTOCOLS[protocol].question(1)
+    size = max(len(question) // pieces, 1)
+    port = FakePort([b"", *(question[at : at + size] for at in range(0, len(question), size))])
+    wire = connecting(port, monkeypatch, protocol)
+    with pytest.raises(BeamLineError, match="sends back what it is sent"):
+        wire.connect()
+    assert port.written == [question, RELAY_PROTOCOLS[protocol].order(1, False)]
+    assert not port.is_open
+    with pytest.raises(BeamLineError, match="closed"):
+        wire.exchange(is_on=True, heartbeat=1, within_s=0.1)
+
+
+def test_a_board_that_hears_itself_beside_its_answers_is_refused(monkeypatch):
+    wire = connecting(FakePort([b"", ECHOED_QUESTION + STATUS_OFF]), monkeypatch)
+    with pytest.raises(BeamLineError, match="sends back what it is sent"):
+        wire.connect()
+
+
+@pytest.mark.parametrize("is_on", [True, False])
+@pytest.mark.parametrize(
+    "said",
+    [[STATUS_ON + ECHOED_QUESTION], [STATUS_ON, ECHOED_QUESTION], [STATUS_OFF, STATUS_OFF], [STATUS_ON, b"\xa0"]],
+)
+def test_an_order_s_echo_is_no_status_for_more_comes_behind_it(is_on, said):
+    with pytest.raises(BeamLineError, match=r"no status|more than its status"):
+        relay(FakePort(said)).exchange(is_on=is_on, heartbeat=1, within_s=0.1)
+
+
+def test_what_comes_behind_a_status_later_refuses_the_next_permit_before_it_is_ordered():
+    port = FakePort([STATUS_OFF])
+    wire = relay(port)
+    wire.exchange(is_on=False, heartbeat=1, within_s=0.1)
+    port.answers, port.written = [ECHOED_QUESTION], []
+    with pytest.raises(BeamLineError, match="more than its status"):
+        wire.exchange(is_on=True, heartbeat=2, within_s=0.1)
+    assert port.written == []
+
+
+def test_an_off_is_ordered_whatever_else_the_board_has_to_say():
+    port = FakePort([STATUS_OFF])
+    wire = relay(port)
+    wire.exchange(is_on=False, heartbeat=1, within_s=0.1)
+    port.answers, port.written = [ECHOED_QUESTION], []
+    with pytest.raises(BeamLineError, match="more than its status"):
+        wire.exchange(is_on=False, heartbeat=2, within_s=0.1)
+    assert port.written == [STATUS_OFF]
+
+
+def test_a_numato_board_s_own_echo_is_part_of_its_answer_and_an_echo_alone_is_none():
+    asked, order = b"relay read 1\r", b"relay on 1\r"
+    assert relay(FakePort([asked, b"\n\ron\n\r>"]), "numato").exchange(is_on=True, heartbeat=1, within_s=0.1)
+    with pytest.raises(BeamLineError, match="within the time"):
+        relay(FakePort([order, asked]), "numato").exchange(is_on=True, heartbeat=1, within_s=0.05)
+
+
+@pytest.fixture
+def echoing_port():
+    """A serial port whose end sends back every byte, as a wire at 9600 baud does: a loop-back plug, a cooked tty."""
+    master, slave = os.openpty()
+    tty.setraw(master)
+    tty.setraw(slave)
+    is_over = threading.Event()
+
+    def echo():
+        while not is_over.is_set():
+            readable, _, _ = select.select([master], [], [], 0.01)
+            for byte in os.read(master, 256) if readable else b"":
+                is_over.wait(0.001)
+                os.write(master, bytes((byte,)))
+
+    thread = threading.Thread(target=echo)
+    thread.start()
+    yield os.ttyname(slave)
+    is_over.set()
+    thread.join()
+    os.close(master)
+    os.close(slave)
+
+
+@pytest.mark.parametrize("protocol", RELAY_PROTOCOLS)
+def test_a_real_port_that_only_hears_itself_makes_no_line(echoing_port, protocol):
+    wire = RelayWire(device=echoing_port, baud=9_600, protocol=protocol, channel=1, heartbeat_channel=2)
+    line = WiredBeamLine(wire, MonotonicClock())
+    with pytest.raises(BeamLineError, match="sends back what it is sent"):
+        line.open()
 
 
 @pytest.mark.parametrize(
