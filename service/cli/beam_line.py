@@ -2,6 +2,8 @@
 
 import threading
 from collections.abc import Sequence
+from contextlib import nullcontext
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -41,23 +43,28 @@ def check(
     is_safe: Annotated[
         bool, typer.Option("--yes-the-beam-is-safe", help="Nobody is in the room and the accelerator is made safe.")
     ] = False,
+    data: Annotated[Path | None, typer.Option(help="The service's data folder, as given to `tidegate serve`.")] = None,
 ) -> None:
     """Open the line, read it back, and say how long its answers take; with --pulse, how long its edges take.
 
-    Only while no session runs: two programs that tell one line contradict each other. It tells the line off, and with
-    --pulse it PERMITS THE BEAM, outside of any gating.
+    Refused while a service runs with the data folder: two programs that tell one line contradict each other. It tells
+    the line off, and with --pulse it PERMITS THE BEAM, outside of any gating.
     """
     if pulse is not None and not is_safe:
         raise refused(COMMAND, "--pulse permits the beam: give --yes-the-beam-is-safe too, when it is")
     from engine.beam.pulse import PULSE_BOUNDS_MS
     from engine.errors import TidegateError
+    from service.folder_lock import alone_in
     from service.settings import SettingsError, load_settings
 
     low, high = PULSE_BOUNDS_MS
     if pulse is not None and not low <= pulse <= high:
         raise refused(COMMAND, f"--pulse is {pulse:g}: must be a number from {low:g} to {high:g} ms")
     try:
-        _check(load_settings(), pulse, repeats)
+        settings = load_settings(data_dir=data)
+        # A folder that is not there is nobody's, and is not made for a check.
+        with alone_in(settings.data_dir) if settings.data_dir.exists() else nullcontext():
+            _check(settings, pulse, repeats)
     except (SettingsError, TidegateError) as error:
         raise refused(COMMAND, error) from error
 

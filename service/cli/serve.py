@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from service.folder_lock import FolderInUseError, alone_in
 from service.settings import Settings, SettingsError, load_settings
 
 SWITCH_INTERVAL_S = 0.001
@@ -35,7 +36,12 @@ def serve(
         console.print(f"tidegate serve: {error}", style="red", soft_wrap=True, markup=False)
         raise typer.Exit(2) from error
     _refuse_taken_port(settings, console)
-    _run(settings, console)
+    try:
+        with alone_in(settings.data_dir):
+            _run(settings, console)
+    except FolderInUseError as error:
+        console.print(f"tidegate serve: {error}", style="red", soft_wrap=True, markup=False)
+        raise typer.Exit(2) from error
 
 
 def _run(settings: Settings, console: Console) -> None:
@@ -50,6 +56,14 @@ def _run(settings: Settings, console: Console) -> None:
             f"TIDEGATE_ALLOW_REMOTE: listening on {settings.host} WITHOUT users or passwords. Anyone who can reach "
             "this port can arm the gate.",
             style="bold red",
+            markup=False,
+        )
+    if settings.recordings_may_gate and settings.has_real_beam:
+        console.print(
+            f"TIDEGATE_RECORDINGS_MAY_GATE: a played recording may turn on a REAL beam line "
+            f"({' and '.join(settings.beam_lines)}). Nobody may be in that beam.",
+            style="bold red",
+            soft_wrap=True,
             markup=False,
         )
     app = create_app(settings)

@@ -1,0 +1,44 @@
+"""A data folder belongs to one program at a time: two of them would tell one beam line two things.
+
+The lock is advisory and the operating system's: it goes when its process ends, however that ends.
+"""
+
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from engine.errors import TidegateError
+
+LOCK_NAME = "tidegate.lock"
+
+
+class FolderInUseError(TidegateError):
+    """Another program of ours has this data folder, or nobody can say whether."""
+
+    code = "folder_in_use"
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Have a data folder for oneself, made where it is missing; raise FolderInUseError where another has it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        held = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT, 0o600)
+    except OSError as error:
+        msg = f"the data folder {folder} cannot be locked: {error.strerror}"
+        raise FolderInUseError(msg) from error
+    try:
+        _lock(held, folder)
+        yield
+    finally:
+        os.close(held)
+
+
+def _lock(held: int, folder: Path) -> None:
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        msg = f"the data folder {folder} is in use: a Tidegate service, or a check of its beam line, runs with it"
+        raise FolderInUseError(msg) from error
