@@ -92,3 +92,51 @@ def test_a_noisier_sensor_is_allowed_more(continuity):
 
 def test_what_is_no_number_is_doubted(continuity):
     assert continuity.doubt(seen(np.full(NODES, np.nan), 1), BREATH, NOISE_MM)
+
+
+def calm(seconds=2.0):
+    """A patient who was believed for some seconds of quiet breathing; and the next frame's number."""
+    fresh = Continuity()
+    fresh.begin_anew(1)
+    frames = round(seconds * 1e6 / FRAME_US)
+    for frame in range(frames):
+        assert not fresh.doubt(seen(REST_MM - 3.0 * np.sin(frame / 15.0) * BREATH[0], frame), BREATH, NOISE_MM)
+    return fresh, frames
+
+
+def cough(continuity, frame):
+    """Bend the body in jumps, with a surface in their midst that follows from the one before it."""
+    bent = [sheet(thickness_mm) for thickness_mm in (6.0, 11.0)]
+    assert continuity.doubt(seen(bent[0], frame), BREATH, NOISE_MM)
+    assert not continuity.doubt(seen(sheet(1.8), frame + 1), BREATH, NOISE_MM)
+    assert not continuity.doubt(seen(sheet(3.4), frame + 2), BREATH, NOISE_MM)
+    assert continuity.doubt(seen(bent[1], frame + 3), BREATH, NOISE_MM)
+    return frame + 4
+
+
+def test_after_a_cough_the_shape_of_the_calm_before_is_believed_again():
+    continuity, frame = calm()
+    frame = cough(continuity, frame)
+    assert not continuity.doubt(seen(REST_MM - 2.0 * BREATH[0], frame), BREATH, NOISE_MM)
+    assert not continuity.doubt(seen(REST_MM - 2.5 * BREATH[0], frame + 1), BREATH, NOISE_MM)
+
+
+def test_without_a_second_of_calm_there_is_nothing_else_to_come_back_to():
+    continuity, frame = calm(seconds=0.9)
+    frame = cough(continuity, frame)
+    assert continuity.doubt(seen(REST_MM, frame), BREATH, NOISE_MM)
+
+
+def test_a_sheet_that_is_let_down_step_by_step_between_doubts_is_not_the_calm_before():
+    continuity, frame = calm()
+    frame = cough(continuity, frame)
+    for _ in range(60):
+        assert continuity.doubt(seen(sheet(6.0), frame), BREATH, NOISE_MM)
+        frame += 1
+
+
+def test_a_patient_who_moved_does_not_come_back_to_where_they_lay():
+    continuity, frame = calm()
+    assert not continuity.doubt(seen(sheet(9.0), frame, moved_px=8.0), BREATH, NOISE_MM)
+    assert continuity.doubt(seen(sheet(20.0), frame + 1, moved_px=8.0), BREATH, NOISE_MM)
+    assert continuity.doubt(seen(REST_MM, frame + 2, moved_px=8.0), BREATH, NOISE_MM)
