@@ -58,7 +58,7 @@ def fields(page: Page, place: int = 0) -> set[str]:
         ),
         ({"kind": "phase"}, {"from_percent", "to_percent", "min_confidence"}),
     ],
-    ids=str,
+    ids=lambda told: " ".join(sorted(map(str, told))) or "nothing told",
 )
 def test_only_the_fields_of_the_kind_and_signal_are_asked_and_the_service_takes_them(
     fake: FakeService, form: Page, chosen: dict[str, str], shown: set[str]

@@ -216,7 +216,7 @@ def test_the_session_tells_how_far_the_patient_is_from_the_model_and_whether_the
 # -- a site's settings ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", TRAINING_BOUNDS.keys() - {"retrain_interval_s"})
+@pytest.mark.parametrize("name", sorted(TRAINING_BOUNDS.keys() - {"retrain_interval_s"}))
 def test_every_bound_of_the_training_can_be_set_by_a_site_and_reaches_the_engine(name):
     low, high = TRAINING_BOUNDS[name]
     value = type(getattr(TrainingSettings(), name))((low + high) / 2)
