@@ -59,7 +59,7 @@ INTERLOCKS: tuple[Interlock, ...] = (
     _row(_R.CLOCK_JUMPED, "the camera's clock gets ahead of the host's in a step", "max_clock_jump_ms"),
     _row(
         _R.LATENCY_HIGH,
-        "from capture to the line read back it took too long",
+        "from capture to the line told it took too long",
         "max_latency_ms",
         "camera_latency_ms",
         source=TIMING,

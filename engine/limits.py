@@ -61,7 +61,7 @@ class GateLimits:
     max_shift_mm, max_turn_deg
         How far the markers may have moved along the couch and turned since the reference was set.
     warn_latency_ms, max_latency_ms
-        From capture to the line read back: worth a warning, and a fault (AAPM TG-142 asks for gating to be timed
+        From capture to the line told: worth a warning, and a fault (AAPM TG-142 asks for gating to be timed
         within 100 ms; TG-76 for 500 ms in all).
     camera_latency_ms
         How long the camera itself takes for a frame, as measured by the site; part of the latency.

@@ -39,7 +39,8 @@ class FrameRecord:
     signal_mm
         The gated motion; None where it was not measured.
     received_ns, decided_ns, asserted_ns
-        When the frame was in our hands, the gate had decided, and the line had been told and read back.
+        When the frame was in our hands, the gate had decided, and the line had been told. A line that acts at once was
+        read back by then; one at the end of a wire is read back within its own bounds, or latches (docs/beam.md).
     line_on
         The line as read back; True also when it did not answer, since it may be on.
     captured_ns
@@ -58,7 +59,7 @@ class FrameRecord:
 
     @property
     def latency_ms(self) -> float | None:
-        """From capture to the line read back."""
+        """From capture to the line told [ms]."""
         return _latency_ms(self.captured_ns, self.asserted_ns)
 
 
@@ -85,7 +86,7 @@ class GateTransition:
 
     @property
     def latency_ms(self) -> float | None:
-        """From capture to the line read back; None where no frame was the cause."""
+        """From capture to the line told; None where no frame was the cause."""
         return _latency_ms(self.captured_ns, self.asserted_ns)
 
 
@@ -95,7 +96,7 @@ def _latency_ms(captured_ns: int | None, asserted_ns: int) -> float | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatencySummary:
-    """From capture to the line read back [ms]: the last frame, the last few hundred, and the slowest of all.
+    """From capture to the line told [ms]: the last frame, the last few hundred, and the slowest of all.
 
     ``is_warned`` says that the last frame took longer than the site wants to be warned of.
     """

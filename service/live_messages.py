@@ -102,7 +102,7 @@ class LiveWindow(Message):
 
 
 class LiveLatency(Message):
-    """From the camera taking the frame to the beam line read back [ms]."""
+    """From the camera taking the frame to the beam line told [ms]."""
 
     last: float | None
     p50: float | None

@@ -26,7 +26,7 @@ class Tallies:
         )
         self._latency = Histogram(
             "tidegate_latency_seconds",
-            "From the camera taking a frame to the beam line read back",
+            "From the camera taking a frame to the beam line told",
             buckets=LATENCY_BUCKETS_S,
             registry=self.registry,
         )
