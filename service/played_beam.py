@@ -9,11 +9,12 @@ from service.errors import BoundError
 from service.settings import Settings
 
 FIELD = "source.kind"
+WARNING = "RECORDING: a played recording, and no patient, gates a REAL beam line"
 
 
 def check_source(source: schemas.RecordingSource | schemas.DeviceSource, settings: Settings) -> None:
     """Refuse a recording where any line is real and the site does not allow it; raise BoundError."""
-    if not _plays_to_a_real_beam(source, settings) or settings.recordings_may_gate:
+    if not isinstance(source, schemas.RecordingSource) or not settings.has_real_beam or settings.recordings_may_gate:
         return
     bound = (
         f"a camera: the beam line is real ({' and '.join(settings.beam_lines)}), and what a recording shows is not the "
@@ -22,13 +23,12 @@ def check_source(source: schemas.RecordingSource | schemas.DeviceSource, setting
     raise BoundError(f"{FIELD} must be {bound}", field=FIELD, value=source.kind, bound=bound)
 
 
+def warning_of_source(source: schemas.RecordingSource | schemas.DeviceSource, *, is_simulated_beam: bool) -> str | None:
+    """Return what has to be said beside a session whose recording gates a real line."""
+    return WARNING if isinstance(source, schemas.RecordingSource) and not is_simulated_beam else None
+
+
 def described_source(source: schemas.RecordingSource | schemas.DeviceSource, settings: Settings) -> dict[str, object]:
     """Tell the audit, loudly, where a recording gates a real line; nothing otherwise."""
-    if not _plays_to_a_real_beam(source, settings):
-        return {}
-    lines = " and ".join(settings.beam_lines)
-    return {"source_warning": f"RECORDING: a played recording, and no patient, gates a REAL beam line ({lines})"}
-
-
-def _plays_to_a_real_beam(source: schemas.RecordingSource | schemas.DeviceSource, settings: Settings) -> bool:
-    return isinstance(source, schemas.RecordingSource) and settings.has_real_beam
+    warning = warning_of_source(source, is_simulated_beam=not settings.has_real_beam)
+    return {} if warning is None else {"source_warning": f"{warning} ({' and '.join(settings.beam_lines)})"}

@@ -219,7 +219,7 @@ class LikenessView(Answer):
 
 
 class LatencyView(Answer):
-    """From the camera taking a frame to the beam line read back [ms]."""
+    """From the camera taking a frame to the beam line told [ms]."""
 
     p50_ms: float | None
     p99_ms: float | None
@@ -254,6 +254,7 @@ class Session(Answer):
         default="uploaded", description="`device registration`: nothing was measured for this camera"
     )
     calibration_warning: str | None = Field(default=None, description="To be shown beside every result")
+    source_warning: str | None = Field(default=None, description="Where a recording gates a real line: to be shown")
     window: Window
     regions: Regions = Field(default=Regions())
     model_id: Identifier | None = Field(default=None, description="The stored model it begins with")
@@ -384,7 +385,7 @@ class Transition(Answer):
     decided_ns: int | None
     asserted_ns: int | None
     latency_ms: float | None = Field(
-        default=None, description="From capture to the line read back; null where no frame was the cause"
+        default=None, description="From capture to the line told; null where no frame was the cause"
     )
 
 

@@ -25,7 +25,7 @@ from service.errors import SessionActiveError
 from service.figures import Figures
 from service.idempotency import earlier_answer, keep_answer
 from service.live_view import gate_view, known, likeness_view, training_view
-from service.played_beam import check_source, described_source
+from service.played_beam import check_source, described_source, warning_of_source
 from service.ports import EnginePort, Kept
 from service.recordings import find_recording
 from service.room import Room, Running
@@ -199,12 +199,14 @@ class SessionBook:
 
 def session_answer(row: SessionRow) -> schemas.Session:
     """Tell a session's record."""
-    names = schemas.Session.model_fields.keys() - {"source", "window", "regions", "calibration", "calibration_warning"}
+    made = {"source", "source_warning", "window", "regions", "calibration", "calibration_warning"}
+    source = SOURCE.validate_json(row.source)
     return schemas.Session(
-        **{name: getattr(row, name) for name in names},
+        **{name: getattr(row, name) for name in schemas.Session.model_fields.keys() - made},
         calibration=kind_of(row.calibration.camera),
         calibration_warning=warning_of(row.calibration.camera),
-        source=SOURCE.validate_json(row.source),
+        source=source,
+        source_warning=warning_of_source(source, is_simulated_beam=row.is_simulated_beam),
         window=Window.model_validate_json(row.window),
         regions=schemas.Regions.model_validate_json(row.regions),
     )

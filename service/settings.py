@@ -197,7 +197,10 @@ class Settings(BeamSettings):
         except InvalidValueError as error:
             msg = f"{PREFIX}{error.field.upper()} is {error.value}: must be {error.bound}"
             raise ValueError(msg) from error
+        a_frame = f"at least {1000.0 / self.min_fps:.1f}, one frame's time at"
         limits = (
+            ("lease_ms", self.lease_ms * self.min_fps >= 1000.0, a_frame, "min_fps"),
+            ("max_gap_ms", self.max_gap_ms * self.min_fps >= 1000.0, a_frame, "min_fps"),
             ("camera_latency_ms", self.camera_latency_ms < self.max_latency_ms, "less than", "max_latency_ms"),
             ("max_silence_ms", self.max_silence_ms >= self.max_frame_age_ms, "at least", "max_frame_age_ms"),
             ("watchdog_ms", self.watchdog_ms > self.lease_ms, "more than", "lease_ms"),

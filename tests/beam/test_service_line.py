@@ -103,6 +103,7 @@ def test_a_recording_that_was_allowed_when_its_session_was_made_is_refused_when_
 def test_a_recording_that_gates_a_real_line_is_said_loudly_in_the_audit(client, regular_volunteer):
     session_id = open_session(client, (regular_volunteer / "calibration.json").read_bytes(), source=FILM)
     act(client, session_id, "start")
+    assert "REAL beam line" in detail_of(client, session_id)["source_warning"]
     act(client, session_id, "stop")
     for action in ("session.create", "session.start"):
         (row,) = audit_rows(client, action)

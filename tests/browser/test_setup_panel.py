@@ -138,3 +138,11 @@ def test_a_session_that_was_not_calibrated_says_so_all_the_time(fake: FakeServic
     page = tab.open("hold")
     badge = page.locator("#badge-uncalibrated")
     expect(badge).to_be_visible() if is_shown else expect(badge).to_be_hidden()
+
+
+@pytest.mark.parametrize("warning", ["RECORDING: a played recording gates a REAL beam line", None])
+def test_a_session_whose_recording_gates_a_real_line_says_so_all_the_time(fake: FakeService, tab: Tab, warning: str):
+    fake.mode, fake.sample = "samples", sample() | {"is_simulated_beam": False}
+    fake.sessions = [fake.sessions[0] | {"is_simulated_beam": False, "source_warning": warning}]
+    badge = tab.open("hold").locator("#badge-played")
+    expect(badge).to_be_visible() if warning else expect(badge).to_be_hidden()

@@ -117,6 +117,8 @@ def test_a_session_cannot_widen_a_site_s_limit(settings, engine, calibration_tex
         ({"operator_timeout_s": 0.01}, "TIDEGATE_OPERATOR_TIMEOUT_S is 0.01: must be 0"),
         ({"operator_timeout_s": 2.9}, "TIDEGATE_OPERATOR_TIMEOUT_S is 2.9"),
         ({"max_silence_ms": 80.0, "max_frame_age_ms": 81.0}, "TIDEGATE_MAX_SILENCE_MS is 80: must be at least"),
+        ({"lease_ms": 20.0}, "TIDEGATE_LEASE_MS is 20: must be at least 50.0, one frame's time at TIDEGATE_MIN_FPS"),
+        ({"max_gap_ms": 60.0, "min_fps": 16.0}, "TIDEGATE_MAX_GAP_MS is 60: must be at least 62.5"),
         ({"watchdog_ms": 80.0}, "TIDEGATE_WATCHDOG_MS is 80: must be more than TIDEGATE_LEASE_MS .80"),
     ],
     ids=str,
@@ -136,6 +138,7 @@ def test_limits_that_contradict_each_other_are_refused_by_name_where_they_are_re
         {"camera_latency_ms": 299.0, "max_latency_ms": 300.0},
         {"max_silence_ms": 80.0, "max_frame_age_ms": 80.0},
         {"watchdog_ms": 81.0},
+        {"lease_ms": 40.0, "max_gap_ms": 40.0, "min_fps": 25.0},
     ],
     ids=str,
 )

@@ -29,6 +29,11 @@ export function renderCalibration(kind) {
   document.getElementById("badge-uncalibrated").hidden = kind !== "device registration";
 }
 
+/** A recording that gates a real line says so all the time. */
+export function renderSource(warning) {
+  document.getElementById("badge-played").hidden = !warning;
+}
+
 /** How far today's patient is from the stored model the session began with; nothing where there is none. */
 export function renderLikeness(sample, likeness) {
   const row = document.getElementById("likeness");

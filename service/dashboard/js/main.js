@@ -5,7 +5,7 @@ import { BaselineButton } from "./baseline.js";
 import { renderBreath } from "./breath.js";
 import { Controls } from "./controls.js";
 import { EventList } from "./events.js";
-import { renderCalibration, renderFigures, renderLikeness } from "./figures.js";
+import { renderCalibration, renderFigures, renderLikeness, renderSource } from "./figures.js";
 import { GatePanel, setText } from "./gate.js";
 import { GridPanel } from "./grid.js";
 import { needsZero, renderLearning } from "./learning.js";
@@ -183,6 +183,7 @@ function drawPanels(nowMs, view, sample) {
   renderFigures(sample, isSimulatedBeam);
   renderBreath(sample);
   renderCalibration(sample?.calibration ?? session?.calibration);
+  renderSource(session?.source_warning);
   renderLikeness(sample, session?.likeness);
   renderLearning(sample, session, view.isFresh);
   renderWho(view);
