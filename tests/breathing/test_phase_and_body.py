@@ -102,6 +102,12 @@ def test_a_body_that_is_lifted_has_no_phase_until_a_person_confirms(share):
     assert on.told[-1].note == "the baseline has drifted"
 
 
+def test_a_body_that_is_lifted_on_its_way_in_is_no_sigh():
+    on = gated(lifted(10.0, 63.0, 0.5), 68.0, INHALE)
+    assert_was_on_before(on, 60.0)
+    assert on.seconds(lambda mm: mm > 18.5, 63.0) <= BLINK_S
+
+
 def test_a_body_that_sinks_has_no_phase_either():
     on = gated(lifted(-10.0, 60.8, 0.5), 100.0, INHALE)
     assert_was_on_before(on, 60.0)
