@@ -60,7 +60,7 @@ def gated(signal, seconds, window):
 
 def assert_was_on_before(on, change_s):
     """The beam comes in every breath before the change: else the test proves nothing."""
-    assert on.seconds(lambda _: True, change_s - 20.0, change_s) > 20.0 * 0.15
+    assert on.seconds(lambda _: True, change_s - 20.0, change_s) > 20.0 * 0.04
 
 
 @pytest.mark.parametrize(
@@ -72,6 +72,13 @@ def test_a_breath_that_stops_takes_the_beam_off_within_a_blink(window, share):
     on = gated(lambda now_s: level(min(now_s, stop_s) / 4.0), stop_s + 12.0, window)
     assert_was_on_before(on, 60.0)
     assert on.seconds(ELSEWHERE[window], stop_s) <= BLINK_S
+
+
+def test_a_breath_that_is_held_at_its_top_is_not_on_its_way_out():
+    way_out = PhaseWindow(from_percent=15.0, to_percent=30.0)
+    on = gated(lambda now_s: level(min(now_s, 60.0) / 4.0), 66.0, way_out)
+    assert_was_on_before(on, 60.0)
+    assert on.seconds(lambda mm: mm > 8.5, 60.0) <= BLINK_S
 
 
 @pytest.mark.parametrize(("before_s", "after_s"), [(4.0, 8.0), (3.0, 6.0), (8.0, 3.0), (4.0, 2.5)])
