@@ -264,6 +264,7 @@ class SessionRunner:
                 model=None if row.model_id is None else self._stored_model(db, row.model_id, row.patient_reference),
             )
             row.status, row.started_at = "running", datetime.now(UTC)
+            row.is_simulated_beam = self._engine.is_simulated_beam  # the site's line may be another by now
             detail = {**self._beam_detail(source), **described(plan.calibration.camera), **_model_detail(row.model_id)}
             audit.append(db, Event(actor=operator, action=action, session_id=session_id, detail=detail))
         return plan
