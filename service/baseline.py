@@ -11,14 +11,12 @@ from contextlib import contextmanager
 from engine.breath import Breath, SignalChoice
 from engine.errors import CommandRefusedError, InvalidValueError
 from engine.live import LiveView
+from engine.settled_window import LITRES_PER_MM
 from service.errors import BoundError
 from service.gate_schemas import BaselineCorrectionRequest
 from service.ports import RunningEngine
 from service.settings import Settings
 from service.window_view import live_window
-
-LITRES_PER_MM = 0.1
-"""As `engine.settled_window` counts it."""
 
 TOLERANCE = {"mm": 1.0, "l": 0.1}
 """How far the drift may have gone on since a person saw it."""
