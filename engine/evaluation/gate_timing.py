@@ -1,9 +1,9 @@
 """When the beam goes on and off, against when it should: gate edges on virtual volunteers whose motion is known.
 
 One recording is measured once, and every window decides on the same frames, as live: a frame is decided when it has
-been measured, its own computing time after it was captured (the processor's, so that a busy machine tells the same). The same windows decide on the true motion, a thousand
-times a second, without noise, frames or computing: that is when the beam should have switched. A frame comes every
-33 ms, so no camera at that rate can be sure to do better than that.
+been measured, its own computing time after it was captured; the processor's, so that a busy machine tells the same.
+The same windows decide on the true motion, a thousand times a second, without noise, frames or computing: that is when
+the beam should have switched. A frame comes every 33 ms, so no camera at that rate can be sure to do better than that.
 """
 
 import time
