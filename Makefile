@@ -28,9 +28,10 @@ openni:
 test-system:
 	@docker/install-debian-packages.sh libopenni2-0 chromium
 
-# Two at a time; what plays through the runtime, drives a browser or trips a running engine has the machine to itself:
-# the runtime's own threads race where they are not run in time, and crash.
-ALONE := tests/browser tests/capture tests/interlocks tests/service/test_real_engine.py tests/service/test_process.py
+# Two at a time; what plays through the runtime or trips a running engine has the machine to itself: the runtime's own
+# threads race where they are not run in time, and crash.
+ALONE := tests/capture tests/interlocks tests/phantom/test_recording.py \
+	$(addprefix tests/service/test_,real_engine.py process.py uncalibrated.py)
 test: $(STAMP) test-system lint types contracts  ## everything that must hold: lint, types, contracts, all tests
 	$(BIN)/pytest -n 2 --dist loadfile $(ALONE:%=--ignore=%)
 	$(BIN)/pytest $(ALONE)

@@ -174,7 +174,7 @@ def test_nothing_the_page_can_send_names_a_beam(fake: FakeService, tab: Tab):
         page = tab.open(message["gate"])
         tab.named()
         for button in page.locator(".controls button:visible:enabled").all():
-            button.click(timeout=1000, trial=False)
+            button.click(timeout=10_000, trial=False)
             page.wait_for_timeout(30)
     allowed = re.compile(
         rf"/sessions/{SESSION_ID}/(arm|disarm|hold|release|presence|reference|acknowledge|stop|models/retrain|models/apply)$"
