@@ -53,7 +53,6 @@ class Continuity:
         """Believe the next surface if the model or the zero is another one than before."""
         if generation != self._generation:
             self._last, self._is_broken, self._generation = None, False, generation
-            self._calm, self._calm_since_us = None, None
 
     def interrupt(self) -> None:
         """Note that something else lay in the view: what comes next need not follow smoothly, but must be as it was."""

@@ -140,3 +140,22 @@ def test_a_patient_who_moved_does_not_come_back_to_where_they_lay():
     assert not continuity.doubt(seen(sheet(9.0), frame, moved_px=8.0), BREATH, NOISE_MM)
     assert continuity.doubt(seen(sheet(20.0), frame + 1, moved_px=8.0), BREATH, NOISE_MM)
     assert continuity.doubt(seen(REST_MM, frame + 2, moved_px=8.0), BREATH, NOISE_MM)
+
+
+def test_the_calm_of_another_zero_is_nothing_to_come_back_to():
+    continuity, frame = calm()
+    continuity.begin_anew(2)
+    assert not continuity.doubt(seen(sheet(9.0), frame), BREATH, NOISE_MM)
+    assert continuity.doubt(seen(sheet(18.0), frame + 1), BREATH, NOISE_MM)
+    assert continuity.doubt(seen(REST_MM, frame + 2), BREATH, NOISE_MM)
+
+
+def test_a_second_of_calm_counts_from_where_the_patient_moved_to():
+    continuity, frame = calm()
+    assert not continuity.doubt(seen(sheet(9.0), frame, moved_px=8.0), BREATH, NOISE_MM)
+    assert not continuity.doubt(seen(sheet(10.8), frame + 1, moved_px=8.0), BREATH, NOISE_MM)
+    assert continuity.doubt(seen(sheet(16.0), frame + 2, moved_px=8.0), BREATH, NOISE_MM)
+    for step, thickness_mm in enumerate((9.2, 7.6, 6.0), start=3):  # down again, each a little from the one before
+        assert not continuity.doubt(seen(sheet(thickness_mm), frame + step, moved_px=8.0), BREATH, NOISE_MM)
+    assert continuity.doubt(seen(sheet(1.0), frame + 6, moved_px=8.0), BREATH, NOISE_MM)
+    assert continuity.doubt(seen(sheet(9.0), frame + 7, moved_px=8.0), BREATH, NOISE_MM)
