@@ -79,20 +79,15 @@ class DatagramBeamLine:
         self._asked = 0
 
     def open(self) -> None:
-        """Connect; raise BeamLineError if nobody answers."""
-        self._own_path.unlink(missing_ok=True)
-        connection = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        """Connect; raise BeamLineError if nobody answers, with nothing left open."""
+        self._disconnect()
         try:
-            connection.settimeout(0.0)
-            connection.bind(str(self._own_path))
-            connection.connect(str(self._path))
-        except OSError as error:
-            connection.close()
-            msg = f"no beam line at {self._path.name}: {error.strerror}"
-            raise BeamLineError(msg) from error
-        self._socket = connection
-        self.hold(HoldReason.ENGINE_STOPPED)
-        self.is_on()
+            self._socket = self._connected()
+            self.hold(HoldReason.ENGINE_STOPPED)
+            self.is_on()
+        except BaseException:
+            self._disconnect()
+            raise
 
     def rearm(self) -> None:
         """Accept permits again after a latched hold; the line stays off."""
@@ -139,9 +134,24 @@ class DatagramBeamLine:
     def close(self) -> None:
         """Hold, then disconnect."""
         self.hold(HoldReason.ENGINE_STOPPED)
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        self._disconnect()
+
+    def _connected(self) -> socket.socket:
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            connection.settimeout(0.0)
+            connection.bind(str(self._own_path))
+            connection.connect(str(self._path))
+        except OSError as error:
+            connection.close()
+            msg = f"no beam line at {self._path.name}: {error.strerror}"
+            raise BeamLineError(msg) from error
+        return connection
+
+    def _disconnect(self) -> None:
+        connection, self._socket = self._socket, None
+        if connection is not None:
+            connection.close()
         self._own_path.unlink(missing_ok=True)
 
     def _send(self, kind: MessageKind, *, number: int = 0, at_ns: int = 0, sent_ns: int = 0, left_ns: int = 0) -> None:

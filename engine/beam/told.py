@@ -22,10 +22,14 @@ class ToldBeamLine:
         line.on_trouble = self._hear
 
     def open(self) -> None:
-        """Connect, and begin to tell."""
+        """Connect, and begin to tell; where either fails, nothing is left open."""
         self._line.open()
-        for announcer in self._announcers:
-            announcer.start()
+        try:
+            for announcer in self._announcers:
+                announcer.start()
+        except BaseException:
+            self.close()
+            raise
         self._tell(beam=BeamState.OFF)
 
     def rearm(self) -> None:

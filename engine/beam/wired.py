@@ -82,7 +82,12 @@ class WiredBeamLine:
             otherwise = f"{self._wire.name} reads back on though nothing was permitted"
             raise BeamLineMismatchError(otherwise) if reads_on else _error(self._trouble)
         self._is_open = True
-        self._start_threads()
+        try:
+            self._start_threads()
+        except BaseException:  # too many threads: whichever runs must not go on alone
+            self.close()
+            self._drop()
+            raise
 
     def rearm(self) -> None:
         """Accept permits again; raise BeamLineError unless the line has answered well lately and is off."""
@@ -258,12 +263,10 @@ class WiredBeamLine:
     def _start_threads(self) -> None:
         self._stop_requested = threading.Event()
         self._bell = queue.SimpleQueue()
-        self._threads = (
-            threading.Thread(target=self._work, name="tidegate-beam-line", daemon=True),
-            threading.Thread(target=self._watch, name="tidegate-beam-watch", daemon=True),
-        )
-        for thread in self._threads:
+        for target, name in ((self._work, "tidegate-beam-line"), (self._watch, "tidegate-beam-watch")):
+            thread = threading.Thread(target=target, name=name, daemon=True)
             thread.start()
+            self._threads = (*self._threads, thread)
 
     # What is so.
 
