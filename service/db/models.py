@@ -126,3 +126,68 @@ class IdempotencyRow(Base):
     request_sha256: Mapped[str] = mapped_column(String(64))
     answer: Mapped[str] = mapped_column(Text)
     created_at: Mapped[datetime] = mapped_column(UtcTime)
+
+
+class QaRunRow(Base):
+    """A QA run as it was asked for; how it ended is a :class:`QaOutcomeRow`. Neither is ever changed."""
+
+    __tablename__ = "qa_runs"
+    __table_args__ = (Index("ix_qa_runs_created", "created_at", "id"),)
+
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    kind: Mapped[str] = mapped_column(String(16))
+    operator: Mapped[str] = mapped_column(String(80))
+    site: Mapped[str] = mapped_column(String(80))
+    machine: Mapped[str] = mapped_column(String(80))
+    request: Mapped[str] = mapped_column(Text)
+    is_simulated: Mapped[bool]
+    is_simulated_beam: Mapped[bool]
+    bounds: Mapped[str] = mapped_column(Text)
+    baseline_number: Mapped[int | None] = mapped_column(ForeignKey("qa_baselines.number"))
+    software: Mapped[str] = mapped_column(String(40))
+    created_at: Mapped[datetime] = mapped_column(UtcTime)
+
+
+class QaOutcomeRow(Base):
+    """How a QA run ended; a run without one is under way, or was interrupted."""
+
+    __tablename__ = "qa_outcomes"
+
+    run_id: Mapped[str] = mapped_column(ForeignKey("qa_runs.id"), primary_key=True)
+    status: Mapped[str] = mapped_column(String(16))
+    status_detail: Mapped[str] = mapped_column(Text)
+    verdict: Mapped[str | None] = mapped_column(String(8))
+    series: Mapped[str] = mapped_column(Text)
+    sha256: Mapped[str] = mapped_column(String(64))
+    ended_at: Mapped[datetime] = mapped_column(UtcTime)
+
+
+class QaResultRow(Base):
+    """One check of a QA run, judged; ``value`` is NULL where it could not be measured."""
+
+    __tablename__ = "qa_results"
+    __table_args__ = (Index("ix_qa_results_code", "code", "run_id"),)
+
+    run_id: Mapped[str] = mapped_column(ForeignKey("qa_runs.id"), primary_key=True)
+    code: Mapped[str] = mapped_column(String(48), primary_key=True)
+    position: Mapped[int]
+    value: Mapped[float | None]
+    unit: Mapped[str] = mapped_column(String(16))
+    expected: Mapped[float | None]
+    deviation: Mapped[float | None]
+    warn: Mapped[float]
+    fail: Mapped[float]
+    verdict: Mapped[str] = mapped_column(String(8))
+    detail: Mapped[str] = mapped_column(Text)
+
+
+class QaBaselineRow(Base):
+    """What a site fixed at commissioning; the newest holds, the others are its history."""
+
+    __tablename__ = "qa_baselines"
+
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    expected: Mapped[str] = mapped_column(Text)
+    set_by: Mapped[str] = mapped_column(String(80))
+    reason: Mapped[str] = mapped_column(Text)
+    created_at: Mapped[datetime] = mapped_column(UtcTime)

@@ -12,6 +12,7 @@ from service.db.base import Base
 from service.db.engine import Database
 
 TABLES = {"calibrations", "sessions", "samples", "models", "audit", "idempotency_keys"}
+QA_TABLES = {"qa_runs", "qa_outcomes", "qa_results", "qa_baselines"}
 
 
 @pytest.fixture
@@ -40,6 +41,15 @@ def fill(database):
         "decided_ns, asserted_ns) VALUES ('s', 0, 0, 0, 'lost', 'hold', 0, 0, 0, 0)"
     )
     raw.execute("INSERT INTO models VALUES ('m', 's', 1, 'h', '[]', 3, '2026-01-01T00:00:00.000000Z', '{}')")
+    raw.execute("INSERT INTO qa_baselines VALUES (1, '{}', 'me', 'new camera', '2026-01-01T00:00:00.000000Z')")
+    raw.execute(
+        "INSERT INTO qa_runs VALUES ('q', 'daily', 'me', 'S', 'M', '{}', 0, 1, '{}', 1, '0', "
+        "'2026-01-01T00:00:00.000000Z')"
+    )
+    raw.execute("INSERT INTO qa_results VALUES ('q', 'x', 0, NULL, 'mm', NULL, NULL, 1.0, 2.0, 'fail', '')")
+    raw.execute(
+        "INSERT INTO qa_outcomes VALUES ('q', 'finished', '', 'fail', '{}', 'h', '2026-01-01T00:00:00.000000Z')"
+    )
     raw.execute("INSERT INTO idempotency_keys VALUES ('r', 'k', 'h', '{}', '2026-01-01T00:00:00.000000Z')")
     raw.commit()
     raw.close()
@@ -49,8 +59,8 @@ def fill(database):
 
 def test_the_first_start_makes_the_tables_in_wal_mode(database):
     database.migrate()
-    assert names(database, "table") == TABLES | {"alembic_version"}
-    assert len(names(database, "trigger")) == 6
+    assert names(database, "table") == TABLES | QA_TABLES | {"alembic_version"}
+    assert len(names(database, "trigger")) == 6 + 13
     with database.connect() as connection:
         pragmas = {
             name: connection.exec_driver_sql(f"PRAGMA {name}").scalar()
