@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from engine.beam.judge import LineTimes
+from engine.beam.line import BeamLine
 from engine.beam.modbus import RegisterMap, rtu_wire, tcp_wire
 from engine.beam.serial_relay import RelayWire
 from engine.beam.wired import Wire, WiredBeamLine
@@ -46,9 +47,8 @@ def wire_to(kind: str, where: str) -> Wire:
     return RelayWire(device=where, baud=115_200, protocol=kind, channel=channel, heartbeat_channel=heartbeat)
 
 
-def opened(kind: str, where: str) -> WiredBeamLine:
-    """An open line to a receiver; tried again where a busy machine made it answer late."""
-    line = WiredBeamLine(wire_to(kind, where), MonotonicClock(), TIMES)
+def open_patiently(line: BeamLine) -> None:
+    """Open a line; tried again where a busy machine made it answer late."""
     deadline_s = time.monotonic() + PATIENCE_S
     while True:
         try:
@@ -56,7 +56,14 @@ def opened(kind: str, where: str) -> WiredBeamLine:
         except BeamLineError:
             assert time.monotonic() < deadline_s, "the line never opened"
         else:
-            return line
+            return
+
+
+def opened(kind: str, where: str) -> WiredBeamLine:
+    """An open line to a receiver."""
+    line = WiredBeamLine(wire_to(kind, where), MonotonicClock(), TIMES)
+    open_patiently(line)
+    return line
 
 
 class Receiver:
