@@ -57,6 +57,24 @@ class SessionStateError(ServiceError):
     code = "session_state"
 
 
+class QaActiveError(ServiceError):
+    """A QA run has the camera and the beam line."""
+
+    code = "qa_active"
+
+
+class QaStateError(ServiceError):
+    """The QA run is not in a state for that."""
+
+    code = "qa_state"
+
+
+class QaOverdueError(ServiceError):
+    """The site asks for a daily QA before anybody arms, and the newest is too old, failed, or was never done."""
+
+    code = "qa_overdue"
+
+
 class IdempotencyError(ServiceError):
     """The Idempotency-Key was used before, with another body."""
 
@@ -106,6 +124,9 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     NotFoundError: (404, "There is no such thing"),
     SessionActiveError: (409, "Another session is open"),
     SessionStateError: (409, "The session is not in a state for that"),
+    QaActiveError: (409, "A QA run is under way"),
+    QaStateError: (409, "The QA run is not in a state for that"),
+    QaOverdueError: (409, "The daily QA is due"),
     IdempotencyError: (409, "The Idempotency-Key was used for another request"),
     StartError: (422, "The session's source cannot be used"),
     EngineTimeoutError: (503, "The engine did not answer in time"),

@@ -7,8 +7,8 @@ from service.errors import BoundError, NotFoundError
 FIELD = "source.path"
 
 
-def find_recording(path: str, folders: tuple[Path, ...]) -> Path:
-    """Resolve a path from a request.
+def find_recording(path: str, folders: tuple[Path, ...], field: str = FIELD) -> Path:
+    """Resolve a path from a request, which gave it in ``field``.
 
     Raises
     ------
@@ -24,10 +24,10 @@ def find_recording(path: str, folders: tuple[Path, ...]) -> Path:
             return found
     if any((folder.resolve() / path).resolve().is_relative_to(folder.resolve()) for folder in folders):
         msg = "there is no such recording"
-        raise NotFoundError(msg, field=FIELD, value=path, bound="a file in an allowed folder")
+        raise NotFoundError(msg, field=field, value=path, bound="a file in an allowed folder")
     bound = f"inside one of the allowed folders ({', '.join(str(folder) for folder in folders)})"
-    msg = f"{FIELD} must be {bound}"
-    raise BoundError(msg, field=FIELD, value=path, bound=bound)
+    msg = f"{field} must be {bound}"
+    raise BoundError(msg, field=field, value=path, bound=bound)
 
 
 def _is_file(path: Path) -> bool:

@@ -1,10 +1,11 @@
-"""The one place a session can run in: one camera, one beam line, so never two at a time."""
+"""The one place a session or a QA run can be in: one camera, one beam line, so never two at a time."""
 
 import threading
 from dataclasses import dataclass
 
 from engine.live import LiveView
 from service.bridge import SessionWriter
+from service.errors import QaActiveError, SessionActiveError
 from service.ports import RunningEngine, SessionPlan
 
 
@@ -18,11 +19,14 @@ class Running:
 
 
 class Room:
-    """Holds the running session, if there is one."""
+    """Holds the running session or QA run, if there is one."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
+        self.coming_and_going = threading.Lock()
+        """Held by whoever starts a session or a QA run, from asking whether the room is free to being in it."""
         self._running: Running | None = None
+        self._qa_run_id: str | None = None
 
     @property
     def running(self) -> Running | None:
@@ -46,6 +50,35 @@ class Room:
                 return False
             self._running = running
             return True
+
+    @property
+    def qa_run_id(self) -> str | None:
+        """The QA run that has camera and beam line now."""
+        return self._qa_run_id
+
+    def refuse_qa(self) -> None:
+        """Raise QaActiveError while a QA run has camera and beam line."""
+        run_id = self._qa_run_id
+        if run_id is not None:
+            msg = "a QA run has the camera and the beam line: wait for its end, or cancel it"
+            raise QaActiveError(msg, field="run_id", value=run_id, bound="no QA run beside a session")
+
+    def enter_qa(self, run_id: str) -> None:
+        """Take the room for a QA run; raise SessionActiveError or QaActiveError when somebody is in it."""
+        with self.coming_and_going, self._lock:
+            self.refuse_qa()
+            if self._running is not None:
+                msg = "a session runs: QA shares its camera and its beam line. Stop it first"
+                raise SessionActiveError(
+                    msg, field="session_id", value=self._running.plan.session_id, bound="no session beside a QA run"
+                )
+            self._qa_run_id = run_id
+
+    def leave_qa(self, run_id: str) -> None:
+        """Free the room."""
+        with self._lock:
+            if self._qa_run_id == run_id:
+                self._qa_run_id = None
 
     def leave(self, session_id: str) -> None:
         """Free the room."""

@@ -5,7 +5,6 @@ What takes permission away is done first and written down after; what could lead
 not done when it cannot be.
 """
 
-import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError
@@ -101,7 +100,7 @@ class SessionRunner:
         self._settings = settings
         self._tallies = tallies
         # A stop that comes while a session starts waits for it, and then finds it.
-        self._coming_and_going = threading.Lock()
+        self._coming_and_going = room.coming_and_going
         self._newest: tuple[LiveView, LiveFrame] | None = None
 
     def start(self, session_id: str, operator: str) -> schemas.Session:
@@ -243,6 +242,7 @@ class SessionRunner:
 
     def _begin(self, session_id: str, operator: str, action: str) -> SessionPlan:
         """Write down that the session starts, and gather what its engine needs."""
+        self._room.refuse_qa()
         if self._room.running is not None and self._room.of(session_id) is None:
             msg = "another session runs"
             raise SessionActiveError(msg, field="session_id", bound="one running session at a time")

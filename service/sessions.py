@@ -151,6 +151,7 @@ class SessionBook:
         if earlier is not None:
             return earlier
         self._check(request)
+        self._room.refuse_qa()
         open_id = repository.open_session_id(db)
         if open_id is not None:
             msg = "another session is created or running: stop it first"

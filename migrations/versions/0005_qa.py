@@ -110,6 +110,7 @@ def _create_results() -> None:
         sa.Column("unit", sa.String(16), nullable=False),
         sa.Column("expected", sa.Double),
         sa.Column("deviation", sa.Double),
+        sa.Column("uncertainty", sa.Double),
         sa.Column("warn", sa.Double, nullable=False),
         sa.Column("fail", sa.Double, nullable=False),
         sa.Column("verdict", sa.String(8), nullable=False),

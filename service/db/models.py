@@ -175,6 +175,7 @@ class QaResultRow(Base):
     unit: Mapped[str] = mapped_column(String(16))
     expected: Mapped[float | None]
     deviation: Mapped[float | None]
+    uncertainty: Mapped[float | None]
     warn: Mapped[float]
     fail: Mapped[float]
     verdict: Mapped[str] = mapped_column(String(8))

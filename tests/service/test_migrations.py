@@ -46,7 +46,7 @@ def fill(database):
         "INSERT INTO qa_runs VALUES ('q', 'daily', 'me', 'S', 'M', '{}', 0, 1, '{}', 1, '0', "
         "'2026-01-01T00:00:00.000000Z')"
     )
-    raw.execute("INSERT INTO qa_results VALUES ('q', 'x', 0, NULL, 'mm', NULL, NULL, 1.0, 2.0, 'fail', '')")
+    raw.execute("INSERT INTO qa_results VALUES ('q', 'x', 0, NULL, 'mm', NULL, NULL, NULL, 1.0, 2.0, 'fail', '')")
     raw.execute(
         "INSERT INTO qa_outcomes VALUES ('q', 'finished', '', 'fail', '{}', 'h', '2026-01-01T00:00:00.000000Z')"
     )

@@ -9,7 +9,7 @@ from service.audit import Event
 from service.db.engine import Database
 
 RUN = "INSERT {} INTO qa_runs VALUES ('q', 'daily', '{}', 'S', 'M', '{{}}', 0, 1, '{{}}', 1, '0', '2026-01-01')"
-RESULT = "INSERT {} INTO qa_results VALUES ('q', '{}', 0, {}, 'mm', NULL, NULL, 1.0, 2.0, 'fail', '')"
+RESULT = "INSERT {} INTO qa_results VALUES ('q', '{}', 0, {}, 'mm', NULL, NULL, NULL, 1.0, 2.0, 'fail', '')"
 OUTCOME = "INSERT {} INTO qa_outcomes VALUES ('q', 'finished', '', '{}', '{{}}', 'h', '2026-01-01')"
 BASELINE = "INSERT {} INTO qa_baselines VALUES ({}, '{{}}', '{}', 'new camera', '2026-01-01')"
 QA_TABLES = ("qa_runs", "qa_outcomes", "qa_results", "qa_baselines")
