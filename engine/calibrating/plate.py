@@ -6,7 +6,7 @@ correction; the sensor's rounding is undone where a session would undo it too.
 """
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -54,6 +54,12 @@ class PlateReading:
         One pixel's standard deviation from frame to frame, the median over the plate.
     drift_mm
         How far the reading went from the beginning to the end, by a straight line through its seconds.
+    tilt_x_deg, tilt_y_deg
+        The tilt along the picture's rows and columns; positive where the plate is nearer at the right, at the bottom.
+    missing_share
+        Share of the part's pixels without a reading, over all frames.
+    track
+        The reading in each second of the recording, as (time from its beginning [s], reading [mm]).
     """
 
     name: str
@@ -64,6 +70,10 @@ class PlateReading:
     flatness_mm: float
     noise_mm: float
     drift_mm: float
+    tilt_x_deg: float = 0.0
+    tilt_y_deg: float = 0.0
+    missing_share: float = 0.0
+    track: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -121,21 +131,43 @@ def read_plate(
     CalibrationError
         Not a recording of this camera's size, too short, or no flat plate that faces the camera.
     """
+    with OniReader(path) as reader:
+        return read_plate_frames(
+            path.name, _depths(reader), calibration, steps=steps, part=part, on_progress=on_progress
+        )
+
+
+def read_plate_frames(
+    name: str,
+    frames: Iterable[tuple[DepthImage, int]],
+    calibration: Calibration,
+    *,
+    steps: DepthSteps | None = None,
+    part: float = 0.5,
+    on_progress: Callable[[int], None] = lambda _frames: None,
+) -> PlateReading:
+    """Read a plate from depth pictures with their device times [us], wherever they come from; no more than needed.
+
+    Raises
+    ------
+    CalibrationError
+        As :func:`read_plate`.
+    """
     if not NARROWEST_PART <= part <= 1.0:
         raise CalibrationError("part", part, f"from {NARROWEST_PART:g} to 1")
     window = _Window(calibration, part)
     sums = _Sums(window, np.nan_to_num(depth_table_mm(steps)))
-    with OniReader(path) as reader:
-        for frame in reader.frames():
-            if not frame.is_depth:
-                continue
-            picture = frame.decode_depth()
-            window.check(path.name, picture)
-            sums.add(picture, frame.timestamp_us)
-            on_progress(sums.frames)
-            if sums.frames >= MOST_FRAMES:
-                break
-    return _judge(path.name, sums, window)
+    for picture, timestamp_us in itertools.islice(frames, MOST_FRAMES):
+        window.check(name, picture)
+        sums.add(picture, timestamp_us)
+        on_progress(sums.frames)
+    return _judge(name, sums, window)
+
+
+def _depths(reader: OniReader) -> Iterator[tuple[DepthImage, int]]:
+    for frame in reader.frames():
+        if frame.is_depth:
+            yield frame.decode_depth(), frame.timestamp_us
 
 
 class _Window:
@@ -237,6 +269,10 @@ def _judge(name: str, sums: _Sums, window: _Window) -> PlateReading:
         flatness_mm=flatness_mm,
         noise_mm=float(np.median(sums.noise_mm[plane.is_on])),
         drift_mm=_drift_mm(sums, mean_mm, plane),
+        tilt_x_deg=float(np.degrees(np.arctan(plane.a / plane.c))),
+        tilt_y_deg=float(np.degrees(np.arctan(plane.b / plane.c))),
+        missing_share=1.0 - float(sums.seen.mean()) / sums.frames,
+        track=tuple((at_s, plane.depth_mm + moved_mm) for at_s, moved_mm in _moved_mm(sums, mean_mm, plane)),
     )
 
 
@@ -282,9 +318,14 @@ def _flatness_mm(plane: _Plane, window: _Window) -> float:
 
 def _drift_mm(sums: _Sums, mean_mm: FloatArray, plane: _Plane) -> float:
     """Fit a line through how far each second's mean lies from the whole recording's."""
-    if len(sums.blocks) < 2:
+    moved = _moved_mm(sums, mean_mm, plane)
+    if len(moved) < 2:
         return 0.0
-    times_s = np.array([time_s for time_s, _ in sums.blocks])
-    moved_mm = np.array([np.nanmean((block - mean_mm)[plane.is_on]) for _, block in sums.blocks])
+    times_s, moved_mm = np.array(moved).T
     slope = float(np.polyfit(times_s, moved_mm, 1)[0])
     return slope * float(times_s[-1])
+
+
+def _moved_mm(sums: _Sums, mean_mm: FloatArray, plane: _Plane) -> list[tuple[float, float]]:
+    """How far each second's mean lies from the whole recording's, as (time [s], mm)."""
+    return [(at_s, float(np.nanmean((block - mean_mm)[plane.is_on]))) for at_s, block in sums.blocks]
