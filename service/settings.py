@@ -20,6 +20,7 @@ from engine.limits import LIMIT_BOUNDS, GateLimits
 from engine.training import TRAINING_BOUNDS, TrainingSettings
 from engine.windows import HOLD_BOUNDS, amplitude_window
 from service.beam_settings import PREFIX, BeamSettings
+from service.qa_settings import QaSettings
 
 SETTING_OF = {"retrain_interval_s": "retrain_interval_min"}
 """Settings of the training that a site gives under another name, in another unit."""
@@ -56,7 +57,7 @@ class SettingsError(Exception):
     """The settings cannot be used; the message is one line a setting, for the person who starts the service."""
 
 
-class Settings(BeamSettings):
+class Settings(BeamSettings, QaSettings):
     """The site's settings."""
 
     model_config = SettingsConfigDict(
