@@ -24,13 +24,13 @@ $(STAMP): requirements-dev.lock pyproject.toml
 openni:
 	@docker/install-debian-packages.sh libopenni2-0 || echo "Until then recordings are played by Tidegate's own reader; live cameras are not available."
 
-# What the tests use for real beside the Python packages: the runtime and a browser.
+# What the tests use for real beside the Python packages: the runtime, what a driver for it is built with, a browser.
 test-system:
-	@docker/install-debian-packages.sh libopenni2-0 chromium
+	@docker/install-debian-packages.sh libopenni2-0 libopenni2-dev g++ chromium
 
 # Two at a time; what plays through the runtime or trips a running engine has the machine to itself: the runtime's own
 # threads race where they are not run in time, and crash.
-ALONE := tests/capture tests/interlocks tests/phantom/test_recording.py \
+ALONE := tests/capture tests/interlocks tests/xtion tests/phantom/test_recording.py \
 	$(addprefix tests/service/test_,real_engine.py process.py uncalibrated.py)
 test: $(STAMP) test-system lint types contracts  ## everything that must hold: lint, types, contracts, all tests
 	$(BIN)/pytest -n 2 --dist loadfile $(ALONE:%=--ignore=%)
