@@ -25,6 +25,7 @@ BUSY_NS = 150 * NS_PER_MS
 """What a busy test machine may add: processes and threads that are woken late."""
 
 PATIENCE_S = 20.0
+SOON_S = 2.0
 TIMES = LineTimes(answer_ms=150.0, settle_ms=10.0)
 """As patient as a line may be: a busy machine answers late without being wrong."""
 
@@ -66,6 +67,38 @@ def opened(kind: str, where: str) -> WiredBeamLine:
     return line
 
 
+class Lateness:
+    """How late a busy machine wakes a thread that only waits, at worst, since it was begun.
+
+    A bound that holds on a machine which wakes threads in time holds, with twice this, on one that does not: once for
+    this process, once for the receiver's.
+    """
+
+    def __init__(self) -> None:
+        self.worst_ns = 0
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._measure, daemon=True)
+
+    def __enter__(self) -> "Lateness":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._is_over.set()
+        self._thread.join(PATIENCE_S)
+
+    @property
+    def allowed_ns(self) -> int:
+        return BUSY_NS + 2 * self.worst_ns
+
+    def _measure(self) -> None:
+        began_ns = time.monotonic_ns()
+        while not self._is_over.wait(0.005):
+            now_ns = time.monotonic_ns()
+            self.worst_ns = max(self.worst_ns, now_ns - began_ns - 5 * NS_PER_MS)
+            began_ns = now_ns
+
+
 class Receiver:
     """A receiver's process; ``seen`` are its edges so far."""
 
@@ -97,6 +130,17 @@ class Receiver:
         """The next edge: "on", its time, or "off", its time and its cause; raises queue.Empty if none comes."""
         return self._lines.get(timeout=PATIENCE_S)
 
+    @property
+    def is_on(self) -> bool:
+        """Whether the newest edge was to on."""
+        return bool(self.seen) and self.seen[-1][0] == "on"
+
+    def forget_edges(self) -> None:
+        """Let the next edge be one that is still to come."""
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self._lines.get_nowait()
+
     def spoil(self, words: str) -> None:
         assert self.process.stdin is not None
         self.process.stdin.write(f"{words}\n")
@@ -127,10 +171,21 @@ def receiver(kind: str, port: int = 0) -> Iterator[Receiver]:
         held.end()
 
 
+@contextlib.contextmanager
+def renewed(line: BeamLine) -> Iterator["Renewing"]:
+    """A line that is open, armed, and permitted as soon as it is asked for."""
+    held = Renewing(line)
+    try:
+        held.arm()
+        yield held
+    finally:
+        held.end()
+
+
 class Renewing:
     """Permits a line every 25 ms, as an engine does, from a thread; notes what the line found and when."""
 
-    def __init__(self, line) -> None:
+    def __init__(self, line: BeamLine) -> None:
         self.line = line
         self.clock = MonotonicClock()
         self.troubles: queue.SimpleQueue[tuple[int, HoldReason, str]] = queue.SimpleQueue()
@@ -165,8 +220,44 @@ class Renewing:
     def await_reading(self, *, is_on: bool) -> None:
         deadline_s = time.monotonic() + PATIENCE_S
         while self.line.is_on() is not is_on:
-            assert time.monotonic() < deadline_s
+            assert time.monotonic() < deadline_s, f"the line never read {'on' if is_on else 'off'}"
             self._is_over.wait(0.005)
+
+    def turn_on(self, *receivers: Receiver) -> None:
+        """Permit until every receiver is on and the line reads on, and forget the edges of before.
+
+        A line that gave up on a busy machine is armed again.
+        """
+        deadline_s = time.monotonic() + PATIENCE_S
+        while True:
+            self.on()
+            if self._comes_on(receivers):
+                break
+            assert time.monotonic() < deadline_s, "the line never came on"
+            self.off()
+            self.line.hold(HoldReason.OPERATOR_HOLD)
+            self._forget()
+            self.arm()
+        for far in receivers:
+            far.forget_edges()
+
+    def _comes_on(self, receivers: tuple[Receiver, ...]) -> bool:
+        """Whether it is on everywhere before there is a trouble, and soon."""
+        deadline_s = time.monotonic() + SOON_S
+        while self.troubles.empty() and time.monotonic() < deadline_s:
+            try:
+                reads_on = self.line.is_on()
+            except BeamLineError:
+                return False
+            if reads_on and all(far.is_on for far in receivers):
+                return self.troubles.empty()
+            self._is_over.wait(0.005)
+        return False
+
+    def _forget(self) -> None:
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self.troubles.get_nowait()
 
     def end(self) -> None:
         self._is_over.set()

@@ -12,10 +12,11 @@ from engine.beam.simulated import SimulatedBeamLine
 from engine.clock import ManualClock
 from engine.errors import BeamLineError, InvalidValueError
 from service.cli import app
-from tests.beam.receivers import receiver
+from tests.beam.receivers import TIMES, receiver
 from tests.beam.stepped import MS, World
 
 SAFE = "--yes-the-beam-is-safe"
+TRIES = 6
 
 
 @pytest.fixture(autouse=True)
@@ -141,30 +142,37 @@ def _point_at(monkeypatch, far):
         "MODBUS_PERMIT_COIL": "3",
         "MODBUS_HEARTBEAT_REGISTER": "11",
         "MODBUS_READBACK_INPUT": "5",
+        "ANSWER_MS": f"{TIMES.answer_ms:g}",
+        "SETTLE_MS": f"{TIMES.settle_ms:g}",
     }
     for name, value in names.items():
         monkeypatch.setenv(f"TIDEGATE_BEAM_{name}", value)
 
 
-def test_a_line_is_opened_read_and_timed_and_never_permitted(monkeypatch):
+def _checked(monkeypatch, *arguments):
+    """Check a receiver; another one where a busy machine answered late. Return what was said and what it saw."""
     monkeypatch.setattr("service.cli.beam_line.WATCHED_S", 0.2)
-    with receiver("tcp") as far:
-        _point_at(monkeypatch, far)
-        done = run()
-        assert done.exit_code == 0, done.stderr
-    assert far.seen == []
+    for _ in range(TRIES):
+        with receiver("tcp") as far:
+            _point_at(monkeypatch, far)
+            done = run(*arguments)
+        if done.exit_code == 0:
+            break
+    assert done.exit_code == 0, done.stderr
+    return done, far.seen
+
+
+def test_a_line_is_opened_read_and_timed_and_never_permitted(monkeypatch):
+    done, seen = _checked(monkeypatch)
+    assert seen == []
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("tidegate-beam")]
     assert "modbus-tcp: asked -> answered" in done.stdout
     assert "permit ->" not in done.stdout
 
 
 def test_pulses_are_what_the_receiver_sees(monkeypatch):
-    monkeypatch.setattr("service.cli.beam_line.WATCHED_S", 0.2)
-    with receiver("tcp") as far:
-        _point_at(monkeypatch, far)
-        done = run("--pulse", "150", SAFE, "--repeats", "3")
-        assert done.exit_code == 0, done.stderr
-    assert [edge[0] for edge in far.seen] == ["on", "off"] * 6
+    done, seen = _checked(monkeypatch, "--pulse", "150", SAFE, "--repeats", "3")
+    assert [edge[0] for edge in seen] == ["on", "off"] * 6
     assert [row.split("│")[1].strip() for row in done.stdout.splitlines() if "->" in row][1:] == ["6", "3", "3"]
 
 
@@ -196,11 +204,13 @@ def test_a_line_that_is_not_there_is_refused_in_one_line(monkeypatch, names, sai
 
 def test_a_receiver_that_fails_under_pulses_ends_in_one_line_and_off(monkeypatch):
     monkeypatch.setattr("service.cli.beam_line.WATCHED_S", 0.2)
-    with receiver("tcp") as far:
-        _point_at(monkeypatch, far)
-        far.spoil("stuck off")
-        refused = run("--pulse", "200", SAFE, "--repeats", "1")
-        assert refused.exit_code == 2
-        assert refused.stderr.splitlines()[-1].startswith("tidegate beam-line check: ")
-        assert far.next_edge()[0] == "on"
-        assert far.next_edge()[0] == "off"
+    for _ in range(TRIES):
+        with receiver("tcp") as far:
+            _point_at(monkeypatch, far)
+            far.spoil("stuck off")
+            refused = run("--pulse", "200", SAFE, "--repeats", "1")
+            assert refused.exit_code == 2
+            assert refused.stderr.splitlines()[-1].startswith("tidegate beam-line check: ")
+        if far.seen:  # else a busy machine did not come as far as to permit
+            break
+    assert [edge[0] for edge in far.seen] == ["on", "off"]

