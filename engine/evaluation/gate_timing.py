@@ -6,9 +6,8 @@ The same windows decide on the true motion, a thousand times a second, without n
 the beam should have switched. A frame comes every 33 ms, so no camera at that rate can be sure to do better than that.
 """
 
-import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
@@ -18,18 +17,16 @@ from scipy.interpolate import CubicSpline
 from engine.breath import WHOLE, Breath, SignalChoice
 from engine.calibration import load_calibration
 from engine.capture.oni_file import OniFileSource
-from engine.clock import NS_PER_MS, NS_PER_US, ManualClock
-from engine.commands import Arm
+from engine.clock import ManualClock
 from engine.evaluation.datasets import Run, make_dataset
 from engine.evaluation.playing import decoded_frames
 from engine.evaluation.true_phase import true_phase_percent
-from engine.frames import FloatArray, Measurement, MeasurementState, Motion
+from engine.frames import FloatArray, MeasurementState, Motion
 from engine.limits import GateLimits
-from engine.permits import GateState
 from engine.phantom.truth import CELL_PX, POINTS_RC, Truth, load_truth
 from engine.pipeline import Pipeline, PipelineSettings
-from engine.stages.gate import Gate, step_gate
 from engine.threads import keep_calls_in_their_thread
+from engine.timed_gate import Edge, TimedFrame, gate_edges, time_frames
 from engine.training import InlineTrainer
 from engine.windows import (
     AmplitudeWindow,
@@ -107,14 +104,6 @@ KINDS = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Edge:
-    """The beam went on or off, at device time [us]."""
-
-    at_us: float
-    is_on: bool
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EdgeTiming:
     """How the edges of one window on one recording compare with when they should have been.
@@ -137,12 +126,6 @@ class EdgeTiming:
     missed: int
     extra: int
     beyond: FloatArray
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Seen:
-    measurement: Measurement
-    computing_ns: int
 
 
 def plan(seed: int, seconds: float) -> list[Run]:
@@ -188,36 +171,23 @@ def time_gate(run: Run, folder: Path, on_done: Callable[[int], None]) -> list[Ed
     return found
 
 
-def _measured(folder: Path, on_frame: Callable[[int], None]) -> tuple[Pipeline, list[_Seen]]:
+def _measured(folder: Path, on_frame: Callable[[int], None]) -> tuple[Pipeline, list[TimedFrame]]:
     """Measure a recording, and how long each frame took."""
     points = tuple((int(row), int(column)) for row, column in POINTS_RC)
     settings = PipelineSettings(cell_px=CELL_PX, points=points)
     pipeline = Pipeline(load_calibration(folder / "calibration.json"), settings, ManualClock(), InlineTrainer())
+    source = OniFileSource(folder / "recording.oni", clock=ManualClock(), is_helped=False)
     seen = []
-    for frame in decoded_frames(OniFileSource(folder / "recording.oni", clock=ManualClock(), is_helped=False)):
-        before_ns = time.thread_time_ns()
-        measurement = pipeline.measure(frame)
-        computing_ns = time.thread_time_ns() - before_ns
-        seen.append(_Seen(measurement=measurement, computing_ns=computing_ns))
-        on_frame(frame.index + 1)
+    for frame in time_frames(decoded_frames(source), pipeline):
+        seen.append(frame)
+        on_frame(frame.measurement.frame_index + 1)
     return pipeline, seen
 
 
-def _real_edges(window: GateWindow, seen: Sequence[_Seen], from_us: int) -> list[Edge]:
+def _real_edges(window: GateWindow, seen: Sequence[TimedFrame], from_us: int) -> list[Edge]:
     """Let a gate decide on measured frames that are received as they are captured."""
     limits = GateLimits(window=window, dwell_ms=DWELL_MS, min_good_frames=2, is_played=True)
-    gate, edges = Gate(), []
-    for frame in seen:
-        at_us = frame.measurement.timestamp_us
-        if not gate.is_armed and at_us >= from_us:
-            gate = step_gate(gate, Arm(operator="evaluation"), at_us * NS_PER_US, limits)
-        was_on = gate.state is GateState.BEAM_ON
-        measurement = replace(frame.measurement, received_ns=at_us * NS_PER_US)
-        now_ns = at_us * NS_PER_US + min(frame.computing_ns, int(limits.max_frame_age_ms * NS_PER_MS))
-        gate = step_gate(gate, measurement, now_ns, limits)
-        if (gate.state is GateState.BEAM_ON) is not was_on:
-            edges.append(Edge(at_us=now_ns / NS_PER_US, is_on=not was_on))
-    return edges
+    return gate_edges(limits, seen, from_us, "evaluation")
 
 
 class _TrueMotion:

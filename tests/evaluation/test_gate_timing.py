@@ -9,8 +9,9 @@ from typer.testing import CliRunner
 
 from engine.evaluation import gate_timing
 from engine.evaluation.gate_tables import gate_table, mark_ms
-from engine.evaluation.gate_timing import DWELL_MS, Edge, EdgeTiming, _compared, _real_edges, _Seen, _TrueMotion, plan
+from engine.evaluation.gate_timing import DWELL_MS, EdgeTiming, _compared, _real_edges, _TrueMotion, plan
 from engine.evaluation.true_phase import true_phase_percent
+from engine.timed_gate import Edge, TimedFrame
 from engine.windows import AmplitudeWindow, PhaseWindow
 from service.cli import app
 from tests.gate.constructed import measured, motion_of
@@ -49,7 +50,7 @@ def seen(late_s=0.0):
     for number, at_us in enumerate(SineTruth.timestamp_us.tolist()):
         motion = motion_of(float(motion_mm(at_us * 1e-6 - late_s)))
         measurement = replace(measured(number, motion), timestamp_us=at_us)
-        frames.append(_Seen(measurement=measurement, computing_ns=2_000_000))
+        frames.append(TimedFrame(measurement=measurement, computing_ns=2_000_000))
     return frames
 
 

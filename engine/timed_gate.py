@@ -1,0 +1,62 @@
+"""Frames with how long each took to measure, and the edges a gate makes of them: what instruments of timing share.
+
+A frame is decided when it has been measured, its own computing time after it was captured. Of a recording that is the
+processor's time, so that a busy machine tells the same.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from engine.clock import NS_PER_MS, NS_PER_US
+from engine.commands import Arm
+from engine.frames import Measurement, RgbdFrame
+from engine.limits import GateLimits
+from engine.permits import GateState
+from engine.pipeline import Pipeline
+from engine.stages.gate import Gate, step_gate
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Edge:
+    """The beam went on or off, at device time [us]; ``dwelt_us`` is how long the gate had dwelt when it went on."""
+
+    at_us: float
+    is_on: bool
+    dwelt_us: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TimedFrame:
+    """A measured frame and what that took [ns]."""
+
+    measurement: Measurement
+    computing_ns: int
+
+
+def time_frames(
+    frames: Iterable[RgbdFrame], pipeline: Pipeline, now_ns: Callable[[], int] = time.thread_time_ns
+) -> Iterator[TimedFrame]:
+    """Measure frames, and how long each takes."""
+    for frame in frames:
+        before_ns = now_ns()
+        measurement = pipeline.measure(frame)
+        yield TimedFrame(measurement=measurement, computing_ns=now_ns() - before_ns)
+
+
+def gate_edges(limits: GateLimits, frames: Sequence[TimedFrame], from_us: int, operator: str) -> list[Edge]:
+    """Let a gate, armed at ``from_us``, decide on measured frames that are received as they are captured."""
+    gate, edges = Gate(), []
+    for frame in frames:
+        at_us = frame.measurement.timestamp_us
+        if not gate.is_armed and at_us >= from_us:
+            gate = step_gate(gate, Arm(operator=operator), at_us * NS_PER_US, limits)
+        was_on = gate.state is GateState.BEAM_ON
+        measurement = replace(frame.measurement, received_ns=at_us * NS_PER_US)
+        now_ns = at_us * NS_PER_US + min(frame.computing_ns, int(limits.max_frame_age_ms * NS_PER_MS))
+        gate = step_gate(gate, measurement, now_ns, limits)
+        if (gate.state is GateState.BEAM_ON) is not was_on:
+            since_us = gate.inside_since_us
+            dwelt_us = None if was_on or since_us is None else float(at_us - since_us)
+            edges.append(Edge(at_us=now_ns / NS_PER_US, is_on=not was_on, dwelt_us=dwelt_us))
+    return edges
