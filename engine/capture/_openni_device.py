@@ -10,32 +10,16 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from ctypes import byref
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from engine.capture import _openni_c as c
+from engine.capture._openni_frame import COLOR, DEPTH, FORMATS, SENSOR, DeviceFrame, copied
 from engine.errors import RecordingError, SourceLostError
-from engine.frames import ColorImage, DepthImage
 
-DEPTH, COLOR = 0, 1
-_SENSOR = (c.SENSOR_DEPTH, c.SENSOR_COLOR)
 _KIND = ("depth", "colour")
-_FORMATS = ((c.PIXEL_DEPTH_1_MM, c.PIXEL_DEPTH_100_UM), (c.PIXEL_RGB888,))
 _REST_S = 0.1
 _STATE_WORDS = {1: "reports an error", 2: "is not ready"}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DeviceFrame:
-    """A frame copied out of the runtime's memory; ``picture`` is uint16 (H, W) in mm or RGB uint8 (H, W, 3)."""
-
-    stream: int
-    frame_index: int
-    timestamp_us: int
-    picture: DepthImage | ColorImage
 
 
 class OpenNiDevice:
@@ -47,6 +31,7 @@ class OpenNiDevice:
         self._streams = (c.Handle * 2)()
         self._handle = c.Handle()
         self._lost: str | None = None
+        self._sizes_px = ((0, 0), (0, 0))
         self.is_over = False
         if self._runtime.oniDeviceOpen(os.fsencode(uri), byref(self._handle)) != c.STATUS_OK:
             msg = f"{uri} cannot be opened by OpenNI2: {c.last_error()}"
@@ -77,7 +62,7 @@ class OpenNiDevice:
         self._set_registration(is_on=use_registration)
         for stream in (DEPTH, COLOR):
             handle = c.Handle()
-            if self._runtime.oniDeviceCreateStream(self._handle, _SENSOR[stream], byref(handle)) != c.STATUS_OK:
+            if self._runtime.oniDeviceCreateStream(self._handle, SENSOR[stream], byref(handle)) != c.STATUS_OK:
                 msg = f"{self.name} has no {_KIND[stream]} stream: {c.last_error()}"
                 raise (RecordingError if self._is_file else SourceLostError)(msg)
             self._streams[stream] = handle.value
@@ -92,6 +77,8 @@ class OpenNiDevice:
 
     def start(self) -> None:
         """Start depth, then colour: should a file begin to play between the two, no depth frame is lost."""
+        modes = [self.video_mode(stream) for stream in (DEPTH, COLOR)]
+        self._sizes_px = ((modes[DEPTH].width, modes[DEPTH].height), (modes[COLOR].width, modes[COLOR].height))
         for stream in (DEPTH, COLOR):
             if self._runtime.oniStreamStart(self._streams[stream]) != c.STATUS_OK:
                 msg = f"{self.name} does not start its {_KIND[stream]} stream: {c.last_error()}"
@@ -104,7 +91,7 @@ class OpenNiDevice:
         status = self._runtime.oniStreamGetProperty(
             self._streams[stream], c.STREAM_VIDEO_MODE, byref(mode), byref(size)
         )
-        if status != c.STATUS_OK or mode.pixel_format not in _FORMATS[stream]:
+        if status != c.STATUS_OK or mode.pixel_format not in FORMATS[stream]:
             msg = f"{self.name} gives {_KIND[stream]} in pixel format {mode.pixel_format}, which cannot be read"
             raise (RecordingError if self._is_file else SourceLostError)(msg)
         return mode
@@ -121,7 +108,7 @@ class OpenNiDevice:
         if self._runtime.oniStreamReadFrame(self._streams[ready.value], byref(pointer)) != c.STATUS_OK:
             return None
         try:
-            return _copied(ready.value, pointer.contents)
+            return copied(ready.value, pointer.contents, self._sizes_px[ready.value])
         finally:
             self._runtime.oniFrameRelease(pointer)
 
@@ -207,9 +194,9 @@ class OpenNiDevice:
             raise SourceLostError(msg)
 
     def _set_mode(self, stream: int, size_px: tuple[int, int], fps: int) -> None:
-        sensor = self._runtime.oniDeviceGetSensorInfo(self._handle, _SENSOR[stream])
+        sensor = self._runtime.oniDeviceGetSensorInfo(self._handle, SENSOR[stream])
         modes = [sensor.contents.modes[i] for i in range(sensor.contents.mode_count)] if sensor else []
-        for pixel_format in _FORMATS[stream]:
+        for pixel_format in FORMATS[stream]:
             for mode in modes:
                 if (mode.width, mode.height, mode.fps, mode.pixel_format) == (*size_px, fps, pixel_format):
                     handle = self._streams[stream]
@@ -223,25 +210,6 @@ class OpenNiDevice:
     def _set(call: Callable[..., Any], handle: object, name: int, value: "ctypes._CData") -> None:
         """Set a property; a device that does not know it keeps its way, and the frames' own heads tell."""
         call(handle, name, byref(value), ctypes.sizeof(value))
-
-
-def _copied(stream: int, frame: c.Frame) -> DeviceFrame | None:
-    mode = frame.video_mode.pixel_format
-    bytes_a_pixel = 3 if stream == COLOR else 2
-    needed = frame.width * frame.height * bytes_a_pixel
-    if mode not in _FORMATS[stream] or frame.data_size < needed or frame.stride != frame.width * bytes_a_pixel:
-        return None
-    raw = np.frombuffer(ctypes.string_at(frame.data, needed), np.uint8)
-    picture: DepthImage | ColorImage
-    if stream == COLOR:
-        picture = raw.reshape(frame.height, frame.width, 3)
-    else:
-        picture = raw.view(np.uint16).reshape(frame.height, frame.width)
-        if mode == c.PIXEL_DEPTH_100_UM:
-            picture = (picture + np.uint16(5)) // np.uint16(10)
-    return DeviceFrame(
-        stream=stream, frame_index=frame.frame_index, timestamp_us=int(frame.timestamp_us), picture=picture
-    )
 
 
 class _Listeners:

@@ -6,7 +6,8 @@ from collections import deque
 from dataclasses import dataclass
 
 from engine.capture._lasting_threads import run_on_lasting_thread
-from engine.capture._openni_device import DEPTH, DeviceFrame, OpenNiDevice
+from engine.capture._openni_device import OpenNiDevice
+from engine.capture._openni_frame import DEPTH, DeviceFrame
 from engine.clock import Clock
 from engine.errors import FrameTimeoutError, SourceEndedError, SourceLostError
 

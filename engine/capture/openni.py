@@ -18,7 +18,8 @@ from typing import cast
 
 from engine.calibration import Calibration, nominal_calibration
 from engine.capture import _openni_c as c
-from engine.capture._openni_device import COLOR, DEPTH, OpenNiDevice
+from engine.capture._openni_device import OpenNiDevice
+from engine.capture._openni_frame import COLOR, DEPTH
 from engine.capture._openni_pump import CapturePump
 from engine.capture.source import SourceDescription
 from engine.clock import Clock

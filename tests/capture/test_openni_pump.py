@@ -6,7 +6,7 @@ from collections import deque
 import numpy as np
 import pytest
 
-from engine.capture._openni_device import COLOR, DEPTH, DeviceFrame
+from engine.capture._openni_frame import COLOR, DEPTH, DeviceFrame
 from engine.capture._openni_pump import CapturePump
 from engine.clock import ManualClock
 from engine.errors import FrameTimeoutError, SourceEndedError, SourceLostError
