@@ -1,6 +1,7 @@
 """Short permits outside of any session, to measure how long a line takes: for commissioning, with the beam made safe.
 
-Beside `engine.driver` the only caller of ``permit``; nothing but ``tidegate beam-line check --pulse`` uses it.
+Beside `engine.driver` the only caller of ``permit``; nothing uses it but ``tidegate beam-line check --pulse`` and QA's
+drill (`engine.qa.drill`).
 """
 
 from collections.abc import Callable
@@ -58,25 +59,40 @@ class Pulser:
             The line failed, or never read back on within the pulse; it was held.
         """
         try:
-            first_on_ms = self._permit()[0]
+            first_on_ms = self.permit()[0]
             told_ns = self._clock.now_ns()
             self._line.hold(HoldReason.OPERATOR_HOLD)
-            held_ms = self._await(told_ns, is_on=False)
+            held_ms = self.await_off(told_ns)
             self._wait_ns(POLL_NS)  # a permit decided in the same instant as a hold is refused
-            second_on_ms, ends_ns = self._permit()
+            second_on_ms, ends_ns = self.permit()
             self._wait_ns(max(ends_ns - self._clock.now_ns(), 0))
-            lapsed_ms = self._await(ends_ns, is_on=False)
+            lapsed_ms = self.await_off(ends_ns)
             return PulseTimes(on_ms=(first_on_ms, second_on_ms), held_ms=held_ms, lapsed_ms=lapsed_ms)
         finally:
             self._line.hold(HoldReason.OPERATOR_HOLD)
 
-    def _permit(self) -> tuple[float, int]:
-        """Permit; return how long it took to be read back, and when the lease ends."""
+    def permit(self) -> tuple[float, int]:
+        """Permit; return how long it took to be read back [ms], and when the lease ends [ns]. The caller holds."""
+        lease = self._next_lease()
+        self._line.permit(lease)
+        return self._await(lease.granted_ns, is_on=True), lease.expires_ns
+
+    def is_refused(self) -> bool:
+        """Whether the line refuses a permit, as one that is latched has to. The caller holds."""
+        try:
+            self._line.permit(self._next_lease())
+        except BeamLineError:
+            return True
+        return False
+
+    def await_off(self, since_ns: int) -> float:
+        """Wait until the line reads back off; return how long after ``since_ns`` that was [ms]."""
+        return self._await(since_ns, is_on=False)
+
+    def _next_lease(self) -> Lease:
         self._sequence += 1
         now_ns = self._clock.now_ns()
-        ends_ns = now_ns + self._pulse_ns
-        self._line.permit(Lease(granted_ns=now_ns, expires_ns=ends_ns, sequence=self._sequence))
-        return self._await(now_ns, is_on=True), ends_ns
+        return Lease(granted_ns=now_ns, expires_ns=now_ns + self._pulse_ns, sequence=self._sequence)
 
     def _await(self, since_ns: int, *, is_on: bool) -> float:
         until_ns = since_ns + (self._pulse_ns if is_on else NS_PER_S)

@@ -3,7 +3,8 @@
 Sources are opened and closed by the run, and so is the line. Nothing of it is kept.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 
 from engine.beam.line import BeamLine
@@ -17,6 +18,7 @@ from engine.pipeline import PipelineSettings
 from engine.qa.checks import needs_of
 from engine.qa.results import QaKind, QaNeed
 from engine.qa.trace import CommandedTrace
+from engine.watchdog import Watchdog
 
 SECONDS_BOUNDS = (10.0, 1800.0)
 PART_BOUNDS = (0.2, 1.0)
@@ -87,6 +89,16 @@ class PhantomInput:
             raise InvalidValueError("phantom.window_mm", f"{lower:g} to {upper:g}", bound)
 
 
+@contextmanager
+def in_its_thread(watchdog: Watchdog) -> Iterator[None]:
+    """Let a watchdog watch in its own thread, as a session does."""
+    watchdog.start()
+    try:
+        yield
+    finally:
+        watchdog.stop()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BeamInput:
     """The site's beam line, with the beam made safe: the drill turns the line on.
@@ -103,6 +115,8 @@ class BeamInput:
         How often each drill is done.
     watchdog_ms
         The watchdog's deadline in its drill, shorter than a lease, so that it is not the lease that is seen.
+    watched
+        Lets a watchdog watch while a block runs.
     """
 
     line: BeamLine
@@ -111,6 +125,7 @@ class BeamInput:
     pulse_ms: float = 200.0
     repeats: int = 20
     watchdog_ms: float = 60.0
+    watched: Callable[[Watchdog], AbstractContextManager[None]] = in_its_thread
 
     def __post_init__(self) -> None:
         """Refuse every number out of its bound."""

@@ -8,14 +8,15 @@ from collections.abc import Callable, Iterable
 from typing import TypeAlias
 
 from engine.qa.bounds import QaBaseline, QaBounds
-from engine.qa.checks import checks_of
+from engine.qa.checks import checks_of, needs_of
+from engine.qa.drill import DRILLS, drill_line
 from engine.qa.inputs import QaInputs
+from engine.qa.phantom import measure_phantom
+from engine.qa.plate import measure_plate
 from engine.qa.results import QaFigure, QaKind, QaNeed, QaReport, QaResult, QaSeries, judge
 
 Progress: TypeAlias = Callable[[QaNeed, int, int | None], None]
 """Told (stage, done, total): frames or pulses; the total is None where nobody knows it."""
-
-Measured: TypeAlias = tuple[Iterable[QaFigure], Iterable[QaSeries]]
 
 
 def no_progress(_stage: QaNeed, _done: int, _total: int | None) -> None:
@@ -42,7 +43,30 @@ def run_qa(
     InvalidValueError
         Something the kind needs was not given; names it, before anything is opened.
     """
-    raise NotImplementedError
+    inputs.check(kind)
+    figures: list[QaFigure] = []
+    series: list[QaSeries] = []
+    for need in needs_of(kind):
+        found, drawn = _measured(need, inputs, on_progress)
+        figures += found
+        series += drawn
+    return QaReport(kind=kind, results=judged(kind, figures, bounds, baseline), series=tuple(series))
+
+
+def _measured(need: QaNeed, inputs: QaInputs, on_progress: Progress) -> tuple[list[QaFigure], list[QaSeries]]:
+    """Measure with one of what was given."""
+    plate, phantom, beam = inputs.plate, inputs.phantom, inputs.beam
+
+    def told(total: int | None) -> Callable[[int], None]:
+        return lambda done: on_progress(need, done, total)
+
+    if need is QaNeed.PLATE and plate is not None:
+        return measure_plate(plate, told(None))
+    if need is QaNeed.PHANTOM and phantom is not None:
+        return measure_phantom(phantom, told(None))
+    if need is QaNeed.BEAM and beam is not None:
+        return drill_line(beam, told(len(DRILLS) * beam.repeats)), []
+    return [], []
 
 
 def judged(kind: QaKind, figures: Iterable[QaFigure], bounds: QaBounds, baseline: QaBaseline) -> tuple[QaResult, ...]:

@@ -1,0 +1,218 @@
+"""The sine method: how late the beam goes on and off, from a phantom that moves in sines.
+
+A window with one edge inside the sine's reach holds one interval a cycle, and the sine's turning point is its middle. A
+gate that is late by ``on`` and ``off`` moves the middle of its interval by (on + off) / 2, whatever the level at which
+it switches; and of sines of several periods T, with a share ``a`` of each inside the window, its intervals are
+``a T + (off - on)`` long. A line through lengths against periods gives the difference, again whatever the level.
+
+The method is the one that E. S. Worm, R. Hansen, P. Poulsen and others use with gated proton beams (ESTRO 2021).
+Times are the trace's own [s]; intervals are pairs (on, off).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import theilslopes
+
+from engine.frames import FloatArray
+from engine.qa.trace import CommandedTrace
+
+Grid = npt.NDArray[np.float64]
+STEP_S = 0.001
+MOST_CROOKED = 0.05
+"""Root mean square of a cycle's distance from a sine, as a share of its amplitude, beyond which it is none."""
+
+MOST_ASYMMETRIC = 0.03
+FEWEST_CYCLES = 5
+LEAST_WHOLE_SHARE = 0.75
+"""Of the cycles, so many must have exactly one interval each."""
+
+LEAST_PERIOD_RATIO = 1.2
+"""Longest to shortest period from which on a line through lengths against periods says something."""
+
+_SIGMA_OF_MAD = 1.4826
+_MEDIAN_ERROR = 1.2533
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cycle:
+    """One sine of the trace: when it is inside the window, and from turning point to turning point."""
+
+    on_s: float
+    off_s: float
+    begins_s: float
+    ends_s: float
+
+    @property
+    def middle_s(self) -> float:
+        """The middle of what is inside the window: the sine's turning point."""
+        return 0.5 * (self.on_s + self.off_s)
+
+    @property
+    def length_s(self) -> float:
+        """How long it is inside the window."""
+        return self.off_s - self.on_s
+
+    @property
+    def period_s(self) -> float:
+        """The sine's period."""
+        return self.ends_s - self.begins_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Estimate:
+    """A figure with its standard error."""
+
+    value: float
+    error: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GateTiming:
+    """What the method says.
+
+    Attributes
+    ----------
+    mean_s, difference_s
+        (on + off) / 2, and off - on.
+    duty_change
+        Share of the cycles' time with the beam on, less that of the sines inside the window.
+    has_periods
+        Whether the difference is from lengths against periods; else it is from lengths alone, and an error of the
+        level is in it.
+    pairs
+        Each cycle with its interval, where there is exactly one.
+    """
+
+    mean_s: Estimate
+    difference_s: Estimate
+    duty_change: float
+    cycles: int
+    has_periods: bool
+    pairs: tuple[tuple[Cycle, tuple[float, float]], ...]
+
+    @property
+    def on_s(self) -> Estimate:
+        """How late the beam goes on."""
+        return self._combined(-0.5)
+
+    @property
+    def off_s(self) -> Estimate:
+        """How late the beam goes off."""
+        return self._combined(0.5)
+
+    def _combined(self, share: float) -> Estimate:
+        error = float(np.hypot(self.mean_s.error, 0.5 * self.difference_s.error))
+        return Estimate(value=self.mean_s.value + share * self.difference_s.value, error=error)
+
+
+def find_cycles(trace: CommandedTrace, window_mm: tuple[float, float], from_s: float, to_s: float) -> list[Cycle]:
+    """Find the sines of a trace between two times; what is no sine is left out."""
+    first, last = trace.span_s
+    times = np.arange(max(from_s, first), min(to_s, last), STEP_S)
+    if len(times) < 3:
+        return []
+    position = trace.at(times)
+    lower, upper = window_mm
+    is_low = position.min() >= lower
+    height = position if is_low else -position
+    edge = upper if is_low else -lower
+    inside = _intervals(times, height, edge)
+    cycles = []
+    for before, now, after in zip(inside, inside[1:], inside[2:], strict=False):
+        begins_s = _highest(times, height, before[1], now[0])
+        ends_s = _highest(times, height, now[1], after[0])
+        cycle = Cycle(on_s=now[0], off_s=now[1], begins_s=begins_s, ends_s=ends_s)
+        if _is_sine(cycle, times, position):
+            cycles.append(cycle)
+    return cycles
+
+
+def time_gate_by_sines(cycles: Sequence[Cycle], intervals: Sequence[tuple[float, float]]) -> GateTiming | str:
+    """Compare the beam's intervals with the sines'; a sentence where they do not tell."""
+    if len(cycles) < FEWEST_CYCLES:
+        return f"{len(cycles)} cycles of the commanded trace are sines: at least {FEWEST_CYCLES} are needed"
+    pairs = [
+        (cycle, found[0])
+        for cycle in cycles
+        if len(found := [pair for pair in intervals if cycle.begins_s <= 0.5 * sum(pair) < cycle.ends_s]) == 1
+    ]
+    if len(pairs) < LEAST_WHOLE_SHARE * len(cycles):
+        return (
+            f"in {len(pairs)} of {len(cycles)} cycles the beam went on exactly once: at least three quarters are needed"
+        )
+    shifts = np.array([0.5 * (on_s + off_s) - cycle.middle_s for cycle, (on_s, off_s) in pairs])
+    difference, has_periods = _difference(pairs)
+    return GateTiming(
+        mean_s=_median(shifts),
+        difference_s=difference,
+        duty_change=_duty(cycles, intervals) - _duty(cycles, [(cycle.on_s, cycle.off_s) for cycle in cycles]),
+        cycles=len(pairs),
+        has_periods=has_periods,
+        pairs=tuple(pairs),
+    )
+
+
+def _difference(pairs: Sequence[tuple[Cycle, tuple[float, float]]]) -> tuple[Estimate, bool]:
+    """Where the line through lengths against periods meets zero; without periods what the lengths differ by."""
+    periods = np.array([cycle.period_s for cycle, _ in pairs])
+    lengths = np.array([off_s - on_s for _, (on_s, off_s) in pairs])
+    if periods.max() < LEAST_PERIOD_RATIO * periods.min():
+        return _median(lengths - np.array([cycle.length_s for cycle, _ in pairs])), False
+    # Periods that are meant to be the same differ by a sample: no slope is to be taken between those.
+    slope, intercept, *_ = theilslopes(lengths, np.round(periods, 1))
+    spread = _SIGMA_OF_MAD * float(np.median(np.abs(lengths - slope * periods - intercept)))
+    reach = float(np.mean(periods**2) / np.var(periods))
+    return Estimate(value=float(intercept), error=spread * float(np.sqrt(reach / len(pairs)))), True
+
+
+def _median(values: FloatArray) -> Estimate:
+    middle = float(np.median(values))
+    spread = _SIGMA_OF_MAD * float(np.median(np.abs(values - middle)))
+    return Estimate(value=middle, error=_MEDIAN_ERROR * spread / float(np.sqrt(len(values))))
+
+
+def _duty(cycles: Sequence[Cycle], intervals: Sequence[tuple[float, float]]) -> float:
+    """Share of the cycles' time that is in the intervals."""
+    inside = sum(
+        max(0.0, min(off_s, cycle.ends_s) - max(on_s, cycle.begins_s)) for cycle in cycles for on_s, off_s in intervals
+    )
+    return inside / sum(cycle.period_s for cycle in cycles)
+
+
+def _intervals(times: Grid, height: FloatArray, edge: float) -> list[tuple[float, float]]:
+    """Where ``height`` is under the edge from beginning to end, as pairs of crossing times."""
+    above = height - edge
+    flips = np.flatnonzero((above[1:] <= 0.0) != (above[:-1] <= 0.0))
+    at = times[flips] + STEP_S * above[flips] / (above[flips] - above[flips + 1])
+    if len(flips) and above[flips[0]] <= 0.0:
+        at = at[1:]  # the first one was entered before the beginning
+    return [(float(on), float(off)) for on, off in zip(at[::2], at[1::2], strict=False)]
+
+
+def _highest(times: Grid, height: FloatArray, from_s: float, to_s: float) -> float:
+    """Find the turning point between two times: the vertex of a parabola through the top."""
+    is_between = (times >= from_s) & (times <= to_s)
+    at, level = times[is_between], height[is_between]
+    top = level >= level.max() - 0.1 * max(float(np.ptp(level)), 1e-9)
+    middle_s = float(at[top].mean())
+    bend, slope, _ = np.polyfit(at[top] - middle_s, level[top], 2) if top.sum() >= 3 else (0.0, 0.0, 0.0)
+    return middle_s - 0.5 * float(slope / bend) if bend < 0.0 else middle_s
+
+
+def _is_sine(cycle: Cycle, times: Grid, position: FloatArray) -> bool:
+    is_asymmetric = abs(cycle.middle_s - 0.5 * (cycle.begins_s + cycle.ends_s)) > MOST_ASYMMETRIC * cycle.period_s
+    within = (times >= cycle.begins_s) & (times <= cycle.ends_s)
+    turn = np.cos(2.0 * np.pi * (times[within] - cycle.middle_s) / cycle.period_s)
+    shape = np.column_stack([turn, np.ones_like(turn)])
+    fitted, *_ = np.linalg.lstsq(shape, position[within], rcond=None)
+    crooked_mm = float(np.sqrt(np.mean(np.square(position[within] - shape @ fitted))))
+    return not is_asymmetric and crooked_mm <= MOST_CROOKED * abs(float(fitted[0]))
+
+
+def joined(edges: Sequence[tuple[float, bool]]) -> list[tuple[float, float]]:
+    """Join edges (time, is on) into intervals; one that has no beginning or no end is left out."""
+    return [(begins_s, ends_s) for (begins_s, was_on), (ends_s, is_on) in pairwise(edges) if was_on and not is_on]
