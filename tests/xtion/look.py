@@ -1,11 +1,12 @@
 """A process that looks through the runtime: ``python -m tests.xtion.look devices|frames|pictures ...``, in JSON lines.
 
-``frames SECONDS [registered] [small]`` says what each frame is, and how reading failed where it did; ``pictures OUT
-[registered]`` writes the newest frame of half a second to a file.
+``frames SECONDS [registered] [small] [told]`` says what each frame is, and how reading failed where it did; told, only
+until its input is closed; ``pictures OUT [registered] [small]`` writes the newest frame of half a second to a file.
 """
 
 import json
 import sys
+import threading
 import time
 import zlib
 from pathlib import Path
@@ -45,8 +46,11 @@ def frames(seconds: float, words: list[str]) -> None:
     about = camera.open()
     say(kind=about.kind, name=about.name, depth_size=about.depth_size, fps=about.fps, is_live=about.is_live)
     end_s = time.monotonic() + seconds
+    is_over = threading.Event()
+    if "told" in words:
+        threading.Thread(target=lambda: (sys.stdin.read(), is_over.set()), daemon=True).start()
     try:
-        while time.monotonic() < end_s:
+        while time.monotonic() < end_s and not is_over.is_set():
             try:
                 frame = camera.read(READ_S)
             except FrameTimeoutError:
@@ -79,7 +83,7 @@ def pictures(out: Path, words: list[str]) -> None:
         frame = camera.read(5.0)
         while time.monotonic() < end_s:
             frame = camera.read(5.0)
-        np.savez(out, depth_mm=frame.depth_mm, color=frame.color)
+        np.savez(out, index=frame.device_index, depth_mm=frame.depth_mm, color=frame.color)
     finally:
         camera.close()
         say(closed=True)
