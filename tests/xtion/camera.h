@@ -16,6 +16,7 @@ namespace xtion {
 
 constexpr int64_t NS_PER_S = 1'000'000'000;
 constexpr int64_t NAP_NS = 4'000'000;
+constexpr int64_t SWITCHED_ON_US = 60'000'000;   // its clock runs already when a process finds it
 
 inline int64_t now_ns() {
     timespec now {};
@@ -121,7 +122,7 @@ private:
         int64_t period_ns = int64_t(NS_PER_S / fps);
         // A process that was stopped finds the newest frame, not those it slept through.
         while (now - next_tick_ns_ > 2 * period_ns) { step(period_ns); block_.status.overruns++; }
-        int64_t due_ns = next_tick_ns_, device_us = (next_tick_ns_ - begun_ns_) / 1000 + 21'000;
+        int64_t due_ns = next_tick_ns_, device_us = SWITCHED_ON_US + (next_tick_ns_ - begun_ns_) / 1000;
         bool streams = is_streaming();
         index_ = streams ? index_ + 1 : 0;
         if (!streams) endings_.clear();

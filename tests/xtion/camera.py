@@ -391,7 +391,7 @@ class VirtualXtion:
             [[left, top], [left + width, top], [left + width, top + height], [left, top + height]], float
         )
         points = calibration.color.rays(corners) * depth_mm
-        return _around(calibration.depth.project(calibration.color_from_depth.inverse().apply(points)), 0)
+        return _around(calibration.depth.project(calibration.color_from_depth.inverse.apply(points)), 0)
 
     def await_streaming(self, timeout_s: float = PATIENCE_S) -> Status:
         """Wait until both streams deliver."""

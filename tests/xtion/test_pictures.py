@@ -194,3 +194,21 @@ def test_edits_of_one_stream_leave_the_other(camera, tmp_path):
     depth_at, color_at = crcs(camera.film)
     assert zlib.crc32(np.ascontiguousarray(depth_mm)) in depth_at
     assert zlib.crc32(np.ascontiguousarray(color)) not in color_at
+
+
+def test_a_cloth_lies_on_one_marker_alone(camera, tmp_path):
+    _, _, color = shot(camera, tmp_path, lambda: camera.cover(2))
+    centers = np.rint(camera.film.truth["markers_px"].mean(axis=0)).astype(int)
+    brightness = [int(color[row, column].sum()) for column, row in centers]
+    assert [brightness.index(min(brightness)), sum(level > 450 for level in brightness)] == [2, 3]
+
+
+def test_a_hand_is_where_it_is_in_both_pictures(camera, tmp_path):
+    _, depth_mm, color = shot(camera, tmp_path, camera.hand)
+    rows, columns = np.nonzero(depth_mm == 700)
+    calibration = camera.film.calibration
+    points = calibration.depth.rays(np.column_stack([columns, rows]).astype(float)) * 700.0
+    pixels = np.rint(calibration.color.project(calibration.color_from_depth.apply(points))).astype(int)
+    is_skin = (color[pixels[:, 1], pixels[:, 0]] == (0xE0, 0xAC, 0x8C)).all(axis=1)
+    assert len(rows) > 2000
+    assert is_skin.mean() > 0.95
