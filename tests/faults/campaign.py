@@ -1,0 +1,147 @@
+"""The campaign: which trials are to be done, workers that do them side by side, and one place that writes them down."""
+
+import contextlib
+import multiprocessing
+import queue
+import tempfile
+import traceback
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from tests.faults.kinds import FaultKind, all_kinds
+from tests.faults.plan import Plan
+from tests.faults.rig import WORN_MB, Rig, Template
+from tests.faults.template import learned
+from tests.faults.trial import run_trial
+from tests.faults.verdict import Outcome, Trouble
+
+TRIALS_A_TURN = 10
+ATTEMPTS = 2
+"""A rig that broke in a way nobody foresaw is replaced, and the trial done once more."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Turn:
+    """What a worker does at one go: a kind, and some seeds."""
+
+    code: str
+    seeds: tuple[int, ...]
+
+
+def turns(kinds: Sequence[FaultKind], seeds: Sequence[int], done: set[tuple[str, int]]) -> list[Turn]:
+    """Split what is left to do; kinds that need the same service lie side by side."""
+    found = []
+    for kind in sorted(kinds, key=lambda one: one.plan.name):
+        left = [seed for seed in seeds if (kind.code, seed) not in done]
+        found += [
+            Turn(code=kind.code, seeds=tuple(left[at : at + TRIALS_A_TURN]))
+            for at in range(0, len(left), TRIALS_A_TURN)
+        ]
+    return found
+
+
+def run(work: Sequence[Turn], jobs: int) -> Iterator[Outcome]:
+    """Do all turns with so many rigs side by side; yields outcomes as they come."""
+    if not work:
+        return
+    with tempfile.TemporaryDirectory(prefix="tidegate-faults-") as folder:
+        template = learned(Path(folder) / "template")
+        context = multiprocessing.get_context("spawn")
+        waiting: multiprocessing.Queue[Turn | None] = context.Queue()
+        found: multiprocessing.Queue[Outcome | None] = context.Queue()
+        for turn in [*work, *[None] * jobs]:
+            waiting.put(turn)
+        workers = [
+            context.Process(target=_work, args=(Path(folder) / f"worker-{number}", template, waiting, found))
+            for number in range(jobs)
+        ]
+        for worker in workers:
+            worker.start()
+        try:
+            yield from _collect(workers, found)
+        finally:
+            for worker in workers:
+                worker.terminate()
+                worker.join()
+
+
+def _collect(
+    workers: Sequence[multiprocessing.Process], found: "multiprocessing.Queue[Outcome | None]"
+) -> Iterator[Outcome]:
+    left = len(workers)
+    while left:
+        try:
+            outcome = found.get(timeout=5.0)
+        except queue.Empty:
+            if not any(worker.is_alive() for worker in workers):
+                return  # they died without a word: what they did not do is missing in the table
+            continue
+        if outcome is None:
+            left -= 1
+        else:
+            yield outcome
+
+
+def _work(
+    folder: Path,
+    template: Template,
+    waiting: "multiprocessing.Queue[Turn | None]",
+    found: "multiprocessing.Queue[Outcome | None]",
+) -> None:
+    kinds = {kind.code: kind for kind in all_kinds()}
+    bench = Bench(folder, template)
+    try:
+        while (turn := waiting.get()) is not None:
+            for seed in turn.seeds:
+                found.put(bench.try_kind(kinds[turn.code], seed))
+    finally:
+        bench.clear()
+        found.put(None)
+
+
+class Bench:
+    """One worker's place: one rig at a time, kept for as long as it is good for the next trial."""
+
+    def __init__(self, folder: Path, template: Template) -> None:
+        self._folder, self._template = folder, template
+        self._held = contextlib.ExitStack()
+        self._rig: Rig | None = None
+        self._number = 0
+
+    def try_kind(self, kind: FaultKind, seed: int) -> Outcome:
+        """Run one trial; a rig that breaks is thrown away and the trial done again, once."""
+        note = ""
+        for _ in range(ATTEMPTS):
+            try:
+                outcome = run_trial(self._rig_for(kind.plan), kind, seed)
+            except Exception:  # noqa: BLE001 - whatever broke, the next trial has to go on
+                note = traceback.format_exc(limit=-3)
+                self.clear()
+            else:
+                if outcome.is_red:
+                    self.clear()
+                return outcome
+        return Outcome(
+            kind=kind.code, seed=seed, off_ms=None, troubles=(Trouble.NO_RESULT,), told=(), recovery="", note=note
+        )
+
+    def clear(self) -> None:
+        self._rig = None
+        self._held.close()
+        self._held = contextlib.ExitStack()
+
+    def _rig_for(self, plan: Plan) -> Rig:
+        rig = self._rig
+        if rig is not None and (rig.plan != plan or rig.worn_mb > WORN_MB):
+            self.clear()
+            rig = None
+        if rig is None:
+            self._number += 1
+            rig = Rig(self._folder / str(self._number), plan, self._template)
+            self._rig = self._held.enter_context(rig)
+        return rig
+
+
+def stamped(outcome: Outcome, revision: str) -> Outcome:
+    return replace(outcome, revision=revision)

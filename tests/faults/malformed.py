@@ -1,0 +1,66 @@
+"""Frames whose heads lie: sizes, shapes, formats, numbers and times; each sort is a kind of its own."""
+
+import random
+from collections.abc import Callable
+
+from tests.faults.frames import CLOCK, GONE, GONE_RECOVERS, LOST, SILENT, Act, of_camera
+from tests.faults.kinds import BY_ITSELF, FaultKind, told
+from tests.xtion.block import Field, Streams
+from tests.xtion.camera import Receipt, VirtualXtion
+
+FAMILY = "malformed"
+RGB888, GRAY8 = 200, 202
+REFUSED = SILENT | CLOCK | LOST | told("value_invalid", "source_lost", "engine_failed")
+
+
+def _field(field: Field, value: Callable[[random.Random], int], streams: Streams) -> Act:
+    def act(camera: VirtualXtion, chance: random.Random) -> Receipt:
+        return camera.malform(field, value(chance), streams)
+
+    return act
+
+
+def _kind(code: str, what: str, act: Act) -> FaultKind:
+    return FaultKind(
+        code=f"malformed-{code}",
+        what=what,
+        family=FAMILY,
+        inject=of_camera(act),
+        told=REFUSED | GONE,
+        recoveries=BY_ITSELF | GONE_RECOVERS,
+    )
+
+
+DEPTH = Streams.DEPTH
+KINDS = (
+    _kind(
+        "size",
+        "less data than a picture has",
+        _field(Field.DATA_SIZE, lambda chance: chance.randrange(0, 600_000), DEPTH),
+    ),
+    _kind(
+        "width",
+        "a wrong width",
+        _field(Field.WIDTH, lambda chance: chance.choice((0, 1, 320, 639, 641, 100_000)), DEPTH),
+    ),
+    _kind(
+        "height",
+        "a wrong height",
+        _field(Field.HEIGHT, lambda chance: chance.choice((0, 1, 240, 479, 481, 100_000)), DEPTH),
+    ),
+    _kind(
+        "stride",
+        "a wrong stride",
+        _field(Field.STRIDE, lambda chance: chance.choice((0, 640, 1279, 1282, -1280)), DEPTH),
+    ),
+    _kind(
+        "format",
+        "a wrong pixel format",
+        _field(Field.FORMAT, lambda chance: chance.choice((0, 101, RGB888, GRAY8, 9999)), DEPTH),
+    ),
+    _kind("index-back", "frame numbers go back", lambda camera, chance: camera.index(-chance.randrange(2, 500))),
+    _kind("index-jump", "frame numbers jump ahead", lambda camera, chance: camera.index(chance.randrange(2, 10_000))),
+    _kind("time-zero", "times of 0", lambda camera, _: camera.timestamp(0)),
+    _kind("time-huge", "times of 2^62 us", lambda camera, _: camera.timestamp(2**62)),
+    _kind("no-data", "frames without a picture", lambda camera, _: camera.malform(Field.NO_DATA, 0, DEPTH)),
+)

@@ -1,0 +1,191 @@
+"""One trial: the beam on, a random moment, the fault, the line off, the cause gone, the beam back; judged."""
+
+import contextlib
+import random
+import time
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from engine.clock import NS_PER_MS, NS_PER_S
+from tests.faults.kinds import Fault, FaultKind, MissedError
+from tests.faults.verdict import (
+    Evidence,
+    Expectation,
+    LineEdge,
+    Outcome,
+    Recovery,
+    Told,
+    Trouble,
+    is_on_at,
+    judge,
+    off_after_ms,
+    told_as,
+)
+from tests.faults.way_back import WayBack
+
+if TYPE_CHECKING:
+    from tests.faults.rig import Rig
+
+STEADY_S = (0.15, 0.9)
+"""How long the beam is on before the fault, at random."""
+
+STAYS_OFF_S = 0.35
+"""Longer than a dwell and several frames: what may come back by itself would."""
+
+GIVE_UP_S = 3.0
+TRIES = 6
+DISTURBED_TRIES = 3
+STALL_MS = 20.0
+"""A machine that stood still for longer had no time to take a line off."""
+
+TOLD_WAIT_S = 2.0
+
+
+@dataclass(slots=True)
+class Judged:
+    """One try's evidence, and what was promised of it."""
+
+    expected: Expectation
+    evidence: Evidence
+    troubles: list[Trouble] = field(default_factory=list)
+
+
+def run_trial(rig: "Rig", kind: FaultKind, seed: int) -> Outcome:
+    """Try a kind of fault once, with everything random following from the seed; again where nothing can be said."""
+    began_s = time.monotonic()
+    disturbed: list[float] = []
+    missed = 0
+    while True:
+        chance = random.Random(f"{kind.code} {seed} {missed} {len(disturbed)}")
+        try:
+            judged = _try_once(rig, kind, chance)
+        except MissedError as error:
+            missed += 1
+            if missed >= TRIES:
+                return _no_result(kind, seed, str(error))
+            continue
+        off_ms = off_after_ms(judged.evidence)
+        is_disturbed = kind.may_be_disturbed and judged.evidence.stall_ms >= STALL_MS
+        if is_disturbed and Trouble.OFF_LATE in judged.troubles and len(disturbed) < DISTURBED_TRIES:
+            disturbed.append(off_ms or 0.0)
+            continue
+        return Outcome(
+            kind=kind.code,
+            seed=seed,
+            off_ms=off_ms,
+            troubles=tuple(judged.troubles),
+            told=told_as(judged.expected, judged.evidence),
+            recovery=judged.evidence.recovery or "",
+            stall_ms=judged.evidence.stall_ms,
+            disturbed_ms=tuple(disturbed),
+            note=_note(judged),
+            seconds=time.monotonic() - began_s,
+        )
+
+
+def _no_result(kind: FaultKind, seed: int, note: str) -> Outcome:
+    return Outcome(
+        kind=kind.code, seed=seed, off_ms=None, troubles=(Trouble.NO_RESULT,), told=(), recovery="", note=note
+    )
+
+
+def _try_once(rig: "Rig", kind: FaultKind, chance: random.Random) -> Judged:
+    _reach_steady_beam(rig, chance)
+    sequence = rig.ledger.newest()
+    begun_ns = time.monotonic_ns()
+    fault = kind.inject(rig, chance)
+    try:
+        cause_ns = _await_off(rig, kind, fault)
+        time.sleep(fault.lasts_s)
+    except BaseException:
+        fault.undo()
+        raise
+    clear_ns = fault.undo()
+    time.sleep(STAYS_OFF_S)
+    way_back = WayBack(rig)
+    recovery = way_back.walk()
+    gone = [edge.at_ns for edge in rig.edges if not edge.is_on and edge.at_ns >= cause_ns]
+    expected = kind.expected
+    if fault.is_of_itself:
+        expected = replace(expected, bound_ms=float("inf"))
+    evidence = Evidence(
+        cause_ns=cause_ns,
+        edges=[edge for edge in rig.edges if edge.at_ns >= cause_ns],
+        told=_told_since(rig, sequence, expected),
+        recovery=recovery,
+        clear_ns=clear_ns,
+        armed_ns=way_back.asked_ns,
+        told_by_ns=fault.told_by_ns,
+        is_chain_intact=_is_chain_intact(rig),
+        stall_ms=rig.watchman.longest_ms(begun_ns, gone[0] if gone else time.monotonic_ns()),
+    )
+    if fault.is_of_itself and not told_as(expected, evidence):
+        raise MissedError("the beam went off by itself before anything was covered")
+    return Judged(expected=expected, evidence=evidence, troubles=judge(expected, evidence))
+
+
+def _reach_steady_beam(rig: "Rig", chance: random.Random) -> None:
+    way = WayBack(rig)
+    if way.walk() is None:
+        raise MissedError(f"the beam does not come on: {way.refusal}")
+    time.sleep(chance.uniform(*STEADY_S))
+    if not rig.is_on:
+        raise MissedError("the beam did not stay on")
+
+
+def _await_off(rig: "Rig", kind: FaultKind, fault: Fault) -> int:
+    """Wait until the receiver is off for the fault; return when its cause was there; raise MissedError if too early."""
+    end_ns = fault.cause_ns + int((kind.bound_ms + GIVE_UP_S * 1000) * NS_PER_MS)
+    while time.monotonic_ns() < end_ns and not _has_gone_off(rig.edges, fault.cause_ns):
+        time.sleep(0.005)
+    cause_ns = fault.cause_ns
+    if fault.find_cause is not None:
+        cause_ns = _found(fault) or cause_ns
+    if not fault.is_of_itself and not is_on_at(rig.edges, cause_ns):
+        raise MissedError("the beam went off before the fault")
+    return cause_ns
+
+
+def _found(fault: Fault) -> int | None:
+    """Look the cause up; it is written down a moment later."""
+    assert fault.find_cause is not None
+    end_s = time.monotonic() + TOLD_WAIT_S
+    while (found := fault.find_cause()) is None and time.monotonic() < end_s:
+        time.sleep(0.05)
+    return found
+
+
+def _has_gone_off(edges: list[LineEdge], cause_ns: int) -> bool:
+    return any(not edge.is_on and edge.at_ns >= cause_ns for edge in edges)
+
+
+def _told_since(rig: "Rig", sequence: int, expected: Expectation) -> list[Told]:
+    """Read the account; what is written last may take a moment."""
+    end_s = time.monotonic() + TOLD_WAIT_S
+    while True:
+        told = rig.ledger.told_since(sequence)
+        if any(one.what in expected.told for one in told) or time.monotonic() > end_s:
+            return told
+        time.sleep(0.05)
+
+
+def _is_chain_intact(rig: "Rig") -> bool:
+    for _ in range(3):
+        with contextlib.suppress(Exception):
+            return rig.person.is_chain_intact()
+        time.sleep(0.3)
+    return False
+
+
+def _note(judged: Judged) -> str:
+    if not judged.troubles:
+        return ""
+    evidence = judged.evidence
+    began_ns = evidence.cause_ns
+    edges = " ".join(
+        f"{'on' if edge.is_on else 'off'}@{(edge.at_ns - began_ns) / NS_PER_S:.3f}" for edge in evidence.edges[:6]
+    )
+    told = " ".join(f"{one.what}@{(one.at_ns - began_ns) / NS_PER_S:.3f}" for one in evidence.told[:8])
+    cleared = "" if evidence.clear_ns is None else f" clear@{(evidence.clear_ns - began_ns) / NS_PER_S:.3f}"
+    asked = "" if evidence.armed_ns is None else f" asked@{(evidence.armed_ns - began_ns) / NS_PER_S:.3f}"
+    return f"line {edges}{cleared}{asked} audit {told} recovery {evidence.recovery or Recovery.__name__}"

@@ -1,0 +1,207 @@
+"""What a trial showed, and the judgement of it: a pure function, so that planted evidence can try it.
+
+All times are host monotonic [ns], which every process of this machine shares.
+"""
+
+import enum
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from engine.clock import NS_PER_MS
+
+DWELL_NS = 100 * NS_PER_MS
+"""The dwell of the campaign's window: no hold ends sooner after its cause is gone."""
+
+
+class Recovery(enum.StrEnum):
+    """How the beam came back."""
+
+    BY_ITSELF = "by itself"
+    RELEASED = "released"
+    ARMED = "armed"
+    ACKNOWLEDGED = "acknowledged, armed"
+    NEW_SESSION = "new session"
+    RESTARTED = "service restarted"
+
+
+class Trouble(enum.StrEnum):
+    """What makes a cell red. The first four are unsafe, the rest are promises that were not kept."""
+
+    NEVER_OFF = "never off"
+    OFF_LATE = "off late"
+    BACK_EARLY = "back on early"
+    ON_UNASKED = "on though nobody armed"
+    UNTOLD = "not told"
+    TOLD_LATE = "told late"
+    CHAIN_BROKEN = "audit chain broken"
+    NOT_RECOVERED = "does not recover"
+    OTHER_RECOVERY = "recovers otherwise"
+    NO_RESULT = "no result"
+
+    @property
+    def is_unsafe(self) -> bool:
+        """Whether the line was on when it must not be."""
+        return self in {Trouble.NEVER_OFF, Trouble.OFF_LATE, Trouble.BACK_EARLY, Trouble.ON_UNASKED}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineEdge:
+    """One edge of the receiver's own log."""
+
+    is_on: bool
+    at_ns: int
+    cause: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Told:
+    """One row of the audit that says why: a transition's reason, or an action."""
+
+    what: str
+    at_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Expectation:
+    """What a kind of fault promises.
+
+    Attributes
+    ----------
+    bound_ms
+        From the cause to the line off.
+    told
+        What the audit may call it; one of these has to be there.
+    recoveries
+        The ways in which the beam may come back.
+    """
+
+    bound_ms: float
+    told: frozenset[str]
+    recoveries: frozenset[Recovery]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """What was seen of one fault.
+
+    Attributes
+    ----------
+    cause_ns
+        When the fault was there.
+    clear_ns
+        When its cause was gone again; None where that is the cause's own time.
+    armed_ns
+        When a person asked for the beam again; None where nobody had to.
+    edges
+        The receiver's log, from the on that the fault ended to the next.
+    told_by_ns
+        Until when the audit's account must have been given; None does not ask.
+    stall_ms
+        The longest time this machine stood still between cause and off, by a process that only looks.
+    """
+
+    cause_ns: int
+    edges: Sequence[LineEdge]
+    told: Sequence[Told]
+    recovery: Recovery | None
+    clear_ns: int | None = None
+    armed_ns: int | None = None
+    told_by_ns: int | None = None
+    is_chain_intact: bool = True
+    stall_ms: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """One trial's result, as it is kept: one line of JSON."""
+
+    kind: str
+    seed: int
+    off_ms: float | None
+    troubles: tuple[str, ...]
+    told: tuple[str, ...]
+    recovery: str
+    stall_ms: float = 0.0
+    disturbed_ms: tuple[float, ...] = ()
+    note: str = ""
+    revision: str = ""
+    seconds: float = field(default=0.0)
+
+    @property
+    def is_unsafe(self) -> bool:
+        """Whether the line was on when it must not be."""
+        return any(Trouble(one).is_unsafe for one in self.troubles)
+
+    @property
+    def is_red(self) -> bool:
+        """Whether anything at all was not as promised."""
+        return bool(self.troubles)
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, document: dict[str, Any]) -> "Outcome":
+        lists = {name: tuple(document[name]) for name in ("troubles", "told", "disturbed_ms")}
+        return cls(**{**document, **lists})
+
+
+def is_on_at(edges: Iterable[LineEdge], at_ns: int) -> bool:
+    """Whether the receiver had the beam on at a time."""
+    before = [edge for edge in edges if edge.at_ns <= at_ns]
+    return bool(before) and before[-1].is_on
+
+
+def off_ns(evidence: Evidence) -> int | None:
+    """When the line went off for the fault; None if it never did."""
+    return next((edge.at_ns for edge in evidence.edges if not edge.is_on and edge.at_ns >= evidence.cause_ns), None)
+
+
+def off_after_ms(evidence: Evidence) -> float | None:
+    """From the cause to the line off, as the receiver saw it."""
+    gone_ns = off_ns(evidence)
+    return None if gone_ns is None else (gone_ns - evidence.cause_ns) / NS_PER_MS
+
+
+def judge(expected: Expectation, evidence: Evidence) -> list[Trouble]:
+    """Return all that was not as promised; nothing where everything was."""
+    return [
+        *_of_the_line(expected, evidence),
+        *_of_the_account(expected, evidence),
+        *_of_the_recovery(expected, evidence),
+    ]
+
+
+def told_as(expected: Expectation, evidence: Evidence) -> tuple[str, ...]:
+    """What the audit called it, of what it may."""
+    return tuple(dict.fromkeys(one.what for one in evidence.told if one.what in expected.told))
+
+
+def _of_the_line(expected: Expectation, evidence: Evidence) -> list[Trouble]:
+    took_ms = off_after_ms(evidence)
+    if took_ms is None:
+        return [Trouble.NEVER_OFF]
+    late = [Trouble.OFF_LATE] if took_ms > expected.bound_ms else []
+    gone_ns = off_ns(evidence)
+    again = [edge.at_ns for edge in evidence.edges if edge.is_on and gone_ns is not None and edge.at_ns > gone_ns]
+    if not again:
+        return late
+    if evidence.armed_ns is not None:
+        return late + ([Trouble.ON_UNASKED] if again[0] < evidence.armed_ns else [])
+    clear_ns = evidence.cause_ns if evidence.clear_ns is None else evidence.clear_ns
+    return late + ([Trouble.BACK_EARLY] if again[0] < clear_ns + DWELL_NS else [])
+
+
+def _of_the_account(expected: Expectation, evidence: Evidence) -> list[Trouble]:
+    found = [one.at_ns for one in evidence.told if one.what in expected.told]
+    troubles = [] if found else [Trouble.UNTOLD]
+    if found and evidence.told_by_ns is not None and min(found) > evidence.told_by_ns:
+        troubles.append(Trouble.TOLD_LATE)
+    return troubles + ([] if evidence.is_chain_intact else [Trouble.CHAIN_BROKEN])
+
+
+def _of_the_recovery(expected: Expectation, evidence: Evidence) -> list[Trouble]:
+    if evidence.recovery is None:
+        return [Trouble.NOT_RECOVERED]
+    return [] if evidence.recovery in expected.recoveries else [Trouble.OTHER_RECOVERY]

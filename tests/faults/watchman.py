@@ -1,0 +1,63 @@
+"""A process that looks at the time, and notes when this machine did not let it: ``python -m tests.faults.watchman``.
+
+A line off late on a machine that stood still says nothing of Tidegate. Such a trial is done again, and counted.
+"""
+
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from pathlib import Path
+
+from engine.clock import NS_PER_MS
+
+ROOT = Path(__file__).parents[2]
+STEP_S = 0.002
+WORTH_TELLING_NS = 10 * NS_PER_MS
+KEPT = 4096
+
+
+class Watchman:
+    """The looking process, and the stalls it told."""
+
+    def __init__(self) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "tests.faults.watchman"], cwd=ROOT, stdout=subprocess.PIPE, text=True
+        )
+        self._stalls: deque[tuple[int, int]] = deque(maxlen=KEPT)
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def longest_ms(self, from_ns: int, to_ns: int) -> float:
+        """The longest stall that touches this time [ms]; stalls of less than 10 ms are none."""
+        found = [end - begin for begin, end in list(self._stalls) if end >= from_ns and begin <= to_ns]
+        return max(found, default=0) / NS_PER_MS
+
+    def end(self) -> None:
+        self._process.kill()
+        self._process.wait()
+        self._reader.join()
+        assert self._process.stdout is not None
+        self._process.stdout.close()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            begin, end = line.split()
+            self._stalls.append((int(begin), int(end)))
+
+
+def main() -> None:
+    last_ns = time.monotonic_ns()
+    while True:
+        time.sleep(STEP_S)
+        now_ns = time.monotonic_ns()
+        if now_ns - last_ns > WORTH_TELLING_NS:
+            sys.stdout.write(f"{last_ns} {now_ns}\n")
+            sys.stdout.flush()
+        last_ns = now_ns
+
+
+if __name__ == "__main__":
+    main()

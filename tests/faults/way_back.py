@@ -1,0 +1,79 @@
+"""What a person does until the beam is on: restarts, makes a session, sets the zero, acknowledges, releases, arms."""
+
+import contextlib
+import time
+from typing import TYPE_CHECKING, Any
+
+import httpx2
+
+from tests.faults.person import PATIENCE_S, PersonGaveUpError
+from tests.faults.verdict import Recovery
+
+if TYPE_CHECKING:
+    from tests.faults.rig import Rig
+
+HEAVIEST_FIRST = (
+    *(Recovery.RESTARTED, Recovery.NEW_SESSION, Recovery.ACKNOWLEDGED, Recovery.ARMED, Recovery.RELEASED),
+    Recovery.BY_ITSELF,
+)
+STEP_S = 0.02
+
+
+class WayBack:
+    """One way back to the beam on.
+
+    Attributes
+    ----------
+    asked_ns
+        When the beam was first asked for; None where nobody had to.
+    refusal
+        The newest answer to an arming.
+    """
+
+    def __init__(self, rig: "Rig") -> None:
+        self._rig, self._person = rig, rig.person
+        self.asked_ns: int | None = None
+        self.refusal = ""
+
+    def walk(self) -> Recovery | None:
+        """Go on until the receiver says on; return the heaviest thing that was needed, None if it never came on."""
+        done = {Recovery.BY_ITSELF}
+        end_s = time.monotonic() + PATIENCE_S
+        while not self._rig.is_on:
+            if time.monotonic() > end_s:
+                return None
+            with contextlib.suppress(PersonGaveUpError, OSError, httpx2.HTTPError):
+                step = self._step()
+                done |= {step} if step is not None else set()
+            time.sleep(STEP_S)
+        return next(one for one in HEAVIEST_FIRST if one in done)
+
+    def _step(self) -> Recovery | None:
+        if not self._rig.is_alive:
+            self._rig.start_service()
+            return Recovery.RESTARTED
+        detail = self._person.detail() if self._person.session_id else None
+        if detail is None or detail["status"] != "running":
+            self._rig.new_session()
+            return Recovery.NEW_SESSION
+        return None if detail["gate"] is None else self._act_on(detail)
+
+    def _act_on(self, detail: dict[str, Any]) -> Recovery | None:
+        gate = detail["gate"]
+        if gate["state"] == "fault":
+            self._person.act("acknowledge")
+            return Recovery.ACKNOWLEDGED
+        if gate["operator_hold"] is not None:
+            return self._ask("release", Recovery.RELEASED)
+        if gate["is_armed"] or detail["measurement_state"] != "measuring":
+            return None
+        if not detail["has_reference"]:
+            self._person.act("reference")
+            return None
+        return self._ask("arm", Recovery.ARMED)
+
+    def _ask(self, action: str, step: Recovery) -> Recovery | None:
+        self.asked_ns = self.asked_ns or time.monotonic_ns()
+        answer = self._person.act(action)
+        self.refusal = answer.text
+        return step if answer.status_code == httpx2.codes.OK else None
