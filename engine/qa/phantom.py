@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,7 @@ from engine.qa.inputs import PhantomInput
 from engine.qa.motion import MotionAgreement, compare_motion
 from engine.qa.playing import frames_of, opened
 from engine.qa.results import QaCurve, QaFigure, QaNeed, QaSeries
-from engine.qa.sine import Estimate, GateTiming, find_cycles, joined, time_gate_by_sines
+from engine.qa.sine import Estimate, GateTiming, find_cycles, time_gate_by_sines
 from engine.qa.unmeasured import not_measured
 from engine.timed_gate import Edge, TimedFrame, gate_edges, time_frames
 from engine.training import InlineTrainer
@@ -62,8 +63,10 @@ class PhantomRun:
         Share of the frames after the zero that gave no motion.
     intervals_s
         When the beam was on.
+    undwelt_s
+        When it would have been on without the dwell.
     dwell_s
-        How long the gate dwells before it goes on: as told, and a part of a frame more.
+        How long the gate dwelt before it went on, the mean: as told, and a part of a frame more.
     ends_s
         When the last frame was taken.
     """
@@ -74,6 +77,7 @@ class PhantomRun:
     agreement: MotionAgreement | str
     lost_share: float
     intervals_s: tuple[tuple[float, float], ...]
+    undwelt_s: tuple[tuple[float, float], ...]
     dwell_s: float
     ends_s: float
 
@@ -125,27 +129,30 @@ def run_of(given: PhantomInput, seen: Sequence[TimedFrame]) -> PhantomRun | str:
         return f"the zero was taken at {time_s[0]:.1f} s, outside of the commanded trace"
     lower, upper = (edge - zero_mm for edge in given.window_mm)
     limits = replace(given.limits, window=AmplitudeWindow(lower=lower, upper=upper), is_played=True)
-    edges = gate_edges(limits, seen, zero_us, "QA")
+    intervals = joined(gate_edges(limits, seen, zero_us, "QA"))
+    dwells_us = _dwells_us(given, [on for on, _ in intervals], after)
     return PhantomRun(
         time_s=time_s,
         measured_mm=measured_mm,
         zero_mm=zero_mm,
         agreement=agreement,
         lost_share=1.0 - len(measuring) / len(after),
-        intervals_s=tuple(joined([(on_its_clock(edge.at_us), edge.is_on) for edge in edges])),
-        dwell_s=_dwell_s(given, edges, after),
+        intervals_s=tuple((on_its_clock(on.at_us), on_its_clock(off.at_us)) for on, off in intervals),
+        undwelt_s=tuple(
+            (on_its_clock(on.at_us - dwell_us), on_its_clock(off.at_us))
+            for (on, off), dwell_us in zip(intervals, dwells_us, strict=True)
+        ),
+        dwell_s=float(np.mean(dwells_us)) * 1e-6 if len(dwells_us) else 0.0,
         ends_s=on_its_clock(seen[-1].measurement.timestamp_us),
     )
 
 
-def _dwell_s(given: PhantomInput, edges: Sequence[Edge], frames: Sequence[TimedFrame]) -> float:
-    """How long the gate dwelt: never told less than it was told to, nor over a frame more, whatever it did."""
-    told_s = given.limits.dwell_ms / MS_PER_S
-    stamps = np.array([frame.measurement.timestamp_us for frame in frames]) * 1e-6
-    frame_s = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
-    least_s = max(told_s, (given.limits.min_good_frames - 1) * frame_s)
-    dwelt = [edge.dwelt_us * 1e-6 for edge in edges if edge.dwelt_us is not None]
-    return float(np.clip(np.median(dwelt), least_s, least_s + frame_s)) if dwelt else least_s
+def _dwells_us(given: PhantomInput, switched_on: Sequence[Edge], frames: Sequence[TimedFrame]) -> list[float]:
+    """How long the gate dwelt each time [us]: not less than it was told to, nor over a frame more, whatever it did."""
+    stamps_us = np.array([frame.measurement.timestamp_us for frame in frames], dtype=np.float64)
+    frame_us = float(np.median(np.diff(stamps_us))) if len(stamps_us) > 1 else 0.0
+    least_us = max(given.limits.dwell_ms * US_PER_MS, (given.limits.min_good_frames - 1) * frame_us)
+    return [min(max(edge.dwelt_us or 0.0, least_us), least_us + frame_us) for edge in switched_on]
 
 
 def _why_unmeasured(seen: Sequence[TimedFrame]) -> str:
@@ -174,33 +181,26 @@ def _motion_figures(found: MotionAgreement | str) -> list[QaFigure]:
 
 def _timing(given: PhantomInput, run: PhantomRun) -> GateTiming | str:
     cycles = find_cycles(given.trace, given.window_mm, float(run.time_s[0]), run.ends_s)
-    return time_gate_by_sines(cycles, run.intervals_s)
+    return time_gate_by_sines(cycles, run.undwelt_s)
 
 
 def _gate_figures(given: PhantomInput, run: PhantomRun) -> list[QaFigure]:
     found = _timing(given, run)
     if isinstance(found, str):
         return [QaFigure(code=code, value=None, detail=found) for code in GATE_CODES]
-    mean, difference = _moved(found.mean_s, -0.5 * run.dwell_s), _moved(found.difference_s, run.dwell_s)
-    undwelt = replace(found, mean_s=mean, difference_s=difference)
     periods = [cycle.period_s for cycle, _ in found.pairs]
     detail = (
         f"{found.cycles} cycles of {min(periods):.1f} to {max(periods):.1f} s, dwell {MS_PER_S * run.dwell_s:.0f} ms"
     )
     if not found.has_periods:
         detail += "; of one period, so that an error of the level is in the difference"
-    dwelt_share = run.dwell_s * len(periods) / sum(periods)
     return [
-        _in_ms("gate_mean_delay_ms", mean, detail),
-        _in_ms("gate_delay_difference_ms", difference, detail),
-        _in_ms("gate_delay_on_ms", undwelt.on_s, detail),
-        _in_ms("gate_delay_off_ms", undwelt.off_s, detail),
-        QaFigure(code="duty_cycle_change_percent", value=100.0 * (found.duty_change + dwelt_share), detail=detail),
+        _in_ms("gate_mean_delay_ms", found.mean_s, detail),
+        _in_ms("gate_delay_difference_ms", found.difference_s, detail),
+        _in_ms("gate_delay_on_ms", found.on_s, detail),
+        _in_ms("gate_delay_off_ms", found.off_s, detail),
+        QaFigure(code="duty_cycle_change_percent", value=100.0 * found.duty_change, detail=detail),
     ]
-
-
-def _moved(estimate: Estimate, by: float) -> Estimate:
-    return replace(estimate, value=estimate.value + by)
 
 
 def _in_ms(code: str, estimate: Estimate, detail: str) -> QaFigure:
@@ -210,7 +210,7 @@ def _in_ms(code: str, estimate: Estimate, detail: str) -> QaFigure:
 def series_of(given: PhantomInput, run: PhantomRun) -> list[QaSeries]:
     """Return what to draw of a run."""
     found = _timing(given, run)
-    return [_motion_series(given, run), *([] if isinstance(found, str) else _gate_series(found))]
+    return [_motion_series(given, run), *([] if isinstance(found, str) else _gate_series(found, run))]
 
 
 def _motion_series(given: PhantomInput, run: PhantomRun) -> QaSeries:
@@ -224,12 +224,13 @@ def _motion_series(given: PhantomInput, run: PhantomRun) -> QaSeries:
     )
 
 
-def _gate_series(found: GateTiming) -> list[QaSeries]:
+def _gate_series(found: GateTiming, run: PhantomRun) -> list[QaSeries]:
+    as_it_was = dict(zip(run.undwelt_s, run.intervals_s, strict=True))
     number = np.arange(1.0, len(found.pairs) + 1.0)
     period = np.array([cycle.period_s for cycle, _ in found.pairs])
     middle = np.array([cycle.middle_s for cycle, _ in found.pairs])
     sine = np.array([(cycle.on_s, cycle.off_s) for cycle, _ in found.pairs])
-    beam = np.array([pair for _, pair in found.pairs])
+    beam = np.array([as_it_was[pair] for _, pair in found.pairs])
     phases = QaSeries(
         code="gate_intervals",
         title="Beam on, around each sine's turning point",
@@ -253,6 +254,11 @@ def _gate_series(found: GateTiming) -> list[QaSeries]:
         ),
     )
     return [phases, lengths]
+
+
+def joined(edges: Sequence[Edge]) -> list[tuple[Edge, Edge]]:
+    """Join edges into (on, off); a beam that had not gone off at the end is left out."""
+    return [(first, second) for first, second in pairwise(edges) if first.is_on and not second.is_on]
 
 
 def _curve(name: str, x: Grid, y: Grid) -> QaCurve:

@@ -11,11 +11,9 @@ Times are the trace's own [s]; intervals are pairs (on, off).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import theilslopes
 
 from engine.frames import FloatArray
 from engine.qa.trace import CommandedTrace
@@ -34,6 +32,8 @@ LEAST_PERIOD_RATIO = 1.2
 """Longest to shortest period from which on a line through lengths against periods says something."""
 
 _SIGMA_OF_MAD = 1.4826
+_FAR_SIGMAS, _NEAR_S, _ROUNDS = 4.0, 0.05, 3
+"""A length so far from the line is another thing's doing, say a lost frame's, and the line is drawn without it."""
 _MEDIAN_ERROR = 1.2533
 
 
@@ -162,11 +162,14 @@ def _difference(pairs: Sequence[tuple[Cycle, tuple[float, float]]]) -> tuple[Est
     lengths = np.array([off_s - on_s for _, (on_s, off_s) in pairs])
     if periods.max() < LEAST_PERIOD_RATIO * periods.min():
         return _median(lengths - np.array([cycle.length_s for cycle, _ in pairs])), False
-    # Periods that are meant to be the same differ by a sample: no slope is to be taken between those.
-    slope, intercept, *_ = theilslopes(lengths, np.round(periods, 1))
-    spread = _SIGMA_OF_MAD * float(np.median(np.abs(lengths - slope * periods - intercept)))
-    reach = float(np.mean(periods**2) / np.var(periods))
-    return Estimate(value=float(intercept), error=spread * float(np.sqrt(reach / len(pairs)))), True
+    is_kept = np.ones(len(pairs), dtype=np.bool_)
+    for _ in range(_ROUNDS):
+        slope, intercept = np.polyfit(periods[is_kept], lengths[is_kept], 1)
+        away = np.abs(lengths - slope * periods - intercept)
+        is_kept = away <= max(_FAR_SIGMAS * _SIGMA_OF_MAD * float(np.median(away)), _NEAR_S)
+    spread = float(np.sqrt(np.sum(np.square(away[is_kept])) / max(is_kept.sum() - 2, 1)))
+    reach = float(np.mean(periods[is_kept] ** 2) / np.var(periods[is_kept]))
+    return Estimate(value=float(intercept), error=spread * float(np.sqrt(reach / is_kept.sum()))), True
 
 
 def _median(values: FloatArray) -> Estimate:
@@ -197,7 +200,7 @@ def _highest(times: Grid, height: FloatArray, from_s: float, to_s: float) -> flo
     """Find the turning point between two times: the vertex of a parabola through the top."""
     is_between = (times >= from_s) & (times <= to_s)
     at, level = times[is_between], height[is_between]
-    top = level >= level.max() - 0.1 * max(float(np.ptp(level)), 1e-9)
+    top = level >= level.max() - 0.01 * float(np.ptp(level))
     middle_s = float(at[top].mean())
     bend, slope, _ = np.polyfit(at[top] - middle_s, level[top], 2) if top.sum() >= 3 else (0.0, 0.0, 0.0)
     return middle_s - 0.5 * float(slope / bend) if bend < 0.0 else middle_s
@@ -211,8 +214,3 @@ def _is_sine(cycle: Cycle, times: Grid, position: FloatArray) -> bool:
     fitted, *_ = np.linalg.lstsq(shape, position[within], rcond=None)
     crooked_mm = float(np.sqrt(np.mean(np.square(position[within] - shape @ fitted))))
     return not is_asymmetric and crooked_mm <= MOST_CROOKED * abs(float(fitted[0]))
-
-
-def joined(edges: Sequence[tuple[float, bool]]) -> list[tuple[float, float]]:
-    """Join edges (time, is on) into intervals; one that has no beginning or no end is left out."""
-    return [(begins_s, ends_s) for (begins_s, was_on), (ends_s, is_on) in pairwise(edges) if was_on and not is_on]

@@ -1,0 +1,298 @@
+"""A virtual QA set-up: a camera over a flat plate, a platform that moves it in sines, and a beam line in memory.
+
+For tests and for showing what a run is like; nothing of it is ever mixed with a real set-up. The camera has a quarter
+of the usual pixels, so that it is quick, and else the sensor's own noise, steps and whole millimetres. Faults can be
+seeded, each of a size that QA has to find.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from engine.beam.simulated import SimulatedBeamLine
+from engine.calibration import Calibration
+from engine.capture.source import SourceDescription
+from engine.clock import NS_PER_MS, NS_PER_US, ManualClock
+from engine.errors import SourceEndedError
+from engine.frames import ColorImage, DepthImage, RgbdFrame
+from engine.geometry import Intrinsics, RigidTransform
+from engine.limits import GateLimits
+from engine.phantom.body import Map, blur
+from engine.phantom.color import stick
+from engine.phantom.sensor import NOISE_SHIFTS, PATTERN_SHIFTS, SHIFTS, depth_table_mm, shift_of
+from engine.phantom.view import Rays
+from engine.qa.bounds import QaBaseline
+from engine.qa.inputs import BeamInput, PhantomInput, PlateInput, QaInputs
+from engine.qa.trace import CommandedTrace
+from engine.watchdog import Watchdog
+from engine.windows import amplitude_window
+
+Grid = npt.NDArray[np.float64]
+WIDTH_PX, HEIGHT_PX = 320, 240
+FPS = 29.97
+FIRST_US = 1_000_000
+JITTER_US = 180.0
+DISTANCE_MM = 850.0
+TILT_X_DEG, TILT_Y_DEG = 2.0, 1.0
+AMPLITUDE_MM = 10.0
+LEVEL_MM = AMPLITUDE_MM
+LEAD_IN_S = 4.0
+LEAD_INS = 5
+"""Sines before the first that counts: the pipeline learns from them."""
+
+PERIODS_S = (2.3, 3.1, 5.3, 8.1)
+CYCLES_EACH = 3
+SLIDE_S = (21.0, 23.0)
+"""When what is seeded into the phantom's place slides in: after the zero was set."""
+
+TRACE_STEP_S = 0.02
+MARKERS_MM = np.array([(-95.0, -150.0), (95.0, -150.0), (95.0, 150.0), (-95.0, 150.0)])
+_PLATE_HALF_MM = (260.0, 220.0)
+_PLATE_GREY, _ROOM_GREY = 92, 120
+_ROOM_MM = 1100.0
+_MARGIN_PX = 64
+_BANK = 6
+_BLUR_PX = 1.3
+_CHECKS_A_DEADLINE = 10
+
+_CAMERA = Intrinsics(width=WIDTH_PX, height=HEIGHT_PX, fx=288.0, fy=288.0, cx=159.5, cy=119.5)
+VIRTUAL_CALIBRATION = Calibration(
+    camera="virtual QA camera",
+    depth=_CAMERA,
+    color=_CAMERA,
+    color_from_depth=RigidTransform(rotation=np.eye(3), translation_mm=np.array([25.0, 0.0, 0.0])),
+)
+VIRTUAL_BASELINE = QaBaseline(
+    expected={
+        "camera_distance_mm": DISTANCE_MM,
+        "camera_tilt_x_deg": TILT_X_DEG,
+        "camera_tilt_y_deg": TILT_Y_DEG,
+    }
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigFaults:
+    """What is wrong with the set-up.
+
+    Attributes
+    ----------
+    offset_mm
+        Everything is nearer to the camera than it should be; the phantom since a moment after the zero was set.
+    delay_ms
+        Each frame shows what was there so long before.
+    duty_change_percent
+        The phantom is so far off its level that the beam is on for so much more of a cycle.
+    drift_mm_per_min
+        The camera's readings still change.
+    """
+
+    offset_mm: float = 0.0
+    delay_ms: float = 0.0
+    duty_change_percent: float = 0.0
+    drift_mm_per_min: float = 0.0
+
+    @property
+    def phantom_mm(self) -> float:
+        """How far the phantom is off [mm]; less is farther away, and longer inside the window."""
+        return self.offset_mm - AMPLITUDE_MM * math.sin(math.pi * self.duty_change_percent / 100.0)
+
+
+HEALTHY = RigFaults()
+
+
+def virtual_inputs(faults: RigFaults = HEALTHY, *, seed: int = 1, plate_s: float = 40.0) -> QaInputs:
+    """Make everything for a run of any kind."""
+    return QaInputs(
+        plate=virtual_plate(faults, seed=seed, seconds=plate_s),
+        phantom=virtual_phantom(faults, seed=seed),
+        beam=virtual_beam(),
+    )
+
+
+def virtual_plate(faults: RigFaults = HEALTHY, *, seed: int = 1, seconds: float = 40.0) -> PlateInput:
+    """Make a plate that lies still, seen by a camera that has warmed up."""
+
+    def height_mm(at_s: float) -> float:
+        return faults.offset_mm + faults.drift_mm_per_min * at_s / 60.0
+
+    return PlateInput(source=VirtualPlate(height_mm, seconds, seed), calibration=VIRTUAL_CALIBRATION)
+
+
+def virtual_phantom(
+    faults: RigFaults = HEALTHY,
+    *,
+    seed: int = 1,
+    periods_s: tuple[float, ...] = PERIODS_S,
+    cycles_each: int = CYCLES_EACH,
+) -> PhantomInput:
+    """Make a platform that moves as told, but for what is seeded."""
+    trace = sines(periods_s, cycles_each)
+    first_s, last_s = trace.span_s
+
+    def height_mm(at_s: float) -> float:
+        told_s = min(max(at_s - faults.delay_ms / 1000.0, first_s), last_s)
+        slid = min(max((at_s - SLIDE_S[0]) / (SLIDE_S[1] - SLIDE_S[0]), 0.0), 1.0)
+        return float(trace.at(np.array([told_s]))[0]) + slid * faults.phantom_mm
+
+    window_mm = (-60.0, LEVEL_MM)
+    return PhantomInput(
+        source=VirtualPlate(height_mm, last_s, seed),
+        calibration=VIRTUAL_CALIBRATION,
+        trace=trace,
+        window_mm=window_mm,
+        limits=GateLimits(window=amplitude_window(lower_mm=window_mm[0], upper_mm=window_mm[1]), is_played=True),
+    )
+
+
+def virtual_beam(repeats: int = 10) -> BeamInput:
+    """Make a line in memory, on a clock that goes on only where somebody waits."""
+    time = StandingTime()
+    line = SimulatedBeamLine(time.clock)
+    return BeamInput(line=line, clock=time.clock, wait_ns=time.wait_ns, repeats=repeats, watched=time.watched)
+
+
+def sines(periods_s: tuple[float, ...], cycles_each: int) -> CommandedTrace:
+    """Lay out sines between 0 and twice the amplitude, from the top, one period after the other."""
+    lengths = [LEAD_IN_S] * LEAD_INS + [period for period in periods_s for _ in range(cycles_each)]
+    ends_s = np.cumsum(lengths)
+    time_s = np.arange(0.0, ends_s[-1], TRACE_STEP_S)
+    number = np.minimum(np.searchsorted(ends_s, time_s, side="right"), len(lengths) - 1)
+    period = np.array(lengths)[number]
+    position = AMPLITUDE_MM * (1.0 + np.cos(2.0 * np.pi * (time_s - (ends_s[number] - period)) / period))
+    return CommandedTrace(time_s=time_s, position_mm=position)
+
+
+class StandingTime:
+    """A clock that stands still but where somebody waits, and a watchdog that looks while they do."""
+
+    def __init__(self) -> None:
+        self.clock = ManualClock(now_ns=NS_PER_MS)
+        self._watchdog: Watchdog | None = None
+
+    def wait_ns(self, span_ns: int) -> None:
+        """Go on by so long."""
+        self.clock.advance_ns(max(span_ns, NS_PER_US))
+        if self._watchdog is not None:
+            self._watchdog.check(self.clock.now_ns())
+
+    @contextmanager
+    def watched(self, watchdog: Watchdog) -> Iterator[None]:
+        """Let a watchdog look whenever time goes on."""
+        self._watchdog = watchdog
+        try:
+            yield
+        finally:
+            self._watchdog = None
+
+
+class VirtualPlate:
+    """Acts as `DepthSource`: a plate with four markers that is ``height_mm(t)`` nearer than it lies."""
+
+    def __init__(self, height_mm: Callable[[float], float], seconds: float, seed: int) -> None:
+        self._height_mm = height_mm
+        self._frames = int(seconds * FPS)
+        self._seed = seed
+        self._rays = Rays.of(_CAMERA)
+        self._sensor = _Sensor(seed)
+        self._next = 0
+
+    def open(self) -> SourceDescription:
+        """Begin with the first frame."""
+        self._next = 0
+        size = (WIDTH_PX, HEIGHT_PX)
+        return SourceDescription(
+            kind="virtual", name="virtual QA plate", depth_size=size, color_size=size, fps=FPS, is_live=False
+        )
+
+    def read(self, timeout_s: float) -> RgbdFrame:  # noqa: ARG002 - frames are made, not waited for
+        """Make the next frame."""
+        if self._next >= self._frames:
+            msg = "the virtual plate's frames are over"
+            raise SourceEndedError(msg)
+        index, self._next = self._next, self._next + 1
+        rng = np.random.default_rng((self._seed, 8, index))
+        at_s = index / FPS
+        if index:
+            at_s += float(rng.uniform(-0.5, 0.5)) * JITTER_US * 1e-6
+        distance_mm = DISTANCE_MM - self._height_mm(at_s)
+        timestamp_us = FIRST_US + round(at_s * 1e6)
+        return RgbdFrame(
+            index=index,
+            device_index=index,
+            timestamp_us=timestamp_us,
+            color_timestamp_us=timestamp_us,
+            received_ns=timestamp_us * NS_PER_US,
+            depth_mm=self._depth(distance_mm, rng),
+            color=self._color(distance_mm, rng),
+        )
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def _depth(self, distance_mm: float, rng: np.random.Generator) -> DepthImage:
+        x, y = self._rays.singles
+        lean_x, lean_y = _lean()
+        depth = np.float32(distance_mm) / (1.0 + np.float32(lean_x) * x + np.float32(lean_y) * y)
+        is_plate = (np.abs(depth * x) < _PLATE_HALF_MM[0]) & (np.abs(depth * y) < _PLATE_HALF_MM[1])
+        room = np.float32(_ROOM_MM) + np.float32(300.0) * x
+        return self._sensor.read(np.where(is_plate, depth, room), rng)
+
+    def _color(self, distance_mm: float, rng: np.random.Generator) -> ColorImage:
+        x, y = self._rays.singles
+        lean_x, lean_y = _lean()
+        depth = np.float32(distance_mm) / (1.0 + np.float32(lean_x) * x + np.float32(lean_y) * y)
+        away = np.float32(VIRTUAL_CALIBRATION.color_from_depth.translation_mm[0])
+        is_plate = (np.abs(depth * x - away) < _PLATE_HALF_MM[0]) & (np.abs(depth * y) < _PLATE_HALF_MM[1])
+        grey = np.where(is_plate, np.uint8(_PLATE_GREY), np.uint8(_ROOM_GREY)).astype(np.uint8)
+        picture: ColorImage = np.repeat(grey[..., None], 3, axis=2)
+        depth_mm = (distance_mm - lean_x * MARKERS_MM[:, 0] - lean_y * MARKERS_MM[:, 1])[:, None]
+        centers = np.column_stack([MARKERS_MM, depth_mm])
+        slopes = np.tile([lean_x, lean_y], (len(centers), 1))
+        pose = VIRTUAL_CALIBRATION.color_from_depth
+        stick(picture, _CAMERA, self._rays, pose, centers, slopes, np.ones(len(centers)))
+        noise = self._sensor.draw(rng)
+        return np.asarray(cv2.add(picture, cv2.merge([noise * np.float32(1.5)] * 3), dtype=cv2.CV_8U), dtype=np.uint8)
+
+
+def _lean() -> tuple[float, float]:
+    """Slopes of the plate: how much nearer it is per mm to the right, and down."""
+    return math.tan(math.radians(TILT_X_DEG)), math.tan(math.radians(TILT_Y_DEG))
+
+
+class _Sensor:
+    """The virtual volunteers' depth sensor at a quarter of the pixels, with noise drawn from a small bank of fields."""
+
+    def __init__(self, seed: int) -> None:
+        self._table = depth_table_mm()
+        rng = np.random.default_rng((seed, 3))
+        size = (HEIGHT_PX + _MARGIN_PX, WIDTH_PX + _MARGIN_PX)
+        self._bank = [_of_unit_variance(rng.standard_normal(size, dtype=np.float32)) for _ in range(_BANK)]
+        self._pattern = _of_unit_variance(rng.standard_normal((HEIGHT_PX, WIDTH_PX), dtype=np.float32), 3.0)
+
+    def read(self, depth_mm: Map, rng: np.random.Generator) -> DepthImage:
+        """Read a picture: noise, the sensor's steps, whole millimetres."""
+        shift = np.asarray(shift_of(depth_mm), dtype=np.float32)
+        shift += self._pattern * np.float32(PATTERN_SHIFTS)
+        shift += self.draw(rng) * np.float32(NOISE_SHIFTS)
+        index = np.clip(np.rint(shift), 0, SHIFTS - 1).astype(np.uint16)
+        return np.asarray(self._table[index], dtype=np.uint16)
+
+    def draw(self, rng: np.random.Generator) -> Map:
+        """Return two fields of the bank, added at places of their own; of unit variance."""
+        total = np.zeros((HEIGHT_PX, WIDTH_PX), np.float32)
+        for number in rng.choice(_BANK, 2, replace=False):
+            top, left = rng.integers(0, _MARGIN_PX + 1, 2)
+            sign = np.float32(math.copysign(math.sqrt(0.5), rng.uniform(-1.0, 1.0)))
+            total += sign * self._bank[number][top : top + HEIGHT_PX, left : left + WIDTH_PX]
+        return total
+
+
+def _of_unit_variance(field: Map, blur_px: float = _BLUR_PX) -> Map:
+    blurred = blur(field, blur_px)
+    return np.asarray(blurred / blurred.std(), dtype=np.float32)
