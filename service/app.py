@@ -9,7 +9,7 @@ from fastapi.staticfiles import StaticFiles
 from starlette.middleware import Middleware
 
 from engine import __version__
-from service.api import audit, calibrations, devices, health, interlocks, metrics, models, sessions
+from service.api import audit, calibrations, devices, health, interlocks, metrics, models, qa, sessions
 from service.deps import require_json
 from service.engine_adapter import EngineAdapter
 from service.lifespan import make_lifespan
@@ -17,6 +17,8 @@ from service.middleware import Doorway
 from service.openapi import describe_problems
 from service.ports import EnginePort
 from service.problem_handlers import install_problem_handlers
+from service.qa.ports import QaRig
+from service.qa.rig import EngineRig
 from service.settings import Settings
 from service.ws import live
 
@@ -27,7 +29,11 @@ UTC; motion is positive towards the camera (inhale). Errors are RFC 9457 problem
 `value` and `bound` where one was broken. This version has no users and passwords: keep it on this machine."""
 
 
-def create_app(settings: Settings, make_engine: Callable[[Settings], EnginePort] = EngineAdapter) -> FastAPI:
+def create_app(
+    settings: Settings,
+    make_engine: Callable[[Settings], EnginePort] = EngineAdapter,
+    make_rig: Callable[[Settings], QaRig] = EngineRig,
+) -> FastAPI:
     """Make the application; nothing is opened before its lifespan begins."""
     app = FastAPI(
         title="Tidegate",
@@ -37,7 +43,7 @@ def create_app(settings: Settings, make_engine: Callable[[Settings], EnginePort]
         openapi_url="/api/v1/openapi.json",
         docs_url=None,
         redoc_url=None,
-        lifespan=make_lifespan(settings, make_engine),
+        lifespan=make_lifespan(settings, make_engine, make_rig),
         middleware=[Middleware(Doorway, host_names=settings.host_names, max_body_bytes=settings.max_body_bytes)],
     )
     install_problem_handlers(app)
@@ -45,7 +51,7 @@ def create_app(settings: Settings, make_engine: Callable[[Settings], EnginePort]
     app.include_router(health.router)
     app.include_router(metrics.router)
     api = APIRouter(prefix="/api/v1", dependencies=[Depends(require_json)])
-    for module in (sessions, models, calibrations, devices, interlocks, audit):
+    for module in (sessions, models, calibrations, devices, interlocks, audit, qa):
         api.include_router(module.router)
     app.include_router(api)
     app.include_router(live.router, prefix="/api/v1")

@@ -8,6 +8,7 @@ from starlette.requests import HTTPConnection
 
 from service import ports
 from service.errors import MediaTypeError
+from service.qa.ports import QaBookPort, QaDeskPort
 from service.schema_base import Identifier, Name
 
 
@@ -24,6 +25,8 @@ class Services:
     interlocks: ports.InterlocksPort
     metrics: ports.MetricsPort
     engine: ports.EnginePort
+    qa_desk: QaDeskPort
+    qa_book: QaBookPort
 
 
 def services(connection: HTTPConnection) -> Services:
@@ -43,7 +46,7 @@ MEDIA_OF = {"calibration.upload": CALIBRATION_MEDIA}
 
 def require_json(request: Request) -> None:
     """Refuse a body that is not JSON by its Content-Type: a form of a foreign page could post it otherwise."""
-    if request.method != "POST":
+    if request.method not in {"POST", "PUT"}:
         return
     allowed = MEDIA_OF.get(getattr(request.scope.get("route"), "name", ""), ("application/json",))
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()

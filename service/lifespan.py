@@ -19,6 +19,10 @@ from service.metrics import Metrics
 from service.model_store import ModelStore
 from service.motion_models import ModelShelf
 from service.ports import EnginePort
+from service.qa.book import QaBook
+from service.qa.desk import QaDesk
+from service.qa.ports import QaRig
+from service.qa.under_way import UnderWay
 from service.readiness import ReadinessProbe
 from service.room import Room
 from service.runner import SessionRunner
@@ -37,26 +41,34 @@ class _House:
 
     services: Services
     runner: SessionRunner
+    qa_desk: QaDesk
     log: AuditLog
     database: Database
 
+    def hold_and_close_session(self) -> None:
+        """Hold the beam, whoever has it, and end what goes on."""
+        try:
+            self.runner.shut_down()
+        finally:
+            self.qa_desk.shut_down()
+
     def close(self) -> None:
         """Hold the beam first, then write down and close."""
-        self.runner.shut_down()
+        self.hold_and_close_session()
         self.log.write(Event(actor=SYSTEM, action="service.stop"))
         self.database.close()
 
 
 def make_lifespan(
-    settings: Settings, make_engine: Callable[[Settings], EnginePort]
+    settings: Settings, make_engine: Callable[[Settings], EnginePort], make_rig: Callable[[Settings], QaRig]
 ) -> Callable[[FastAPI], AbstractAsyncContextManager[None]]:
     """Make the application's lifespan."""
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        house = await anyio.to_thread.run_sync(_open, settings, make_engine(settings))
+        house = await anyio.to_thread.run_sync(_open, settings, make_engine(settings), make_rig(settings))
         app.state.services = house.services
-        app.state.hold_and_close_session = house.runner.shut_down
+        app.state.hold_and_close_session = house.hold_and_close_session
         app.state.live = LiveStream(max_clients=settings.max_live_clients, allowed_origins=settings.allowed_origins)
         try:
             yield
@@ -67,7 +79,7 @@ def make_lifespan(
     return lifespan
 
 
-def _open(settings: Settings, engine: EnginePort) -> _House:
+def _open(settings: Settings, engine: EnginePort, rig: QaRig) -> _House:
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     database = Database(settings.data_dir / DATABASE_NAME)
     database.migrate()
@@ -84,6 +96,9 @@ def _open(settings: Settings, engine: EnginePort) -> _House:
         settings=settings,
         tallies=tallies,
     )
+    under_way = UnderWay()
+    qa_desk = QaDesk(database=database, log=log, settings=settings, room=room, rig=rig, under_way=under_way)
+    qa_book = QaBook(database, log, settings, under_way)
     services = Services(
         sessions=book,
         runner=runner,
@@ -94,10 +109,13 @@ def _open(settings: Settings, engine: EnginePort) -> _House:
         interlocks=InterlockTable(settings),
         metrics=Metrics(tallies, room),
         engine=engine,
+        qa_desk=qa_desk,
+        qa_book=qa_book,
     )
     log.write(Event(actor=SYSTEM, action="service.start", detail=_start_detail(settings, engine)))
     book.close_interrupted()
-    return _House(services=services, runner=runner, log=log, database=database)
+    qa_book.close_interrupted()
+    return _House(services=services, runner=runner, qa_desk=qa_desk, log=log, database=database)
 
 
 def _start_detail(settings: Settings, engine: EnginePort) -> dict[str, object]:

@@ -41,7 +41,7 @@ def _answer_refused(request: Request, error: Exception) -> JSONResponse:
     """Answer what was refused before any service was asked, so that none has audited it."""
     problem = problem_of(error)
     action = getattr(request.scope.get("route"), "name", None)
-    if request.method == "POST" and action is not None and "." in action:
+    if request.method in {"POST", "PUT"} and action is not None and "." in action:
         services(request).audit.refused(
             actor=_actor(request, error), action=action, session_id=_session_id(request), problem=problem
         )

@@ -7,6 +7,8 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from service import schemas
 from service.db.engine import Database
+from service.errors import QaOverdueError
+from service.qa.requirement import refuse_without_qa
 from service.settings import Settings
 
 MIB = 1024 * 1024
@@ -21,7 +23,7 @@ class ReadinessProbe:
 
     def readiness(self) -> schemas.Readiness:
         """Say what is missing, if anything."""
-        missing = [*self._database_trouble(), *self._disk_trouble(), *self._folder_trouble()]
+        missing = [*self._database_trouble(), *self._disk_trouble(), *self._folder_trouble(), *self._qa_trouble()]
         return schemas.Readiness(is_ready=not missing, not_ready=missing)
 
     def _database_trouble(self) -> list[str]:
@@ -36,6 +38,15 @@ class ReadinessProbe:
         free_mb = shutil.disk_usage(self._settings.data_dir).free / MIB
         if free_mb < self._settings.min_free_disk_mb:
             return [f"only {free_mb:.0f} MiB of disk are free, {self._settings.min_free_disk_mb:g} are needed"]
+        return []
+
+    def _qa_trouble(self) -> list[str]:
+        try:
+            refuse_without_qa(self._database, self._settings)
+        except QaOverdueError as error:
+            return [str(error)]
+        except SQLAlchemyError:
+            return []  # told as the database's own trouble
         return []
 
     def _folder_trouble(self) -> list[str]:

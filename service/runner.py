@@ -46,6 +46,7 @@ from service.live_view import live_sample
 from service.model_store import ModelStore, origin_of
 from service.played_beam import described_source
 from service.ports import CommandName, EnginePort, LiveFrame, Picture, RunningEngine, SessionPlan
+from service.qa.requirement import refuse_without_qa
 from service.recordings import find_recording
 from service.room import Room, Running
 from service.sessions import SOURCE, SessionBook, session_answer
@@ -114,6 +115,9 @@ class SessionRunner:
 
     def command(self, session_id: str, name: CommandName, operator: str) -> schemas.SessionDetail:
         """Ask the engine; answers when it has done or refused it."""
+        if name == "arm":
+            with self._log.refusals(actor=operator, action="session.arm", session_id=session_id):
+                refuse_without_qa(self._database, self._settings)
         self._ask(session_id, COMMANDS[name](operator), operator, f"session.{name}")
         return self._book.detail(session_id)
 

@@ -9,14 +9,14 @@ from sqlalchemy.orm import Session
 
 from service import schemas
 from service.db.base import UtcTime, utc_text
-from service.db.models import AuditRow, CalibrationRow, ModelRow, SampleRow, SessionRow
+from service.db.models import AuditRow, CalibrationRow, ModelRow, QaRunRow, SampleRow, SessionRow
 from service.errors import BoundError, NotFoundError
 
 OPEN_STATUSES = ("created", "running")
 CSV_PIECE = 1000
 TRANSITION = "gate.transition"
 RowT = TypeVar("RowT")
-DatedT = TypeVar("DatedT", SessionRow, CalibrationRow)
+DatedT = TypeVar("DatedT", SessionRow, CalibrationRow, QaRunRow)
 
 
 def session_row(db: Session, session_id: str) -> SessionRow:
@@ -58,12 +58,12 @@ def running_sessions(db: Session) -> Sequence[SessionRow]:
 
 def session_page(db: Session, cursor: str | None, limit: int) -> tuple[Sequence[SessionRow], str | None]:
     """List sessions, newest first."""
-    return _newest_first(db, SessionRow, cursor, limit)
+    return newest_first(db, SessionRow, cursor, limit)
 
 
 def calibration_page(db: Session, cursor: str | None, limit: int) -> tuple[Sequence[CalibrationRow], str | None]:
     """List calibrations, newest first."""
-    return _newest_first(db, CalibrationRow, cursor, limit)
+    return newest_first(db, CalibrationRow, cursor, limit)
 
 
 def model_page(db: Session, session_id: str, cursor: str | None, limit: int) -> tuple[Sequence[ModelRow], str | None]:
@@ -138,9 +138,10 @@ def _latency_ms(db: Session, session_id: str, frames: int, share: float) -> floa
     return None if value is None else value / 1e6
 
 
-def _newest_first(
+def newest_first(
     db: Session, kind: type[DatedT], cursor: str | None, limit: int
 ) -> tuple[Sequence[DatedT], str | None]:
+    """List rows that have a creation time, newest first."""
     query = select(kind).order_by(kind.created_at.desc(), kind.id.desc())
     if cursor is not None:
         created_at, _, row_id = cursor.partition("_")

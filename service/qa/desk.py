@@ -1,0 +1,192 @@
+"""QA runs under way: begun on a thread of their own, one at a time, never beside a session; cancelled line first."""
+
+import threading
+import uuid
+
+from sqlalchemy.orm import Session
+
+from engine.calibration import Calibration, parse_calibration
+from engine.qa.results import QaKind
+from service import audit
+from service.audit import Event
+from service.audit_log import AuditLog
+from service.db import repository
+from service.db.engine import Database
+from service.errors import BoundError, QaStateError
+from service.idempotency import earlier_answer, keep_answer
+from service.ports import Kept
+from service.qa import records, schemas, views
+from service.qa.jobs import Handle, QaJob, carry_out
+from service.qa.ports import QaFiles, QaRig
+from service.qa.records import QaBegin, QaOutcome
+from service.qa.under_way import Current, UnderWay
+from service.recordings import find_recording
+from service.room import Room
+from service.settings import Settings
+from service.uncalibrated import check_still_allowed
+
+CANCEL = "qa.cancel"
+JOIN_S = 10.0
+
+
+class QaDesk:
+    """Begins and cancels runs."""
+
+    def __init__(
+        self,
+        *,
+        database: Database,
+        log: AuditLog,
+        settings: Settings,
+        room: Room,
+        rig: QaRig,
+        under_way: UnderWay,
+    ) -> None:
+        self._database = database
+        self._log = log
+        self._settings = settings
+        self._room = room
+        self._rig = rig
+        self._under_way = under_way
+        self._thread: threading.Thread | None = None
+
+    def start(self, request: schemas.QaRunRequest, key: str | None) -> Kept[schemas.QaRun]:
+        """Begin a run; refused while a session or another run has camera and line."""
+        body = audit.canonical_json(request.model_dump(mode="json")).encode()
+        with self._log.refusals(actor=request.operator, action=records.START):
+            with self._database.read() as db:
+                earlier = earlier_answer(db, records.START, key, body, schemas.QaRun)
+                if earlier is not None:
+                    return Kept(answer=earlier, is_replay=True)
+                check_word(request, self._settings)
+                calibration = self._calibration(db, request)
+            files = self._files(request)
+            job = self._rig.job(request, files, calibration)
+            run_id = uuid.uuid4().hex
+            self._room.enter_qa(run_id)
+            try:
+                answer = self._begin(request, key, body, run_id, job, calibration)
+            except BaseException:
+                self._under_way.current = None
+                self._room.leave_qa(run_id)
+                raise
+        return Kept(answer=answer, is_replay=False)
+
+    def cancel(self, run_id: str, operator: str) -> schemas.QaRun:
+        """Hold the line, then end the run."""
+        current = self._under_way.current
+        if current is not None and current.run_id == run_id:
+            current.handle.cancel(operator)  # before anything is looked up or written
+        with self._log.refusals(actor=operator, action=CANCEL, detail={"run_id": run_id}):
+            if current is None or current.run_id != run_id:
+                with self._database.read() as db:
+                    raise _over(self._under_way.run_answer(db, records.run_row(db, run_id)).status)
+        self._log.write(Event(actor=operator, action=CANCEL, detail={"run_id": run_id}))
+        self._join()
+        with self._database.read() as db:
+            return self._under_way.run_answer(db, records.run_row(db, run_id))
+
+    def shut_down(self) -> None:
+        """Hold the line, then end the run: on the service's way out."""
+        current = self._under_way.current
+        if current is not None:
+            current.handle.cancel(audit.SYSTEM)
+            self._join()
+
+    def _begin(
+        self,
+        request: schemas.QaRunRequest,
+        key: str | None,
+        body: bytes,
+        run_id: str,
+        job: QaJob,
+        calibration: Calibration | None,
+    ) -> schemas.QaRun:
+        """Write down that the run begins, then begin it."""
+        handle = Handle(job.line)
+        run = qa_begin(request, self._settings, run_id=run_id, calibration=calibration)
+        with self._database.write() as db:
+            row = records.begin(db, run)
+            answer = views.run_answer(db, row, is_under_way=True)
+            keep_answer(db, records.START, key, body, answer)
+            baseline = job.own_baseline or records.baseline_of(records.newest_baseline(db))
+        self._under_way.current = Current(run_id=run_id, handle=handle)
+
+        def work() -> None:
+            carry_out(
+                job, handle, bounds=run.bounds, baseline=baseline, on_end=lambda outcome: self._end(run_id, outcome)
+            )
+
+        self._thread = threading.Thread(target=work, name="qa", daemon=True)
+        self._thread.start()
+        return answer
+
+    def _end(self, run_id: str, outcome: QaOutcome) -> None:
+        try:
+            with self._database.write() as db:
+                records.end(db, run_id, outcome)
+        finally:
+            self._under_way.current = None
+            self._room.leave_qa(run_id)
+
+    def _join(self) -> None:
+        thread = self._thread
+        if thread is not None:
+            thread.join(JOIN_S)
+
+    def _calibration(self, db: Session, request: schemas.QaRunRequest) -> Calibration | None:
+        if request.calibration_id is None:
+            return None
+        calibration = parse_calibration(repository.calibration_row(db, request.calibration_id).document.encode())
+        check_still_allowed(calibration, self._settings)
+        return calibration
+
+    def _files(self, request: schemas.QaRunRequest) -> QaFiles:
+        plate, phantom, folders = request.plate, request.phantom, self._settings.recording_folders
+        found = {}
+        for name, part in (("plate", plate), ("phantom", phantom)):
+            if part is not None and isinstance(part.source, schemas.QaRecording):
+                found[name] = find_recording(part.source.path, folders, f"{name}.source.path")
+        if phantom is not None:
+            found["trace"] = find_recording(phantom.trace, folders, "phantom.trace")
+        return QaFiles(**found)
+
+
+def check_word(request: schemas.QaRunRequest, settings: Settings) -> None:
+    """Refuse a run that would permit a real beam without the operator's word, and a simulated one in clinical mode."""
+    if request.is_simulated and settings.mode == "clinical":
+        bound = "left out: in clinical mode nothing is simulated"
+        msg = f"simulation must be {bound}"
+        raise BoundError(msg, field="simulation", value="given", bound=bound)
+    if settings.has_real_beam and not request.is_simulated and not request.is_beam_safe:
+        bound = (
+            f"true: the drills permit the real beam ({' and '.join(settings.beam_lines)}), outside of any gating. Say "
+            "so when nobody is in the room and the accelerator is made safe"
+        )
+        msg = f"is_beam_safe must be {bound}"
+        raise BoundError(msg, field="is_beam_safe", value=request.is_beam_safe, bound=bound)
+
+
+def qa_begin(
+    request: schemas.QaRunRequest, settings: Settings, *, run_id: str, calibration: Calibration | None
+) -> QaBegin:
+    """Return what is written down of a run that begins."""
+    told = request.model_dump(mode="json", exclude_none=True, exclude={"operator", "kind"})
+    if calibration is not None:
+        told |= {"calibration_sha256": calibration.sha256, "camera": calibration.camera}
+    return QaBegin(
+        run_id=run_id,
+        kind=QaKind(request.kind),
+        operator=request.operator,
+        request=told,
+        site=settings.site_name,
+        machine=settings.machine_name,
+        bounds=settings.qa_bounds,
+        is_simulated=request.is_simulated,
+        is_simulated_beam=settings.is_simulated_beam or request.is_simulated,
+    )
+
+
+def _over(status: str) -> QaStateError:
+    msg = f"the QA run is {status}: there is nothing to cancel"
+    return QaStateError(msg, field="status", value=status, bound="running")

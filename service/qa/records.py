@@ -1,0 +1,234 @@
+"""QA runs in the database: begun, ended, read back, and what became of a check over time.
+
+Each function takes the session it runs in. Nothing that was written is changed: how a run ended is a row of its own.
+"""
+
+import hashlib
+import json
+import math
+import uuid
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+
+from sqlalchemy import literal, select, tuple_
+from sqlalchemy.orm import Session
+
+from engine import __version__
+from engine.qa.bounds import QaBaseline, QaBounds
+from engine.qa.checks import checks_of
+from engine.qa.results import QaKind, QaReport, QaResult
+from service import audit
+from service.audit import Event
+from service.db import repository
+from service.db.base import UtcTime
+from service.db.models import QaBaselineRow, QaOutcomeRow, QaResultRow, QaRunRow
+from service.errors import NotFoundError
+
+START, END, BASELINE = "qa.start", "qa.end", "qa.baseline"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QaBegin:
+    """A run that begins: who, what, with what, where."""
+
+    kind: QaKind
+    operator: str
+    request: Mapping[str, object]
+    site: str
+    machine: str
+    bounds: QaBounds
+    is_simulated: bool
+    is_simulated_beam: bool
+    run_id: str = field(default_factory=lambda: uuid.uuid4().hex)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class QaOutcome:
+    """How a run ended: ``finished`` with a report, or ``cancelled`` or ``failed`` without."""
+
+    status: str
+    detail: str = ""
+    report: QaReport | None = None
+
+
+def begin(db: Session, run: QaBegin) -> QaRunRow:
+    """Write down that a run begins, and audit it; the site's baseline says nothing of a virtual camera."""
+    newest = None if run.is_simulated else newest_baseline(db)
+    row = QaRunRow(
+        id=run.run_id,
+        kind=run.kind.value,
+        operator=run.operator,
+        site=run.site,
+        machine=run.machine,
+        request=audit.canonical_json(run.request),
+        is_simulated=run.is_simulated,
+        is_simulated_beam=run.is_simulated_beam,
+        bounds=audit.canonical_json({check.code: asdict(run.bounds.of(check.code)) for check in checks_of(run.kind)}),
+        baseline_number=None if newest is None else newest.number,
+        software=__version__,
+        created_at=datetime.now(UTC),
+    )
+    db.add(row)
+    db.flush()
+    detail: dict[str, object] = {
+        "run_id": row.id,
+        "kind": row.kind,
+        "request": run.request,
+        "baseline_number": row.baseline_number,
+    }
+    detail |= {"is_simulated": run.is_simulated, "is_simulated_beam": run.is_simulated_beam}
+    audit.append(db, Event(actor=run.operator, action=START, detail=detail))
+    return row
+
+
+def end(db: Session, run_id: str, outcome: QaOutcome) -> None:
+    """Write down how a run ended, check by check, and audit it with the hash of its results."""
+    run = run_row(db, run_id)
+    report = outcome.report
+    rows = [] if report is None else [_result(run_id, number, one) for number, one in enumerate(report.results)]
+    db.add_all(rows)
+    db.flush()
+    sha256 = results_sha256(rows)
+    verdict = None if report is None else report.verdict.value
+    series = [] if report is None else [asdict(one) for one in report.series]
+    db.add(
+        QaOutcomeRow(
+            run_id=run_id,
+            status=outcome.status,
+            status_detail=outcome.detail,
+            verdict=verdict,
+            series=json.dumps(series, allow_nan=False, separators=(",", ":")),
+            sha256=sha256,
+            ended_at=datetime.now(UTC),
+        )
+    )
+    detail = {
+        "run_id": run_id,
+        "kind": run.kind,
+        "status": outcome.status,
+        "detail": outcome.detail,
+        "verdict": verdict,
+        "results_sha256": sha256,
+        "is_simulated": run.is_simulated,
+        "not_passed": {row.code: row.verdict for row in rows if row.verdict != "pass"},
+    }
+    done: audit.Outcome = "done" if outcome.status == "finished" else "failed"
+    audit.append(db, Event(actor=run.operator, action=END, outcome=done, detail=detail))
+
+
+def results_sha256(rows: Sequence[QaResultRow]) -> str:
+    """Hash results as they were written."""
+    content = [
+        [row.code, row.value, row.expected, row.deviation, row.uncertainty, row.warn, row.fail, row.verdict, row.detail]
+        for row in rows
+    ]
+    return hashlib.sha256(audit.canonical_json(content).encode()).hexdigest()
+
+
+def run_row(db: Session, run_id: str) -> QaRunRow:
+    """Find a run, or raise NotFoundError."""
+    row = db.get(QaRunRow, run_id)
+    if row is None:
+        msg = "there is no such QA run"
+        raise NotFoundError(msg, field="run_id", value=run_id)
+    return row
+
+
+def outcome_row(db: Session, run_id: str) -> QaOutcomeRow | None:
+    """Find how a run ended; None while it has not."""
+    return db.get(QaOutcomeRow, run_id)
+
+
+def result_rows(db: Session, run_id: str) -> Sequence[QaResultRow]:
+    """Read a run's results in the order of the report."""
+    query = select(QaResultRow).where(QaResultRow.run_id == run_id)
+    return db.scalars(query.order_by(QaResultRow.position)).all()
+
+
+def run_page(db: Session, cursor: str | None, limit: int) -> tuple[Sequence[QaRunRow], str | None]:
+    """List runs, newest first."""
+    return repository.newest_first(db, QaRunRow, cursor, limit)
+
+
+def unended_runs(db: Session) -> Sequence[QaRunRow]:
+    """Return runs of which nobody has written how they ended."""
+    ended = select(QaOutcomeRow.run_id)
+    return db.scalars(select(QaRunRow).where(QaRunRow.id.not_in(ended))).all()
+
+
+def newest_run(db: Session, kinds: Sequence[str]) -> QaRunRow | None:
+    """Return the newest run of these kinds, however it ended; simulated ones count for nothing."""
+    query = select(QaRunRow).where(QaRunRow.kind.in_(kinds), QaRunRow.is_simulated.is_(False))
+    return db.scalars(query.order_by(QaRunRow.created_at.desc(), QaRunRow.id.desc()).limit(1)).first()
+
+
+def trend_rows(
+    db: Session, code: str, limit: int, *, before: QaRunRow | None = None
+) -> list[tuple[QaRunRow, QaResultRow]]:
+    """Read a check's newest results, oldest first; none of simulated runs, none newer than ``before``."""
+    query = select(QaRunRow, QaResultRow).join(QaResultRow, QaResultRow.run_id == QaRunRow.id)
+    query = query.join(QaOutcomeRow, QaOutcomeRow.run_id == QaRunRow.id)
+    query = query.where(QaResultRow.code == code)
+    if before is None or not before.is_simulated:
+        query = query.where(QaRunRow.is_simulated.is_(False))
+    if before is not None:
+        newest = tuple_(literal(before.created_at, UtcTime), literal(before.id))
+        query = query.where(tuple_(QaRunRow.created_at, QaRunRow.id) <= newest)
+    rows = db.execute(query.order_by(QaRunRow.created_at.desc(), QaRunRow.id.desc()).limit(limit)).all()
+    return [(run, result) for run, result in reversed(rows)]
+
+
+def newest_baseline(db: Session) -> QaBaselineRow | None:
+    """Return the baseline that holds."""
+    return db.scalars(select(QaBaselineRow).order_by(QaBaselineRow.number.desc()).limit(1)).first()
+
+
+def baseline_rows(db: Session) -> Sequence[QaBaselineRow]:
+    """Return every baseline there was, newest first."""
+    return db.scalars(select(QaBaselineRow).order_by(QaBaselineRow.number.desc())).all()
+
+
+def baseline_of(row: QaBaselineRow | None) -> QaBaseline:
+    """Return a baseline as the engine has it."""
+    return QaBaseline(expected={} if row is None else json.loads(row.expected))
+
+
+def fix_baseline(db: Session, expected: Mapping[str, float], *, operator: str, reason: str) -> QaBaselineRow:
+    """Add a baseline: what is not in ``expected`` keeps what it was; audited with what was before."""
+    before = newest_baseline(db)
+    earlier = dict(baseline_of(before).expected)
+    fixed = QaBaseline(expected={**earlier, **expected})
+    row = QaBaselineRow(
+        number=1 if before is None else before.number + 1,
+        expected=audit.canonical_json(dict(fixed.expected)),
+        set_by=operator,
+        reason=reason,
+        created_at=datetime.now(UTC),
+    )
+    db.add(row)
+    db.flush()
+    detail = {"number": row.number, "expected": dict(fixed.expected), "before": earlier, "reason": reason}
+    audit.append(db, Event(actor=operator, action=BASELINE, detail=detail))
+    return row
+
+
+def _result(run_id: str, position: int, result: QaResult) -> QaResultRow:
+    return QaResultRow(
+        run_id=run_id,
+        position=position,
+        code=result.code,
+        value=_finite(result.value),
+        unit=result.unit,
+        expected=_finite(result.expected),
+        deviation=_finite(result.deviation),
+        uncertainty=_finite(result.uncertainty),
+        warn=result.warn,
+        fail=result.fail,
+        verdict=result.verdict.value,
+        detail=result.detail,
+    )
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None

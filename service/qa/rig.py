@@ -1,0 +1,138 @@
+"""What a QA run measures with: recordings or a camera, the calibration, and the site's beam line.
+
+Nothing is opened here: the run opens what it needs and closes it.
+"""
+
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+from engine.calibration import Calibration
+from engine.capture.oni_file import OniFileSource
+from engine.capture.openni import OpenNiSource, list_devices
+from engine.capture.source import DepthSource
+from engine.clock import NS_PER_S, Clock, MonotonicClock
+from engine.errors import SourceLostError
+from engine.limits import GateLimits
+from engine.pipeline import PipelineSettings
+from engine.qa.bounds import QaBaseline, QaBounds
+from engine.qa.inputs import BeamInput, PhantomInput, PlateInput, QaInputs
+from engine.qa.results import QaKind, QaReport
+from engine.qa.rig import VIRTUAL_BASELINE, RigFaults, virtual_inputs
+from engine.qa.run import Progress, run_qa
+from engine.qa.trace import read_commanded
+from engine.windows import amplitude_window
+from service.beam_lines import make_beam_line
+from service.qa.line import GuardedLine
+from service.qa.ports import QaFiles
+from service.qa.schemas import QaPhantom, QaPlate, QaRunRequest, QaSimulation
+from service.settings import Settings
+
+DWELL_MS = 100.0
+"""As a session's is unless the site asks for more."""
+
+
+class EngineJob:
+    """A run of the engine's."""
+
+    def __init__(
+        self, kind: QaKind, inputs: QaInputs, line: GuardedLine, *, own_baseline: QaBaseline | None = None
+    ) -> None:
+        self._kind = kind
+        self._inputs = inputs
+        self.line = line
+        self.own_baseline = own_baseline
+
+    def run(self, *, bounds: QaBounds, baseline: QaBaseline, on_progress: Progress) -> QaReport:
+        """Measure and judge."""
+        return run_qa(self._kind, self._inputs, bounds=bounds, baseline=baseline, on_progress=on_progress)
+
+
+class EngineRig:
+    """Makes the engine's runs from a site's settings."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._clock: Clock = MonotonicClock()
+
+    def job(self, request: QaRunRequest, files: QaFiles, calibration: Calibration | None) -> EngineJob:
+        """Put a run together; raise a TidegateError naming what cannot be used."""
+        kind = QaKind(request.kind)
+        if request.simulation is not None:
+            return virtual_job(kind, request.simulation)
+        line = GuardedLine(make_beam_line(self._settings, self._clock))
+        inputs = QaInputs(
+            plate=None if request.plate is None else self._plate(request.plate, files, _given(calibration)),
+            phantom=None if request.phantom is None else self._phantom(request.phantom, files, _given(calibration)),
+            beam=BeamInput(
+                line=line,
+                clock=self._clock,
+                wait_ns=_wait_ns,
+                pulse_ms=request.beam.pulse_ms,
+                repeats=request.beam.repeats,
+            ),
+        )
+        inputs.check(kind)
+        return EngineJob(kind, inputs, line)
+
+    def _plate(self, plate: QaPlate, files: QaFiles, calibration: Calibration) -> PlateInput:
+        return PlateInput(
+            source=self._source(files.plate, getattr(plate.source, "uri", None), calibration),
+            calibration=calibration,
+            part=plate.part,
+            seconds=plate.seconds,
+        )
+
+    def _phantom(self, phantom: QaPhantom, files: QaFiles, calibration: Calibration) -> PhantomInput:
+        assert files.trace is not None, "a phantom has a trace"
+        lower, upper = phantom.window_lower_mm, phantom.window_upper_mm
+        return PhantomInput(
+            source=self._source(files.phantom, getattr(phantom.source, "uri", None), calibration),
+            calibration=calibration,
+            trace=read_commanded(files.trace),
+            window_mm=(lower, upper),
+            limits=self._limits(lower, upper),
+            settings=PipelineSettings(training=self._settings.training, likeness=self._settings.likeness),
+            starts_us=phantom.starts_us,
+            seconds=phantom.seconds,
+        )
+
+    def _limits(self, lower_mm: float, upper_mm: float) -> GateLimits:
+        site = self._settings
+        return GateLimits(
+            window=amplitude_window(lower_mm=lower_mm, upper_mm=upper_mm),
+            dwell_ms=max(site.min_dwell_ms, DWELL_MS),
+            min_on_ms=site.min_on_ms,
+            min_off_ms=site.min_off_ms,
+            max_cycles_per_min=site.max_cycles_per_min,
+            **site.gate_limits,
+        )
+
+    def _source(self, recording: Path | None, uri: str | None, calibration: Calibration) -> DepthSource:
+        if recording is not None:
+            return OniFileSource(recording, clock=self._clock)
+        found = [device.uri for device in list_devices()]
+        if not found or (uri is not None and uri not in found):
+            msg = "the OpenNI2 runtime sees no such camera"
+            raise SourceLostError(msg)
+        is_registered = calibration.is_device_registration
+        return OpenNiSource(uri or found[0], clock=self._clock, use_device_registration=is_registered)
+
+
+def virtual_job(kind: QaKind, simulation: QaSimulation) -> EngineJob:
+    """Put a virtual run together, on a beam line in memory whatever the site's is."""
+    faults = RigFaults(**simulation.faults.model_dump())
+    inputs = virtual_inputs(faults, seed=simulation.seed)
+    assert inputs.beam is not None, "a virtual set-up has a line"
+    line = GuardedLine(inputs.beam.line)
+    guarded = replace(inputs, beam=replace(inputs.beam, line=line))
+    return EngineJob(kind, guarded, line, own_baseline=VIRTUAL_BASELINE)
+
+
+def _given(calibration: Calibration | None) -> Calibration:
+    assert calibration is not None, "a request with a plate or a phantom has a calibration"
+    return calibration
+
+
+def _wait_ns(span_ns: int) -> None:
+    threading.Event().wait(span_ns / NS_PER_S)

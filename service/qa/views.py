@@ -1,0 +1,112 @@
+"""Rows of QA as answers."""
+
+import json
+
+from sqlalchemy.orm import Session
+
+from engine.qa.checks import CHECKS, check_of
+from engine.qa.results import QaCheck, QaNeed
+from service.beam_settings import PREFIX
+from service.db.models import QaBaselineRow, QaResultRow, QaRunRow
+from service.qa import records, schemas
+from service.qa_settings import QaSettings, setting_of
+
+Progress = tuple[QaNeed, int, int | None]
+
+
+def run_answer(db: Session, row: QaRunRow, *, is_under_way: bool, progress: Progress | None = None) -> schemas.QaRun:
+    """Tell a run as it stands; one that is not under way and has no end was interrupted."""
+    outcome = records.outcome_row(db, row.id)
+    status, detail = ("interrupted", "the program ended while this run went on")
+    if outcome is not None:
+        status, detail = outcome.status, outcome.status_detail
+    elif is_under_way:
+        status, detail = "running", ""
+    told = None if progress is None or outcome is not None else progress
+    return schemas.QaRun.model_validate(
+        {
+            **{name: getattr(row, name) for name in ("id", "kind", "operator", "site", "machine", "software")},
+            **{name: getattr(row, name) for name in ("is_simulated", "is_simulated_beam", "created_at")},
+            "status": status,
+            "status_detail": detail,
+            "verdict": None if outcome is None else outcome.verdict,
+            "ended_at": None if outcome is None else outcome.ended_at,
+            "progress": None if told is None else {"stage": told[0].value, "done": told[1], "total": told[2]},
+        }
+    )
+
+
+def run_detail(
+    db: Session, row: QaRunRow, *, is_under_way: bool, progress: Progress | None = None
+) -> schemas.QaRunDetail:
+    """Tell a run with every check and what its plots show."""
+    run = run_answer(db, row, is_under_way=is_under_way, progress=progress)
+    outcome = records.outcome_row(db, row.id)
+    request = json.loads(row.request)
+    return schemas.QaRunDetail.model_validate(
+        {
+            **run.model_dump(),
+            "note": request.get("note", ""),
+            "calibration_sha256": request.get("calibration_sha256"),
+            "baseline_number": row.baseline_number,
+            "results": [result_answer(one) for one in records.result_rows(db, row.id)],
+            "series": [] if outcome is None else json.loads(outcome.series),
+            "sha256": None if outcome is None else outcome.sha256,
+        }
+    )
+
+
+def result_answer(row: QaResultRow) -> schemas.QaResult:
+    """Tell a judged check; its title is today's, its figures and bounds are those of the day."""
+    check = check_of(row.code)
+    names = schemas.QaResult.model_fields.keys() - {"title", "sidedness"}
+    told = {name: getattr(row, name) for name in names}
+    return schemas.QaResult.model_validate({**told, "title": check.title, "sidedness": check.sidedness.value})
+
+
+def trend_answer(db: Session, code: str, limit: int, *, before: QaRunRow | None = None) -> schemas.QaTrend:
+    """Tell a check over the newest runs, oldest first."""
+    check = check_of(code)
+    same = ("value", "expected", "deviation", "warn", "fail", "verdict")
+    points = [
+        {"run_id": run.id, "kind": run.kind, "at": run.created_at, **{name: getattr(one, name) for name in same}}
+        for run, one in records.trend_rows(db, code, limit, before=before)
+    ]
+    return schemas.QaTrend.model_validate(
+        {"check": code, "title": check.title, "unit": check.unit, "sidedness": check.sidedness.value, "items": points}
+    )
+
+
+def check_list(settings: QaSettings) -> schemas.QaCheckList:
+    """Tell the table of checks with a site's bounds."""
+    return schemas.QaCheckList(items=[_check(check, settings) for check in CHECKS])
+
+
+def baseline_answer(row: QaBaselineRow | None) -> schemas.QaBaseline:
+    """Tell a baseline; number 0 where there is none yet."""
+    if row is None:
+        return schemas.QaBaseline(number=0, expected={}, set_by="", reason="", created_at=None)
+    return schemas.QaBaseline(
+        number=row.number,
+        expected=dict(records.baseline_of(row).expected),
+        set_by=row.set_by,
+        reason=row.reason,
+        created_at=row.created_at,
+    )
+
+
+def _check(check: QaCheck, settings: QaSettings) -> schemas.QaCheck:
+    bound = settings.qa_bounds.of(check.code)
+    same = ("code", "title", "unit", "method", "expected", "has_baseline", "most", "source")
+    return schemas.QaCheck.model_validate(
+        {
+            **{name: getattr(check, name) for name in same},
+            "needs": check.needs.value,
+            "kinds": [kind.value for kind in check.kinds],
+            "sidedness": check.sidedness.value,
+            "warn": bound.warn,
+            "fail": bound.fail,
+            "warn_setting": f"{PREFIX}{setting_of(check.code, 'warn').upper()}",
+            "fail_setting": f"{PREFIX}{setting_of(check.code, 'fail').upper()}",
+        }
+    )
