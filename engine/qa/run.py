@@ -50,7 +50,18 @@ def run_qa(
         found, drawn = _measured(need, inputs, on_progress)
         figures += found
         series += drawn
+    figures.append(_total(figures))
     return QaReport(kind=kind, results=judged(kind, figures, bounds, baseline), series=tuple(series))
+
+
+def _total(figures: Iterable[QaFigure]) -> QaFigure:
+    """From the phantom's leaving the window to the line read back off: the gate's delay and the line's."""
+    values = {figure.code: figure.value for figure in figures}
+    gate_ms, line_ms = values.get("gate_delay_off_ms"), values.get("beam_readback_off_ms")
+    if gate_ms is None or line_ms is None:
+        return QaFigure(code="beam_off_total_ms", value=None, detail="the gate's delay or the line's is not known")
+    detail = f"gate {gate_ms:.0f} ms, line {line_ms:.0f} ms"
+    return QaFigure(code="beam_off_total_ms", value=gate_ms + line_ms, detail=detail)
 
 
 def _measured(need: QaNeed, inputs: QaInputs, on_progress: Progress) -> tuple[list[QaFigure], list[QaSeries]]:
