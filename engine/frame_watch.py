@@ -26,6 +26,7 @@ class FrameWatch:
         self._age = ModelAge(limits)
         self._shift = PatientShift(limits)
         self._repeats = Repeats(limits)
+        self._order = _DeviceOrder()
 
     def look(
         self,
@@ -42,6 +43,7 @@ class FrameWatch:
             self._age.look(model, notices, frame.received_ns),
             self._shift.look(measurement.motion, has_zero=has_zero),
             self._repeats.look(frame),
+            self._order.look(frame.device_index),
         )
         return tuple(one for one in found if one is not None)
 
@@ -69,3 +71,16 @@ class _FrameRate:
             return None
         detail = f"{frames} frames within the last second, {self._min_fps:g} needed"
         return Interruption(HoldReason.FRAME_RATE_LOW, detail)
+
+
+class _DeviceOrder:
+    """Compares the camera's own numbers: pictures of the past may come with times that go on."""
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+
+    def look(self, device_index: int) -> Interruption | None:
+        last, self._last = self._last, device_index
+        if last is None or device_index > last:
+            return None
+        return Interruption(HoldReason.CLOCK_BACKWARDS, f"the camera's frame {device_index} after its frame {last}")

@@ -30,6 +30,7 @@ from engine.watchdog import Watchdog
 from engine.windows import Ranges, signal_of
 
 WATCHDOG_DETAIL = "the engine did not decide in time"
+WATCHDOG_GONE = "the watchdog's thread has died"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -193,6 +194,8 @@ class GateKeeper:
     def _interlocks(self, now_ns: int) -> list[Interruption]:
         self._outbox.flush()
         found = [] if not self._watchdog.has_fired else [Interruption(HoldReason.WATCHDOG, WATCHDOG_DETAIL)]
+        if self.gate.is_armed and not self._watchdog.is_watching:
+            found.append(Interruption(HoldReason.WATCHDOG, WATCHDOG_GONE))
         report = self._mailbox.take_report()
         trouble = self._outbox.trouble()
         found += [] if report is None else [report]
