@@ -10,17 +10,18 @@ Times are the trace's own [s]; intervals are pairs (on, off).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import minimize_scalar
 
 from engine.frames import FloatArray
 from engine.qa.trace import CommandedTrace
 
 Grid = npt.NDArray[np.float64]
 STEP_S = 0.001
-MOST_CROOKED = 0.05
+MOST_CROOKED = 0.03
 """Root mean square of a cycle's distance from a sine, as a share of its amplitude, beyond which it is none."""
 
 MOST_ASYMMETRIC = 0.03
@@ -35,16 +36,18 @@ _SIGMA_OF_MAD = 1.4826
 _FAR_SIGMAS, _NEAR_S, _ROUNDS = 4.0, 0.05, 3
 """A length so far from the line is another thing's doing, say a lost frame's, and the line is drawn without it."""
 _MEDIAN_ERROR = 1.2533
+_FITTED_SHARE, _PERIOD_SLACK = 0.45, 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cycle:
-    """One sine of the trace: when it is inside the window, and from turning point to turning point."""
+    """One sine of the trace: when it is inside the window, from which turning point to which, and its period."""
 
     on_s: float
     off_s: float
     begins_s: float
     ends_s: float
+    period_s: float
 
     @property
     def middle_s(self) -> float:
@@ -57,8 +60,8 @@ class Cycle:
         return self.off_s - self.on_s
 
     @property
-    def period_s(self) -> float:
-        """The sine's period."""
+    def span_s(self) -> float:
+        """How long it takes; its period, as nearly as two sines that meet show."""
         return self.ends_s - self.begins_s
 
 
@@ -121,14 +124,13 @@ def find_cycles(trace: CommandedTrace, window_mm: tuple[float, float], from_s: f
     height = position if is_low else -position
     edge = upper if is_low else -lower
     inside = _intervals(times, height, edge)
-    cycles = []
+    found = []
     for before, now, after in zip(inside, inside[1:], inside[2:], strict=False):
         begins_s = _highest(times, height, before[1], now[0])
         ends_s = _highest(times, height, now[1], after[0])
-        cycle = Cycle(on_s=now[0], off_s=now[1], begins_s=begins_s, ends_s=ends_s)
-        if _is_sine(cycle, times, position):
-            cycles.append(cycle)
-    return cycles
+        cycle = Cycle(on_s=now[0], off_s=now[1], begins_s=begins_s, ends_s=ends_s, period_s=ends_s - begins_s)
+        found.append(_as_sine(cycle, times, position))
+    return [cycle for cycle in found if cycle is not None]
 
 
 def time_gate_by_sines(cycles: Sequence[Cycle], intervals: Sequence[tuple[float, float]]) -> GateTiming | str:
@@ -183,7 +185,7 @@ def _duty(cycles: Sequence[Cycle], intervals: Sequence[tuple[float, float]]) -> 
     inside = sum(
         max(0.0, min(off_s, cycle.ends_s) - max(on_s, cycle.begins_s)) for cycle in cycles for on_s, off_s in intervals
     )
-    return inside / sum(cycle.period_s for cycle in cycles)
+    return inside / sum(cycle.span_s for cycle in cycles)
 
 
 def _intervals(times: Grid, height: FloatArray, edge: float) -> list[tuple[float, float]]:
@@ -206,11 +208,20 @@ def _highest(times: Grid, height: FloatArray, from_s: float, to_s: float) -> flo
     return middle_s - 0.5 * float(slope / bend) if bend < 0.0 else middle_s
 
 
-def _is_sine(cycle: Cycle, times: Grid, position: FloatArray) -> bool:
-    is_asymmetric = abs(cycle.middle_s - 0.5 * (cycle.begins_s + cycle.ends_s)) > MOST_ASYMMETRIC * cycle.period_s
-    within = (times >= cycle.begins_s) & (times <= cycle.ends_s)
-    turn = np.cos(2.0 * np.pi * (times[within] - cycle.middle_s) / cycle.period_s)
-    shape = np.column_stack([turn, np.ones_like(turn)])
-    fitted, *_ = np.linalg.lstsq(shape, position[within], rcond=None)
-    crooked_mm = float(np.sqrt(np.mean(np.square(position[within] - shape @ fitted))))
-    return not is_asymmetric and crooked_mm <= MOST_CROOKED * abs(float(fitted[0]))
+def _as_sine(cycle: Cycle, times: Grid, position: FloatArray) -> Cycle | None:
+    """Fit a sine around the turning point inside the window and take its period; None where it is none."""
+    if abs(cycle.middle_s - 0.5 * (cycle.begins_s + cycle.ends_s)) > MOST_ASYMMETRIC * cycle.span_s:
+        return None
+    within = np.abs(times - cycle.middle_s) <= _FITTED_SHARE * cycle.span_s
+    away_s, level_mm = times[within] - cycle.middle_s, position[within]
+
+    def crooked(period_s: float) -> float:
+        """Root mean square of what no sine of this period explains, as a share of the amplitude."""
+        shape = np.column_stack([np.cos(2.0 * np.pi * away_s / period_s), np.ones_like(away_s)])
+        (amplitude_mm, middle_mm), *_ = np.linalg.lstsq(shape, level_mm, rcond=None)
+        rest_mm = level_mm - shape @ (amplitude_mm, middle_mm)
+        return float(np.sqrt(np.mean(np.square(rest_mm))) / max(abs(float(amplitude_mm)), 1e-9))
+
+    span = (1.0 - _PERIOD_SLACK) * cycle.span_s, (1.0 + _PERIOD_SLACK) * cycle.span_s
+    best = minimize_scalar(crooked, bounds=span, method="bounded")
+    return replace(cycle, period_s=float(best.x)) if best.fun <= MOST_CROOKED else None
