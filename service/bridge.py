@@ -14,6 +14,7 @@ import uuid
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import TypeVar
 
 from sqlalchemy import func, insert, select
@@ -106,6 +107,7 @@ class SessionWriter(threading.Thread):
         self._notices: list[LearningNotice] = []
         self._written_at_s = time.monotonic()
         self._disk_checked_at_s = 0.0
+        self._identity = _identity(database.path)
         self._model: MotionModel | None = None
         self._stopped_by: str | None = None
         self._is_complete = False
@@ -216,12 +218,21 @@ class SessionWriter(threading.Thread):
         self._model = model
 
     def _check_disk(self) -> None:
+        """Look whether there is room, and whether the database is still where it was; tell trouble while it lasts.
+
+        While there is some it is looked and told at every turn: told once a second, an acknowledgement in between would
+        leave the gate a second without it.
+        """
         now_s = time.monotonic()
         if now_s - self._disk_checked_at_s < DISK_CHECK_S:
             return
-        self._disk_checked_at_s = now_s
-        if shutil.disk_usage(self._database.path.parent).free < self._settings.min_free_disk_bytes:
+        path = self._database.path
+        if _identity(path) != self._identity:
+            self._engine.report_fault(HoldReason.AUDIT_BEHIND, "the database's file was taken away or replaced")
+        elif shutil.disk_usage(path.parent).free < self._settings.min_free_disk_bytes:
             self._engine.report_fault(HoldReason.DISK_LOW, "the data folder's disk is almost full")
+        else:
+            self._disk_checked_at_s = now_s
 
     def _close(self) -> None:
         status, detail = self._ending()
@@ -247,6 +258,15 @@ class SessionWriter(threading.Thread):
         if self._stopped_by is not None:
             return "stopped", f"stopped by {self._stopped_by}"
         return "ended", self._engine.error or "the recording is over"
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Return which file lies there; one that was taken away takes what is written to it along."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def _drain(source: "queue.Queue[RowT]", target: list[RowT]) -> None:
