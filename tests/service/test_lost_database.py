@@ -1,4 +1,4 @@
-"""The disk fills, or the database's file goes, while a session is written: the gate hears of it for as long as it lasts."""
+"""The disk fills, or the database's file goes, while a session is written: the gate hears of it while it lasts."""
 
 import shutil
 from types import SimpleNamespace
