@@ -2,7 +2,8 @@
 
 pymodbus's own server. It says ``ready WHERE``, then ``on NS`` and ``off NS CAUSE`` at every edge of its contact, in
 monotonic time. It drops the permit when the heartbeat stands still for 200 ms, and wants to see it withdrawn before it
-takes one again. A line on standard input spoils it: ``stuck on``, ``stuck off``, ``lag MS``, ``late MS``, ``well``.
+takes one again. A line on standard input spoils it: ``stuck on``, ``stuck off``, ``lag MS``, ``late MS``,
+``refuse``, ``well``.
 """
 
 import asyncio
@@ -13,6 +14,7 @@ import time
 import tty
 from contextlib import suppress
 
+from pymodbus.constants import ExcCodes
 from pymodbus.pdu import ExceptionResponse
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
@@ -32,6 +34,7 @@ class Receiver:
         self.beaten_ns = time.monotonic_ns()
         self.stuck: bool | None = None
         self.lag_s = self.late_s = 0.0
+        self.is_refusing = False
 
     def spoil(self, words: list[str]) -> None:
         match words:
@@ -41,20 +44,24 @@ class Receiver:
                 self.lag_s = float(ms) / 1000
             case ["late", ms]:
                 self.late_s = float(ms) / 1000
+            case ["refuse"]:
+                self.is_refusing = True
             case ["well"]:
-                self.stuck, self.lag_s, self.late_s = None, 0.0, 0.0
+                self.stuck, self.lag_s, self.late_s, self.is_refusing = None, 0.0, 0.0, False
 
     async def access(self, function_code, _start, address, _count, _registers, values):
         """Act on a request as it reaches the data."""
         if self.late_s:
             await asyncio.sleep(self.late_s)
         if values is None:
-            return
+            return None
+        if self.is_refusing:
+            return ExcCodes.DEVICE_FAILURE
         if function_code == 5 and address == COIL:
             self._permit(is_on=bool(values[0]))
         elif function_code == 6 and address == REGISTER and values[0] != self.heartbeat:
             self.heartbeat, self.beaten_ns = values[0], time.monotonic_ns()
-        return
+        return None
 
     def _permit(self, *, is_on: bool) -> None:
         if is_on and self.wants_off_first:
