@@ -14,7 +14,7 @@ from tests.faults.verdict import is_on_at
 if TYPE_CHECKING:
     from tests.faults.rig import Rig
 
-COVERED = told("marker_lost")
+COVERED = told("marker_lost", "layout_changed")
 
 
 def beside(kind: FaultKind) -> FaultKind:

@@ -2,7 +2,10 @@
 
 import contextlib
 import multiprocessing
+import os
 import queue
+import signal
+import sys
 import tempfile
 import traceback
 from collections.abc import Iterator, Sequence
@@ -89,6 +92,8 @@ def _work(
     waiting: "multiprocessing.Queue[Turn | None]",
     found: "multiprocessing.Queue[Outcome | None]",
 ) -> None:
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # what is mounted and started is let go of
+    _write_noise_to(folder.with_suffix(".log"))
     kinds = {kind.code: kind for kind in all_kinds()}
     bench = Bench(folder, template)
     try:
@@ -98,6 +103,13 @@ def _work(
     finally:
         bench.clear()
         found.put(None)
+
+
+def _write_noise_to(path: Path) -> None:
+    """Keep what the processes of this worker say of their troubles, which are made on purpose, off the screen."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("ab") as log:
+        os.dup2(log.fileno(), sys.stderr.fileno())
 
 
 class Bench:

@@ -29,7 +29,7 @@ from tests.faults.kinds import (
     Inject,
     told,
 )
-from tests.faults.plan import CLOCK_FILE, OWN_WALL_CLOCK
+from tests.faults.plan import CLOCK_FILE, CLOCK_LOOK_S, OWN_WALL_CLOCK
 from tests.faults.verdict import Recovery
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ def wall_clock(hours: int) -> Inject:
     def inject(rig: "Rig", _random: random.Random) -> Fault:
         at_ns = time.monotonic_ns()
         _set_clock(rig, f"{hours * HOUR_S:+d}")
+        time.sleep(CLOCK_LOOK_S)
 
         def back() -> None:
             _set_clock(rig, "+0")
@@ -116,8 +117,7 @@ def database_gone(rig: "Rig", _random: random.Random) -> Fault:
 
     def back() -> None:
         for path in files:
-            if not path.exists():
-                (aside / path.name).rename(path)
+            (aside / path.name).replace(path)
 
     return Fault(cause_ns=at_ns, undo=back, lasts_s=0.1)
 

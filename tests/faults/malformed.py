@@ -20,12 +20,12 @@ def _field(field: Field, value: Callable[[random.Random], int], streams: Streams
     return act
 
 
-def _kind(code: str, what: str, act: Act) -> FaultKind:
+def _kind(code: str, what: str, act: Act, *, is_step: bool = False) -> FaultKind:
     return FaultKind(
         code=f"malformed-{code}",
         what=what,
         family=FAMILY,
-        inject=of_camera(act),
+        inject=of_camera(act, is_step=is_step),
         told=REFUSED | GONE,
         recoveries=BY_ITSELF | GONE_RECOVERS,
     )
@@ -58,8 +58,18 @@ KINDS = (
         "a wrong pixel format",
         _field(Field.FORMAT, lambda chance: chance.choice((0, 101, RGB888, GRAY8, 9999)), DEPTH),
     ),
-    _kind("index-back", "frame numbers go back", lambda camera, chance: camera.index(-chance.randrange(2, 500))),
-    _kind("index-jump", "frame numbers jump ahead", lambda camera, chance: camera.index(chance.randrange(2, 10_000))),
+    _kind(
+        "index-back",
+        "frame numbers go back",
+        lambda camera, chance: camera.index(-chance.randrange(2, 500)),
+        is_step=True,
+    ),
+    _kind(
+        "index-jump",
+        "frame numbers jump ahead",
+        lambda camera, chance: camera.index(chance.randrange(2, 10_000)),
+        is_step=True,
+    ),
     _kind("time-zero", "times of 0", lambda camera, _: camera.timestamp(0)),
     _kind("time-huge", "times of 2^62 us", lambda camera, _: camera.timestamp(2**62)),
     _kind("no-data", "frames without a picture", lambda camera, _: camera.malform(Field.NO_DATA, 0, DEPTH)),

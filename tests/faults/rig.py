@@ -79,6 +79,7 @@ class Rig:
 
     def __enter__(self) -> "Rig":
         self.folder.mkdir(parents=True, exist_ok=True)
+        (self.folder / CLOCK_FILE).write_text("+0\n")
         with contextlib.ExitStack() as held:
             held.enter_context(_small_disk(self.data))
             if self.template is not None:

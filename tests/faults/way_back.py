@@ -17,6 +17,8 @@ HEAVIEST_FIRST = (
     Recovery.BY_ITSELF,
 )
 STEP_S = 0.02
+STOP_AFTER_S = 6.0
+"""Who asks in vain for so long stops the session, and makes another."""
 
 
 class WayBack:
@@ -34,6 +36,7 @@ class WayBack:
         self._rig, self._person = rig, rig.person
         self.asked_ns: int | None = None
         self.refusal = ""
+        self._stop_at_s = time.monotonic() + STOP_AFTER_S
 
     def walk(self) -> Recovery | None:
         """Go on until the receiver says on; return the heaviest thing that was needed, None if it never came on."""
@@ -53,8 +56,12 @@ class WayBack:
             self._rig.start_service()
             return Recovery.RESTARTED
         detail = self._person.detail() if self._person.session_id else None
+        if detail is not None and detail["status"] == "running" and time.monotonic() > self._stop_at_s:
+            self._person.act("stop")
+            return None
         if detail is None or detail["status"] != "running":
             self._rig.new_session()
+            self._stop_at_s = time.monotonic() + 2 * STOP_AFTER_S
             return Recovery.NEW_SESSION
         return None if detail["gate"] is None else self._act_on(detail)
 
