@@ -21,7 +21,7 @@ from tests.beam.modbus_server import COIL, INPUT, REGISTER, UNIT
 from tests.beam.receivers import Receiver
 from tests.faults.ledger import Ledger
 from tests.faults.person import Person, PersonGaveUpError
-from tests.faults.plan import Plan
+from tests.faults.plan import CLOCK_FILE, Plan
 from tests.faults.verdict import LineEdge, is_on_at
 from tests.faults.watchman import Watchman
 from tests.service.processes import ROOT, free_port
