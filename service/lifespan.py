@@ -19,7 +19,7 @@ from service.metrics import Metrics
 from service.model_store import ModelStore
 from service.motion_models import ModelShelf
 from service.ports import EnginePort
-from service.qa.book import QaBook
+from service.qa.book import QaBook, close_interrupted
 from service.qa.desk import QaDesk
 from service.qa.ports import QaRig
 from service.qa.under_way import UnderWay
@@ -114,7 +114,7 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig) -> _House:
     )
     log.write(Event(actor=SYSTEM, action="service.start", detail=_start_detail(settings, engine)))
     book.close_interrupted()
-    qa_book.close_interrupted()
+    close_interrupted(database)
     return _House(services=services, runner=runner, qa_desk=qa_desk, log=log, database=database)
 
 

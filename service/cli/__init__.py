@@ -19,6 +19,7 @@ HOMES = {
     "calibrate": "calibrate",
     "bench": "bench",
     "beam-line": "beam_line",
+    "qa": "qa",
 }
 """Which module of this package holds which command; the function, or the group of commands, has the command's name with
 underscores for dashes."""

@@ -77,10 +77,7 @@ class QaBook:
     def baseline(self) -> schemas.QaBaselineHistory:
         """Tell the baseline that holds, and those before it, newest first."""
         with self._database.read() as db:
-            rows = records.baseline_rows(db)
-            newest, earlier = (rows[0], rows[1:]) if rows else (None, rows)
-            told = views.baseline_answer(newest).model_dump()
-            return schemas.QaBaselineHistory(**told, earlier=[views.baseline_answer(row) for row in earlier])
+            return views.baseline_history(records.baseline_rows(db))
 
     def fix_baseline(self, request: schemas.QaBaselineRequest) -> schemas.QaBaseline:
         """Fix another, as a named person says or as a run measured; refused while a run goes on."""
@@ -91,17 +88,15 @@ class QaBook:
             row = records.fix_baseline(db, _expected(db, request), operator=request.operator, reason=request.reason)
             return views.baseline_answer(row)
 
-    def close_interrupted(self) -> None:
-        """Audit the runs that a killed program left without an end; called once at start."""
-        with self._database.write() as db:
-            for row in records.unended_runs(db):
-                records.end(db, row.id, records.QaOutcome(status="interrupted", detail=INTERRUPTED))
-
     def _detail(self, db: Session, run_id: str) -> schemas.QaRunDetail:
         return self._under_way.run_detail(db, records.run_row(db, run_id))
 
 
-INTERRUPTED = "the program ended while this run went on"
+def close_interrupted(database: Database) -> None:
+    """Write down the end of the runs that a killed program left without one; called by whoever has the folder alone."""
+    with database.write() as db:
+        for row in records.unended_runs(db):
+            records.end(db, row.id, records.QaOutcome(status="interrupted", detail=views.INTERRUPTED))
 
 
 def _expected(db: Session, request: schemas.QaBaselineRequest) -> dict[str, float]:

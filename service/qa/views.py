@@ -1,6 +1,7 @@
 """Rows of QA as answers."""
 
 import json
+from collections.abc import Sequence
 
 from sqlalchemy.orm import Session
 
@@ -11,13 +12,14 @@ from service.db.models import QaBaselineRow, QaResultRow, QaRunRow
 from service.qa import records, schemas
 from service.qa_settings import QaSettings, setting_of
 
+INTERRUPTED = "the program ended while this run went on"
 Progress = tuple[QaNeed, int, int | None]
 
 
 def run_answer(db: Session, row: QaRunRow, *, is_under_way: bool, progress: Progress | None = None) -> schemas.QaRun:
     """Tell a run as it stands; one that is not under way and has no end was interrupted."""
     outcome = records.outcome_row(db, row.id)
-    status, detail = ("interrupted", "the program ended while this run went on")
+    status, detail = "interrupted", INTERRUPTED
     if outcome is not None:
         status, detail = outcome.status, outcome.status_detail
     elif is_under_way:
@@ -93,6 +95,12 @@ def baseline_answer(row: QaBaselineRow | None) -> schemas.QaBaseline:
         reason=row.reason,
         created_at=row.created_at,
     )
+
+
+def baseline_history(rows: Sequence[QaBaselineRow]) -> schemas.QaBaselineHistory:
+    """Tell the baseline that holds, the first of ``rows``, and those before it."""
+    told = baseline_answer(rows[0] if rows else None).model_dump()
+    return schemas.QaBaselineHistory(**told, earlier=[baseline_answer(row) for row in rows[1:]])
 
 
 def _check(check: QaCheck, settings: QaSettings) -> schemas.QaCheck:

@@ -1,0 +1,229 @@
+"""A QA run from the shell: the same run as the service's, in the data folder that a service would have."""
+
+import signal
+import uuid
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from fastapi.exceptions import RequestValidationError
+from pydantic import ValidationError
+from sqlalchemy.orm import Session
+
+from engine.calibration import Calibration, load_calibration
+from engine.errors import TidegateError
+from engine.qa.results import QaNeed
+from service.audit import Event
+from service.audit import append as append_audit
+from service.calibrations import ACTION as UPLOAD
+from service.calibrations import kept_row
+from service.cli.qa_tables import print_results
+from service.cli.terminal import frame_bar, refused, say
+from service.cli.written import write_whole
+from service.db.engine import Database
+from service.errors import BoundError, problem_of
+from service.folder_lock import alone_in
+from service.lifespan import DATABASE_NAME
+from service.qa import records, schemas, views
+from service.qa.book import TREND_RUNS, close_interrupted
+from service.qa.desk import check_word, qa_begin
+from service.qa.jobs import Handle, carry_out
+from service.qa.ports import QaFiles
+from service.qa.report import report_pdf
+from service.qa.rig import EngineRig
+from service.settings import Settings, SettingsError, load_settings
+from service.uncalibrated import refuse_reserved_name
+
+STAGES = {QaNeed.PLATE: "plate, frames", QaNeed.PHANTOM: "phantom, frames", QaNeed.BEAM: "beam line, drills"}
+CALIBRATION_NAME = "calibration.json"
+DEVICE = "device"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunOptions:
+    """What was asked for, as it was given."""
+
+    kind: schemas.Kind
+    operator: str
+    plate: str | None = None
+    phantom: str | None = None
+    trace: Path | None = None
+    window: str | None = None
+    calibration: Path | None = None
+    part: float = 0.5
+    seconds: float | None = None
+    starts_us: int | None = None
+    repeats: int = 20
+    pulse_ms: float = 200.0
+    is_safe: bool = False
+    note: str = ""
+    out: Path | None = None
+    data: Path | None = None
+    is_simulated: bool = False
+    seed: int = 1
+    fault_offset_mm: float = 0.0
+    fault_delay_ms: float = 0.0
+    fault_duty_percent: float = 0.0
+
+
+def do_run(options: RunOptions) -> str:
+    """Do a run, print it, write its report; return its verdict, ``fail`` where it could not be done."""
+    command = f"qa {options.kind}"
+    try:
+        settings = load_settings(data_dir=options.data)
+        with alone_in(settings.data_dir), closing(Database(settings.data_dir / DATABASE_NAME)) as database:
+            database.migrate()
+            run = _carried_out(options, settings, database)
+    except (SettingsError, TidegateError) as error:
+        raise refused(command, error) from error
+    except OSError as error:
+        raise refused(command, f"{options.out} cannot be written ({error.strerror or error})") from error
+    if run.status != "finished":
+        say(f"tidegate {command}: {run.status}: {run.status_detail}", "red")
+        return "fail"
+    print_results(run)
+    return run.verdict or "fail"
+
+
+def _carried_out(options: RunOptions, settings: Settings, database: Database) -> schemas.QaRunDetail:
+    calibration = None if options.is_simulated else _calibration(options)
+    request = _request(options, calibration)
+    check_word(request, settings)
+    job = EngineRig(settings).job(request, _files(options), calibration)
+    run_id = uuid.uuid4().hex
+    close_interrupted(database)  # whose folder this is alone, nobody else is at a run
+    with database.write() as db:
+        if calibration is not None:
+            _keep(db, calibration, options)
+        records.begin(db, qa_begin(request, settings, run_id=run_id, calibration=calibration))
+        baseline = job.own_baseline or records.baseline_of(records.newest_baseline(db))
+
+    def end(outcome: records.QaOutcome) -> None:
+        with database.write() as db:
+            records.end(db, run_id, outcome)
+
+    with _interruptible(), frame_bar() as bar:
+        tasks: dict[QaNeed, Any] = {}
+
+        def show(stage: QaNeed, done: int, total: int | None) -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(STAGES[stage], total=total)
+            bar.update(tasks[stage], completed=done, total=total)
+
+        carry_out(job, Handle(job.line), bounds=settings.qa_bounds, baseline=baseline, on_end=end, also=show)
+    return _kept(database, run_id, options)
+
+
+def _kept(database: Database, run_id: str, options: RunOptions) -> schemas.QaRunDetail:
+    """Read the run back as it was written, and print it where that was asked for."""
+    with database.read() as db:
+        row = records.run_row(db, run_id)
+        run = views.run_detail(db, row, is_under_way=False)
+        if options.out is not None and run.status == "finished":
+            trends = [views.trend_answer(db, one.code, TREND_RUNS, before=row) for one in run.results]
+            write_whole(options.out, report_pdf(run, trends))
+            say(f"Written to {options.out}")
+    return run
+
+
+def _request(options: RunOptions, calibration: Calibration | None) -> schemas.QaRunRequest:
+    """Put the request together as the API takes it, so that the same bounds hold."""
+    told: dict[str, Any] = {
+        "kind": options.kind,
+        "operator": options.operator,
+        "beam": {"repeats": options.repeats, "pulse_ms": options.pulse_ms},
+        "is_beam_safe": options.is_safe,
+        "note": options.note,
+    }
+    seconds = {} if options.seconds is None else {"seconds": options.seconds}
+    if options.is_simulated:
+        faults = {
+            "offset_mm": options.fault_offset_mm,
+            "delay_ms": options.fault_delay_ms,
+            "duty_change_percent": options.fault_duty_percent,
+        }
+        told["simulation"] = {"seed": options.seed, "faults": faults}
+    if options.plate is not None:
+        told["plate"] = {"source": _source(options.plate), "part": options.part, **seconds}
+    if options.phantom is not None:
+        told["phantom"] = {"source": _source(options.phantom), **_trace(options), **_window(options), **seconds}
+    if calibration is not None:
+        told["calibration_id"] = calibration.sha256[:32]
+    try:
+        return schemas.QaRunRequest.model_validate(told)
+    except ValidationError as error:
+        # Told as the API tells it: the field, and the bound.
+        details = [{**one, "loc": ("body", *one["loc"])} for one in error.errors()]
+        problem = problem_of(RequestValidationError(details))
+        raise BoundError(problem.detail, field=problem.field, bound=problem.bound) from error
+
+
+def _source(text: str) -> dict[str, Any]:
+    if text == DEVICE or text.startswith(f"{DEVICE}:"):
+        address = text.removeprefix(DEVICE).removeprefix(":")
+        return {"kind": "device", **({"uri": address} if address else {})}
+    return {"kind": "recording", "path": text}
+
+
+def _trace(options: RunOptions) -> dict[str, Any]:
+    if options.trace is None:
+        msg = "--trace is missing: what the phantom was told"
+        raise BoundError(msg, field="trace", bound="given with --phantom")
+    return {"trace": str(options.trace), **({} if options.starts_us is None else {"starts_us": options.starts_us})}
+
+
+def _window(options: RunOptions) -> dict[str, float]:
+    try:
+        lower, upper = (float(part) for part in (options.window or "").split(":"))
+    except ValueError as error:
+        msg = f"--window is {options.window!r}: must be LOWER:UPPER, two numbers in mm"
+        raise BoundError(msg, field="window", value=options.window, bound="LOWER:UPPER") from error
+    return {"window_lower_mm": lower, "window_upper_mm": upper}
+
+
+def _files(options: RunOptions) -> QaFiles:
+    return QaFiles(plate=_path(options.plate), phantom=_path(options.phantom), trace=options.trace)
+
+
+def _path(text: str | None) -> Path | None:
+    return None if text is None or _source(text)["kind"] == "device" else Path(text)
+
+
+def _calibration(options: RunOptions) -> Calibration | None:
+    plate = _path(options.plate)
+    if options.calibration is None and plate is None:
+        return None
+    path = options.calibration if options.calibration is not None else _beside(plate)
+    calibration = load_calibration(path)
+    refuse_reserved_name(calibration)
+    return calibration
+
+
+def _beside(plate: Path | None) -> Path:
+    assert plate is not None, "without a recording the calibration is given"
+    return plate.parent / CALIBRATION_NAME
+
+
+def _keep(db: Session, calibration: Calibration, options: RunOptions) -> None:
+    """Keep the calibration in the database: the run's figures can be worked out again with it."""
+    row, is_known = kept_row(db, calibration, options.operator)
+    if not is_known:
+        detail = {"calibration_id": row.id, "sha256": row.sha256, "camera": row.camera, "is_new": True}
+        append_audit(db, Event(actor=options.operator, action=UPLOAD, detail=detail))
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Take a polite end of the process as Ctrl-C: the line is held and the run told before it is over."""
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
