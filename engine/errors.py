@@ -55,6 +55,12 @@ class FrameTimeoutError(TidegateError):
     code = "frame_timeout"
 
 
+class SourceAwayError(FrameTimeoutError):
+    """The camera is gone and is looked for; the source is still usable, and says so until it is back."""
+
+    code = "source_lost"
+
+
 class RuntimeMissingError(TidegateError):
     """The OpenNI2 runtime library is not on this machine."""
 

@@ -61,5 +61,8 @@ class FramePipeline(Protocol):
     def apply_model(self) -> None:
         """Let the model that waits take over now."""
 
+    def camera_returned(self) -> None:
+        """Hear that the camera was away: compare the model with the patient again; a person has to set the zero."""
+
     def take_notices(self) -> list[LearningNotice]:
         """Return what the learning has to tell since the last call."""

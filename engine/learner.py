@@ -52,6 +52,7 @@ class Learner:
         self._zero_number = 0
         self._is_kept = False
         self._is_on_trial = False
+        self._is_outcome_unwanted = False
         self._likeness: Likeness | None = None
         self._generation = 0
         self._now_us = 0
@@ -202,6 +203,25 @@ class Learner:
         self._trainer.start(lambda: Candidate(active=self._stages.prepare(model), needs_zero=True, is_stored=True))
         self._collect()
 
+    def doubt(self) -> None:
+        """Begin anew after a while without a camera, which may hang elsewhere now, over a patient who may have moved.
+
+        The model measures on, is compared with the patient as a stored one is, and a person has to set the zero. What
+        was gathered, fitted or waiting is dropped. Without a model the gathering begins anew.
+        """
+        self._candidate, self._errand = None, None
+        self._is_outcome_unwanted = self._trainer.is_busy
+        self._reference, self._is_reference_wanted = None, False
+        self._likeness = None
+        self._generation += 1
+        if self._active is None or self._active.model.surface_mm is None:
+            self._active, self._is_on_trial = None, False
+            self._errand = self._learning()
+            return
+        self._needs_zero, self._is_on_trial = True, True
+        self._errand = Look(self._active, self._limits, self._stages)
+        self._tell(NoticeKind.ZERO_NEEDED, "the camera was away: a person has to set the zero before arming")
+
     def apply_model(self) -> None:
         """Swap to the model that waits, now; the caller has disarmed."""
         if self._candidate is None:
@@ -254,6 +274,9 @@ class Learner:
 
     def _collect(self) -> None:
         outcome = self._trainer.collect() if self._trainer.is_busy else None
+        if outcome is not None and self._is_outcome_unwanted:
+            self._is_outcome_unwanted = False
+            return
         match outcome:
             case Candidate():
                 self._receive(outcome)

@@ -18,6 +18,7 @@ from engine.errors import (
     BeamLineError,
     FrameTimeoutError,
     RecordingError,
+    SourceAwayError,
     SourceEndedError,
     SourceLostError,
     TidegateError,
@@ -98,6 +99,7 @@ class EngineLoop:
             outbox=self._outbox,
         )
         self._listening_since_ns = 0
+        self._is_camera_away = False
         self._stop_requested = threading.Event()
         self._thread = threading.Thread(target=self._work, name="tidegate-engine", daemon=True)
 
@@ -235,9 +237,15 @@ class EngineLoop:
             self._answer(letter)
         try:
             frame = self._source.read(self._read_timeout_ns() / NS_PER_S)
+        except SourceAwayError as error:
+            self._stay_without_camera(str(error))
+            return
         except FrameTimeoutError:
             self._stay_silent()
             return
+        if self._is_camera_away:
+            self._is_camera_away = False
+            self._pipeline.camera_returned()
         self._pipeline.keep_model(is_kept=self._keeper.gate.is_armed)
         measurement = self._pipeline.measure(frame)
         notices = self._pipeline.take_notices()
@@ -257,6 +265,12 @@ class EngineLoop:
         last = self._keeper.gate.last
         left_ns = longest_ns if last is None else last.received_ns + longest_ns - self._clock.now_ns()
         return left_ns if SHORTEST_READ_NS <= left_ns <= longest_ns else longest_ns
+
+    def _stay_without_camera(self, detail: str) -> None:
+        """Fault for as long as the camera is away, whoever acknowledges meanwhile."""
+        self._is_camera_away = True
+        self._keeper.standing = (Interruption(reason=HoldReason.SOURCE_LOST, detail=detail),)
+        self._keeper.decide()
 
     def _stay_silent(self) -> None:
         self._keeper.decide(Silence(since_ns=self._listening_since_ns))

@@ -225,6 +225,13 @@ class Pipeline:
         """Begin with a model of an earlier fraction, which is compared with the patient; before the first frame."""
         self._learner.resume(model)
 
+    def camera_returned(self) -> None:
+        """Hear that the camera was away, and may hang elsewhere: nothing of before is compared with what comes now."""
+        self._forget()
+        self._finder.look_anew()
+        self._continuity = Continuity()
+        self._learner.doubt()
+
     def measure(self, frame: RgbdFrame) -> Measurement:
         """Measure one frame.
 

@@ -1,5 +1,6 @@
 """The one place where the service touches cameras, pipeline, gate and beam line: it puts engines together."""
 
+import itertools
 import queue
 import threading
 import weakref
@@ -10,6 +11,7 @@ from pathlib import Path
 from engine.calibration import Calibration
 from engine.capture.oni_file import OniFileSource
 from engine.capture.openni import OpenNiSource, list_devices, registered_calibration, runtime_available
+from engine.capture.returning import ReturningSource
 from engine.capture.source import DepthSource
 from engine.clock import Clock, MonotonicClock
 from engine.commands import Command
@@ -101,9 +103,17 @@ class EngineAdapter:
 
     def _source(self, plan: SessionPlan) -> DepthSource:
         if isinstance(plan.source, schemas.DeviceSource):
-            return self._camera(plan.source.uri, plan.calibration)
+            return self._returning_camera(plan.source.uri, plan.calibration)
         assert plan.recording is not None, "a recording was resolved when the session started"
         return self._player(plan.recording, plan.source.player)
+
+    def _returning_camera(self, uri: str | None, calibration: Calibration) -> DepthSource:
+        """Return the camera; when it was away it has another address, so each that is there is looked at in turn."""
+        first = iter((self._camera(uri, calibration),))
+        turns = itertools.count()
+        return ReturningSource(
+            lambda: next(first, None) or self._camera(_listed_in_turn(next(turns)), calibration), self._clock
+        )
 
     def _camera(self, uri: str | None, calibration: Calibration) -> DepthSource:
         is_registered = calibration.is_device_registration
@@ -135,6 +145,14 @@ def _listed(uri: str | None) -> str:
         msg = "the OpenNI2 runtime sees no such camera"
         raise SourceLostError(msg)
     return uri or found[0]
+
+
+def _listed_in_turn(turn: int) -> str:
+    found = [device.uri for device in list_devices()]
+    if not found:
+        msg = "the OpenNI2 runtime sees no camera"
+        raise SourceLostError(msg)
+    return found[turn % len(found)]
 
 
 class LoopEngine:

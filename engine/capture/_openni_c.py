@@ -113,6 +113,7 @@ _SIGNATURES: dict[str, tuple[object, Sequence[object]]] = {
     "oniDeviceGetSensorInfo": (_Out(SensorInfo), (Handle, _Int)),
     "oniDeviceCreateStream": (_Int, (Handle, _Int, _Out(Handle))),
     "oniDeviceSetProperty": (_Int, (Handle, _Int, ctypes.c_void_p, _Int)),
+    "oniDeviceGetProperty": (_Int, (Handle, _Int, ctypes.c_void_p, _Out(_Int))),
     "oniDeviceIsPropertySupported": (_Int, (Handle, _Int)),
     "oniDeviceIsImageRegistrationModeSupported": (_Int, (Handle, _Int)),
     "oniStreamDestroy": (None, (Handle,)),

@@ -68,7 +68,16 @@ class OpenNiDevice:
             self._streams[stream] = handle.value
             if not self._is_file:
                 self._set_mode(stream, sizes_px[stream], fps)
-                self._set(self._runtime.oniStreamSetProperty, handle, c.STREAM_MIRRORING, ctypes.c_int(0))
+                self._unmirror(handle, _KIND[stream])
+
+    def _unmirror(self, handle: c.Handle, kind: str) -> None:
+        """Switch mirroring off; a picture that stays mirrored would take the patient's right side for the left."""
+        self._set(self._runtime.oniStreamSetProperty, handle, c.STREAM_MIRRORING, ctypes.c_int(0))
+        is_on, size = ctypes.c_int(0), ctypes.c_int(ctypes.sizeof(ctypes.c_int))
+        status = self._runtime.oniStreamGetProperty(handle, c.STREAM_MIRRORING, byref(is_on), byref(size))
+        if status == c.STATUS_OK and is_on.value:
+            msg = f"{self.name} does not stop mirroring its {kind} pictures"
+            raise SourceLostError(msg)
 
     def set_playback(self, *, speed: float) -> None:
         """Play a file once, at ``speed``."""
@@ -158,6 +167,13 @@ class OpenNiDevice:
         """Whether the device can move depth into the colour camera's view; a file cannot."""
         mode = c.REGISTRATION_DEPTH_TO_COLOR
         return bool(self._runtime.oniDeviceIsImageRegistrationModeSupported(self._handle, mode))
+
+    def serial(self) -> str:
+        """Return the device's serial number; empty where it tells none."""
+        text = ctypes.create_string_buffer(c.MAX_TEXT)
+        size = ctypes.c_int(c.MAX_TEXT)
+        status = self._runtime.oniDeviceGetProperty(self._handle, c.DEVICE_SERIAL_NUMBER, text, byref(size))
+        return text.value.decode(errors="replace") if status == c.STATUS_OK else ""
 
     def color_view_rad(self) -> tuple[float, float]:
         """Return the colour camera's horizontal and vertical field of view [rad], before the streams are made."""

@@ -187,6 +187,7 @@ class OpenNiSource:
             color_size=(color.width, color.height),
             fps=float(depth.fps),
             is_live=self._path is None,
+            serial=device.serial() if self._path is None else "",
         )
 
     def read(self, timeout_s: float) -> RgbdFrame:

@@ -8,7 +8,7 @@ from engine.frames import RgbdFrame
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourceDescription:
-    """What a source is, for the audit and the page."""
+    """What a source is, for the audit and the page; ``serial`` is empty where a device tells none."""
 
     kind: str
     name: str
@@ -16,6 +16,7 @@ class SourceDescription:
     color_size: tuple[int, int]
     fps: float
     is_live: bool
+    serial: str = ""
 
 
 class DepthSource(Protocol):
@@ -34,7 +35,7 @@ class DepthSource(Protocol):
         Raises
         ------
         FrameTimeoutError
-            Nothing came in time; the source is still usable.
+            Nothing came in time; the source is still usable. A SourceAwayError says that the camera is gone meanwhile.
         SourceEndedError
             A recording is over.
         SourceLostError

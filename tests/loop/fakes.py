@@ -165,6 +165,10 @@ class ToldPipeline:
         self.is_model_waiting = False
         self._change("apply")
 
+    def camera_returned(self) -> None:
+        self.has_reference = False
+        self._change("camera_returned")
+
     def take_notices(self) -> list[LearningNotice]:
         taken, self.notices = self.notices, []
         return taken

@@ -30,7 +30,7 @@ enum Kind : int64_t {
     INDEX = 9,      // n0 is added to frame numbers
     MALFORM = 10,   // n0 what (Field), n1 its value
     STATE = 11,     // n0 device state told; n1 = 1: goes on delivering
-    UNPLUG = 12,    // n0 = 1: told; n1 = 1: open streams go on when it is plugged in again
+    UNPLUG = 12,    // n0 = 1: told; n1 = 1: open streams go on when it is plugged in again; n2 = 1: another comes back
     HANG = 13,      // n0 calls (Call)
     FILL = 20,      // rectangle n0..n3, n4 depth in mm or -1, n5 RGB or -1
     OFFSET = 21,    // rectangle n0..n3, x0 mm, x1 mm a frame until then (0: at once)

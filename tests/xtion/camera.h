@@ -76,6 +76,7 @@ public:
     void end() { ending_ = true; }
 
     bool is_plugged() const { return is_plugged_; }
+    bool is_another() const { return is_another_; }
     bool is_owner() const { return is_owner_; }
     Block& block() { return block_; }
     const Ring& ring() const { return ring_; }
@@ -200,6 +201,7 @@ private:
         switch (edit.command.kind) {
         case UNPLUG:
             is_plugged_ = true;
+            is_another_ = edit.command.n[2] != 0;
             block_.status.is_plugged = 1;
             if (edit.command.n[1]) outlet_.mend_open_streams();
             if (edit.command.n[0]) outlet_.tell_plugged(true);
@@ -299,7 +301,7 @@ private:
     Block& block_;
     const Ring& ring_;
     bool is_owner_;
-    std::atomic<bool> is_plugged_, ending_ {false};
+    std::atomic<bool> is_plugged_, ending_ {false}, is_another_ {false};
     std::atomic<int64_t> hanging_ {0}, hang_number_ {0};
     Outlet outlet_;
     int64_t begun_ns_ = 0, next_tick_ns_ = 0, index_ = 0, serial_ = 0, shots_ = 0;

@@ -9,7 +9,8 @@ import mmap
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
 from typing import Self
 
@@ -42,7 +43,7 @@ class CameraSilentError(AssertionError):
 class Receipt:
     """What came of an order; times are the host's monotonic clock, None where a stream was not affected."""
 
-    number: int
+    numbers: tuple[int, ...]
     kind: Kind
     begun_ns: int
     depth_index: int | None
@@ -86,6 +87,17 @@ class Status:
     @property
     def is_streaming(self) -> bool:
         return any(self.is_running)
+
+
+def _merged(one: Receipt, other: Receipt) -> Receipt:
+    """Depth of one, colour of the other."""
+    return replace(
+        one,
+        numbers=one.numbers + other.numbers,
+        begun_ns=min(one.begun_ns, other.begun_ns),
+        color_index=other.color_index,
+        color_ns=other.color_ns,
+    )
 
 
 class VirtualXtion:
@@ -201,7 +213,7 @@ class VirtualXtion:
                 raise CameraSilentError(msg)
             time.sleep(_POLL_S)
         return Receipt(
-            number=number,
+            numbers=(number,),
             kind=kind,
             begun_ns=words.begun_ns,
             depth_index=words.depth_index or None,
@@ -236,7 +248,7 @@ class VirtualXtion:
 
     def undo(self, receipt: Receipt | None = None) -> Receipt:
         """End what an order began, or all that goes on."""
-        return self.tell(Kind.UNDO, n=(receipt.number if receipt is not None else 0,))
+        return [self.tell(Kind.UNDO, n=(number,)) for number in (receipt.numbers if receipt is not None else (0,))][-1]
 
     # -- delivery -----------------------------------------------------------------------------------------------
 
@@ -290,12 +302,15 @@ class VirtualXtion:
         """Tell a device state, and deliver on or not, until undone."""
         return self.tell(Kind.STATE, n=(state, int(goes_on)), **when)
 
-    def unplug(self, *, is_told: bool = True, streams_go_on: bool = False, **when: int) -> Receipt:
+    def unplug(
+        self, *, is_told: bool = True, streams_go_on: bool = False, is_swapped: bool = False, **when: int
+    ) -> Receipt:
         """Pull the cable, until undone; a runtime that is not told hears nothing but silence.
 
-        ``streams_go_on`` says whether streams opened before deliver again when it is undone, without a new start.
+        What comes back has another address, where that is told, and another serial number, where it was swapped.
+        ``streams_go_on`` says whether streams opened before deliver again then, without a new start.
         """
-        return self.tell(Kind.UNPLUG, n=(int(is_told), int(streams_go_on)), **when)
+        return self.tell(Kind.UNPLUG, n=(int(is_told), int(streams_go_on), int(is_swapped)), **when)
 
     def hang(self, calls: Call) -> Receipt:
         """Let these calls of the runtime hang until undone; ``raised_ns`` is when the first one hung."""
@@ -312,7 +327,7 @@ class VirtualXtion:
         rgb: int = CLOTH_RGB,
         **when: int,
     ) -> Receipt:
-        """Fill a rectangle of either picture, or of both; the receipt is the later order's where there are two."""
+        """Fill a rectangle of either picture, or of both from the same frame on."""
         orders = []
         if depth_rect is not None:
             orders.append((Streams.DEPTH, (*depth_rect, depth_mm, -1)))
@@ -320,7 +335,7 @@ class VirtualXtion:
             orders.append((Streams.COLOR, (*color_rect, -1, rgb)))
         numbers = [(self.order(Kind.FILL, n=n, streams=streams, **when), streams) for streams, n in orders]
         receipts = [self.receipt(number, Kind.FILL, streams=streams) for number, streams in numbers]
-        return receipts[-1]
+        return reduce(_merged, receipts)
 
     def cover(self, marker: int = 0, **when: int) -> Receipt:
         """Lay a dark cloth on a marker, for the colour camera alone."""

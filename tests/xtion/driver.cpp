@@ -99,7 +99,7 @@ public:
     // On the camera's thread alone: a stream that was reserved stays until its frame is out, however it is stopped.
     bool reserve() {
         std::lock_guard lock(mutex_);
-        is_raising_ = is_running_ && !is_cut;
+        is_raising_ = is_running();
         return is_raising_;
     }
     void raise_reserved(const Shot& shot, Darkroom& darkroom, bool is_registered) {
@@ -109,8 +109,13 @@ public:
         raised_.notify_all();
     }
 
-    bool is_running() const { return is_running_ && !is_cut; }
-    std::atomic<bool> is_cut {false};   // unplugged while it ran
+    bool is_running() const { return is_running_ && !is_cut_; }
+    // Unplugged while it ran: started, and silent.
+    void cut(bool is_cut) {
+        std::lock_guard lock(mutex_);
+        is_cut_ = is_cut;
+        camera_.block().status.is_running[kind_] = is_running();
+    }
 
 private:
     int bytes_a_pixel() const { return kind_ == DEPTH ? 2 : 3; }
@@ -185,7 +190,7 @@ private:
     OniVideoMode mode_;
     std::mutex mutex_;
     std::condition_variable raised_;
-    std::atomic<bool> is_running_ {false};
+    std::atomic<bool> is_running_ {false}, is_cut_ {false};
     std::atomic<bool> is_mirrored_ {true};   // by itself, as an Xtion is
     bool is_raising_ = false;
     void* withheld_ = nullptr;
@@ -226,10 +231,11 @@ public:
     OniStatus getProperty(int id, void* data, int* size) override {
         camera_.enter(ON_GET);
         if (id == ONI_DEVICE_PROPERTY_IMAGE_REGISTRATION) return give(int(is_registered_), data, size);
-        static const char SERIAL[] = "VIRTUAL-1";
-        if (id != ONI_DEVICE_PROPERTY_SERIAL_NUMBER || *size < int(sizeof SERIAL)) return ONI_STATUS_NOT_SUPPORTED;
-        std::memcpy(data, SERIAL, sizeof SERIAL);
-        *size = sizeof SERIAL;
+        char serial[] = "VIRTUAL-1";
+        if (camera_.is_another()) serial[8] = '2';
+        if (id != ONI_DEVICE_PROPERTY_SERIAL_NUMBER || *size < int(sizeof serial)) return ONI_STATUS_NOT_SUPPORTED;
+        std::memcpy(data, serial, sizeof serial);
+        *size = sizeof serial;
         return ONI_STATUS_OK;
     }
     OniBool isPropertySupported(int id) override {
@@ -257,7 +263,7 @@ public:
     bool is_registered() const { return is_registered_; }
     void cut(bool is_cut) {
         std::lock_guard lock(mutex_);
-        for (auto* stream : streams_) if (stream) stream->is_cut = is_cut;
+        for (auto* stream : streams_) if (stream) stream->cut(is_cut);
     }
 
 private:
@@ -276,7 +282,7 @@ public:
         DriverBase::initialize(connected, gone, changed, cookie);
         const char* path = std::getenv("VIRTUAL_XTION");
         if (path == nullptr || !map(path)) return ONI_STATUS_ERROR;
-        std::strncpy(info_.uri, URI, ONI_MAX_STR - 1);
+        name_anew(0);
         std::strncpy(info_.vendor, "Tidegate", ONI_MAX_STR - 1);
         std::strncpy(info_.name, "Virtual Xtion", ONI_MAX_STR - 1);
         info_.usbVendorId = 0x1d27;
@@ -343,7 +349,11 @@ private:
             std::lock_guard lock(mutex_);
             return device_ != nullptr && device_->is_running(kind);
         };
-        outlet.tell_plugged = [this](bool is_plugged) { is_plugged ? deviceConnected(&info_) : deviceDisconnected(&info_); };
+        outlet.tell_plugged = [this](bool is_plugged) {
+            if (!is_plugged) { deviceDisconnected(&info_); return; }
+            name_anew(++plugs_);
+            deviceConnected(&info_);
+        };
         outlet.tell_state = [this](int64_t state) { deviceStateChanged(&info_, int(state)); };
         outlet.cut_open_streams = [this] { cut(true); };
         outlet.mend_open_streams = [this] { cut(false); };
@@ -354,7 +364,15 @@ private:
         if (device_) device_->cut(is_cut);
     }
 
+    // A camera on a bus has another address each time it is plugged in.
+    void name_anew(int plugs) {
+        std::string uri = plugs ? std::string(URI) + "@" + std::to_string(plugs) : URI;
+        std::memset(info_.uri, 0, ONI_MAX_STR);
+        std::strncpy(info_.uri, uri.c_str(), ONI_MAX_STR - 1);
+    }
+
     OniDeviceInfo info_ {};
+    int plugs_ = 0;
     Ring* ring_ = nullptr;
     Camera* camera_ = nullptr;
     Darkroom* darkroom_ = nullptr;

@@ -1,0 +1,234 @@
+"""A camera that is unplugged and comes back: one camera to whoever reads it, and never another one."""
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine.capture.returning import SILENT_NS, ReturningSource
+from engine.capture.source import SourceDescription
+from engine.clock import NS_PER_MS, ManualClock
+from engine.errors import FrameTimeoutError, SourceAwayError, SourceLostError
+from engine.frames import RgbdFrame
+
+PERIOD_NS = 33 * NS_PER_MS
+OURS = SourceDescription(
+    kind="openni", name="Xtion", depth_size=(4, 3), color_size=(4, 3), fps=30.0, is_live=True, serial="A1"
+)
+PATIENCE_S = 10.0
+
+
+class FakeCamera:
+    """Delivers frames while it is plugged in; its numbers and times begin anew with each opening."""
+
+    def __init__(self, room):
+        self.room, self.frames, self.closed = room, 0, 0
+
+    def open(self):
+        if not self.room.is_plugged:
+            raise SourceLostError("no camera")
+        return self.room.described
+
+    def read(self, _timeout_s):
+        if not self.room.is_plugged:
+            raise SourceLostError("unplugged")
+        if self.room.is_silent:
+            raise FrameTimeoutError("nothing came")
+        self.room.clock.advance_ns(PERIOD_NS)
+        self.frames += 1
+        return RgbdFrame(
+            index=self.frames - 1,
+            device_index=self.frames,
+            missed_frames=0,
+            timestamp_us=1_000 + 33_000 * self.frames,
+            color_timestamp_us=500 + 33_000 * self.frames,
+            received_ns=self.room.clock.now_ns(),
+            depth_mm=np.zeros((3, 4), np.uint16),
+            color=np.zeros((3, 4, 3), np.uint8),
+        )
+
+    def close(self):
+        self.closed += 1
+
+
+class Room:
+    """Where the camera is; searching steps on when the test lets it."""
+
+    def __init__(self):
+        self.clock = ManualClock(1_000_000_000)
+        self.is_plugged, self.is_silent, self.described = True, False, OURS
+        self.made = []
+        self.looks = threading.Semaphore(0)
+        self.source = ReturningSource(self.make, self.clock, self.wait)
+
+    def make(self):
+        self.made.append(FakeCamera(self))
+        return self.made[-1]
+
+    def wait(self, stop, _seconds):
+        while not self.looks.acquire(timeout=0.01):
+            if stop.is_set():
+                return True
+        return stop.is_set()
+
+    def until_back(self):
+        """Let it look until a frame comes."""
+        for _ in range(1000):
+            self.looks.release()
+            try:
+                return self.source.read(0.05)
+            except SourceAwayError:
+                continue
+        pytest.fail("it never came back")
+
+
+@pytest.fixture
+def room():
+    held = Room()
+    held.source.open()
+    yield held
+    held.source.close()
+
+
+def test_frames_pass_through_as_they_are(room):
+    frames = [room.source.read(0.1) for _ in range(3)]
+    assert [(one.index, one.timestamp_us, one.missed_frames) for one in frames] == [
+        (0, 34_000, 0),
+        (1, 67_000, 0),
+        (2, 100_000, 0),
+    ]
+
+
+def test_a_camera_that_is_not_there_at_first_is_not_waited_for():
+    held = Room()
+    held.is_plugged = False
+    with pytest.raises(SourceLostError):
+        held.source.open()
+
+
+def test_a_lost_camera_is_away_for_as_long_as_it_is_not_back(room):
+    room.source.read(0.1)
+    room.is_plugged = False
+    with pytest.raises(SourceAwayError, match="unplugged"):
+        room.source.read(0.1)
+    for _ in range(5):
+        room.looks.release()
+        with pytest.raises(SourceAwayError, match="unplugged"):
+            room.source.read(0.01)
+    assert room.made[0].closed == 1
+
+
+def test_frames_go_on_along_the_host_s_time_when_it_is_back(room):
+    for _ in range(4):
+        last = room.source.read(0.1)
+    room.is_plugged = False
+    with pytest.raises(SourceAwayError):
+        room.source.read(0.1)
+    room.clock.advance_ns(30 * PERIOD_NS)
+    room.is_plugged = True
+    back = room.until_back()
+    after = room.source.read(0.1)
+    away_us = (back.received_ns - last.received_ns) // 1000
+    assert back.index == last.index + 1
+    assert back.timestamp_us - last.timestamp_us == away_us
+    assert back.timestamp_us - back.color_timestamp_us == 500
+    assert back.missed_frames == pytest.approx(away_us / 33_333 - 1, abs=0.6)
+    assert (after.index, after.missed_frames) == (back.index + 1, 0)
+    assert after.timestamp_us - back.timestamp_us == 33_000
+
+
+def test_a_camera_that_says_nothing_for_long_is_taken_for_unplugged(room):
+    room.source.read(0.1)
+    room.is_silent = True
+    room.clock.advance_ns(SILENT_NS)
+    with pytest.raises(FrameTimeoutError) as silence:
+        room.source.read(0.1)
+    assert not isinstance(silence.value, SourceAwayError)
+    room.clock.advance_ns(1)
+    with pytest.raises(SourceAwayError, match="shown nothing for 3 s"):
+        room.source.read(0.1)
+    room.is_silent = False
+    assert room.until_back().index == 1
+
+
+def test_a_camera_that_never_showed_a_frame_is_not_given_up_here(room):
+    room.is_silent = True
+    room.clock.advance_ns(10 * SILENT_NS)
+    with pytest.raises(FrameTimeoutError) as silence:
+        room.source.read(0.1)
+    assert not isinstance(silence.value, SourceAwayError)
+
+
+@pytest.mark.parametrize("change", [{"serial": "B2"}, {"name": "Other"}, {"depth_size": (2, 3)}], ids=str)
+def test_another_camera_is_not_taken_for_this_one(room, change):
+    room.source.read(0.1)
+    room.is_plugged = False
+    with pytest.raises(SourceAwayError):
+        room.source.read(0.1)
+    room.is_plugged, room.described = True, replace(OURS, **change)
+    for _ in range(3):
+        room.looks.release()
+        with pytest.raises(SourceAwayError):
+            room.source.read(0.05)
+    with pytest.raises(SourceAwayError, match="another camera is plugged in"):
+        room.source.read(0.01)
+    assert all(camera.closed for camera in room.made[1:])
+    room.described = OURS
+    assert room.until_back().index == 1
+
+
+def test_a_camera_that_is_back_without_a_picture_is_not_back(room):
+    room.source.read(0.1)
+    room.is_plugged = False
+    with pytest.raises(SourceAwayError):
+        room.source.read(0.1)
+    room.is_plugged, room.is_silent = True, True
+    for _ in range(3):
+        room.looks.release()
+        with pytest.raises(SourceAwayError):
+            room.source.read(0.05)
+    room.is_silent = False
+    assert room.until_back().index == 1
+
+
+def test_whatever_a_driver_raises_it_is_looked_for_on(room):
+    room.source.read(0.1)
+    room.is_plugged = False
+    with pytest.raises(SourceAwayError):
+        room.source.read(0.1)
+    room.is_plugged = True
+    room.source._search._make = lambda: 1 / 0
+    for _ in range(3):
+        room.looks.release()
+        with pytest.raises(SourceAwayError):
+            room.source.read(0.05)
+    with pytest.raises(SourceAwayError, match="ZeroDivisionError"):
+        room.source.read(0.01)
+    room.source._search._make = room.make
+    assert room.until_back().index == 1
+
+
+def test_closing_while_it_is_away_ends_the_search_and_leaves_nothing_open(room):
+    room.source.read(0.1)
+    room.is_plugged = False
+    with pytest.raises(SourceAwayError):
+        room.source.read(0.1)
+    room.source.close()
+    assert not [one for one in threading.enumerate() if one.name == "camera-search"]
+    with pytest.raises(SourceLostError):
+        room.source.read(0.1)
+
+
+def test_a_camera_that_was_found_and_never_taken_is_closed(room):
+    room.source.read(0.1)
+    room.is_plugged = False
+    with pytest.raises(SourceAwayError):
+        room.source.read(0.1)
+    room.is_plugged = True
+    search = room.source._search
+    while search._found is None:
+        room.looks.release()
+        threading.Event().wait(0.01)
+    room.source.close()
+    assert [camera.closed for camera in room.made] == [1] * len(room.made)

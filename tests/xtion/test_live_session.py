@@ -1,0 +1,139 @@
+"""The whole live path: a real service, the real runtime, a camera that fails on command, and a real line's receiver.
+
+Safety is judged by the receiver's own times against the camera's: the beam is off within a bound of the first frame
+that is late, missing or wrong. Reaching the beam takes as long as it takes.
+"""
+
+import time
+
+import pytest
+
+from tests.xtion.block import Call, State, Streams
+from tests.xtion.room import LEASE_MS, room
+
+MS = 1_000_000
+BOUND_MS = 100.0
+"""What frames show, or do not show, is off within this; it is also more than a lease and what its line takes."""
+
+
+@pytest.fixture(scope="module")
+def held(tmp_path_factory):
+    with room(tmp_path_factory.mktemp("room")) as one:
+        yield one
+
+
+@pytest.fixture
+def live(held):
+    """A room with a session that runs, on a model that was learned once."""
+    if held.camera.status.pid:
+        held.camera.undo()
+    if held.model_id is None:
+        held.begin()
+        held.turn_on()
+        held.stop()
+        (model,) = held.client.get(f"/api/v1/sessions/{held.session_id}/models").json()["items"]
+        held.model_id = model["id"]
+    if held.detail["status"] != "running":
+        held.begin()
+    return held
+
+
+def caused(live, cause):
+    """Do something to the camera while the beam is on; returns the receipt, and how long the beam stayed on [ms]."""
+    for _ in range(20):
+        live.turn_on()
+        time.sleep(0.1)
+        before_ns = time.monotonic_ns()
+        if not live.is_on:
+            continue
+        receipt = cause()
+        live.until(lambda: not live.is_on, "an off")
+        offs = live.offs(before_ns)
+        if offs and offs[0] > receipt.raised_ns:  # else a busy machine had it off by itself: no result
+            return receipt, (offs[0] - receipt.raised_ns) / MS
+        live.camera.undo()
+    pytest.fail("the beam never stayed on until the fault")
+
+
+def test_the_camera_is_found_by_the_service(live):
+    listed = live.client.get("/api/v1/devices").json()
+    assert listed["is_runtime_available"]
+    assert [one["uri"] for one in listed["items"]] == ["virtual/xtion"]
+
+
+def test_a_session_is_armed_and_turns_the_receiver_on(live):
+    live.turn_on()
+    assert live.detail["status"] == "running"
+    assert live.camera.status.is_mirrored == (False, False)
+    assert not live.camera.status.is_registered
+
+
+FAULTS = {
+    "depth stalls": lambda camera: camera.stall(Streams.DEPTH),
+    "both stall": lambda camera: camera.stall(),
+    "silent unplugging": lambda camera: camera.unplug(is_told=False),
+    "unplugging": lambda camera: camera.unplug(),
+    "an error state": lambda camera: camera.state(State.ERROR),
+    "a hung read": lambda camera: camera.hang(Call.READ),
+    "a covered marker": lambda camera: camera.cover(0),
+    "a hand": lambda camera: camera.hand(),
+    "depth of nothing": lambda camera: camera.flat(0),
+    "depth of noise": lambda camera: camera.noise(),
+    "late frames": lambda camera: camera.late(300.0),
+    "a clock that goes back": lambda camera: camera.clock(-1_000_000),
+    "a clock that stands": lambda camera: camera.stuck_clock(),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_the_beam_is_off_in_time_and_stays_off_while_it_lasts(live, name):
+    receipt, on_ms = caused(live, lambda: FAULTS[name](live.camera))
+    time.sleep(0.5)
+    assert on_ms <= BOUND_MS + LEASE_MS
+    assert live.ons(receipt.raised_ns) == []
+
+
+def test_a_camera_that_is_unplugged_with_the_beam_on_comes_back_and_goes_on_in_the_same_session(live):
+    live.turn_on()
+    session_id, model_id = live.session_id, live.detail["active_model_id"]
+    receipt, on_ms = caused(live, live.camera.unplug)
+    assert on_ms <= BOUND_MS
+    live.until(lambda: live.gate["state"] == "fault", "a fault")
+    assert live.gate["hold_reason"] == "source_lost"
+    assert live.gate["hold_detail"] == "Virtual Xtion was disconnected"
+    assert live.act("acknowledge").status_code == 200
+    live.until(lambda: live.gate["state"] == "fault", "the same fault while it is away")
+    assert live.act("arm").status_code == 409
+    live.camera.undo(receipt)
+    live.camera.await_streaming()
+    live.until(lambda: live.detail["likeness"], "a comparison with the patient")
+    assert live.ons(receipt.raised_ns) == []
+    live.act("acknowledge")
+    assert live.detail["has_reference"] is False
+    assert live.act("arm").status_code == 409
+    live.turn_on()
+    assert (live.session_id, live.detail["active_model_id"]) == (session_id, model_id)
+    assert "source_lost" in live.reasons()
+
+
+def test_another_camera_is_not_taken_for_the_one_that_was_pulled(live):
+    receipt, _ = caused(live, lambda: live.camera.unplug(is_swapped=True))
+    live.camera.undo(receipt)
+    live.until(lambda: "another camera" in (live.gate["hold_detail"] or ""), "a refusal")
+    assert live.act("acknowledge").status_code == 200
+    assert live.act("arm").status_code == 409
+    assert live.ons(receipt.raised_ns) == []
+    again = live.camera.unplug()
+    live.camera.undo(again)
+    live.turn_on()
+
+
+def test_a_camera_pulled_without_a_word_comes_back_too(live):
+    receipt, on_ms = caused(live, lambda: live.camera.unplug(is_told=False))
+    assert on_ms <= BOUND_MS
+    live.until(
+        lambda: live.gate["hold_reason"] == "source_lost" or "nothing" in (live.gate["hold_detail"] or ""), "a loss"
+    )
+    live.camera.undo(receipt)
+    live.turn_on()
+    assert live.ons(receipt.raised_ns)[0] > receipt.raised_ns
