@@ -30,6 +30,7 @@ class FakeRuntime:
         self.created: list[int] = []
         self.destroyed = 0
         self.is_open = False
+        self.is_mirrored = {10 + c.SENSOR_DEPTH: 0, 10 + c.SENSOR_COLOR: 0}
 
     def oniDeviceOpen(self, _uri, handle):
         handle._obj.value = 1
@@ -62,7 +63,10 @@ class FakeRuntime:
     def oniStreamDestroy(self, _handle):
         self.destroyed += 1
 
-    def oniStreamGetProperty(self, _handle, name, value, _size):
+    def oniStreamGetProperty(self, handle, name, value, _size):
+        if name == c.STREAM_MIRRORING:
+            value._obj.value = self.is_mirrored[handle.value]
+            return c.STATUS_OK
         if name not in self.angles:
             return 1
         value._obj.value = self.angles[name]
@@ -116,6 +120,14 @@ def test_a_device_that_cannot_register_is_refused_when_asked_to_and_used_when_no
     create_streams(use_registration=False)
     assert runtime.device_properties == []
     assert registered_calibration(URI) is None
+
+
+@pytest.mark.parametrize(("sensor", "kind"), [(c.SENSOR_DEPTH, "depth"), (c.SENSOR_COLOR, "colour")])
+def test_a_device_that_goes_on_mirroring_is_not_used(runtime, sensor, kind):
+    """The patient's right side would be taken for the left."""
+    runtime.is_mirrored[10 + sensor] = 1
+    with pytest.raises(SourceLostError, match=f"PS1080 does not stop mirroring its {kind} pictures"):
+        create_streams(use_registration=False)
 
 
 def test_the_nominal_geometry_is_that_of_the_colour_camera(runtime):
