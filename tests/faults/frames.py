@@ -40,11 +40,8 @@ def of_camera(act: Act, *, is_step: bool = False) -> Inject:
     def inject(rig: "Rig", chance: random.Random) -> Fault:
         receipt = act(rig.camera, chance)
 
-        def mend() -> int | None:
-            good_ns = rig.mend_camera()
-            return receipt.raised_ns if is_step else good_ns
-
-        return Fault(cause_ns=receipt.raised_ns, undo=mend, lasts_s=chance.uniform(*LASTS_S))
+        lasts_s = chance.uniform(*LASTS_S)
+        return Fault(cause_ns=receipt.raised_ns, undo=rig.mend_camera, lasts_s=lasts_s, is_step=is_step)
 
     return inject
 

@@ -29,7 +29,7 @@ from tests.faults.kinds import (
     Inject,
     told,
 )
-from tests.faults.plan import CLOCK_FILE, CLOCK_LOOK_S, OWN_WALL_CLOCK
+from tests.faults.plan import OWN_CLOCK
 from tests.faults.verdict import Recovery
 
 if TYPE_CHECKING:
@@ -51,21 +51,14 @@ def wall_clock(hours: int) -> Inject:
 
     def inject(rig: "Rig", _random: random.Random) -> Fault:
         at_ns = time.monotonic_ns()
-        _set_clock(rig, f"{hours * HOUR_S:+d}")
-        time.sleep(CLOCK_LOOK_S)
+        rig.wall_clock.set(hours * HOUR_S)
 
         def back() -> None:
-            _set_clock(rig, "+0")
+            rig.wall_clock.set(0.0)
 
         return Fault(cause_ns=at_ns, undo=back)
 
     return inject
-
-
-def _set_clock(rig: "Rig", offset: str) -> None:
-    whole = rig.folder / "next-clock"
-    whole.write_text(offset + "\n")
-    whole.replace(rig.folder / CLOCK_FILE)
 
 
 def disk_full(rig: "Rig", _random: random.Random) -> Fault:
@@ -214,7 +207,7 @@ KINDS = (
             wall_clock(1),
             told(),
             BY_ITSELF,
-            plan=OWN_WALL_CLOCK,
+            plan=OWN_CLOCK,
         )
     ),
     beside(
@@ -224,7 +217,7 @@ KINDS = (
             wall_clock(-1),
             told(),
             BY_ITSELF,
-            plan=OWN_WALL_CLOCK,
+            plan=OWN_CLOCK,
         )
     ),
     _kind(

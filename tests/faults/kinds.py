@@ -61,6 +61,8 @@ class Fault:
         Looks the cause's time up afterwards, where only then it can be known.
     is_of_itself
         The beam went off before anything was there that had to take it off: safe, and bound to no time.
+    is_step
+        The cause is over as soon as it was there, and to undo it is a fault of its own: the beam may be back before.
     """
 
     cause_ns: int
@@ -69,6 +71,7 @@ class Fault:
     told_by_ns: int | None = None
     find_cause: Callable[[], int | None] | None = None
     is_of_itself: bool = False
+    is_step: bool = False
 
 
 Inject = Callable[["Rig", random.Random], Fault]

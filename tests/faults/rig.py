@@ -21,8 +21,9 @@ from tests.beam.modbus_server import COIL, INPUT, REGISTER, UNIT
 from tests.beam.receivers import Receiver
 from tests.faults.ledger import Ledger
 from tests.faults.person import Person, PersonGaveUpError
-from tests.faults.plan import CLOCK_FILE, Plan
+from tests.faults.plan import Plan
 from tests.faults.verdict import LineEdge, is_on_at
+from tests.faults.wall_clock import WallClock
 from tests.faults.watchman import Watchman
 from tests.service.processes import ROOT, free_port
 from tests.xtion.camera import CameraSilentError, VirtualXtion
@@ -79,7 +80,7 @@ class Rig:
 
     def __enter__(self) -> "Rig":
         self.folder.mkdir(parents=True, exist_ok=True)
-        (self.folder / CLOCK_FILE).write_text("+0\n")
+        self.wall_clock = WallClock(self.folder)
         with contextlib.ExitStack() as held:
             held.enter_context(_small_disk(self.data))
             if self.template is not None:
@@ -182,8 +183,8 @@ class Rig:
     def _environment(self) -> dict[str, str]:
         settings = {**SETTINGS, "BEAM_MODBUS_PORT": self.line_port, **self.plan.settings}
         told = {f"TIDEGATE_{name}": str(value) for name, value in settings.items()}
-        extra = {name: text.format(folder=self.folder) for name, text in self.plan.environment.items()}
-        return {**os.environ, **self.camera.environment, **told, **extra}
+        clock = self.wall_clock.environment if self.plan.has_own_clock else {}
+        return {**os.environ, **self.camera.environment, **told, **clock}
 
     def _kill_service(self) -> None:
         if self.process is not None:

@@ -1,6 +1,7 @@
 """One trial: the beam on, a random moment, the fault, the line off, the cause gone, the beam back; judged."""
 
 import contextlib
+import math
 import random
 import time
 from dataclasses import dataclass, field, replace
@@ -97,24 +98,26 @@ def _try_once(rig: "Rig", kind: FaultKind, chance: random.Random) -> Judged:
     try:
         cause_ns = _await_off(rig, kind, fault)
         time.sleep(fault.lasts_s)
+        is_back = fault.is_step and rig.is_on
+        edges = rig.edges
     except BaseException:
         fault.undo()
         raise
     clear_ns = fault.undo()
-    time.sleep(STAYS_OFF_S)
-    way_back = WayBack(rig)
-    recovery = way_back.walk()
-    gone = [edge.at_ns for edge in rig.edges if not edge.is_on and edge.at_ns >= cause_ns]
-    expected = kind.expected
-    if fault.is_of_itself:
-        expected = replace(expected, bound_ms=float("inf"))
+    way = WayBack(rig)
+    recovery: Recovery | None = Recovery.BY_ITSELF
+    if not is_back:
+        time.sleep(STAYS_OFF_S)
+        recovery, edges = way.walk(), rig.edges
+    expected = replace(kind.expected, bound_ms=math.inf) if fault.is_of_itself else kind.expected
+    gone = [edge.at_ns for edge in edges if not edge.is_on and edge.at_ns >= cause_ns]
     evidence = Evidence(
         cause_ns=cause_ns,
-        edges=[edge for edge in rig.edges if edge.at_ns >= cause_ns],
+        edges=[edge for edge in edges if edge.at_ns >= cause_ns],
         told=_told_since(rig, sequence, expected),
         recovery=recovery,
-        clear_ns=clear_ns,
-        armed_ns=way_back.asked_ns,
+        clear_ns=cause_ns if fault.is_step else clear_ns,
+        armed_ns=way.asked_ns,
         told_by_ns=fault.told_by_ns,
         is_chain_intact=_is_chain_intact(rig),
         stall_ms=rig.watchman.longest_ms(begun_ns, gone[0] if gone else time.monotonic_ns()),

@@ -1,0 +1,99 @@
+"""The judge, tried with planted evidence: each thing that must not happen is found, and nothing else."""
+
+from dataclasses import replace
+
+import pytest
+
+from engine.clock import NS_PER_MS
+from tests.faults.verdict import (
+    Evidence,
+    Expectation,
+    LineEdge,
+    Outcome,
+    Recovery,
+    Told,
+    Trouble,
+    is_on_at,
+    judge,
+    off_after_ms,
+    told_as,
+)
+
+CAUSE_NS = 10_000 * NS_PER_MS
+EXPECTED = Expectation(
+    bound_ms=100.0, told=frozenset({"marker_lost"}), recoveries=frozenset({Recovery.BY_ITSELF, Recovery.ACKNOWLEDGED})
+)
+
+
+def at(ms: float) -> int:
+    return CAUSE_NS + int(ms * NS_PER_MS)
+
+
+def edge(is_on: bool, ms: float) -> LineEdge:
+    return LineEdge(is_on=is_on, at_ns=at(ms))
+
+
+GOOD = Evidence(
+    cause_ns=CAUSE_NS,
+    edges=(edge(False, 40.0), edge(True, 700.0)),
+    told=(Told(what="marker_lost", at_ns=at(38.0)), Told(what="dwell", at_ns=at(600.0))),
+    recovery=Recovery.BY_ITSELF,
+    clear_ns=at(500.0),
+)
+LATCHED = replace(GOOD, recovery=Recovery.ACKNOWLEDGED, armed_ns=at(650.0))
+
+
+def test_a_fault_that_did_as_promised_is_no_trouble():
+    assert judge(EXPECTED, GOOD) == []
+    assert judge(EXPECTED, LATCHED) == []
+    assert off_after_ms(GOOD) == pytest.approx(40.0)
+    assert told_as(EXPECTED, GOOD) == ("marker_lost",)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "trouble"),
+    [
+        (replace(GOOD, edges=(edge(False, 100.1), edge(True, 700.0))), Trouble.OFF_LATE),
+        (replace(GOOD, edges=()), Trouble.NEVER_OFF),
+        (replace(GOOD, edges=(edge(False, -1.0), edge(True, -0.5))), Trouble.NEVER_OFF),
+        (replace(GOOD, edges=(edge(False, 40.0), edge(True, 599.9))), Trouble.BACK_EARLY),
+        (replace(GOOD, edges=(edge(False, 40.0), edge(True, 60.0), edge(False, 90.0))), Trouble.BACK_EARLY),
+        (replace(GOOD, clear_ns=None, edges=(edge(False, 40.0), edge(True, 99.9))), Trouble.BACK_EARLY),
+        (replace(LATCHED, edges=(edge(False, 40.0), edge(True, 649.0))), Trouble.ON_UNASKED),
+        (replace(GOOD, told=()), Trouble.UNTOLD),
+        (replace(GOOD, told=(Told(what="jump", at_ns=at(38.0)),)), Trouble.UNTOLD),
+        (replace(GOOD, told_by_ns=at(37.0)), Trouble.TOLD_LATE),
+        (replace(GOOD, is_chain_intact=False), Trouble.CHAIN_BROKEN),
+        (replace(GOOD, recovery=None), Trouble.NOT_RECOVERED),
+        (replace(GOOD, recovery=Recovery.NEW_SESSION), Trouble.OTHER_RECOVERY),
+    ],
+    ids=lambda one: one.name if isinstance(one, Trouble) else "",
+)
+def test_each_broken_promise_is_found_and_it_alone(evidence, trouble):
+    assert judge(EXPECTED, evidence) == [trouble]
+
+
+def test_a_bound_is_kept_by_what_comes_at_it():
+    assert judge(EXPECTED, replace(GOOD, edges=(edge(False, 100.0), edge(True, 700.0)))) == []
+    assert judge(EXPECTED, replace(GOOD, edges=(edge(False, 40.0), edge(True, 600.0)))) == []
+    assert judge(EXPECTED, replace(LATCHED, edges=(edge(False, 40.0), edge(True, 650.0)))) == []
+    assert judge(EXPECTED, replace(GOOD, told_by_ns=at(38.0))) == []
+
+
+def test_several_troubles_are_all_told():
+    worst = replace(GOOD, edges=(edge(False, 200.0), edge(True, 300.0)), told=(), is_chain_intact=False)
+    found = [Trouble.OFF_LATE, Trouble.BACK_EARLY, Trouble.UNTOLD, Trouble.CHAIN_BROKEN]
+    assert judge(EXPECTED, worst) == found
+
+
+def test_a_line_is_on_from_its_edge_to_the_next():
+    edges = [edge(True, 0.0), edge(False, 40.0)]
+    assert [is_on_at(edges, at(ms)) for ms in (-1.0, 0.0, 39.9, 40.0, 50.0)] == [False, True, True, False, False]
+
+
+@pytest.mark.parametrize("trouble", Trouble)
+def test_every_trouble_is_red_and_only_a_line_that_was_on_is_unsafe(trouble):
+    unsafe = {Trouble.NEVER_OFF, Trouble.OFF_LATE, Trouble.BACK_EARLY, Trouble.ON_UNASKED}
+    outcome = Outcome(kind="k", seed=1, off_ms=None, troubles=(trouble,), told=(), recovery="")
+    assert outcome.is_red
+    assert outcome.is_unsafe is (trouble in unsafe)
