@@ -1,4 +1,7 @@
-"""The tables of docs/safety.md, made from the code: ``python -m tests.gate.safety_document`` prints them."""
+"""The tables of docs/safety.md, made from the code: ``python -m tests.gate.safety_document`` prints them.
+
+With ``--write`` it puts them into the document instead.
+"""
 
 import sys
 
@@ -7,6 +10,9 @@ from engine.permits import GateState, HoldReason
 from engine.stages.gate import EventKind, next_state
 from service.hold_texts import HOLD_TEXTS
 from service.settings import PREFIX, Settings
+from tests.made_parts import ROOT, write_parts
+
+DOCUMENT = ROOT / "docs" / "safety.md"
 
 
 def transition_table() -> str:
@@ -48,5 +54,21 @@ def _bound(name: str) -> str:
     return f"{setting}: {field.default:g}, {bounds['ge']:g} to {bounds['le']:g}"
 
 
+MADE = {"transitions": transition_table, "reasons": reason_lists, "interlocks": interlock_table}
+"""Every part of the document that the code makes, by its name there."""
+
+
+def main(arguments: list[str]) -> None:
+    """Print every part, or write it."""
+    if arguments == ["--write"]:
+        changed = write_parts(DOCUMENT, MADE)
+        sys.stdout.write(f"{DOCUMENT.name} {'is written anew' if changed else 'says so already'}\n")
+        return
+    if arguments:
+        sys.exit("usage: python -m tests.gate.safety_document [--write]")
+    parts = "\n\n".join(make() for make in MADE.values())
+    sys.stdout.write(f"{parts}\n")
+
+
 if __name__ == "__main__":
-    sys.stdout.write(f"{transition_table()}\n\n{reason_lists()}\n\n{interlock_table()}\n")
+    main(sys.argv[1:])

@@ -5,16 +5,43 @@ from pathlib import Path
 
 import pytest
 
-from tests.gate.safety_document import interlock_table, reason_lists, transition_table
+from tests.gate.safety_document import MADE, main
+from tests.made_parts import PartMissingError, part_of, with_part, write_parts
 
 ROOT = Path(__file__).parents[2]
 DOCUMENT = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
 NAMED_TESTS = sorted(set(re.findall(r"`(tests/[\w/]+\.py)::(test_\w+)`", DOCUMENT)))
 
 
-@pytest.mark.parametrize("made", [transition_table, reason_lists, interlock_table], ids=lambda made: made.__name__)
-def test_the_document_holds_the_tables_the_code_makes(made):
-    assert made() in DOCUMENT
+@pytest.mark.parametrize("name", MADE)
+def test_the_document_holds_what_the_code_makes_where_the_command_writes_it(name):
+    assert part_of(DOCUMENT, name) == MADE[name]()
+
+
+def test_the_command_prints_every_part(capsys):
+    main([])
+    printed = capsys.readouterr().out
+    assert all(make() in printed for make in MADE.values())
+    with pytest.raises(SystemExit, match="usage"):
+        main(["--wrote"])
+
+
+def test_a_part_that_is_out_of_date_is_written_anew_and_nothing_else_is_touched(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- made: tables -->\nof yesterday\n<!-- end: tables -->\nbehind\n")
+    assert write_parts(page, {"tables": lambda: "of today"})
+    assert page.read_text() == "before\n<!-- made: tables -->\n\nof today\n\n<!-- end: tables -->\nbehind\n"
+    assert not write_parts(page, {"tables": lambda: "of today"})
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "<!-- made: a -->\n", "<!-- end: a -->\n<!-- made: a -->\n", "<!-- made: a -->\n<!-- end: a -->\n" * 2],
+    ids=["none", "no end", "turned round", "twice"],
+)
+def test_a_document_without_a_place_for_a_part_is_refused(text):
+    with pytest.raises(PartMissingError, match="once each"):
+        with_part(text, "a", "new")
 
 
 def test_every_rule_names_tests():

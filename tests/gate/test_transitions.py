@@ -39,6 +39,39 @@ def test_every_pair_of_state_and_event_leads_where_the_design_says(state, kind, 
     assert next_state(state, kind) is expected
 
 
+def by_rule(state: str, kind: str) -> str:
+    """Where a pair leads, by the rules in words: read from no table, the code's or the one above."""
+    if state == "fault":  # a fault stays until a person has seen it, which arms nobody
+        return "disarmed" if kind == "acknowledge" else "fault"
+    if kind == "failure":
+        return "fault"
+    if state == "disarmed":  # nothing but a person's arming asks the gate to decide
+        return "hold" if kind == "arm" else "disarmed"
+    if kind in {"disarm", "end"}:
+        return "disarmed"
+    first_steps = "hold" if state == "beam_on" else "dwell"
+    last_step = "hold" if state == "hold" else "beam_on"
+    return {"inside": first_steps, "dwelt": last_step}.get(kind, "hold")
+
+
+@pytest.mark.parametrize("state", GateState, ids=_named)
+@pytest.mark.parametrize("kind", EventKind, ids=_named)
+def test_every_pair_leads_where_the_rules_in_words_say(state, kind):
+    assert str(next_state(state, kind)) == by_rule(str(state), str(kind)) == EXPECTED[state].split()[KINDS.index(kind)]
+
+
+CHANGES = [(state, kind, other) for state in GateState for kind in EventKind for other in GateState]
+
+
+@pytest.mark.parametrize(("state", "kind", "other"), CHANGES, ids=_named)
+def test_no_cell_of_the_table_can_be_changed_unseen(state, kind, other, monkeypatch):
+    """A mutation of the table, cell by cell: the rules in words tell each from the table as it is."""
+    before = str(next_state(state, kind))
+    monkeypatch.setitem(TRANSITIONS, (state, kind), other)
+    is_alike = all(str(next_state(one, two)) == by_rule(str(one), str(two)) for one in GateState for two in EventKind)
+    assert is_alike is (str(other) == before)
+
+
 def test_a_pair_that_is_not_in_the_table_is_hold_or_stays_where_no_beam_can_be():
     for state in GateState:
         for kind in set(EventKind) - {known for known_state, known in TRANSITIONS if known_state is state}:
@@ -68,7 +101,25 @@ def _be_silent(stream: Stream) -> Gate:
     return stream.step(Silence(since_ns=0), stream.now_ns + 60 * MS)
 
 
+def _feed_inside_after_a_full_dwell(stream: Stream) -> Gate:
+    """Forge what the run of frames has lasted; in `hold` and elsewhere that cannot be, and must lead nowhere."""
+    frame = stream.upcoming()
+    long_ago_ns, long_ago_us = frame.received_ns - 10**10, frame.timestamp_us - 10**7
+    stream.gate = replace(
+        stream.gate, good_frames=99, inside_since_ns=long_ago_ns, inside_since_us=long_ago_us, off_since_ns=None
+    )
+    return stream.feed(frame)
+
+
+def _feed_inside_as_the_first(stream: Stream) -> Gate:
+    """Forget the run of frames; in `beam_on` that cannot be, and must hold."""
+    stream.gate = replace(stream.gate, good_frames=0, inside_since_ns=None, inside_since_us=None)
+    return stream.feed()
+
+
 REAL_EVENTS = {
+    "inside": [("a frame inside", _feed_inside_as_the_first)],
+    "dwelt": [("a frame inside that ends a dwell", _feed_inside_after_a_full_dwell)],
     "outside": [("a frame outside", _feed_outside)],
     "unusable": [
         ("a training frame", _feed_unusable),
