@@ -11,6 +11,7 @@ from io import BytesIO
 from matplotlib.backends.backend_pdf import FigureCanvasPdf, PdfPages
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
 
 from service.qa.report_plots import paint_series, paint_trend
 from service.qa.report_style import INK, LINE, SOFT
@@ -58,6 +59,8 @@ def report_pages(run: QaRunDetail, trends: Sequence[QaTrend]) -> list[Figure]:
     _paint_plots(pages[-1], fitting, top_in)
     for number, page in enumerate(pages, start=1):
         _paint_foot(page, run, number, len(pages))
+        for text in page.findobj(Text):
+            text.set_parse_math(False)  # a name with a dollar in it is no formula
     return pages
 
 
