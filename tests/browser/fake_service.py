@@ -118,6 +118,22 @@ def window(*conditions: dict[str, Any], join: str = "and") -> dict[str, Any]:
     return place | edges | {"join": join, "conditions": list(conditions)}
 
 
+def qa_run(kind: str, verdict: str | None, **changes: Any) -> dict[str, Any]:
+    """Return a finished QA run."""
+    run = {"id": "0a" * 16, "kind": kind, "status": "finished", "verdict": verdict}
+    return run | {"created_at": "2026-11-21T06:30:12.123456Z"} | changes
+
+
+def qa_status(refusal: str | None = None, hours: float = 0.0, **newest: dict[str, Any]) -> dict[str, Any]:
+    """Return what the controller says of its QA."""
+    return {
+        "newest": dict.fromkeys(("daily", "monthly", "annual")) | newest,
+        "required_daily_h": hours,
+        "is_arming_allowed": refusal is None,
+        "refusal": refusal,
+    }
+
+
 def motion_at(seconds: float) -> dict[str, Any]:
     """Return the measured part of a sample of someone breathing calmly."""
     depth_of_breath = (1.0 - math.cos(2.0 * math.pi * seconds / 4.0)) / 2.0
@@ -217,6 +233,7 @@ class FakeService:
         self.sessions: list[dict[str, Any]] = [copy.deepcopy(SESSION)]
         self.calibrations: list[dict[str, Any]] = [dict(CALIBRATION)]
         self.audit: list[dict[str, Any]] = []
+        self.qa: dict[str, Any] = qa_status()
         self.problem: tuple[int, dict[str, Any]] | None = None
         self.calls: list[tuple[str, str, Any]] = []
         self.connections = 0
@@ -285,6 +302,8 @@ class FakeService:
 
     def _answer(self, path: str, method: str, body: Any) -> Response:
         pages = {"/sessions": self.sessions, "/calibrations": self.calibrations, "/audit": self.audit, "/devices": []}
+        if method == "GET" and path == "/qa/status":
+            return JSONResponse(self.qa)
         if method == "GET" and path in pages:
             return JSONResponse({"items": pages[path], "next_cursor": None})
         if method == "POST" and path == "/sessions":

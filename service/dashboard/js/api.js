@@ -52,6 +52,8 @@ export const listSessions = (limit) => call("GET", `/sessions?limit=${limit}`);
 export const readSession = (id) => call("GET", session(id));
 export const createSession = (request) => call("POST", "/sessions", request, once());
 export const listCalibrations = () => call("GET", "/calibrations?limit=100");
+export const readQaStatus = () => call("GET", "/qa/status");
+export const qaReportUrl = (id) => `${ROOT}/qa/runs/${encodeURIComponent(id)}/report.pdf`;
 export const listDevices = () => call("GET", "/devices");
 export const listAudit = (id, limit) => call("GET", `/audit?session_id=${encodeURIComponent(id)}&limit=${limit}`);
 

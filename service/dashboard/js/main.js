@@ -12,6 +12,7 @@ import { needsZero, renderLearning } from "./learning.js";
 import { LiveStream } from "./live.js";
 import { PicturePanel } from "./picture.js";
 import { Presence } from "./presence.js";
+import { QaPanel } from "./qa.js";
 import { Range } from "./scale.js";
 import { Setup } from "./setup.js";
 import { MismatchWatch, present } from "./state.js";
@@ -41,6 +42,7 @@ const controls = new Controls(() => lookAgain());
 const baseline = new BaselineButton(byId("do-correct"), controls);
 const presence = new Presence();
 const setup = new Setup(() => controls.operatorName, select);
+const qa = new QaPanel();
 const range = new Range();
 const mismatch = new MismatchWatch();
 
@@ -73,7 +75,7 @@ function select(chosen) {
 async function lookAgain() {
   events.hurry(performance.now());
   if (shownSessionId !== null) await describe(shownSessionId);
-  await setup.refresh();
+  await Promise.all([setup.refresh(), qa.refresh()]);
 }
 
 async function describe(id) {
@@ -154,6 +156,7 @@ function render() {
   baseline.update(view.isCurrent ? running : null);
   presence.tend(running, controls.operatorName, nowMs);
   if (view.isFresh) events.tend(nowMs);
+  qa.tend(nowMs);
   return { nowMs, view, sample };
 }
 

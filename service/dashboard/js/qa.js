@@ -1,0 +1,78 @@
+/** QA: the newest run of each kind with its report, and a badge while the site's QA lets nobody arm. */
+
+import { qaReportUrl, readQaStatus } from "./api.js";
+import { setText } from "./gate.js";
+
+const ASK_MS = 20_000;
+const KINDS = ["daily", "monthly", "annual"];
+
+const byId = (id) => document.getElementById(id);
+
+export class QaPanel {
+  constructor() {
+    this.list = byId("qa-list");
+    this.badge = byId("badge-qa");
+    this.nextMs = 0;
+  }
+
+  /** Ask again now and then, and at once when the panel opens. */
+  tend(nowMs) {
+    if (document.hidden || nowMs < this.nextMs) return;
+    this.nextMs = nowMs + ASK_MS;
+    this.refresh();
+  }
+
+  async refresh() {
+    try {
+      this.#show(await readQaStatus());
+    } catch (error) {
+      // What is not known is not shown as if it were: an old verdict is worse than none.
+      this.list.replaceChildren();
+      setText(byId("qa-note"), `QA is not known. ${error.message}`);
+    }
+  }
+
+  #show(status) {
+    this.list.replaceChildren(...KINDS.map((kind) => row(kind, status.newest[kind])));
+    this.badge.hidden = status.is_arming_allowed;
+    this.badge.title = status.refusal ?? "";
+    setText(this.badge, isFailed(status) ? "QA failed" : "QA due");
+    setText(byId("qa-note"), note(status));
+  }
+}
+
+function isFailed(status) {
+  return (status.refusal ?? "").includes(" failed (");
+}
+
+function note(status) {
+  if (!status.is_arming_allowed) return `Nobody can arm: ${status.refusal}.`;
+  if (status.required_daily_h > 0) return `A QA every ${status.required_daily_h} h is asked for before arming.`;
+  return "";
+}
+
+function row(kind, run) {
+  const item = document.createElement("li");
+  item.append(part("strong", kind[0].toUpperCase() + kind.slice(1)));
+  if (run === null) {
+    item.append(part("em", "never"));
+    return item;
+  }
+  const verdict = part("em", run.verdict ?? run.status);
+  verdict.dataset.verdict = run.verdict ?? run.status;
+  item.append(verdict, part("time", `${run.created_at.slice(0, 16).replace("T", " ")} UTC`));
+  if (run.status === "finished") {
+    const link = part("a", "Report");
+    link.href = qaReportUrl(run.id);
+    link.target = "_blank";
+    link.rel = "noopener";
+    item.append(link);
+  }
+  return item;
+}
+
+function part(name, text) {
+  const element = document.createElement(name);
+  element.textContent = text;
+  return element;
+}
