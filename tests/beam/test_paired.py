@@ -108,7 +108,8 @@ def test_lines_that_disagree_are_held_and_latched_both(which, is_permitted):
     if is_permitted:
         held.permit()
     held.lines[which].reads = not is_permitted
-    with pytest.raises(BeamLineMismatchError, match="disagree"):
+    on, off = ("first", "second") if (which == 0) is not is_permitted else ("second", "first")
+    with pytest.raises(BeamLineMismatchError, match=f"disagree: the {on} reads on, the {off} off"):
         held.pair.is_on()
     assert held.are_latched() == [True, True]
 
@@ -212,3 +213,37 @@ def test_two_wired_lines_fall_together_within_200_ms_of_the_trouble_of_one():
     assert (world.line.is_on(), other.is_on()) == (True, True)
     world.run(to_ms=900)
     assert 500 < fell[0] <= 700
+
+
+@pytest.mark.parametrize("settles", [[True, False], [False, True]], ids=["until it is read", "since it was read"])
+def test_a_line_that_settles_before_or_behind_its_reading_is_still_on_its_way(settles):
+    """Its own thread goes on meanwhile: whichever of the two looks finds it on its way, it is no disagreement."""
+    held = Pair().armed()
+    held.permit()
+    held.lines[1].reads = False
+    looks = iter(settles)
+    held.lines[0].__class__ = type("Changing", (Line,), {"is_settling": property(lambda _line: next(looks))})
+    assert held.pair.is_on() is False
+    assert held.are_latched() == [False, False]
+
+
+def test_closing_holds_both_as_stopped_and_closes_the_second_whatever_the_first_does():
+    held = Pair().armed()
+    held.lines[0].fails_at = "close"
+    with pytest.raises(BeamLineError, match="no close"):
+        held.pair.close()
+    assert [line.was_closed for line in held.lines] == [True, True]
+    assert [line.holds[0] for line in held.lines] == [HoldReason.ENGINE_STOPPED] * 2
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_what_one_of_them_finds_holds_the_other_for_that_reason_and_is_told_with_its_words(which):
+    held, heard = Pair().armed(), []
+    held.pair.on_trouble = lambda reason, detail: heard.append((reason, detail))
+    held.lines[which].on_trouble(HoldReason.BEAM_LINE_FAILED, "silent")
+    assert heard == [(HoldReason.BEAM_LINE_FAILED, "silent")]
+    assert held.lines[1 - which].holds[-1] is HoldReason.BEAM_LINE_FAILED
+    assert held.lines[which].holds == []
+    held.lines[1 - which].fails_at = "hold"
+    held.lines[which].on_trouble(HoldReason.BEAM_LINE_MISMATCH, "stuck")
+    assert heard[-1] == (HoldReason.BEAM_LINE_MISMATCH, "stuck")

@@ -93,6 +93,59 @@ def test_it_marks_itself_before_it_holds_so_that_an_arming_engine_sees_one_or_th
     assert seen == [True]
 
 
+class _Noted:
+    """An event that is set after a few waits, and notes how long each was to be."""
+
+    def __init__(self, waits: int) -> None:
+        self.waits: list[float] = []
+        self._left = waits
+
+    def wait(self, seconds: float) -> bool:
+        self.waits.append(seconds)
+        self._left -= 1
+        return self._left < 0
+
+
+def test_it_looks_ten_times_within_its_deadline_by_its_own_clock_until_it_is_stopped():
+    watchdog, line, clock, fired = _watched()
+    clock.advance_ns(DEADLINE_NS + 1)
+    watchdog._stop_requested = _Noted(3)
+    watchdog._watch()
+    assert watchdog._stop_requested.waits == [0.01] * 4
+    assert fired == [clock.now_ns()]
+    assert not line.is_on()
+
+
+def test_its_thread_is_named_and_keeps_no_process_alive_and_is_waited_for_when_it_is_stopped():
+    watchdog = _watched()[0]
+    watchdog.stop()
+    assert (watchdog._thread.name, watchdog._thread.daemon) == ("tidegate-watchdog", True)
+    assert not watchdog.is_watching
+    other = _watched()[0]
+    other.start()
+    assert other.is_watching
+    other.stop()
+    assert not other.is_watching
+
+
+def test_a_reset_forgets_both_that_it_fired_and_since_when_somebody_was_armed():
+    watchdog, _, clock, fired = _watched()
+    clock.advance_ns(DEADLINE_NS + 1)
+    assert watchdog.check(clock.now_ns())
+    watchdog.reset()
+    assert not watchdog.has_fired
+    clock.advance_ns(10 * DEADLINE_NS)
+    assert not watchdog.check(clock.now_ns())
+    assert len(fired) == 1
+
+
+def test_nobody_need_listen_to_it():
+    clock = ManualClock(0)
+    watchdog = Watchdog(beam=SimulatedBeamLine(clock), clock=clock, deadline_ns=DEADLINE_NS)
+    watchdog.feed(0, is_armed=True)
+    assert watchdog.check(DEADLINE_NS + 1)
+
+
 def _wait_for(transitions: "queue.Queue[GateTransition]", state: GateState) -> GateTransition:
     while True:
         change = transitions.get(timeout=PATIENCE_S)
