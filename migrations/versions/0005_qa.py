@@ -79,12 +79,14 @@ def _create_runs() -> None:
         sa.Column("request", sa.Text, nullable=False),
         sa.Column("is_simulated", sa.Boolean, nullable=False),
         sa.Column("is_simulated_beam", sa.Boolean, nullable=False),
+        sa.Column("plate_sha256", sa.String(64)),
         sa.Column("bounds", sa.Text, nullable=False),
         sa.Column("baseline_number", sa.Integer, sa.ForeignKey("qa_baselines.number")),
         sa.Column("software", sa.String(40), nullable=False),
         sa.Column("created_at", sa.String(27), nullable=False),
     )
     op.create_index("ix_qa_runs_created", "qa_runs", ["created_at", "id"])
+    op.create_index("ix_qa_runs_plate_sha256", "qa_runs", ["plate_sha256"])
 
 
 def _create_outcomes() -> None:

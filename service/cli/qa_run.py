@@ -92,13 +92,14 @@ def _carried_out(options: RunOptions, settings: Settings, database: Database) ->
     calibration = None if options.is_simulated else _calibration(options)
     request = _request(options, calibration)
     check_word(request, settings)
-    job = EngineRig(settings).job(request, _files(options), calibration)
+    files = _files(options)
+    job = EngineRig(settings).job(request, files, calibration)
     run_id = uuid.uuid4().hex
     close_interrupted(database)  # whose folder this is alone, nobody else is at a run
     with database.write() as db:
         if calibration is not None:
             _keep(db, calibration, options)
-        records.begin(db, qa_begin(request, settings, run_id=run_id, calibration=calibration))
+        records.begin(db, qa_begin(request, settings, run_id=run_id, calibration=calibration, files=files))
         baseline = job.own_baseline or records.baseline_of(records.newest_baseline(db))
 
     def end(outcome: records.QaOutcome) -> None:

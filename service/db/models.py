@@ -142,6 +142,7 @@ class QaRunRow(Base):
     request: Mapped[str] = mapped_column(Text)
     is_simulated: Mapped[bool]
     is_simulated_beam: Mapped[bool]
+    plate_sha256: Mapped[str | None] = mapped_column(String(64), index=True)
     bounds: Mapped[str] = mapped_column(Text)
     baseline_number: Mapped[int | None] = mapped_column(ForeignKey("qa_baselines.number"))
     software: Mapped[str] = mapped_column(String(40))

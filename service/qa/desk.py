@@ -1,11 +1,14 @@
 """QA runs under way: begun on a thread of their own, one at a time, never beside a session; cancelled line first."""
 
+import hashlib
 import threading
 import uuid
+from pathlib import Path
 
 from sqlalchemy.orm import Session
 
 from engine.calibration import Calibration, parse_calibration
+from engine.errors import RecordingError
 from engine.qa.results import QaKind
 from service import audit
 from service.audit import Event
@@ -65,7 +68,7 @@ class QaDesk:
             run_id = uuid.uuid4().hex
             self._room.enter_qa(run_id)
             try:
-                answer = self._begin(request, key, body, run_id, job, calibration)
+                answer = self._begin(request, key, body, run_id, job, calibration, files)
             except BaseException:
                 self._under_way.current = None
                 self._room.leave_qa(run_id)
@@ -101,10 +104,11 @@ class QaDesk:
         run_id: str,
         job: QaJob,
         calibration: Calibration | None,
+        files: QaFiles,
     ) -> schemas.QaRun:
         """Write down that the run begins, then begin it."""
         handle = Handle(job.line)
-        run = qa_begin(request, self._settings, run_id=run_id, calibration=calibration)
+        run = qa_begin(request, self._settings, run_id=run_id, calibration=calibration, files=files)
         with self._database.write() as db:
             row = records.begin(db, run)
             answer = views.run_answer(db, row, is_under_way=True)
@@ -168,7 +172,12 @@ def check_word(request: schemas.QaRunRequest, settings: Settings) -> None:
 
 
 def qa_begin(
-    request: schemas.QaRunRequest, settings: Settings, *, run_id: str, calibration: Calibration | None
+    request: schemas.QaRunRequest,
+    settings: Settings,
+    *,
+    run_id: str,
+    calibration: Calibration | None,
+    files: QaFiles,
 ) -> QaBegin:
     """Return what is written down of a run that begins."""
     told = request.model_dump(mode="json", exclude_none=True, exclude={"operator", "kind"})
@@ -184,7 +193,17 @@ def qa_begin(
         bounds=settings.qa_bounds,
         is_simulated=request.is_simulated,
         is_simulated_beam=settings.is_simulated_beam or request.is_simulated,
+        plate_sha256=None if files.plate is None else _sha256(files.plate),
     )
+
+
+def _sha256(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        msg = f"{path.name}: cannot be read ({error.strerror or error})"
+        raise RecordingError(msg) from error
 
 
 def _over(status: str) -> QaStateError:

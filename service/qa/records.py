@@ -30,7 +30,7 @@ START, END, BASELINE = "qa.start", "qa.end", "qa.baseline"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QaBegin:
-    """A run that begins: who, what, with what, where."""
+    """A run that begins: who, what, with what, where; ``plate_sha256`` is of the plate's recording, None live."""
 
     kind: QaKind
     operator: str
@@ -40,6 +40,7 @@ class QaBegin:
     bounds: QaBounds
     is_simulated: bool
     is_simulated_beam: bool
+    plate_sha256: str | None = None
     run_id: str = field(default_factory=lambda: uuid.uuid4().hex)
 
 
@@ -64,6 +65,7 @@ def begin(db: Session, run: QaBegin) -> QaRunRow:
         request=audit.canonical_json(run.request),
         is_simulated=run.is_simulated,
         is_simulated_beam=run.is_simulated_beam,
+        plate_sha256=run.plate_sha256,
         bounds=audit.canonical_json({check.code: asdict(run.bounds.of(check.code)) for check in checks_of(run.kind)}),
         baseline_number=None if newest is None else newest.number,
         software=__version__,
@@ -78,6 +80,7 @@ def begin(db: Session, run: QaBegin) -> QaRunRow:
         "baseline_number": row.baseline_number,
     }
     detail |= {"is_simulated": run.is_simulated, "is_simulated_beam": run.is_simulated_beam}
+    detail["plate_sha256"] = run.plate_sha256
     audit.append(db, Event(actor=run.operator, action=START, detail=detail))
     return row
 
@@ -161,6 +164,15 @@ def newest_run(db: Session, kinds: Sequence[str]) -> QaRunRow | None:
     """Return the newest run of these kinds, however it ended; simulated ones count for nothing."""
     query = select(QaRunRow).where(QaRunRow.kind.in_(kinds), QaRunRow.is_simulated.is_(False))
     return db.scalars(query.order_by(QaRunRow.created_at.desc(), QaRunRow.id.desc()).limit(1)).first()
+
+
+def plate_since(db: Session, run: QaRunRow) -> datetime:
+    """Return when the plate's recording of this run was first judged: it is as old as that, whoever judges it again."""
+    if run.plate_sha256 is None:
+        return run.created_at
+    query = select(QaRunRow.created_at).where(QaRunRow.plate_sha256 == run.plate_sha256)
+    seen: list[datetime] = [run.created_at, *db.scalars(query)]
+    return min(seen)
 
 
 def trend_rows(

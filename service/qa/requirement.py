@@ -1,7 +1,8 @@
 """Whether a site's QA lets anybody arm: the newest run that a daily QA is part of must be young, whole and not failed.
 
-Asked when somebody arms, never in the way of a frame. A run that was begun and not finished counts as the newest: QA
-that was not done is not passed. Simulated runs count for nothing.
+A recording is as old as the first run that judged it: yesterday's plate says nothing of today's camera. A run that was
+begun and not finished counts as the newest: QA that was not done is not passed. Simulated runs count for nothing. Asked
+when somebody arms, never in the way of a frame.
 """
 
 from datetime import UTC, datetime, timedelta
@@ -29,7 +30,7 @@ def refusal(db: Session, settings: QaSettings, now: datetime) -> str | None:
     newest = records.newest_run(db, KINDS)
     if newest is None:
         return f"this site asks for a QA every {hours:g} h, and none was ever done: {ADVICE}"
-    return _unfit(db, newest) or _unfit_age(newest, now, hours)
+    return _unfit(db, newest) or _unfit_age(newest, records.plate_since(db, newest), now, hours)
 
 
 def refuse_without_qa(database: Database, settings: QaSettings) -> None:
@@ -56,9 +57,11 @@ def _unfit(db: Session, newest: QaRunRow) -> str | None:
     return None
 
 
-def _unfit_age(newest: QaRunRow, now: datetime, hours: float) -> str | None:
-    age = now - newest.created_at
+def _unfit_age(newest: QaRunRow, since: datetime, now: datetime, hours: float) -> str | None:
+    age = now - since
     said = f"the newest QA ({newest.kind}) is of {_moment(newest.created_at)}"
+    if since < newest.created_at:
+        said = f"{said}, but its plate's recording was judged on {_moment(since)} already"
     if age < timedelta(0):
         return f"{said}, which is yet to come: look at this machine's clock"
     if age > timedelta(hours=hours):

@@ -181,6 +181,7 @@ REFUSALS = [
     (("daily", *ME, "--plate", "PLATE", "--pulse", "201"), "beam.pulse_ms"),
     (("daily", *ME, "--plate", "PLATE", "--note", "x" * 501), "note"),
     (("daily", *ME, "--plate", "device"), "calibration_id"),
+    (("daily", *ME, "--plate", "ABSENT", "--calibration", "CALIBRATION"), "absent.oni: cannot be read"),
     (("monthly", *ME, "--plate", "PLATE"), "phantom"),
     (("monthly", *ME, "--plate", "PLATE", "--phantom", "PLATE"), "--trace"),
     (("monthly", *ME, "--plate", "PLATE", "--phantom", "PLATE", "--trace", "x", "--window", "3"), "--window"),
@@ -198,7 +199,8 @@ REFUSALS = [
 
 @pytest.mark.parametrize(("arguments", "said"), REFUSALS, ids=lambda part: str(part)[-40:])
 def test_what_cannot_be_done_is_refused_in_words_and_nothing_is_kept(run, data, plate, tmp_path, arguments, said):
-    places = {"PLATE": str(plate), "OUT": str(tmp_path / "out.pdf")}
+    places = {"PLATE": str(plate), "OUT": str(tmp_path / "out.pdf"), "ABSENT": str(tmp_path / "absent.oni")}
+    places["CALIBRATION"] = str(plate.parent / "calibration.json")
     refused = run(*(places.get(word, word) for word in arguments))
     assert refused.exit_code == 2, refused.stdout
     assert said in refused.stderr

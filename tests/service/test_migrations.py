@@ -43,7 +43,7 @@ def fill(database):
     raw.execute("INSERT INTO models VALUES ('m', 's', 1, 'h', '[]', 3, '2026-01-01T00:00:00.000000Z', '{}')")
     raw.execute("INSERT INTO qa_baselines VALUES (1, '{}', 'me', 'new camera', '2026-01-01T00:00:00.000000Z')")
     raw.execute(
-        "INSERT INTO qa_runs VALUES ('q', 'daily', 'me', 'S', 'M', '{}', 0, 1, '{}', 1, '0', "
+        "INSERT INTO qa_runs VALUES ('q', 'daily', 'me', 'S', 'M', '{}', 0, 1, NULL, '{}', 1, '0', "
         "'2026-01-01T00:00:00.000000Z')"
     )
     raw.execute("INSERT INTO qa_results VALUES ('q', 'x', 0, NULL, 'mm', NULL, NULL, NULL, 1.0, 2.0, 'fail', '')")

@@ -31,7 +31,9 @@ def database(tmp_path):
     database.close()
 
 
-def put(database, *, age_h=1.0, status="finished", verdict="pass", kind="daily", is_simulated=False, now=NOW):
+def put(
+    database, *, age_h=1.0, status="finished", verdict="pass", kind="daily", is_simulated=False, now=NOW, plate=None
+):
     """Write a run down as it would have been so long ago; ``status`` None leaves it without an end."""
     began = now - timedelta(hours=age_h)
     run_id = f"{abs(hash((age_h, status, verdict, kind, is_simulated))):032x}"[:32]
@@ -44,6 +46,7 @@ def put(database, *, age_h=1.0, status="finished", verdict="pass", kind="daily",
                 kind=kind,
                 is_simulated=is_simulated,
                 is_simulated_beam=True,
+                plate_sha256=plate,
                 software="0",
                 created_at=began,
             )
@@ -109,6 +112,16 @@ def test_one_that_was_begun_and_not_finished_is_no_pass_and_hides_the_one_before
     reason = why(database)
     assert reason is not None
     assert (status or "has not ended") in reason
+
+
+def test_a_recording_judged_again_is_as_old_as_when_it_was_first_judged(database):
+    put(database, age_h=30.0, plate="f00d")
+    put(database, age_h=1.0, plate="f00d")
+    assert "recording was judged on 2026-11-20 06:00 UTC already" in why(database)
+    put(database, age_h=0.5, plate="cafe")
+    assert why(database) is None
+    put(database, age_h=0.2, plate="cafe", kind="monthly")
+    assert why(database) is None
 
 
 def test_simulated_runs_count_for_nothing_either_way(database):

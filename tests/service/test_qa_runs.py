@@ -1,5 +1,6 @@
 """QA runs over HTTP: begun once, one at a time, never beside a session, cancelled line first, kept for good."""
 
+import hashlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -94,6 +95,7 @@ def test_the_audit_tells_who_began_it_how_it_ended_and_the_hash_of_its_results(c
     start, end = audit_rows(client, "qa.start")[-1], audit_rows(client, "qa.end")[-1]
     assert (start["actor"], start["outcome"], start["detail"]["run_id"]) == ("A. Physicist", "done", ended["id"])
     assert start["detail"]["request"]["plate"]["source"]["path"] == "plate.oni"
+    assert start["detail"]["plate_sha256"] == hashlib.sha256(b"not read by the fake rig").hexdigest()
     assert end["detail"]["verdict"] == "fail"
     assert end["detail"]["not_passed"] == {"plate_noise_mm": "fail"}
     assert end["detail"]["results_sha256"] == ended["sha256"]

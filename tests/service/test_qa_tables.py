@@ -8,7 +8,7 @@ from service import audit
 from service.audit import Event
 from service.db.engine import Database
 
-RUN = "INSERT {} INTO qa_runs VALUES ('q', 'daily', '{}', 'S', 'M', '{{}}', 0, 1, '{{}}', 1, '0', '2026-01-01')"
+RUN = "INSERT {} INTO qa_runs VALUES ('q', 'daily', '{}', 'S', 'M', '{{}}', 0, 1, NULL, '{{}}', 1, '0', '2026-01-01')"
 RESULT = "INSERT {} INTO qa_results VALUES ('q', '{}', 0, {}, 'mm', NULL, NULL, NULL, 1.0, 2.0, 'fail', '')"
 OUTCOME = "INSERT {} INTO qa_outcomes VALUES ('q', 'finished', '', '{}', '{{}}', 'h', '2026-01-01')"
 BASELINE = "INSERT {} INTO qa_baselines VALUES ({}, '{{}}', '{}', 'new camera', '2026-01-01')"
