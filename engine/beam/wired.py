@@ -91,9 +91,11 @@ class WiredBeamLine:
 
     def rearm(self) -> None:
         """Accept permits again; raise BeamLineError unless the line has answered well lately and is off."""
-        self._latch_lost_thread()
+        lost = self._latch_lost_thread()
+        if lost:
+            raise BeamLineError(lost)
         with self._judging:
-            if not self._is_open or not self._is_served or not self._judge.is_healthy(self._clock.now_ns()):
+            if not self._is_open or not self._judge.is_healthy(self._clock.now_ns()):
                 raise _error(self._trouble)
             self._trouble, self._is_trouble_told = None, True
             self._deadman.rearm()
@@ -292,16 +294,14 @@ class WiredBeamLine:
         with contextlib.suppress(Exception):  # whoever listens, the line's own threads go on
             self.on_trouble(trouble.reason, trouble.detail)
 
-    @property
-    def _is_served(self) -> bool:
-        return all(thread.is_alive() for thread in self._threads)
-
-    def _latch_lost_thread(self) -> None:
-        """Latch where one of the line's own threads is no more; nothing but opening the line again brings it back."""
+    def _latch_lost_thread(self) -> str:
+        """Latch where one of the line's own threads is no more, and say so; only to open the line again mends that."""
         lost = [thread.name for thread in self._threads if not thread.is_alive()]
-        if lost:
-            text = f"a thread of the beam line has died: {', '.join(lost)}"
-            self._latch(Trouble(reason=HoldReason.BEAM_LINE_FAILED, detail=text, at_ns=self._clock.now_ns()))
+        if not lost:
+            return ""
+        text = f"a thread of the beam line has died: {', '.join(lost)}"
+        self._latch(Trouble(reason=HoldReason.BEAM_LINE_FAILED, detail=text, at_ns=self._clock.now_ns()))
+        return text
 
     def _refuse_closed(self) -> None:
         if not self._is_open:

@@ -114,9 +114,12 @@ def test_it_is_never_armed_again_until_it_was_opened_again(lit, monkeypatch):
     _eventually(lambda: _rearms(line))
 
 
-def test_one_that_nobody_tells_any_more_is_latched_and_says_so(lit):
+def test_one_that_nobody_tells_any_more_is_latched_and_says_so_to_who_arms(lit):
+    """Its silence may be found first: then that is the cause on show, and who arms is told what is behind it."""
     line, wire = lit
     _end("tidegate-beam-line", lambda: setattr(wire, "is_deadly", True))
-    with pytest.raises(BeamLineError, match="a thread of the beam line has died: tidegate-beam-line"):
+    with pytest.raises(BeamLineError):
         line.is_on()
+    with pytest.raises(BeamLineError, match="a thread of the beam line has died: tidegate-beam-line"):
+        line.rearm()
     wire.is_deadly = False

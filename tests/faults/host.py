@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import httpx2
@@ -37,6 +38,11 @@ if TYPE_CHECKING:
 
 FAMILY = "host"
 HOUR_S = 3600
+INSIST_S = 1.2
+PAGE_BYTES = 4096
+LITTLE_BYTES = 8 * 2**20
+"""Too little for the site, enough to write down who acknowledges."""
+
 WRITER_MS = 250.0 + 500.0
 """A batch of samples is written every 250 ms, and a locked database is waited for 500 ms."""
 
@@ -61,17 +67,30 @@ def wall_clock(hours: int) -> Inject:
     return inject
 
 
-def disk_full(rig: "Rig", _random: random.Random) -> Fault:
-    """Fill the data folder's file system to the last byte."""
+def disk_full(rig: "Rig", _random: random.Random, left_bytes: int = 0) -> Fault:
+    """Fill the data folder's file system, to the last byte or but for a little."""
     ballast = rig.data / "ballast"
     at_ns = time.monotonic_ns()
+    free = os.statvfs(rig.data).f_bavail * os.statvfs(rig.data).f_frsize
     with ballast.open("wb", buffering=0) as file, contextlib.suppress(OSError):
-        free = os.statvfs(rig.data).f_bavail * os.statvfs(rig.data).f_frsize
-        os.posix_fallocate(file.fileno(), 0, max(free - 65_536, 1))
-        while True:
-            file.write(bytes(4096))
+        os.posix_fallocate(file.fileno(), 0, max(free - max(left_bytes, PAGE_BYTES), 1))
+        while not left_bytes:
+            file.write(bytes(PAGE_BYTES))
 
     return Fault(cause_ns=at_ns, undo=ballast.unlink, lasts_s=0.1)
+
+
+def disk_full_acknowledged(rig: "Rig", chance: random.Random) -> Fault:
+    """Fill it, and let somebody acknowledge and arm again and again while it is full."""
+
+    def insist() -> None:
+        end_s = time.monotonic() + INSIST_S
+        while time.monotonic() < end_s:
+            for action in ("acknowledge", "arm"):
+                with contextlib.suppress(httpx2.HTTPError):
+                    rig.person.act(action)
+
+    return replace(disk_full(rig, chance, left_bytes=LITTLE_BYTES), meanwhile=insist)
 
 
 def database_locked(shortest_s: float, longest_s: float) -> Inject:
@@ -223,6 +242,12 @@ KINDS = (
     _kind(
         *("disk-full", "the disk is full to the last byte", disk_full, FULL, LATCHED),
         bound="looked at every second, and at each batch",
+        bound_ms=DISK_LOOK_MS + FRAME_MS,
+    ),
+    _kind(
+        *("disk-full-insisted", "the disk is almost full, and somebody acknowledges and arms all the same"),
+        *(disk_full_acknowledged, FULL, LATCHED),
+        bound="looked at every second",
         bound_ms=DISK_LOOK_MS + FRAME_MS,
     ),
     _kind(

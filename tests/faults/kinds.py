@@ -55,6 +55,8 @@ class Fault:
         Takes it away; may return when the first good frame came.
     lasts_s
         How long it stays once the line is off.
+    meanwhile
+        What somebody does while it stays.
     told_by_ns
         Until when the audit's account has to be given; None does not ask.
     find_cause
@@ -68,6 +70,7 @@ class Fault:
     cause_ns: int
     undo: Callable[[], int | None] = nothing
     lasts_s: float = 0.0
+    meanwhile: Callable[[], object] = nothing
     told_by_ns: int | None = None
     find_cause: Callable[[], int | None] | None = None
     is_of_itself: bool = False

@@ -29,9 +29,10 @@ def ordered(action: str, **more: object) -> Inject:
 
 
 def activated(rig: "Rig", _random: random.Random) -> Fault:
-    """Take up the stored model once more."""
+    """Take up the model once more that the session measures with."""
+    model_id = rig.person.models()[0]["id"]
     cause_ns = time.monotonic_ns()
-    answer = rig.person.post(f"/models/{rig.session_request['model_id']}/activate")
+    answer = rig.person.post(f"/models/{model_id}/activate")
     assert answer.status_code < 300, answer.text
     return Fault(cause_ns=cause_ns)
 

@@ -60,6 +60,7 @@ def test_a_fault_that_did_as_promised_is_no_trouble():
         (replace(GOOD, edges=(edge(False, 40.0), edge(True, 60.0), edge(False, 90.0))), Trouble.BACK_EARLY),
         (replace(GOOD, clear_ns=None, edges=(edge(False, 40.0), edge(True, 99.9))), Trouble.BACK_EARLY),
         (replace(LATCHED, edges=(edge(False, 40.0), edge(True, 649.0))), Trouble.ON_UNASKED),
+        (replace(LATCHED, armed_ns=at(300.0), edges=(edge(False, 40.0), edge(True, 450.0))), Trouble.BACK_EARLY),
         (replace(GOOD, told=()), Trouble.UNTOLD),
         (replace(GOOD, told=(Told(what="jump", at_ns=at(38.0)),)), Trouble.UNTOLD),
         (replace(GOOD, told_by_ns=at(37.0)), Trouble.TOLD_LATE),

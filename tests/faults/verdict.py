@@ -187,8 +187,8 @@ def _of_the_line(expected: Expectation, evidence: Evidence) -> list[Trouble]:
     again = [edge.at_ns for edge in evidence.edges if edge.is_on and gone_ns is not None and edge.at_ns > gone_ns]
     if not again:
         return late
-    if evidence.armed_ns is not None:
-        return late + ([Trouble.ON_UNASKED] if again[0] < evidence.armed_ns else [])
+    if evidence.armed_ns is not None and again[0] < evidence.armed_ns:
+        late.append(Trouble.ON_UNASKED)
     clear_ns = evidence.cause_ns if evidence.clear_ns is None else evidence.clear_ns
     return late + ([Trouble.BACK_EARLY] if again[0] < clear_ns + DWELL_NS else [])
 

@@ -17,8 +17,10 @@ HEAVIEST_FIRST = (
     Recovery.BY_ITSELF,
 )
 STEP_S = 0.02
-STOP_AFTER_S = 6.0
-"""Who asks in vain for so long stops the session, and makes another."""
+STOP_AFTER_S = 25.0
+"""Who asks in vain for so long stops the session, and makes another; at once where the refusal says it is in vain."""
+
+IN_VAIN = ("has died", "does not run")
 
 
 class WayBack:
@@ -56,14 +58,19 @@ class WayBack:
             self._rig.start_service()
             return Recovery.RESTARTED
         detail = self._person.detail() if self._person.session_id else None
-        if detail is not None and detail["status"] == "running" and time.monotonic() > self._stop_at_s:
+        if detail is not None and detail["status"] == "running" and self._is_in_vain:
             self._person.act("stop")
             return None
         if detail is None or detail["status"] != "running":
             self._rig.new_session()
-            self._stop_at_s = time.monotonic() + 2 * STOP_AFTER_S
+            self.refusal = ""
+            self._stop_at_s = time.monotonic() + STOP_AFTER_S
             return Recovery.NEW_SESSION
         return None if detail["gate"] is None else self._act_on(detail)
+
+    @property
+    def _is_in_vain(self) -> bool:
+        return time.monotonic() > self._stop_at_s or any(words in self.refusal for words in IN_VAIN)
 
     def _act_on(self, detail: dict[str, Any]) -> Recovery | None:
         gate = detail["gate"]
