@@ -7,7 +7,7 @@ STAMP := $(VENV)/.stamp
 export PYTHONDONTWRITEBYTECODE ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup openni test-system test lint types contracts openapi demo bench lock clean
+.PHONY: help setup openni test-system test lint types contracts openapi demo bench faults mutants safety lock clean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -26,11 +26,11 @@ openni:
 
 # What the tests use for real beside the Python packages: the runtime, what a driver for it is built with, a browser.
 test-system:
-	@docker/install-debian-packages.sh libopenni2-0 libopenni2-dev g++ chromium
+	@docker/install-debian-packages.sh libopenni2-0 libopenni2-dev g++ chromium poppler-utils
 
 # Two at a time; what plays through the runtime or trips a running engine has the machine to itself: the runtime's own
 # threads race where they are not run in time, and crash.
-ALONE := tests/capture tests/interlocks tests/xtion tests/phantom/test_recording.py \
+ALONE := tests/capture tests/faults tests/interlocks tests/xtion tests/phantom/test_recording.py \
 	$(addprefix tests/service/test_,real_engine.py process.py uncalibrated.py) \
 	$(addprefix tests/beam/test_,killed_processes.py real_receivers.py service_line.py) tests/loop/test_wired_line.py
 test: $(STAMP) test-system lint types contracts  ## everything that must hold: lint, types, contracts, all tests
@@ -42,6 +42,19 @@ demo: $(STAMP) openni  ## a 60 s volunteer through the whole of Tidegate; KEEP=1
 
 bench: $(STAMP)  ## how fast it is, against the marks; QUICK=1 is shorter, MINUTES=60 watches memory for an hour
 	$(BIN)/tidegate bench $(if $(QUICK),--quick) $(if $(MINUTES),--memory-minutes $(MINUTES)) $(if $(OUT),--out $(OUT))
+
+faults: $(STAMP) test-system  ## break the running service in every way, and judge by what the receiver saw; goes on where it was stopped
+	$(BIN)/python -m tests.faults --seeds $(or $(SEEDS),40) --jobs $(or $(JOBS),2) --out $(or $(OUT),build/faults) $(if $(KINDS),--kinds $(KINDS)) $(if $(KEEP),--keep)
+
+mutants: $(STAMP)  ## break the gate, the loop, the watchdog and the beam lines in every small way, and see that a test notices; goes on where it was stopped, clean-mutants begins anew
+	PATH="$(CURDIR)/$(BIN):$$PATH" nice -n 10 mutmut run --max-children $(or $(CHILDREN),1)
+	$(BIN)/python -m tests.mutants --write
+
+clean-mutants:
+	rm -rf mutants
+
+safety: $(STAMP)  ## write the tables that the code makes into docs/safety.md
+	$(BIN)/python -m tests.gate.safety_document --write
 
 openapi: $(STAMP)  ## write the contract to openapi/
 	$(BIN)/tidegate openapi --out openapi
