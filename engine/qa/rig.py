@@ -19,7 +19,7 @@ from engine.calibration import Calibration
 from engine.capture.source import SourceDescription
 from engine.clock import NS_PER_MS, NS_PER_US, ManualClock
 from engine.errors import SourceEndedError
-from engine.frames import ColorImage, DepthImage, RgbdFrame
+from engine.frames import BoolArray, ColorImage, DepthImage, RgbdFrame
 from engine.geometry import Intrinsics, RigidTransform
 from engine.limits import GateLimits
 from engine.phantom.body import Map, blur
@@ -54,11 +54,11 @@ TRACE_STEP_S = 0.02
 MARKERS_MM = np.array([(-95.0, -150.0), (95.0, -150.0), (95.0, 150.0), (-95.0, 150.0)])
 _PLATE_HALF_MM = (260.0, 220.0)
 _PLATE_GREY, _ROOM_GREY = 92, 120
+_GREY_NOISE = 1.5
 _ROOM_MM = 1100.0
 _MARGIN_PX = 64
 _BANK = 6
 _BLUR_PX = 1.3
-_CHECKS_A_DEADLINE = 10
 
 _CAMERA = Intrinsics(width=WIDTH_PX, height=HEIGHT_PX, fx=288.0, fy=288.0, cx=159.5, cy=119.5)
 VIRTUAL_CALIBRATION = Calibration(
@@ -121,7 +121,7 @@ def virtual_plate(faults: RigFaults = HEALTHY, *, seed: int = 1, seconds: float 
     def height_mm(at_s: float) -> float:
         return faults.offset_mm + faults.drift_mm_per_min * at_s / 60.0
 
-    return PlateInput(source=VirtualPlate(height_mm, seconds, seed), calibration=VIRTUAL_CALIBRATION)
+    return PlateInput(source=VirtualPlate(height_mm, seconds, seed, has_markers=False), calibration=VIRTUAL_CALIBRATION)
 
 
 def virtual_phantom(
@@ -194,12 +194,16 @@ class StandingTime:
 class VirtualPlate:
     """Acts as `DepthSource`: a plate with four markers that is ``height_mm(t)`` nearer than it lies."""
 
-    def __init__(self, height_mm: Callable[[float], float], seconds: float, seed: int) -> None:
+    def __init__(
+        self, height_mm: Callable[[float], float], seconds: float, seed: int, *, has_markers: bool = True
+    ) -> None:
         self._height_mm = height_mm
+        self._has_markers = has_markers
         self._frames = int(seconds * FPS)
         self._seed = seed
         self._rays = Rays.of(_CAMERA)
         self._sensor = _Sensor(seed)
+        self._background = self._still_picture()
         self._next = 0
 
     def open(self) -> SourceDescription:
@@ -235,29 +239,42 @@ class VirtualPlate:
     def close(self) -> None:
         """Nothing is held."""
 
-    def _depth(self, distance_mm: float, rng: np.random.Generator) -> DepthImage:
+    def _plane_mm(self, distance_mm: float) -> Map:
+        """Depth of the plate's plane along each ray."""
         x, y = self._rays.singles
         lean_x, lean_y = _lean()
-        depth = np.float32(distance_mm) / (1.0 + np.float32(lean_x) * x + np.float32(lean_y) * y)
-        is_plate = (np.abs(depth * x) < _PLATE_HALF_MM[0]) & (np.abs(depth * y) < _PLATE_HALF_MM[1])
-        room = np.float32(_ROOM_MM) + np.float32(300.0) * x
-        return self._sensor.read(np.where(is_plate, depth, room), rng)
+        plane = np.float32(distance_mm) / (np.float32(1.0) + np.float32(lean_x) * x + np.float32(lean_y) * y)
+        return np.asarray(plane, dtype=np.float32)
 
-    def _color(self, distance_mm: float, rng: np.random.Generator) -> ColorImage:
+    def _is_plate(self, plane_mm: Map, beside_mm: float = 0.0) -> BoolArray:
         x, y = self._rays.singles
-        lean_x, lean_y = _lean()
-        depth = np.float32(distance_mm) / (1.0 + np.float32(lean_x) * x + np.float32(lean_y) * y)
-        away = np.float32(VIRTUAL_CALIBRATION.color_from_depth.translation_mm[0])
-        is_plate = (np.abs(depth * x - away) < _PLATE_HALF_MM[0]) & (np.abs(depth * y) < _PLATE_HALF_MM[1])
+        half_x, half_y = _PLATE_HALF_MM
+        return np.asarray((np.abs(plane_mm * x - np.float32(beside_mm)) < half_x) & (np.abs(plane_mm * y) < half_y))
+
+    def _depth(self, distance_mm: float, rng: np.random.Generator) -> DepthImage:
+        plane_mm = self._plane_mm(distance_mm)
+        room_mm = np.float32(_ROOM_MM) + np.float32(300.0) * self._rays.singles[0]
+        return self._sensor.read(np.where(self._is_plate(plane_mm), plane_mm, room_mm), rng)
+
+    def _still_picture(self) -> ColorImage:
+        """Paint the plate, which hardly moves in the picture, without its markers, which are drawn where they are."""
+        beside_mm = float(VIRTUAL_CALIBRATION.color_from_depth.translation_mm[0])
+        is_plate = self._is_plate(self._plane_mm(DISTANCE_MM), beside_mm)
         grey = np.where(is_plate, np.uint8(_PLATE_GREY), np.uint8(_ROOM_GREY)).astype(np.uint8)
         picture: ColorImage = np.repeat(grey[..., None], 3, axis=2)
-        depth_mm = (distance_mm - lean_x * MARKERS_MM[:, 0] - lean_y * MARKERS_MM[:, 1])[:, None]
+        return picture
+
+    def _color(self, distance_mm: float, rng: np.random.Generator) -> ColorImage:
+        if not self._has_markers:
+            return self._background.copy()
+        picture = self._background.copy()
+        lean_x, lean_y = _lean()
+        depth_mm = distance_mm - lean_x * MARKERS_MM[:, 0] - lean_y * MARKERS_MM[:, 1]
         centers = np.column_stack([MARKERS_MM, depth_mm])
         slopes = np.tile([lean_x, lean_y], (len(centers), 1))
         pose = VIRTUAL_CALIBRATION.color_from_depth
         stick(picture, _CAMERA, self._rays, pose, centers, slopes, np.ones(len(centers)))
-        noise = self._sensor.draw(rng)
-        return np.asarray(cv2.add(picture, cv2.merge([noise * np.float32(1.5)] * 3), dtype=cv2.CV_8U), dtype=np.uint8)
+        return np.asarray(cv2.add(picture, self._sensor.grain(rng), dtype=cv2.CV_8U), dtype=np.uint8)
 
 
 def _lean() -> tuple[float, float]:
@@ -273,6 +290,8 @@ class _Sensor:
         rng = np.random.default_rng((seed, 3))
         size = (HEIGHT_PX + _MARGIN_PX, WIDTH_PX + _MARGIN_PX)
         self._bank = [_of_unit_variance(rng.standard_normal(size, dtype=np.float32)) for _ in range(_BANK)]
+        grain = rng.standard_normal((*size, 3), dtype=np.float32) * np.float32(_GREY_NOISE)
+        self._grain = np.rint(grain).astype(np.int16)
         self._pattern = _of_unit_variance(rng.standard_normal((HEIGHT_PX, WIDTH_PX), dtype=np.float32), 3.0)
 
     def read(self, depth_mm: Map, rng: np.random.Generator) -> DepthImage:
@@ -282,6 +301,11 @@ class _Sensor:
         shift += self.draw(rng) * np.float32(NOISE_SHIFTS)
         index = np.clip(np.rint(shift), 0, SHIFTS - 1).astype(np.uint16)
         return np.asarray(self._table[index], dtype=np.uint16)
+
+    def grain(self, rng: np.random.Generator) -> npt.NDArray[np.int16]:
+        """Return a colour picture's noise [grey levels]."""
+        top, left = rng.integers(0, _MARGIN_PX + 1, 2)
+        return np.asarray(self._grain[top : top + HEIGHT_PX, left : left + WIDTH_PX], dtype=np.int16)
 
     def draw(self, rng: np.random.Generator) -> Map:
         """Return two fields of the bank, added at places of their own; of unit variance."""

@@ -6,7 +6,7 @@ Positive is towards the camera, as everywhere.
 import csv
 import io
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -33,12 +33,14 @@ class CommandedTrace:
 
     time_s: Grid
     position_mm: Grid
+    _smooth: CubicSpline = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Refuse what no phantom can have been told."""
         _check_samples(self.time_s, self.position_mm)
         frozen(self.time_s)
         frozen(self.position_mm)
+        object.__setattr__(self, "_smooth", CubicSpline(self.time_s, self.position_mm, extrapolate=False))
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -52,8 +54,7 @@ class CommandedTrace:
 
     def at(self, time_s: FloatArray) -> Grid:
         """Read positions at times [mm], same shape; NaN before its beginning and after its end."""
-        smooth = CubicSpline(self.time_s, self.position_mm, extrapolate=False)
-        return np.asarray(smooth(np.asarray(time_s, dtype=np.float64)))
+        return np.asarray(self._smooth(np.asarray(time_s, dtype=np.float64)))
 
 
 def read_commanded(path: Path) -> CommandedTrace:

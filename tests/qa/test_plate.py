@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from engine.calibration import DepthCorrection
 from engine.errors import FrameTimeoutError, InvalidValueError, RecordingError, SourceLostError
 from engine.qa.bounds import QaBounds
 from engine.qa.checks import check_of
@@ -169,6 +170,14 @@ def test_too_short_a_recording_says_nothing_of_warming_up():
     results = results_of(plate(seconds=8.0))
     assert not_passed(results) == {"warm_up_drift_mm_per_min"}
     assert "shorter" in results["warm_up_drift_mm_per_min"].detail
+
+
+def test_the_distance_is_the_one_a_session_measures_corrected_by_the_calibration():
+    made = plate()
+    correction = DepthCorrection(scale=1.01, offset_mm=-3.0)
+    corrected = replace(made, calibration=replace(VIRTUAL_CALIBRATION, depth_correction=correction))
+    plain_mm = results_of(plate())["camera_distance_mm"].value
+    assert results_of(corrected)["camera_distance_mm"].value == pytest.approx(1.01 * plain_mm - 3.0, abs=1e-6)
 
 
 def test_a_camera_of_another_size_is_refused_in_the_result():
