@@ -87,7 +87,8 @@ class Receiver:
         return pdu
 
     async def watch_heartbeat(self) -> None:
-        while True:
+        parent = os.getppid()
+        while os.getppid() == parent:  # whoever made it is there; nobody's receiver is left behind
             await asyncio.sleep(TICK_S)
             if self.is_on and time.monotonic_ns() - self.beaten_ns > DROP_NS:
                 self.wants_off_first = True
@@ -136,9 +137,17 @@ async def serve(kind: str, port: int) -> None:
     if kind == "tcp":
         where = str(server.transport.sockets[0].getsockname()[1])
     loop = asyncio.get_running_loop()
-    loop.add_reader(sys.stdin, lambda: receiver.spoil(sys.stdin.readline().split()))
+    loop.add_reader(sys.stdin, _hear, loop, receiver)
     say(f"ready {where}")
     await receiver.watch_heartbeat()
+
+
+def _hear(loop: asyncio.AbstractEventLoop, receiver: Receiver) -> None:
+    """Act on a line of standard input; at its end there is nobody who spoils any more, and a receiver goes on."""
+    line = sys.stdin.readline()
+    if not line:
+        loop.remove_reader(sys.stdin)
+    receiver.spoil(line.split())
 
 
 if __name__ == "__main__":

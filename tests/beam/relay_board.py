@@ -103,10 +103,13 @@ def serve(kind: str) -> None:
     tty.setraw(slave)
     board = Board(kind)
     say(f"ready {os.ttyname(slave)}")
-    while True:
-        readable, _, _ = select.select([master, sys.stdin], [], [], 0.005)
+    parent, heard = os.getppid(), [master, sys.stdin]
+    while os.getppid() == parent:  # whoever made it is there; nobody's board is left behind
+        readable, _, _ = select.select(heard, [], [], 0.005)
         if sys.stdin in readable:
-            board.spoil(sys.stdin.readline().split())
+            line = sys.stdin.readline()
+            board.spoil(line.split())
+            heard = heard if line else [master]
         if master in readable:
             said = board.hear(os.read(master, 256))
             time.sleep(board.late_s)

@@ -127,6 +127,12 @@ class GateMachine(RuleBasedStateMachine):
     def a_frame_after_a_gap(self, step_ns: int) -> None:
         self._frame(step_ns, 5 * MS, 2.0)
 
+    @precondition(lambda self: self.oracle.is_on)
+    @rule(step_ns=st.sampled_from([45, 50, 55, 60]).map(lambda ms: ms * MS), beyond_ns=st.sampled_from([-1, 0, 1, MS]))
+    def a_good_frame_about_the_end_of_the_lease(self, step_ns: int, beyond_ns: int) -> None:
+        """A line that lapsed is off: it must not be on again without a dwell, however good the frame."""
+        self._frame(step_ns, max(self.oracle.rules.lease_ns - step_ns + beyond_ns, 0), 2.0)
+
     @rule(step_ns=steps_ns, spoil=UNTRUSTED)
     def a_frame_not_to_be_trusted(self, step_ns: int, spoil) -> None:
         frame = self._next(step_ns, 2.0)
