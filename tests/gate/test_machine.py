@@ -159,7 +159,9 @@ class GateMachine(RuleBasedStateMachine):
         elif name == "missed":
             frame = replace(frame, missed_frames=-1)
         elif name == "future":
-            frame = replace(frame, received_ns=max(self.now_ns, frame.received_ns) + 7 * MS)
+            ahead_ns = max(self.now_ns - frame.received_ns, 0) + 7 * MS
+            captured_us = frame.timestamp_us + ahead_ns // 1_000
+            frame = replace(frame, received_ns=frame.received_ns + ahead_ns, timestamp_us=captured_us)
         else:
             frame = replace(frame, frame_index=last.index + min(step_ns, 0) // (40 * MS))
         age_ns = -6 * MS if name == "future" else 5 * MS
