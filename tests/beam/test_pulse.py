@@ -181,3 +181,18 @@ def test_a_line_that_never_follows_is_waited_for_as_long_as_the_pulse_lasts_or_a
     with pytest.raises(BeamLineError, match=f"^the line was never read back {'off' if stuck else 'on'}$"):
         pulser.pulse()
     assert clock.now_ns() - began_ns == (1_000 * MS if stuck else 60 * MS)
+
+
+@pytest.mark.parametrize("is_latched", [True, False])
+def test_a_line_says_whether_it_refuses_a_permit(is_latched):
+    clock = ManualClock(5_000 * MS)
+    line = Slow(clock)
+    line.open()
+    pulser = _pulser(line, clock)
+    pulser.arm()
+    if is_latched:
+        line.hold(HoldReason.WATCHDOG)
+        clock.advance_ns(MS)
+    assert pulser.is_refused() is is_latched
+    (lease,) = line.leases
+    assert (lease.granted_ns, lease.expires_ns) == (clock.now_ns(), clock.now_ns() + 60 * MS)

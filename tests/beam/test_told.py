@@ -137,6 +137,14 @@ def test_a_trouble_is_told_as_unknown_and_passed_on_unchanged():
     assert held.messages()[-1] == ("change", "unknown", False, "beam_line_failed", "silent")
 
 
+def test_a_trouble_that_the_line_finds_while_it_is_on_is_told_as_unknown_at_once():
+    held = Told()
+    held.permit()
+    assert held.told.is_on()
+    held.line.on_trouble(HoldReason.BEAM_LINE_FAILED, "silent")
+    assert held.messages()[-1] == ("change", "unknown", False, "beam_line_failed", "silent")
+
+
 def test_the_line_is_told_first_and_acts_alike_told_of_or_not():
     held = Told()
     held.permit()
