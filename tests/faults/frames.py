@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from engine.clock import NS_PER_MS
 from tests.faults.kinds import (
+    ARMED,
     BY_ITSELF,
     FRAME_MS,
     LAG_MS,
@@ -31,6 +32,9 @@ LOST = told("marker_lost", "layout_changed", "coverage_low", "residual_high", "j
 SILENT = told("frame_missing", "frame_timeout", "frame_late", "latency_high", "frame_stale")
 CLOCK = told("clock_backwards", "clock_jumped", "frame_missing", "frame_late", "latency_high", "frame_timeout")
 GONE = told("source_lost", "frame_missing", "frame_timeout")
+MOVED_RECOVERS = BY_ITSELF | ARMED
+"""A surface that moved as no skin can may have to be given its zero by a person."""
+
 GONE_RECOVERS = NEW_SESSION | LATCHED
 
 
@@ -122,20 +126,22 @@ KINDS = (
         lambda camera, chance: camera.hand(depth_mm=chance.randrange(550, 760), share=chance.uniform(0.35, 0.9)),
         LOST,
     ),
-    _camera("sheet", "a sheet of 10 to 40 mm on a part of the region", _sheet, LOST),
+    _camera("sheet", "a sheet of 10 to 40 mm on a part of the region", _sheet, LOST, MOVED_RECOVERS),
     _camera(
         "body-jumps",
         "the whole body is 8 to 25 mm higher or lower at once",
         lambda camera, chance: camera.offset(chance.choice((-1, 1)) * chance.uniform(8.0, 25.0)),
         LOST | told("outside_window"),
+        MOVED_RECOVERS,
         is_step=True,
     ),
-    _camera("patient-shifts", "the patient slides on the couch", _shift, LOST),
+    _camera("patient-shifts", "the patient slides on the couch", _shift, LOST, MOVED_RECOVERS),
     _kind(
         "breath-too-large",
         "the body rises out of the window at a breath's speed",
         breath_too_large,
         LOST | told("outside_window"),
+        MOVED_RECOVERS,
     ),
     _camera("depth-zero", "no pixel of depth is read", lambda camera, _: camera.flat(0), LOST | told("frame_frozen")),
     _camera(

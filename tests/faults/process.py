@@ -57,9 +57,9 @@ def _wait_for_end(rig: "Rig") -> None:
     rig.process.wait(30.0)
 
 
-def thread_dies(name: str) -> Inject:
+def thread_dies(*where: str) -> Inject:
     def inject(rig: "Rig", _random: random.Random) -> Fault:
-        return Fault(cause_ns=rig.sabotage("kill", name))
+        return Fault(cause_ns=rig.sabotage("kill", *where))
 
     return inject
 
@@ -131,7 +131,7 @@ KINDS = (
         *(
             "capture-dies",
             "the thread that takes frames dies",
-            thread_dies("openni-capture"),
+            thread_dies("openni-capture", "_take_frames"),
             told("source_lost"),
             NEW_SESSION,
         ),

@@ -28,17 +28,23 @@ class Sabotaged(BaseException):
     """Raised in a thread out of nowhere."""
 
 
-def kill_thread(name: str) -> int:
-    """Raise in the newest living thread of that name, at its next instruction."""
-    found = [thread for thread in threading.enumerate() if thread.name == name]
+def kill_thread(name: str, function: str = "") -> int:
+    """Raise in the newest living thread of that name that is in that function, at its next instruction."""
+    named = [thread for thread in threading.enumerate() if thread.name == name]
+    found = [thread.ident for thread in named if thread.ident is not None and _is_in(thread.ident, function)]
     if not found:
-        msg = f"no thread {name}; there are {sorted(thread.name for thread in threading.enumerate())}"
+        msg = f"no thread {name} in {function}; there are {sorted(thread.name for thread in threading.enumerate())}"
         raise LookupError(msg)
     at_ns = time.monotonic_ns()
-    identity = found[-1].ident
-    assert identity is not None
-    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(identity), ctypes.py_object(Sabotaged))
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(found[-1]), ctypes.py_object(Sabotaged))
     return at_ns
+
+
+def _is_in(identity: int, function: str) -> bool:
+    frame = sys._current_frames().get(identity)
+    while frame is not None and function and frame.f_code.co_name != function:
+        frame = frame.f_back
+    return frame is not None
 
 
 def hold_interpreter(ms: str) -> int:

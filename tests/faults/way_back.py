@@ -20,6 +20,10 @@ STEP_S = 0.02
 STOP_AFTER_S = 25.0
 """Who asks in vain for so long stops the session, and makes another; at once where the refusal says it is in vain."""
 
+DOUBTED_S = 4.0
+"""A surface that moved as no skin can is doubted until a person sets the zero: who looks on for so long does that."""
+
+DOUBTED = ("residual_high", "jump", "patient_shifted")
 IN_VAIN = ("has died", "does not run")
 
 
@@ -39,6 +43,7 @@ class WayBack:
         self.asked_ns: int | None = None
         self.refusal = ""
         self._stop_at_s = time.monotonic() + STOP_AFTER_S
+        self._trusted_s = time.monotonic()
 
     def walk(self) -> Recovery | None:
         """Go on until the receiver says on; return the heaviest thing that was needed, None if it never came on."""
@@ -79,12 +84,17 @@ class WayBack:
             return Recovery.ACKNOWLEDGED
         if gate["operator_hold"] is not None:
             return self._ask("release", Recovery.RELEASED)
-        if gate["is_armed"] or detail["measurement_state"] != "measuring":
-            return None
-        if not detail["has_reference"]:
+        if self._is_doubted(gate) or not (detail["has_reference"] or detail["measurement_state"] != "measuring"):
             self._person.act("reference")
             return None
+        if gate["is_armed"] or detail["measurement_state"] != "measuring":
+            return None
         return self._ask("arm", Recovery.ARMED)
+
+    def _is_doubted(self, gate: dict[str, Any]) -> bool:
+        if gate["hold_reason"] not in DOUBTED:
+            self._trusted_s = time.monotonic()
+        return time.monotonic() - self._trusted_s > DOUBTED_S
 
     def _ask(self, action: str, step: Recovery) -> Recovery | None:
         self.asked_ns = self.asked_ns or time.monotonic_ns()
