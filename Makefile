@@ -46,7 +46,7 @@ bench: $(STAMP)  ## how fast it is, against the marks; QUICK=1 is shorter, MINUT
 faults: $(STAMP) test-system  ## break the running service in every way, and judge by what the receiver saw; goes on where it was stopped
 	$(BIN)/python -m tests.faults --seeds $(or $(SEEDS),40) --jobs $(or $(JOBS),2) --out $(or $(OUT),build/faults) $(if $(KINDS),--kinds $(KINDS)) $(if $(KEEP),--keep)
 
-mutants: $(STAMP)  ## break the gate, the loop, the watchdog and the beam lines in every small way, and see that a test notices; goes on where it was stopped, clean-mutants begins anew
+mutants: $(STAMP)  ## break gate, loop, watchdog and beam lines in every small way: a test must notice; goes on where it stopped
 	PATH="$(CURDIR)/$(BIN):$$PATH" nice -n 10 mutmut run --max-children $(or $(CHILDREN),1)
 	$(BIN)/python -m tests.mutants --write
 
