@@ -181,7 +181,7 @@ KINDS = (
         lambda camera, _: camera.repeat(Streams.COLOR),
         told("frame_frozen", "frame_timeout"),
     ),
-    _camera("frame-again", "the same frame again, with its old time", lambda camera, _: camera.again(), CLOCK),
+    _camera("frame-again", "the same frame again, with its old time", lambda camera, _: camera.again(), CLOCK, LATCHED),
     _camera("both-stall", "no frame comes any more", lambda camera, _: camera.stall(), SILENT),
     _camera("depth-stalls", "no depth comes any more", lambda camera, _: camera.stall(Streams.DEPTH), SILENT),
     _camera(
@@ -232,14 +232,16 @@ KINDS = (
         "the camera's clock goes back",
         lambda camera, chance: camera.clock(-round(chance.uniform(5e4, 5e6))),
         CLOCK,
+        LATCHED,
     ),
     _camera(
         "clock-jumps",
         "the camera's clock jumps ahead",
         lambda camera, chance: camera.clock(round(chance.uniform(3e5, 5e6))),
         CLOCK,
+        LATCHED,
     ),
-    _camera("clock-stands", "the camera's clock stands still", lambda camera, _: camera.stuck_clock(), CLOCK),
+    _camera("clock-stands", "the camera's clock stands still", lambda camera, _: camera.stuck_clock(), CLOCK, LATCHED),
     _camera(
         "device-error", "the device tells an error", lambda camera, _: camera.state(State.ERROR), GONE, GONE_RECOVERS
     ),

@@ -4,7 +4,7 @@ import random
 from collections.abc import Callable
 
 from tests.faults.frames import CLOCK, GONE, GONE_RECOVERS, LOST, SILENT, Act, of_camera
-from tests.faults.kinds import BY_ITSELF, FaultKind, told
+from tests.faults.kinds import BY_ITSELF, LATCHED, FaultKind, told
 from tests.xtion.block import Field, Streams
 from tests.xtion.camera import Receipt, VirtualXtion
 
@@ -20,14 +20,14 @@ def _field(field: Field, value: Callable[[random.Random], int], streams: Streams
     return act
 
 
-def _kind(code: str, what: str, act: Act, *, is_step: bool = False) -> FaultKind:
+def _kind(code: str, what: str, act: Act, *, is_step: bool = False, must_latch: bool = False) -> FaultKind:
     return FaultKind(
         code=f"malformed-{code}",
         what=what,
         family=FAMILY,
         inject=of_camera(act, is_step=is_step),
         told=REFUSED | GONE,
-        recoveries=BY_ITSELF | GONE_RECOVERS,
+        recoveries=LATCHED if must_latch else BY_ITSELF | GONE_RECOVERS,
     )
 
 
@@ -63,6 +63,7 @@ KINDS = (
         "frame numbers go back",
         lambda camera, chance: camera.index(-chance.randrange(2, 500)),
         is_step=True,
+        must_latch=True,
     ),
     _kind(
         "index-jump",
@@ -70,7 +71,7 @@ KINDS = (
         lambda camera, chance: camera.index(chance.randrange(2, 10_000)),
         is_step=True,
     ),
-    _kind("time-zero", "times of 0", lambda camera, _: camera.timestamp(0)),
+    _kind("time-zero", "times of 0", lambda camera, _: camera.timestamp(0), must_latch=True),
     _kind("time-huge", "times of 2^62 us", lambda camera, _: camera.timestamp(2**62)),
     _kind("no-data", "frames without a picture", lambda camera, _: camera.malform(Field.NO_DATA, 0, DEPTH)),
 )

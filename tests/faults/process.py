@@ -9,6 +9,7 @@ from tests.faults.beside import beside
 from tests.faults.kinds import (
     BY_ITSELF,
     FRAME_MS,
+    LATCHED,
     LEASE_MS,
     NEW_SESSION,
     RECEIVER_MS,
@@ -68,8 +69,11 @@ def interpreter_held(rig: "Rig", chance: random.Random) -> Fault:
     return Fault(cause_ns=rig.sabotage("hold", round(chance.uniform(300.0, 700.0))))
 
 
-def engine_hangs(rig: "Rig", chance: random.Random) -> Fault:
-    return Fault(cause_ns=rig.sabotage("hang", round(chance.uniform(130.0, 1500.0))))
+def engine_hangs(shortest_ms: float, longest_ms: float) -> Inject:
+    def inject(rig: "Rig", chance: random.Random) -> Fault:
+        return Fault(cause_ns=rig.sabotage("hang", round(chance.uniform(shortest_ms, longest_ms))))
+
+    return inject
 
 
 def engine_fails(rig: "Rig", _random: random.Random) -> Fault:
@@ -123,7 +127,20 @@ KINDS = (
         *("engine-fails", "measuring a frame raises", engine_fails, ENDED, NEW_SESSION),
     ),
     _kind(
-        *("engine-hangs", "the engine's thread hangs for 130 to 1500 ms", engine_hangs, STOPPED, BY_ITSELF),
+        *(
+            "engine-hesitates",
+            "the engine's thread hangs for 110 to 160 ms",
+            engine_hangs(110.0, 160.0),
+            STOPPED,
+            BY_ITSELF,
+        ),
+        bound=LEASE,
+        bound_ms=LEASE_MS + ONE_EXCHANGE_MS,
+    ),
+    _kind(
+        *("engine-hangs", "the engine's thread hangs for 300 to 1500 ms", engine_hangs(300.0, 1500.0)),
+        told("watchdog"),
+        LATCHED,
         bound=LEASE,
         bound_ms=LEASE_MS + ONE_EXCHANGE_MS,
     ),
