@@ -15,7 +15,7 @@ from matplotlib.text import Text
 
 from service.qa.report_plots import paint_series, paint_trend
 from service.qa.report_style import INK, LINE, SOFT
-from service.qa.report_table import ROW_IN, paint_head, paint_table, table_rows
+from service.qa.report_table import ROW_IN, TALL_ROW_IN, paint_head, paint_table, table_rows
 from service.qa.schemas import QaRunDetail, QaSeries, QaTrend
 
 WIDTH_IN, HEIGHT_IN, MARGIN_IN = 8.27, 11.69, 0.55
@@ -48,14 +48,15 @@ def report_pages(run: QaRunDetail, trends: Sequence[QaTrend]) -> list[Figure]:
     """Draw the pages."""
     pages = [_page()]
     table_in = ROW_IN * table_rows(run)
-    paint_head(pages[0], run, _box(MARGIN_IN, HEAD_IN))
-    paint_table(pages[0], run, _box(MARGIN_IN + HEAD_IN, table_in))
     plots = _Plots(series=run.series[:MOST_SERIES], trends=_key_trends(trends))
     top_in = MARGIN_IN + HEAD_IN + table_in + 0.45
     fitting = plots.cut_to(HEIGHT_IN - FOOT_IN - top_in)
     if fitting is None:
         pages.append(_page())
+        table_in = min(TALL_ROW_IN * table_rows(run), HEIGHT_IN - FOOT_IN - MARGIN_IN - HEAD_IN)
         fitting, top_in = plots, MARGIN_IN + 0.2
+    paint_head(pages[0], run, _box(MARGIN_IN, HEAD_IN))
+    paint_table(pages[0], run, _box(MARGIN_IN + HEAD_IN, table_in))
     _paint_plots(pages[-1], fitting, top_in)
     for number, page in enumerate(pages, start=1):
         _paint_foot(page, run, number, len(pages))
@@ -134,9 +135,9 @@ def _heading(figure: Figure, text: str, top_in: float) -> None:
 
 def _paint_foot(figure: Figure, run: QaRunDetail, number: int, pages: int) -> None:
     y = 0.36 / HEIGHT_IN
-    seal = f"run {run.id} · results sha256 {(run.sha256 or '')[:16]} · Tidegate {run.software}"
+    seal = f"run {run.id} · sha256 {(run.sha256 or '')[:12]} · Tidegate {run.software}"
     words = f"{seal} · research and commissioning only, not cleared for clinical use"
-    figure.text(MARGIN_IN / WIDTH_IN, y, words, fontsize=5.8, color=SOFT)
+    figure.text(MARGIN_IN / WIDTH_IN, y, words, fontsize=5.6, color=SOFT)
     right = 1.0 - MARGIN_IN / WIDTH_IN
     figure.text(right, y, f"page {number} of {pages}", fontsize=5.8, color=INK, ha="right")
     edge, rule = MARGIN_IN / WIDTH_IN, y + 0.014

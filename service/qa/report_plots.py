@@ -14,11 +14,13 @@ STYLES = (
 )
 FEW_POINTS = 60
 HEADROOM = 1.45
+LEGEND_SHARE = 0.18
+LEAST_SPAN_MM = 2.0
 
 
 def paint_trend(panel: Axes, trend: QaTrend) -> None:
     """Draw a check's deviation run by run; dashed warns, solid fails, the newest is ringed."""
-    plain_axes(panel, trend.title, size=6.3)
+    plain_axes(panel, trend.title, size=6.0)
     panel.text(
         0.985, 0.965, trend.unit, transform=panel.transAxes, ha="right", va="top", fontsize=5.8, color=SOFT, zorder=6
     )
@@ -38,7 +40,8 @@ def paint_trend(panel: Axes, trend: QaTrend) -> None:
     panel.set_ylim(-top if trend.sidedness == "absolute" else min(0.0, -0.06 * top), top)
     panel.set_xlim(-0.8, max(len(points) + 0.3, 1.8))
     ends = [0, len(points) - 1] if len(points) > 1 else [0]
-    panel.set_xticks(ends, [points[at].at.strftime("%d %b %y") for at in ends])
+    is_one_day = points[0].at.date() == points[-1].at.date()
+    panel.set_xticks(ends, [points[at].at.strftime("%H:%M" if is_one_day else "%d %b %y") for at in ends])
     if len(ends) > 1:
         first, last = panel.get_xticklabels()
         first.set_horizontalalignment("left")
@@ -61,9 +64,19 @@ def paint_series(panel: Axes, series: QaSeries) -> None:
     panel.set_axisbelow(True)
     panel.margins(x=0.01)
     if len(series.curves) > 1:
-        panel.legend(fontsize=6.0, ncols=len(series.curves), loc="upper right", framealpha=0.9, edgecolor=LINE)
+        panel.legend(fontsize=5.8, ncols=len(series.curves), loc="upper right", frameon=False, columnspacing=1.0)
+    _give_room(panel, series)
     panel.yaxis.set_major_locator(MaxNLocator(nbins=5))
     panel.ticklabel_format(axis="y", style="plain", useOffset=False)
+
+
+def _give_room(panel: Axes, series: QaSeries) -> None:
+    """Let a legend stand above the curves, and no hundredth of a millimetre fill the plot."""
+    low, high = panel.get_ylim()
+    short = max(0.0, LEAST_SPAN_MM - (high - low)) if "mm" in series.y_label else 0.0
+    low, high = low - short / 2.0, high + short / 2.0
+    room = LEGEND_SHARE * (high - low) if len(series.curves) > 1 else 0.0
+    panel.set_ylim(low, high + room)
 
 
 def _reach(points: list[QaTrendPoint]) -> float:

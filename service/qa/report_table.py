@@ -9,7 +9,7 @@ from matplotlib.patches import FancyBboxPatch, Rectangle
 from service.qa.report_style import DASH, INK, LINE, LOOKS, PALE, SOFT, number
 from service.qa.schemas import QaResult, QaRunDetail, Verdict
 
-ROW_IN = 0.19
+ROW_IN, TALL_ROW_IN = 0.19, 0.24
 Box = tuple[float, float, float, float]
 COLUMNS = (
     ("check", 0.008, "left"),
@@ -33,8 +33,8 @@ def paint_head(figure: Figure, run: QaRunDetail, box: Box) -> None:
     _badge(panel, run.verdict or "fail", (0.79, 0.62, 0.21, 0.38), size=22)
     facts = (
         (0.0, "Operator", run.operator),
-        (0.24, "Began", _moment(run.created_at)),
-        (0.42, "Ended", _moment(run.ended_at)),
+        (0.24, "Began, UTC", _moment(run.created_at)),
+        (0.42, "Ended, UTC", _moment(run.ended_at)),
         (0.60, "Beam line", "SIMULATED" if run.is_simulated_beam else "the site's"),
         (0.74, "Calibration", (run.calibration_sha256 or DASH)[:12]),
         (0.90, "Baseline", "none fixed" if run.baseline_number is None else f"no. {run.baseline_number}"),
@@ -134,7 +134,7 @@ def _bare(figure: Figure, box: Box) -> Axes:
 
 
 def _moment(at: datetime | None) -> str:
-    return DASH if at is None else at.astimezone(UTC).strftime("%Y-%m-%d %H:%M UTC")
+    return DASH if at is None else at.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S")
 
 
 def _cut(text: str, most: int) -> str:

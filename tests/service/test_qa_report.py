@@ -35,7 +35,7 @@ def test_the_paper_names_every_check_and_its_verdict(kind, tmp_path):
     for check in checks_of(kind):
         line = next(line for line in text.splitlines() if line.strip().startswith(check.title) and "PASS" in line)
         assert line.split()[-1] == "PASS"
-    for said in ("St. Example Hospital", "Linac 2", "A. Physicist", "2026-11-21 12:00 UTC", "no. 1", detail.id):
+    for said in ("St. Example Hospital", "Linac 2", "A. Physicist", "2026-11-21 12:00:00", "no. 1", detail.id):
         assert said in text
     assert "not cleared for clinical use" in text
 
