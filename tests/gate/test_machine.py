@@ -30,7 +30,6 @@ from tests.gate.oracle import MS, Oracle, Rules
 from tests.gate.spoiled import FAULTS
 
 START_NS = 10_000 * MS
-JITTER_NS = 3 * MS
 NONSENSE = sorted(
     name for name, (_, reason) in FAULTS.items() if reason is HoldReason.VALUE_INVALID and "missed" not in name
 )
@@ -55,6 +54,9 @@ rules_of_a_site = st.builds(
     cycles_a_minute=st.sampled_from([120, 120, 2, 4]),
 )
 steps_ns = st.integers(20 * MS, 55 * MS)
+slower_us = st.sampled_from([0, 0, 0, 2_000])
+"""How much less than the host's clock the camera's goes on in a step."""
+
 prompt_ns = st.integers(0, 20 * MS)
 levels_mm = st.sampled_from([2.0, 0.0, 2.8, -0.8])
 edges_mm = st.sampled_from([-1.0, -0.9, 2.9, 3.0])
@@ -106,10 +108,12 @@ class GateMachine(RuleBasedStateMachine):
 
     # Frames.
 
-    @rule(steps=st.lists(st.tuples(steps_ns, prompt_ns, levels_mm), min_size=1, max_size=8))
-    def good_frames(self, steps: list[tuple[int, int, float]]) -> None:
-        for step_ns, age_ns, level_mm in steps:
-            self._frame(step_ns, age_ns, level_mm)
+    @rule(steps=st.lists(st.tuples(steps_ns, prompt_ns, levels_mm, slower_us), min_size=1, max_size=8))
+    def good_frames(self, steps: list[tuple[int, int, float, int]]) -> None:
+        for step_ns, age_ns, level_mm, behind_us in steps:
+            frame = self._next(step_ns, level_mm)
+            frame = replace(frame, timestamp_us=frame.timestamp_us - behind_us)
+            self._tell_frame(frame, age_ns, level_mm=level_mm)
 
     @rule(step_ns=steps_ns, age_ns=prompt_ns, level_mm=edges_mm)
     def a_frame_between_the_edges_of_entering_and_leaving(self, step_ns: int, age_ns: int, level_mm: float) -> None:
