@@ -24,7 +24,6 @@ STEP_S = 0.001
 MOST_CROOKED = 0.03
 """Root mean square of a cycle's distance from a sine, as a share of its amplitude, beyond which it is none."""
 
-MOST_ASYMMETRIC = 0.03
 FEWEST_CYCLES = 5
 LEAST_WHOLE_SHARE = 0.75
 """Of the cycles, so many must have exactly one interval each."""
@@ -210,8 +209,6 @@ def _highest(times: Grid, height: FloatArray, from_s: float, to_s: float) -> flo
 
 def _as_sine(cycle: Cycle, times: Grid, position: FloatArray) -> Cycle | None:
     """Fit a sine around the turning point inside the window and take its period; None where it is none."""
-    if abs(cycle.middle_s - 0.5 * (cycle.begins_s + cycle.ends_s)) > MOST_ASYMMETRIC * cycle.span_s:
-        return None
     within = np.abs(times - cycle.middle_s) <= _FITTED_SHARE * cycle.span_s
     away_s, level_mm = times[within] - cycle.middle_s, position[within]
 

@@ -130,6 +130,16 @@ def test_what_is_no_sine_tells_nothing(shape):
     assert isinstance(time_gate_by_sines(cycles, beam(cycles)), str)
 
 
+def test_sines_that_meet_inside_the_window_tell_nothing_for_they_have_no_common_turning_point():
+    halves = np.tile([2.0, 2.4], 10)
+    ends = np.cumsum(halves)
+    time_s = np.arange(0.0, ends[-1], 0.02)
+    number = np.searchsorted(ends, time_s, side="right").clip(max=len(halves) - 1)
+    turn = 0.5 * (number % 2 + (time_s - (ends[number] - halves[number])) / halves[number])
+    trace = CommandedTrace(time_s=time_s, position_mm=AMPLITUDE_MM * (1.0 + np.cos(2.0 * np.pi * turn)))
+    assert find_cycles(trace, BELOW, 0.0, 1000.0) == []
+
+
 def test_too_few_cycles_tell_nothing_and_say_how_many_there_were():
     cycles = cycles_of(periods=(3.0,), each=FEWEST_CYCLES + 1)
     assert len(cycles) == FEWEST_CYCLES - 1
