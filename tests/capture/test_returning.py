@@ -232,3 +232,15 @@ def test_a_camera_that_was_found_and_never_taken_is_closed(room):
         threading.Event().wait(0.01)
     room.source.close()
     assert [camera.closed for camera in room.made] == [1] * len(room.made)
+
+
+def test_opened_again_it_begins_anew(room):
+    room.source.read(0.1)
+    room.is_plugged = False
+    with pytest.raises(SourceAwayError):
+        room.source.read(0.1)
+    room.is_plugged = True
+    room.until_back()
+    room.source.open()
+    first = room.source.read(0.1)
+    assert (first.index, first.timestamp_us, first.missed_frames) == (0, 34_000, 0)

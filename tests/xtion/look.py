@@ -1,4 +1,6 @@
-"""A process that looks through the runtime: ``python -m tests.xtion.look devices|frames|pictures ...``, in JSON lines.
+"""A process that looks through the runtime: ``python -m tests.xtion.look devices|frames|recording|pictures ...``.
+
+It speaks in JSON lines. ``recording FILE`` lets the runtime play one, with the virtual camera beside it.
 
 ``frames SECONDS [registered] [small] [told]`` says what each frame is, and how reading failed where it did; told, only
 until its input is closed; ``pictures OUT [registered] [small]`` writes the newest frame of half a second to a file.
@@ -41,8 +43,7 @@ def source(words: list[str]) -> OpenNiSource:
     )
 
 
-def frames(seconds: float, words: list[str]) -> None:
-    camera = source(words)
+def frames(camera: OpenNiSource, seconds: float, words: list[str]) -> None:
     about = camera.open()
     say(kind=about.kind, name=about.name, depth_size=about.depth_size, fps=about.fps, is_live=about.is_live)
     end_s = time.monotonic() + seconds
@@ -94,7 +95,9 @@ if __name__ == "__main__":
         case ["devices"]:
             devices()
         case ["frames", seconds, *words]:
-            frames(float(seconds), words)
+            frames(source(words), float(seconds), words)
+        case ["recording", path]:
+            frames(OpenNiSource(path, clock=MonotonicClock()), 30.0, [])
         case ["pictures", out, *words]:
             pictures(Path(out), words)
         case _:

@@ -119,7 +119,7 @@ class Room:
 
     def turn_on(self) -> int:
         """Do what a person does until the receiver says on: acknowledge, set the zero, arm; returns when it went on."""
-        self.until(lambda: self._one_step() or self.is_on, "the beam")
+        self.until(lambda: self._one_step() or self.is_on, "the beam", within_s=2 * PATIENCE_S)
         return int(self.far.seen[-1][1])
 
     def _one_step(self) -> bool:

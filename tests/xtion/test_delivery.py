@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import pytest
 
+from tests.oni.recordings import write_recording
 from tests.xtion.block import Call, Field, Kind, State, Streams
 from tests.xtion.camera import CameraSilentError, VirtualXtion
 from tests.xtion.onlooker import Onlooker, look
@@ -232,3 +233,11 @@ def test_a_new_process_starts_with_a_sound_camera(camera):
         first.until(lambda: first.said[-1] == {"timeout": True}, "silence")
     with Onlooker(camera) as second:
         second.until_frame(5)
+
+
+def test_a_recording_plays_in_the_runtime_beside_the_camera(camera, tmp_path):
+    write_recording(tmp_path / "a.oni", frames=12, period_us=100_000)
+    said = look(camera, "recording", str(tmp_path / "a.oni"))
+    assert (said[0]["kind"], said[0]["is_live"]) == ("openni_file", False)
+    assert [one["device_index"] for one in said if "device_index" in one] == list(range(1, 13))
+    assert said[-2:] == [{"error": "SourceEndedError", "words": "the recording is over"}, {"closed": True}]
