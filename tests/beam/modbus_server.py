@@ -3,7 +3,7 @@
 pymodbus's own server. It says ``ready WHERE``, then ``on NS`` and ``off NS CAUSE`` at every edge of its contact, in
 monotonic time. It drops the permit when the heartbeat stands still for 200 ms, and wants to see it withdrawn before it
 takes one again. A line on standard input spoils it: ``stuck on``, ``stuck off``, ``lag MS``, ``late MS``,
-``refuse``, ``well``.
+``refuse``, ``well``. It ends with its standard input: whoever started it is gone.
 """
 
 import asyncio
@@ -124,6 +124,13 @@ def _copy(source: int, target: int) -> None:
     with suppress(OSError):
         while True:
             os.write(target, os.read(source, 256))
+
+
+def _obey(receiver: Receiver) -> None:
+    line = sys.stdin.readline()
+    if not line:
+        os._exit(0)
+    receiver.spoil(line.split())
 
 
 async def serve(kind: str, port: int) -> None:

@@ -31,6 +31,7 @@ from tests.xtion.camera import CameraSilentError, VirtualXtion
 WINDOW_MM = 30.0
 WINDOW = {"signal": "whole", "lower_mm": -WINDOW_MM, "upper_mm": WINDOW_MM, "hysteresis_mm": 0.2, "dwell_ms": 100.0}
 TMPFS_MB, FREE_MB, WORN_MB = 192, 24, 90
+RECEIVER_NICE = -15
 DATABASE = "tidegate.db"
 SETTINGS = {
     "BEAM_LINE": "modbus-tcp",
@@ -233,4 +234,4 @@ def _small_disk(folder: Path) -> Iterator[None]:
 def _prefer(pid: int) -> None:
     """Let a stand-in for hardware be woken in time: a real receiver does not share a processor with anybody."""
     with contextlib.suppress(OSError):
-        os.sched_setscheduler(pid, os.SCHED_FIFO, os.sched_param(10))
+        os.setpriority(os.PRIO_PROCESS, pid, RECEIVER_NICE)

@@ -10,6 +10,7 @@ import ctypes
 import gc
 import os
 import resource
+import signal
 import socket
 import sys
 import threading
@@ -20,6 +21,9 @@ from pathlib import Path
 from engine.loop import EngineLoop
 
 MOST_FILES = 256
+DIES_WITH_ITS_PARENT = 1
+"""``PR_SET_PDEATHSIG``: a campaign that is killed leaves no service behind."""
+
 HELD_PYTHON = ctypes.PyDLL(None)
 """Calls through this keep the interpreter for themselves."""
 
@@ -157,6 +161,7 @@ def _answer(words: list[str]) -> str:
 
 def main() -> None:
     path = sys.argv.pop(1)
+    ctypes.CDLL(None).prctl(DIES_WITH_ITS_PARENT, signal.SIGKILL)
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(MOST_FILES, hard), hard))
     threading.Thread(target=listen, args=(path,), name="saboteur", daemon=True).start()
