@@ -115,7 +115,7 @@ class EngineAdapter:
             lambda: next(first, None) or self._camera(_listed_in_turn(next(turns)), calibration), self._clock
         )
 
-    def _camera(self, uri: str | None, calibration: Calibration) -> DepthSource:
+    def _camera(self, uri: str | None, calibration: Calibration) -> OpenNiSource:
         is_registered = calibration.is_device_registration
         if is_registered and _registered(uri).sha256 != calibration.sha256:
             msg = "the camera is not the one whose registration this session was created for"

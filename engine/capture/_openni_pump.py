@@ -74,6 +74,10 @@ class CapturePump:
         self._stop_requested.set()
         return self._done.wait(_STOP_TIMEOUT_S)
 
+    def await_end(self) -> None:
+        """Wait for the end, however long a driver hangs."""
+        self._done.wait()
+
     def take(self, timeout_s: float, margin_us: float | None) -> tuple[ReceivedFrame, ReceivedFrame]:
         """Return the next depth frame and its colour frame.
 

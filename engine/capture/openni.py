@@ -14,10 +14,11 @@ import time
 from ctypes import byref
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 from engine.calibration import Calibration, nominal_calibration
 from engine.capture import _openni_c as c
+from engine.capture._lasting_threads import run_on_lasting_thread
 from engine.capture._openni_device import OpenNiDevice
 from engine.capture._openni_frame import COLOR, DEPTH
 from engine.capture._openni_pump import CapturePump
@@ -28,6 +29,9 @@ from engine.frames import ColorImage, DepthImage, RgbdFrame
 from engine.oni.layout import RecordType
 from engine.oni.reader import describe, missed_between
 from engine.oni.records import count_records
+
+if TYPE_CHECKING:
+    import threading
 
 REGISTERED_SIZE_PX = (640, 480)
 _US_PER_S = 1_000_000
@@ -138,6 +142,7 @@ class OpenNiSource:
         self._device: OpenNiDevice | None = None
         self._recorder: c.Handle | None = None
         self._pump: CapturePump | None = None
+        self._freed: threading.Event | None = None
         self._period_us = _US_PER_S / fps
         self._last: tuple[int, int] | None = None
         self._index = 0
@@ -217,16 +222,35 @@ class OpenNiSource:
         return frame
 
     def close(self) -> None:
-        """Stop streams and recorder, and let go of the device; safe to call twice, and after a failure."""
+        """Stop streams and recorder, and let go of the device; safe to call twice, and after a failure.
+
+        Where a call hangs in the driver, the device is let go of when that comes back: freed before, it would crash.
+        """
         pump, device, recorder = self._pump, self._device, self._recorder
         self._pump = self._device = self._recorder = None
-        has_stopped = pump is None or pump.stop()
-        if device is None or not has_stopped:
-            return  # a thread still hangs in the driver with these handles; freeing them would crash it
-        device.stop()
-        if recorder is not None:
-            device.finish_recorder(recorder)
-        device.close()
+        if device is None:
+            return
+        if pump is None or pump.stop():
+            _let_go(device, recorder)
+            return
+
+        def let_go_later() -> None:
+            pump.await_end()
+            _let_go(device, recorder)
+
+        self._freed = run_on_lasting_thread(let_go_later)
+
+    @property
+    def is_free(self) -> bool:
+        """Whether nothing of it hangs in the driver any more, after :meth:`close`."""
+        return self._freed is None or self._freed.is_set()
+
+
+def _let_go(device: OpenNiDevice, recorder: c.Handle | None) -> None:
+    device.stop()
+    if recorder is not None:
+        device.finish_recorder(recorder)
+    device.close()
 
 
 def _await_recorder(path: Path) -> None:

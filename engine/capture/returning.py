@@ -11,6 +11,7 @@ import contextlib
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Protocol
 
 from engine.capture.source import DepthSource, SourceDescription
 from engine.clock import NS_PER_S, NS_PER_US, Clock
@@ -24,7 +25,18 @@ FIRST_FRAME_S = 2.0
 LOOK_EVERY_S = 0.5
 CLOSE_S = 2.0
 
-Found = tuple[DepthSource, RgbdFrame]
+HUNG = "a call hangs in the camera's driver"
+
+
+class LiveSource(DepthSource, Protocol):
+    """A source whose driver may hang."""
+
+    @property
+    def is_free(self) -> bool:
+        """Whether nothing of it hangs in the driver any more, after it was closed."""
+
+
+Found = tuple[LiveSource, RgbdFrame]
 
 
 class ReturningSource:
@@ -42,12 +54,12 @@ class ReturningSource:
 
     def __init__(
         self,
-        make: Callable[[], DepthSource],
+        make: Callable[[], LiveSource],
         clock: Clock,
         wait: Callable[[threading.Event, float], bool] = threading.Event.wait,
     ) -> None:
         self._make, self._clock, self._wait = make, clock, wait
-        self._source: DepthSource | None = None
+        self._source: LiveSource | None = None
         self._search: _Search | None = None
         self._described: SourceDescription | None = None
         self._away = ""
@@ -138,8 +150,8 @@ class _Search:
 
     def __init__(
         self,
-        lost: DepthSource,
-        make: Callable[[], DepthSource],
+        lost: LiveSource,
+        make: Callable[[], LiveSource],
         wanted: SourceDescription,
         wait: Callable[[threading.Event, float], bool],
     ) -> None:
@@ -147,6 +159,7 @@ class _Search:
         self._stop = threading.Event()
         self._news = threading.Condition()
         self._found: Found | None = None
+        self._left: LiveSource | None = None
         self.words = ""
         self._thread = threading.Thread(target=self._run, name="camera-search", daemon=True)
         self._thread.start()
@@ -169,9 +182,11 @@ class _Search:
             found[0].close()
 
     def _run(self) -> None:
-        with contextlib.suppress(Exception):
-            self._lost.close()
+        self._close(self._lost)
         while not self._wait(self._stop, LOOK_EVERY_S):
+            if self._left is not None and not self._left.is_free:
+                self.words = HUNG  # another try would hang beside it, and then another
+                continue
             found = self._try()
             if found is None:
                 continue
@@ -185,19 +200,23 @@ class _Search:
 
     def _try(self) -> Found | None:
         """Open the camera and read a frame; None where it is not there, or is another one."""
-        source = None
+        source, words = None, ""
         try:
             source = self._make()
             described = source.open()
-            if described != self._wanted:
-                self.words = f"another camera is plugged in: {described.name} {described.serial}".rstrip()
-            else:
+            if described == self._wanted:
                 return source, source.read(FIRST_FRAME_S)
+            words = f"another camera is plugged in: {described.name} {described.serial}".rstrip()
         except TidegateError:
-            pass
+            pass  # not there, or without a picture: away as before
         except Exception as error:  # noqa: BLE001 - a driver that fails in any way is a camera that is not back
-            self.words = f"the camera cannot be opened: {type(error).__name__}"
+            words = f"the camera cannot be opened: {type(error).__name__}"
+        self.words = words
         if source is not None:
-            with contextlib.suppress(Exception):
-                source.close()
+            self._close(source)
         return None
+
+    def _close(self, source: LiveSource) -> None:
+        self._left = source
+        with contextlib.suppress(Exception):
+            source.close()

@@ -25,6 +25,10 @@ class FakeCamera:
     def __init__(self, room):
         self.room, self.frames, self.closed = room, 0, 0
 
+    @property
+    def is_free(self):
+        return not self.room.hangs
+
     def open(self):
         if not self.room.is_plugged:
             raise SourceLostError("no camera")
@@ -57,7 +61,7 @@ class Room:
 
     def __init__(self):
         self.clock = ManualClock(1_000_000_000)
-        self.is_plugged, self.is_silent, self.described = True, False, OURS
+        self.is_plugged, self.is_silent, self.described, self.hangs = True, False, OURS, False
         self.made = []
         self.looks = threading.Semaphore(0)
         self.source = ReturningSource(self.make, self.clock, self.wait)
@@ -244,3 +248,20 @@ def test_opened_again_it_begins_anew(room):
     room.source.open()
     first = room.source.read(0.1)
     assert (first.index, first.timestamp_us, first.missed_frames) == (0, 34_000, 0)
+
+
+def test_a_camera_whose_driver_hangs_is_not_tried_again_and_again(room):
+    room.source.read(0.1)
+    room.is_silent = room.hangs = True
+    room.clock.advance_ns(SILENT_NS + 1)
+    with pytest.raises(SourceAwayError):
+        room.source.read(0.1)
+    for _ in range(5):
+        room.looks.release()
+        with pytest.raises(SourceAwayError):
+            room.source.read(0.05)
+    with pytest.raises(SourceAwayError, match="hangs in the camera's driver"):
+        room.source.read(0.01)
+    assert len(room.made) == 1
+    room.is_silent = room.hangs = False
+    assert room.until_back().index == 1

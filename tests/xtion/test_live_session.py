@@ -160,6 +160,15 @@ def test_a_camera_pulled_without_a_word_comes_back_too(live):
     assert live.ons(receipt.raised_ns)[0] > receipt.raised_ns
 
 
+def test_a_driver_that_hangs_for_long_is_waited_for_and_the_camera_comes_back(live):
+    receipt, on_ms = caused(live, lambda: live.camera.hang(Call.READ))
+    assert on_ms <= BOUND_MS
+    live.until(lambda: live.act("acknowledge") and "hangs in the camera's driver" in live.gate["hold_detail"], "a loss")
+    assert live.camera.status.hung_calls == 1, "nobody has tried again beside it"
+    live.camera.undo(receipt)
+    live.turn_on()
+
+
 def test_without_a_calibration_the_camera_s_own_registration_is_on_again_when_it_is_back(live):
     live.stop()
     assert live.begin(calibration_id=None, model_id=None)
