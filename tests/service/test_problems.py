@@ -18,7 +18,7 @@ KINDS = {
     for _, kind in inspect.getmembers(module, inspect.isclass)
     if issubclass(kind, TidegateError)
 }
-NEVER_IN_AN_ANSWER = {"TidegateError", "ServiceError", "SourceEndedError", "FrameTimeoutError"}
+NEVER_IN_AN_ANSWER = {"TidegateError", "ServiceError", "SourceEndedError", "FrameTimeoutError", "SourceAwayError"}
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS, key=lambda kind: kind.__name__), ids=lambda kind: kind.__name__)
