@@ -13,6 +13,7 @@ from tests.faults.verdict import (
     Recovery,
     Told,
     Trouble,
+    came_back,
     is_on_at,
     judge,
     off_after_ms,
@@ -40,6 +41,7 @@ GOOD = Evidence(
     recovery=Recovery.BY_ITSELF,
     clear_ns=at(500.0),
 )
+TIMEOUT = Told(what="frame_timeout", at_ns=at(500.0))
 LATCHED = replace(GOOD, recovery=Recovery.ACKNOWLEDGED, armed_ns=at(650.0))
 
 
@@ -59,14 +61,18 @@ def test_a_fault_that_did_as_promised_is_no_trouble():
         (replace(GOOD, edges=(edge(False, 40.0), edge(True, 599.9))), Trouble.BACK_EARLY),
         (replace(GOOD, edges=(edge(False, 40.0), edge(True, 60.0), edge(False, 90.0))), Trouble.BACK_EARLY),
         (replace(GOOD, clear_ns=None, edges=(edge(False, 40.0), edge(True, 99.9))), Trouble.BACK_EARLY),
-        (replace(LATCHED, edges=(edge(False, 40.0), edge(True, 649.0))), Trouble.ON_UNASKED),
+        (
+            replace(LATCHED, told=(*GOOD.told, TIMEOUT), edges=(edge(False, 40.0), edge(True, 649.0))),
+            Trouble.ON_UNASKED,
+        ),
+        (replace(GOOD, told=(*GOOD.told, TIMEOUT)), Trouble.ON_UNASKED),
         (replace(LATCHED, armed_ns=at(300.0), edges=(edge(False, 40.0), edge(True, 450.0))), Trouble.BACK_EARLY),
         (replace(GOOD, told=()), Trouble.UNTOLD),
         (replace(GOOD, told=(Told(what="jump", at_ns=at(38.0)),)), Trouble.UNTOLD),
         (replace(GOOD, told_by_ns=at(37.0)), Trouble.TOLD_LATE),
         (replace(GOOD, is_chain_intact=False), Trouble.CHAIN_BROKEN),
-        (replace(GOOD, recovery=None), Trouble.NOT_RECOVERED),
-        (replace(GOOD, recovery=Recovery.NEW_SESSION), Trouble.OTHER_RECOVERY),
+        (replace(GOOD, recovery=None, edges=GOOD.edges[:1]), Trouble.NOT_RECOVERED),
+        (replace(LATCHED, recovery=Recovery.NEW_SESSION), Trouble.OTHER_RECOVERY),
     ],
     ids=lambda one: one.name if isinstance(one, Trouble) else "",
 )
@@ -85,6 +91,19 @@ def test_several_troubles_are_all_told():
     worst = replace(GOOD, edges=(edge(False, 200.0), edge(True, 300.0)), told=(), is_chain_intact=False)
     found = [Trouble.OFF_LATE, Trouble.BACK_EARLY, Trouble.UNTOLD, Trouble.CHAIN_BROKEN]
     assert judge(EXPECTED, worst) == found
+
+
+def test_a_fault_that_must_latch_is_unsafe_where_it_clears_by_itself():
+    strict = replace(EXPECTED, recoveries=frozenset({Recovery.ACKNOWLEDGED}))
+    assert judge(strict, LATCHED) == []
+    assert judge(strict, GOOD) == [Trouble.ON_UNASKED, Trouble.OTHER_RECOVERY]
+
+
+def test_a_hold_that_cleared_by_itself_is_judged_by_that_whatever_a_busy_machine_does_next():
+    later = (edge(False, 40.0), edge(True, 620.0), edge(False, 640.0), edge(True, 900.0))
+    evidence = replace(LATCHED, edges=later, armed_ns=at(850.0), told=(*GOOD.told, replace(TIMEOUT, at_ns=at(640.0))))
+    assert came_back(evidence) is Recovery.BY_ITSELF
+    assert judge(EXPECTED, evidence) == []
 
 
 def test_a_line_is_on_from_its_edge_to_the_next():

@@ -14,9 +14,9 @@ from tests.faults.verdict import (
     Expectation,
     LineEdge,
     Outcome,
-    Recovery,
     Told,
     Trouble,
+    came_back,
     is_on_at,
     judge,
     off_after_ms,
@@ -79,7 +79,7 @@ def run_trial(rig: "Rig", kind: FaultKind, seed: int) -> Outcome:
             off_ms=off_ms,
             troubles=tuple(judged.troubles),
             told=told_as(judged.expected, judged.evidence),
-            recovery=judged.evidence.recovery or "",
+            recovery=came_back(judged.evidence) or "",
             stall_ms=judged.evidence.stall_ms,
             disturbed_ms=tuple(disturbed),
             note=_note(judged),
@@ -108,17 +108,13 @@ def _try_once(rig: "Rig", kind: FaultKind, chance: random.Random) -> Judged:
         cause_ns = _await_off(rig, kind, fault)
         time.sleep(fault.lasts_s)
         fault.meanwhile()
-        is_back = fault.is_step and rig.is_on
-        edges = rig.edges
     except BaseException:
         fault.undo()
         raise
     clear_ns = fault.undo()
     way = WayBack(rig)
-    recovery: Recovery | None = Recovery.BY_ITSELF
-    if not is_back:
-        time.sleep(STAYS_OFF_S)
-        recovery, edges = way.walk(), rig.edges
+    time.sleep(STAYS_OFF_S)
+    recovery, edges = way.walk(), rig.edges
     expected = replace(kind.expected, bound_ms=math.inf) if fault.is_of_itself else kind.expected
     gone = [edge.at_ns for edge in edges if not edge.is_on and edge.at_ns >= cause_ns]
     evidence = Evidence(
@@ -201,4 +197,4 @@ def _note(judged: Judged) -> str:
     told = " ".join(f"{one.what}@{(one.at_ns - began_ns) / NS_PER_S:.3f}" for one in evidence.told[:8])
     cleared = "" if evidence.clear_ns is None else f" clear@{(evidence.clear_ns - began_ns) / NS_PER_S:.3f}"
     asked = "" if evidence.armed_ns is None else f" asked@{(evidence.armed_ns - began_ns) / NS_PER_S:.3f}"
-    return f"line {edges}{cleared}{asked} audit {told} recovery {evidence.recovery or Recovery.__name__}"
+    return f"line {edges}{cleared}{asked} audit {told} recovery {evidence.recovery or 'none'}"

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from engine.clock import NS_PER_MS
+from engine.permits import HoldReason
 
 DWELL_NS = 100 * NS_PER_MS
 """The dwell of the campaign's window: no hold ends sooner after its cause is gone."""
@@ -178,19 +179,38 @@ def told_as(expected: Expectation, evidence: Evidence) -> tuple[str, ...]:
     return tuple(dict.fromkeys(one.what for one in evidence.told if one.what in expected.told))
 
 
+def came_back(evidence: Evidence) -> Recovery | None:
+    """How the beam came back: by itself where it was on before anybody had asked for it."""
+    on_ns = _on_again_ns(evidence)
+    is_asked_for = evidence.armed_ns is not None and on_ns is not None and on_ns >= evidence.armed_ns
+    return evidence.recovery if on_ns is None or is_asked_for else Recovery.BY_ITSELF
+
+
+def _on_again_ns(evidence: Evidence) -> int | None:
+    gone_ns = off_ns(evidence)
+    on_ns = (edge.at_ns for edge in evidence.edges if edge.is_on and gone_ns is not None and edge.at_ns > gone_ns)
+    return next(on_ns, None)
+
+
 def _of_the_line(expected: Expectation, evidence: Evidence) -> list[Trouble]:
     took_ms = off_after_ms(evidence)
     if took_ms is None:
         return [Trouble.NEVER_OFF]
-    late = [Trouble.OFF_LATE] if took_ms > expected.bound_ms else []
-    gone_ns = off_ns(evidence)
-    again = [edge.at_ns for edge in evidence.edges if edge.is_on and gone_ns is not None and edge.at_ns > gone_ns]
-    if not again:
-        return late
-    if evidence.armed_ns is not None and again[0] < evidence.armed_ns:
-        late.append(Trouble.ON_UNASKED)
+    found = [Trouble.OFF_LATE] if took_ms > expected.bound_ms else []
+    on_ns = _on_again_ns(evidence)
+    if on_ns is None:
+        return found
+    may_come_back = Recovery.BY_ITSELF in expected.recoveries and not _has_latched(evidence, on_ns)
+    if came_back(evidence) is Recovery.BY_ITSELF and not may_come_back:
+        found.append(Trouble.ON_UNASKED)
     clear_ns = evidence.cause_ns if evidence.clear_ns is None else evidence.clear_ns
-    return late + ([Trouble.BACK_EARLY] if again[0] < clear_ns + DWELL_NS else [])
+    return found + ([Trouble.BACK_EARLY] if on_ns < clear_ns + DWELL_NS else [])
+
+
+def _has_latched(evidence: Evidence, before_ns: int) -> bool:
+    """Whether a fault was told by then."""
+    faults = {reason.value for reason in HoldReason if reason.is_fault}
+    return any(one.what in faults and evidence.cause_ns <= one.at_ns < before_ns for one in evidence.told)
 
 
 def _of_the_account(expected: Expectation, evidence: Evidence) -> list[Trouble]:
@@ -202,6 +222,7 @@ def _of_the_account(expected: Expectation, evidence: Evidence) -> list[Trouble]:
 
 
 def _of_the_recovery(expected: Expectation, evidence: Evidence) -> list[Trouble]:
-    if evidence.recovery is None:
+    recovery = came_back(evidence)
+    if recovery is None:
         return [Trouble.NOT_RECOVERED]
-    return [] if evidence.recovery in expected.recoveries else [Trouble.OTHER_RECOVERY]
+    return [] if recovery in expected.recoveries else [Trouble.OTHER_RECOVERY]
