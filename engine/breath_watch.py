@@ -71,6 +71,6 @@ class BreathWatch:
 
 
 def _settled(state: BreathingState) -> BreathingState:
-    """Count drift from the present end of exhale on, where it is known."""
+    """Count drift from the present end of exhale on; where it is not known, no breath of before tells of it."""
     level = state.breath.baseline
-    return state if level is None else with_baseline(state, level)
+    return start_breathing(state.choice) if level is None else with_baseline(state, level)

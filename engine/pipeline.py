@@ -148,10 +148,14 @@ class Pipeline:
         self._coefficients: FloatArray | None = None
         self._explained_by: ActiveModel | None = None
         self._split_finder = SplitFinder() if settings.extra_markers else None
-        pairs = settings.lag_pairs()
+        self._begin_to_follow()
+
+    def _begin_to_follow(self) -> None:
+        """Know of no breath yet, and of no zero."""
+        settings = self._settings
         self._breaths = BreathWatch(settings.breath_signals)
         self._zero: Reference | None = None
-        self._lags = start_lags(pairs, len(WIDE) + len(settings.points) + len(settings.named))
+        self._lags = start_lags(settings.lag_pairs(), len(WIDE) + len(settings.points) + len(settings.named))
 
     @property
     def model(self) -> MotionModel | None:
@@ -230,6 +234,7 @@ class Pipeline:
         self._forget()
         self._finder.look_anew()
         self._continuity = Continuity()
+        self._begin_to_follow()
         self._learner.doubt()
 
     def measure(self, frame: RgbdFrame) -> Measurement:

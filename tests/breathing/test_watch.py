@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from engine.breath import SignalChoice
@@ -99,6 +100,33 @@ def test_a_lost_frame_has_no_breath_and_a_second_of_them_costs_the_phase(patient
     back = patient.measure(3)
     assert all(one.breaths[0].phase_percent is None for one in back)
     assert patient.measure(500)[-1].breaths[0].phase_percent is not None
+
+
+def nearer(frames, by_mm):
+    """The same frames from a camera that hangs so much nearer."""
+    return [replace(one, depth_mm=one.depth_mm - np.uint16(by_mm) * (one.depth_mm > 0)) for one in frames]
+
+
+def test_a_camera_that_comes_back_nearer_is_no_drift_of_the_patient(patient):
+    patient.pipeline.camera_returned()
+    patient.frames = nearer(patient.frames, 10)
+    patient.measure(130)
+    patient.pipeline.set_reference()
+    after = patient.measure(700)
+    assert after[-1].breaths[0].phase_percent is not None
+    assert abs(after[-1].breaths[0].drift) < 0.5
+    assert {kind for one in after for breath in one.breaths for kind in kinds(breath)} == set()
+
+
+def test_drift_is_told_against_the_zero_a_person_set_even_where_no_end_of_exhale_was_known_then(patient):
+    dark = {"color": 0 * patient.frames[0].color}
+    for _ in range(30):
+        patient.next(**dark)
+    patient.frames = nearer(patient.frames, 3)
+    assert patient.next().breaths[0].baseline is None
+    patient.pipeline.set_reference()
+    after = patient.measure(700)
+    assert abs(after[-1].breaths[0].drift) < 0.5
 
 
 def test_a_confirmed_correction_moves_what_drift_is_told_against(patient):
