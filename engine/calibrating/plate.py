@@ -327,5 +327,6 @@ def _drift_mm(sums: _Sums, mean_mm: FloatArray, plane: _Plane) -> float:
 
 
 def _moved_mm(sums: _Sums, mean_mm: FloatArray, plane: _Plane) -> list[tuple[float, float]]:
-    """How far each second's mean lies from the whole recording's, as (time [s], mm)."""
-    return [(at_s, float(np.nanmean((block - mean_mm)[plane.is_on]))) for at_s, block in sums.blocks]
+    """How far each second's mean lies from the whole recording's, as (time [s], mm); a second unseen is left out."""
+    moved = [(at_s, (block - mean_mm)[plane.is_on]) for at_s, block in sums.blocks]
+    return [(at_s, float(np.nanmean(by_mm))) for at_s, by_mm in moved if np.isfinite(by_mm).any()]

@@ -6,11 +6,12 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from engine.frames import FloatArray
-from engine.qa.trace import CommandedTrace
+from engine.qa.trace import LEAST_REACH_MM, CommandedTrace
 
 LONGEST_LAG_S = 0.6
 LAG_STEP_S = 0.01
 FEWEST = 60
+STILL_MM = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,6 +57,10 @@ def compare_motion(
     if not first + LONGEST_LAG_S < zero_s < last - LONGEST_LAG_S:
         return f"the zero was taken at {zero_s:.1f} s, outside of the commanded trace"
     at_s, motion_mm = time_s[is_told], measured_mm[is_told]
+    if np.ptp(trace.at(at_s)) < LEAST_REACH_MM:
+        return f"the commanded trace moves by less than {LEAST_REACH_MM:g} mm while it is measured"
+    if np.ptp(motion_mm) < STILL_MM:
+        return "the measured motion stands still"
     lag_s = _lag_s(at_s, motion_mm, trace)
     if abs(lag_s) > LONGEST_LAG_S - LAG_STEP_S:
         return f"no lag within {1000 * LONGEST_LAG_S:.0f} ms fits: is the trace's time 0 known?"
@@ -76,6 +81,8 @@ def _lag_s(at_s: FloatArray, motion_mm: FloatArray, trace: CommandedTrace) -> fl
 
     def unlike(lag_s: float) -> float:
         commanded = trace.at(at_s - lag_s)
+        if np.ptp(commanded) < STILL_MM:
+            return 1.0
         return -float(np.corrcoef(commanded, motion_mm)[0, 1])
 
     coarse = np.arange(-LONGEST_LAG_S, LONGEST_LAG_S + 0.5 * LAG_STEP_S, LAG_STEP_S)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from engine.clock import ManualClock, MonotonicClock
 from engine.errors import TidegateError
-from engine.frames import MeasurementState
+from engine.frames import MeasurementState, frozen
 from engine.pipeline import Pipeline
 from engine.qa.inputs import PhantomInput
 from engine.qa.motion import MotionAgreement, compare_motion
@@ -102,9 +102,18 @@ def _watch(given: PhantomInput, on_frame: Callable[[int], None], *, is_live: boo
     now_ns = time.monotonic_ns if is_live else time.thread_time_ns
     seen = []
     for frame in time_frames(frames_of(given.source, given.seconds), pipeline, now_ns):
-        seen.append(frame)
+        seen.append(_light(frame))
         on_frame(len(seen))
     return seen
+
+
+def _light(frame: TimedFrame) -> TimedFrame:
+    """Leave out the surface, which nobody asks for here: ten minutes of it are hundreds of megabytes."""
+    motion = frame.measurement.motion
+    if motion is None:
+        return frame
+    without = replace(motion, surface_mm=frozen(np.empty((0, 3))))
+    return replace(frame, measurement=replace(frame.measurement, motion=without))
 
 
 def run_of(given: PhantomInput, seen: Sequence[TimedFrame]) -> PhantomRun | str:

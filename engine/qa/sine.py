@@ -115,7 +115,8 @@ def find_cycles(trace: CommandedTrace, window_mm: tuple[float, float], from_s: f
     """Find the sines of a trace between two times; what is no sine is left out."""
     first, last = trace.span_s
     times = np.arange(max(from_s, first), min(to_s, last), STEP_S)
-    if len(times) < 3:
+    times = times[times <= last]
+    if len(times) < FEWEST_CYCLES:
         return []
     position = trace.at(times)
     lower, upper = window_mm
@@ -204,7 +205,8 @@ def _highest(times: Grid, height: FloatArray, from_s: float, to_s: float) -> flo
     top = level >= level.max() - 0.01 * float(np.ptp(level))
     middle_s = float(at[top].mean())
     bend, slope, _ = np.polyfit(at[top] - middle_s, level[top], 2) if top.sum() >= 3 else (0.0, 0.0, 0.0)
-    return middle_s - 0.5 * float(slope / bend) if bend < 0.0 else middle_s
+    vertex_s = middle_s - 0.5 * float(slope / bend) if bend < 0.0 else middle_s
+    return min(max(vertex_s, from_s), to_s)  # a level top bends by nothing but rounding
 
 
 def _as_sine(cycle: Cycle, times: Grid, position: FloatArray) -> Cycle | None:

@@ -78,3 +78,11 @@ def test_a_lag_beyond_all_reason_is_a_time_zero_that_is_not_known():
     slow = CommandedTrace(time_s=TIMES, position_mm=6.0 * np.sin(2.0 * np.pi * TIMES / 20.0))
     late = slow.at(FRAMES_S - 0.9) - slow.at(np.array([ZERO_S - 0.9]))
     assert "time 0" in compare_motion(FRAMES_S, late, slow, ZERO_S)
+
+
+def test_nothing_that_stands_still_tells_anything():
+    still = np.where(TIMES > 30.0, 3.0, 3.0 * np.sin(2.0 * np.pi * TIMES / 5.0))
+    late = FRAMES_S > 35.0
+    trace = CommandedTrace(time_s=TIMES, position_mm=still)
+    assert "less than" in compare_motion(FRAMES_S[late], measured()[late], trace, ZERO_S)
+    assert "stands still" in compared(np.zeros_like(FRAMES_S))

@@ -148,6 +148,15 @@ def test_missing_pixels_are_counted_over_all_frames():
     assert results_of(plate(some))["plate_missing_percent"].value == pytest.approx(12.5, abs=0.5)
 
 
+def test_a_second_in_which_nothing_was_seen_is_left_out():
+    def covered(depth, index):
+        return np.zeros_like(depth) if 100 <= index < 165 else depth
+
+    results = results_of(plate(covered, seconds=15.0))
+    assert not_passed(results) == {"plate_missing_percent"}
+    assert results["plate_missing_percent"].value == pytest.approx(100.0 * 65 / 449, abs=0.5)
+
+
 @pytest.mark.parametrize(
     ("given", "says"),
     [

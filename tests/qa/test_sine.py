@@ -122,8 +122,9 @@ def test_noise_shows_in_the_standard_error_and_the_figure_stays_within_it():
         lambda turn: np.cos(2.0 * np.pi * turn) ** 5,
         lambda turn: np.cos(2.0 * np.pi * turn**1.5),
         lambda turn: 4.0 * np.abs(turn - 0.5) - 1.0,
+        lambda turn: np.clip(3.0 * (4.0 * np.abs(turn - 0.5) - 1.0), -1.0, 1.0),
     ],
-    ids=["peaked", "lopsided", "triangle"],
+    ids=["peaked", "lopsided", "triangle", "level at both ends"],
 )
 def test_what_is_no_sine_tells_nothing(shape):
     cycles = cycles_of(shape=shape)
