@@ -232,8 +232,6 @@ class Pipeline:
     def camera_returned(self) -> None:
         """Hear that the camera was away, and may hang elsewhere: nothing of before is compared with what comes now."""
         self._forget()
-        self._finder.look_anew()
-        self._continuity = Continuity()
         self._begin_to_follow()
         self._learner.doubt()
 

@@ -53,10 +53,6 @@ class RegionFinder:
         """Look for the markers anew: the patient was not seen."""
         self._markers = None
 
-    def look_anew(self) -> None:
-        """Look for markers and region anew: the camera may hang elsewhere."""
-        self._markers = self._node_depth_mm = None
-
     def keep_layout(self, found: Markers) -> None:
         """Hold every later frame against how the markers lie now."""
         self._layout_px = found.centers_px
@@ -118,7 +114,7 @@ class RegionFinder:
         for _ in range(rounds):
             nodes = align(color_rays, self._node_depth_mm, self._depth_from_color, self._calibration.depth)
             roi = cut_out(frame.depth_mm, nodes.pixels_px, self._table.table_mm, stride_px)
-            if not has_model or rounds > 1:
+            if not has_model:
                 self._node_depth_mm = _blended(self._node_depth_mm, roi, 1.0 if rounds > 1 else FOLLOWED_SHARE)
         return nodes, roi
 

@@ -43,6 +43,13 @@ def test_the_model_measures_on_but_nobody_may_arm_until_it_was_compared_and_a_pe
     assert patient.told(NoticeKind.ZERO_NEEDED)
 
 
+def test_what_an_earlier_comparison_said_is_said_no_more(patient):
+    patient.learner.doubt()
+    patient.see_until(lambda: patient.learner.likeness is not None)
+    patient.learner.doubt()
+    assert patient.learner.likeness is None
+
+
 def test_a_zero_that_was_just_wanted_is_not_set_by_the_camera_s_return(patient):
     patient.learner.set_reference()
     patient.learner.doubt()

@@ -128,6 +128,7 @@ def test_a_camera_that_is_unplugged_with_the_beam_on_comes_back_and_goes_on_in_t
     assert live.act("arm").status_code == 409
     live.camera.undo(receipt)
     live.camera.await_streaming()
+    live.until(lambda: not live.detail["has_reference"], "frames")
     live.until(lambda: live.detail["likeness"], "a comparison with the patient")
     assert live.ons(receipt.raised_ns) == []
     live.act("acknowledge")
@@ -181,6 +182,7 @@ def test_without_a_calibration_the_camera_s_own_registration_is_on_again_when_it
     live.camera.undo(receipt)
     status = live.camera.await_streaming()
     assert (status.is_registered, status.is_mirrored) == (True, (False, False))
+    live.until(lambda: not live.detail["has_reference"], "frames")
     live.until(lambda: live.detail["likeness"], "a comparison")
     assert live.detail["likeness"]["is_accepted"]
     live.stop()
