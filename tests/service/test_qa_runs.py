@@ -286,8 +286,9 @@ def test_a_run_whose_drill_swallows_what_the_line_refuses_is_cancelled_all_the_s
     run_id = begin(client, body)
     job = rig.job_now
     eventually(job.is_on.is_set)
-    client.post(f"{URL}/runs/{run_id}/cancel", json=ME)
-    ended = finish(client, rig, run_id)
+    answer = client.post(f"{URL}/runs/{run_id}/cancel", json=ME)
+    assert answer.json()["status"] == "cancelled", "it ends at its next step, not when it is through"
+    ended = read(client, run_id)
     assert (ended["status"], ended["verdict"], ended["results"]) == ("cancelled", None, [])
     assert not job.far.is_on()
 
