@@ -64,7 +64,7 @@ def paint_series(panel: Axes, series: QaSeries) -> None:
     panel.set_axisbelow(True)
     panel.margins(x=0.01)
     if len(series.curves) > 1:
-        panel.legend(fontsize=5.8, ncols=len(series.curves), loc="upper right", frameon=False, columnspacing=1.0)
+        panel.legend(fontsize=5.8, ncols=2, loc="upper right", frameon=False, columnspacing=1.0, labelspacing=0.25)
     _give_room(panel, series)
     panel.yaxis.set_major_locator(MaxNLocator(nbins=5))
     panel.ticklabel_format(axis="y", style="plain", useOffset=False)
@@ -75,7 +75,8 @@ def _give_room(panel: Axes, series: QaSeries) -> None:
     low, high = panel.get_ylim()
     short = max(0.0, LEAST_SPAN_MM - (high - low)) if "mm" in series.y_label else 0.0
     low, high = low - short / 2.0, high + short / 2.0
-    room = LEGEND_SHARE * (high - low) if len(series.curves) > 1 else 0.0
+    rows = len(series.curves) // 2  # two of them beside each other
+    room = LEGEND_SHARE * rows * (high - low)
     panel.set_ylim(low, high + room)
 
 
