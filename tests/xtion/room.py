@@ -149,7 +149,7 @@ def room(folder: Path, film: Film | None = None, **settings: object) -> Iterator
     port = free_port()
     with VirtualXtion(folder, film) as camera, receiver("tcp") as far:
         with contextlib.suppress(OSError):  # a real receiver shares its processor with nobody
-            os.sched_setscheduler(far.process.pid, os.SCHED_FIFO, os.sched_param(10))
+            os.setpriority(os.PRIO_PROCESS, far.process.pid, -15)
         told = {**SETTINGS, "BEAM_MODBUS_PORT": far.where, **settings}
         environment = camera.environment | {f"TIDEGATE_{name}": str(value) for name, value in told.items()}
         arguments = ("service.cli", "serve", "--port", str(port), "--data", str(folder / "data"))
