@@ -126,7 +126,7 @@ class _Drill:
             self._pulser.await_off(decided_ns)
             off_ns = self._clock.now_ns()
         if off_ns >= ends_ns or not watchdog.has_fired:
-            msg = "the lease was over before the watchdog had held the line"
+            msg = "the lease was over, or the line off, before the watchdog had held it"
             raise BeamLineError(msg)
         self._expect_latched()
         return (off_ns - decided_ns - deadline_ns) / NS_PER_MS

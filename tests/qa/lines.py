@@ -63,6 +63,25 @@ class SlowToHold(Line):
         return super().is_on() or lingers
 
 
+class DeafToHolds(SlowToHold):
+    """Goes off with its lease alone."""
+
+    late_ns = 10**12
+
+
+class DropsEarly(Line):
+    """Goes off by itself 40 ms after a permit: safe, and no proof of a watchdog."""
+
+    began_ns = 0
+
+    def permit(self, lease):
+        super().permit(lease)
+        self.began_ns = lease.granted_ns
+
+    def is_on(self):
+        return super().is_on() and self.now_ns() < self.began_ns + 40 * NS_PER_MS
+
+
 class DeafToLeases(Line):
     """Stays on until it is held, whatever its lease says."""
 
@@ -168,7 +187,7 @@ class DiesOnTheWay(Line):
         super().rearm()
 
 
-def beam_of(line_class=Line, *, repeats=5, has_watchdog=True):
+def beam_of(line_class=Line, *, repeats=5, has_watchdog=True, pulse_ms=200.0):
     time = StandingTime()
 
     @contextmanager
@@ -180,5 +199,6 @@ def beam_of(line_class=Line, *, repeats=5, has_watchdog=True):
         clock=time.clock,
         wait_ns=time.wait_ns,
         repeats=repeats,
+        pulse_ms=pulse_ms,
         watched=time.watched if has_watchdog else nobody_watches,
     )

@@ -16,8 +16,10 @@ from engine.qa.results import QaKind, QaNeed, QaVerdict
 from engine.qa.run import judged
 from tests.qa.lines import (
     Dead,
+    DeafToHolds,
     DeafToLeases,
     DiesOnTheWay,
+    DropsEarly,
     Line,
     NeverLatches,
     NeverOn,
@@ -81,6 +83,14 @@ def test_an_engine_that_stops_with_nobody_watching_fails_though_the_lease_takes_
     results = drilled(beam_of(has_watchdog=False))
     assert failed(results) == {"fail_safe_watchdog_ms", "beam_readback_errors"}
     assert "lease was over" in results["fail_safe_watchdog_ms"].detail
+
+
+@pytest.mark.parametrize("line", [DropsEarly, DeafToHolds])
+def test_a_line_that_went_off_otherwise_proves_no_watchdog(line):
+    # With so short a lease its end comes within the watchdog's bound.
+    results = drilled(beam_of(line, pulse_ms=130.0))
+    assert results["fail_safe_watchdog_ms"].value is None
+    assert "watchdog" in results["fail_safe_watchdog_ms"].detail
 
 
 @pytest.mark.parametrize("line", LINES, ids=lambda line: line.__name__)
