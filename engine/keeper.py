@@ -16,7 +16,7 @@ from engine.commands import Acknowledge, CorrectBaseline, Disarm, HoldBeam, Rele
 from engine.driver import BeamDriver, LineReport
 from engine.errors import CommandRefusedError
 from engine.frames import ColorImage, Measurement, MeasurementState, RgbdFrame
-from engine.limits import GateLimits
+from engine.limits import GateLimits, ns_from_ms
 from engine.live import FrameRecord, GateTransition, LiveView, LoopStatus
 from engine.mailbox import Mailbox
 from engine.outbox import Outbox
@@ -200,6 +200,8 @@ class GateKeeper:
         trouble = self._outbox.trouble()
         found += [] if report is None else [report]
         found += [] if trouble is None else [Interruption(trouble, "a queue to the disk is full")]
+        delay = self._outbox.delay(now_ns, ns_from_ms(self._limits.max_unwritten_ms)) if self.gate.is_armed else None
+        found += [] if delay is None else [Interruption(*delay)]
         found += self.standing
         if not self._limits.is_calibrated:
             found.append(Interruption(HoldReason.CALIBRATION_MISSING, "nothing was measured for this camera"))

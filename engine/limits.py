@@ -67,6 +67,8 @@ class GateLimits:
         How long the camera itself takes for a frame, as measured by the site; part of the latency.
     max_model_age_min
         How long a model may be measured with after it was learned or compared with the patient.
+    max_unwritten_ms
+        How long a sample or a transition of an armed gate may wait to be written down; a kill loses no more than this.
     operator_timeout_s
         How long the page of the person who armed may be silent; 0 does not ask.
     is_calibrated
@@ -108,6 +110,7 @@ class GateLimits:
     max_latency_ms: float = 500.0
     camera_latency_ms: float = 0.0
     max_model_age_min: float = 240.0
+    max_unwritten_ms: float = 1_000.0
     operator_timeout_s: float = 0.0
     max_baseline_correction_mm: float = 5.0
     window_lower_mm: float = -100.0
@@ -157,6 +160,7 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "max_latency_ms": (100.0, 1_000.0),
     "camera_latency_ms": (0.0, 300.0),
     "max_model_age_min": (1.0, 1_440.0),
+    "max_unwritten_ms": (600.0, 1_000.0),
     "operator_timeout_s": (0.0, 600.0),
     "max_baseline_correction_mm": (0.0, 50.0),
     "window_lower_mm": (-100.0, 100.0),

@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import TypeVar
 
+from engine.clock import NS_PER_MS
 from engine.live import FrameRecord, GateTransition
 from engine.notices import LearningNotice
 from engine.permits import HoldReason
@@ -70,6 +71,32 @@ class Outbox:
         if self._kept or self._kept_notices or room <= RESERVED_TRANSITIONS:
             return HoldReason.AUDIT_BEHIND
         return HoldReason.RECORDER_BEHIND if self.samples.full() else None
+
+    def delay(self, now_ns: int, longest_ns: int) -> tuple[HoldReason, str] | None:
+        """Return what has waited too long to be written down, and how long: a writer that hangs fills no queue soon.
+
+        Parameters
+        ----------
+        now_ns, longest_ns
+            Host monotonic time, and the longest a transition or a sample may wait [ns].
+        """
+        transition, sample = _first(self.transitions), _first(self.samples)
+        for reason, since_ns in (
+            (HoldReason.AUDIT_BEHIND, None if transition is None else transition.at_ns),
+            (HoldReason.RECORDER_BEHIND, None if sample is None else sample.asserted_ns),
+        ):
+            if since_ns is not None and now_ns - since_ns > longest_ns:
+                return reason, f"nothing was written for {(now_ns - since_ns) / NS_PER_MS:.0f} ms"
+        return None
+
+
+def _first(filled: "queue.Queue[T]") -> T | None:
+    """Look at what waits first; its reader may take it at any time."""
+    try:
+        first: T = filled.queue[0]
+    except IndexError:
+        return None
+    return first
 
 
 def _offer(kept: deque[T], target: "queue.Queue[T]") -> None:

@@ -112,6 +112,7 @@ class Settings(BeamSettings, QaSettings):
     max_latency_ms: float = _limit("max_latency_ms")
     camera_latency_ms: float = _limit("camera_latency_ms")
     max_model_age_min: float = _limit("max_model_age_min")
+    max_unwritten_ms: float = _limit("max_unwritten_ms")
     operator_timeout_s: float = _limit("operator_timeout_s")
     beam_without_calibration: bool = Field(
         default=True, description="A session on a camera's own registration may be gated: research only"

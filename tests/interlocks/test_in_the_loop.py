@@ -143,7 +143,7 @@ def test_a_reference_set_by_a_person_takes_the_patient_as_they_lie():
 
 
 def test_a_model_too_old_holds_until_another_takes_over_or_it_is_found_alike():
-    bench = on_bench([], limits=replace(LIMITS, max_model_age_min=1.0), sample_capacity=4_000)
+    bench = on_bench([], limits=replace(LIMITS, max_model_age_min=1.0))
 
     def found_alike():
         notice = LearningNotice(kind=NoticeKind.COMPARED, detail="alike", timestamp_us=0, figures={"is_accepted": True})
@@ -264,7 +264,7 @@ def test_a_device_clock_that_jumps_ahead_faults_a_live_camera():
     ids=str,
 )
 def test_an_arming_shows_at_once_what_stands_against_the_beam(limits, reason):
-    bench = Bench([good] * 3, limits=replace(LIMITS, **limits), sample_capacity=4_000)
+    bench = Bench([good] * 3, limits=replace(LIMITS, **limits))
     seen = []
     bench.source.script += [
         *[good] * 1800,

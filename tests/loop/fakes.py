@@ -59,12 +59,14 @@ class ScriptedSource:
         self.opened = self.closed = 0
         self.beam: SimulatedBeamLine | None = None
         self.line_was_on_at_close: bool | None = None
+        self.on_read: Callable[[], None] = lambda: None
 
     def open(self) -> SourceDescription:
         self.opened += 1
         return DESCRIPTION
 
     def read(self, timeout_s: float) -> RgbdFrame:
+        self.on_read()
         if not self.script:
             raise SourceEndedError("the script is over")
         return self.script.pop(0)(self, timeout_s)
@@ -218,6 +220,7 @@ class Bench:
         *,
         limits: GateLimits = LIMITS,
         beam: Callable[[Clock], SimulatedBeamLine] = WatchedBeamLine,
+        is_written: bool = True,
         **capacities: int,
     ) -> None:
         self.clock = ManualClock(START_NS)
@@ -236,6 +239,15 @@ class Bench:
             **capacities,
         )
         self.answers: list[Future[None]] = []
+        self._records: list[FrameRecord] = []
+        self._transitions: list[GateTransition] = []
+        if is_written and not capacities:
+            self.source.on_read = self._write
+
+    def _write(self) -> None:
+        """Take what the loop has for the disk, as the service's writer does."""
+        self._records += drained(self.loop.samples)
+        self._transitions += drained(self.loop.transitions)
 
     def ask(self, command: Command) -> Callable[[], None]:
         """An act for `after`: submit the command, keep the answer."""
@@ -247,10 +259,14 @@ class Bench:
         return self
 
     def records(self) -> list[FrameRecord]:
-        return drained(self.loop.samples)
+        self._write()
+        taken, self._records = self._records, []
+        return taken
 
     def transitions(self) -> list[GateTransition]:
-        return drained(self.loop.transitions)
+        self._write()
+        taken, self._transitions = self._transitions, []
+        return taken
 
     def path(self) -> list[str]:
         """States and reasons the gate went through, in short."""

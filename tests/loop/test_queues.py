@@ -8,7 +8,7 @@ from engine.live import GateTransition
 from engine.outbox import RESERVED_TRANSITIONS, Outbox
 from engine.permits import GateState, HoldReason
 from tests.gate.constructed import unmeasured
-from tests.loop.fakes import Bench, after, drained, good
+from tests.loop.fakes import MS, PERIOD_NS, Bench, after, drained, good
 from tests.loop.test_decisions import ON_AT, armed_bench
 
 from engine.frames import MeasurementState  # isort: skip
@@ -112,6 +112,34 @@ def test_once_the_queue_is_emptied_a_person_can_go_on():
     bench.run()
     assert [answer.exception(timeout=0) for answer in bench.answers] == [None] * 3
     assert bench.records()[-1].line_on
+
+
+def test_a_writer_that_hangs_holds_with_a_fault_within_a_second_although_no_queue_is_full():
+    """What was on when it began to hang could be lost for so long, and no longer."""
+    bench = armed_bench([good] * 60, is_written=False).run()
+    behind = next(change for change in bench.transitions() if change.to_state is GateState.FAULT)
+    assert behind.reason is HoldReason.RECORDER_BEHIND
+    assert "nothing was written for 1" in behind.detail
+    first_ns = bench.records()[0].asserted_ns
+    assert bench.beam.edges[-1].is_on is False
+    assert bench.beam.edges[-1].at_ns - first_ns <= 1_000 * MS + 2 * PERIOD_NS
+
+
+def test_transitions_that_wait_too_long_are_the_audit_s_trouble():
+    bench = armed_bench([], is_written=False)
+    bench.source.script += [step for _ in range(40) for step in (after(lambda: drained(bench.loop.samples)), good)]
+    bench.run()
+    behind = next(change for change in bench.transitions() if change.to_state is GateState.FAULT)
+    assert behind.reason is HoldReason.AUDIT_BEHIND
+
+
+def test_an_unarmed_gate_faults_for_nothing_that_waits_and_arming_it_then_faults_at_once():
+    bench = Bench([good] * 60, is_written=False)
+    bench.source.script += [after(bench.ask(Arm(operator="ann"))), good]
+    bench.run()
+    assert bench.answers[0].exception(timeout=0) is None
+    assert "fault:recorder_behind" in bench.path()
+    assert bench.beam.permits == []
 
 
 @pytest.mark.parametrize("capacity", [1, 2])
