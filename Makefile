@@ -44,7 +44,7 @@ bench: $(STAMP)  ## how fast it is, against the marks; QUICK=1 is shorter, MINUT
 	$(BIN)/tidegate bench $(if $(QUICK),--quick) $(if $(MINUTES),--memory-minutes $(MINUTES)) $(if $(OUT),--out $(OUT))
 
 faults: $(STAMP) test-system  ## break the running service in every way, and judge by what the receiver saw; goes on where it was stopped
-	$(BIN)/python -m tests.faults --seeds $(or $(SEEDS),40) --jobs $(or $(JOBS),2) --out $(or $(OUT),build/faults) $(if $(KINDS),--kinds $(KINDS)) $(if $(KEEP),--keep)
+	$(BIN)/python -m tests.faults --seeds $(or $(SEEDS),40) --jobs $(or $(JOBS),2) --out $(or $(OUT),build/faults) $(if $(KINDS),--kinds $(KINDS)) $(if $(KEEP),--keep) $(if $(WRITE),--write)
 
 mutants: $(STAMP)  ## break gate, loop, watchdog and beam lines in every small way: a test must notice; goes on where it stopped
 	PATH="$(CURDIR)/$(BIN):$$PATH" nice -n 10 mutmut run --max-children $(or $(CHILDREN),1)

@@ -6,6 +6,7 @@ that is none. A campaign that was stopped goes on where it was, with the same fo
 
 import argparse
 import os
+import platform
 import subprocess
 import sys
 from pathlib import Path
@@ -14,10 +15,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from tests.faults.campaign import run, stamped, turns
+from tests.faults.document import write_document
 from tests.faults.kinds import FaultKind, all_kinds, chosen
 from tests.faults.outcomes import OtherRevisionError, OutcomeFile, refuse_other_revision
 from tests.faults.picture import draw
 from tests.faults.table import exit_code, markdown, rows, terminal_table, troubles
+from tests.faults.verdict import Outcome
 
 ROOT = Path(__file__).parents[2]
 WRONG_USAGE = 2
@@ -41,7 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
         console.print("tests.faults: a small disk cannot be mounted without root: nothing is run", style="red")
         return WRONG_USAGE
     _run(console, file, kinds, seeds, jobs=asked.jobs, revision=revision)
-    return _report(console, file, kinds, seeds, asked.out)
+    return _report(console, file, kinds, seeds, asked.out, writes=asked.write)
 
 
 def _run(
@@ -69,7 +72,9 @@ def _run(
                 )
 
 
-def _report(console: Console, file: OutcomeFile, kinds: tuple[FaultKind, ...], seeds: range, out: Path) -> int:
+def _report(
+    console: Console, file: OutcomeFile, kinds: tuple[FaultKind, ...], seeds: range, out: Path, *, writes: bool
+) -> int:
     outcomes = [outcome for outcome in file.read() if outcome.seed in seeds]
     table = rows(kinds, outcomes, wanted=len(seeds))
     console.print(terminal_table(table))
@@ -77,11 +82,20 @@ def _report(console: Console, file: OutcomeFile, kinds: tuple[FaultKind, ...], s
         console.print(line, style="red", markup=False)
     (out / "table.md").write_text(markdown(table))
     draw(table, out / "times.png")
+    if writes:
+        write_document(table, told=_how(outcomes, seeds))
     unsafe = sum(row.unsafe for row in table)
     console.print(
         f"{len(outcomes)} faults of {len(kinds)} kinds: {unsafe} unsafe", style="red" if exit_code(table) else "green"
     )
     return exit_code(table)
+
+
+def _how(outcomes: list[Outcome], seeds: range) -> str:
+    """Say where the table is from: the command, the state of the code, the machine."""
+    revisions = ", ".join(sorted({outcome.revision for outcome in outcomes})) or "nothing"
+    command = f"make faults SEEDS={len(seeds)}" + (f" (first seed {seeds[0]})" if seeds[0] != 1 else "")
+    return f"`{command}` at {revisions}, {os.cpu_count()} processors, Python {platform.python_version()}"
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -92,6 +106,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, required=True, help="folder for outcomes, table and picture")
     parser.add_argument("--kinds", default="", help="codes, comma-separated; all when left out")
     parser.add_argument("--keep", action="store_true", help="go on with outcomes of another state of the code")
+    parser.add_argument("--write", action="store_true", help="put the table and the picture into docs/faults.md")
     return parser
 
 

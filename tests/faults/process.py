@@ -150,7 +150,7 @@ KINDS = (
             "the thread that takes frames dies",
             thread_dies("openni-capture", "_take_frames"),
             told("source_lost"),
-            NEW_SESSION,
+            NEW_SESSION | LATCHED,
         ),
     ),
     _kind(

@@ -7,6 +7,7 @@ import pytest
 from rich.console import Console
 
 from tests.faults.campaign import Turn, turns
+from tests.faults.document import BEGIN, DOCUMENT, END, write_document
 from tests.faults.kinds import all_kinds, chosen
 from tests.faults.outcomes import OtherRevisionError, OutcomeFile, refuse_other_revision
 from tests.faults.picture import draw
@@ -69,6 +70,23 @@ def test_a_picture_is_drawn_with_and_without_times(tmp_path):
     draw(rows(KINDS, GOOD, wanted=3), tmp_path / "times.png")
     draw(rows(KINDS, [], wanted=3), tmp_path / "nothing.png")
     assert (tmp_path / "times.png").stat().st_size > (tmp_path / "nothing.png").stat().st_size > 1000
+
+
+def test_the_document_gets_the_newest_table_between_its_marks_and_keeps_the_rest(tmp_path):
+    document = tmp_path / "faults.md"
+    document.write_text(f"before\n{BEGIN}\nyesterday\n{END}\nafter\n")
+    for _ in range(2):
+        write_document(rows(KINDS, GOOD, wanted=3), told="a test", document=document)
+    text = document.read_text()
+    assert text.startswith(f"before\n{BEGIN}\na test: 6 faults of 2 kinds, 0 unsafe.\n")
+    assert text.endswith(f"{END}\nafter\n")
+    assert "yesterday" not in text
+    assert text.count("| killed |") == 1
+    assert (tmp_path / "pictures" / "faults.png").is_file()
+
+
+def test_the_document_of_this_repository_has_its_marks():
+    assert DOCUMENT.read_text().count(BEGIN) == DOCUMENT.read_text().count(END) == 1
 
 
 def test_outcomes_are_read_as_they_were_written(tmp_path):
