@@ -63,6 +63,15 @@ class SlowToHold(Line):
         return super().is_on() or lingers
 
 
+class SlowOnce(SlowToHold):
+    """Is slow the first time, and prompt ever after."""
+
+    def hold(self, reason):
+        super().hold(reason)
+        if self.told.count("permit") > 1:
+            self.held_at_ns = None
+
+
 class DeafToHolds(SlowToHold):
     """Goes off with its lease alone."""
 

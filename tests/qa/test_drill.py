@@ -26,6 +26,7 @@ from tests.qa.lines import (
     OnByItself,
     OnWhenArmed,
     SlowLeases,
+    SlowOnce,
     SlowToHold,
     beam_of,
 )
@@ -77,6 +78,13 @@ def test_each_fault_of_a_line_fails_its_drill_and_is_named(line, drills, says):
 def test_how_late_a_hold_and_a_lease_are_is_told_from_when_they_should_have_been_obeyed():
     assert drilled(beam_of(SlowToHold))["fail_safe_hold_ms"].value == pytest.approx(130.0, abs=2.0)
     assert drilled(beam_of(SlowLeases))["fail_safe_lease_ms"].value == pytest.approx(130.0, abs=2.0)
+
+
+def test_the_slowest_of_all_times_is_what_counts():
+    results = drilled(beam_of(SlowOnce))
+    assert results["fail_safe_hold_ms"].value == pytest.approx(130.0, abs=2.0)
+    assert results["fail_safe_hold_ms"].verdict is QaVerdict.FAIL
+    assert failed(results) <= {"fail_safe_hold_ms", "beam_readback_off_ms"}
 
 
 def test_an_engine_that_stops_with_nobody_watching_fails_though_the_lease_takes_the_beam_off():
