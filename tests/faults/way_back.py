@@ -24,6 +24,9 @@ DOUBTED_S = 4.0
 """A surface that moved as no skin can is doubted until a person sets the zero: who looks on for so long does that."""
 
 DOUBTED = ("residual_high", "jump", "patient_shifted")
+PERSISTS = 25
+"""A fault that is there again though it was acknowledged so often is not one that goes."""
+
 IN_VAIN = ("has died", "does not run")
 
 
@@ -44,6 +47,7 @@ class WayBack:
         self.refusal = ""
         self._stop_at_s = time.monotonic() + STOP_AFTER_S
         self._trusted_s = time.monotonic()
+        self._acknowledged = 0
 
     def walk(self) -> Recovery | None:
         """Go on until the receiver says on; return the heaviest thing that was needed, None if it never came on."""
@@ -69,18 +73,21 @@ class WayBack:
         if detail is None or detail["status"] != "running":
             self._rig.new_session()
             self.refusal = ""
+            self._acknowledged = 0
             self._stop_at_s = time.monotonic() + STOP_AFTER_S
             return Recovery.NEW_SESSION
         return None if detail["gate"] is None else self._act_on(detail)
 
     @property
     def _is_in_vain(self) -> bool:
-        return time.monotonic() > self._stop_at_s or any(words in self.refusal for words in IN_VAIN)
+        is_hopeless = any(words in self.refusal for words in IN_VAIN)
+        return is_hopeless or time.monotonic() > self._stop_at_s or self._acknowledged > PERSISTS
 
     def _act_on(self, detail: dict[str, Any]) -> Recovery | None:
         gate = detail["gate"]
         if gate["state"] == "fault":
             self._person.act("acknowledge")
+            self._acknowledged += 1
             return Recovery.ACKNOWLEDGED
         if gate["operator_hold"] is not None:
             return self._ask("release", Recovery.RELEASED)
