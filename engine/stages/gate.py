@@ -151,7 +151,6 @@ def _move(gate: Gate, verdict: Verdict, now_ns: int) -> Gate:
     reason, detail = _reason_in(state, gate, verdict)
     is_same = state is gate.state and reason is gate.reason
     since_ns = gate.since_ns if is_same else now_ns
-    detail = gate.detail if is_same and state is GateState.FAULT else detail
     return replace(
         gate,
         state=state,
