@@ -58,7 +58,7 @@ class _LastingThread:
             work, done = self.jobs.get()
             try:
                 work()
-            except Exception:  # noqa: BLE001
+            except BaseException:  # noqa: BLE001
                 # A bug, and it must be seen; but if it ended this thread, the next one would crash the process.
                 _log.exception("capture has failed")
             done.set()

@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from engine.capture import _openni_c
-from engine.capture._lasting_threads import call_on_lasting_thread
+from engine.capture._lasting_threads import call_on_lasting_thread, run_on_lasting_thread
 from engine.capture.openni import list_devices
 
 
@@ -65,3 +65,17 @@ def test_every_call_of_the_runtime_is_made_so(monkeypatch):
 def test_the_real_runtime_survives_callers_that_have_ended():
     for _ in range(60):
         on_a_thread_that_ends(list_devices)
+
+
+@pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt, RuntimeError], ids=lambda one: one.__name__)
+def test_nothing_that_is_raised_ends_the_thread(error):
+    """Not even what nobody catches: the runtime would crash the process when it asks about the thread."""
+    used = []
+
+    def work():
+        used.append(threading.current_thread())
+        raise error
+
+    assert run_on_lasting_thread(work).wait(20.0)
+    assert on_a_thread_that_ends(lambda: call_on_lasting_thread(lambda: 5)) == 5
+    assert used[0].is_alive()
