@@ -164,8 +164,8 @@ def make_plan(calibration):
 def test_the_engine_asks_the_camera_again_when_the_session_starts(camera):
     adapter = EngineAdapter(Settings())
     calibration = adapter.registered_calibration(None)
-    assert adapter._source(make_plan(calibration))._use_registration
-    assert not adapter._source(make_plan(make_calibration()))._use_registration
+    assert adapter._camera(None, calibration)._use_registration
+    assert not adapter._camera(None, make_calibration())._use_registration
     camera["angles"] = (1.1, 0.8)
     with pytest.raises(SourceLostError, match="not the one whose registration"):
         adapter._source(make_plan(calibration))
