@@ -22,6 +22,7 @@ from engine.qa.rig import (
     SLIDE_S,
     VIRTUAL_BASELINE,
     RigFaults,
+    VirtualPlate,
     virtual_beam,
     virtual_phantom,
     virtual_plate,
@@ -237,7 +238,7 @@ def test_a_site_s_bounds_and_its_missing_baseline_decide():
 
 def test_a_phantom_that_stands_still_fails_its_checks_and_the_others_are_judged():
     inputs = quick()
-    still = replace(inputs.phantom, source=virtual_plate(seconds=PLATE_S).source)
+    still = replace(inputs.phantom, source=VirtualPlate(lambda _at_s: 0.0, PLATE_S, 3))
     report = run(replace(inputs, phantom=still))
     results = {result.code: result for result in report.results}
     assert "not enough to learn" in results["motion_offset_mm"].detail
