@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from engine.clock import NS_PER_MS, NS_PER_S
+from engine.permits import HoldReason
 from tests.faults.kinds import Fault, FaultKind, MissedError
 from tests.faults.verdict import (
     Evidence,
@@ -44,6 +45,8 @@ STALL_MS = 20.0
 """A machine that stood still for longer had no time to take a line off."""
 
 TOLD_WAIT_S = 2.0
+NEAR_NS = 60 * NS_PER_MS
+REASONS = {reason.value for reason in HoldReason} - {HoldReason.DWELL.value}
 
 
 @dataclass(slots=True)
@@ -76,7 +79,7 @@ def run_trial(rig: "Rig", kind: FaultKind, seed: int) -> Outcome:
         return Outcome(
             kind=kind.code,
             seed=seed,
-            off_ms=off_ms,
+            off_ms=off_ms if math.isfinite(judged.expected.bound_ms) else None,
             troubles=tuple(judged.troubles),
             told=told_as(judged.expected, judged.evidence),
             recovery=came_back(judged.evidence) or "",
@@ -128,9 +131,18 @@ def _try_once(rig: "Rig", kind: FaultKind, chance: random.Random) -> Judged:
         is_chain_intact=_is_chain_intact(rig),
         stall_ms=rig.watchman.longest_ms(begun_ns - LEAD_NS, gone[0] if gone else time.monotonic_ns()),
     )
-    if fault.is_of_itself and not told_as(expected, evidence):
-        raise MissedError("the beam went off by itself before anything was covered")
-    return Judged(expected=expected, evidence=evidence, troubles=judge(expected, evidence))
+    judged = Judged(expected=expected, evidence=evidence, troubles=judge(expected, evidence))
+    _refuse_another_s(judged, gone)
+    return judged
+
+
+def _refuse_another_s(judged: Judged, gone: list[int]) -> None:
+    """Raise MissedError where the beam went off in time, and the audit says that it did for something else."""
+    if not gone or Trouble.UNTOLD not in judged.troubles or not set(judged.troubles) <= EXCUSED_BY_A_STALL:
+        return
+    others = [one.what for one in judged.evidence.told if one.what in REASONS and abs(one.at_ns - gone[0]) < NEAR_NS]
+    if others:
+        raise MissedError(f"the beam went off for another reason: {', '.join(others)}")
 
 
 def _reach_steady_beam(rig: "Rig", chance: random.Random) -> None:
