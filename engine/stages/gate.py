@@ -227,7 +227,7 @@ def _judge(gate: Gate, event: object, now_ns: int, limits: GateLimits) -> Verdic
     kind_of_command = _KIND_OF_COMMAND.get(type(event))
     if kind_of_command is None:
         return fault(HoldReason.UNKNOWN, f"{type(event).__name__} means nothing to the gate")
-    return Verdict(kind_of_command, HoldReason.DWELL)
+    return Verdict(kind_of_command)
 
 
 def _judge_silence(gate: Gate, event: Silence, now_ns: int, limits: GateLimits) -> Verdict:
@@ -265,7 +265,7 @@ def _judge_window(gate: Gate, frame: Measurement, motion: Motion, now_ns: int, l
     if not found.is_inside:
         return Verdict(EventKind.OUTSIDE, found.reason, found.detail, found.states)
     if not _has_dwelt(gate, frame, limits):
-        return Verdict(EventKind.INSIDE, HoldReason.DWELL, conditions=found.states)
+        return Verdict(EventKind.INSIDE, conditions=found.states)
     return _too_soon(gate, now_ns, limits, found.states) or Verdict(EventKind.DWELT, conditions=found.states)
 
 
