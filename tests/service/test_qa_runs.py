@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
+from sqlalchemy.exc import OperationalError
 
 from engine.errors import BeamLineError, InvalidValueError
 from engine.qa.bounds import BASELINE_BOUNDS
@@ -326,6 +327,18 @@ def test_a_rig_that_refuses_leaves_the_room_free(client, rig, body):
     assert done(client, rig, body)["status"] == "finished"
 
 
+def test_a_database_that_does_not_take_the_run_begins_nothing_and_leaves_the_room_free(client, rig, body, monkeypatch):
+    def locked(*_: object) -> None:
+        raise OperationalError("INSERT", {}, Exception("database is locked"))
+
+    with monkeypatch.context() as patched:
+        patched.setattr("service.qa.records.begin", locked)
+        assert client.post(f"{URL}/runs", json=body).status_code == 503
+    assert not rig.job_now.is_on.is_set()
+    assert client.get(f"{URL}/runs").json()["items"] == []
+    assert done(client, rig, body)["status"] == "finished"
+
+
 def test_what_a_killed_program_left_is_interrupted_and_audited_at_the_next_start(settings, engine, rig):
     from datetime import UTC, datetime
 
@@ -417,9 +430,12 @@ def test_a_baseline_is_taken_over_from_a_finished_run_that_measured_it(client, r
     blind = done(client, rig, body)
     refused = client.put(f"{URL}/baseline", json={**ME, "reason": "as measured", "run_id": blind["id"]})
     assert (refused.status_code, refused.json()["field"]) == (422, "run_id")
+    rig.report = report(QaKind.DAILY)
     simulated = done(client, rig, {"kind": "daily", **ME, "simulation": {}})
     refused = client.put(f"{URL}/baseline", json={**ME, "reason": "as measured", "run_id": simulated["id"]})
     assert (refused.status_code, refused.json()["field"]) == (422, "run_id")
+    assert "simulated" in refused.json()["bound"]
+    assert client.get(f"{URL}/baseline").json()["number"] == 1
 
 
 BAD_BASELINES = [
