@@ -253,3 +253,14 @@ def test_holding_from_many_threads_while_permits_rain_ends_off():
     late = Lease(sequence=sequence + 1, granted_ns=now_ns, expires_ns=now_ns + 80 * MS)
     with pytest.raises(BeamLineError, match="latched"):
         line.permit(late)
+
+
+def test_permits_are_numbered_from_0_on_and_anew_after_each_arming():
+    deadman = DeadMan()
+    for _ in range(2):
+        deadman.rearm()
+        with pytest.raises(BeamLineError, match=r"^permit -1 came after permit -1$"):
+            deadman.grant(Grant(decided_ns=0, expires_ns=80 * MS, sequence=-1), now_ns=0)
+        deadman.grant(Grant(decided_ns=0, expires_ns=80 * MS, sequence=0), now_ns=0)
+        with pytest.raises(BeamLineError, match=r"^permit 0 came after permit 0$"):
+            deadman.grant(Grant(decided_ns=0, expires_ns=80 * MS, sequence=0), now_ns=0)

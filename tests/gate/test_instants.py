@@ -128,12 +128,30 @@ def test_the_shortest_off_is_over_at_its_end(rested_ns, is_on):
         assert (gate.reason, gate.detail) == (HoldReason.SHORTEST_OFF, "off for 1000 of 1000 ms")
 
 
-@pytest.mark.parametrize(("off_ms", "told"), [(-500, "off for 0 of 1000 ms"), (400, "off for 400 of 1000 ms")])
-def test_how_long_the_beam_was_off_is_told_and_never_less_than_nothing(off_ms, told):
+@pytest.mark.parametrize("off_ms", [-500, 0, 400])
+def test_how_long_the_beam_was_off_is_told(off_ms):
     stream = stream_in(GateState.DWELL, limits=replace(EASY, min_off_ms=1_000.0))
     now_ns = stream.gate.last.received_ns + PERIOD_NS
     stream.gate = replace(stream.gate, off_since_ns=now_ns - off_ms * MS)
-    assert fed_at(stream, now_ns).detail == told
+    assert fed_at(stream, now_ns).detail == f"off for {off_ms} of 1000 ms"
+
+
+@pytest.mark.parametrize(
+    ("limits", "reason"),
+    [
+        (replace(EASY, min_off_ms=60_000.0), HoldReason.SHORTEST_OFF),
+        (replace(EASY, max_cycles_per_min=1), HoldReason.CYCLE_LIMIT),
+    ],
+    ids=["shortest off", "cycle limit"],
+)
+def test_who_waits_to_go_on_again_stays_inside_up_to_the_very_edges_meanwhile(limits, reason):
+    stream = stream_in(GateState.BEAM_ON, limits=limits)
+    stream.step(Interruption(HoldReason.MARKER_LOST))
+    stream.good(4)
+    assert (stream.gate.state, stream.gate.reason) == (GateState.DWELL, reason)
+    for _ in range(3):
+        stream.feed(replace(stream.upcoming(), motion=motion_of(2.9)))  # where nobody enters, and nobody leaves
+        assert (stream.gate.state, stream.gate.reason) == (GateState.DWELL, reason)
 
 
 @pytest.mark.parametrize(("ago_ns", "is_on"), [(CYCLES_WITHIN_NS - 1, False), (CYCLES_WITHIN_NS, True)])

@@ -139,6 +139,23 @@ def test_a_reset_forgets_both_that_it_fired_and_since_when_somebody_was_armed():
     assert len(fired) == 1
 
 
+def test_its_end_is_waited_for_a_second_or_as_long_as_told_and_no_longer():
+    class Hanging:
+        joined: list[float] = []  # noqa: RUF012 - one for one test
+
+        def is_alive(self):
+            return True
+
+        def join(self, timeout):
+            self.joined.append(timeout)
+
+    watchdog = _watched()[0]
+    watchdog._thread = Hanging()
+    watchdog.stop()
+    watchdog.stop(timeout_s=0.25)
+    assert Hanging.joined == [1.0, 0.25]
+
+
 def test_nobody_need_listen_to_it():
     clock = ManualClock(0)
     watchdog = Watchdog(beam=SimulatedBeamLine(clock), clock=clock, deadline_ns=DEADLINE_NS)
