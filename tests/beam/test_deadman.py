@@ -264,3 +264,24 @@ def test_permits_are_numbered_from_0_on_and_anew_after_each_arming():
         deadman.grant(Grant(decided_ns=0, expires_ns=80 * MS, sequence=0), now_ns=0)
         with pytest.raises(BeamLineError, match=r"^permit 0 came after permit 0$"):
             deadman.grant(Grant(decided_ns=0, expires_ns=80 * MS, sequence=0), now_ns=0)
+
+
+def test_a_refusal_says_why_in_these_words():
+    deadman = DeadMan()
+    grant = Grant(decided_ns=10, expires_ns=10 + MAX_LEASE_NS + 1, sequence=7)
+    said = []
+    for prepare in (lambda: None, deadman.rearm, lambda: deadman.hold(at_ns=10, is_latching=False)):
+        prepare()
+        with pytest.raises(BeamLineError) as refused:
+            deadman.grant(grant, now_ns=10)
+        said.append(str(refused.value))
+    deadman.rearm()
+    deadman.hold(at_ns=9, is_latching=False)
+    with pytest.raises(BeamLineError) as refused:
+        deadman.grant(grant, now_ns=grant.expires_ns)
+    assert [*said, str(refused.value)] == [
+        "the line is latched off until somebody arms again",
+        "permit 7 is for more than 250 ms",
+        "permit 7 was decided before the newest hold",
+        "permit 7 has lapsed already",
+    ]

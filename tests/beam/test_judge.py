@@ -222,9 +222,11 @@ def test_it_is_healthy_after_three_good_answers_in_a_row_that_read_off():
         held.after(20).exchange(tells_on=False, reads_on=False)
     assert healths == [False, False, True, True]
     held.judge.failed(now_ns=held.now_ns)
-    assert not held.judge.is_healthy(held.now_ns)
-    held.exchange(tells_on=False, reads_on=False)
-    assert not held.judge.is_healthy(held.now_ns)
+    healths = []
+    for _ in range(4):
+        healths.append(held.judge.is_healthy(held.now_ns))
+        held.after(20).exchange(tells_on=False, reads_on=False)
+    assert healths == [False, False, False, True]
 
 
 def test_trouble_begins_the_count_of_good_answers_anew():
@@ -293,3 +295,21 @@ def test_times_at_their_bounds_are_taken_and_what_both_may_be_together_is_told()
     with pytest.raises(InvalidValueError) as refused:
         LineTimes(answer_ms=0.0)
     assert refused.value.bound == "a number from 20 to 150"
+
+
+def test_a_hold_that_was_not_followed_in_time_begins_the_count_of_good_answers_anew():
+    held = lit().after(20)
+    held.check(wants_on=False)
+    assert held.after(160, 1).check(wants_on=False) is not None
+    healths = []
+    for _ in range(5):
+        held.after(20).exchange(tells_on=False, reads_on=False)
+        healths.append(held.judge.is_healthy(held.now_ns))
+    assert healths == [False, False, True, True, True]
+
+
+@pytest.mark.parametrize(("old_ns", "reason"), [(FOLLOW_NS + 1, MISMATCH), (FOLLOW_NS + 2, FAILED)])
+def test_a_line_that_read_on_of_itself_and_says_nothing_more_has_failed_to_prove_off(old_ns, reason):
+    held = Told().after(20)
+    assert held.exchange(tells_on=False, reads_on=True).reason is MISMATCH
+    assert held.after(ns=old_ns).check(wants_on=False).reason is reason
