@@ -13,7 +13,7 @@ from tests.faults.verdict import Expectation, Outcome
 
 HEAD = (
     *("kind", "what", "n", "unsafe", "other", "median ms", "p95", "worst", "bound"),
-    *("told as", "recovers", "again"),
+    *("told as", "recovers", "stood still: worst ms", "missed"),
 )
 RED = "white on red"
 
@@ -61,7 +61,7 @@ class Row:
     def cells(self) -> tuple[str, ...]:
         times = sorted(outcome.off_ms for outcome in self.outcomes if outcome.off_ms is not None)
         count = f"{len(self.outcomes)}" + (f" of {self.wanted}" if self.missing else "")
-        again = sum(len(outcome.disturbed_ms) for outcome in self.outcomes)
+        late = [late_ms for outcome in self.outcomes for late_ms in outcome.disturbed_ms]
         return (
             self.kind.code,
             self.kind.what,
@@ -72,7 +72,8 @@ class Row:
             f"{self.kind.expected.bound_ms:g}",
             _counted(name for outcome in self.outcomes for name in outcome.told[:1]),
             _counted(outcome.recovery for outcome in self.outcomes if outcome.recovery),
-            str(again),
+            f"{len(late)}: {max(late):.0f}" if late else "0",
+            str(sum(outcome.missed for outcome in self.outcomes)),
         )
 
 

@@ -1,10 +1,13 @@
 """The judge, tried with planted evidence: each thing that must not happen is found, and nothing else."""
 
+from collections import deque
 from dataclasses import replace
 
 import pytest
 
 from engine.clock import NS_PER_MS
+from tests.faults.kinds import MissedError
+from tests.faults.trial import Judged, _is_disturbed, _refuse_another_s
 from tests.faults.verdict import (
     Evidence,
     Expectation,
@@ -19,6 +22,7 @@ from tests.faults.verdict import (
     off_after_ms,
     told_as,
 )
+from tests.faults.watchman import Watchman
 
 CAUSE_NS = 10_000 * NS_PER_MS
 EXPECTED = Expectation(
@@ -69,6 +73,8 @@ def test_a_fault_that_did_as_promised_is_no_trouble():
         (replace(LATCHED, armed_ns=at(300.0), edges=(edge(False, 40.0), edge(True, 450.0))), Trouble.BACK_EARLY),
         (replace(GOOD, told=()), Trouble.UNTOLD),
         (replace(GOOD, told=(Told(what="jump", at_ns=at(38.0)),)), Trouble.UNTOLD),
+        (replace(GOOD, told=(Told(what="marker_lost", at_ns=at(701.0)),)), Trouble.UNTOLD),
+        (replace(LATCHED, acted_ns=at(510.0), told=(Told(what="marker_lost", at_ns=at(511.0)),)), Trouble.UNTOLD),
         (replace(GOOD, told_by_ns=at(37.0)), Trouble.TOLD_LATE),
         (replace(GOOD, is_chain_intact=False), Trouble.CHAIN_BROKEN),
         (replace(GOOD, recovery=None, edges=GOOD.edges[:1]), Trouble.NOT_RECOVERED),
@@ -104,6 +110,42 @@ def test_a_hold_that_cleared_by_itself_is_judged_by_that_whatever_a_busy_machine
     evidence = replace(LATCHED, edges=later, armed_ns=at(850.0), told=(*GOOD.told, replace(TIMEOUT, at_ns=at(640.0))))
     assert came_back(evidence) is Recovery.BY_ITSELF
     assert judge(EXPECTED, evidence) == []
+
+
+def test_who_acknowledges_a_fault_of_the_machine_s_own_recovers_otherwise_and_well():
+    armed = replace(EXPECTED, recoveries=frozenset({Recovery.ARMED}))
+    assert judge(armed, LATCHED) == [Trouble.OTHER_RECOVERY]
+    assert judge(armed, replace(LATCHED, told=(*GOOD.told, TIMEOUT))) == []
+
+
+def late(off_ms: float, stall_ms: float, **more: object) -> Judged:
+    evidence = replace(GOOD, edges=(edge(False, off_ms), edge(True, off_ms + 700.0)), stall_ms=stall_ms, **more)
+    return Judged(expected=EXPECTED, evidence=evidence, troubles=judge(EXPECTED, evidence))
+
+
+def test_a_machine_that_stood_still_excuses_as_much_lateness_as_it_stood_and_nothing_else():
+    assert _is_disturbed(late(130.0, 30.0))
+    assert not _is_disturbed(late(130.1, 30.0))
+    assert not _is_disturbed(late(110.0, 19.9))
+    assert not _is_disturbed(late(90.0, 50.0)), "nothing is wrong"
+    assert not _is_disturbed(late(130.0, 50.0, told=()))
+    assert not _is_disturbed(late(130.0, 50.0, is_chain_intact=False))
+    assert not _is_disturbed(late(2900.0, 20.0))
+
+
+def test_off_in_time_for_another_cause_is_no_result_and_off_too_late_for_one_is_red():
+    other = (Told(what="frame_late", at_ns=at(40.0)),)
+    with pytest.raises(MissedError, match="frame_late"):
+        _refuse_another_s(late(40.0, 0.0, told=other), [at(40.0)])
+    far = (Told(what="frame_late", at_ns=at(2900.0)),)
+    _refuse_another_s(late(2900.0, 0.0, told=far), [at(2900.0)])
+    _refuse_another_s(late(40.0, 0.0, told=()), [at(40.0)])
+
+
+def test_stalls_count_where_they_lie_between_cause_and_off():
+    watchman = Watchman.__new__(Watchman)
+    watchman._stalls = deque([(at(-50.0), at(10.0)), (at(40.0), at(60.0)), (at(95.0), at(200.0))])
+    assert watchman.stalled_ms(at(0.0), at(100.0)) == pytest.approx(10.0 + 20.0 + 5.0)
 
 
 def test_a_line_is_on_from_its_edge_to_the_next():

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from engine.clock import NS_PER_MS, NS_PER_S
-from engine.permits import HoldReason
 from tests.faults.kinds import Fault, FaultKind, MissedError
 from tests.faults.verdict import (
+    REASONS,
     Evidence,
     Expectation,
     LineEdge,
@@ -37,16 +37,14 @@ STAYS_OFF_S = 0.35
 GIVE_UP_S = 3.0
 TRIES = 6
 DISTURBED_TRIES = 6
-EXCUSED_BY_A_STALL = {Trouble.OFF_LATE, Trouble.UNTOLD, Trouble.TOLD_LATE, Trouble.OTHER_RECOVERY}
-LEAD_NS = 100 * NS_PER_MS
-"""A stall just before the fault may show after it."""
-
 STALL_MS = 20.0
-"""A machine that stood still for longer had no time to take a line off."""
+"""A machine that stood still for so long had that much less time to take a line off, and no more than that."""
+
+OF_ANOTHER_CAUSE = {Trouble.UNTOLD, Trouble.OTHER_RECOVERY}
+"""All that may be wrong where the beam went off in time, and for something else."""
 
 TOLD_WAIT_S = 2.0
 NEAR_NS = 60 * NS_PER_MS
-REASONS = {reason.value for reason in HoldReason} - {HoldReason.DWELL.value}
 
 
 @dataclass(slots=True)
@@ -85,15 +83,17 @@ def run_trial(rig: "Rig", kind: FaultKind, seed: int) -> Outcome:
             recovery=came_back(judged.evidence) or "",
             stall_ms=judged.evidence.stall_ms,
             disturbed_ms=tuple(disturbed),
+            missed=missed,
             note=_note(judged),
             seconds=time.monotonic() - began_s,
         )
 
 
 def _is_disturbed(judged: Judged) -> bool:
-    """Whether this machine stood still, and all that is wrong may come of that; a beam that comes back never does."""
-    excused = set(judged.troubles) <= EXCUSED_BY_A_STALL
-    return bool(judged.troubles) and excused and judged.evidence.stall_ms >= STALL_MS
+    """Whether it was late and nothing else, by no more than this machine stood still between cause and off."""
+    off_ms, stall_ms = off_after_ms(judged.evidence), judged.evidence.stall_ms
+    is_late_alone = judged.troubles == [Trouble.OFF_LATE] and off_ms is not None
+    return is_late_alone and stall_ms >= STALL_MS and off_ms - judged.expected.bound_ms <= stall_ms
 
 
 def _no_result(kind: FaultKind, seed: int, note: str) -> Outcome:
@@ -105,7 +105,6 @@ def _no_result(kind: FaultKind, seed: int, note: str) -> Outcome:
 def _try_once(rig: "Rig", kind: FaultKind, chance: random.Random) -> Judged:
     _reach_steady_beam(rig, chance)
     sequence = rig.ledger.newest()
-    begun_ns = time.monotonic_ns()
     fault = kind.inject(rig, chance)
     try:
         cause_ns = _await_off(rig, kind, fault)
@@ -127,9 +126,10 @@ def _try_once(rig: "Rig", kind: FaultKind, chance: random.Random) -> Judged:
         recovery=recovery,
         clear_ns=cause_ns if fault.is_step else clear_ns,
         armed_ns=way.asked_ns,
+        acted_ns=way.acted_ns,
         told_by_ns=fault.told_by_ns,
         is_chain_intact=_is_chain_intact(rig),
-        stall_ms=rig.watchman.longest_ms(begun_ns - LEAD_NS, gone[0] if gone else time.monotonic_ns()),
+        stall_ms=rig.watchman.stalled_ms(cause_ns, gone[0] if gone else time.monotonic_ns()),
     )
     judged = Judged(expected=expected, evidence=evidence, troubles=judge(expected, evidence))
     _refuse_another_s(judged, gone)
@@ -138,7 +138,7 @@ def _try_once(rig: "Rig", kind: FaultKind, chance: random.Random) -> Judged:
 
 def _refuse_another_s(judged: Judged, gone: list[int]) -> None:
     """Raise MissedError where the beam went off in time, and the audit says that it did for something else."""
-    if not gone or Trouble.UNTOLD not in judged.troubles or not set(judged.troubles) <= EXCUSED_BY_A_STALL:
+    if not gone or Trouble.UNTOLD not in judged.troubles or not set(judged.troubles) <= OF_ANOTHER_CAUSE:
         return
     others = [one.what for one in judged.evidence.told if one.what in REASONS and abs(one.at_ns - gone[0]) < NEAR_NS]
     if others:

@@ -11,6 +11,8 @@ from typing import Any
 from engine.clock import NS_PER_MS
 from engine.permits import HoldReason
 
+REASONS = {reason.value for reason in HoldReason} - {HoldReason.DWELL.value}
+FAULTS = {reason.value for reason in HoldReason if reason.is_fault}
 DWELL_NS = 100 * NS_PER_MS
 """The dwell of the campaign's window: no hold ends sooner after its cause is gone."""
 
@@ -94,12 +96,14 @@ class Evidence:
         When its cause was gone again; None where that is the cause's own time.
     armed_ns
         When a person asked for the beam again; None where nobody had to.
+    acted_ns
+        When a person did anything at all on the way back; what the audit says from then on is not the fault's account.
     edges
         The receiver's log, from the on that the fault ended to the next.
     told_by_ns
         Until when the audit's account must have been given; None does not ask.
     stall_ms
-        The longest time this machine stood still between cause and off, by a process that only looks.
+        How long this machine stood still between cause and off, by a process that only looks.
     """
 
     cause_ns: int
@@ -108,6 +112,7 @@ class Evidence:
     recovery: Recovery | None
     clear_ns: int | None = None
     armed_ns: int | None = None
+    acted_ns: int | None = None
     told_by_ns: int | None = None
     is_chain_intact: bool = True
     stall_ms: float = 0.0
@@ -125,6 +130,7 @@ class Outcome:
     recovery: str
     stall_ms: float = 0.0
     disturbed_ms: tuple[float, ...] = ()
+    missed: int = 0
     note: str = ""
     revision: str = ""
     seconds: float = field(default=0.0)
@@ -209,20 +215,31 @@ def _of_the_line(expected: Expectation, evidence: Evidence) -> list[Trouble]:
 
 def _has_latched(evidence: Evidence, before_ns: int) -> bool:
     """Whether a fault was told by then."""
-    faults = {reason.value for reason in HoldReason if reason.is_fault}
-    return any(one.what in faults and evidence.cause_ns <= one.at_ns < before_ns for one in evidence.told)
+    return any(one.what in FAULTS and evidence.cause_ns <= one.at_ns < before_ns for one in evidence.told)
 
 
 def _of_the_account(expected: Expectation, evidence: Evidence) -> list[Trouble]:
-    found = [one.at_ns for one in evidence.told if one.what in expected.told]
+    found = [one.at_ns for one in evidence.told if one.what in expected.told and _is_of_the_fault(one, evidence)]
     troubles = [] if found else [Trouble.UNTOLD]
     if found and evidence.told_by_ns is not None and min(found) > evidence.told_by_ns:
         troubles.append(Trouble.TOLD_LATE)
     return troubles + ([] if evidence.is_chain_intact else [Trouble.CHAIN_BROKEN])
 
 
+def _is_of_the_fault(one: Told, evidence: Evidence) -> bool:
+    """Whether a row may be the fault's account: no reason is, written after anybody acted or the beam was back."""
+    ends = [end for end in (evidence.acted_ns, evidence.armed_ns, _on_again_ns(evidence)) if end is not None]
+    return one.what not in REASONS or one.at_ns <= min(ends, default=one.at_ns)
+
+
 def _of_the_recovery(expected: Expectation, evidence: Evidence) -> list[Trouble]:
     recovery = came_back(evidence)
     if recovery is None:
         return [Trouble.NOT_RECOVERED]
-    return [] if recovery in expected.recoveries else [Trouble.OTHER_RECOVERY]
+    return [] if recovery in expected.recoveries or _is_for_another(expected, evidence) else [Trouble.OTHER_RECOVERY]
+
+
+def _is_for_another(expected: Expectation, evidence: Evidence) -> bool:
+    """Whether somebody acknowledged a fault of the machine's own, which had nothing to do with this one."""
+    others = FAULTS - expected.told
+    return came_back(evidence) is Recovery.ACKNOWLEDGED and any(one.what in others for one in evidence.told)

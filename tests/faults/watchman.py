@@ -29,10 +29,10 @@ class Watchman:
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
-    def longest_ms(self, from_ns: int, to_ns: int) -> float:
-        """The longest stall that touches this time [ms]; stalls of less than 10 ms are none."""
-        found = [end - begin for begin, end in list(self._stalls) if end >= from_ns and begin <= to_ns]
-        return max(found, default=0) / NS_PER_MS
+    def stalled_ms(self, from_ns: int, to_ns: int) -> float:
+        """How much of this time the machine stood still [ms]; less than 10 ms on end do not count."""
+        overlaps = (min(end, to_ns) - max(begin, from_ns) for begin, end in list(self._stalls))
+        return sum(overlap for overlap in overlaps if overlap > 0) / NS_PER_MS
 
     def end(self) -> None:
         self._process.kill()

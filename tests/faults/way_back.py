@@ -35,8 +35,8 @@ class WayBack:
 
     Attributes
     ----------
-    asked_ns
-        When the beam was first asked for; None where nobody had to.
+    asked_ns, acted_ns
+        When the beam was first asked for, and when anything was first done; None where nobody had to.
     refusal
         The newest answer to an arming.
     """
@@ -44,6 +44,7 @@ class WayBack:
     def __init__(self, rig: "Rig") -> None:
         self._rig, self._person = rig, rig.person
         self.asked_ns: int | None = None
+        self.acted_ns: int | None = None
         self.refusal = ""
         self._stop_at_s = time.monotonic() + STOP_AFTER_S
         self._trusted_s = time.monotonic()
@@ -68,7 +69,7 @@ class WayBack:
             return Recovery.RESTARTED
         detail = self._person.detail() if self._person.session_id else None
         if detail is not None and detail["status"] == "running" and self._is_in_vain:
-            self._person.act("stop")
+            self._act("stop")
             return None
         if detail is None or detail["status"] != "running":
             self._rig.new_session()
@@ -86,17 +87,21 @@ class WayBack:
     def _act_on(self, detail: dict[str, Any]) -> Recovery | None:
         gate = detail["gate"]
         if gate["state"] == "fault":
-            self._person.act("acknowledge")
+            self._act("acknowledge")
             self._acknowledged += 1
             return Recovery.ACKNOWLEDGED
         if gate["operator_hold"] is not None:
             return self._ask("release", Recovery.RELEASED)
         if self._is_doubted(gate) or not (detail["has_reference"] or detail["measurement_state"] != "measuring"):
-            self._person.act("reference")
+            self._act("reference")
             return None
         if gate["is_armed"] or detail["measurement_state"] != "measuring":
             return None
         return self._ask("arm", Recovery.ARMED)
+
+    def _act(self, action: str) -> httpx2.Response:
+        self.acted_ns = self.acted_ns or time.monotonic_ns()
+        return self._person.act(action)
 
     def _is_doubted(self, gate: dict[str, Any]) -> bool:
         if gate["hold_reason"] not in DOUBTED:
@@ -105,6 +110,6 @@ class WayBack:
 
     def _ask(self, action: str, step: Recovery) -> Recovery | None:
         self.asked_ns = self.asked_ns or time.monotonic_ns()
-        answer = self._person.act(action)
+        answer = self._act(action)
         self.refusal = answer.text
         return step if answer.status_code == httpx2.codes.OK else None
