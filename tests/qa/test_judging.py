@@ -9,7 +9,7 @@ from engine.errors import InvalidValueError
 from engine.qa.bounds import BASELINE_BOUNDS, QaBaseline, QaBounds
 from engine.qa.checks import CHECKS, check_of, checks_of, needs_of
 from engine.qa.results import QaBound, QaFigure, QaKind, QaNeed, QaReport, QaVerdict, Sidedness, judge
-from engine.qa.run import judged
+from engine.qa.run import _total, judged
 
 OFFSET = check_of("motion_offset_mm")
 NOISE = check_of("plate_noise_mm")
@@ -162,3 +162,10 @@ def test_bounds_of_no_check_are_refused():
 def test_a_baseline_that_cannot_be_is_refused(expected):
     with pytest.raises(InvalidValueError, match=next(iter(expected))):
         QaBaseline(expected=expected)
+
+
+def test_what_the_gate_and_the_line_take_adds_up_and_is_not_known_without_either():
+    gate, line = QaFigure(code="gate_delay_off_ms", value=70.0), QaFigure(code="beam_readback_off_ms", value=45.0)
+    assert _total([gate, line]).value == pytest.approx(115.0)
+    assert _total([gate]).value is None
+    assert _total([line]).value is None
