@@ -282,7 +282,7 @@ class EngineLoop:
     def _decide_on(self, frame: RgbdFrame, measurement: Measurement) -> None:
         events: list[GateEvent] = []
         if self._orders.has_model_changed():
-            events.append(Ending(reason=HoldReason.DISARMED, detail="the model or the reference has changed"))
+            events.append(Ending(reason=HoldReason.DISARMED))
         self._orders.settle_window()
         if not _is_of(measurement, frame):
             events.append(Interruption(reason=HoldReason.VALUE_INVALID, detail="a measurement of another frame"))

@@ -6,8 +6,15 @@ import pytest
 
 from engine.beam.simulated import SimulatedBeamLine
 from engine.clock import NS_PER_S, ManualClock
-from engine.commands import Arm, Disarm, HoldBeam
-from engine.errors import CommandRefusedError, FrameTimeoutError, RecordingError, SourceEndedError, SourceLostError
+from engine.commands import Acknowledge, Arm, Disarm, HoldBeam
+from engine.errors import (
+    CommandRefusedError,
+    FrameTimeoutError,
+    RecordingError,
+    SourceAwayError,
+    SourceEndedError,
+    SourceLostError,
+)
 from engine.live import LoopStatus
 from engine.loop import FIRST_FRAME_NS, EngineLoop
 from engine.permits import GateState, HoldReason
@@ -236,3 +243,22 @@ def test_a_camera_that_does_not_open_leaves_a_line_that_was_held_and_closed():
     assert bench.beam.holds[:2] == [HoldReason.DISARMED, HoldReason.SOURCE_LOST]
     assert not bench.beam._is_open
     assert bench.clock.now_ns() - START_NS < PERIOD_NS
+
+
+def test_a_camera_that_is_away_is_told_in_its_own_words():
+    def away(source, timeout_s):
+        source.clock.advance_ns(round(timeout_s * NS_PER_S))
+        raise SourceAwayError("pulled out of port 3")
+
+    bench = armed_bench([good, away]).run()
+    fault = next(change for change in bench.transitions() if change.to_state is GateState.FAULT)
+    assert (fault.reason, fault.detail) == (HoldReason.SOURCE_LOST, "pulled out of port 3")
+
+
+def test_a_model_that_has_grown_old_holds_though_every_frame_is_good():
+    bench = Bench([good], limits=replace(LIMITS, max_model_age_min=1.0))
+    bench.source.script += [quiet_for(61 * NS_PER_S), *[good] * 40]
+    bench.source.script += [after(bench.ask(Acknowledge(operator="ann"))), good]
+    bench.source.script += [after(bench.ask(Arm(operator="ann"))), *[good] * 8]
+    last = bench.run().records()[-1]
+    assert (last.gate_state, last.hold_reason, last.line_on) == (GateState.HOLD, HoldReason.MODEL_OLD, False)
