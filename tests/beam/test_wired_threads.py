@@ -7,6 +7,7 @@ import pytest
 from engine.beam import wired
 from engine.beam.wired import CLOSE_S, CYCLE_NS, RECONNECT_NS, WiredBeamLine
 from engine.clock import NS_PER_S
+from engine.errors import BeamLineError
 from tests.beam.stepped import MS, World
 
 
@@ -128,3 +129,18 @@ def test_its_threads_are_named_keep_no_process_alive_and_are_waited_for_a_second
     line.close()
     assert [thread.joined for thread in made] == [[CLOSE_S]] * 2
     assert line._threads == ()
+
+
+def test_a_line_that_is_opened_anew_is_latched_whatever_it_was_before():
+    world = World(answer_ms=2).opened()
+    world.line.open()
+    world.clock.advance_ns(MS)
+    with pytest.raises(BeamLineError, match="latched off"):
+        world.permit()
+
+
+def test_a_line_that_nobody_asks_any_more_says_so_in_these_words():
+    world = World(answer_ms=2).opened()
+    world.clock.advance_ns(201 * MS)
+    with pytest.raises(BeamLineError, match=r"^nobody asks the line$"):
+        world.line.is_on()
