@@ -135,6 +135,12 @@ class BeamSettings(BaseSettings):
         return any(kind != "simulated" for kind in self.beam_lines)
 
     @property
+    def beam_place(self) -> dict[str, str | int]:
+        """Which line this is: its kinds, and where in the world they lead."""
+        where = {name: getattr(self, name) for kind in self.beam_lines for name in USED_BY[kind] if name not in TIMES}
+        return {"beam_lines": " ".join(self.beam_lines), **where}
+
+    @property
     def beam_times(self) -> LineTimes:
         """How long a wired line may take."""
         return LineTimes(answer_ms=self.beam_answer_ms, settle_ms=self.beam_settle_ms)

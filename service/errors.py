@@ -57,6 +57,12 @@ class SessionStateError(ServiceError):
     code = "session_state"
 
 
+class ServiceStoppingError(ServiceError):
+    """The service is on its way out."""
+
+    code = "service_stopping"
+
+
 class QaActiveError(ServiceError):
     """A QA run has the camera and the beam line."""
 
@@ -124,6 +130,7 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     NotFoundError: (404, "There is no such thing"),
     SessionActiveError: (409, "Another session is open"),
     SessionStateError: (409, "The session is not in a state for that"),
+    ServiceStoppingError: (503, "The service is stopping"),
     QaActiveError: (409, "A QA run is under way"),
     QaStateError: (409, "The QA run is not in a state for that"),
     QaOverdueError: (409, "The daily QA is due"),

@@ -44,9 +44,11 @@ class _House:
     qa_desk: QaDesk
     log: AuditLog
     database: Database
+    room: Room
 
     def hold_and_close_session(self) -> None:
-        """Hold the beam, whoever has it, and end what goes on."""
+        """Let nothing begin any more, hold the beam, whoever has it, and end what goes on."""
+        self.room.close()
         try:
             self.runner.shut_down()
         finally:
@@ -115,7 +117,7 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig) -> _House:
     log.write(Event(actor=SYSTEM, action="service.start", detail=_start_detail(settings, engine)))
     book.close_interrupted()
     close_interrupted(database)
-    return _House(services=services, runner=runner, qa_desk=qa_desk, log=log, database=database)
+    return _House(services=services, runner=runner, qa_desk=qa_desk, log=log, database=database, room=room)
 
 
 def _start_detail(settings: Settings, engine: EnginePort) -> dict[str, object]:

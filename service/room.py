@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from engine.live import LiveView
 from service.bridge import SessionWriter
-from service.errors import QaActiveError, SessionActiveError
+from service.errors import QaActiveError, ServiceStoppingError, SessionActiveError
 from service.ports import RunningEngine, SessionPlan
 
 
@@ -27,6 +27,16 @@ class Room:
         """Held by whoever starts a session or a QA run, from asking whether the room is free to being in it."""
         self._running: Running | None = None
         self._qa_run_id: str | None = None
+        self._is_closed = False
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the service is on its way out."""
+        return self._is_closed
+
+    def close(self) -> None:
+        """Let nobody in any more; who is in it stays until somebody ends that."""
+        self._is_closed = True
 
     @property
     def running(self) -> Running | None:
@@ -46,7 +56,7 @@ class Room:
     def enter(self, running: Running) -> bool:
         """Take the room; false when somebody is in it."""
         with self._lock:
-            if self._running is not None:
+            if self._is_closed or self._running is not None:
                 return False
             self._running = running
             return True
@@ -55,6 +65,12 @@ class Room:
     def qa_run_id(self) -> str | None:
         """The QA run that has camera and beam line now."""
         return self._qa_run_id
+
+    def refuse_closed(self) -> None:
+        """Raise ServiceStoppingError on the service's way out."""
+        if self._is_closed:
+            msg = "the service is on its way out: nothing begins any more"
+            raise ServiceStoppingError(msg)
 
     def refuse_qa(self) -> None:
         """Raise QaActiveError while a QA run has camera and beam line."""
@@ -66,6 +82,7 @@ class Room:
     def enter_qa(self, run_id: str) -> None:
         """Take the room for a QA run; raise SessionActiveError or QaActiveError when somebody is in it."""
         with self.coming_and_going, self._lock:
+            self.refuse_closed()
             self.refuse_qa()
             if self._running is not None:
                 msg = "a session runs: QA shares its camera and its beam line. Stop it first"

@@ -296,6 +296,7 @@ class SessionRunner:
         running = Running(plan=plan, engine=engine, writer=writer)
         if not self._room.enter(running):
             engine.stop()
+            self._room.refuse_closed()
             msg = "another session runs"
             raise SessionActiveError(msg, field="session_id", bound="one running session at a time")
         return running

@@ -90,7 +90,7 @@ class QaDesk:
             return self._under_way.run_answer(db, records.run_row(db, run_id))
 
     def shut_down(self) -> None:
-        """Hold the line, then end the run: on the service's way out."""
+        """Hold the line, then end the run: on the service's way out, once nobody gets into the room any more."""
         current = self._under_way.current
         if current is not None:
             current.handle.cancel(audit.SYSTEM)
@@ -115,6 +115,8 @@ class QaDesk:
             keep_answer(db, records.START, key, body, answer)
             baseline = job.own_baseline or records.baseline_of(records.newest_baseline(db))
         self._under_way.current = Current(run_id=run_id, handle=handle)
+        if self._room.is_closed:  # whoever closed it may have looked for a run before there was one to be seen
+            handle.cancel(audit.SYSTEM)
 
         def work() -> None:
             carry_out(
@@ -181,6 +183,7 @@ def qa_begin(
 ) -> QaBegin:
     """Return what is written down of a run that begins."""
     told = request.model_dump(mode="json", exclude_none=True, exclude={"operator", "kind"})
+    told["beam_place"] = settings.beam_place
     if calibration is not None:
         told |= {"calibration_sha256": calibration.sha256, "camera": calibration.camera}
     return QaBegin(

@@ -1,6 +1,8 @@
 """A daily QA that is overdue, failed or not finished: nobody arms, and everybody is told why."""
 
+import json
 from collections.abc import Iterator
+from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -8,6 +10,7 @@ from fastapi.testclient import TestClient
 
 from engine.commands import Arm
 from engine.qa.bounds import QaBounds
+from engine.qa.checks import CHECKS
 from engine.qa.results import QaKind
 from service.app import create_app
 from service.db.engine import Database
@@ -31,17 +34,33 @@ def database(tmp_path):
     database.close()
 
 
+def bounds_of(settings, **other):
+    """The bounds a run keeps, by the site's settings; some of them others."""
+    return {check.code: asdict(settings.qa_bounds.of(check.code)) for check in CHECKS} | other
+
+
 def put(
-    database, *, age_h=1.0, status="finished", verdict="pass", kind="daily", is_simulated=False, now=NOW, plate=None
+    database,
+    *,
+    age_h=1.0,
+    status="finished",
+    verdict="pass",
+    kind="daily",
+    is_simulated=False,
+    now=NOW,
+    plate=None,
+    place=DAY.beam_place,
+    bounds=None,
 ):
     """Write a run down as it would have been so long ago; ``status`` None leaves it without an end."""
     began = now - timedelta(hours=age_h)
-    run_id = f"{abs(hash((age_h, status, verdict, kind, is_simulated))):032x}"[:32]
+    run_id = f"{abs(hash((age_h, status, verdict, kind, is_simulated, str(place), str(bounds)))):032x}"[:32]
     with database.write() as db:
         db.add(
             QaRunRow(
                 **dict.fromkeys(("operator", "site", "machine"), "me"),
-                **dict.fromkeys(("request", "bounds"), "{}"),
+                request=json.dumps({"beam_place": place}),
+                bounds=json.dumps(bounds_of(DAY) if bounds is None else bounds),
                 id=run_id,
                 kind=kind,
                 is_simulated=is_simulated,
@@ -132,6 +151,36 @@ def test_simulated_runs_count_for_nothing_either_way(database):
     assert why(database) is None
 
 
+REAL = {"beam_line": "modbus-tcp", "beam_modbus_host": "10.0.0.1"}
+
+
+def test_a_run_on_a_simulated_line_says_nothing_of_a_real_one(database):
+    """The command's own line is simulated, and asks for nobody's word."""
+    real = Settings(qa_required_daily_h=24.0, **REAL)
+    put(database)
+    assert "another beam line (simulated) than this service's (modbus-tcp, 10.0.0.1, 502" in why(database, real)
+    put(database, age_h=0.5, place=real.beam_place)
+    assert why(database, real) is None
+    assert "another beam line" in why(database)
+
+
+def test_a_run_on_a_real_line_elsewhere_says_nothing_of_this_one(database):
+    real = Settings(qa_required_daily_h=24.0, **REAL)
+    put(database, place=Settings(**{**REAL, "beam_modbus_host": "10.9.9.9"}).beam_place)
+    assert "10.9.9.9" in why(database, real)
+    put(database, age_h=0.5, place=None)
+    assert "unknown" in why(database, real)
+
+
+def test_a_run_by_wider_bounds_than_the_site_s_is_none_of_it(database):
+    put(database, bounds=bounds_of(DAY, camera_distance_mm={"warn": 5.0, "fail": 5.0}))
+    assert "wider bounds than this service's (camera_distance_mm)" in why(database)
+    put(database, age_h=0.8, bounds={})
+    assert "none kept" in why(database)
+    put(database, age_h=0.5, bounds=bounds_of(DAY, camera_distance_mm={"warn": 0.1, "fail": 0.2}))
+    assert why(database) is None
+
+
 @pytest.fixture
 def strict(settings) -> Settings:
     return Settings(**settings.model_dump(exclude_unset=True), qa_required_daily_h=24.0)
@@ -180,7 +229,7 @@ def test_what_is_written_of_a_run_is_what_the_requirement_reads(database):
     begin = records.QaBegin(
         kind=QaKind.DAILY,
         operator="me",
-        request={},
+        request={"beam_place": DAY.beam_place},
         site="",
         machine="",
         bounds=QaBounds(),

@@ -1,6 +1,7 @@
 """QA runs over HTTP: begun once, one at a time, never beside a session, cancelled line first, kept for good."""
 
 import hashlib
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,8 +14,9 @@ from engine.qa.bounds import BASELINE_BOUNDS
 from engine.qa.checks import CHECKS, checks_of
 from engine.qa.results import QaKind
 from service.app import create_app
+from service.qa import records
 from service.qa.schemas import QaExpected
-from tests.service.conftest import OPERATOR, act, audit_rows, eventually
+from tests.service.conftest import OPERATOR, act, audit_rows, eventually, make_session_body
 from tests.service.qa_rig import FakeRig, qa_files
 from tests.service.qa_samples import report, sample_series
 
@@ -496,3 +498,28 @@ def test_a_run_names_site_and_machine_and_carries_no_patient(client, rig, body):
     assert {"site", "machine", "operator", "software"} <= ended.keys()
     assert not {"patient_reference", "plan_id"} & ended.keys()
     assert OPERATOR["operator"] != ended["operator"]
+
+
+def test_a_run_that_is_being_written_down_while_the_service_holds_the_beam_for_its_end_drills_nothing(
+    client, rig, body, monkeypatch
+):
+    write_down = records.begin
+
+    def told_to_stop_meanwhile(db, run):
+        row = write_down(db, run)
+        stopping = threading.Thread(target=client.app.state.hold_and_close_session)
+        stopping.start()
+        stopping.join()
+        return row
+
+    monkeypatch.setattr(records, "begin", told_to_stop_meanwhile)
+    run_id = begin(client, body)
+    eventually(lambda: read(client, run_id)["status"] == "cancelled")
+    assert not rig.job_now.is_on.is_set()
+
+
+def test_nothing_begins_any_more_once_the_service_is_on_its_way_out(client, rig, body, calibration_id):
+    session_id = client.post("/api/v1/sessions", json=make_session_body(calibration_id)).json()["id"]
+    client.app.state.hold_and_close_session()
+    for answer in (client.post(f"{URL}/runs", json=body), act(client, session_id, "start")):
+        assert (answer.status_code, answer.json()["code"]) == (503, "service_stopping")
