@@ -5,6 +5,7 @@ that is none. A campaign that was stopped goes on where it was, with the same fo
 """
 
 import argparse
+import hashlib
 import os
 import platform
 import subprocess
@@ -24,6 +25,7 @@ from tests.faults.verdict import Outcome
 
 ROOT = Path(__file__).parents[2]
 WRONG_USAGE = 2
+RUN_FOLDERS = ("engine", "service", "migrations", "tests/faults", "tests/xtion", "tests/beam")
 MOST_SEEDS, MOST_JOBS = 10_000, 16
 
 
@@ -127,8 +129,9 @@ def _revision() -> str:
         return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
 
     try:
-        changed = git("status", "--porcelain", "--", "engine", "service", "migrations", "tests/faults", "tests/xtion")
-        return git("rev-parse", "--short=12", "HEAD") + ("+changed" if changed else "")
+        changed = git("diff", "HEAD", "--", *RUN_FOLDERS)
+        digest = hashlib.sha256(changed.encode()).hexdigest()[:8]
+        return git("rev-parse", "--short=12", "HEAD") + (f"+{digest}" if changed else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
 

@@ -8,7 +8,7 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from tests.faults.kinds import Fault, FaultKind, told
+from tests.faults.kinds import Fault, FaultKind, MissedError, told
 from tests.faults.verdict import is_on_at
 
 if TYPE_CHECKING:
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 COVERED = told("marker_lost", "layout_changed")
 
 
-def beside(kind: FaultKind) -> FaultKind:
-    """Return the kind, with a marker covered a moment later."""
+def beside(kind: FaultKind, latest_s: float = 0.3) -> FaultKind:
+    """Return the kind, with a marker covered a moment later, while it goes on."""
 
     def inject(rig: "Rig", chance: random.Random) -> Fault:
         first = kind.inject(rig, chance)
-        time.sleep(chance.uniform(0.03, 0.3))
+        time.sleep(chance.uniform(0.03, latest_s))
         if not is_on_at(rig.edges, time.monotonic_ns()):
             return replace(first, is_of_itself=True)
         from tests.faults.frames import cover_marker
@@ -33,6 +33,9 @@ def beside(kind: FaultKind) -> FaultKind:
             first.undo()
             return second.undo()
 
+        if not first.is_going():
+            undo()
+            raise MissedError("it was over before the marker was covered")
         return replace(second, undo=undo, lasts_s=max(first.lasts_s, second.lasts_s))
 
     return replace(kind, inject=inject, told=kind.told | COVERED)

@@ -17,7 +17,7 @@ from tests.faults.plan import Plan
 from tests.faults.rig import WORN_MB, Rig, Template
 from tests.faults.template import learned
 from tests.faults.trial import run_trial
-from tests.faults.verdict import Outcome, Trouble
+from tests.faults.verdict import Outcome, Recovery, Trouble
 
 TRIALS_A_TURN = 10
 ATTEMPTS = 2
@@ -122,21 +122,25 @@ class Bench:
         self._number = 0
 
     def try_kind(self, kind: FaultKind, seed: int) -> Outcome:
-        """Run one trial; a rig that breaks is thrown away and the trial done again, once."""
-        note = ""
+        """Run one trial; where a rig breaks it is thrown away, the trial done again, once, and the first's story kept.
+
+        A service that died though nobody killed it is a result.
+        """
+        stories: list[str] = []
         for _ in range(ATTEMPTS):
             try:
                 outcome = run_trial(self._rig_for(kind.plan), kind, seed)
             except Exception:  # noqa: BLE001 - whatever broke, the next trial has to go on
-                note = traceback.format_exc(limit=-3)
+                stories.append(traceback.format_exc(limit=-3))
+                has_died = self._rig is not None and not self._rig.is_alive
                 self.clear()
+                if has_died and Recovery.RESTARTED not in kind.recoveries:
+                    return _failed(kind, seed, Trouble.SERVICE_DIED, stories)
             else:
                 if outcome.is_red:
                     self.clear()
-                return outcome
-        return Outcome(
-            kind=kind.code, seed=seed, off_ms=None, troubles=(Trouble.NO_RESULT,), told=(), recovery="", note=note
-        )
+                return replace(outcome, note="\n".join([*stories, outcome.note]).strip())
+        return _failed(kind, seed, Trouble.NO_RESULT, stories)
 
     def clear(self) -> None:
         self._rig = None
@@ -153,6 +157,11 @@ class Bench:
             rig = Rig(self._folder / str(self._number), plan, self._template)
             self._rig = self._held.enter_context(rig)
         return rig
+
+
+def _failed(kind: FaultKind, seed: int, trouble: Trouble, stories: list[str]) -> Outcome:
+    note = "\n".join(stories)
+    return Outcome(kind=kind.code, seed=seed, off_ms=None, troubles=(trouble,), told=(), recovery="", note=note)
 
 
 def stamped(outcome: Outcome, revision: str) -> Outcome:

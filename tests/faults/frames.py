@@ -1,5 +1,6 @@
 """What frames show, and how they come: covered, shifted, frozen, late, missing; the camera gone or hung."""
 
+import math
 import random
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 FAMILY = "frames"
 PERIOD_MS = 1000.0 / 29.97
+BREATH_MM = 10.0
 LASTS_S = (0.03, 0.8)
 Act = Callable[[VirtualXtion, random.Random], Receipt]
 LOST = told("marker_lost", "layout_changed", "coverage_low", "residual_high", "jump", "patient_shifted")
@@ -56,15 +58,23 @@ def cover_marker(rig: "Rig", chance: random.Random) -> Fault:
 
 
 def breath_too_large(rig: "Rig", chance: random.Random) -> Fault:
-    """Lift the whole patient as fast as skin may move, until the signal leaves the window; counted from that frame."""
-    session_id = rig.person.session_id
-    receipt = rig.camera.offset(-chance.uniform(55.0, 80.0), mm_a_frame=chance.uniform(2.0, 3.2))
+    """Lift the whole patient as fast as skin may move, until the signal leaves the window.
+
+    Counted from the first frame that was measured outside; at the latest from the one that is outside wherever in the
+    breath the patient, and the person who set the zero, were.
+    """
+    session_id, mm_a_frame = rig.person.session_id, chance.uniform(2.0, 3.2)
+    receipt = rig.camera.offset(-chance.uniform(55.0, 80.0), mm_a_frame=mm_a_frame)
+    frames = math.ceil((rig.window_mm + BREATH_MM) / mm_a_frame)
+    latest_ns = receipt.raised_ns + int(frames * PERIOD_MS * NS_PER_MS)
 
     def first_outside_ns() -> int | None:
-        return rig.ledger.first_outside_ns(session_id, receipt.raised_ns, rig.window_mm)
+        seen_ns = rig.ledger.first_outside_ns(session_id, receipt.raised_ns, rig.window_mm)
+        return None if seen_ns is None else min(seen_ns, latest_ns)
 
     return Fault(
-        cause_ns=receipt.raised_ns,
+        cause_ns=latest_ns,
+        begun_ns=receipt.raised_ns,
         undo=rig.mend_camera,
         lasts_s=chance.uniform(0.05, 0.4),
         find_cause=first_outside_ns,

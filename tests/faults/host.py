@@ -113,7 +113,7 @@ def database_locked(shortest_s: float, longest_s: float) -> Inject:
         holder = threading.Thread(target=hold, daemon=True)
         holder.start()
         assert began.wait(10.0)
-        return Fault(cause_ns=began_ns[0], undo=holder.join)
+        return Fault(cause_ns=began_ns[0], undo=holder.join, is_going=holder.is_alive)
 
     return inject
 
@@ -209,7 +209,7 @@ def _many(count: int, work: Callable[[int, threading.Event], None]) -> Fault:
         for thread in threads:
             thread.join()
 
-    return Fault(cause_ns=at_ns, undo=end)
+    return Fault(cause_ns=at_ns, undo=end, is_going=lambda: any(thread.is_alive() for thread in threads))
 
 
 def _kind(code: str, what: str, inject: Inject, names: frozenset[str], recoveries: frozenset[Recovery], **more: object):
@@ -264,8 +264,9 @@ KINDS = (
     beside(
         _kind(
             *("database-busy", "it is locked for less than the patience, then a marker is covered"),
-            *(database_locked(0.15, 0.35), told(), BY_ITSELF),
-        )
+            *(database_locked(0.40, 0.46), told(), BY_ITSELF),
+        ),
+        latest_s=0.2,
     ),
     _kind(
         *("database-gone", "the database's file is taken away", database_gone, FULL, LATCHED | NEW_SESSION),

@@ -43,6 +43,11 @@ def nothing() -> int | None:
     return None
 
 
+def always() -> bool:
+    """Say that a fault stays until it is undone."""
+    return True
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
     """One fault as it was injected.
@@ -60,9 +65,13 @@ class Fault:
     told_by_ns
         Until when the audit's account has to be given; None does not ask.
     find_cause
-        Looks the cause's time up afterwards, where only then it can be known.
+        Looks the cause's time up afterwards, where only then it can be known; ``cause_ns`` is the latest it may be.
+    begun_ns
+        When what leads to the cause began, where that is earlier.
     is_of_itself
         The beam went off before anything was there that had to take it off: safe, and bound to no time.
+    is_going
+        Whether it is still there, asked when the fault beside it came.
     is_step
         The cause is over as soon as it was there, and to undo it is a fault of its own: the beam may be back before.
     """
@@ -73,8 +82,10 @@ class Fault:
     meanwhile: Callable[[], object] = nothing
     told_by_ns: int | None = None
     find_cause: Callable[[], int | None] | None = None
+    begun_ns: int | None = None
     is_of_itself: bool = False
     is_step: bool = False
+    is_going: Callable[[], bool] = always
 
 
 Inject = Callable[["Rig", random.Random], Fault]
@@ -94,6 +105,8 @@ class FaultKind:
         What kind of service it needs.
     may_be_disturbed
         Whether a trial that is late on a machine which stood still is done again; not where that is the fault.
+    is_timed
+        Whether the receiver itself saw the line go off; a killed one saw nothing.
     """
 
     code: str
@@ -106,6 +119,7 @@ class FaultKind:
     bound_ms: float = FRAME_MS
     plan: Plan = field(default=ANYBODY)
     may_be_disturbed: bool = True
+    is_timed: bool = True
 
     @property
     def expected(self) -> Expectation:

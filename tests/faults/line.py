@@ -74,6 +74,7 @@ KINDS = (
         told=FAILED,
         recoveries=LATCHED,
         bound="its contact opens with it",
+        is_timed=False,
         bound_ms=FRAME_MS,
     ),
     FaultKind(

@@ -32,6 +32,7 @@ STOPPED = told(
     "frame_stale", "frame_late", "frame_missing", "watchdog", "frame_timeout", "beam_line_failed", "latency_high"
 )
 ENDED = told("engine_failed", "session failed")
+WRITING_MS = 1000.0
 SERVER_TICK_MS = 100.0
 """Uvicorn looks so often whether it was told to go."""
 
@@ -83,23 +84,33 @@ def engine_fails(rig: "Rig", _random: random.Random) -> Fault:
 def loop_blocked(rig: "Rig", chance: random.Random) -> Fault:
     ms = round(chance.uniform(500.0, 1500.0))
     began_ns = rig.sabotage("loop", ms)
-    return Fault(cause_ns=began_ns, undo=lambda: _until(began_ns, ms))
+    return _for_a_while(began_ns, ms)
 
 
 def files_gone(rig: "Rig", chance: random.Random) -> Fault:
     ms = round(chance.uniform(500.0, 1500.0))
     began_ns = rig.sabotage("files", ms)
-    return Fault(cause_ns=began_ns, undo=lambda: _until(began_ns, ms))
+    return _for_a_while(began_ns, ms)
 
 
 def memory_gone(rig: "Rig", chance: random.Random) -> Fault:
     ms = round(chance.uniform(500.0, 1500.0))
     began_ns = rig.sabotage("memory", chance.choice((0, 2, 8)), ms)
-    return Fault(cause_ns=began_ns, undo=lambda: _until(began_ns, ms))
+    return _for_a_while(began_ns, ms)
 
 
-def _until(began_ns: int, ms: float) -> None:
-    time.sleep(max(began_ns / 1e9 + ms / 1e3 - time.monotonic(), 0.0))
+def _for_a_while(began_ns: int, ms: float) -> Fault:
+    end_s = began_ns / 1e9 + ms / 1e3
+
+    def wait() -> None:
+        time.sleep(max(end_s - time.monotonic(), 0.0))
+
+    return Fault(cause_ns=began_ns, undo=wait, is_going=lambda: time.monotonic() < end_s)
+
+
+def writer_hangs(rig: "Rig", chance: random.Random) -> Fault:
+    ms = round(chance.uniform(1500.0, 3000.0))
+    return _for_a_while(rig.sabotage("writer", ms), ms)
 
 
 def _kind(code: str, what: str, inject: Inject, names: frozenset[str], recoveries: frozenset[Recovery], **more: object):
@@ -167,6 +178,13 @@ KINDS = (
         *("writer-dies", "the thread that writes the audit dies", thread_dies("tidegate-writer")),
         told("audit_behind", "engine_stopped", "session failed"),
         NEW_SESSION,
+    ),
+    _kind(
+        *("writer-hangs", "the thread that writes the audit hangs for 1.5 to 3 s", writer_hangs),
+        told("recorder_behind", "audit_behind"),
+        LATCHED,
+        bound="what waits to be written may wait for 1 s, then 100 ms",
+        bound_ms=WRITING_MS + FRAME_MS,
     ),
     _kind(
         *("line-dies", "the thread that tells the line dies", thread_dies("tidegate-beam-line")),

@@ -19,6 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from engine.loop import EngineLoop
+from service.bridge import SessionWriter
 
 MOST_FILES = 256
 DIES_WITH_ITS_PARENT = 1
@@ -94,6 +95,31 @@ def fail_engine(text: str) -> int:
     return _before_measuring(fail)
 
 
+def hang_writer(ms: str) -> int:
+    """Let the thread that writes hang at its next turn, as a disk that never answers would let it."""
+    writers = [one for one in gc.get_objects() if isinstance(one, SessionWriter) and one.is_alive()]
+    if not writers:
+        msg = "no writer runs"
+        raise LookupError(msg)
+    writer = writers[-1]
+    look = writer._check_disk
+
+    begun = threading.Event()
+    began_ns: list[int] = []
+
+    def hang() -> None:
+        writer._check_disk = look
+        began_ns.append(time.monotonic_ns())
+        begun.set()
+        time.sleep(float(ms) / 1000)
+
+    writer._check_disk = hang
+    if not begun.wait(5.0):
+        msg = "the writer does not turn"
+        raise TimeoutError(msg)
+    return began_ns[0]
+
+
 def fill_memory(mb: str, ms: str) -> int:
     """Let the process grow by no more than so many MB for so long."""
     pages = int(Path("/proc/self/statm").read_text().split()[0])
@@ -113,6 +139,7 @@ ACTS: dict[str, Callable[..., int]] = {
     "hang": hang_engine,
     "fail": fail_engine,
     "memory": fill_memory,
+    "writer": hang_writer,
 }
 
 

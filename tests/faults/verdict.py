@@ -41,6 +41,7 @@ class Trouble(enum.StrEnum):
     NOT_RECOVERED = "does not recover"
     OTHER_RECOVERY = "recovers otherwise"
     NO_RESULT = "no result"
+    SERVICE_DIED = "the service died"
 
     @property
     def is_unsafe(self) -> bool:
