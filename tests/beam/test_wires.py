@@ -92,6 +92,9 @@ def test_the_heartbeat_s_relay_switches_at_every_count(heartbeat, code):
         ("numato", b"relay on 1\n\r>relay read 1\n\roff\n\r>", False),
         ("numato", b"relay read 1\n\ron\n\r", None),
         ("numato", b"relay on 1\n\r>", None),
+        ("numato", b"relay read 1\n\roff\n\r>relay read 1\n\ron\n\r>", True),
+        ("numato", b"relay read 1\n\ron\n\r> ", True),
+        ("numato", b"relay read 1 on>", True),
     ],
 )
 def test_a_status_is_read_only_when_it_is_whole(protocol, said, state):
@@ -355,3 +358,42 @@ def test_the_library_does_not_log_what_is_told_as_a_trouble(caplog):
     with pytest.raises(BeamLineError, match="cannot connect"):
         wire.connect()
     assert caplog.records == []
+
+
+@pytest.mark.parametrize(("channel", "letter"), [(0, b"0"), (9, b"9"), (10, b"A"), (11, b"B"), (31, b"V")])
+def test_a_numato_board_counts_to_9_and_then_in_letters(channel, letter):
+    board = RELAY_PROTOCOLS["numato"]
+    assert board.question(channel) == b"relay read " + letter + b"\r"
+    assert board.order(channel, True) == b"relay on " + letter + b"\r"
+
+
+@pytest.mark.parametrize(
+    ("protocol", "low", "high"), [("lcus", 1, 16), ("lcus-text", 1, 16), ("numato", 0, 31)], ids=str
+)
+@pytest.mark.parametrize("field", ["channel", "heartbeat_channel"])
+def test_the_first_and_the_last_relay_are_relays_and_what_is_refused_is_named_with_its_bound(
+    protocol, low, high, field
+):
+    other = {"channel": 5, "heartbeat_channel": 6}
+    for number in (low, high):
+        serial_relay.check_channels(protocol, **(other | {field: number}))
+    for number in (low - 1, high + 1):
+        with pytest.raises(InvalidValueError) as refused:
+            serial_relay.check_channels(protocol, **(other | {field: number}))
+        assert (refused.value.field, refused.value.value) == (field, repr(number))
+        assert refused.value.bound == f"a whole number from {low} to {high} for {protocol}"
+    with pytest.raises(InvalidValueError) as refused:
+        serial_relay.check_channels(protocol, 5, 5)
+    assert (refused.value.field, refused.value.value) == ("heartbeat_channel", "5")
+    assert refused.value.bound == "another than channel 5"
+
+
+def test_a_port_is_opened_for_this_program_alone_with_its_speed_and_patience(monkeypatch):
+    opened = []
+    port = FakePort([b"", STATUS_OFF])
+    monkeypatch.setattr(
+        serial_relay.serial, "Serial", lambda *where, **options: (opened.append((where, options)), port)[1]
+    )
+    relay(None).connect()
+    options = {"baudrate": 9_600, "timeout": 0.05, "write_timeout": 0.5, "exclusive": True}
+    assert opened == [(("/dev/none",), options)]
