@@ -394,6 +394,26 @@ def test_a_port_is_opened_for_this_program_alone_with_its_speed_and_patience(mon
     monkeypatch.setattr(
         serial_relay.serial, "Serial", lambda *where, **options: (opened.append((where, options)), port)[1]
     )
-    relay(None).connect()
+    wire = relay(None)
+    wire.connect()
+    assert wire._port is port
     options = {"baudrate": 9_600, "timeout": 0.05, "write_timeout": 0.5, "exclusive": True}
     assert opened == [(("/dev/none",), options)]
+
+
+@pytest.mark.parametrize(
+    ("heartbeat", "state"), [(0, b"\xa0\x02\x00\xa2"), (3, b"\xa0\x02\x01\xa3"), (4, b"\xa0\x02\x00\xa2")]
+)
+def test_the_heartbeat_s_relay_is_on_at_every_odd_count_and_an_order_may_take_what_the_exchange_may(heartbeat, state):
+    port = FakePort([STATUS_ON])
+    relay(port, heartbeat_channel=2).exchange(is_on=True, heartbeat=heartbeat, within_s=0.125)
+    assert port.written[1] == state
+    assert port.write_timeout == 0.125
+
+
+def test_no_order_is_sent_at_the_very_end_of_the_time_for_it(monkeypatch):
+    monkeypatch.setattr(serial_relay.time, "monotonic", lambda: 7.0)
+    port = FakePort([STATUS_ON])
+    with pytest.raises(BeamLineError, match="time for an answer is over"):
+        relay(port).exchange(is_on=True, heartbeat=1, within_s=0.0)
+    assert port.written == []
