@@ -17,6 +17,7 @@ from engine.capture.source import DepthSource, SourceDescription
 from engine.clock import NS_PER_S, NS_PER_US, Clock
 from engine.errors import FrameTimeoutError, SourceAwayError, SourceLostError, TidegateError
 from engine.frames import RgbdFrame
+from engine.trust import CLOCK_DRIFT
 
 SILENT_NS = 3 * NS_PER_S
 """A camera that has shown frames and shows none for so long is lost; the beam has been held for long by then."""
@@ -64,6 +65,7 @@ class ReturningSource:
         self._described: SourceDescription | None = None
         self._away = ""
         self._last: RgbdFrame | None = None
+        self._least_lag_ns = 0
         self._period_us = 0.0
         self._shift_us = self._shift = 0
 
@@ -127,7 +129,7 @@ class ReturningSource:
         last = self._last
         if last is not None:
             away_us = (frame.received_ns - last.received_ns) // NS_PER_US
-            self._shift_us = last.timestamp_us + away_us - frame.timestamp_us
+            self._shift_us = (frame.received_ns - self._least_lag_ns) // NS_PER_US - frame.timestamp_us
             self._shift = last.index + 1 - frame.index
             missed = max(round(away_us / self._period_us) - 1, 1)
             frame = replace(frame, missed_frames=missed)
@@ -141,8 +143,17 @@ class ReturningSource:
             timestamp_us=frame.timestamp_us + self._shift_us,
             color_timestamp_us=frame.color_timestamp_us + self._shift_us,
         )
+        self._least_lag_ns = _least_lag_ns(self._least_lag_ns, self._last, kept)
         self._last = kept
         return kept
+
+
+def _least_lag_ns(before_ns: int, last: RgbdFrame | None, frame: RgbdFrame) -> int:
+    """Host time minus device time of the promptest frame: the first one back counts as prompt, not as the last lost."""
+    lag_ns = frame.received_ns - frame.timestamp_us * NS_PER_US
+    if last is None:
+        return lag_ns
+    return min(lag_ns, before_ns + round((frame.received_ns - last.received_ns) * CLOCK_DRIFT))
 
 
 class _Search:

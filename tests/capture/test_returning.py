@@ -41,13 +41,14 @@ class FakeCamera:
             raise FrameTimeoutError("nothing came")
         self.room.clock.advance_ns(PERIOD_NS)
         self.frames += 1
+        device_us = 33_000 * self.frames - self.room.behind_us
         return RgbdFrame(
             index=self.frames - 1,
             device_index=self.frames,
             missed_frames=0,
-            timestamp_us=1_000 + 33_000 * self.frames,
-            color_timestamp_us=500 + 33_000 * self.frames,
-            received_ns=self.room.clock.now_ns(),
+            timestamp_us=1_000 + device_us,
+            color_timestamp_us=500 + device_us,
+            received_ns=self.room.clock.now_ns() + self.room.late_ns,
             depth_mm=np.zeros((3, 4), np.uint16),
             color=np.zeros((3, 4, 3), np.uint8),
         )
@@ -62,6 +63,7 @@ class Room:
     def __init__(self):
         self.clock = ManualClock(1_000_000_000)
         self.is_plugged, self.is_silent, self.described, self.hangs = True, False, OURS, False
+        self.behind_us, self.late_ns = 0, 0
         self.made = []
         self.looks = threading.Semaphore(0)
         self.source = ReturningSource(self.make, self.clock, self.wait)
@@ -140,6 +142,40 @@ def test_frames_go_on_along_the_host_s_time_when_it_is_back(room):
     assert back.missed_frames == pytest.approx(away_us / 33_333 - 1, abs=0.6)
     assert (after.index, after.missed_frames) == (back.index + 1, 0)
     assert after.timestamp_us - back.timestamp_us == 33_000
+
+
+def lag_us(frame):
+    return frame.received_ns // 1000 - frame.timestamp_us
+
+
+def lose(room):
+    room.is_plugged = False
+    with pytest.raises(SourceAwayError):
+        room.source.read(0.1)
+    room.is_plugged = True
+
+
+def test_a_last_frame_that_came_late_does_not_make_those_after_the_absence_late(room):
+    prompt = room.source.read(0.1)
+    room.late_ns = 150 * NS_PER_MS
+    late = room.source.read(0.1)
+    room.late_ns = 0
+    lose(room)
+    back = room.until_back()
+    assert lag_us(late) == lag_us(prompt) + 150_000
+    assert lag_us(back) == pytest.approx(lag_us(prompt), abs=100)
+    assert back.timestamp_us > late.timestamp_us
+
+
+def test_a_device_s_clock_that_fell_behind_for_an_hour_is_not_put_forward_when_it_is_back(room):
+    room.source.read(0.1)
+    hour_us = 3_600_000_000
+    room.clock.advance_ns(hour_us * 1000)
+    room.behind_us = 360_000 - hour_us
+    last = room.source.read(0.1)
+    lose(room)
+    back = room.until_back()
+    assert lag_us(back) == pytest.approx(lag_us(last), abs=100)
 
 
 def test_a_camera_that_says_nothing_for_long_is_taken_for_unplugged(room):
