@@ -20,6 +20,11 @@ def _field(field: Field, value: Callable[[random.Random], int], streams: Streams
     return act
 
 
+def _numbers_back(camera: VirtualXtion, chance: random.Random) -> Receipt:
+    """Let numbers go back, but not below zero: those are refused as no numbers at all."""
+    return camera.index(-chance.randrange(2, max(min(camera.status.index[0], 500), 3)))
+
+
 def _kind(code: str, what: str, act: Act, *, is_step: bool = False, must_latch: bool = False) -> FaultKind:
     return FaultKind(
         code=f"malformed-{code}",
@@ -61,7 +66,7 @@ KINDS = (
     _kind(
         "index-back",
         "frame numbers go back",
-        lambda camera, chance: camera.index(-chance.randrange(2, 500)),
+        _numbers_back,
         is_step=True,
         must_latch=True,
     ),
