@@ -10,7 +10,7 @@ from dataclasses import replace
 from engine.active_model import ActiveModel, Reference
 from engine.breath import SignalChoice
 from engine.errands import Candidate, Errand, Handover, Learning, LearningStages, Look, Outcome, quality_figures
-from engine.errors import CommandRefusedError, ModelError, ModelMismatchError
+from engine.errors import CommandRefusedError, ModelError, ModelMismatchError, SourceAwayError
 from engine.frames import FloatArray, TrainingProgress
 from engine.gathering import GatheredFrame
 from engine.learned_range import learned_ranges
@@ -24,6 +24,7 @@ REFUSAL_SHOWN_S = 30.0
 """How long a refusal stays on show where the model before it measures on."""
 
 BUSY = "a model is being fitted already"
+DROPPED = "what was being learned, or waited to take over, was dropped: the camera was away"
 ON_TRIAL = "the stored model is still being compared with the patient: wait a few seconds"
 
 
@@ -209,6 +210,9 @@ class Learner:
         The model measures on, is compared with the patient as a stored one is, and a person has to set the zero. What
         was gathered, fitted or waiting is dropped. Without a model the gathering begins anew.
         """
+        if self._is_something_lost:
+            self._tell(NoticeKind.REFUSED, DROPPED, {"code": SourceAwayError.code})
+            self._refusal, self._refused_us = DROPPED, self._now_us
         self._candidate, self._errand = None, None
         self._is_outcome_unwanted = self._trainer.is_busy
         self._reference, self._is_reference_wanted = None, False
@@ -221,6 +225,13 @@ class Learner:
         self._needs_zero, self._is_on_trial = True, True
         self._errand = Look(self._active, self._limits, self._stages)
         self._tell(NoticeKind.ZERO_NEEDED, "the camera was away: a person has to set the zero before arming")
+
+    @property
+    def _is_something_lost(self) -> bool:
+        """Whether a person waits for what is dropped: not for a comparison, nor for a first gathering; both begin anew."""
+        is_fitted = self._trainer.is_busy and not self._is_outcome_unwanted
+        is_gathered = self._errand is not None and self._active is not None
+        return self._candidate is not None or (not self._is_on_trial and (is_fitted or is_gathered))
 
     def apply_model(self) -> None:
         """Swap to the model that waits, now; the caller has disarmed."""

@@ -112,7 +112,9 @@ class EngineAdapter:
         first = iter((self._camera(uri, calibration),))
         turns = itertools.count()
         return ReturningSource(
-            lambda: next(first, None) or self._camera(_listed_in_turn(next(turns)), calibration), self._clock
+            lambda: next(first, None) or self._camera(_listed_in_turn(next(turns)), calibration),
+            self._clock,
+            needs_serial=not calibration.is_device_registration,
         )
 
     def _camera(self, uri: str | None, calibration: Calibration) -> OpenNiSource:

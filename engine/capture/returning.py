@@ -49,6 +49,8 @@ class ReturningSource:
         Makes a source that was not opened yet: the first one, and one for each look at whether the camera is back.
     clock
         The clock that frames are stamped with.
+    needs_serial
+        Whether a camera that tells no serial number is not waited for: which one comes back could not be known.
     wait
         Waits between two looks; returns whether it was told to stop.
     """
@@ -57,9 +59,12 @@ class ReturningSource:
         self,
         make: Callable[[], LiveSource],
         clock: Clock,
+        *,
+        needs_serial: bool,
         wait: Callable[[threading.Event, float], bool] = threading.Event.wait,
     ) -> None:
         self._make, self._clock, self._wait = make, clock, wait
+        self._needs_serial = needs_serial
         self._source: LiveSource | None = None
         self._search: _Search | None = None
         self._described: SourceDescription | None = None
@@ -86,6 +91,8 @@ class ReturningSource:
         ------
         SourceAwayError
             The camera is gone and is looked for.
+        SourceLostError
+            The camera is gone, and could not be known again.
         """
         if self._search is not None:
             return self._look(self._search, timeout_s)
@@ -112,8 +119,10 @@ class ReturningSource:
         if source is not None:
             source.close()
 
-    def _lose(self, words: str) -> SourceAwayError:
+    def _lose(self, words: str) -> SourceLostError | SourceAwayError:
         assert self._described is not None
+        if self._needs_serial and not self._described.serial:
+            return SourceLostError(f"{words}, and it tells no serial number: begin another session")
         lost, self._source = self._source, None
         assert lost is not None
         self._away = words

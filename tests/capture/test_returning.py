@@ -60,13 +60,13 @@ class FakeCamera:
 class Room:
     """Where the camera is; searching steps on when the test lets it."""
 
-    def __init__(self):
+    def __init__(self, *, needs_serial=True):
         self.clock = ManualClock(1_000_000_000)
         self.is_plugged, self.is_silent, self.described, self.hangs = True, False, OURS, False
         self.behind_us, self.late_ns = 0, 0
         self.made = []
         self.looks = threading.Semaphore(0)
-        self.source = ReturningSource(self.make, self.clock, self.wait)
+        self.source = ReturningSource(self.make, self.clock, needs_serial=needs_serial, wait=self.wait)
 
     def make(self):
         self.made.append(FakeCamera(self))
@@ -218,6 +218,43 @@ def test_another_camera_is_not_taken_for_this_one(room, change):
     assert room.until_back().index == 1
 
 
+@pytest.fixture(params=["unplugged", "silent"])
+def nameless(request):
+    """Loses a camera without a serial number; returns the room and what was raised."""
+    rooms = []
+
+    def lose_it(*, needs_serial):
+        held = Room(needs_serial=needs_serial)
+        rooms.append(held)
+        held.described = replace(OURS, serial="")
+        held.source.open()
+        held.source.read(0.1)
+        held.is_plugged, held.is_silent = request.param != "unplugged", request.param == "silent"
+        held.clock.advance_ns(SILENT_NS + 1)
+        with pytest.raises((SourceAwayError, SourceLostError)) as lost:
+            held.source.read(0.1)
+        return held, lost.value
+
+    yield lose_it
+    for held in rooms:
+        held.source.close()
+
+
+def test_a_calibrated_camera_without_a_serial_number_does_not_come_back(nameless):
+    held, lost = nameless(needs_serial=True)
+    assert not isinstance(lost, SourceAwayError)
+    assert "it tells no serial number: begin another session" in str(lost)
+    held.source.close()
+    assert [camera.closed for camera in held.made] == [1]
+
+
+def test_without_a_calibration_a_camera_without_a_serial_number_comes_back(nameless):
+    held, lost = nameless(needs_serial=False)
+    assert isinstance(lost, SourceAwayError)
+    held.is_plugged, held.is_silent = True, False
+    assert held.until_back().index == 1
+
+
 def test_a_camera_that_is_back_without_a_picture_is_not_back(room):
     room.source.read(0.1)
     room.is_plugged = False
@@ -299,5 +336,19 @@ def test_a_camera_whose_driver_hangs_is_not_tried_again_and_again(room):
     with pytest.raises(SourceAwayError, match="hangs in the camera's driver"):
         room.source.read(0.01)
     assert len(room.made) == 1
+    room.is_silent = room.hangs = False
+    assert room.until_back().index == 1
+
+
+def test_a_look_that_hangs_is_the_only_one_that_does(room):
+    room.source.read(0.1)
+    lose(room)
+    room.is_silent = room.hangs = True
+    room.source._search._left = None  # the lost one was let go of: what hangs is what looks for it
+    for _ in range(8):
+        room.looks.release()
+        with pytest.raises(SourceAwayError):
+            room.source.read(0.05)
+    assert len(room.made) == 2
     room.is_silent = room.hangs = False
     assert room.until_back().index == 1

@@ -131,3 +131,49 @@ def test_nobody_learns_while_the_patient_is_compared(patient):
     patient.learner.doubt()
     with pytest.raises(CommandRefusedError, match="compared"):
         patient.learner.retrain()
+
+
+DROPPED = "dropped: the camera was away"
+
+
+def dropped(patient):
+    patient.see()
+    return [one for one in patient.told(NoticeKind.REFUSED) if DROPPED in one.detail]
+
+
+def test_a_model_that_somebody_has_just_activated_is_told_to_be_dropped(patient, learned):
+    patient.learner.activate(replace(learned, cycles=learned.cycles + 1))
+    patient.see()
+    patient.learner.doubt()
+    assert len(dropped(patient)) == 1
+
+
+def test_a_model_that_waited_is_told_to_be_dropped(patient):
+    patient.learner.keep_model(is_kept=True)
+    patient.learner.retrain()
+    patient.see_until(lambda: patient.learner.is_model_waiting)
+    patient.learner.doubt()
+    assert len(dropped(patient)) == 1
+
+
+def test_a_training_under_way_is_told_to_be_dropped(patient):
+    patient.learner.retrain()
+    patient.see()
+    patient.learner.doubt()
+    assert len(dropped(patient)) == 1
+
+
+def test_a_fit_under_way_is_told_to_be_dropped_once(learned):
+    trainer = HeldTrainer()
+    patient = Patient(trainer=trainer)
+    patient.see_until(lambda: trainer.is_busy)
+    patient.learner.doubt()
+    patient.learner.doubt()
+    assert len(dropped(patient)) == 1
+
+
+def test_where_nothing_was_dropped_nothing_is_told(patient):
+    patient.learner.doubt()
+    patient.see()
+    patient.learner.doubt()
+    assert not dropped(patient)
