@@ -228,7 +228,7 @@ class Learner:
 
     @property
     def _is_something_lost(self) -> bool:
-        """Whether a person waits for what is dropped: not for a comparison, nor for a first gathering; both begin anew."""
+        """Whether somebody waits for what is dropped: not for a comparison nor a first gathering, which begin anew."""
         is_fitted = self._trainer.is_busy and not self._is_outcome_unwanted
         is_gathered = self._errand is not None and self._active is not None
         return self._candidate is not None or (not self._is_on_trial and (is_fitted or is_gathered))
