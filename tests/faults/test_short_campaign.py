@@ -30,6 +30,9 @@ ALWAYS = frozenset(
 """What each commit has to pass."""
 
 PARTS = 2
+TRIES = 2
+"""A busy machine is late by itself now and then: what is wrong here is wrong twice. The whole campaign asks
+once."""
 
 
 def _part() -> int:
@@ -60,5 +63,8 @@ def bench(tmp_path_factory):
 
 @pytest.mark.parametrize("kind", KINDS, ids=[kind.code for kind in KINDS])
 def test_the_line_is_off_in_time_the_audit_says_why_and_the_beam_comes_back_as_promised(bench, kind):
-    outcome = bench.try_kind(kind, seed=0)
-    assert not outcome.is_red, f"{', '.join(outcome.troubles)} after {outcome.off_ms} ms: {outcome.note}"
+    outcomes = []
+    while not outcomes or (outcomes[-1].is_red and len(outcomes) < TRIES):
+        outcomes.append(bench.try_kind(kind, seed=0))
+    told = [f"{', '.join(one.troubles)} after {one.off_ms} ms: {one.note}" for one in outcomes]
+    assert not outcomes[-1].is_red, told
