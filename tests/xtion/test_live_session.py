@@ -8,8 +8,9 @@ import time
 
 import pytest
 
+from tests.faults.watchman import Watchman
 from tests.xtion.block import Call, Field, State, Streams
-from tests.xtion.room import LEASE_MS, room
+from tests.xtion.room import room
 
 MS = 1_000_000
 BOUND_MS = 100.0
@@ -39,8 +40,35 @@ def live(held):
     return held
 
 
-def caused(live, cause):
-    """Do something to the camera while the beam is on; returns the receipt, and how long the beam stayed on [ms]."""
+@pytest.fixture(scope="module")
+def watchman():
+    one = Watchman()
+    yield one
+    one.end()
+
+
+@pytest.fixture
+def caused(live, watchman):
+    """Do something to the camera while the beam is on, and see it off within a bound; returns the receipt."""
+    return lambda cause, bound_ms=BOUND_MS: off_in_time(live, watchman, cause, bound_ms)
+
+
+def off_in_time(live, watchman, cause, bound_ms):
+    """Once more where the beam was off too late by no more than the machine has stood still meanwhile; six times."""
+    for _ in range(6):
+        receipt, off_ns = see_off(live, cause)
+        on_ms = (off_ns - receipt.raised_ns) / MS
+        if on_ms <= bound_ms:
+            return receipt
+        time.sleep(0.05)  # what the watchman has seen takes a moment to be told
+        stood_ms = watchman.stood_still_ms(receipt.raised_ns, off_ns)
+        assert on_ms <= bound_ms + stood_ms, f"off {on_ms:.0f} ms after, {bound_ms:g} allowed, {stood_ms:.0f} stood"
+        live.camera.undo()
+    pytest.fail("the machine stands still again and again")
+
+
+def see_off(live, cause):
+    """Do it; returns the receipt, and when the receiver was off [ns]."""
     for _ in range(20):
         live.turn_on()
         time.sleep(0.1)
@@ -51,7 +79,7 @@ def caused(live, cause):
         live.until(lambda: not live.is_on, "an off")
         offs = live.offs(before_ns)
         if offs and offs[0] > receipt.raised_ns:  # else a busy machine had it off by itself: no result
-            return receipt, (offs[0] - receipt.raised_ns) / MS
+            return receipt, offs[0]
         live.camera.undo()
     pytest.fail("the beam never stayed on until the fault")
 
@@ -87,10 +115,9 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_the_beam_is_off_in_time_and_stays_off_while_it_lasts(live, name):
-    receipt, on_ms = caused(live, lambda: FAULTS[name](live.camera))
+def test_the_beam_is_off_in_time_and_stays_off_while_it_lasts(live, caused, name):
+    receipt = caused(lambda: FAULTS[name](live.camera))
     time.sleep(0.5)
-    assert on_ms <= BOUND_MS + LEASE_MS
     assert live.ons(receipt.raised_ns) == []
 
 
@@ -104,22 +131,21 @@ MALFORMED = {
 
 
 @pytest.mark.parametrize("name", MALFORMED)
-def test_frames_that_lie_take_the_beam_off_and_the_process_lives(live, name):
+def test_frames_that_lie_take_the_beam_off_and_the_process_lives(live, caused, name):
     field, value, streams = MALFORMED[name]
-    receipt, on_ms = caused(live, lambda: live.camera.malform(field, value, streams=streams))
-    time.sleep(0.5)
     # A colour picture may be 100 ms old: so long the markers of the last sound one count.
-    assert on_ms <= BOUND_MS + (100.0 if streams is Streams.COLOR else 0.0)
+    bound_ms = BOUND_MS + (100.0 if streams is Streams.COLOR else 0.0)
+    receipt = caused(lambda: live.camera.malform(field, value, streams=streams), bound_ms)
+    time.sleep(0.5)
     assert live.ons(receipt.raised_ns) == []
     live.camera.undo(receipt)
     live.turn_on()
 
 
-def test_a_camera_that_is_unplugged_with_the_beam_on_comes_back_and_goes_on_in_the_same_session(live):
+def test_a_camera_that_is_unplugged_with_the_beam_on_comes_back_and_goes_on_in_the_same_session(live, caused):
     live.turn_on()
     session_id, model_id = live.session_id, live.detail["active_model_id"]
-    receipt, on_ms = caused(live, live.camera.unplug)
-    assert on_ms <= BOUND_MS
+    receipt = caused(live.camera.unplug)
     live.until(lambda: live.gate["state"] == "fault", "a fault")
     assert live.gate["hold_reason"] == "source_lost"
     assert live.gate["hold_detail"] == "Virtual Xtion was disconnected"
@@ -139,8 +165,8 @@ def test_a_camera_that_is_unplugged_with_the_beam_on_comes_back_and_goes_on_in_t
     assert "source_lost" in live.reasons()
 
 
-def test_another_camera_is_not_taken_for_the_one_that_was_pulled(live):
-    receipt, _ = caused(live, lambda: live.camera.unplug(is_swapped=True))
+def test_another_camera_is_not_taken_for_the_one_that_was_pulled(live, caused):
+    receipt = caused(lambda: live.camera.unplug(is_swapped=True))
     live.camera.undo(receipt)
     try:
         live.until(lambda: live.act("acknowledge") and "another camera" in live.gate["hold_detail"], "a refusal")
@@ -152,18 +178,16 @@ def test_another_camera_is_not_taken_for_the_one_that_was_pulled(live):
     live.turn_on()
 
 
-def test_a_camera_pulled_without_a_word_comes_back_too(live):
-    receipt, on_ms = caused(live, lambda: live.camera.unplug(is_told=False))
-    assert on_ms <= BOUND_MS
+def test_a_camera_pulled_without_a_word_comes_back_too(live, caused):
+    receipt = caused(lambda: live.camera.unplug(is_told=False))
     live.until(lambda: live.act("acknowledge") and "nothing for 3 s" in live.gate["hold_detail"], "a loss")
     live.camera.undo(receipt)
     live.turn_on()
     assert live.ons(receipt.raised_ns)[0] > receipt.raised_ns
 
 
-def test_a_driver_that_hangs_for_long_is_waited_for_and_the_camera_comes_back(live):
-    receipt, on_ms = caused(live, lambda: live.camera.hang(Call.READ))
-    assert on_ms <= BOUND_MS
+def test_a_driver_that_hangs_for_long_is_waited_for_and_the_camera_comes_back(live, caused):
+    receipt = caused(lambda: live.camera.hang(Call.READ))
     live.until(lambda: live.act("acknowledge") and "hangs in the camera's driver" in live.gate["hold_detail"], "a loss")
     assert live.camera.status.hung_calls == 1, "nobody has tried again beside it"
     live.camera.undo(receipt)
