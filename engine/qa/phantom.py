@@ -1,7 +1,8 @@
 """What a moving phantom tells: how true the measured motion is, and how late the gate.
 
-The phantom is measured and gated by the very pipeline and gate that treat, on its frames' own times; a decision comes
-its own computing time after the frame, and the camera's own delay, where the site has measured one, before it.
+The phantom is measured and gated by the very pipeline and gate that treat. A decision comes its own computing time
+after the frame came: of a live camera later by as much as it came later than the promptest frame; a recording does not
+tell, and its frames come as they are captured. The camera's own delay, where the site has measured one, is before both.
 """
 
 import math
@@ -19,6 +20,7 @@ from engine.frames import MeasurementState, frozen
 from engine.pipeline import Pipeline
 from engine.qa.inputs import PhantomInput
 from engine.qa.motion import MotionAgreement, compare_motion
+from engine.qa.outside import longest_outside_s
 from engine.qa.playing import frames_of, opened
 from engine.qa.results import QaCurve, QaFigure, QaNeed, QaSeries
 from engine.qa.sine import Estimate, GateTiming, find_cycles, time_gate_by_sines
@@ -43,6 +45,7 @@ GATE_CODES = (
     "gate_delay_difference_ms",
     "gate_delay_on_ms",
     "gate_delay_off_ms",
+    "beam_outside_ms",
     "duty_cycle_change_percent",
 )
 
@@ -65,6 +68,8 @@ class PhantomRun:
         When the beam was on.
     undwelt_s
         When it would have been on without the dwell.
+    still_on_s
+        When it went on and had not gone off when the last frame was taken; None where it had.
     dwell_s
         How long the gate dwelt before it went on, the mean: as told, and a part of a frame more.
     ends_s
@@ -80,6 +85,12 @@ class PhantomRun:
     undwelt_s: tuple[tuple[float, float], ...]
     dwell_s: float
     ends_s: float
+    still_on_s: float | None = None
+
+    @property
+    def lit_s(self) -> tuple[tuple[float, float], ...]:
+        """When the beam was on, the last time too, which had no end yet."""
+        return self.intervals_s if self.still_on_s is None else (*self.intervals_s, (self.still_on_s, self.ends_s))
 
 
 def measure_phantom(given: PhantomInput, on_frame: Callable[[int], None]) -> tuple[list[QaFigure], list[QaSeries]]:
@@ -89,7 +100,7 @@ def measure_phantom(given: PhantomInput, on_frame: Callable[[int], None]) -> tup
             seen = _watch(given, on_frame, is_live=description.is_live)
     except TidegateError as error:
         return not_measured(QaNeed.PHANTOM, str(error)), []
-    run = run_of(given, seen)
+    run = run_of(given, seen, is_live=description.is_live)
     if isinstance(run, str):
         return not_measured(QaNeed.PHANTOM, run), []
     return figures_of(given, run), series_of(given, run)
@@ -116,7 +127,7 @@ def _light(frame: TimedFrame) -> TimedFrame:
     return replace(frame, measurement=replace(frame.measurement, motion=without))
 
 
-def run_of(given: PhantomInput, seen: Sequence[TimedFrame]) -> PhantomRun | str:
+def run_of(given: PhantomInput, seen: Sequence[TimedFrame], *, is_live: bool = False) -> PhantomRun | str:
     """Gate measured frames, and put everything on the trace's clock; a sentence where there is nothing to gate."""
     measuring = [frame.measurement for frame in seen if frame.measurement.state is MeasurementState.MEASURING]
     if not measuring:
@@ -137,8 +148,9 @@ def run_of(given: PhantomInput, seen: Sequence[TimedFrame]) -> PhantomRun | str:
     if not math.isfinite(zero_mm):
         return f"the zero was taken at {time_s[0]:.1f} s, outside of the commanded trace"
     lower, upper = (edge - zero_mm for edge in given.window_mm)
-    limits = replace(given.limits, window=AmplitudeWindow(lower=lower, upper=upper), is_played=True)
-    intervals = joined(gate_edges(limits, seen, zero_us, "QA"))
+    limits = replace(given.limits, window=AmplitudeWindow(lower=lower, upper=upper))
+    edges = gate_edges(limits, seen, zero_us, "QA", is_live=is_live)
+    intervals = joined(edges)
     dwells_us = _dwells_us(given, [on for on, _ in intervals], after)
     return PhantomRun(
         time_s=time_s,
@@ -153,6 +165,7 @@ def run_of(given: PhantomInput, seen: Sequence[TimedFrame]) -> PhantomRun | str:
         ),
         dwell_s=float(np.mean(dwells_us)) * 1e-6 if len(dwells_us) else 0.0,
         ends_s=on_its_clock(seen[-1].measurement.timestamp_us),
+        still_on_s=on_its_clock(edges[-1].at_us) if edges and edges[-1].is_on else None,
     )
 
 
@@ -208,8 +221,16 @@ def _gate_figures(given: PhantomInput, run: PhantomRun) -> list[QaFigure]:
         _in_ms("gate_delay_difference_ms", found.difference_s, detail),
         _in_ms("gate_delay_on_ms", found.on_s, detail),
         _in_ms("gate_delay_off_ms", found.off_s, detail),
+        _outside(given, run),
         QaFigure(code="duty_cycle_change_percent", value=100.0 * found.duty_change, detail=detail),
     ]
+
+
+def _outside(given: PhantomInput, run: PhantomRun) -> QaFigure:
+    """Tell the longest that the beam was on outside of the window, of every time it was on."""
+    outside_s = longest_outside_s(given.trace, given.window_mm, run.lit_s, float(run.time_s[0]), run.ends_s)
+    value = None if outside_s is None else MS_PER_S * outside_s
+    return QaFigure(code="beam_outside_ms", value=value, detail=f"of {len(run.lit_s)} times the beam was on")
 
 
 def _in_ms(code: str, estimate: Estimate, detail: str) -> QaFigure:

@@ -6,16 +6,33 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from engine.capture.source import SourceDescription
 from engine.errors import InvalidValueError
 from engine.frames import MeasurementState
-from engine.qa.phantom import GATE_CODES, MOST_POINTS, MOTION_CODES, _dwells_us, figures_of, joined, run_of, series_of
-from engine.qa.rig import virtual_phantom
+from engine.qa.checks import check_of
+from engine.qa.phantom import (
+    GATE_CODES,
+    MOST_POINTS,
+    MOTION_CODES,
+    _dwells_us,
+    figures_of,
+    joined,
+    measure_phantom,
+    run_of,
+    series_of,
+)
+from engine.qa.rig import AMPLITUDE_MM, PERIODS_S, virtual_phantom
+from engine.qa.sine import find_cycles
 from engine.qa.trace import CommandedTrace, read_commanded
 from engine.timed_gate import Edge
 from tests.qa.watched import watched
 
 ROBOT = Path(__file__).parents[1] / "data" / "qa" / "LiverTraj_LargeSIandAP70s_robot.txt"
 FRAME_MS = 1e3 / 29.97
+HOST_AHEAD_NS = 7_000_000_000_000
+DESCRIPTION = SourceDescription(
+    kind="virtual", name="virtual", depth_size=(320, 240), color_size=(320, 240), fps=29.97, is_live=False
+)
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +93,92 @@ def test_computing_time_is_a_delay_of_the_gate_and_none_of_the_motion(phantom, c
     found = values(given, frames)
     assert found["gate_mean_delay_ms"] == pytest.approx(FRAME_MS / 2.0 + computing_ms, abs=10.0)
     assert found["motion_lag_ms"] == pytest.approx(0.0, abs=1.0)
+
+
+def test_a_measurement_that_once_stays_inside_for_half_a_second_is_a_beam_that_was_on_outside_for_so_long(phantom):
+    plain = values(*watched(phantom))["beam_outside_ms"]
+    assert 0.0 < plain < FRAME_MS + 20.0
+    given, _ = watched(phantom)
+    crosses_s = find_cycles(given.trace, given.window_mm, 20.0, 60.0)[3].off_s
+
+    def stays(time_s):
+        is_stuck = (time_s > crosses_s - 0.05) & (time_s < crosses_s + 0.5)
+        at_the_edge_mm = given.trace.at(np.array([crosses_s - 0.05]))[0]
+        return np.where(is_stuck, at_the_edge_mm - given.trace.at(time_s), 0.0)
+
+    found = values(*watched(phantom, error_mm=stays))
+    assert found["beam_outside_ms"] == pytest.approx(500.0, abs=FRAME_MS + 5.0)
+    assert abs(found["gate_delay_off_ms"]) < 80.0  # the sine method leaves it out
+
+
+def test_a_beam_that_never_goes_off_again_is_outside_until_the_recording_ends(phantom):
+    left_s = PERIODS_S[-1] / 4.0
+    crosses_s = phantom.trace.span_s[1] - left_s
+
+    def stays(time_s):
+        return np.where(time_s > crosses_s - 0.05, AMPLITUDE_MM - 1.0 - phantom.trace.at(time_s), 0.0)
+
+    found = values(*watched(phantom, error_mm=stays))
+    assert found["beam_outside_ms"] == pytest.approx(1e3 * left_s, abs=FRAME_MS + 25.0)
+
+
+def arriving(frames, lag_ms, *, drift=0.0):
+    """The same frames, the n-th of them ``lag_ms(n)`` after it was taken, none before the one before it."""
+    late, before_ns = [], 0
+    for number, frame in enumerate(frames):
+        taken_ns = round((1.0 + drift) * 1e3 * frame.measurement.timestamp_us) + HOST_AHEAD_NS
+        before_ns = max(taken_ns + round(lag_ms(number) * 1e6), before_ns + 1000)
+        late.append(replace(frame, measurement=replace(frame.measurement, received_ns=before_ns)))
+    return late
+
+
+def mostly_late_ms(number):
+    """70 ms late, but for a few frames every two seconds; no step that would hold the gate."""
+    return 5.0 + min(25.0 * min(number % 60, -number % 60), 70.0)
+
+
+def live(given, frames):
+    found = figures_of(given, run_of(given, frames, is_live=True))
+    return {figure.code: figure.value for figure in found}
+
+
+@pytest.mark.parametrize("drift", [0.0, 1e-4, -1e-4])
+def test_a_live_phantom_s_prompt_frames_tell_what_a_recording_s_do_whatever_the_host_s_clock(phantom, drift):
+    given, frames = watched(phantom)
+    found, recorded = live(given, arriving(frames, lambda _number: 5.0, drift=drift)), values(given, frames)
+    for code in GATE_CODES:
+        assert found[code] == pytest.approx(recorded[code], abs=1.5)
+
+
+def test_what_a_live_phantom_s_frames_take_to_arrive_is_a_delay_of_the_gate_and_of_a_recording_s_it_is_none(phantom):
+    given, frames = watched(phantom)
+    plain = values(given, frames)
+    late = arriving(frames, mostly_late_ms)
+    found = live(given, late)
+    for code in ("gate_mean_delay_ms", "gate_delay_off_ms", "beam_outside_ms"):
+        assert found[code] - plain[code] == pytest.approx(70.0, abs=12.0)
+    assert values(given, late) == plain
+
+
+def test_a_live_phantom_of_which_every_second_frame_is_far_too_late_does_not_pass(phantom):
+    given, frames = watched(phantom)
+    found = live(given, arriving(frames, lambda number: 5.0 + 400.0 * (number % 2)))
+    assert all(found[code] is None for code in GATE_CODES)
+
+
+@pytest.mark.parametrize("is_live", [False, True])
+def test_a_source_says_itself_whether_it_is_live(phantom, monkeypatch, is_live):
+    given, frames = watched(phantom)
+    late = arriving(frames, mostly_late_ms)
+    monkeypatch.setattr("engine.qa.phantom._watch", lambda *_given, **_named: late)
+    monkeypatch.setattr(given.source, "open", lambda: replace(DESCRIPTION, is_live=is_live))
+    found = {figure.code: figure.value for figure in measure_phantom(given, lambda _frames: None)[0]}
+    assert (found["gate_delay_off_ms"] > 70.0) is is_live
+
+
+@pytest.mark.parametrize("code", [code for code in GATE_CODES if code.endswith("_ms")] + ["beam_off_total_ms"])
+def test_the_method_says_that_a_recording_has_no_transport_in_it(code):
+    assert "recording" in check_of(code).method
 
 
 @pytest.mark.parametrize("delay_ms", [60.0, 150.0])

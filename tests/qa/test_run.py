@@ -6,6 +6,7 @@ shuffled, at other times, with other computing times and another zero. ``python 
 """
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -114,7 +115,7 @@ def test_a_seeded_offset_of_2_mm_fails_where_the_camera_hangs_and_how_true_the_m
 def test_a_seeded_delay_of_150_ms_fails_the_lag_and_the_gate_s_delays_and_nothing_else():
     report = run(quick(RigFaults(delay_ms=150.0)))
     late = {"motion_lag_ms", "gate_mean_delay_ms", "gate_delay_on_ms", "gate_delay_off_ms", "beam_off_total_ms"}
-    assert beyond(report, QaVerdict.FAIL) == late
+    assert beyond(report, QaVerdict.FAIL) == late | {"beam_outside_ms"}
     assert values(report)["motion_lag_ms"] == pytest.approx(150.0, abs=8.0)
 
 
@@ -155,6 +156,53 @@ def test_what_passes_fifty_times_fails_every_time_with_a_fault(healthy, fault, f
         assert (found.verdict, found.value is None) == ("fail", False), found
 
 
+def _one_off_late(run, late_s=0.5):
+    """The same beam, but that it went off late once; the middle one of the run."""
+    return _with_beam(run, lambda number, on_s, off_s: (on_s, off_s + late_s * (number == len(run.intervals_s) // 2)))
+
+
+def _one_pulse_outside(run, length_s=0.3):
+    """The same beam, but for one pulse while the phantom is at its farthest from the window."""
+    gaps = [(0.5 * (off_s + on_s), on_s - off_s) for (_, off_s), (on_s, _) in pairwise(run.intervals_s)]
+    middle_s = gaps[len(gaps) // 2][0]
+    pulse = (middle_s - 0.5 * length_s, middle_s + 0.5 * length_s)
+    return replace(
+        run,
+        intervals_s=tuple(sorted((*run.intervals_s, pulse))),
+        undwelt_s=tuple(sorted((*run.undwelt_s, pulse))),
+    )
+
+
+def _still_on_at_the_end(run):
+    """The same beam, but that it never went off after the last time it went on."""
+    kept = len(run.intervals_s) - 1
+    return replace(
+        run,
+        intervals_s=run.intervals_s[:kept],
+        undwelt_s=run.undwelt_s[:kept],
+        still_on_s=run.intervals_s[kept][0],
+    )
+
+
+def _with_beam(run, change):
+    changed = [
+        tuple(change(number, *pair) for number, pair in enumerate(pairs)) for pairs in (run.intervals_s, run.undwelt_s)
+    ]
+    return replace(run, intervals_s=changed[0], undwelt_s=changed[1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [QaKind.MONTHLY, QaKind.ANNUAL])
+@pytest.mark.parametrize("beam", [_one_off_late, _one_pulse_outside, _still_on_at_the_end])
+def test_a_beam_that_is_on_outside_of_the_window_even_once_fails_every_time(healthy, kind, beam):
+    errors_mm = _errors_mm(healthy[0])
+    for seed in range(10):
+        figures = _phantom_figures(errors_mm, seed, beam=beam)
+        results = {result.code: result for result in judged(kind, figures, QaBounds(), VIRTUAL_BASELINE)}
+        found = results["beam_outside_ms"]
+        assert (found.verdict, found.value is None) == ("fail", False), found
+
+
 def _errors_mm(report: QaReport):
     """What the pipeline's motion was off by in a real run, frame by frame, without its zero's own error."""
     commanded, measured = next(series for series in report.series if series.code == "commanded_measured").curves
@@ -171,7 +219,7 @@ def _another_run(errors_mm, seed):
     return judged(QaKind.ANNUAL, figures, QaBounds(), VIRTUAL_BASELINE)
 
 
-def _phantom_figures(errors_mm, seed, *, delay_s=0.0, level_mm=0.0):
+def _phantom_figures(errors_mm, seed, *, delay_s=0.0, level_mm=0.0, beam=lambda run: run):
     """What another phantom's frames tell, with the errors of a real run in another order."""
     rng = np.random.default_rng((seed, 50))
 
@@ -190,7 +238,7 @@ def _phantom_figures(errors_mm, seed, *, delay_s=0.0, level_mm=0.0):
         computing_ns=rng.uniform(4e6, 30e6, 10_000),
         jitter_s=rng.uniform(-2e-4, 2e-4, 10_000),
     )
-    return figures_of(given, run_of(given, frames))
+    return figures_of(given, beam(run_of(given, frames)))
 
 
 # What ends early, or lacks something.
