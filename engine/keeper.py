@@ -29,6 +29,9 @@ from engine.trust import captured_ns, too_slow
 from engine.watchdog import Watchdog
 from engine.windows import Ranges, signal_of
 
+BACK_DETAIL = "; it is back: acknowledge, set the reference, arm"
+"""What a person is told of a lost camera that shows frames again."""
+
 WATCHDOG_DETAIL = "the engine did not decide in time"
 WATCHDOG_GONE = "the watchdog's thread has died"
 
@@ -258,10 +261,11 @@ class GateKeeper:
                 asserted_ns=asserted_ns,
                 missed_frames=frame.missed_frames,
             )
-            self._show(record, frame.color)
+            is_back = gate.state is GateState.FAULT and gate.reason is HoldReason.SOURCE_LOST
+            self._show(record, frame.color, gate.detail + BACK_DETAIL if is_back else gate.detail)
         elif self._latest is not None:
             record = replace(self._latest.record, gate_state=gate.state, hold_reason=gate.reason, line_on=report.is_on)
-            self._show(record, self._latest.color)
+            self._show(record, self._latest.color, gate.detail)
 
     def _captured_ns(self, measurement: Measurement | None) -> int | None:
         last = self.gate.last
@@ -315,7 +319,7 @@ class GateKeeper:
         self._window = window
         self._limits = replace(self._limits, window=window.window)
 
-    def _show(self, record: FrameRecord, color: ColorImage) -> None:
+    def _show(self, record: FrameRecord, color: ColorImage, detail: str) -> None:
         if self.description is None:
             return
         self._latest = LiveView(
@@ -327,7 +331,7 @@ class GateKeeper:
             fps=self._tally.fps,
             latency=self._tally.latency,
             is_armed=self.gate.is_armed,
-            detail=self.gate.detail,
+            detail=detail,
             description=self.description,
             status=self.status,
             error=self.error,

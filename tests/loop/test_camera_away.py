@@ -90,3 +90,13 @@ def test_the_fault_stays_when_frames_come_again_until_a_person_acknowledges():
     after_return = bench.records()[-15:]
     assert {record.gate_state for record in after_return} == {GateState.FAULT}
     assert {record.hold_reason for record in after_return} == {HoldReason.SOURCE_LOST}
+
+
+def test_the_page_is_told_that_it_is_back_and_what_a_person_has_to_do():
+    bench = armed_bench([good] * 5)
+    shown = []
+    look = after(lambda: shown.append(bench.loop.latest.detail))
+    bench.source.script += [away, look, good, look, good, away, look]
+    bench.run()
+    back = "unplugged; it is back: acknowledge, set the reference, arm"
+    assert shown == ["unplugged", back, "unplugged"]
