@@ -37,8 +37,6 @@ SETTINGS = {
 }
 """Learns from little, for a test's sake; what the gate trusts is as it comes."""
 
-LEASE_MS = 80.0
-
 
 class RoomError(AssertionError):
     """Something in the room did not come true in time."""
