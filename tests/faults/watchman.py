@@ -39,11 +39,6 @@ class Watchman:
         overlaps = (min(end, to_ns) - max(begin, from_ns) for begin, end in list(self._stalls))
         return sum(overlap for overlap in overlaps if overlap > 0) / NS_PER_MS
 
-    def stood_still_ms(self, from_ns: int, to_ns: int) -> float:
-        """How much of this time the machine stood still [ms]; stalls of less than 10 ms are none."""
-        parts = [min(end, to_ns) - max(begin, from_ns) for begin, end in list(self._stalls)]
-        return sum(part for part in parts if part > 0) / NS_PER_MS
-
     def end(self) -> None:
         self._process.kill()
         self._process.wait()

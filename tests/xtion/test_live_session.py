@@ -61,7 +61,7 @@ def off_in_time(live, watchman, cause, bound_ms):
         if on_ms <= bound_ms:
             return receipt
         time.sleep(0.05)  # what the watchman has seen takes a moment to be told
-        stood_ms = watchman.stood_still_ms(receipt.raised_ns, off_ns)
+        stood_ms = watchman.stalled_ms(receipt.raised_ns, off_ns)
         assert on_ms <= bound_ms + stood_ms, f"off {on_ms:.0f} ms after, {bound_ms:g} allowed, {stood_ms:.0f} stood"
         live.camera.undo()
     pytest.fail("the machine stands still again and again")
