@@ -6,6 +6,7 @@ import pytest
 
 from engine.beam.deadman import Grant
 from engine.beam.judge import DETECTION_MS, GOOD_ANSWERS, MAX_ANSWER_AND_SETTLE_MS, TIME_BOUNDS, LineTimes, Trouble
+from engine.beam.wired import CYCLE_NS
 from engine.errors import BeamLineError, BeamLineMismatchError, InvalidValueError
 from engine.permits import HoldReason
 from tests.beam.stepped import MS, World
@@ -343,6 +344,45 @@ def test_a_latched_line_is_off_twice_over_by_its_dead_man_and_by_its_trouble():
     for _ in range(3):
         world.line.exchange_once()
     assert [is_on for _, is_on, _ in world.wire.told[told:]] == [False] * 3
+
+
+def _trouble(world: World, reason: HoldReason, detail: str) -> Trouble:
+    return Trouble(reason=reason, detail=detail, at_ns=world.clock.now_ns())
+
+
+def test_the_first_cause_stays_on_show_until_it_was_told_and_only_then_another_takes_its_place():
+    world = lit().run(to_ms=400)
+    world.line._latch(_trouble(world, FAILED, "the first"))
+    world.line._latch(_trouble(world, MISMATCH, "the second"))
+    assert [detail for _, _, detail in world.troubles] == ["the first"]
+    with pytest.raises(BeamLineError, match="the first"):
+        world.permit()
+    with pytest.raises(BeamLineError, match="the first"):
+        world.line.is_on()
+    world.line._latch(_trouble(world, FAILED, "the first, found again"))
+    world.line._latch(_trouble(world, MISMATCH, "the third"))
+    assert [(reason, detail) for _, reason, detail in world.troubles] == [
+        (FAILED, "the first"),
+        (MISMATCH, "the third"),
+    ]
+    with pytest.raises(BeamLineMismatchError, match="the third"):
+        world.line.is_on()
+
+
+def test_a_lease_that_ended_while_the_line_was_told_on_is_told_off_without_any_rest():
+    world = lit(until_ms=ON_MS + 1).run(to_ms=ON_MS + 60)
+    assert world.line._judge.tells_on
+    world.clock.advance_ns(20 * MS)
+    assert world.line.rest_ns() == 0
+
+
+def test_a_permit_that_ended_before_it_could_be_told_brings_no_exchange_forward():
+    world = World().opened()
+    world.permit(length_ms=5)
+    world.clock.advance_ns(5 * MS - 1)
+    assert world.line.rest_ns() == 1
+    world.clock.advance_ns(1)
+    assert world.line.rest_ns() == CYCLE_NS
 
 
 @pytest.mark.parametrize("name", TIME_BOUNDS)

@@ -417,3 +417,42 @@ def test_no_order_is_sent_at_the_very_end_of_the_time_for_it(monkeypatch):
     with pytest.raises(BeamLineError, match="time for an answer is over"):
         relay(port).exchange(is_on=True, heartbeat=1, within_s=0.0)
     assert port.written == []
+
+
+class PacedPort(FakePort):
+    """A board on a clock that only its reading moves, `step_s` at a time."""
+
+    def __init__(self, answers, monkeypatch, *, step_s):
+        super().__init__(answers)
+        self.now_s, self.step_s = 4.0, step_s
+        monkeypatch.setattr(serial_relay.time, "monotonic", lambda: self.now_s)
+
+    def read(self, size):
+        self.now_s += self.step_s
+        return super().read(size)
+
+
+def test_what_a_port_has_still_to_say_is_listened_to_for_half_a_second_and_not_once_more(monkeypatch):
+    port = PacedPort([b"\xa0", b"\xa0", STATUS_OFF], monkeypatch, step_s=0.25)
+    connecting(port, monkeypatch).connect()
+    assert port.answers == []
+    assert port.written == [ECHOED_QUESTION]
+
+
+def test_an_answer_that_begins_at_the_very_end_of_its_time_is_not_read_any_more(monkeypatch):
+    port = PacedPort([STATUS_ON[:2], STATUS_ON[2:]], monkeypatch, step_s=0.25)
+    with pytest.raises(BeamLineError, match="no status within the time; it said"):
+        relay(port).exchange(is_on=True, heartbeat=1, within_s=0.25)
+    assert port.answers == [STATUS_ON[2:]]
+
+
+@pytest.mark.parametrize(("chatter_bytes", "is_heard"), [(511, True), (512, False), (513, False)])
+def test_a_board_may_say_511_bytes_before_its_answer_and_not_one_more(chatter_bytes, is_heard):
+    port = FakePort([b"x" * chatter_bytes, b"relay read 1\n\ron\n\r>"])
+    wire = relay(port, "numato")
+    if is_heard:
+        assert wire.exchange(is_on=True, heartbeat=1, within_s=PATIENCE_S)
+        return
+    with pytest.raises(BeamLineError, match="it said b'x"):
+        wire.exchange(is_on=True, heartbeat=1, within_s=PATIENCE_S)
+    assert len(port.answers) == 1
