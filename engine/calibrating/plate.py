@@ -53,7 +53,8 @@ class PlateReading:
     noise_mm
         One pixel's standard deviation from frame to frame, the median over the plate.
     drift_mm
-        How far the reading went from the beginning to the end, by a straight line through its seconds.
+        How far the reading went from the beginning to the end, by a straight line through its seconds; None where there
+        are fewer than two.
     tilt_x_deg, tilt_y_deg
         The tilt along the picture's rows and columns; positive where the plate is nearer at the right, at the bottom.
     missing_share
@@ -69,7 +70,7 @@ class PlateReading:
     tilt_deg: float
     flatness_mm: float
     noise_mm: float
-    drift_mm: float
+    drift_mm: float | None
     tilt_x_deg: float = 0.0
     tilt_y_deg: float = 0.0
     missing_share: float = 0.0
@@ -316,11 +317,11 @@ def _flatness_mm(plane: _Plane, window: _Window) -> float:
     return float(np.sqrt(np.mean(np.square(patches))))
 
 
-def _drift_mm(sums: _Sums, mean_mm: FloatArray, plane: _Plane) -> float:
+def _drift_mm(sums: _Sums, mean_mm: FloatArray, plane: _Plane) -> float | None:
     """Fit a line through how far each second's mean lies from the whole recording's."""
     moved = _moved_mm(sums, mean_mm, plane)
     if len(moved) < 2:
-        return 0.0
+        return None  # nothing to draw a line through: not measured, which is not "does not drift"
     times_s, moved_mm = np.array(moved).T
     slope = float(np.polyfit(times_s, moved_mm, 1)[0])
     return slope * float(times_s[-1])

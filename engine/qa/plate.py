@@ -9,7 +9,7 @@ from engine.calibrating.plate import PlateReading, read_plate_frames
 from engine.calibration import DepthCorrection
 from engine.errors import TidegateError
 from engine.frames import DepthImage, RgbdFrame
-from engine.qa.inputs import PlateInput
+from engine.qa.inputs import SECONDS_BOUNDS, PlateInput
 from engine.qa.playing import frames_of, opened
 from engine.qa.results import QaCurve, QaFigure, QaNeed, QaSeries
 from engine.qa.unmeasured import not_measured
@@ -18,6 +18,9 @@ from engine.stages.quantisation import DEPTH_VALUES, DepthSteps, count_readings,
 LOOKED_AT = 12
 LAST_S = 30.0
 FEWEST_SECONDS = 10
+LEAST_SECONDS, SLACK_S = SECONDS_BOUNDS[0], 0.2
+"""A shorter recording is not judged; ten seconds that were asked for end a frame early, or some that were lost."""
+
 NO_CORRECTION = DepthCorrection(scale=1.0, offset_mm=0.0)
 
 
@@ -37,6 +40,9 @@ def measure_plate(given: PlateInput, on_frame: Callable[[int], None]) -> tuple[l
             )
     except TidegateError as error:
         return not_measured(QaNeed.PLATE, str(error)), []
+    if reading.seconds < LEAST_SECONDS - SLACK_S:
+        why = f"plate: is {reading.seconds:.1f} s: must be at least {LEAST_SECONDS:g} s"
+        return not_measured(QaNeed.PLATE, why), []
     return _figures(reading, given.calibration.depth_correction or NO_CORRECTION), [_track(reading)]
 
 

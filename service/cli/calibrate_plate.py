@@ -96,9 +96,14 @@ def _print_plates(scale: "DepthScale") -> None:
         table.add_column(name, justify="right")
     for reading, distance, residual in zip(scale.readings, scale.distances_mm, scale.residuals_mm, strict=True):
         values = (f"{distance:.1f}", f"{reading.reading_mm:.2f}", f"{residual:+.2f}", f"{reading.flatness_mm:.2f}")
-        more = (f"{reading.noise_mm:.2f}", f"{reading.drift_mm:+.2f}", f"{reading.tilt_deg:.1f}")
+        more = (f"{reading.noise_mm:.2f}", _told(reading.drift_mm), f"{reading.tilt_deg:.1f}")
         table.add_row(reading.name, *values, *more)
     Console().print(table)
+
+
+def _told(drift_mm: float | None) -> str:
+    """Write a drift, which a recording of a second does not tell."""
+    return "?" if drift_mm is None else f"{drift_mm:+.2f}"
 
 
 def _say_how_good(
@@ -118,7 +123,7 @@ def _say_how_good(
             f"{scale.error_mm:.2f} mm at {where:.0f} mm only. Add a plate at least 100 mm nearer or farther",
             "yellow",
         )
-    drifting = [reading.name for reading in scale.readings if abs(reading.drift_mm) > MUCH_DRIFT_MM]
+    drifting = [reading.name for reading in scale.readings if abs(reading.drift_mm or 0.0) > MUCH_DRIFT_MM]
     if drifting:
         say(f"Mind: the camera was still warming up in {', '.join(drifting)}: wait until it drifts no more", "yellow")
     if before.depth_correction is not None:

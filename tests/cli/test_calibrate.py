@@ -115,6 +115,8 @@ def test_plates_give_a_depth_correction(plates, tmp_path):
     report = json.loads((tmp_path / "cal.report.json").read_text())
     assert report["calibration_sha256"] == made.sha256
     assert [plate["distance_mm"] for plate in report["plates"]] == [700.0, 1000.0]
+    assert [plate["drift_mm"] for plate in report["plates"]] == [None, None]  # a second and a bit tell none
+    assert "?" in result.stdout
 
 
 def test_one_plate_says_what_it_does_not_know(plates, tmp_path):

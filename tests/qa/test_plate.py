@@ -51,6 +51,18 @@ class Altered:
         self._source.close()
 
 
+class Slow:
+    """A source whose camera takes so many times as long for each frame."""
+
+    def __init__(self, source, *, times):
+        self._source, self._times = source, times
+        self.open, self.close = source.open, source.close
+
+    def read(self, timeout_s):
+        frame = self._source.read(timeout_s)
+        return replace(frame, timestamp_us=self._times * frame.timestamp_us)
+
+
 def plate(change=lambda depth, _index: depth, *, faults=None, seconds=SECONDS, **fails):
     given = virtual_plate(faults or RigFaults(), seed=3, seconds=seconds)
     return replace(given, source=Altered(given.source, change, **fails))
@@ -175,10 +187,25 @@ def test_what_cannot_be_read_fails_every_check_of_the_plate_and_says_why(given, 
     assert (made.source.opened, made.source.closed) == (1, 1)
 
 
-def test_too_short_a_recording_says_nothing_of_warming_up():
-    results = results_of(plate(seconds=8.0))
-    assert not_passed(results) == {"warm_up_drift_mm_per_min"}
-    assert "shorter" in results["warm_up_drift_mm_per_min"].detail
+@pytest.mark.parametrize("seconds", [1.5, 3.0, 9.5])
+def test_a_recording_of_less_than_10_s_is_not_measured_at_all_however_much_it_was_off(seconds):
+    results = results_of(plate(faults=RigFaults(drift_mm_per_min=30.0), seconds=seconds))
+    assert {(result.verdict, result.value) for result in results.values()} == {(QaVerdict.FAIL, None)}
+    assert all("at least 10 s" in result.detail for result in results.values())
+
+
+def test_ten_seconds_are_measured_and_all_that_is_asked_of_a_longer_recording():
+    assert all(result.value is not None for result in results_of(plate(seconds=10.1)).values())
+    asked = replace(plate(seconds=20.0), seconds=10.0)
+    assert not_passed(results_of(asked)) == set()
+
+
+def test_a_drift_for_which_there_are_too_few_seconds_is_not_measured_and_no_drift_of_0():
+    given = plate(seconds=1.5)
+    results = results_of(replace(given, source=Slow(given.source, times=10)))
+    assert results["camera_distance_mm"].value is not None
+    assert results["plate_drift_mm"].value is None
+    assert results["plate_drift_mm"].verdict is QaVerdict.FAIL
 
 
 def test_the_distance_is_the_one_a_session_measures_corrected_by_the_calibration():
