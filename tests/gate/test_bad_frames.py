@@ -9,7 +9,7 @@ from engine.commands import Acknowledge, Arm, Disarm
 from engine.frames import MeasurementState
 from engine.permits import GateState, HoldReason
 from engine.stages.gate import Interruption, Silence
-from engine.trust import MAX_JUMP_FRAMES, captured_ns
+from engine.trust import captured_ns
 from tests.gate.constructed import (
     FRAMES_A_DWELL,
     LIMITS,
@@ -88,11 +88,12 @@ def test_the_allowed_step_grows_with_the_frames_that_went_unmeasured(lost_frames
     assert (stream.feed().reason is HoldReason.JUMP) is is_jump
 
 
-def test_a_long_loss_is_no_excuse_for_any_step():
+@pytest.mark.parametrize("lost_frames", [4, 5, 20, 90])
+def test_a_long_loss_excuses_a_step_of_five_frames_and_never_more(lost_frames):
     limits = replace(LIMITS, window=replace(LIMITS.window, upper=30.0))
-    for step_mm, is_jump in [(1.5 * MAX_JUMP_FRAMES, False), (1.5 * MAX_JUMP_FRAMES + 0.1, True)]:
+    for step_mm, is_jump in [(5 * 1.5, False), (5 * 1.5 + 0.1, True)]:
         stream = stream_in(GateState.HOLD, limits=limits)
-        for _ in range(90):
+        for _ in range(lost_frames):
             stream.feed(unmeasured(stream.upcoming(), MeasurementState.TRAINING))
         stream.level_mm += step_mm
         assert (stream.feed().reason is HoldReason.JUMP) is is_jump

@@ -1,5 +1,7 @@
 """The loop believes only what the line reads back, and a hold that came meanwhile always wins."""
 
+from dataclasses import replace
+
 import pytest
 
 from engine.beam.simulated import SimulatedBeamLine
@@ -161,8 +163,6 @@ def test_a_line_that_begins_to_settle_between_two_questions_is_no_trouble():
 
 
 def _outside(frame):
-    from dataclasses import replace
-
     from tests.gate.constructed import motion_of
 
     return replace(frame, motion=motion_of(3.2))
@@ -197,6 +197,24 @@ def test_a_decision_that_outlived_its_lease_is_not_carried_out():
     assert (late.gate_state, late.hold_reason, late.line_on) == (GateState.HOLD, HoldReason.FRAME_LATE, False)
     assert len(bench.beam.edges) >= 2
     assert bench.beam.edges[1].is_on is False
+
+
+def test_a_line_that_was_told_too_late_is_held_by_the_decision_that_finds_it_out():
+    """The lease would still run, and the next frame is a period away."""
+    limits = replace(LIMITS, max_latency_ms=100.0, camera_latency_ms=60.0)
+    bench = armed_bench([good] * 6, limits=limits)
+
+    def dawdle(lease):
+        if lease.sequence == 3:
+            bench.clock.advance_ns(40 * MS)
+
+    bench.beam.before_permit = dawdle
+    late = bench.run().records()[ON_AT + 2]
+    assert (late.gate_state, late.hold_reason, late.line_on) == (GateState.FAULT, HoldReason.LATENCY_HIGH, False)
+    off = bench.beam.edges[1]
+    assert (off.at_ns, off.is_on, off.reason) == (late.asserted_ns, False, HoldReason.LATENCY_HIGH)
+    assert off.at_ns < late.received_ns + 80 * MS
+    assert bench.beam._deadman._is_latched
 
 
 def test_a_line_is_not_even_asked_once_the_lease_it_would_get_has_ended():
