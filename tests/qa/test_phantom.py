@@ -166,6 +166,23 @@ def test_a_live_phantom_of_which_every_second_frame_is_far_too_late_does_not_pas
     assert all(found[code] is None for code in GATE_CODES)
 
 
+def test_a_live_phantom_s_frames_that_come_later_than_the_gate_bears_hold_it_as_they_do_in_a_session(phantom):
+    given, frames = watched(phantom)
+    most_ms = given.limits.max_lag_ms
+
+    def later(beyond_ms):
+        return live(given, arriving(frames, lambda number: 5.0 + (most_ms + beyond_ms) * min(number % 450 / 8, 1.0)))
+
+    assert later(-30.0)["gate_delay_off_ms"] > 60.0
+    assert later(40.0)["gate_delay_off_ms"] is None
+
+
+def test_a_fault_before_the_gate_was_armed_is_none_of_a_live_phantom_s(phantom):
+    given, frames = watched(phantom)
+    found = live(given, arriving(frames, lambda number: 705.0 if number == 50 else 5.0))
+    assert found["gate_delay_off_ms"] == pytest.approx(values(given, frames)["gate_delay_off_ms"], abs=1.5)
+
+
 @pytest.mark.parametrize("is_live", [False, True])
 def test_a_source_says_itself_whether_it_is_live(phantom, monkeypatch, is_live):
     given, frames = watched(phantom)
