@@ -10,6 +10,30 @@ MS = 1_000_000
 MINUTE_NS = 60_000 * MS
 
 
+LATCHING = frozenset(
+    {
+        "frame_stale",
+        "frame_timeout",
+        "clock_backwards",
+        "clock_jumped",
+        "latency_high",
+        "value_invalid",
+        "source_lost",
+        "beam_line_failed",
+        "beam_line_mismatch",
+        "audit_behind",
+        "recorder_behind",
+        "disk_low",
+        "watchdog",
+        "engine_failed",
+        "source_ended",
+        "engine_stopped",
+        "unknown",
+    }
+)
+"""What latches until a person acknowledges it, by its word; every other word clears by itself."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Rules:
     """The numbers of a site, in nanoseconds and millimetres."""
@@ -41,6 +65,10 @@ class Oracle:
     went_on_ns: list[int] = field(default_factory=list)
     went_off_ns: int | None = None
     was_short: bool = False
+    has_model: bool = True
+    has_zero: bool = True
+    shows_patient: bool = False
+    """Of the newest frame: its motion was measured, whatever else forbids the beam."""
 
     @property
     def state(self) -> str:
@@ -108,6 +136,12 @@ class Oracle:
         """A person arms: from now on frames count."""
         self.hold(now_ns)
         self.is_armed = not self.is_faulted
+
+    def refuses_arming(self, now_ns: int) -> bool:
+        """Whether a person who arms now is refused, before anything is touched."""
+        can_decide = self.has_model and self.has_zero and self.shows_patient
+        is_fresh = self.last is not None and now_ns - self.last[0] <= self.rules.longest_gap_ns + self.rules.oldest_ns
+        return self.is_faulted or self.is_armed or not (can_decide and is_fresh)
 
     def disarm(self, now_ns: int) -> None:
         """A person disarms, or the frames are over, or the model is another."""

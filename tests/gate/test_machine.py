@@ -8,6 +8,7 @@ from collections import Counter
 from dataclasses import replace
 from typing import ClassVar
 
+import pytest
 from hypothesis import HealthCheck, event, settings, target
 from hypothesis import strategies as st
 from hypothesis.stateful import (
@@ -25,8 +26,8 @@ from engine.limits import GateLimits
 from engine.permits import GateState, HoldReason
 from engine.stages.gate import Ending, Gate, Interruption, Silence, lease_of, step_gate
 from engine.windows import amplitude_window
-from tests.gate.constructed import measured, motion_of, unmeasured
-from tests.gate.oracle import MS, Oracle, Rules
+from tests.gate.constructed import measured, motion_of, stream_in, unmeasured
+from tests.gate.oracle import LATCHING, MS, Oracle, Rules
 from tests.gate.spoiled import FAULTS
 
 START_NS = 10_000 * MS
@@ -208,7 +209,7 @@ class GateMachine(RuleBasedStateMachine):
     @rule(reason=st.sampled_from(list(HoldReason)))
     def an_interruption(self, reason: HoldReason) -> None:
         self._tell(Interruption(reason))
-        (self.oracle.fault if reason.is_fault else self.oracle.hold)(self.now_ns)
+        (self.oracle.fault if str(reason) in LATCHING else self.oracle.hold)(self.now_ns)
 
     @rule(reason=st.sampled_from(list(HoldReason)))
     def the_end(self, reason: HoldReason) -> None:
@@ -290,3 +291,15 @@ def test_the_gate_is_always_where_a_plain_reading_of_its_rules_says_and_most_his
     histories = Counted.reached["histories"]
     assert Counted.reached["on"] >= 0.8 * histories
     assert Counted.reached["on again"] >= 0.3 * histories
+
+
+@pytest.mark.parametrize("reason", list(HoldReason))
+def test_what_latches_is_what_the_plain_reading_of_the_rules_names_and_nothing_else(reason):
+    stream = stream_in(GateState.BEAM_ON)
+    is_fault = str(reason) in LATCHING
+    assert stream.step(Interruption(reason)).state is (GateState.FAULT if is_fault else GateState.HOLD)
+    assert stream.good(6)[-1] is (GateState.FAULT if is_fault else GateState.BEAM_ON)
+
+
+def test_every_word_that_latches_is_a_reason():
+    assert {str(reason) for reason in HoldReason} >= LATCHING

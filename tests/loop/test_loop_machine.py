@@ -27,13 +27,15 @@ from engine.errors import BeamLineError, TidegateError
 from engine.frames import LostReason, Measurement, MeasurementState
 from engine.permits import HoldReason, Lease
 from tests.gate.constructed import LEVEL_MM, LIMITS, motion_of, unmeasured
-from tests.gate.oracle import MS, Oracle, Rules
+from tests.gate.oracle import LATCHING, MS, Oracle, Rules
 from tests.loop.fakes import Bench, ScriptedSource, WatchedBeamLine, drained, silent
 
-PATIENT_LIMITS = replace(LIMITS, max_jump_mm=20.0, max_lag_ms=500.0, max_latency_ms=1_000.0, min_fps=5.0)
+PATIENT_LIMITS = replace(LIMITS, max_jump_mm=20.0, max_lag_ms=500.0, max_latency_ms=1_000.0, min_fps=6.0)
 RULES = Rules()
 SECOND_NS = 1_000 * MS
-FAULTS = sorted(reason for reason in HoldReason if reason.is_fault)
+FAULTS = [HoldReason(word) for word in sorted(LATCHING)]
+LATEST_ARMING_NS = 120 * MS
+"""A frame that is older is none to arm on: a gap and a frame's age."""
 STEPS_NS = st.integers(20 * MS, 50 * MS)
 
 
@@ -66,7 +68,7 @@ class LoopMachine(RuleBasedStateMachine):
         super().__init__()
         self.bench = Bench([], limits=PATIENT_LIMITS, beam=TroubledLine)
         self.loop, self.line, self.clock = self.bench.loop, self.bench.beam, self.bench.clock
-        self.oracle = Oracle(rules=RULES)
+        self.oracle, self.model = Oracle(rules=RULES), self.bench.pipeline.model
         self.is_held_by_hand = False
         self.times_on = 0
         self.received_ns: list[int] = []
@@ -86,18 +88,35 @@ class LoopMachine(RuleBasedStateMachine):
         for step_ns in steps_ns:
             self._good(step_ns)
 
+    @rule(times=st.integers(1, 3))
+    def frames_that_come_too_seldom(self, times: int) -> None:
+        """Three good ones then make a dwell, but no rate."""
+        for step_ns in [490 * MS] * times + [50 * MS] * 3:
+            self._good(step_ns)
+
     @rule(step_ns=STEPS_NS, level_mm=st.sampled_from([3.01, -1.01, 6.0]))
     def a_frame_outside(self, step_ns: int, level_mm: float) -> None:
         self._frame(step_ns, lambda frame: replace(frame, motion=motion_of(level_mm)), level_mm=level_mm)
 
     @rule(step_ns=STEPS_NS, lost=st.sampled_from([LostReason.MARKER_LOST, LostReason.COVERAGE_LOW]))
     def a_frame_that_shows_no_patient(self, step_ns: int, lost: LostReason) -> None:
-        self._frame(step_ns, lambda frame: unmeasured(frame, MeasurementState.LOST, lost), level_mm=None)
+        self._frame(
+            step_ns,
+            lambda frame: unmeasured(frame, MeasurementState.LOST, lost),
+            level_mm=None,
+            shows_patient=False,
+        )
 
     @rule(step_ns=STEPS_NS)
     def a_frame_that_cannot_be(self, step_ns: int) -> None:
         nan = motion_of(float("nan"))
-        self._frame(step_ns, lambda frame: replace(frame, motion=nan), level_mm=None, is_nonsense=True)
+        self._frame(
+            step_ns,
+            lambda frame: replace(frame, motion=nan),
+            level_mm=None,
+            is_nonsense=True,
+            shows_patient=False,
+        )
 
     @rule(step_ns=STEPS_NS)
     def a_measurement_of_another_frame(self, step_ns: int) -> None:
@@ -124,7 +143,42 @@ class LoopMachine(RuleBasedStateMachine):
 
     @rule()
     def arm(self) -> None:
-        self._ask(Arm(operator="ann"), self.oracle.arm)
+        is_refused = self.oracle.refuses_arming(self.clock.now_ns())
+        is_armed = self._ask(Arm(operator="ann"), self.oracle.arm, is_refused=is_refused)
+        assert is_armed is (self.oracle.is_armed and not is_refused), "a line in trouble makes a fault of it"
+
+    @rule(left_ns=st.sampled_from([-1, 0, 1, 5 * MS, 60 * MS]))
+    def arm_on_an_old_frame(self, left_ns: int) -> None:
+        """At about the last moment at which the newest frame still counts; a gate that is armed says no by itself."""
+        self._see_to_everything()
+        self.disarm()
+        self.clock.advance_ns(self.oracle.last[0] + LATEST_ARMING_NS - left_ns - self.clock.now_ns())
+        self.arm()
+
+    @rule(without=st.sampled_from(["model", "zero", "cycles"]), is_disarmed=st.booleans(), shows_patient=st.booleans())
+    def something_lacks_for_a_moment(self, without: str, is_disarmed: bool, shows_patient: bool) -> None:
+        """And somebody arms all the same."""
+        self._see_to_everything()
+        if is_disarmed:
+            self.disarm()
+        elif not self.oracle.is_armed:
+            self.arm()
+        self._lack(without)
+        self.arm()
+        if shows_patient:
+            self._good(33 * MS)
+        else:
+            self.a_frame_that_shows_no_patient(33 * MS, LostReason.MARKER_LOST)
+        self.arm()
+        self._lack(None)
+        self.arm()
+
+    def _lack(self, without: str | None) -> None:
+        pipeline = self.bench.pipeline
+        pipeline.model = None if without == "model" else self.model
+        pipeline.has_reference = without != "zero"
+        pipeline.model_shortcoming = "two cycles only" if without == "cycles" else None
+        self.oracle.has_model, self.oracle.has_zero = without not in {"model", "cycles"}, without != "zero"
 
     @rule()
     def disarm(self) -> None:
@@ -133,8 +187,7 @@ class LoopMachine(RuleBasedStateMachine):
 
     @rule()
     def acknowledge(self) -> None:
-        was_faulted = self.oracle.is_faulted
-        assert self._ask(Acknowledge(operator="ann"), self.oracle.acknowledge) is was_faulted
+        self._ask(Acknowledge(operator="ann"), self.oracle.acknowledge, is_refused=not self.oracle.is_faulted)
 
     @rule()
     def set_the_reference(self) -> None:
@@ -148,12 +201,18 @@ class LoopMachine(RuleBasedStateMachine):
     @rule()
     def release(self) -> None:
         was_held, self.is_held_by_hand = self.is_held_by_hand, False
-        assert self._ask(ReleaseBeam(operator="bob"), self.oracle.hold) is was_held
+        self._ask(ReleaseBeam(operator="bob"), self.oracle.hold, is_refused=not was_held)
 
     @precondition(lambda self: not self.oracle.is_armed)
     @rule(frames=st.integers(4, 8))
     def see_to_everything_arm_and_wait(self, frames: int) -> None:
         """As a person does who wants the beam back."""
+        self._see_to_everything()
+        self.arm()
+        for _ in range(frames):
+            self._good(33 * MS)
+
+    def _see_to_everything(self) -> None:
         self.line.answer, self.line.refuses = "true", False
         if self.is_held_by_hand:
             self.release()
@@ -161,15 +220,23 @@ class LoopMachine(RuleBasedStateMachine):
         if self.oracle.is_faulted:
             self.acknowledge()
         self._good(33 * MS)
-        self.arm()
-        for _ in range(frames):
-            self._good(33 * MS)
 
     # The line, the watchdog, and others who report.
 
     @rule(answer=st.sampled_from(["true", "lie", "none"]), refuses=st.booleans())
     def the_line_changes_its_mind(self, answer: str, refuses: bool) -> None:
         self.line.answer, self.line.refuses = answer, refuses
+
+    @rule(answer=st.sampled_from(["true", "lie", "none"]))
+    def the_line_fails_while_it_is_on(self, answer: str) -> None:
+        """A line that says the truth refuses the next permit."""
+        self._see_to_everything()
+        if not self.oracle.is_armed:
+            self.arm()
+        for _ in range(5):
+            self._good(33 * MS)
+        self.line.answer, self.line.refuses = answer, answer == "true"
+        self._good(33 * MS)
 
     @rule(reason=st.sampled_from(FAULTS))
     def somebody_reports_a_fault(self, reason: HoldReason) -> None:
@@ -233,6 +300,7 @@ class LoopMachine(RuleBasedStateMachine):
         level_mm: float | None = LEVEL_MM,
         is_nonsense: bool = False,
         faults: bool = False,
+        shows_patient: bool = True,
         before=lambda: None,
     ) -> None:
         """Deliver a frame ``step_ns`` later; tell the oracle of it as of when it was decided on."""
@@ -261,15 +329,17 @@ class LoopMachine(RuleBasedStateMachine):
                 level_mm=None if self._is_forbidden(received_ns) else level_mm,
                 is_nonsense=is_nonsense,
             )
+            self.oracle.shows_patient = shows_patient
 
         self._run(happened)
 
     def _is_forbidden(self, received_ns: int) -> bool:
-        """A hand on the beam, or fewer than five frames within the last second."""
+        """A hand on the beam, no model or zero, or fewer than six frames within the last second."""
         self.received_ns.append(received_ns)
         recent = [at_ns for at_ns in self.received_ns if received_ns - at_ns < SECOND_NS]
         is_slow = received_ns - self.received_ns[0] >= SECOND_NS and len(recent) < PATIENT_LIMITS.min_fps
-        return self.is_held_by_hand or is_slow
+        pipeline = self.bench.pipeline
+        return self.is_held_by_hand or is_slow or pipeline.model is None or not pipeline.has_reference
 
     def _run(self, happened) -> None:
         was_on = self.oracle.is_on
@@ -279,18 +349,19 @@ class LoopMachine(RuleBasedStateMachine):
         self.times_on += self.oracle.is_on and not was_on
         self._look()
 
-    def _ask(self, command: Command, happens: Callable[[int], None]) -> bool:
-        """Ask between two frames; return whether it was not refused.
-
-        What is refused before anything is decided has not happened.
-        """
-        before = self.loop.gate
+    def _ask(self, command: Command, happens: Callable[[int], None], *, is_refused: bool = False) -> bool:
+        """Ask between two frames; what the rules refuse must touch nothing. Return whether it was carried out."""
+        before, line_before = self.loop.gate, self.line.is_really_on()
         answer: Future[None] = self.loop.submit(command)
         for letter in self.loop._mailbox.take():
             self.loop._answer(letter)
         error = answer.exception(timeout=0)
         assert error is None or isinstance(error, TidegateError)
-        if self.loop.gate is not before:
+        if is_refused:
+            assert error is not None
+            assert self.loop.gate is before
+            assert self.line.is_really_on() is line_before
+        else:
             happens(self.clock.now_ns())
             self._stand()
         self._look()
@@ -313,7 +384,7 @@ class LoopMachine(RuleBasedStateMachine):
 
 
 PATIENT = settings(
-    max_examples=100, stateful_step_count=20, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+    max_examples=200, stateful_step_count=20, deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )
 
 
