@@ -357,8 +357,9 @@ def test_the_first_cause_stays_on_show_until_it_was_told_and_only_then_another_t
     assert [detail for _, _, detail in world.troubles] == ["the first"]
     with pytest.raises(BeamLineError, match="the first"):
         world.permit()
-    with pytest.raises(BeamLineError, match="the first"):
+    with pytest.raises(BeamLineError, match="the first") as told:
         world.line.is_on()
+    assert type(told.value) is BeamLineError, "a failure is no mismatch"
     world.line._latch(_trouble(world, FAILED, "the first, found again"))
     world.line._latch(_trouble(world, MISMATCH, "the third"))
     assert [(reason, detail) for _, reason, detail in world.troubles] == [
@@ -367,6 +368,16 @@ def test_the_first_cause_stays_on_show_until_it_was_told_and_only_then_another_t
     ]
     with pytest.raises(BeamLineMismatchError, match="the third"):
         world.line.is_on()
+
+
+def test_a_failure_without_words_is_told_by_its_kind(monkeypatch):
+    def fail():
+        raise ConnectionResetError
+
+    world = World()
+    monkeypatch.setattr(world.wire, "connect", fail)
+    with pytest.raises(BeamLineError, match=r"does not answer: ConnectionResetError\Z"):
+        world.line.open()
 
 
 def test_a_lease_that_ended_while_the_line_was_told_on_is_told_off_without_any_rest():
