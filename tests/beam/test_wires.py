@@ -456,3 +456,27 @@ def test_a_board_may_say_511_bytes_before_its_answer_and_not_one_more(chatter_by
     with pytest.raises(BeamLineError, match="it said b'x"):
         wire.exchange(is_on=True, heartbeat=1, within_s=PATIENCE_S)
     assert len(port.answers) == 1
+
+
+class NotedPort(PacedPort):
+    """And notes for how long each reading may wait, and for how many bytes."""
+
+    timeout = None
+
+    def __init__(self, answers, monkeypatch, *, step_s):
+        super().__init__(answers, monkeypatch, step_s=step_s)
+        self.readings = []
+
+    def read(self, size):
+        self.readings.append((self.timeout, size))
+        return super().read(size)
+
+
+def test_no_reading_waits_for_longer_than_what_is_left_nor_for_more_bytes_than_there_are(monkeypatch):
+    port = NotedPort([STATUS_ON[:1], STATUS_ON[1:]], monkeypatch, step_s=0.25)
+    assert relay(port).exchange(is_on=True, heartbeat=1, within_s=1.0)
+    assert port.readings == [(1.0, 1), (0.75, 3)]
+    silent = NotedPort([], monkeypatch, step_s=0.4990234375)
+    with pytest.raises(BeamLineError, match="no status within the time"):
+        relay(silent).exchange(is_on=True, heartbeat=1, within_s=0.5)
+    assert silent.readings == [(0.5, 1), (0.002, 1)]
