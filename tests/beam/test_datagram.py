@@ -4,6 +4,7 @@ import socket
 
 import pytest
 
+from engine.beam import datagram
 from engine.beam import receiver as receiving
 from engine.beam.datagram import DatagramBeamLine, Message, MessageKind, decode, encode
 from engine.beam.receiver import IDLE_S, BeamReceiver, serve
@@ -264,3 +265,19 @@ def test_the_receiver_sleeps_no_longer_than_its_lease(now_ms, wait_s):
     receiver.accept(encode(Message(K.REARM)), 0)
     receiver.accept(permitted(1, at_ms=0), 500 * MS)
     assert receiver.wait_s(round(now_ms * MS)) == pytest.approx(wait_s, rel=1e-6, abs=0.0)
+
+
+def test_a_receiver_is_listened_to_for_what_is_left_of_its_time_and_never_for_ever(line, clock, monkeypatch):
+    waited_s = []
+
+    def nothing_comes(_reading, _writing, _failing, *timeout_s):
+        waited_s.append(timeout_s)
+        clock.advance_ns(line._reply_ns * 3 // 4)
+        return [], [], []
+
+    monkeypatch.setattr(datagram.select, "select", nothing_comes)
+    with pytest.raises(BeamLineError, match="does not answer"):
+        line.is_on()
+    reply_s = line._reply_ns / 1e9
+    assert waited_s == [(reply_s,), (pytest.approx(reply_s / 4),)]
+    monkeypatch.undo()

@@ -407,3 +407,32 @@ def test_times_that_together_break_the_promise_are_refused():
     LineTimes(answer_ms=100.0, settle_ms=MAX_ANSWER_AND_SETTLE_MS - 100.0)
     with pytest.raises(InvalidValueError, match="settle_ms"):
         LineTimes(answer_ms=100.0, settle_ms=MAX_ANSWER_AND_SETTLE_MS - 99.9)
+
+
+def test_a_wire_is_given_the_time_for_an_answer_and_no_more_also_to_be_told_off_when_it_is_given_up(monkeypatch):
+    world = World(LineTimes(answer_ms=80, settle_ms=60)).opened()
+    given = []
+
+    def fail(*, is_on, heartbeat, within_s):
+        given.append((is_on, within_s))
+        raise OSError("reset by peer")
+
+    monkeypatch.setattr(world.wire, "exchange", fail)
+    world.line.exchange_once()
+    assert given == [(False, 0.08)] * 2
+
+
+def test_closing_waits_a_second_for_a_thread_that_hangs_in_a_driver_and_not_for_ever():
+    class Hung:
+        name, waited_s = "tidegate-beam-line", ()
+
+        def is_alive(self):
+            return True
+
+        def join(self, timeout=None):
+            self.waited_s += (timeout,)
+
+    world, hung = World().opened(), Hung()
+    world.line._threads = (hung,)
+    world.line.close()
+    assert hung.waited_s == (1.0,)
