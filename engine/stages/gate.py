@@ -275,7 +275,7 @@ def _too_soon(gate: Gate, now_ns: int, limits: GateLimits, states: tuple[Conditi
         return None
     off_ns = needed_ns = ns_from_ms(limits.min_off_ms)
     if gate.off_since_ns is not None:
-        off_ns = now_ns - gate.off_since_ns
+        off_ns = max(now_ns - gate.off_since_ns, 0)
     if off_ns < needed_ns:
         detail = f"off for {off_ns / NS_PER_MS:.0f} of {limits.min_off_ms:g} ms"
         return Verdict(EventKind.INSIDE, HoldReason.SHORTEST_OFF, detail, states)

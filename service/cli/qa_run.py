@@ -218,13 +218,17 @@ def _keep(db: Session, calibration: Calibration, options: RunOptions) -> None:
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """Take a polite end of the process as Ctrl-C: the line is held and the run told before it is over."""
+    """Take a polite end of the process as Ctrl-C: the line is held and the run told before it is over.
+
+    Ctrl-C itself too: whoever starts a process in the background may have it ignore that, and this one permits a beam.
+    """
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -247,7 +247,10 @@ def test_however_a_run_is_ended_the_real_line_is_off_and_the_run_no_pass(data, p
     with receiver("tcp") as far:
         process = _permitting(far, data, plate)
         process.send_signal(how)
-        code = process.wait(PATIENCE_S)
+        try:
+            code = process.wait(PATIENCE_S)
+        finally:
+            process.kill()
         eventually(lambda: not far.is_on, within_s=30.0)
         time.sleep(0.5)
         assert not far.is_on
