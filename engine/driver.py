@@ -7,7 +7,7 @@ from engine.beam.line import BeamLine
 from engine.clock import Clock
 from engine.errors import BeamLineMismatchError
 from engine.limits import GateLimits
-from engine.permits import GateState, HoldReason
+from engine.permits import GateState, HoldReason, Lease
 from engine.stages.gate import Gate, Interruption, lease_of
 
 
@@ -33,6 +33,7 @@ class BeamDriver:
         self._clock = clock
         self._limits = limits
         self._sequence = 0
+        self._permitted: Lease | None = None
 
     def carry_out(self, gate: Gate, decided_ns: int) -> LineReport:
         """Permit in ``BEAM_ON``, hold in every other state, and read the line back."""
@@ -43,8 +44,13 @@ class BeamDriver:
     def _permit(self, gate: Gate, decided_ns: int) -> LineReport:
         self._sequence += 1
         lease = lease_of(gate, decided_ns=decided_ns, sequence=self._sequence, limits=self._limits)
-        if lease is None or not lease.is_live(self._clock.now_ns()):
+        now_ns = self._clock.now_ns()
+        if lease is None or not lease.is_live(now_ns):
             return self._hold_for(Interruption(HoldReason.FRAME_LATE, "the decision took longer than its lease"))
+        if self._permitted is not None and not self._permitted.is_live(now_ns):
+            # Decided in time, told too late: the line has gone off by itself, and goes on after a dwell like any other.
+            return self._hold_for(Interruption(HoldReason.FRAME_LATE, "the lease before had lapsed in the line"))
+        self._permitted = lease
         try:
             self._beam.permit(lease)
             is_on, is_settling = self._read_back()
@@ -62,6 +68,7 @@ class BeamDriver:
         return LineReport(is_on=report.is_on, trouble=report.trouble or trouble, is_settling=report.is_settling)
 
     def _hold(self, reason: HoldReason) -> LineReport:
+        self._permitted = None
         try:
             self._beam.hold(reason)
             is_on, is_settling = self._read_back()
