@@ -30,7 +30,7 @@ test-system:
 
 # Two at a time; what plays through the runtime or trips a running engine has the machine to itself: the runtime's own
 # threads race where they are not run in time, and crash.
-ALONE := tests/capture tests/faults tests/interlocks tests/xtion tests/phantom/test_recording.py \
+ALONE := tests/capture tests/faults tests/interlocks tests/xtion tests/phantom/test_played_by_the_runtime.py \
 	$(addprefix tests/service/test_,real_engine.py process.py uncalibrated.py) \
 	$(addprefix tests/beam/test_,killed_processes.py real_receivers.py service_line.py) tests/loop/test_wired_line.py
 test: $(STAMP) test-system lint types contracts  ## everything that must hold: lint, types, contracts, all tests

@@ -1,40 +1,41 @@
-"""Virtual volunteers, made once a test run and shared by all its processes."""
+"""Virtual volunteers, made once on this machine; each process has a copy of its own, to do with as it likes."""
 
-import fcntl
-import os
+import shutil
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
+import engine
 from engine.phantom.recording import make_volunteer
+from tests.kept import digest_of, made_once
+
+MAKERS = [Path(engine.__path__[0]) / name for name in ("phantom", "oni", "geometry.py", "laser_plane.py")]
 
 
-def _volunteer(factory: pytest.TempPathFactory, scenario: str, seconds: float) -> Path:
-    """Make volunteer 1 in a folder that all workers of this run share; the lock makes the others wait for the first."""
-    base = factory.getbasetemp()
-    # A worker of pytest-xdist has a folder of its own in the run's.
-    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
-    folder = shared / f"volunteer-{scenario}"
-    with (shared / f"volunteer-{scenario}.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not folder.exists():
-            make_volunteer(scenario, volunteer=1, seconds=seconds, seed=1, out=folder)
-    return folder
+def volunteer(factory: pytest.TempPathFactory, scenario: str, **wishes: object) -> Path:
+    """Give a folder with a volunteer, made now if none was kept."""
+    wish = (scenario, sorted(wishes.items()), np.__version__, cv2.__version__)
+    with made_once(f"volunteer-{scenario}-{digest_of(wish, *MAKERS)}") as (kept, draft):
+        if draft is not None:
+            make_volunteer(scenario, out=draft / "volunteer", **wishes)
+    return Path(shutil.copytree(kept / "volunteer", factory.mktemp(f"volunteer-{scenario}") / scenario))
 
 
 @pytest.fixture(scope="session")
 def regular_volunteer(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with 24 s of volunteer 1 breathing regularly."""
-    return _volunteer(tmp_path_factory, "regular", 24.0)
+    return volunteer(tmp_path_factory, "regular", volunteer=1, seconds=24.0, seed=1)
 
 
 @pytest.fixture(scope="session")
 def dibh_volunteer(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with 36 s: 20 s of free breathing, then a deep breath hold."""
-    return _volunteer(tmp_path_factory, "dibh", 36.0)
+    return volunteer(tmp_path_factory, "dibh", volunteer=1, seconds=36.0, seed=1)
 
 
 @pytest.fixture(scope="session")
 def occlusion_volunteer(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with 36 s: a hand from 20 to 24 s, a hidden sticker from 28 to 32 s."""
-    return _volunteer(tmp_path_factory, "occlusion", 36.0)
+    return volunteer(tmp_path_factory, "occlusion", volunteer=1, seconds=36.0, seed=1)

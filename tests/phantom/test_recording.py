@@ -6,9 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from engine.calibration import load_calibration
-from engine.capture.openni import OpenNiSource
-from engine.clock import MonotonicClock
-from engine.errors import FrameTimeoutError, InvalidValueError, RecordingError, SourceEndedError
+from engine.errors import InvalidValueError, RecordingError
 from engine.oni.reader import OniReader
 from engine.phantom import recording
 from engine.phantom.builds import find_build
@@ -304,23 +302,3 @@ def test_the_command_makes_a_volunteer(tiny, tmp_path):
     outcome = CliRunner().invoke(app, ["phantom", "regular", *arguments, "--out", str(tmp_path / "x")])
     assert outcome.exit_code == 0, outcome.stderr
     assert (tmp_path / "x" / "recording.oni").read_bytes() == (tiny / "recording.oni").read_bytes()
-
-
-def test_the_real_runtime_plays_every_frame_as_it_was_made(short):
-    depth, _, _ = frames_of(short)
-    source = OpenNiSource(short / "recording.oni", clock=MonotonicClock())
-    source.open()
-    played = []
-    try:
-        while True:
-            played.append(source.read(2.0))
-    except (SourceEndedError, FrameTimeoutError):
-        pass
-    finally:
-        source.close()
-    assert [frame.timestamp_us for frame in played] == [frame.timestamp_us for frame in depth]
-    for frame, coded in zip(played, depth, strict=True):
-        assert np.array_equal(frame.depth_mm, coded.decode_depth())
-    assert played[-1].color.shape == (480, 640, 3)
-    # The last ones have no colour frame after them to choose from.
-    assert max(frame.pair_gap_us for frame in played[:-2]) < 17_500

@@ -3,16 +3,10 @@
 Kept between runs in a folder of the machine's temporary files, by a hash of all it follows from; half a gigabyte.
 """
 
-import fcntl
-import hashlib
 import json
 import multiprocessing
 import os
-import shutil
-import tempfile
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -25,6 +19,7 @@ from engine.phantom.breathing import STEP_S, Breathing, Signals, breath_shape
 from engine.phantom.scene import Scene, Script
 from engine.phantom.sensor import depth_table_mm
 from engine.phantom.studio import Studio
+from tests.kept import digest_of, made_once
 from tests.xtion import block
 
 FPS = 29.97
@@ -47,32 +42,6 @@ class Look:
     volunteer: int = 1
     frames: int = FRAMES
     seed: int = 1
-
-
-def cache_dir() -> Path:
-    """The folder for what is kept between runs; this user's alone."""
-    folder = Path(tempfile.gettempdir()) / f"virtual-xtion-{os.getuid()}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    return folder
-
-
-@contextmanager
-def made_once(name: str) -> Iterator[tuple[Path, Path | None]]:
-    """Give a folder of the cache, and a draft to fill if it is not there yet: one process makes it, the others wait."""
-    folder = cache_dir() / name
-    with (cache_dir() / f"{name}.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if folder.is_dir():
-            yield folder, None
-            return
-        draft = cache_dir() / f".{name}-{os.getpid()}"
-        shutil.rmtree(draft, ignore_errors=True)
-        draft.mkdir()
-        try:
-            yield folder, draft
-            draft.rename(folder)
-        finally:
-            shutil.rmtree(draft, ignore_errors=True)
 
 
 class Film:
@@ -128,11 +97,7 @@ def baked(look: Look | None = None) -> Film:
 
 
 def _digest(look: Look) -> str:
-    sources = [Path(__file__), Path(block.__file__), *sorted(Path(engine.phantom.__path__[0]).glob("*.py"))]
-    digest = hashlib.sha256(repr(look).encode())
-    for source in sources:
-        digest.update(source.read_bytes())
-    return digest.hexdigest()[:16]
+    return digest_of(look, Path(__file__), Path(block.__file__), Path(engine.phantom.__path__[0]))
 
 
 def _studio(look: Look) -> Studio:

@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 
 from engine.capture._openni_c import library_path
-from tests.xtion.film import made_once
+from tests.kept import made_once
 
 HERE = Path(__file__).parent
 SOURCES = ("driver.cpp", "camera.h", "pictures.h", "block.h")
