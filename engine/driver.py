@@ -3,7 +3,7 @@
 import contextlib
 from dataclasses import dataclass
 
-from engine.beam.line import BeamLine
+from engine.beam.witnessed import AskedLine
 from engine.clock import Clock
 from engine.errors import BeamLineMismatchError
 from engine.limits import GateLimits
@@ -28,7 +28,7 @@ class LineReport:
 class BeamDriver:
     """The only caller of ``permit``; owned by the engine thread."""
 
-    def __init__(self, *, beam: BeamLine, clock: Clock, limits: GateLimits) -> None:
+    def __init__(self, *, beam: AskedLine, clock: Clock, limits: GateLimits) -> None:
         self._beam = beam
         self._clock = clock
         self._limits = limits

@@ -9,7 +9,7 @@ import math
 import threading
 from dataclasses import dataclass, replace
 
-from engine.beam.line import BeamLine
+from engine.beam.witnessed import AskedLine
 from engine.capture.source import SourceDescription
 from engine.clock import NS_PER_MS, Clock
 from engine.commands import Acknowledge, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam
@@ -28,6 +28,7 @@ from engine.tally import Tally
 from engine.trust import captured_ns, too_slow
 from engine.watchdog import Watchdog
 from engine.windows import Ranges, signal_of
+from engine.witness import NOBODY, Seam, Witness, WitnessedClock
 
 BACK_DETAIL = "; it is back: acknowledge, set the reference, arm"
 """What a person is told of a lost camera that shows frames again."""
@@ -52,25 +53,27 @@ class GateKeeper:
     def __init__(
         self,
         *,
-        beam: BeamLine,
+        beam: AskedLine,
         clock: Clock,
         limits: GateLimits,
         outbox: Outbox,
         mailbox: Mailbox,
         watchdog: Watchdog,
+        witness: Witness = NOBODY,
     ) -> None:
-        self._clock, self._limits = clock, limits
+        self._witness = witness
+        self._clock, self._limits = WitnessedClock(clock, witness), limits
         self._window = SettledWindow(told=limits.window, settled=limits.window)
         self._presence = Presence(clock=clock, timeout_s=limits.operator_timeout_s)
         self._operator_hold: str | None = None
         self._outbox, self._mailbox, self._watchdog = outbox, mailbox, watchdog
-        self._driver = BeamDriver(beam=beam, clock=clock, limits=limits)
+        self._driver = BeamDriver(beam=beam, clock=self._clock, limits=limits)
         self._tally = Tally(warn_latency_ms=limits.warn_latency_ms)
         self._latest: LiveView | None = None
         self._shown_by_watchdog: tuple[LiveView, LiveView] | None = None
         self._watchdog_told = threading.Lock()  # taken by whoever tells of it first: the watchdog, or the engine
         watchdog.on_fired = self._tell_watchdog
-        self.gate = Gate(since_ns=clock.now_ns())
+        self.gate = Gate(since_ns=self._clock.now_ns())
         self.standing: tuple[Interruption, ...] = ()
         self.status = LoopStatus.STARTING
         self.error: str | None = None
@@ -196,25 +199,33 @@ class GateKeeper:
 
     def _interlocks(self, now_ns: int) -> list[Interruption]:
         self._outbox.flush()
-        found = [] if not self._watchdog.has_fired else [Interruption(HoldReason.WATCHDOG, WATCHDOG_DETAIL)]
-        if self.gate.is_armed and not self._watchdog.is_watching:
+        heard = self._witness.heard
+        found = [] if not self._has_watchdog_fired() else [Interruption(HoldReason.WATCHDOG, WATCHDOG_DETAIL)]
+        if self.gate.is_armed and not heard(Seam.WATCHDOG_WATCHES, lambda: self._watchdog.is_watching):
             found.append(Interruption(HoldReason.WATCHDOG, WATCHDOG_GONE))
-        report = self._mailbox.take_report()
-        trouble = self._outbox.trouble()
+        report = heard(Seam.REPORT, self._mailbox.take_report)
+        trouble = heard(Seam.QUEUES, self._outbox.trouble)
         found += [] if report is None else [report]
         found += [] if trouble is None else [Interruption(trouble, "a queue to the disk is full")]
-        delay = self._outbox.delay(now_ns, ns_from_ms(self._limits.max_unwritten_ms)) if self.gate.is_armed else None
+        longest_ns = ns_from_ms(self._limits.max_unwritten_ms)
+        delay = heard(Seam.DELAY, lambda: self._outbox.delay(now_ns, longest_ns)) if self.gate.is_armed else None
         found += [] if delay is None else [Interruption(*delay)]
         found += self.standing
         if not self._limits.is_calibrated:
             found.append(Interruption(HoldReason.CALIBRATION_MISSING, "nothing was measured for this camera"))
-        absence = self._presence.silence(now_ns)
+        absence = heard(Seam.ABSENCE, lambda: self._presence.silence(now_ns))
         found += [Interruption(HoldReason.OPERATOR_LOST, absence)] if absence else []
-        leaver = self._mailbox.disarm_asked_by
+        leaver = heard(Seam.DISARM_ASKED, lambda: self._mailbox.disarm_asked_by)
         found += [] if leaver is None else [Interruption(HoldReason.DISARMED, f"{leaver} disarms")]
-        holder = self._operator_hold or self._mailbox.hold_asked_by
+        holder = self._operator_hold or self._hold_asked_by()
         found += [] if holder is None else [Interruption(HoldReason.OPERATOR_HOLD, f"held by {holder}")]
         return found
+
+    def _has_watchdog_fired(self) -> bool:
+        return self._witness.heard(Seam.WATCHDOG_FIRED, lambda: self._watchdog.has_fired)
+
+    def _hold_asked_by(self) -> str | None:
+        return self._witness.heard(Seam.HOLD_ASKED, lambda: self._mailbox.hold_asked_by)
 
     def _slowness(self, gate: Gate, measurement: Measurement | None, asserted_ns: int) -> Interruption | None:
         """Fault where the line was told too late: only now is it known how long that took."""
@@ -227,14 +238,14 @@ class GateKeeper:
 
     def _named(self, trouble: Interruption) -> Interruption:
         """Name the watchdog as the cause where its hold is why the line refused a permit."""
-        return Interruption(HoldReason.WATCHDOG, WATCHDOG_DETAIL) if self._watchdog.has_fired else trouble
+        return Interruption(HoldReason.WATCHDOG, WATCHDOG_DETAIL) if self._has_watchdog_fired() else trouble
 
     def _tell(self, before: Gate, cause: Cause, decided_ns: int, asserted_ns: int, report: LineReport) -> None:
         gate, frame = self.gate, cause.frame
         is_news = (gate.state, gate.reason) != (before.state, before.reason)
         taken_ns = self._captured_ns(cause.measurement)
         if cause.detail or (is_news and self._may_tell(gate)):
-            self._outbox.put_transition(
+            self._tell_transition(
                 GateTransition(
                     at_ns=decided_ns,
                     frame_index=None if frame is None else frame.index,
@@ -255,6 +266,7 @@ class GateKeeper:
                 self._record(cause.measurement, decided_ns, asserted_ns, is_on=report.is_on), captured_ns=taken_ns
             )
             self._outbox.put_sample(record)
+            self._witness.told(record)
             self._tally.count(
                 captured_ns=frame.received_ns if taken_ns is None else taken_ns,
                 received_ns=frame.received_ns,
@@ -267,6 +279,10 @@ class GateKeeper:
             record = replace(self._latest.record, gate_state=gate.state, hold_reason=gate.reason, line_on=report.is_on)
             self._show(record, self._latest.color, gate.detail)
 
+    def _tell_transition(self, transition: GateTransition) -> None:
+        self._outbox.put_transition(transition)
+        self._witness.told(transition)
+
     def _captured_ns(self, measurement: Measurement | None) -> int | None:
         last = self.gate.last
         return None if measurement is None or last is None else captured_ns(last, measurement, self._limits)
@@ -274,11 +290,13 @@ class GateKeeper:
     def _holder_of(self, gate: Gate) -> str | None:
         """Name who asked for a hold that a frame's decision has obeyed already."""
         is_held = gate.is_armed and gate.reason is HoldReason.OPERATOR_HOLD
-        return self._operator_hold or self._mailbox.hold_asked_by if is_held else None
+        return self._operator_hold or self._hold_asked_by() if is_held else None
 
     def _may_tell(self, gate: Gate) -> bool:
         """Tell a fault of the watchdog once only: it does so itself while the engine hangs, else the engine does."""
-        return gate.reason is not HoldReason.WATCHDOG or self._watchdog_told.acquire(blocking=False)
+        return gate.reason is not HoldReason.WATCHDOG or self._witness.heard(
+            Seam.WATCHDOG_TOLD, lambda: self._watchdog_told.acquire(blocking=False)
+        )
 
     def _record(self, measurement: Measurement, decided_ns: int, asserted_ns: int, *, is_on: bool) -> FrameRecord:
         return FrameRecord(
@@ -346,7 +364,7 @@ class GateKeeper:
         before = self.gate
         if not self._watchdog_told.acquire(blocking=False):
             return
-        self._outbox.put_transition(
+        self._tell_transition(
             GateTransition(
                 at_ns=at_ns,
                 frame_index=None,

@@ -11,6 +11,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 
 from engine.beam.line import BeamLine
+from engine.beam.witnessed import WitnessedLine
 from engine.capture.source import DepthSource, SourceDescription
 from engine.clock import NS_PER_MS, NS_PER_S, Clock
 from engine.commands import Command
@@ -36,6 +37,7 @@ from engine.outbox import Outbox
 from engine.permits import HoldReason
 from engine.stages.gate import Ending, Gate, GateEvent, Interruption, Silence
 from engine.watchdog import Watchdog
+from engine.witness import NOBODY, Seam, Witness, WitnessedClock
 
 __all__ = ["EngineLoop", "FramePipeline", "FrameRecord", "GateTransition", "LiveView", "LoopStatus"]
 
@@ -63,6 +65,8 @@ class EngineLoop:
         Bounds of the queues; 900 samples are half a minute.
     watchdog
         One of the caller's, on the same line; by default the loop makes its own.
+    witness
+        Hears what the engine's thread hears, and what came of it: a tape, or a replay of one.
     """
 
     def __init__(
@@ -77,26 +81,35 @@ class EngineLoop:
         transition_capacity: int = 256,
         command_capacity: int = 16,
         watchdog: Watchdog | None = None,
+        witness: Witness = NOBODY,
     ) -> None:
         self._source, self._pipeline, self._beam = source, pipeline, beam
-        self._limits, self._clock = limits, clock
+        self._witness, self._line = witness, WitnessedLine(beam, witness)
+        self._limits, self._clock = limits, WitnessedClock(clock, witness)
         self._mailbox = Mailbox(clock=clock, capacity=command_capacity)
         self._outbox = Outbox(sample_capacity=sample_capacity, transition_capacity=transition_capacity)
         deadline_ns = ns_from_ms(limits.watchdog_ms)
         self._watchdog = watchdog or Watchdog(beam=beam, clock=clock, deadline_ns=deadline_ns)
         self._keeper = GateKeeper(
-            beam=beam, clock=clock, limits=limits, outbox=self._outbox, mailbox=self._mailbox, watchdog=self._watchdog
+            beam=self._line,
+            clock=clock,
+            limits=limits,
+            outbox=self._outbox,
+            mailbox=self._mailbox,
+            watchdog=self._watchdog,
+            witness=witness,
         )
         beam.on_trouble = self.report_fault  # a line with a thread of its own finds trouble between two frames
         self._watch = FrameWatch(limits)
         self._orders = Orders(
             pipeline=pipeline,
-            beam=beam,
+            beam=self._line,
             limits=limits,
             keeper=self._keeper,
             watch=self._watch,
             watchdog=self._watchdog,
             outbox=self._outbox,
+            witness=witness,
         )
         self._listening_since_ns = 0
         self._is_camera_away = False
@@ -204,9 +217,11 @@ class EngineLoop:
             error="the engine thread was ended",
         )
         try:
+            self._witness.begin()
             self._open()
-            while not self._stop_requested.is_set():
+            while not self._is_stop_requested():
                 self._run_once()
+                self._witness.turn()
             way_out = _WayOut(status=LoopStatus.ENDED, event=Ending(reason=HoldReason.ENGINE_STOPPED))
         except Exception as error:  # noqa: BLE001 - whatever it was: the beam is held, and the session has failed
             way_out = _way_out_of(error)
@@ -214,9 +229,9 @@ class EngineLoop:
             self._leave(way_out)
 
     def _open(self) -> None:
-        self._beam.open()
-        self._beam.hold(HoldReason.DISARMED)
-        description = self._source.open()
+        self._line.open()
+        self._line.hold(HoldReason.DISARMED)
+        description = self._witness.heard(Seam.SOURCE_OPENED, self._source.open)
         self._listening_since_ns = self._clock.now_ns()
         self._keeper.begin(description)
 
@@ -227,16 +242,17 @@ class EngineLoop:
         try:
             self._keeper.finish(way_out.event, way_out.status, way_out.error)
         finally:
+            self._witness.end()
             self._mailbox.close("the session is over")
             for close in (self._beam.close, self._source.close, self._watchdog.stop):
                 with contextlib.suppress(Exception):
                     close()
 
     def _run_once(self) -> None:
-        for letter in self._mailbox.take():
+        for letter in self._witness.heard(Seam.LETTERS, self._mailbox.take):
             self._answer(letter)
         try:
-            frame = self._source.read(self._read_timeout_ns() / NS_PER_S)
+            frame = self._read()
         except SourceAwayError as error:
             self._stay_without_camera(str(error))
             return
@@ -258,6 +274,13 @@ class EngineLoop:
             notices=notices,
         )
         self._decide_on(frame, measurement)
+
+    def _read(self) -> RgbdFrame:
+        timeout_s = self._read_timeout_ns() / NS_PER_S
+        return self._witness.heard(Seam.FRAME, lambda: self._source.read(timeout_s))
+
+    def _is_stop_requested(self) -> bool:
+        return self._witness.heard(Seam.STOP_ASKED, self._stop_requested.is_set)
 
     def _read_timeout_ns(self) -> int:
         """Until the next frame is missing: counted from when the last one came, not from now."""
@@ -291,7 +314,7 @@ class EngineLoop:
             events.append(Interruption(reason=HoldReason.MODEL_MISSING))
         elif not self._pipeline.has_reference:
             events.append(Interruption(reason=HoldReason.REFERENCE_MISSING))
-        if self._stop_requested.is_set():  # while this frame was measured: it must not turn anything on any more
+        if self._is_stop_requested():  # while this frame was measured: it must not turn anything on any more
             events.append(Ending(reason=HoldReason.ENGINE_STOPPED))
         self._keeper.decide(*events, cause=Cause(frame=frame, measurement=measurement))
 
@@ -299,7 +322,7 @@ class EngineLoop:
 
     def _answer(self, letter: Letter) -> None:
         """Obey, and answer only when the line has been told."""
-        is_wanted = letter.answer.set_running_or_notify_cancel()
+        is_wanted = self._witness.heard(Seam.IS_WANTED, letter.answer.set_running_or_notify_cancel)
         if not is_wanted and not isinstance(letter.command, URGENT):
             return
         try:

@@ -3,7 +3,7 @@
 Owned by the engine thread, between two frames. What is refused is refused before anything is touched.
 """
 
-from engine.beam.line import BeamLine
+from engine.beam.witnessed import AskedLine
 from engine.commands import (
     Acknowledge,
     ActivateModel,
@@ -26,6 +26,7 @@ from engine.outbox import Outbox
 from engine.permits import GateState, HoldReason
 from engine.stages.gate import Ending
 from engine.watchdog import Watchdog
+from engine.witness import NOBODY, Seam, Witness
 
 
 class Orders:
@@ -35,15 +36,17 @@ class Orders:
         self,
         *,
         pipeline: FramePipeline,
-        beam: BeamLine,
+        beam: AskedLine,
         limits: GateLimits,
         keeper: GateKeeper,
         watch: FrameWatch,
         watchdog: Watchdog,
         outbox: Outbox,
+        witness: Witness = NOBODY,
     ) -> None:
         self._pipeline, self._beam, self._limits = pipeline, beam, limits
         self._keeper, self._watch, self._watchdog, self._outbox = keeper, watch, watchdog, outbox
+        self._witness = witness
         self._generation = pipeline.model_generation
         self._settled_zero: int | None = None
 
@@ -141,14 +144,14 @@ class Orders:
                 "the window is told in per cent of a range that the model does not tell: learn again"
             )
         self._keeper.refuse_wide_window()
-        if not self._watchdog.is_watching:
+        if not self._witness.heard(Seam.WATCHDOG_WATCHES, lambda: self._watchdog.is_watching):
             raise CommandRefusedError("the watchdog does not run: this engine cannot be armed")
         self._keeper.refuse_without_fresh_signal()
 
     def _acknowledge(self, command: Acknowledge) -> None:
         if self._keeper.gate.state is not GateState.FAULT:
             raise CommandRefusedError("there is no fault to acknowledge")
-        trouble = self._outbox.trouble()
+        trouble = self._witness.heard(Seam.QUEUES, self._outbox.trouble)
         if trouble is not None:
             raise CommandRefusedError(f"the fault persists ({trouble}): nothing can be recorded")
         self._keeper.acknowledge(command)

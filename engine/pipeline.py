@@ -340,7 +340,9 @@ class Pipeline:
         return None if self._split_finder is None else self._split_finder.split
 
     def _watch_split(self, frame: RgbdFrame, found: Markers) -> None:
-        search = self._finder.search(frame) if self._split_finder is not None and self._learner.active is None else None
+        # Not while a model is fitted: which pictures it then knew of would hang on how long its thread takes.
+        is_wanted = self._learner.active is None and self._learner.is_gathering
+        search = self._finder.search(frame) if self._split_finder is not None and is_wanted else None
         if self._split_finder is not None and search is not None:
             self._split_finder.look(frame.color, search, found.centers_px)
 
