@@ -56,6 +56,7 @@ RowT = TypeVar("RowT")
 class WriterSettings:
     """How often samples are written, and how much of the disk has to stay free."""
 
+    data_dir: Path
     sample_batch_s: float
     min_free_disk_bytes: float
 
@@ -107,7 +108,6 @@ class SessionWriter(threading.Thread):
         self._notices: list[LearningNotice] = []
         self._written_at_s = time.monotonic()
         self._disk_checked_at_s = 0.0
-        self._identity = _identity(database.path)
         self._model: MotionModel | None = None
         self._stopped_by: str | None = None
         self._is_complete = False
@@ -226,13 +226,19 @@ class SessionWriter(threading.Thread):
         now_s = time.monotonic()
         if now_s - self._disk_checked_at_s < DISK_CHECK_S:
             return
-        path = self._database.path
-        if _identity(path) != self._identity:
-            self._engine.report_fault(HoldReason.AUDIT_BEHIND, "the database's file was taken away or replaced")
-        elif shutil.disk_usage(path.parent).free < self._settings.min_free_disk_bytes:
+        trouble = self._database_trouble()
+        if trouble is not None:
+            self._engine.report_fault(HoldReason.AUDIT_BEHIND, trouble)
+        elif shutil.disk_usage(self._settings.data_dir).free < self._settings.min_free_disk_bytes:
             self._engine.report_fault(HoldReason.DISK_LOW, "the data folder's disk is almost full")
         else:
             self._disk_checked_at_s = now_s
+
+    def _database_trouble(self) -> str | None:
+        try:
+            return self._database.trouble()
+        except SQLAlchemyError:
+            return "the database does not answer"
 
     def _close(self) -> None:
         status, detail = self._ending()
@@ -258,15 +264,6 @@ class SessionWriter(threading.Thread):
         if self._stopped_by is not None:
             return "stopped", f"stopped by {self._stopped_by}"
         return "ended", self._engine.error or "the recording is over"
-
-
-def _identity(path: Path) -> tuple[int, int] | None:
-    """Return which file lies there; one that was taken away takes what is written to it along."""
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return found.st_dev, found.st_ino
 
 
 def _drain(source: "queue.Queue[RowT]", target: list[RowT]) -> None:

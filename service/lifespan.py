@@ -31,7 +31,6 @@ from service.settings import Settings
 from service.tallies import Tallies
 from service.ws.live import LiveStream
 
-DATABASE_NAME = "tidegate.db"
 MODELS_FOLDER = "models"
 
 
@@ -83,7 +82,7 @@ def make_lifespan(
 
 def _open(settings: Settings, engine: EnginePort, rig: QaRig) -> _House:
     settings.data_dir.mkdir(parents=True, exist_ok=True)
-    database = Database(settings.data_dir / DATABASE_NAME)
+    database = Database(settings.database_place)
     database.migrate()
     log, room, tallies = AuditLog(database), Room(), Tallies()
     models = ModelStore(settings.data_dir / MODELS_FOLDER)

@@ -68,6 +68,7 @@ TAKES_PERMISSION_AWAY = (Disarm, HoldBeam)
 """Done first and written down after; all else is written down first."""
 
 WRITER_BUSY_TIMEOUT_S = 0.5
+WRITER_ANSWER_TIMEOUT_S = 1.0
 WRITER_JOIN_S = 10.0
 START_TIMEOUT_S = 5.0
 START_POLL_S = 0.01
@@ -93,7 +94,9 @@ class SessionRunner:
         self._engine = engine
         self._database = database
         # The writer must notice a locked database quickly, to hold; people may wait longer for an answer.
-        self._writer_database = Database(database.path, busy_timeout_s=WRITER_BUSY_TIMEOUT_S)
+        self._writer_database = database.twin(
+            busy_timeout_s=WRITER_BUSY_TIMEOUT_S, answer_timeout_s=WRITER_ANSWER_TIMEOUT_S
+        )
         self._log = log
         self._book = book
         self._models = models
@@ -287,6 +290,7 @@ class SessionRunner:
             database=self._writer_database,
             models=self._models,
             settings=WriterSettings(
+                data_dir=self._settings.data_dir,
                 sample_batch_s=self._settings.sample_batch_ms / 1000,
                 min_free_disk_bytes=self._settings.min_free_disk_mb * MIB,
             ),

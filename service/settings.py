@@ -20,6 +20,7 @@ from engine.limits import LIMIT_BOUNDS, GateLimits
 from engine.training import TRAINING_BOUNDS, TrainingSettings
 from engine.windows import HOLD_BOUNDS, amplitude_window
 from service.beam_settings import PREFIX, BeamSettings
+from service.database_settings import DatabaseSettings
 from service.qa_settings import QaSettings
 
 SETTING_OF = {"retrain_interval_s": "retrain_interval_min"}
@@ -57,7 +58,7 @@ class SettingsError(Exception):
     """The settings cannot be used; the message is one line a setting, for the person who starts the service."""
 
 
-class Settings(BeamSettings, QaSettings):
+class Settings(BeamSettings, QaSettings, DatabaseSettings):
     """The site's settings."""
 
     model_config = SettingsConfigDict(
@@ -70,7 +71,6 @@ class Settings(BeamSettings, QaSettings):
     allowed_hosts: NameList = Field(default=(), description="Names in the Host header; loopback names when left out")
     allowed_origins: NameList = Field(default=(), description="Pages besides our own that may open the live stream")
 
-    data_dir: Path = Path("data")
     recordings_dirs: FolderList = Field(
         default=(), description="Folders recordings may be opened from, colon-separated"
     )

@@ -7,26 +7,38 @@ DELETE: `INSERT OR REPLACE` removes a row without firing a DELETE trigger.
 import sqlalchemy as sa
 from alembic import op
 
+from migrations.refusals import allow, refuse
+
 revision = "0001"
 down_revision = None
 branch_labels = None
 depends_on = None
 
-TRIGGERS = {
-    "audit_no_update": "BEFORE UPDATE ON audit BEGIN SELECT RAISE(ABORT, 'the audit log is append-only'); END",
-    "audit_no_delete": "BEFORE DELETE ON audit BEGIN SELECT RAISE(ABORT, 'the audit log is append-only'); END",
-    "audit_only_next": (
-        "BEFORE INSERT ON audit WHEN NEW.sequence <> (SELECT COALESCE(MAX(sequence), 0) + 1 FROM audit) "
-        "BEGIN SELECT RAISE(ABORT, 'the audit log takes the next row only'); END"
+BIG = sa.BigInteger().with_variant(sa.Integer(), "sqlite")
+
+APPEND_ONLY = {"audit": "the audit log is append-only", "samples": "samples are append-only"}
+# What an inserted row must not be, and what is said then; `new` is the row.
+ONLY_NEXT = {
+    "audit": (
+        "NEW.sequence <> (SELECT COALESCE(MAX(sequence), 0) + 1 FROM audit)",
+        "the audit log takes the next row only",
     ),
-    "samples_no_update": "BEFORE UPDATE ON samples BEGIN SELECT RAISE(ABORT, 'samples are append-only'); END",
-    "samples_no_delete": "BEFORE DELETE ON samples BEGIN SELECT RAISE(ABORT, 'samples are append-only'); END",
-    "samples_only_next": (
-        "BEFORE INSERT ON samples WHEN NEW.frame_index <= "
-        "(SELECT MAX(frame_index) FROM samples WHERE session_id = NEW.session_id) "
-        "BEGIN SELECT RAISE(ABORT, 'samples come in order'); END"
+    "samples": (
+        "NEW.frame_index <= (SELECT MAX(frame_index) FROM samples WHERE session_id = NEW.session_id)",
+        "samples come in order",
     ),
 }
+
+
+def _triggers() -> dict[str, tuple[str, str, str | None, str]]:
+    """Name each trigger: its table, its verb, when it refuses (None is always), and what it says."""
+    made = {}
+    for table, message in APPEND_ONLY.items():
+        made[f"{table}_no_update"] = (table, "UPDATE", None, message)
+        made[f"{table}_no_delete"] = (table, "DELETE", None, message)
+    for table, (condition, message) in ONLY_NEXT.items():
+        made[f"{table}_only_next"] = (table, "INSERT", condition, message)
+    return made
 
 
 def upgrade() -> None:
@@ -35,13 +47,13 @@ def upgrade() -> None:
     _create_samples()
     _create_models()
     _create_audit()
-    for name, body in TRIGGERS.items():
-        op.execute(f"CREATE TRIGGER {name} {body}")
+    for name, trigger in _triggers().items():
+        refuse(name, *trigger)
 
 
 def downgrade() -> None:
-    for name in TRIGGERS:
-        op.execute(f"DROP TRIGGER {name}")
+    for name, (table, *_) in _triggers().items():
+        allow(name, table)
     for table in ("idempotency_keys", "audit", "models", "samples", "sessions", "calibrations"):
         op.drop_table(table)
 
@@ -86,7 +98,7 @@ def _create_samples() -> None:
         "samples",
         sa.Column("session_id", sa.String(32), sa.ForeignKey("sessions.id"), primary_key=True),
         sa.Column("frame_index", sa.Integer, primary_key=True),
-        sa.Column("timestamp_us", sa.Integer, nullable=False),
+        sa.Column("timestamp_us", BIG, nullable=False),
         sa.Column("missed_frames", sa.Integer, nullable=False),
         sa.Column("state", sa.String(16), nullable=False),
         sa.Column("lost_reason", sa.String(32)),
@@ -95,9 +107,9 @@ def _create_samples() -> None:
         sa.Column("gate", sa.String(16), nullable=False),
         sa.Column("hold_reason", sa.String(32)),
         sa.Column("line_on", sa.Boolean, nullable=False),
-        sa.Column("received_ns", sa.Integer, nullable=False),
-        sa.Column("decided_ns", sa.Integer, nullable=False),
-        sa.Column("asserted_ns", sa.Integer, nullable=False),
+        sa.Column("received_ns", BIG, nullable=False),
+        sa.Column("decided_ns", BIG, nullable=False),
+        sa.Column("asserted_ns", BIG, nullable=False),
         sa.Column("region_rows", sa.Integer),
         sa.Column("regions_mm", sa.LargeBinary),
         sqlite_with_rowid=False,
@@ -121,7 +133,7 @@ def _create_models() -> None:
 def _create_audit() -> None:
     op.create_table(
         "audit",
-        sa.Column("sequence", sa.Integer, primary_key=True, autoincrement=False),
+        sa.Column("sequence", BIG, primary_key=True, autoincrement=False),
         sa.Column("at", sa.String(27), nullable=False),
         sa.Column("actor", sa.String(80), nullable=False),
         sa.Column("action", sa.String(40), nullable=False),

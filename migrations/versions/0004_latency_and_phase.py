@@ -8,9 +8,11 @@ down_revision = "0003"
 branch_labels = None
 depends_on = None
 
+BIG = sa.BigInteger().with_variant(sa.Integer(), "sqlite")
+
 
 def upgrade() -> None:
-    op.add_column("samples", sa.Column("captured_ns", sa.Integer))
+    op.add_column("samples", sa.Column("captured_ns", BIG))
     op.add_column("samples", sa.Column("phase_percent", sa.Double))
 
 

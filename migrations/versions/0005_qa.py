@@ -6,6 +6,8 @@ All four may be added to and read, nothing else; see 0001 about the triggers on 
 import sqlalchemy as sa
 from alembic import op
 
+from migrations.refusals import allow, refuse
+
 revision = "0005"
 down_revision = "0004"
 branch_labels = None
@@ -16,28 +18,28 @@ KEYS = {
     "qa_outcomes": "run_id = NEW.run_id",
     "qa_results": "run_id = NEW.run_id AND code = NEW.code",
 }
-NEXT_BASELINE = (
-    "BEFORE INSERT ON qa_baselines WHEN NEW.number <> (SELECT COALESCE(MAX(number), 0) + 1 FROM qa_baselines) "
-    "BEGIN SELECT RAISE(ABORT, 'the QA baselines take the next row only'); END"
-)
+NEXT_BASELINE = "NEW.number <> (SELECT COALESCE(MAX(number), 0) + 1 FROM qa_baselines)"
 # A result belongs to a run that is under way: none is added to a run that has ended.
-ENDED_RUN = (
-    "BEFORE INSERT ON qa_results WHEN EXISTS (SELECT 1 FROM qa_outcomes WHERE run_id = NEW.run_id) "
-    "BEGIN SELECT RAISE(ABORT, 'the QA run has ended'); END"
-)
+ENDED_RUN = "EXISTS (SELECT 1 FROM qa_outcomes WHERE run_id = NEW.run_id)"
 
 
-def _triggers() -> dict[str, str]:
-    made = {"qa_baselines_only_next": NEXT_BASELINE, "qa_results_no_late": ENDED_RUN}
+def _triggers() -> dict[str, tuple[str, str, str | None, str]]:
+    """Name each trigger: its table, its verb, when it refuses (None is always), and what it says."""
+    made: dict[str, tuple[str, str, str | None, str]] = {
+        "qa_baselines_only_next": (
+            "qa_baselines",
+            "INSERT",
+            NEXT_BASELINE,
+            "the QA baselines take the next row only",
+        ),
+        "qa_results_no_late": ("qa_results", "INSERT", ENDED_RUN, "the QA run has ended"),
+    }
     for table in (*KEYS, "qa_baselines"):
         for verb in ("UPDATE", "DELETE"):
-            body = f"BEFORE {verb} ON {table} BEGIN SELECT RAISE(ABORT, '{table} is append-only'); END"
-            made[f"{table}_no_{verb.lower()}"] = body
+            made[f"{table}_no_{verb.lower()}"] = (table, verb, None, f"{table} is append-only")
     for table, same in KEYS.items():
         there = f"EXISTS (SELECT 1 FROM {table} WHERE {same})"  # noqa: S608 - names of this file alone
-        made[f"{table}_only_new"] = (
-            f"BEFORE INSERT ON {table} WHEN {there} BEGIN SELECT RAISE(ABORT, '{table} is append-only'); END"
-        )
+        made[f"{table}_only_new"] = (table, "INSERT", there, f"{table} is append-only")
     return made
 
 
@@ -46,13 +48,13 @@ def upgrade() -> None:
     _create_runs()
     _create_outcomes()
     _create_results()
-    for name, body in _triggers().items():
-        op.execute(f"CREATE TRIGGER {name} {body}")
+    for name, trigger in _triggers().items():
+        refuse(name, *trigger)
 
 
 def downgrade() -> None:
-    for name in _triggers():
-        op.execute(f"DROP TRIGGER {name}")
+    for name, (table, *_) in _triggers().items():
+        allow(name, table)
     for table in ("qa_results", "qa_outcomes", "qa_runs", "qa_baselines"):
         op.drop_table(table)
 

@@ -17,7 +17,6 @@ from service.db.engine import Database
 from service.db.models import QaRunRow
 from service.errors import BoundError, NotFoundError
 from service.folder_lock import alone_in
-from service.lifespan import DATABASE_NAME
 from service.qa import records, views
 from service.qa.book import TREND_RUNS, measured_by
 from service.qa.report import report_pdf
@@ -79,7 +78,7 @@ def fix_baseline(
         if given and from_run is not None:
             raise BoundError("give values or --from-run, not both", field="from_run")
         settings = load_settings(data_dir=data)
-        with alone_in(settings.data_dir), closing(Database(settings.data_dir / DATABASE_NAME)) as database:
+        with alone_in(settings.data_dir), closing(Database(settings.database_place)) as database:
             database.migrate()
             with database.write() as db:
                 expected = given if from_run is None else measured_by(db, _run(db, from_run).id)
@@ -95,10 +94,10 @@ def _reading(command: str, data: Path | None) -> Iterator[tuple[Settings, Sessio
     """Open a data folder's database to read; nothing is made where there is none."""
     try:
         settings = load_settings(data_dir=data)
-        path = settings.data_dir / DATABASE_NAME
-        if not path.is_file():
+        place = settings.database_place
+        if isinstance(place, Path) and not place.is_file():
             raise NotFoundError(f"there is no QA in {settings.data_dir}: no database", field="data")
-        with closing(Database(path)) as database, database.read() as db:
+        with closing(Database(place)) as database, database.read() as db:
             yield settings, db
     except OperationalError as error:
         text = "the database there is of an older version: start a service or do a QA with the folder once"

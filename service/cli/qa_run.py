@@ -26,7 +26,6 @@ from service.cli.written import write_whole
 from service.db.engine import Database
 from service.errors import BoundError, problem_of
 from service.folder_lock import alone_in
-from service.lifespan import DATABASE_NAME
 from service.qa import records, schemas, views
 from service.qa.book import TREND_RUNS, close_interrupted
 from service.qa.desk import check_word, qa_begin
@@ -74,7 +73,7 @@ def do_run(options: RunOptions) -> str:
     command = f"qa {options.kind}"
     try:
         settings = load_settings(data_dir=options.data)
-        with alone_in(settings.data_dir), closing(Database(settings.data_dir / DATABASE_NAME)) as database:
+        with alone_in(settings.data_dir), closing(Database(settings.database_place)) as database:
             database.migrate()
             run = _carried_out(options, settings, database)
     except (SettingsError, TidegateError) as error:

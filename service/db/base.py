@@ -2,8 +2,11 @@
 
 from datetime import UTC, datetime
 
-from sqlalchemy import Dialect, String, TypeDecorator
+from sqlalchemy import BigInteger, Dialect, Integer, String, TypeDecorator
 from sqlalchemy.orm import DeclarativeBase
+
+BigInt = BigInteger().with_variant(Integer(), "sqlite")
+"""For what may grow beyond 31 bits: counters that never end, ns, us, bytes. SQLite's integers are that wide anyway."""
 
 
 class Base(DeclarativeBase):

@@ -1,90 +1,129 @@
-"""The SQLite file: WAL, full synchronisation, foreign keys, and migrations on first start."""
+"""The database, on SQLite or PostgreSQL: sessions to read and to write with, and whether it is still there."""
 
-import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
-from importlib.resources import as_file, files
+from contextlib import closing, contextmanager
 from pathlib import Path
 
-from alembic import command
-from alembic.config import Config
-from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy import URL, Connection, Engine
 from sqlalchemy.orm import Session
 
-BEGIN_OPTION = "tidegate_begin"
+from service.db import migrating
+from service.db.postgres import make_postgres_engine, reading_postgres_engine, server_identity, take_write_lock
+from service.db.sqlite import file_identity, make_sqlite_engine, writing_sqlite_engine
+
+BUSY_TIMEOUT_S = 5.0
+ANSWER_TIMEOUT_S = 10.0
 
 
 class Database:
     """Sessions to read with and sessions to write with.
 
-    A writing session takes the write lock at once (``BEGIN IMMEDIATE``): the audit chain reads its last link and adds
-    the next one under the same lock, and nobody is told "locked" halfway through.
+    A writing session is the only one from its begin to its end (``BEGIN IMMEDIATE`` in SQLite, one advisory lock in
+    PostgreSQL): the audit chain reads its last link and adds the next one under the same lock, and nobody is told
+    "locked" halfway through.
+
+    Parameters
+    ----------
+    place
+        A file (SQLite), or the URL of a PostgreSQL database.
+    busy_timeout_s
+        How long is waited for another's lock, or for a free connection.
+    answer_timeout_s
+        How long PostgreSQL may take for one statement; None, for migrations and backups, as long as it takes.
     """
 
-    def __init__(self, path: Path, *, busy_timeout_s: float = 5.0) -> None:
-        self.path = path
-        self._engine = _make_engine(path, busy_timeout_s)
-        self._writing_engine = self._engine.execution_options(**{BEGIN_OPTION: "BEGIN IMMEDIATE"})
+    def __init__(
+        self,
+        place: Path | URL,
+        *,
+        busy_timeout_s: float = BUSY_TIMEOUT_S,
+        answer_timeout_s: float | None = ANSWER_TIMEOUT_S,
+    ) -> None:
+        self.place = place
+        self._identity: tuple[object, ...] | None = None
+        self._engine: Engine
+        if isinstance(place, Path):
+            self._engine = make_sqlite_engine(place, busy_timeout_s=busy_timeout_s)
+            self._reading_engine, self._writing_engine = self._engine, writing_sqlite_engine(self._engine)
+        else:
+            self._engine = make_postgres_engine(place, busy_timeout_s=busy_timeout_s, answer_timeout_s=answer_timeout_s)
+            self._reading_engine, self._writing_engine = reading_postgres_engine(self._engine), self._engine
+
+    @property
+    def is_postgresql(self) -> bool:
+        """Whether this is a PostgreSQL server's database, and not a file."""
+        return isinstance(self.place, URL)
+
+    @property
+    def path(self) -> Path:
+        """The file; of SQLite alone."""
+        if isinstance(self.place, URL):
+            msg = "a PostgreSQL database is no file"
+            raise TypeError(msg)
+        return self.place
+
+    def twin(self, *, busy_timeout_s: float, answer_timeout_s: float | None) -> "Database":
+        """Open the same database once more, with other patience."""
+        other = Database(self.place, busy_timeout_s=busy_timeout_s, answer_timeout_s=answer_timeout_s)
+        other._identity = self._identity
+        return other
 
     @contextmanager
     def read(self) -> Iterator[Session]:
         """Open a session that sees one moment of the database."""
-        with Session(self._engine) as session:
+        with Session(self._reading_engine) as session:
             yield session
 
     @contextmanager
     def write(self) -> Iterator[Session]:
         """Open a session that holds the write lock; committed at the end, or rolled back on an error."""
         with Session(self._writing_engine) as session, session.begin():
+            if self.is_postgresql:
+                take_write_lock(session.connection())
             yield session
 
-    def migrate(self, revision: str = "head") -> None:
-        """Bring the tables to a revision, making them on first start."""
-        with as_file(files("migrations")) as scripts:
-            config = migration_config(scripts)
-            with self._engine.connect() as connection:
-                config.attributes["connection"] = connection
-                command.upgrade(config, revision)
+    def trouble(self) -> str | None:
+        """Say whether this is no longer the database that was opened, in words; None where it is.
 
-    def downgrade(self, revision: str) -> None:
-        """Go back to an older revision."""
-        with as_file(files("migrations")) as scripts:
-            config = migration_config(scripts)
-            with self._engine.connect() as connection:
-                config.attributes["connection"] = connection
-                command.downgrade(config, revision)
+        Raises
+        ------
+        SQLAlchemyError
+            The server does not answer.
+        """
+        found = self._look()
+        if found is None:
+            return "the database's server is a standby" if self.is_postgresql else "the database's file was taken away"
+        if self._identity is None:
+            self._identity = found
+        if found != self._identity:
+            return "another database lies in the place of the one that was opened"
+        return None
+
+    def _look(self) -> tuple[object, ...] | None:
+        if isinstance(self.place, Path):
+            return file_identity(self.place)
+        with self._reading_engine.connect() as connection:
+            return server_identity(connection)
+
+    def migrate(self, revision: str = "head", **attributes: object) -> None:
+        """Bring the tables to a revision, making them on first start; what there is, is from now on this database."""
+        with closing(self._patient()) as patient, patient.connect() as connection:
+            migrating.upgrade(connection, revision, attributes)
+        self._identity = None
+        self.trouble()
+
+    def downgrade(self, revision: str, **attributes: object) -> None:
+        """Go back to an older revision, whatever is lost by it; see :func:`service.db.migrating.losses`."""
+        with closing(self._patient()) as patient, patient.connect() as connection:
+            migrating.downgrade(connection, revision, attributes)
+
+    def _patient(self) -> "Database":
+        return self.twin(busy_timeout_s=BUSY_TIMEOUT_S, answer_timeout_s=None)
 
     def connect(self) -> Connection:
-        """Open a plain connection: for schema checks."""
+        """Open a plain connection: for migrations and schema checks."""
         return self._engine.connect()
 
     def close(self) -> None:
-        """Give all connections back; the last one checkpoints the WAL."""
+        """Give all connections back; the last one to a file checkpoints the WAL."""
         self._engine.dispose()
-
-
-def migration_config(scripts: Path) -> Config:
-    """Make Alembic's settings for the migrations folder, wherever it is installed."""
-    config = Config()
-    config.set_main_option("script_location", str(scripts).replace("%", "%%"))
-    config.set_main_option("path_separator", "os")
-    return config
-
-
-def _make_engine(path: Path, busy_timeout_s: float) -> Engine:
-    engine = create_engine(f"sqlite:///{path}", connect_args={"timeout": busy_timeout_s, "check_same_thread": False})
-
-    @event.listens_for(engine, "connect")
-    def _prepare(connection: sqlite3.Connection, _record: object) -> None:
-        # The driver's own transaction handling commits before DDL and begins late; we say BEGIN ourselves.
-        connection.isolation_level = None
-        connection.execute("PRAGMA journal_mode=WAL")
-        connection.execute("PRAGMA synchronous=FULL")
-        connection.execute("PRAGMA foreign_keys=ON")
-        connection.execute(f"PRAGMA busy_timeout={int(busy_timeout_s * 1000)}")
-
-    @event.listens_for(engine, "begin")
-    def _begin(connection: Connection) -> None:
-        connection.exec_driver_sql(connection.get_execution_options().get(BEGIN_OPTION, "BEGIN"))
-
-    return engine

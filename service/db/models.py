@@ -5,7 +5,7 @@ from datetime import datetime
 from sqlalchemy import ForeignKey, Index, LargeBinary, String, Text, UniqueConstraint
 from sqlalchemy.orm import Mapped, mapped_column, relationship
 
-from service.db.base import Base, UtcTime
+from service.db.base import Base, BigInt, UtcTime
 
 
 class CalibrationRow(Base):
@@ -59,7 +59,7 @@ class SampleRow(Base):
 
     session_id: Mapped[str] = mapped_column(ForeignKey("sessions.id"), primary_key=True)
     frame_index: Mapped[int] = mapped_column(primary_key=True)
-    timestamp_us: Mapped[int]
+    timestamp_us: Mapped[int] = mapped_column(BigInt)
     missed_frames: Mapped[int]
     state: Mapped[str] = mapped_column(String(16))
     lost_reason: Mapped[str | None] = mapped_column(String(32))
@@ -73,13 +73,13 @@ class SampleRow(Base):
     gate: Mapped[str] = mapped_column(String(16))
     hold_reason: Mapped[str | None] = mapped_column(String(32))
     line_on: Mapped[bool]
-    received_ns: Mapped[int]
-    decided_ns: Mapped[int]
-    asserted_ns: Mapped[int]
+    received_ns: Mapped[int] = mapped_column(BigInt)
+    decided_ns: Mapped[int] = mapped_column(BigInt)
+    asserted_ns: Mapped[int] = mapped_column(BigInt)
     region_rows: Mapped[int | None]
     regions_mm: Mapped[bytes | None] = mapped_column(LargeBinary)
     named_mm: Mapped[bytes | None] = mapped_column(LargeBinary)
-    captured_ns: Mapped[int | None]
+    captured_ns: Mapped[int | None] = mapped_column(BigInt)
     phase_percent: Mapped[float | None]
 
 
@@ -105,7 +105,7 @@ class AuditRow(Base):
     __tablename__ = "audit"
     __table_args__ = (Index("ix_audit_session", "session_id", "action", "sequence"),)
 
-    sequence: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    sequence: Mapped[int] = mapped_column(BigInt, primary_key=True, autoincrement=False)
     at: Mapped[str] = mapped_column(String(27))
     actor: Mapped[str] = mapped_column(String(80))
     action: Mapped[str] = mapped_column(String(40))
@@ -193,3 +193,64 @@ class QaBaselineRow(Base):
     set_by: Mapped[str] = mapped_column(String(80))
     reason: Mapped[str] = mapped_column(Text)
     created_at: Mapped[datetime] = mapped_column(UtcTime)
+
+
+class UserRow(Base):
+    """A person who may log in; see `service.access.records`."""
+
+    __tablename__ = "users"
+    __table_args__ = (UniqueConstraint("issuer", "subject"),)
+
+    key: Mapped[str] = mapped_column(String(320), primary_key=True)
+    name: Mapped[str] = mapped_column(String(80))
+    password_hash: Mapped[str | None] = mapped_column(String(200))
+    roles: Mapped[str] = mapped_column(String(80))
+    is_disabled: Mapped[bool]
+    must_change_password: Mapped[bool]
+    is_break_glass: Mapped[bool]
+    issuer: Mapped[str | None] = mapped_column(String(255))
+    subject: Mapped[str | None] = mapped_column(String(255))
+    created_at: Mapped[datetime] = mapped_column(UtcTime)
+    last_login_at: Mapped[datetime | None] = mapped_column(UtcTime)
+
+
+class LoginRow(Base):
+    """A person at one browser; the hash of the token that the browser has."""
+
+    __tablename__ = "logins"
+
+    token_sha256: Mapped[str] = mapped_column(String(64), primary_key=True)
+    id: Mapped[str] = mapped_column(String(32), unique=True)
+    user_key: Mapped[str] = mapped_column(ForeignKey("users.key"))
+    way: Mapped[str] = mapped_column(String(16))
+    address: Mapped[str] = mapped_column(String(64))
+    created_at: Mapped[datetime] = mapped_column(UtcTime)
+    expires_at: Mapped[datetime] = mapped_column(UtcTime)
+    seen_at: Mapped[datetime] = mapped_column(UtcTime)
+
+
+class ApiKeyRow(Base):
+    """A machine's key; the hash of its secret."""
+
+    __tablename__ = "api_keys"
+
+    id: Mapped[str] = mapped_column(String(16), primary_key=True)
+    name: Mapped[str] = mapped_column(String(80))
+    secret_sha256: Mapped[str] = mapped_column(String(64))
+    scopes: Mapped[str] = mapped_column(Text)
+    created_by: Mapped[str] = mapped_column(String(80))
+    created_at: Mapped[datetime] = mapped_column(UtcTime)
+    expires_at: Mapped[datetime] = mapped_column(UtcTime)
+    revoked_at: Mapped[datetime | None] = mapped_column(UtcTime)
+    last_used_at: Mapped[datetime | None] = mapped_column(UtcTime)
+
+
+class AttemptsRow(Base):
+    """Failed log-ins of a name, or from an address."""
+
+    __tablename__ = "failed_logins"
+
+    subject: Mapped[str] = mapped_column(String(330), primary_key=True)
+    failures: Mapped[int]
+    last_at: Mapped[datetime] = mapped_column(UtcTime)
+    locked_until: Mapped[datetime | None] = mapped_column(UtcTime)

@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from service.cli.qa_run import RunOptions, do_run
 from service.db.engine import Database
-from service.lifespan import DATABASE_NAME
+from service.db.place import DATABASE_NAME
 from service.qa import records, views
 from service.qa.report import report_pages
 

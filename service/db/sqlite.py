@@ -1,0 +1,47 @@
+"""The SQLite file: WAL, full synchronisation, foreign keys, and a write lock taken at once."""
+
+import sqlite3
+from pathlib import Path
+
+from sqlalchemy import Connection, Engine, create_engine, event
+
+BEGIN_OPTION = "tidegate_begin"
+MS_PER_S = 1000
+
+
+def make_sqlite_engine(path: Path, *, busy_timeout_s: float) -> Engine:
+    """Open a file, made where it is missing; a connection waits so long for others' write lock."""
+    engine = create_engine(
+        f"sqlite:///{path}",
+        connect_args={"timeout": busy_timeout_s, "check_same_thread": False},
+        pool_timeout=busy_timeout_s,
+    )
+
+    @event.listens_for(engine, "connect")
+    def _prepare(connection: sqlite3.Connection, _record: object) -> None:
+        # The driver's own transaction handling commits before DDL and begins late; we say BEGIN ourselves.
+        connection.isolation_level = None
+        connection.execute("PRAGMA journal_mode=WAL")
+        connection.execute("PRAGMA synchronous=FULL")
+        connection.execute("PRAGMA foreign_keys=ON")
+        connection.execute(f"PRAGMA busy_timeout={int(busy_timeout_s * MS_PER_S)}")
+
+    @event.listens_for(engine, "begin")
+    def _begin(connection: Connection) -> None:
+        connection.exec_driver_sql(connection.get_execution_options().get(BEGIN_OPTION, "BEGIN"))
+
+    return engine
+
+
+def writing_sqlite_engine(engine: Engine) -> Engine:
+    """Return the same engine with transactions that hold the write lock from their begin."""
+    return engine.execution_options(**{BEGIN_OPTION: "BEGIN IMMEDIATE"})
+
+
+def file_identity(path: Path) -> tuple[int, int] | None:
+    """Return which file lies there; one that was taken away takes what is written to it along."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
