@@ -1,0 +1,228 @@
+"""Walking the chain: which row is the first that does not follow, and what somebody seems to have done to it.
+
+The walk takes plain tuples in pieces, so that a million rows cost seconds and no memory, and so that whoever walks
+beside a running service can let go of the database, and of the interpreter, between two pieces.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple, Protocol
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from service.audit.chain import COLUMNS, GENESIS_HASH, Link, seal
+from service.db.models import AuditRow
+
+PIECE_ROWS = 2000
+NEAR_ROWS = 1000
+"""How far from its place the place is looked for at which a row's seal fits."""
+
+
+class Breakage(StrEnum):
+    """What the chain looks like where it breaks."""
+
+    CHANGED = "changed"
+    MISSING = "missing"
+    INSERTED = "inserted"
+    REORDERED = "reordered"
+    RESEALED = "resealed"
+    CUT_OFF = "cut_off"
+    REPLACED = "replaced"
+    ANCHORS = "anchors"
+
+
+class Head(NamedTuple):
+    """A row's seal as somebody kept it outside the database."""
+
+    sequence: int
+    hash: str
+    at: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verification:
+    """What a walk along the chain found; ``rows`` are those that hold, ``notes`` what a person should know besides."""
+
+    rows: int
+    head_hash: str
+    first_broken_sequence: int | None = None
+    breakage: Breakage | None = None
+    detail: str = "every row follows from the one before"
+    notes: tuple[str, ...] = ()
+
+    @property
+    def is_intact(self) -> bool:
+        """Whether nothing is broken."""
+        return self.breakage is None
+
+
+class Reader(Protocol):
+    """Whatever opens a session to read with."""
+
+    def __call__(self, after: int | None, limit: int) -> list[Link]:
+        """Read the rows after a sequence, in order; from the very first with None."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Break:
+    """The first row that does not follow, and why it is thought so."""
+
+    sequence: int
+    breakage: Breakage
+    detail: str
+
+
+class Walk:
+    """Takes links in order, and heads to hold them against; stops at the first break."""
+
+    def __init__(self, heads: Iterable[Head] = (), *, after: Link | None = None) -> None:
+        self.previous_hash = GENESIS_HASH if after is None else after.hash
+        self.last_sequence = 0 if after is None else after.sequence
+        self.rows = 0
+        self.broken: Break | None = None
+        self._heads = iter(heads)
+        self._head = next(self._heads, None)
+        self._pass_heads_before(self.last_sequence + 1)
+
+    def take(self, links: list[Link]) -> bool:
+        """Walk along; False at the first break."""
+        for place, link in enumerate(links):
+            if not self._follows(link):
+                following = links[place + 1] if place + 1 < len(links) else None
+                self.broken = self._break_at(link, following)
+                return False
+            self.previous_hash, self.last_sequence = link.hash, link.sequence
+            self.rows += 1
+            if self._head is not None and self._head.sequence <= link.sequence and not self._is_as_kept(link):
+                return False
+        return True
+
+    def end(self) -> Verification:
+        """Say what was found, at the end of the rows."""
+        if self.broken is None and self._head is not None:
+            self.broken = self._cut_off(self._head)
+        if self.broken is None:
+            return Verification(rows=self.rows, head_hash=self.previous_hash)
+        return Verification(
+            rows=self.rows,
+            head_hash=self.previous_hash,
+            first_broken_sequence=self.broken.sequence,
+            breakage=self.broken.breakage,
+            detail=self.broken.detail,
+        )
+
+    def _follows(self, link: Link) -> bool:
+        is_next = link.sequence == self.last_sequence + 1 and link.previous_hash == self.previous_hash
+        return is_next and is_sealed(link)
+
+    def _pass_heads_before(self, sequence: int) -> None:
+        while self._head is not None and self._head.sequence < sequence:
+            self._head = next(self._heads, None)
+
+    def _is_as_kept(self, link: Link) -> bool:
+        """Hold a row against every head kept of it."""
+        while self._head is not None and self._head.sequence <= link.sequence:
+            if self._head.hash != link.hash:
+                detail = (
+                    f"row {link.sequence} is not the row that was anchored at {self._head.at}: it, or a row before it, "
+                    "was written anew and sealed again"
+                )
+                self.broken = Break(sequence=link.sequence, breakage=Breakage.REPLACED, detail=detail)
+                return False
+            self._head = next(self._heads, None)
+        return True
+
+    def _cut_off(self, head: Head) -> Break:
+        first = self.last_sequence + 1
+        last = max([head.sequence, *(later.sequence for later in self._heads)])
+        which = f"row {first} is" if last == first else f"rows {first} to {last} are"
+        detail = f"{which} missing at the end: row {head.sequence} was anchored at {head.at}"
+        return Break(sequence=first, breakage=Breakage.CUT_OFF, detail=detail)
+
+    def _break_at(self, link: Link, following: Link | None) -> Break:
+        expected = self.last_sequence + 1
+        if link.sequence != expected:
+            breakage = Breakage.MISSING if link.sequence > expected else Breakage.INSERTED
+            words = "is missing before" if link.sequence > expected else "is the first one, and yet there is"
+            return Break(
+                sequence=link.sequence, breakage=breakage, detail=f"row {expected} {words} row {link.sequence}"
+            )
+        breakage, detail = _explained(link, following)
+        return Break(sequence=link.sequence, breakage=breakage, detail=detail)
+
+
+def is_sealed(link: Link) -> bool:
+    """Whether a row's seal fits what it says; what cannot even be written as JSON does not."""
+    try:
+        return seal(link) == link.hash
+    except (TypeError, ValueError):
+        return False
+
+
+def _explained(link: Link, following: Link | None) -> tuple[Breakage, str]:
+    """Tell, from where its seal would fit, what was done to a row that stands where the next one should."""
+    here, was = link.sequence, _sealed_as(link)
+    if was is None:
+        return Breakage.CHANGED, f"row {here} was changed after it was written"
+    if was == here:
+        text = f"row {here} does not follow from the row before it, which was changed or put in and sealed anew"
+        return Breakage.RESEALED, text
+    if was == here - 1:
+        return Breakage.INSERTED, f"row {here} was written as row {was}: a row was put in before it"
+    if was == here + 1 and (following is None or _sealed_as(following) != here):
+        return Breakage.MISSING, f"row {here} was written as row {was}: a row before it was taken out"
+    return Breakage.REORDERED, f"row {here} was written as row {was}: rows changed places"
+
+
+def _sealed_as(link: Link) -> int | None:
+    """Return the place at which a row's seal fits, its own first."""
+    try:
+        for off in range(NEAR_ROWS + 1):
+            for place in {link.sequence + off, link.sequence - off}:
+                if seal(link, sequence=place) == link.hash:
+                    return place
+    except (TypeError, ValueError):
+        return None
+    return None
+
+
+def read_links(db: Session, after: int | None, limit: int) -> list[Link]:
+    """Read the rows after a sequence, in order; from the very first with None, whatever its number."""
+    query = select(*COLUMNS).order_by(AuditRow.sequence).limit(limit)
+    if after is not None:
+        query = query.where(AuditRow.sequence > after)
+    return [Link._make(row) for row in db.execute(query)]
+
+
+def head_sequence(db: Session) -> int:
+    """Return the newest row's number, 0 without one."""
+    return db.scalar(select(func.max(AuditRow.sequence))) or 0
+
+
+def verify(db: Session, heads: Iterable[Head] = ()) -> Verification:
+    """Walk the whole chain in one session and name the first row that does not follow from the one before."""
+    return verify_pieces(lambda after, limit: read_links(db, after, limit), heads)
+
+
+def verify_pieces(
+    read: Reader, heads: Iterable[Head] = (), *, on_piece: Callable[[int], None] = lambda _rows: None
+) -> Verification:
+    """Walk the whole chain piece by piece; ``on_piece`` hears how many rows are done."""
+    walk = Walk(heads)
+    for links in pieces(read):
+        if not walk.take(links):
+            break
+        on_piece(walk.rows)
+    return walk.end()
+
+
+def pieces(read: Reader, *, after: int | None = None, up_to: int | None = None) -> Iterator[list[Link]]:
+    """Read all rows in pieces; what is added past ``up_to`` meanwhile is left alone."""
+    while links := read(after, PIECE_ROWS):
+        if up_to is not None and links[-1].sequence > up_to:
+            yield [link for link in links if link.sequence <= up_to]
+            return
+        yield links
+        after = links[-1].sequence
