@@ -9,6 +9,15 @@ import pytest
 
 import engine
 from engine.phantom.recording import make_volunteer
+from tests.db.postgres import (  # noqa: F401 - fixtures for all tests
+    database,
+    database_kind,
+    database_url,
+    empty_place,
+    own_postgres_server,
+    place,
+    postgres_server,
+)
 from tests.kept import digest_of, made_once
 
 MAKERS = [Path(engine.__path__[0]) / name for name in ("phantom", "oni", "geometry.py", "laser_plane.py")]
@@ -39,3 +48,9 @@ def dibh_volunteer(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def occlusion_volunteer(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with 36 s: a hand from 20 to 24 s, a hidden sticker from 28 to 32 s."""
     return volunteer(tmp_path_factory, "occlusion", volunteer=1, seconds=36.0, seed=1)
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run what is marked so on SQLite and on PostgreSQL."""
+    if metafunc.definition.get_closest_marker("both_databases") and "database_kind" in metafunc.fixturenames:
+        metafunc.parametrize("database_kind", ["sqlite", "postgresql"], indirect=True)

@@ -7,13 +7,11 @@ from typing import TypeVar
 from sqlalchemy import ColumnElement, Select, func, literal, select, tuple_
 from sqlalchemy.orm import Session
 
-from service import schemas
 from service.db.base import UtcTime, utc_text
-from service.db.models import AuditRow, CalibrationRow, ModelRow, QaRunRow, SampleRow, SessionRow
+from service.db.models import AuditRow, CalibrationRow, ModelRow, QaRunRow, SessionRow
 from service.errors import BoundError, NotFoundError
 
 OPEN_STATUSES = ("created", "running")
-CSV_PIECE = 1000
 TRANSITION = "gate.transition"
 RowT = TypeVar("RowT")
 DatedT = TypeVar("DatedT", SessionRow, CalibrationRow, QaRunRow)
@@ -97,45 +95,10 @@ def transition_page(
     return _cut(db, query, limit, lambda row: str(row.sequence))
 
 
-def summary(db: Session, session_id: str) -> schemas.Summary:
-    """Work a session's figures out from its samples and transitions."""
-    mine = SampleRow.session_id == session_id
-    is_armed = mine & (SampleRow.gate != "disarmed")
-    frames, missed = db.execute(select(func.count(), func.sum(SampleRow.missed_frames)).where(mine)).one()
-    armed = _count(db, is_armed)
-    transitions = select(func.count()).select_from(AuditRow)
-    transitions = transitions.where(AuditRow.session_id == session_id, AuditRow.action == TRANSITION)
-    return schemas.Summary(
-        frames=frames,
-        missed_frames=missed or 0,
-        lost=_count(db, mine & (SampleRow.state == "lost")),
-        duty_cycle=_count(db, is_armed & SampleRow.line_on) / armed if armed else None,
-        transitions=db.scalar(transitions) or 0,
-        latency=schemas.LatencyView(
-            p50_ms=_latency_ms(db, session_id, frames, 0.50),
-            p99_ms=_latency_ms(db, session_id, frames, 0.99),
-            max_ms=_latency_ms(db, session_id, frames, 1.0),
-        ),
-    )
-
-
-def samples_after(db: Session, session_id: str, frame_index: int) -> Sequence[SampleRow]:
-    """Read the next piece of a session's samples, in order."""
-    query = select(SampleRow).where(SampleRow.session_id == session_id, SampleRow.frame_index > frame_index)
-    return db.scalars(query.order_by(SampleRow.frame_index).limit(CSV_PIECE)).all()
-
-
-def _count(db: Session, condition: ColumnElement[bool]) -> int:
-    return db.scalar(select(func.count()).select_from(SampleRow).where(condition)) or 0
-
-
-def _latency_ms(db: Session, session_id: str, frames: int, share: float) -> float | None:
-    if frames == 0:
-        return None
-    latency_ns = SampleRow.asserted_ns - func.coalesce(SampleRow.captured_ns, SampleRow.received_ns)
-    query = select(latency_ns).where(SampleRow.session_id == session_id).order_by(latency_ns)
-    value = db.scalar(query.offset(min(int(share * frames), frames - 1)).limit(1))
-    return None if value is None else value / 1e6
+def transition_count(db: Session, session_id: str) -> int:
+    """Count a session's gate transitions."""
+    query = select(func.count()).select_from(AuditRow)
+    return db.scalar(query.where(AuditRow.session_id == session_id, AuditRow.action == TRANSITION)) or 0
 
 
 def newest_first(
