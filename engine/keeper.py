@@ -109,6 +109,7 @@ class GateKeeper:
         gate = before
         for event in (*interlocks, *events, *interlocks):
             gate = step_gate(gate, event, decided_ns, self._limits)
+        foreseen = self._foresee(before, gate, cause, decided_ns)
         report = self._driver.carry_out(gate, decided_ns)
         if report.trouble is not None:
             gate = step_gate(gate, self._named(report.trouble), decided_ns, self._limits)
@@ -120,7 +121,7 @@ class GateKeeper:
             asserted_ns = self._clock.now_ns()
         self.gate = gate
         self._watchdog.feed(decided_ns, is_armed=gate.is_armed)
-        self._tell(before, cause, decided_ns, asserted_ns, report)
+        self._tell(before, cause, decided_ns, asserted_ns, report, foreseen)
 
     def acknowledge(self, command: Acknowledge) -> None:
         """Clear the latched fault for a named person; what still holds then faults again at once."""
@@ -240,27 +241,29 @@ class GateKeeper:
         """Name the watchdog as the cause where its hold is why the line refused a permit."""
         return Interruption(HoldReason.WATCHDOG, WATCHDOG_DETAIL) if self._has_watchdog_fired() else trouble
 
-    def _tell(self, before: Gate, cause: Cause, decided_ns: int, asserted_ns: int, report: LineReport) -> None:
+    def _foresee(self, before: Gate, gate: Gate, cause: Cause, decided_ns: int) -> int | None:
+        """Keep a permit where a kill does not reach it before the line hears of it; a hold waits for nothing."""
+        if gate.state is not GateState.BEAM_ON or before.state is GateState.BEAM_ON:
+            return None
+        return self._outbox.foresee(self._transition(before, gate, cause, decided_ns, decided_ns))
+
+    def _tell(
+        self,
+        before: Gate,
+        cause: Cause,
+        decided_ns: int,
+        asserted_ns: int,
+        report: LineReport,
+        foreseen: int | None,
+    ) -> None:
         gate, frame = self.gate, cause.frame
         is_news = (gate.state, gate.reason) != (before.state, before.reason)
-        taken_ns = self._captured_ns(cause.measurement)
+        taken_ns = self._captured_ns(cause.measurement, gate)
         if cause.detail or (is_news and self._may_tell(gate)):
-            self._tell_transition(
-                GateTransition(
-                    at_ns=decided_ns,
-                    frame_index=None if frame is None else frame.index,
-                    from_state=before.state,
-                    to_state=gate.state,
-                    reason=gate.reason,
-                    operator=cause.operator or self._holder_of(gate),
-                    detail=cause.detail or gate.detail,
-                    captured_us=None if frame is None else frame.timestamp_us,
-                    received_ns=None if frame is None else frame.received_ns,
-                    decided_ns=decided_ns,
-                    asserted_ns=asserted_ns,
-                    captured_ns=taken_ns,
-                )
-            )
+            told = self._transition(before, gate, cause, decided_ns, asserted_ns)
+            self._tell_transition(told, settles=foreseen)
+        elif foreseen is not None:
+            self._outbox.forget(self._transition(before, gate, cause, decided_ns, asserted_ns), foreseen)
         if frame is not None and cause.measurement is not None:
             record = replace(
                 self._record(cause.measurement, decided_ns, asserted_ns, is_on=report.is_on), captured_ns=taken_ns
@@ -279,12 +282,29 @@ class GateKeeper:
             record = replace(self._latest.record, gate_state=gate.state, hold_reason=gate.reason, line_on=report.is_on)
             self._show(record, self._latest.color, gate.detail)
 
-    def _tell_transition(self, transition: GateTransition) -> None:
-        self._outbox.put_transition(transition)
+    def _transition(self, before: Gate, gate: Gate, cause: Cause, decided_ns: int, asserted_ns: int) -> GateTransition:
+        frame = cause.frame
+        return GateTransition(
+            at_ns=decided_ns,
+            frame_index=None if frame is None else frame.index,
+            from_state=before.state,
+            to_state=gate.state,
+            reason=gate.reason,
+            operator=cause.operator or self._holder_of(gate),
+            detail=cause.detail or gate.detail,
+            captured_us=None if frame is None else frame.timestamp_us,
+            received_ns=None if frame is None else frame.received_ns,
+            decided_ns=decided_ns,
+            asserted_ns=asserted_ns,
+            captured_ns=self._captured_ns(cause.measurement, gate),
+        )
+
+    def _tell_transition(self, transition: GateTransition, *, settles: int | None = None) -> None:
+        self._outbox.put_transition(transition, settles=settles)
         self._witness.told(transition)
 
-    def _captured_ns(self, measurement: Measurement | None) -> int | None:
-        last = self.gate.last
+    def _captured_ns(self, measurement: Measurement | None, gate: Gate) -> int | None:
+        last = gate.last
         return None if measurement is None or last is None else captured_ns(last, measurement, self._limits)
 
     def _holder_of(self, gate: Gate) -> str | None:

@@ -68,7 +68,7 @@ class GateTransition:
     """One change of the gate's state, or of the reason for the state; for the audit.
 
     ``frame_index``, ``captured_us``, ``captured_ns`` and ``received_ns`` are those of the frame that caused it, None
-    when none did; ``operator`` is the person who did.
+    when none did; ``operator`` is the person who did; ``number`` is its own in the session's journal, rising.
     """
 
     at_ns: int
@@ -83,6 +83,7 @@ class GateTransition:
     decided_ns: int
     asserted_ns: int
     captured_ns: int | None = None
+    number: int | None = None
 
     @property
     def latency_ms(self) -> float | None:

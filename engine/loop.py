@@ -36,6 +36,7 @@ from engine.orders import Orders
 from engine.outbox import Outbox
 from engine.permits import HoldReason
 from engine.stages.gate import Ending, Gate, GateEvent, Interruption, Silence
+from engine.transition_journal import Journal
 from engine.watchdog import Watchdog
 from engine.witness import NOBODY, Seam, Witness, WitnessedClock
 
@@ -65,6 +66,8 @@ class EngineLoop:
         Bounds of the queues; 900 samples are half a minute.
     watchdog
         One of the caller's, on the same line; by default the loop makes its own.
+    journal
+        Where transitions are kept that a kill must not lose; by default nowhere.
     witness
         Hears what the engine's thread hears, and what came of it: a tape, or a replay of one.
     """
@@ -81,13 +84,14 @@ class EngineLoop:
         transition_capacity: int = 256,
         command_capacity: int = 16,
         watchdog: Watchdog | None = None,
+        journal: Journal | None = None,
         witness: Witness = NOBODY,
     ) -> None:
         self._source, self._pipeline, self._beam = source, pipeline, beam
         self._witness, self._line = witness, WitnessedLine(beam, witness)
         self._limits, self._clock = limits, WitnessedClock(clock, witness)
         self._mailbox = Mailbox(clock=clock, capacity=command_capacity)
-        self._outbox = Outbox(sample_capacity=sample_capacity, transition_capacity=transition_capacity)
+        self._outbox = Outbox(sample_capacity=sample_capacity, transition_capacity=transition_capacity, journal=journal)
         deadline_ns = ns_from_ms(limits.watchdog_ms)
         self._watchdog = watchdog or Watchdog(beam=beam, clock=clock, deadline_ns=deadline_ns)
         self._keeper = GateKeeper(

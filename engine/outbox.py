@@ -9,12 +9,14 @@ import queue
 import threading
 from collections import deque
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TypeVar
 
 from engine.clock import NS_PER_MS
 from engine.live import FrameRecord, GateTransition
 from engine.notices import LearningNotice
 from engine.permits import HoldReason
+from engine.transition_journal import Journal, NoJournal
 
 T = TypeVar("T")
 
@@ -28,11 +30,12 @@ NOTICE_CAPACITY = 64
 class Outbox:
     """The engine's side of the recorder's and the audit's queue; transitions may come from the watchdog too."""
 
-    def __init__(self, *, sample_capacity: int, transition_capacity: int) -> None:
+    def __init__(self, *, sample_capacity: int, transition_capacity: int, journal: Journal | None = None) -> None:
         self.samples: queue.Queue[FrameRecord] = queue.Queue(sample_capacity)
         self.transitions: queue.Queue[GateTransition] = queue.Queue(transition_capacity + RESERVED_TRANSITIONS)
         self.notices: queue.Queue[LearningNotice] = queue.Queue(NOTICE_CAPACITY)
         self.dropped_records = 0
+        self._journal = journal or NoJournal()
         self._kept: deque[GateTransition] = deque()
         self._kept_notices: deque[LearningNotice] = deque()
         self._lock = threading.Lock()
@@ -44,9 +47,24 @@ class Outbox:
         except queue.Full:
             self.dropped_records += 1
 
-    def put_transition(self, transition: GateTransition) -> None:
-        """Queue a transition behind those that still wait."""
-        self._kept.append(transition)
+    def foresee(self, transition: GateTransition) -> int | None:
+        """Keep, where a kill does not reach it, what the line is about to be told; returns its number."""
+        with self._lock:
+            return self._journal.foresee(transition)
+
+    def forget(self, transition: GateTransition, number: int) -> None:
+        """Take back what was foreseen and is not told as a transition."""
+        with self._lock:
+            self._journal.forget(transition, number)
+
+    def put_transition(self, transition: GateTransition, *, settles: int | None = None) -> None:
+        """Keep a transition where a kill does not reach it, and queue it behind those that still wait.
+
+        ``settles`` is the number under which it was foreseen. The journal and the queue have one order.
+        """
+        with self._lock:
+            number = self._journal.write(transition, settles=settles)
+            self._kept.append(replace(transition, number=number))
         self.flush()
 
     def put_notices(self, notices: Iterable[LearningNotice]) -> None:
@@ -68,7 +86,7 @@ class Outbox:
     def trouble(self) -> HoldReason | None:
         """Return why nothing more may happen, or None."""
         room = self.transitions.maxsize - self.transitions.qsize()
-        if self._kept or self._kept_notices or room <= RESERVED_TRANSITIONS:
+        if self._kept or self._kept_notices or room <= RESERVED_TRANSITIONS or self._journal.is_behind:
             return HoldReason.AUDIT_BEHIND
         return HoldReason.RECORDER_BEHIND if self.samples.full() else None
 
