@@ -11,6 +11,8 @@
 import sqlalchemy as sa
 from alembic import op
 
+from migrations.refusals import allow, refuse
+
 revision = "0006"
 down_revision = "0005"
 branch_labels = None
@@ -22,76 +24,52 @@ KEYS = {
 }
 """Tables that had no triggers, and what makes a row the same one."""
 HIDDEN = ("calibrations", "models", "qa_runs", "qa_outcomes", "qa_results")
-"""Tables whose `rowid` is no column of theirs; it can be named in an INSERT all the same."""
+"""Tables whose `rowid` in SQLite is no column of theirs; it can be named in an INSERT all the same."""
 SEALED = ("audit", "calibrations", "models", "qa_runs", "qa_outcomes", "qa_results", "qa_baselines")
 
 
 def upgrade() -> None:
-    if op.get_bind().dialect.name == "sqlite":
-        for name, body in _sqlite_triggers().items():
-            op.execute(f"CREATE TRIGGER {name} {body}")
-        return
-    for table, same in KEYS.items():
-        _forbid(table, "no_update", "UPDATE", "FOR EACH ROW")
-        _forbid(table, "no_delete", "DELETE", "FOR EACH ROW")
-        _forbid_same(table, same)
-    for table in SEALED:
-        _forbid(table, "no_truncate", "TRUNCATE", "FOR EACH STATEMENT")
-    _make_triggers("ALWAYS ")
+    for name, trigger in _triggers().items():
+        refuse(name, *trigger)
+    if op.get_bind().dialect.name == "postgresql":
+        for table in SEALED:
+            _refuse_truncate(table)
+        _make_triggers("ALWAYS ")
 
 
 def downgrade() -> None:
-    if op.get_bind().dialect.name == "sqlite":
-        for name in _sqlite_triggers():
-            op.execute(f"DROP TRIGGER {name}")
-        return
-    for table in SEALED:
-        names = ("no_truncate", *(("no_update", "no_delete", "only_new") if table in KEYS else ()))
-        for name in names:
-            op.execute(f"DROP TRIGGER {table}_{name} ON {table}")
-            op.execute(f"DROP FUNCTION {table}_{name}()")
-    _make_triggers("")
+    if op.get_bind().dialect.name == "postgresql":
+        for table in SEALED:
+            allow(f"{table}_no_truncate", table)
+        _make_triggers("")
+    for name, (table, *_) in _triggers().items():
+        allow(name, table)
 
 
-def _sqlite_triggers() -> dict[str, str]:
-    made = {}
+def _triggers() -> dict[str, tuple[str, str, str | None, str]]:
+    """Name each trigger: its table, its verb, when it refuses (None is always), and what it says."""
+    made: dict[str, tuple[str, str, str | None, str]] = {}
     for table, same in KEYS.items():
         for verb in ("UPDATE", "DELETE"):
-            made[f"{table}_no_{verb.lower()}"] = f"BEFORE {verb} ON {table} {_refusal(table)}"
-        made[f"{table}_only_new"] = _unless_there(table, same)
-    for table in HIDDEN:
-        made[f"{table}_only_new_rowid"] = _unless_there(table, "rowid = NEW.rowid")
+            made[f"{table}_no_{verb.lower()}"] = (table, verb, None, f"{table} is append-only")
+        made[f"{table}_only_new"] = _new_only(table, same)
+    if op.get_bind().dialect.name == "sqlite":
+        made |= {f"{table}_only_new_rowid": _new_only(table, "rowid = NEW.rowid") for table in HIDDEN}
     return made
 
 
-def _unless_there(table: str, same: str) -> str:
+def _new_only(table: str, same: str) -> tuple[str, str, str | None, str]:
     there = f"EXISTS (SELECT 1 FROM {table} WHERE {same})"  # noqa: S608 - names of this file alone
-    return f"BEFORE INSERT ON {table} WHEN {there} {_refusal(table)}"
+    return table, "INSERT", there, f"{table} is append-only"
 
 
-def _refusal(table: str) -> str:
-    return f"BEGIN SELECT RAISE(ABORT, '{table} is append-only'); END"
-
-
-def _forbid(table: str, name: str, verb: str, each: str) -> None:
-    words = "the audit log" if table == "audit" else table
+def _refuse_truncate(table: str) -> None:
+    name, words = f"{table}_no_truncate", "the audit log" if table == "audit" else table
     op.execute(
-        f"CREATE FUNCTION {table}_{name}() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN "
+        f"CREATE FUNCTION {name}() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN "
         f"RAISE EXCEPTION '{words} is append-only' USING ERRCODE = 'integrity_constraint_violation'; END $$"
     )
-    op.execute(f"CREATE TRIGGER {table}_{name} BEFORE {verb} ON {table} {each} EXECUTE FUNCTION {table}_{name}()")
-
-
-def _forbid_same(table: str, same: str) -> None:
-    """Refuse a row that is there already before any ON CONFLICT is looked at."""
-    op.execute(
-        f"CREATE FUNCTION {table}_only_new() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN "  # noqa: S608 - as above
-        f"IF EXISTS (SELECT 1 FROM {table} WHERE {same}) THEN RAISE EXCEPTION '{table} is append-only' "
-        "USING ERRCODE = 'integrity_constraint_violation'; END IF; RETURN NEW; END $$"
-    )
-    op.execute(
-        f"CREATE TRIGGER {table}_only_new BEFORE INSERT ON {table} FOR EACH ROW EXECUTE FUNCTION {table}_only_new()"
-    )
+    op.execute(f"CREATE TRIGGER {name} BEFORE TRUNCATE ON {table} FOR EACH STATEMENT EXECUTE FUNCTION {name}()")
 
 
 def _make_triggers(always: str) -> None:
