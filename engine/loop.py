@@ -125,6 +125,10 @@ class EngineLoop:
         self._watchdog.start()
         self._thread.start()
 
+    def run_here(self) -> None:
+        """Live this life in the calling thread, with nobody who watches: for replays, which drive no line."""
+        self._work()
+
     def stop(self, timeout_s: float) -> bool:
         """Hold the beam and end; return whether the engine thread is gone. A hung one leaves the line latched off."""
         self._stop_requested.set()
