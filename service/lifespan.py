@@ -10,6 +10,7 @@ from fastapi import FastAPI
 
 from engine import __version__
 from service.audit import SYSTEM, Event
+from service.audit.care import AuditCare
 from service.audit_log import AuditLog
 from service.calibrations import CalibrationShelf
 from service.db.engine import Database
@@ -43,6 +44,7 @@ class _House:
     qa_desk: QaDesk
     log: AuditLog
     database: Database
+    care: AuditCare
     room: Room
 
     def hold_and_close_session(self) -> None:
@@ -56,8 +58,11 @@ class _House:
     def close(self) -> None:
         """Hold the beam first, then write down and close."""
         self.hold_and_close_session()
-        self.log.write(Event(actor=SYSTEM, action="service.stop"))
-        self.database.close()
+        try:
+            self.log.write(Event(actor=SYSTEM, action="service.stop"))
+        finally:
+            self.care.close()
+            self.database.close()
 
 
 def make_lifespan(
@@ -85,6 +90,7 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig) -> _House:
     database = Database(settings.database_place)
     database.migrate()
     log, room, tallies = AuditLog(database), Room(), Tallies()
+    care = AuditCare(database=database, settings=settings, write=log.write)
     models = ModelStore(settings.data_dir / MODELS_FOLDER)
     book = SessionBook(database, log, settings, room, engine)
     runner = SessionRunner(
@@ -106,22 +112,18 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig) -> _House:
         calibrations=CalibrationShelf(database, log),
         models=ModelShelf(database, room),
         audit=log,
-        health=ReadinessProbe(database, settings),
+        health=ReadinessProbe(database, settings, lambda: care.troubles),
         interlocks=InterlockTable(settings),
         metrics=Metrics(tallies, room),
         engine=engine,
         qa_desk=qa_desk,
         qa_book=qa_book,
     )
-    log.write(Event(actor=SYSTEM, action="service.start", detail=_start_detail(settings, engine)))
+    care.start(_start_detail(engine))
     book.close_interrupted()
     close_interrupted(database)
-    return _House(services=services, runner=runner, qa_desk=qa_desk, log=log, database=database, room=room)
+    return _House(care=care, services=services, runner=runner, qa_desk=qa_desk, log=log, database=database, room=room)
 
 
-def _start_detail(settings: Settings, engine: EnginePort) -> dict[str, object]:
-    return {
-        "version": __version__,
-        "is_simulated_beam": engine.is_simulated_beam,
-        "settings": settings.model_dump(mode="json"),
-    }
+def _start_detail(engine: EnginePort) -> dict[str, object]:
+    return {"version": __version__, "is_simulated_beam": engine.is_simulated_beam}

@@ -1,6 +1,7 @@
 """Whether a session could run now, and if not, what is missing."""
 
 import shutil
+from collections.abc import Callable
 
 from sqlalchemy import text
 from sqlalchemy.exc import SQLAlchemyError
@@ -15,15 +16,19 @@ MIB = 1024 * 1024
 
 
 class ReadinessProbe:
-    """Looks at the database, the disk and the folders."""
+    """Looks at the database, the disk, the folders and the audit."""
 
-    def __init__(self, database: Database, settings: Settings) -> None:
+    def __init__(
+        self, database: Database, settings: Settings, audit_troubles: Callable[[], list[str]] = list
+    ) -> None:
         self._database = database
         self._settings = settings
+        self._audit_troubles = audit_troubles
 
     def readiness(self) -> schemas.Readiness:
         """Say what is missing, if anything."""
         missing = [*self._database_trouble(), *self._disk_trouble(), *self._folder_trouble(), *self._qa_trouble()]
+        missing += self._audit_troubles()
         return schemas.Readiness(is_ready=not missing, not_ready=missing)
 
     def _database_trouble(self) -> list[str]:

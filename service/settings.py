@@ -19,6 +19,7 @@ from engine.likeness import LIKENESS_BOUNDS, LikenessLimits
 from engine.limits import LIMIT_BOUNDS, GateLimits
 from engine.training import TRAINING_BOUNDS, TrainingSettings
 from engine.windows import HOLD_BOUNDS, amplitude_window
+from service.audit_settings import AuditSettings
 from service.beam_settings import PREFIX, BeamSettings
 from service.database_settings import DatabaseSettings
 from service.qa_settings import QaSettings
@@ -58,7 +59,7 @@ class SettingsError(Exception):
     """The settings cannot be used; the message is one line a setting, for the person who starts the service."""
 
 
-class Settings(BeamSettings, QaSettings, DatabaseSettings):
+class Settings(BeamSettings, QaSettings, AuditSettings, DatabaseSettings):
     """The site's settings."""
 
     model_config = SettingsConfigDict(

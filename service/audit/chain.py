@@ -15,6 +15,7 @@ from typing import Literal, NamedTuple
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from service.access import behalf
 from service.db.base import utc_text
 from service.db.models import AuditRow
 
@@ -68,7 +69,7 @@ def append(db: Session, event: Event, at: datetime | None = None) -> AuditRow:
         action=event.action,
         outcome=event.outcome,
         session_id=event.session_id,
-        detail=canonical_json(event.detail),
+        detail=canonical_json({**event.detail, **behalf.told()}),
         previous_hash=GENESIS_HASH if last is None else last.hash,
     )
     row.hash = seal(row)

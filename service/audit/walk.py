@@ -59,7 +59,7 @@ class Verification:
 
 
 class Reader(Protocol):
-    """Whatever opens a session to read with."""
+    """Whatever reads a piece of the log."""
 
     def __call__(self, after: int | None, limit: int) -> list[Link]:
         """Read the rows after a sequence, in order; from the very first with None."""
