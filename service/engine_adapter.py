@@ -23,11 +23,17 @@ from engine.model import MotionModel
 from engine.notices import LearningNotice
 from engine.permits import HoldReason
 from engine.pipeline import Pipeline, PipelineSettings
+from engine.replaying.taping import Taping
+from engine.replaying.witnessed_trainer import WitnessedTrainer
+from engine.training import BackgroundTrainer
+from engine.witness import WitnessedClock
 from service import schemas
 from service.beam_lines import make_beam_line
+from service.model_store import MODELS_FOLDER, ModelStore
 from service.played_beam import check_source
 from service.ports import RunningEngine, SessionPlan
 from service.session_regions import measuring_with
+from service.session_tape import SessionTape, tape_path
 from service.settings import Settings
 from service.site_limits import check_window, gate_limits
 from service.uncalibrated import check_still_allowed
@@ -68,7 +74,13 @@ class EngineAdapter:
             is_calibrated=not plan.calibration.is_device_registration,
         )
         measuring = measuring_with(self._measuring, plan.regions, plan.window)
-        pipeline = Pipeline(plan.calibration, measuring, self._clock)
+        tape = SessionTape(Taping(), tape_path(self._settings.data_dir, plan.session_id))
+        pipeline = Pipeline(
+            plan.calibration,
+            measuring,
+            WitnessedClock(self._clock, tape.taping),
+            WitnessedTrainer(BackgroundTrainer(), tape.taping),
+        )
         if plan.model is not None:
             pipeline.resume(plan.model)
         with self._camera_lock:
@@ -78,9 +90,11 @@ class EngineAdapter:
                 beam=make_beam_line(self._settings, self._clock),
                 limits=limits,
                 clock=self._clock,
+                witness=tape.taping,
             )
+            tape.start(plan, limits, measuring, ModelStore(self._settings.data_dir / MODELS_FOLDER))
             loop.start()
-            engine = LoopEngine(loop, pipeline)
+            engine = LoopEngine(loop, pipeline, tape)
             self._newest = weakref.ref(engine)
         return engine
 
@@ -160,9 +174,10 @@ def _listed_in_turn(turn: int) -> str:
 class LoopEngine:
     """An engine loop with the pipeline it owns, as `RunningEngine`."""
 
-    def __init__(self, loop: EngineLoop, pipeline: Pipeline) -> None:
+    def __init__(self, loop: EngineLoop, pipeline: Pipeline, tape: SessionTape) -> None:
         self._loop = loop
         self._pipeline = pipeline
+        self._tape = tape
         self._is_hung = False
 
     @property
@@ -225,3 +240,9 @@ class LoopEngine:
     def stop(self) -> None:
         """Hold the beam, then end."""
         self._is_hung = not self._loop.stop(STOP_TIMEOUT_S)
+        if self._is_hung:
+            self._tape.taping.tear("the engine hung")
+
+    def evidence(self) -> dict[str, object]:
+        """Return what the audit keeps of the session's tape."""
+        return self._tape.finish()

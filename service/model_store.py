@@ -14,6 +14,7 @@ from service import schemas
 from service.ports import SessionPlan
 
 SOFTWARE = f"tidegate {__version__}"
+MODELS_FOLDER = "models"
 
 
 def origin_of(plan: SessionPlan) -> ModelOrigin:
