@@ -1,0 +1,76 @@
+"""Machines with an access token of the provider (client credentials): judged from memory, within microseconds."""
+
+from collections.abc import Callable, Mapping
+from datetime import datetime
+
+from service.access.identity import Identity
+from service.access.names import MAX_LENGTH
+from service.access.oidc_errors import OidcReason, OidcRefusedError
+from service.access.oidc_provider import Provider
+from service.access.oidc_tokens import Claims, Expected, check_machine_token
+from service.access.permissions import KEY_PERMISSIONS, Permission
+from service.oidc_settings import OidcSettings
+
+MACHINE_PREFIX = "machine:"
+MAX_SCOPES = 1_000
+CLIENT_CLAIMS = ("client_id", "azp", "appid")
+"""Where providers write which client a token was made for."""
+
+
+class OidcMachines:
+    """Tells which machine shows a token, and what its scopes may do here."""
+
+    def __init__(self, *, settings: OidcSettings, provider: Provider, now: Callable[[], datetime]) -> None:
+        self._settings = settings
+        self._provider = provider
+        self._now = now
+        self._permissions_of_scope = settings.permissions_of_scope
+
+    def identify(self, token: str) -> Identity | None:
+        """Return who shows the token; None is nobody, for whatever reason."""
+        try:
+            return self.check(token)
+        except OidcRefusedError as error:
+            if error.reason is OidcReason.UNKNOWN_KEY:
+                self._provider.ask()
+            return None
+
+    def check(self, token: str) -> Identity:
+        """Return who shows the token.
+
+        Raises
+        ------
+        OidcRefusedError
+            The token is not believed, or gives nothing here.
+        """
+        known = self._provider.known()
+        if known is None:
+            raise OidcRefusedError(OidcReason.UNKNOWN_KEY, "the provider's keys are not known, or too old")
+        expected = Expected(
+            issuer=self._provider.issuer,
+            audience=self._settings.oidc_machine_audience,
+            now=self._now(),
+            max_skew_s=self._settings.oidc_max_clock_skew_s,
+        )
+        claims = check_machine_token(token, known.keys, expected, types=self._settings.oidc_machine_types)
+        permissions = permissions_of(claims.get(self._settings.oidc_machine_scope_claim), self._permissions_of_scope)
+        if not permissions:
+            raise OidcRefusedError(OidcReason.SCOPE, "no scope of the token may do anything here")
+        return Identity(kind="machine", name=_name(claims), permissions=permissions)
+
+
+def permissions_of(claimed: object, permissions_of_scope: Mapping[str, frozenset[Permission]]) -> frozenset[Permission]:
+    """Unite what the scopes of a token may do; never more than any machine may."""
+    scopes = claimed.split() if isinstance(claimed, str) else claimed
+    if not isinstance(scopes, list) or len(scopes) > MAX_SCOPES:
+        return frozenset()
+    known = [permissions_of_scope[one] for one in scopes if isinstance(one, str) and one in permissions_of_scope]
+    return frozenset().union(*known) & KEY_PERMISSIONS
+
+
+def _name(claims: Claims) -> str:
+    client = next((claims[name] for name in CLIENT_CLAIMS if name in claims), None)
+    longest = MAX_LENGTH - len(MACHINE_PREFIX)
+    if not isinstance(client, str) or not 0 < len(client) <= longest or not client.isprintable() or client.isspace():
+        raise OidcRefusedError(OidcReason.CLAIMS, f"the client's name must be 1 to {longest} printable characters")
+    return f"{MACHINE_PREFIX}{client}"

@@ -1,0 +1,171 @@
+"""Calls to the outside provider: bounded in time and size, certificates checked, no redirect followed, no proxy.
+
+Nothing here is called from the event loop or from a request that needs only memory.
+"""
+
+import json
+import ssl
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote_plus
+
+import httpx2
+from authlib.integrations.base_client import OAuthError
+from authlib.integrations.httpx_client import OAuth2Client
+from authlib.oauth2.rfc6749.parameters import prepare_grant_uri
+from authlib.oauth2.rfc7636 import create_s256_code_challenge
+
+from service.access.oidc_errors import OidcReason, OidcRefusedError, OidcUnavailableError
+
+MAX_ANSWER_BYTES = 512 * 1024
+WHOLE_FACTOR = 2.0
+"""A call takes at most so many times the longest silence, however steadily its answer trickles."""
+
+
+class _Bounded(httpx2.SyncByteStream):
+    """An answer's body, read as far as the bounds let it."""
+
+    def __init__(self, inner: httpx2.SyncByteStream, until_s: float) -> None:
+        self._inner = inner
+        self._until_s = until_s
+
+    def __iter__(self) -> Iterator[bytes]:
+        seen_bytes = 0
+        for chunk in self._inner:
+            seen_bytes += len(chunk)
+            if seen_bytes > MAX_ANSWER_BYTES:
+                msg = f"the provider answered with more than {MAX_ANSWER_BYTES} bytes"
+                raise OidcUnavailableError(msg)
+            if time.monotonic() > self._until_s:
+                msg = "the provider's answer did not end in time"
+                raise OidcUnavailableError(msg)
+            yield chunk
+
+    def close(self) -> None:
+        self._inner.close()
+
+
+class _BoundedTransport(httpx2.BaseTransport):
+    def __init__(self, context: ssl.SSLContext, timeout_s: float) -> None:
+        self._inner = httpx2.HTTPTransport(verify=context, trust_env=False)
+        self._whole_s = timeout_s * WHOLE_FACTOR
+
+    def handle_request(self, request: httpx2.Request) -> httpx2.Response:
+        """Ask, and bound what comes back; a compressed answer could be any size once it is unpacked."""
+        until_s = time.monotonic() + self._whole_s
+        request.headers["Accept-Encoding"] = "identity"
+        answer = self._inner.handle_request(request)
+        if answer.headers.get("Content-Encoding", "identity") != "identity":
+            answer.close()
+            msg = "the provider compressed its answer although it was asked not to"
+            raise OidcUnavailableError(msg)
+        stream = answer.stream
+        assert isinstance(stream, httpx2.SyncByteStream)
+        return httpx2.Response(
+            answer.status_code, headers=answer.headers, stream=_Bounded(stream, until_s), extensions=answer.extensions
+        )
+
+    def close(self) -> None:
+        self._inner.close()
+
+
+class ProviderWire:
+    """Asks the provider."""
+
+    def __init__(
+        self,
+        *,
+        client_id: str = "",
+        client_secret: str | None = None,
+        timeout_s: float = 5.0,
+        ca_file: Path | None = None,
+    ) -> None:
+        self._client_id = client_id
+        self._client_secret = client_secret
+        self._timeout_s = timeout_s
+        self._context = ssl.create_default_context(cafile=ca_file)
+
+    def get_json(self, address: str) -> Mapping[str, Any]:
+        """Read a JSON object.
+
+        Raises
+        ------
+        OidcUnavailableError
+            It cannot be had, or is something else.
+        """
+        transport = _BoundedTransport(self._context, self._timeout_s)
+        try:
+            with httpx2.Client(transport=transport, timeout=self._timeout_s, trust_env=False) as client:
+                answer = client.get(address, headers={"Accept": "application/json"})
+                return _json_object(answer)
+        except (httpx2.HTTPError, httpx2.InvalidURL, OSError) as error:
+            msg = f"the provider cannot be reached ({type(error).__name__})"
+            raise OidcUnavailableError(msg) from error
+
+    def exchange(self, address: str, *, code: str, verifier: str, redirect_uri: str) -> Mapping[str, Any]:
+        """Turn a person's code into tokens.
+
+        Raises
+        ------
+        OidcRefusedError
+            The provider does not take the code: used before, of another client, of another verifier, too old.
+        OidcUnavailableError
+            It cannot be reached, or answers what no provider would.
+        """
+        client_id, client_secret = self._client_id, self._client_secret
+        if client_secret is not None:  # RFC 6749, 2.3.1: both are form-encoded before they go into a Basic header
+            client_id, client_secret = quote_plus(client_id), quote_plus(client_secret)
+        client = OAuth2Client(
+            client_id=client_id,
+            client_secret=client_secret,
+            transport=_BoundedTransport(self._context, self._timeout_s),
+            timeout=self._timeout_s,
+            trust_env=False,
+            follow_redirects=False,
+        )
+        try:
+            with client:
+                token = client.fetch_token(
+                    address,
+                    grant_type="authorization_code",
+                    code=code,
+                    code_verifier=verifier,
+                    redirect_uri=redirect_uri,
+                )
+        except OAuthError as error:
+            raise OidcRefusedError(OidcReason.CODE, "the provider does not take the code") from error
+        except (httpx2.HTTPError, OSError, ValueError, RecursionError) as error:
+            msg = f"the provider did not answer as one does ({type(error).__name__})"
+            raise OidcUnavailableError(msg) from error
+        return dict(token)
+
+
+def authorization_url(address: str, *, client_id: str, verifier: str, **parameters: str) -> str:
+    """Return where to send a person: code flow, PKCE by SHA-256."""
+    return str(
+        prepare_grant_uri(
+            address,
+            client_id=client_id,
+            response_type="code",
+            code_challenge=create_s256_code_challenge(verifier),
+            code_challenge_method="S256",
+            **parameters,
+        )
+    )
+
+
+def _json_object(answer: httpx2.Response) -> Mapping[str, Any]:
+    if answer.status_code != httpx2.codes.OK:
+        msg = f"the provider answered {answer.status_code}"
+        raise OidcUnavailableError(msg)
+    try:
+        found = json.loads(answer.content)
+    except (ValueError, RecursionError) as error:
+        msg = "the provider's answer is no JSON"
+        raise OidcUnavailableError(msg) from error
+    if not isinstance(found, dict):
+        msg = "the provider's answer is no JSON object"
+        raise OidcUnavailableError(msg)
+    return found
