@@ -26,6 +26,9 @@ _DEPTH_IN_MM, _RGB888 = 100, 200
 _XN_RGB24, _XN_GRAYSCALE16 = 1, 4
 
 
+Payload = bytes | memoryview
+
+
 @dataclass(slots=True, kw_only=True)
 class _Stream:
     """One of the two streams while it is written."""
@@ -55,6 +58,8 @@ class OniWriter:
         Width and height [px]; ``color_size=None`` makes a file without colour.
     fps
         Nominal rate [1/s]; timestamps carry the true one.
+    part_path
+        The name it has until it is whole.
     """
 
     def __init__(
@@ -70,9 +75,10 @@ class OniWriter:
         depth_codec: Literal["16zT", "NONE"] = "16zT",
         color_codec: Literal["JPEG", "NONE"] = "JPEG",
         jpeg_quality: int = 92,
+        part_path: Path | None = None,
     ) -> None:
         self._path = Path(path)
-        self._part_path = self._path.with_name(f".{self._path.name}.part")
+        self._part_path = part_path or self._path.with_name(f".{self._path.name}.part")
         self._jpeg_quality = jpeg_quality
         self._max_timestamp_us = 0
         self._depth = _Stream(
@@ -92,7 +98,7 @@ class OniWriter:
         """Append a depth frame [mm]; a ``frame_id`` beyond the next one says that frames were lost."""
         _check_shape(depth_mm.shape, self._depth.size_px, depth_mm.dtype, np.dtype(np.uint16))
         is_coded = self._depth.codec == layout.CODEC_DEPTH
-        payload = encode_16zt(depth_mm) if is_coded else np.ascontiguousarray(depth_mm, "<u2").tobytes()
+        payload = encode_16zt(depth_mm) if is_coded else _bytes_of(depth_mm, "<u2")
         self.write_depth_payload(timestamp_us, payload, frame_id=frame_id)
 
     def write_color(self, timestamp_us: int, rgb: ColorImage, *, frame_id: int | None = None) -> None:
@@ -100,16 +106,20 @@ class OniWriter:
         stream = self._color_stream()
         _check_shape(rgb.shape[:2], stream.size_px, rgb.dtype, np.dtype(np.uint8))
         is_coded = stream.codec == layout.CODEC_JPEG
-        payload = encode_jpeg(rgb, self._jpeg_quality) if is_coded else np.ascontiguousarray(rgb).tobytes()
+        payload = encode_jpeg(rgb, self._jpeg_quality) if is_coded else _bytes_of(rgb, "u1")
         self.write_color_payload(timestamp_us, payload, frame_id=frame_id)
 
-    def write_depth_payload(self, timestamp_us: int, payload: bytes, *, frame_id: int | None = None) -> None:
+    def write_depth_payload(self, timestamp_us: int, payload: Payload, *, frame_id: int | None = None) -> None:
         """Append a depth frame that is encoded already, with this file's codec."""
         self._append(self._depth, timestamp_us, payload, frame_id)
 
-    def write_color_payload(self, timestamp_us: int, payload: bytes, *, frame_id: int | None = None) -> None:
+    def write_color_payload(self, timestamp_us: int, payload: Payload, *, frame_id: int | None = None) -> None:
         """Append a colour frame that is encoded already, with this file's codec."""
         self._append(self._color_stream(), timestamp_us, payload, frame_id)
+
+    def flush(self) -> None:
+        """Give what was written to the system: a killed process loses none of it."""
+        self._file.flush()
 
     def close(self) -> None:
         """Finish the file and give it its name; safe to call twice."""
@@ -173,7 +183,7 @@ class OniWriter:
             fields = layout.DATA_BEGIN_FIELDS.pack(2**32 - 1, layout.UNKNOWN_TIMESTAMP)
             self._file.write(layout.pack_record(RecordType.DATA_BEGIN, stream.node, fields))
 
-    def _append(self, stream: _Stream, timestamp_us: int, payload: bytes, frame_id: int | None) -> None:
+    def _append(self, stream: _Stream, timestamp_us: int, payload: Payload, frame_id: int | None) -> None:
         frame_id = stream.frame_id + 1 if frame_id is None else frame_id
         if frame_id <= stream.frame_id or timestamp_us < 0:
             msg = f"{stream.name} frame {frame_id} at {timestamp_us} us cannot follow frame {stream.frame_id}"
@@ -227,6 +237,11 @@ class OniWriter:
             seek_table_at,
         )
         return layout.pack_record(RecordType.NODE_ADDED, stream.node, layout.pack_name(stream.name) + fields)
+
+
+def _bytes_of(picture: DepthImage | ColorImage, kind: str) -> memoryview:
+    """Look at a picture's bytes as they lie in the file; copied only where they lie otherwise in memory."""
+    return np.ascontiguousarray(picture, kind).data.cast("B")
 
 
 def _check_shape(

@@ -42,10 +42,10 @@ class Raised:
 
     def again(self) -> Exception:
         """Return an error of the same kind that says the same; one of the engine's own where it was."""
-        known = getattr(errors, self.name, None)
-        is_ours = isinstance(known, type) and issubclass(known, errors.TidegateError)
-        kind: type[Exception] = known if is_ours else type(self.name, (Exception,), {})
-        error = Exception.__new__(kind)  # not its own way of being made: what it was made of is not known
+        known: object = getattr(errors, self.name, None)
+        kind = known if isinstance(known, type) and issubclass(known, errors.TidegateError) else None
+        # Not made in its own way: what it was made of is not known.
+        error: Exception = Exception.__new__(kind or type(self.name, (Exception,), {}))
         error.args = (self.text,)
         return error
 

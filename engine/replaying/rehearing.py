@@ -21,7 +21,7 @@ NOT_TOLD: Row = {}
 
 
 class RehearsalOver(BaseException):
-    """The tape is over, or the engine has gone another way than then: no error, and nothing in the engine catches it."""
+    """The tape is over, or the engine went another way than then: no error, and nothing in the engine catches it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
