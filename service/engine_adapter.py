@@ -23,17 +23,15 @@ from engine.model import MotionModel
 from engine.notices import LearningNotice
 from engine.permits import HoldReason
 from engine.pipeline import Pipeline, PipelineSettings
-from engine.replaying.taping import Taping
 from engine.replaying.witnessed_trainer import WitnessedTrainer
 from engine.training import BackgroundTrainer
 from engine.witness import WitnessedClock
 from service import schemas
 from service.beam_lines import make_beam_line
-from service.model_store import MODELS_FOLDER, ModelStore
 from service.played_beam import check_source
 from service.ports import RunningEngine, SessionPlan
 from service.session_regions import measuring_with
-from service.session_tape import SessionTape, tape_path
+from service.session_tape import SessionTape
 from service.settings import Settings
 from service.site_limits import check_window, gate_limits
 from service.uncalibrated import check_still_allowed
@@ -74,7 +72,7 @@ class EngineAdapter:
             is_calibrated=not plan.calibration.is_device_registration,
         )
         measuring = measuring_with(self._measuring, plan.regions, plan.window)
-        tape = SessionTape(Taping(), tape_path(self._settings.data_dir, plan.session_id))
+        tape = SessionTape(plan, self._settings)
         pipeline = Pipeline(
             plan.calibration,
             measuring,
@@ -91,8 +89,9 @@ class EngineAdapter:
                 limits=limits,
                 clock=self._clock,
                 witness=tape.taping,
+                journal=plan.journal,
             )
-            tape.start(plan, limits, measuring, ModelStore(self._settings.data_dir / MODELS_FOLDER))
+            tape.start(limits, measuring)
             loop.start()
             engine = LoopEngine(loop, pipeline, tape)
             self._newest = weakref.ref(engine)

@@ -7,25 +7,33 @@ say so.
 import logging
 from pathlib import Path
 
+from engine.capture.raw_recorder import RawRecorder
 from engine.limits import GateLimits
 from engine.pipeline import PipelineSettings
-from engine.replaying.head import RECORDING, Frames, TapeHead, this_machine, this_software
+from engine.replaying.head import RAW, RECORDING, Frames, TapeHead, this_machine, this_software
 from engine.replaying.spelling import Spelling
 from engine.replaying.tape_file import SUFFIX
 from engine.replaying.tape_writer import TapeWriter, sha256_of
 from engine.replaying.taping import Taping
-from service.model_store import ModelStore
+from service.model_store import MODELS_FOLDER, ModelStore
 from service.ports import SessionPlan
+from service.settings import Settings
 
 logger = logging.getLogger(__name__)
 
-FOLDER = "replays"
+FOLDER, RAW_FOLDER = "replays", "raw"
 JOIN_S = 5.0
+MIB = 1024 * 1024
 
 
 def tape_path(data_dir: Path, session_id: str) -> Path:
     """Return where a session's tape lies."""
     return data_dir / FOLDER / f"{session_id}{SUFFIX}"
+
+
+def raw_path(data_dir: Path, session_id: str) -> Path:
+    """Return where a session's raw recording lies, if it has one."""
+    return data_dir / RAW_FOLDER / f"{session_id}.oni"
 
 
 def spelling_of(models: ModelStore) -> Spelling:
@@ -34,15 +42,22 @@ def spelling_of(models: ModelStore) -> Spelling:
 
 
 class SessionTape:
-    """One session's tape, from the engine's start to its end."""
+    """One session's tape, and the raw recording of its camera where the site keeps one; from start to end."""
 
-    def __init__(self, taping: Taping, path: Path) -> None:
-        self.taping, self._path = taping, path
+    def __init__(self, plan: SessionPlan, settings: Settings) -> None:
+        self._plan, self._settings = plan, settings
+        self._path = tape_path(settings.data_dir, plan.session_id)
+        self._raw: RawRecorder | None = None
+        if plan.recording is None and settings.record_raw:
+            path = raw_path(settings.data_dir, plan.session_id)
+            self._raw = RawRecorder(path, min_free_bytes=settings.raw_min_free_mb * MIB)
+        self.taping = Taping() if self._raw is None else Taping(keep_frame=self._raw.offer)
         self._writer: TapeWriter | None = None
 
-    def start(self, plan: SessionPlan, limits: GateLimits, measuring: PipelineSettings, models: ModelStore) -> None:
+    def start(self, limits: GateLimits, measuring: PipelineSettings) -> None:
         """Begin to write."""
-        spelling = spelling_of(models)
+        plan, settings = self._plan, self._settings
+        spelling = spelling_of(ModelStore(settings.data_dir / MODELS_FOLDER))
 
         def head() -> dict[str, object]:
             return TapeHead(
@@ -51,23 +66,31 @@ class SessionTape:
                 measuring=measuring,
                 calibration=plan.calibration,
                 model=plan.model,
-                frames=Frames(kind=None if plan.recording is None else RECORDING, path=plan.recording),
+                frames=self._frames(),
                 software=this_software(),
                 machine=this_machine(),
             ).spelled(spelling)
 
         self._writer = TapeWriter(self.taping, self._path, head, spelling, recording=plan.recording)
         self._writer.start()
+        if self._raw is not None:
+            self._raw.start()
+
+    def _frames(self) -> Frames:
+        if self._plan.recording is not None:
+            return Frames(kind=RECORDING, path=self._plan.recording)
+        return Frames(kind=None if self._raw is None else RAW)
 
     def finish(self) -> dict[str, object]:
         """Wait a moment for the last line; return what the audit keeps of the tape."""
         if self._writer is None:
             return {}
+        raw_error = None if self._raw is None else self._raw.finish(JOIN_S)
         self._writer.join(JOIN_S)
         if self._writer.is_alive():
             self.taping.tear("the tape was not written in time")
             self._writer.join(JOIN_S)
-        torn = self.taping.torn
+        torn = self.taping.torn or raw_error
         if torn is not None:
             logger.warning("a session's tape ends early: %s", torn)
         try:

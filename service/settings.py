@@ -23,6 +23,7 @@ from service.audit_settings import AuditSettings
 from service.beam_settings import PREFIX, BeamSettings
 from service.database_settings import DatabaseSettings
 from service.qa_settings import QaSettings
+from service.replay_settings import ReplaySettings
 
 SETTING_OF = {"retrain_interval_s": "retrain_interval_min"}
 """Settings of the training that a site gives under another name, in another unit."""
@@ -59,7 +60,7 @@ class SettingsError(Exception):
     """The settings cannot be used; the message is one line a setting, for the person who starts the service."""
 
 
-class Settings(BeamSettings, QaSettings, AuditSettings, DatabaseSettings):
+class Settings(BeamSettings, QaSettings, AuditSettings, DatabaseSettings, ReplaySettings):
     """The site's settings."""
 
     model_config = SettingsConfigDict(

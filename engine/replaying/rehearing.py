@@ -51,8 +51,10 @@ class Rehearing:
         picture: Callable[[FrameHead], RgbdFrame],
         *,
         on_turn: Callable[[], None] = lambda: None,
+        on_told: Callable[[object], None] = lambda _outcome: None,
     ) -> None:
         self._turns, self._spelling, self._picture, self._on_turn = turns, spelling, picture, on_turn
+        self._on_told = on_told
         self._turn: HeardTurn | None = next(turns, None)
         self._answers = self._answers_of(self._turn)
         self._told: list[Row] = []
@@ -82,6 +84,7 @@ class Rehearing:
     def told(self, outcome: object) -> None:
         """Keep what came of it until the turn is over."""
         self._told.append(row_of(outcome))
+        self._on_told(outcome)
 
     def turn(self) -> None:
         """Hold this turn against the one of then, and begin the next."""

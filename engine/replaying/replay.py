@@ -98,8 +98,11 @@ def replay(
     spelling: Spelling,
     *,
     on_frame: Callable[[int], None] = lambda _frames: None,
+    on_told: Callable[[object], None] = lambda _outcome: None,
 ) -> Replay:
     """Run a session again, in the calling thread.
+
+    ``on_frame`` hears how many frames came out the same so far, ``on_told`` every record and transition that is made.
 
     Raises
     ------
@@ -109,14 +112,16 @@ def replay(
     number_of = (lambda frame: frame.index + 1) if head.frames.kind == RAW else (lambda frame: frame.device_index)
     pictures = Pictures(recording, number_of)
     try:
-        return _run(tape, head, pictures, spelling, on_frame)
+        rehearing = Rehearing(
+            tape.turns(), spelling, pictures.frame, on_turn=lambda: on_frame(rehearing.frames), on_told=on_told
+        )
+        return _run(tape, head, rehearing)
     finally:
         pictures.close()
 
 
-def _run(tape: Tape, head: TapeHead, pictures: Pictures, spelling: Spelling, on_frame: Callable[[int], None]) -> Replay:
+def _run(tape: Tape, head: TapeHead, rehearing: Rehearing) -> Replay:
     clock = ManualClock()  # never read: every reading comes from the tape
-    rehearing = Rehearing(tape.turns(), spelling, pictures.frame, on_turn=lambda: _go_on(loop, rehearing, on_frame))
     pipeline = Pipeline(
         head.calibration,
         head.measuring,
@@ -143,11 +148,3 @@ def _run(tape: Tape, head: TapeHead, pictures: Pictures, spelling: Spelling, on_
         is_whole=tape.is_whole,
         torn=tape.torn,
     )
-
-
-def _go_on(loop: EngineLoop, rehearing: Rehearing, on_frame: Callable[[int], None]) -> None:
-    """Take what the engine made out of its queues, which nobody else reads."""
-    for filled in (loop.samples, loop.transitions, loop.notices):
-        while not filled.empty():
-            filled.get()
-    on_frame(rehearing.frames)
