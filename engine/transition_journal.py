@@ -5,6 +5,7 @@ the system, no lock, no wait. A permit is written before the line hears of it; a
 in a hold's way. The audit confirms what it has committed; a ring about to overwrite what it has not is trouble.
 """
 
+import fcntl
 import mmap
 import os
 from contextlib import suppress
@@ -85,6 +86,7 @@ class TransitionJournal:
         except OSError as error:
             raise _unavailable(error) from error
         try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # gone with this process, however it ends
             self._ring: mmap.mmap | None = _mapped(self._file, header)
         except OSError as error:
             path.unlink(missing_ok=True)

@@ -18,6 +18,7 @@ from engine.live import FrameRecord, GateTransition, LiveView, LoopStatus
 from engine.model import MotionModel
 from engine.notices import LearningNotice
 from engine.permits import HoldReason
+from engine.transition_journal import TransitionJournal
 from service import schemas
 from service.gate_schemas import BaselineCorrectionRequest, InterlockList
 from service.live_messages import Sample
@@ -42,6 +43,8 @@ class SessionPlan:
     regions: schemas.Regions = field(default_factory=schemas.Regions)
     patient_reference: str = ""
     model: MotionModel | None = None
+    journal: TransitionJournal | None = None
+    model_id: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,6 +122,12 @@ class RunningEngine(Protocol):
     def stop(self) -> None:
         """Hold the beam, then end; returns when the engine has ended or does not answer."""
 
+    def evidence(self) -> dict[str, object]:
+        """Return what the audit keeps of the files written beside the session, such as their hashes; once it is over.
+
+        Waits for them a few seconds at most.
+        """
+
 
 class EnginePort(Protocol):
     """Makes engines; the one way from the service to cameras, gate and beam line."""
@@ -152,8 +161,24 @@ class SessionsPort(Protocol):
     def transitions(self, session_id: str, cursor: str | None, limit: int) -> schemas.TransitionPage:
         """List its gate's transitions, oldest first."""
 
-    def samples_csv(self, session_id: str) -> Iterator[str]:
-        """Write its samples as CSV, piece by piece."""
+
+SampleFormat = Literal["csv", "arrow", "parquet"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SampleExport:
+    """Samples on their way out, piece by piece."""
+
+    pieces: Iterator[bytes]
+    media_type: str
+    file_name: str
+
+
+class SamplesPort(Protocol):
+    """What was measured."""
+
+    def export(self, session_id: str, form: SampleFormat) -> SampleExport:
+        """Write a session's samples, as far as there are any."""
 
 
 class RunnerPort(Protocol):

@@ -1,0 +1,138 @@
+"""What a start does first: it gives the audit the transitions that a killed process had kept and not written down.
+
+Each is appended once, in its order, at its own time, and says that it was recovered. A start that is killed in the
+middle leaves the file to the next one; a file goes only after its transitions are committed. What cannot be believed is
+kept aside, and said.
+"""
+
+import json
+import logging
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from engine.journal_slots import Entry, JournalHeader, Kept, NotAJournalError, read_kept
+from engine.transition_journal import boot_id
+from service import audit
+from service.audit import SYSTEM, Event
+from service.db import repository
+from service.db.engine import Database
+from service.db.models import AuditRow, SessionRow
+from service.journals import Journals, read_unless_in_use
+from service.session_events import transition_event
+from service.time_anchor import TimeAnchor
+
+logger = logging.getLogger(__name__)
+
+RECOVERED, DAMAGED, MISSING = "journal.recovered", "journal.damaged", "journal.missing"
+FORESEEN = "kept before the line was to be told; whether it was told is not known"
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def recover_transitions(database: Database, journals: Journals) -> None:
+    """Give the audit what it lacks, from every journal that was left; called at start, before sessions are closed."""
+    found = {session_id for path in journals.left_behind() if (session_id := _recover(database, path))}
+    with database.write() as db:
+        for row in repository.running_sessions(db):
+            if row.id not in found and not _has_event(db, row.id, MISSING):
+                audit.append(db, _missing(row.id))
+
+
+def _recover(database: Database, path: Path) -> str | None:
+    """Bring one file's transitions in; returns the session it is of, None where it was not believed."""
+    content = read_unless_in_use(path)
+    if content is None:
+        logger.warning("%s is in use by another process: it is left alone", path.name)
+        return None
+    try:
+        kept = read_kept(content)
+    except NotAJournalError as error:
+        _put_aside(database, path, str(error))
+        return None
+    with database.write() as db:
+        if db.get(SessionRow, kept.header.session_id) is None:
+            # Of another database under the same folder's name: a backup that was put back, say. Not ours to remove.
+            logger.warning("%s is of a session that this database does not know: it is left alone", path.name)
+            return None
+        lacking = _append_lacking(db, kept)
+    if lacking:
+        logger.warning("%d transitions of session %s were recovered", lacking, kept.header.session_id)
+    path.unlink(missing_ok=True)
+    return kept.header.session_id
+
+
+def _append_lacking(db: Session, kept: Kept) -> int:
+    session_id, anchor = kept.header.session_id, _anchor(kept.header)
+    known = _numbers(db, session_id)
+    lacking = [entry for entry in kept.entries if entry.transition.number not in known]
+    for entry in lacking:
+        audit.append(db, _recovered(session_id, entry), anchor.utc(entry.transition.at_ns))
+    is_damaged = bool(kept.damaged_slots or kept.missing_numbers)
+    if (lacking or is_damaged) and not _has_event(db, session_id, RECOVERED):
+        audit.append(db, _account(kept, lacking))
+    return len(lacking)
+
+
+def _recovered(session_id: str, entry: Entry) -> Event:
+    """Put one into the audit's words; a permit that was only foreseen has not been told for certain."""
+    transition = entry.transition
+    if not entry.is_told:
+        detail = f"{transition.detail}; {FORESEEN}" if transition.detail else FORESEEN
+        transition = replace(transition, detail=detail)
+    event = transition_event(session_id, transition)
+    told = {} if entry.is_told else {"asserted_ns": None, "latency_ms": None}
+    return replace(event, detail={**event.detail, **told, "recovered": True})
+
+
+def _account(kept: Kept, lacking: list[Entry]) -> Event:
+    last = kept.entries[-1].transition.to_state.value if kept.entries else None
+    return Event(
+        actor=SYSTEM,
+        action=RECOVERED,
+        outcome="failed" if kept.damaged_slots or kept.missing_numbers else "done",
+        session_id=kept.header.session_id,
+        detail={
+            "recovered": len(lacking),
+            "kept": len(kept.entries),
+            "last_state": last,
+            "damaged_slots": list(kept.damaged_slots),
+            "missing_numbers": list(kept.missing_numbers),
+            "is_of_this_boot": kept.header.boot_id == boot_id(),
+        },
+    )
+
+
+def _missing(session_id: str) -> Event:
+    text = "the session's journal is gone, as after a restart of the machine: its last transitions may be lacking"
+    return Event(actor=SYSTEM, action=MISSING, outcome="failed", session_id=session_id, detail={"detail": text})
+
+
+def _put_aside(database: Database, path: Path, reason: str) -> None:
+    """Keep what cannot be read for a person to look at; the audit says so first."""
+    aside = path.with_name(path.name + ".damaged")
+    with database.write() as db:
+        audit.append(
+            db,
+            Event(actor=SYSTEM, action=DAMAGED, outcome="failed", detail={"kept_as": aside.name, "detail": reason}),
+        )
+    logger.error("the journal %s cannot be read (%s) and is kept as %s", path.name, reason, aside.name)
+    path.rename(aside)
+
+
+def _numbers(db: Session, session_id: str) -> set[int]:
+    rows = db.scalars(
+        select(AuditRow.detail).where(AuditRow.session_id == session_id, AuditRow.action == repository.TRANSITION)
+    )
+    return {number for detail in rows if (number := json.loads(detail).get("number")) is not None}
+
+
+def _has_event(db: Session, session_id: str, action: str) -> bool:
+    query = select(AuditRow.sequence).where(AuditRow.session_id == session_id, AuditRow.action == action).limit(1)
+    return db.scalar(query) is not None
+
+
+def _anchor(header: JournalHeader) -> TimeAnchor:
+    return TimeAnchor(at=EPOCH + timedelta(microseconds=header.anchor_utc_us), at_ns=header.anchor_ns)

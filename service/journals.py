@@ -1,0 +1,78 @@
+"""Where the transitions' journals lie: in memory that outlives the process, one file a session.
+
+The file's name begins with a digest of the data folder: several services may share the memory of one machine, and each
+finds its own. docs/adr/0012 says why memory, and when not.
+"""
+
+import fcntl
+import hashlib
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from engine.clock import Clock, MonotonicClock
+from engine.transition_journal import JournalError, TransitionJournal
+
+MEMORY = Path("/dev/shm")  # noqa: S108 - made with O_EXCL, mode 0600, and read only where the file is our own
+FOLDER = "journal"
+SUFFIX = ".journal"
+DIGEST_CHARACTERS = 16
+
+
+class Journals:
+    """Makes journals for sessions, and finds those that a killed process left."""
+
+    def __init__(self, data_dir: Path, folder: Path | None, *, memory: Path = MEMORY) -> None:
+        self._in_data = data_dir / FOLDER
+        self._memory = memory
+        self._told = folder
+        digest = hashlib.sha256(str(data_dir.resolve()).encode()).hexdigest()[:DIGEST_CHARACTERS]
+        self._prefix = f"tidegate-{digest}-"
+
+    @property
+    def folder(self) -> Path:
+        """Where a new session's journal is made: as told, else in memory, else in the data folder."""
+        if self._told is not None:
+            return self._told
+        return self._memory if os.access(self._memory, os.W_OK | os.X_OK) else self._in_data
+
+    def begin(self, session_id: str, clock: Clock | None = None) -> TransitionJournal:
+        """Make a session's journal; raise JournalError where that cannot be."""
+        folder = self.folder
+        try:
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        except OSError as error:
+            msg = f"transitions cannot be kept safe from a kill: {error.strerror}"
+            raise JournalError(msg) from error
+        path = folder / f"{self._prefix}{session_id}{SUFFIX}"
+        return TransitionJournal(path, session_id=session_id, clock=clock or MonotonicClock())
+
+    @contextmanager
+    def begun(self, session_id: str) -> Iterator[TransitionJournal]:
+        """Make one for a session that is about to begin; it is closed where that fails."""
+        journal = self.begin(session_id)
+        try:
+            yield journal
+        except BaseException:
+            journal.close()
+            raise
+
+    def left_behind(self) -> Iterator[Path]:
+        """Find the files that a process before this one left, wherever it was told to make them."""
+        folders = {folder.resolve() for folder in (self._told, self._memory, self._in_data) if folder is not None}
+        for folder in sorted(folders):
+            for path in sorted(folder.glob(f"{self._prefix}*{SUFFIX}")):
+                if path.is_file() and not path.is_symlink() and path.stat().st_uid == os.geteuid():
+                    yield path
+
+
+def read_unless_in_use(path: Path) -> bytes | None:
+    """Read a journal that nobody writes to; None where another process does."""
+    file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    with os.fdopen(file, "rb") as opened:
+        try:
+            fcntl.flock(opened, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError:
+            return None
+        return opened.read()
