@@ -20,6 +20,10 @@ HOMES = {
     "bench": "bench",
     "beam-line": "beam_line",
     "qa": "qa",
+    "database": "database",
+    "backup": "backup",
+    "restore": "backup",
+    "replay": "replay",
 }
 """Which module of this package holds which command; the function, or the group of commands, has the command's name with
 underscores for dashes."""

@@ -14,6 +14,7 @@ from service.cli import qa_tables
 from service.cli.terminal import refused, say
 from service.cli.written import write_whole
 from service.db.engine import Database
+from service.db.preparing import prepare
 from service.db.models import QaRunRow
 from service.errors import BoundError, NotFoundError
 from service.folder_lock import alone_in
@@ -79,7 +80,7 @@ def fix_baseline(
             raise BoundError("give values or --from-run, not both", field="from_run")
         settings = load_settings(data_dir=data)
         with alone_in(settings.data_dir), closing(Database(settings.database_place)) as database:
-            database.migrate()
+            prepare(database, data_dir=settings.data_dir, min_free_disk_mb=settings.min_free_disk_mb)
             with database.write() as db:
                 expected = given if from_run is None else measured_by(db, _run(db, from_run).id)
                 row = records.fix_baseline(db, expected, operator=operator, reason=reason)

@@ -24,6 +24,7 @@ from service.cli.qa_tables import print_results
 from service.cli.terminal import frame_bar, refused, say
 from service.cli.written import write_whole
 from service.db.engine import Database
+from service.db.preparing import prepare
 from service.errors import BoundError, problem_of
 from service.folder_lock import alone_in
 from service.qa import records, schemas, views
@@ -74,7 +75,7 @@ def do_run(options: RunOptions) -> str:
     try:
         settings = load_settings(data_dir=options.data)
         with alone_in(settings.data_dir), closing(Database(settings.database_place)) as database:
-            database.migrate()
+            prepare(database, data_dir=settings.data_dir, min_free_disk_mb=settings.min_free_disk_mb)
             run = _carried_out(options, settings, database)
     except (SettingsError, TidegateError) as error:
         raise refused(command, error) from error
