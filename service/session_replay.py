@@ -1,0 +1,256 @@
+"""A stored session run again: its tape and its frames, held against the audit and the sample file as they are kept."""
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import select
+
+from engine.capture.raw_recorder import part_of
+from engine.errors import TidegateError
+from engine.live import FrameRecord
+from engine.replaying.head import RAW, TapeHead, read_head, this_machine, this_software
+from engine.replaying.outcomes import Row, same, text_of
+from engine.replaying.rehearing import Difference
+from engine.replaying.replay import Replay, replay
+from engine.replaying.survey import Survey, survey
+from engine.replaying.tape_file import read_tape
+from engine.replaying.tape_writer import sha256_of
+from service.db import repository
+from service.db.engine import Database
+from service.db.models import AuditRow
+from service.model_store import MODELS_FOLDER, ModelStore
+from service.samples.rows import sample_values
+from service.samples.shelf import SampleShelf
+from service.session_tape import raw_path, spelling_of, tape_path
+
+SAMPLES_FOLDER = "samples"
+
+ONE_BY_ONE = ("regions_mm", "named_mm")
+"""Columns that hold many numbers a row: the tape's digest of each frame has them all, in full precision."""
+
+AUDITED = {
+    "from_state": "from",
+    "to_state": "to",
+    "reason": "reason",
+    "frame_index": "frame",
+    "operator": "operator",
+    "detail": "detail",
+    "captured_us": "captured_us",
+    "received_ns": "received_ns",
+    "captured_ns": "captured_ns",
+    "decided_ns": "decided_ns",
+    "asserted_ns": "asserted_ns",
+}
+"""What of a transition the audit keeps, and what a tape calls it."""
+
+
+class NotReplayableError(TidegateError):
+    """A session that cannot be run again, or not here; the message says why."""
+
+    code = "not_replayable"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """What came of running a session again.
+
+    Attributes
+    ----------
+    differences
+        What is not as it was; empty where all is.
+    motion
+        Every sample that was made, as columns of a sample file.
+    notes
+        What a person should know of besides.
+    """
+
+    replay: Replay
+    head: TapeHead
+    differences: list[Difference]
+    samples: int
+    audited: int
+    motion: list[dict[str, Any]]
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def is_identical(self) -> bool:
+        """Whether everything came out as it was."""
+        return not self.differences
+
+
+class StoredSession:
+    """One session's files in a data folder, and its audit.
+
+    Raises
+    ------
+    NotFoundError
+        There is no such session.
+    NotReplayableError
+        It has no tape, no frames, or ran as another version.
+    RecordingError, ModelError
+        A file of it cannot be read.
+    """
+
+    def __init__(self, database: Database, data_dir: Path, session_id: str) -> None:
+        self._database, self._data_dir, self._session_id = database, data_dir, session_id
+        with database.read() as db:
+            repository.session_row(db, session_id)
+        self._spelling = spelling_of(ModelStore(data_dir / MODELS_FOLDER))
+        path = tape_path(data_dir, session_id)
+        if not path.is_file():
+            msg = f"session {session_id} has no tape: it ran before tapes were kept, or its tape was removed"
+            raise NotReplayableError(msg)
+        self._path = path
+        self.survey: Survey = survey(path)
+        self._refuse_changed_tape()
+        self.head = read_head(read_tape(path).head, self._spelling)
+
+    def _refuse_changed_tape(self) -> None:
+        """Refuse a tape that is not the one whose hash the audit was told at the session's close."""
+        closing = self._details("session.close")
+        wanted = closing[-1].get("tape_sha256") if closing else None
+        if wanted is not None and sha256_of(self._path) != wanted:
+            msg = f"{self._path} was changed after the session was closed: its SHA-256 is not the audit's"
+            raise NotReplayableError(msg)
+
+    def _details(self, action: str) -> list[dict[str, Any]]:
+        mine = (AuditRow.session_id == self._session_id, AuditRow.action == action)
+        with self._database.read() as db:
+            return [
+                json.loads(text)
+                for text in db.scalars(select(AuditRow.detail).where(*mine).order_by(AuditRow.sequence))
+            ]
+
+    def refuse_other_version(self) -> None:
+        """Refuse a session of other software: what is computed may well have been changed on purpose."""
+        if self.head.software != this_software():
+            msg = f"the session ran as {self.head.software}, this is {this_software()}: run that, or say --any-version"
+            raise NotReplayableError(msg)
+
+    def run_again(self, recording: Path | None, on_frame: Callable[[int], None]) -> Verdict:
+        """Run it, and hold what comes of it against what is kept."""
+        values: list[dict[str, Any]] = []
+
+        def keep(outcome: object) -> None:
+            if isinstance(outcome, FrameRecord):
+                values.append(_plain(sample_values(outcome)))
+
+        outcome = replay(
+            read_tape(self._path), self.head, self._frames(recording), self._spelling, on_frame=on_frame, on_told=keep
+        )
+        differences = [] if outcome.difference is None else [outcome.difference]
+        audited = self._audited()
+        compared = 0
+        if not differences:
+            differences += _audit_differences(outcome, audited, is_torn=not self.survey.is_whole)
+            found, compared = self._sample_differences(values)
+            differences += found
+        return Verdict(
+            replay=outcome,
+            head=self.head,
+            differences=differences,
+            samples=compared,
+            audited=len(audited),
+            motion=values,
+            notes=self._notes(outcome, audited),
+        )
+
+    def _frames(self, recording: Path | None) -> Path:
+        if self.head.frames.kind is None:
+            msg = "the session's camera was not recorded: TIDEGATE_RECORD_RAW was false"
+            raise NotReplayableError(msg)
+        if self.head.frames.kind == RAW:
+            return recording or self._raw_recording()
+        path = recording or self.head.frames.path
+        if path is None or not path.is_file():
+            msg = f"the recording that was played is not at {path}: name it with --recording"
+            raise NotReplayableError(msg)
+        wanted = self.survey.facts.get("recording_sha256")
+        if wanted is not None and sha256_of(path) != wanted:
+            msg = f"{path} is not the recording that was played: its SHA-256 is another one"
+            raise NotReplayableError(msg)
+        return path
+
+    def _raw_recording(self) -> Path:
+        path = raw_path(self._data_dir, self._session_id)
+        found = next((one for one in (path, part_of(path)) if one.is_file()), None)
+        if found is None:
+            msg = "the session's raw recording is not there: it was removed, or never begun"
+            raise NotReplayableError(msg)
+        return found
+
+    def _audited(self) -> list[Row]:
+        details = self._details(repository.TRANSITION)
+        return [{name: detail.get(key) for key, name in AUDITED.items()} for detail in details]
+
+    def _sample_differences(self, values: list[dict[str, Any]]) -> tuple[list[Difference], int]:
+        """Compare every sample that is kept; a killed session lacks some at its end, and retention may take all."""
+        made = {value["frame_index"]: value for value in values}
+        compared = 0
+        for row in self._samples():
+            value = made.get(row["frame_index"])
+            if value is None:
+                if self.survey.is_whole:
+                    return [Difference(frame=row["frame_index"], recorded=text_of(row), replayed="no sample")], compared
+                continue
+            names = [name for name in row if not same({"": row[name]}, {"": value[name]})]
+            if names:
+                both = [", ".join(f"{name} {side[name]}" for name in names) for side in (row, value)]
+                return [Difference(frame=row["frame_index"], recorded=both[0], replayed=both[1])], compared
+            compared += 1
+        return [], compared
+
+    def _samples(self) -> Iterator[dict[str, Any]]:
+        for batch in SampleShelf(self._data_dir / SAMPLES_FOLDER).batches(self._session_id):
+            kept = batch.drop_columns([name for name in ONE_BY_ONE if name in batch.schema.names])
+            yield from kept.to_pylist()
+
+    def _notes(self, outcome: Replay, audited: list[Row]) -> list[str]:
+        notes = []
+        if self.head.software != this_software():
+            notes.append(f"the session ran as {self.head.software}, this is {this_software()}")
+        others = [name for name, value in this_machine().items() if self.head.machine.get(name) != value]
+        if others:
+            then = ", ".join(f"{name} {self.head.machine.get(name)}" for name in others)
+            notes.append(f"the session ran on another {' and '.join(others)} ({then}): last bits may differ by that")
+        if outcome.torn is not None:
+            notes.append(f"the tape ends early: {outcome.torn}")
+        elif not outcome.is_whole:
+            notes.append("the tape has no end: the service was killed; replayed up to the tear")
+        beyond = len(audited) - len(outcome.transitions) - len(outcome.elsewhere)
+        if beyond > 0:
+            notes.append(f"{beyond} transitions of the audit lie beyond the tape's end, and were not replayed")
+        if outcome.elsewhere:
+            notes.append(f"{len(outcome.elsewhere)} transitions were the watchdog's own: compared, not decided again")
+        return notes
+
+
+def _plain(values: dict[str, object]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if name not in ONE_BY_ONE}
+
+
+def _audit_differences(outcome: Replay, audited: list[Row], *, is_torn: bool) -> list[Difference]:
+    """Compare changes of the gate in their order; those of another thread may lie anywhere between."""
+    waiting = [_audit_row(row) for row in outcome.elsewhere]
+    replayed = iter([_audit_row(row) for row in outcome.transitions])
+    for row in audited:
+        if any(same(row, other) for other in waiting):
+            waiting.remove(next(other for other in waiting if same(row, other)))
+            continue
+        now = next(replayed, None)
+        if now is None and is_torn:
+            return []
+        if now is None or not same(row, now):
+            there = "no transition" if now is None else text_of(now)
+            return [Difference(frame=row["frame"], recorded=text_of(row), replayed=there)]
+    left = next(replayed, None) or next(iter(waiting), None)
+    if left is not None:
+        return [Difference(frame=left["frame"], recorded="no such transition in the audit", replayed=text_of(left))]
+    return []
+
+
+def _audit_row(row: Row) -> Row:
+    return {name: row[name] for name in AUDITED.values()}
