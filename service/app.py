@@ -9,8 +9,25 @@ from fastapi.staticfiles import StaticFiles
 from starlette.middleware import Middleware
 
 from engine import __version__
-from service.api import audit, calibrations, devices, health, interlocks, metrics, models, qa, sessions
-from service.deps import require_json
+from service.access.addresses import Callers
+from service.access.first import TellFirst
+from service.access.guard import Guard
+from service.api import (
+    audit,
+    calibrations,
+    devices,
+    health,
+    interlocks,
+    keys,
+    login,
+    login_oidc,
+    metrics,
+    models,
+    qa,
+    sessions,
+    users,
+)
+from service.deps import require_guarded, require_json
 from service.engine_adapter import EngineAdapter
 from service.lifespan import make_lifespan
 from service.middleware import Doorway
@@ -22,19 +39,29 @@ from service.qa.rig import EngineRig
 from service.settings import Settings
 from service.ws import live
 
+DASHBOARD = Path(str(files("service"))) / "dashboard"
 DESCRIPTION = """Respiratory gating for research and commissioning; **not cleared for clinical use**.
 
 No call can turn a beam on: calls can only arm, which lets the gate decide. Lengths are mm, volumes l, times RFC 3339
 UTC; motion is positive towards the camera (inhale). Errors are RFC 9457 problems with a stable `code`, and `field`,
-`value` and `bound` where one was broken. This version has no users and passwords: keep it on this machine."""
+`value` and `bound` where one was broken.
+
+People log in, and have a cookie; machines send a key as `Authorization: Bearer tg_...`. What a call needs stands with
+it as `x-permission`. In whose name a call acts is whoever is logged in: `operator` may be left out of every body; from
+a machine it says for whom it acts."""
 
 
 def create_app(
     settings: Settings,
     make_engine: Callable[[Settings], EnginePort] = EngineAdapter,
     make_rig: Callable[[Settings], QaRig] = EngineRig,
+    tell_first: TellFirst | None = None,
 ) -> FastAPI:
-    """Make the application; nothing is opened before its lifespan begins."""
+    """Make the application; nothing is opened before its lifespan begins.
+
+    ``tell_first`` is told name and password of the administrator that is made where there is nobody yet; without it
+    none is made.
+    """
     app = FastAPI(
         title="Tidegate",
         version=__version__,
@@ -43,18 +70,33 @@ def create_app(
         openapi_url="/api/v1/openapi.json",
         docs_url=None,
         redoc_url=None,
-        lifespan=make_lifespan(settings, make_engine, make_rig),
-        middleware=[Middleware(Doorway, host_names=settings.host_names, max_body_bytes=settings.max_body_bytes)],
+        lifespan=make_lifespan(settings, make_engine, make_rig, tell_first),
+        middleware=[
+            Middleware(Doorway, host_names=settings.host_names, max_body_bytes=settings.max_body_bytes),
+            Middleware(
+                Guard,
+                callers=Callers(behind_proxy=settings.behind_proxy, trusted_proxies=settings.trusted_proxies),
+                allowed_origins=settings.allowed_origins,
+                is_secure=settings.is_secure,
+                page_files=_page_files(),
+            ),
+        ],
     )
     install_problem_handlers(app)
     describe_problems(app)
-    app.include_router(health.router)
-    app.include_router(metrics.router)
-    api = APIRouter(prefix="/api/v1", dependencies=[Depends(require_json)])
-    for module in (sessions, models, calibrations, devices, interlocks, audit, qa):
+    guarded = Depends(require_guarded)
+    app.include_router(health.router, dependencies=[guarded])
+    app.include_router(metrics.router, dependencies=[guarded])
+    api = APIRouter(prefix="/api/v1", dependencies=[guarded, Depends(require_json)])
+    for module in (login, login_oidc, users, keys, sessions, models, calibrations, devices, interlocks, audit, qa):
         api.include_router(module.router)
     app.include_router(api)
     app.include_router(live.router, prefix="/api/v1")
-    dashboard = Path(str(files("service"))) / "dashboard"
-    app.mount("/", StaticFiles(directory=dashboard, html=True, check_dir=False), name="page")
+    app.mount("/", StaticFiles(directory=DASHBOARD, html=True, check_dir=False), name="page")
     return app
+
+
+def _page_files() -> frozenset[str]:
+    """Return the paths of the page's files: they hold no data, and are all that is read without a rule."""
+    found = (file.relative_to(DASHBOARD).as_posix() for file in DASHBOARD.rglob("*") if file.is_file())
+    return frozenset({"/", *(f"/{path}" for path in found)})

@@ -1,5 +1,6 @@
 """What routers are given: the ports, found on the application, and the parameters they share."""
 
+import re
 from dataclasses import dataclass
 from typing import Annotated, cast
 
@@ -7,9 +8,15 @@ from fastapi import Depends, Header, Path, Query, Request
 from starlette.requests import HTTPConnection
 
 from service import ports
-from service.errors import MediaTypeError
+from service.access.calling import Calling
+from service.access.desk import AccessDesk
+from service.access.guard import ADDRESS
+from service.access.identity import RULE, identity_in
+from service.errors import MediaTypeError, NotLoggedInError
 from service.qa.ports import QaBookPort, QaDeskPort
 from service.schema_base import Identifier, Name
+
+PARAMETER = re.compile(r"\{(\w+)\}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,6 +25,7 @@ class Services:
 
     sessions: ports.SessionsPort
     runner: ports.RunnerPort
+    samples: ports.SamplesPort
     calibrations: ports.CalibrationsPort
     models: ports.ModelsPort
     audit: ports.AuditPort
@@ -34,6 +42,43 @@ def services(connection: HTTPConnection) -> Services:
     return cast("Services", connection.app.state.services)
 
 
+def access(connection: HTTPConnection) -> AccessDesk:
+    """Find who may do what on the application; made in the lifespan."""
+    return cast("AccessDesk", connection.app.state.access)
+
+
+def caller(connection: HTTPConnection) -> Calling:
+    """Return who calls; the guard has seen to it."""
+    identity = identity_in(connection.scope)
+    if identity is None:
+        raise NotLoggedInError
+    return Calling(identity=identity)
+
+
+def sender_address(connection: HTTPConnection) -> str:
+    """Return where the request comes from, as the guard found it."""
+    return str(connection.scope[ADDRESS])
+
+
+def require_guarded(connection: HTTPConnection) -> None:
+    """Fail a call that reached another route than the one whose rule let it in.
+
+    The whole template is nowhere to be had for a route of an included router: its end, its parameters, and the path
+    that it makes with them are.
+    """
+    method, template = connection.scope.get(RULE, (None, ""))
+    parameters = connection.scope["path_params"]
+    is_same = (
+        method == connection.scope.get("method", "WEBSOCKET")
+        and template.endswith(getattr(connection.scope.get("route"), "path_format", ""))
+        and set(PARAMETER.findall(template)) == parameters.keys()
+        and template.format(**parameters) == connection.scope["path"]
+    )
+    if not is_same:
+        msg = f"the guard let {method} {template} in, and it came to another route"
+        raise RuntimeError(msg)
+
+
 async def json_body(request: Request) -> bytes:
     """Read the raw body, as far as the body limit lets it."""
     return await request.body()
@@ -46,7 +91,7 @@ MEDIA_OF = {"calibration.upload": CALIBRATION_MEDIA}
 
 def require_json(request: Request) -> None:
     """Refuse a body that is not JSON by its Content-Type: a form of a foreign page could post it otherwise."""
-    if request.method not in {"POST", "PUT"}:
+    if request.method not in {"POST", "PUT", "PATCH"}:
         return
     allowed = MEDIA_OF.get(getattr(request.scope.get("route"), "name", ""), ("application/json",))
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
@@ -57,13 +102,22 @@ def require_json(request: Request) -> None:
 
 
 Offered = Annotated[Services, Depends(services)]
+Access = Annotated[AccessDesk, Depends(access)]
+Caller = Annotated[Calling, Depends(caller)]
+Address = Annotated[str, Depends(sender_address)]
 Body = Annotated[bytes, Depends(json_body)]
 SessionId = Annotated[Identifier, Path(description="The session's id")]
 CalibrationId = Annotated[Identifier, Path(description="The calibration's id")]
 ModelId = Annotated[Identifier, Path(description="The model's id")]
 Cursor = Annotated[str | None, Query(max_length=80, description="`next_cursor` of the page before")]
 Limit = Annotated[int, Query(ge=1, le=500, description="Most items on the page")]
-OperatorName = Annotated[Name, Query(description="Who uploads", examples=["A. Physicist"])]
+OperatorName = Annotated[
+    Name,
+    Query(
+        description="Who uploads: whoever is logged in, and may be left out; from a machine, for whom it acts",
+        examples=["A. Physicist"],
+    ),
+]
 IdempotencyKey = Annotated[
     str | None,
     Header(

@@ -10,6 +10,7 @@ from starlette.exceptions import HTTPException
 
 from engine import errors as engine_errors
 from engine.errors import TidegateError
+from engine.transition_journal import JournalError
 from service import schemas
 
 PROBLEM_TYPE = "urn:tidegate:problem:"
@@ -30,6 +31,7 @@ class ServiceError(TidegateError):
         self.field = field
         self.value = None if value is None else shown(value)
         self.bound = bound
+        self.headers: Mapping[str, str] | None = None
         super().__init__(message)
 
 
@@ -111,10 +113,116 @@ class MeshMissingError(ServiceError):
     code = "mesh_missing"
 
 
+class SamplesRemovedError(ServiceError):
+    """The session's samples are not there any more."""
+
+    code = "samples_removed"
+
+
+class StorageLowError(ServiceError):
+    """There is no room for another session."""
+
+    code = "storage_low"
+
+
+class StorageUnwritableError(ServiceError):
+    """The disk does not take what would be measured."""
+
+    code = "storage_unwritable"
+
+
 class MediaTypeError(ServiceError):
     """The body is not JSON by its Content-Type."""
 
     code = "media_type"
+
+
+class NotLoggedInError(ServiceError):
+    """Nobody is logged in, or the log-in, the key or the token is over."""
+
+    code = "not_logged_in"
+
+    def __init__(self) -> None:
+        super().__init__("log in, or send a key: there is none, or it is not valid any more")
+        self.headers = {"WWW-Authenticate": 'Bearer realm="tidegate"'}
+
+
+class LoginFailedError(ServiceError):
+    """The log-in was refused; nothing tells why."""
+
+    code = "login_failed"
+
+    def __init__(self) -> None:
+        super().__init__("name or password is wrong, or the account may not log in")
+        self.headers = {"WWW-Authenticate": 'Bearer realm="tidegate"'}
+
+
+class LockedOutError(ServiceError):
+    """Too many log-ins have failed for this name or from this address."""
+
+    code = "locked_out"
+
+    def __init__(self, wait_s: int) -> None:
+        super().__init__(f"too many log-ins have failed: try again in {wait_s} s")
+        self.headers = {"Retry-After": str(wait_s)}
+
+
+class PasswordDeskFullError(ServiceError):
+    """Too many passwords wait to be checked; the gate's machine has better things to do."""
+
+    code = "login_busy"
+
+    def __init__(self, message: str) -> None:
+        super().__init__(message)
+        self.headers = {"Retry-After": "1"}
+
+
+class WrongPasswordError(ServiceError):
+    """The old password is wrong."""
+
+    code = "wrong_password"
+
+
+class PermissionMissingError(ServiceError):
+    """Whoever asks may not."""
+
+    code = "permission_missing"
+
+
+class PasswordChangeDueError(ServiceError):
+    """The password was made by somebody else, and has to be changed first."""
+
+    code = "password_change_due"
+
+
+class OriginRefusedError(ServiceError):
+    """A browser's call does not come from our own page."""
+
+    code = "origin_refused"
+
+
+class OperatorMismatchError(ServiceError):
+    """A person asks in another one's name."""
+
+    code = "operator_mismatch"
+
+
+class NameTakenError(ServiceError):
+    """Somebody has this name, or had it."""
+
+    code = "name_taken"
+
+
+class LastAdminError(ServiceError):
+    """Nobody would be left who may administer."""
+
+    code = "last_admin"
+
+
+class OutsideUserError(ServiceError):
+    """The account is kept by the hospital's identity provider, and is changed there."""
+
+    code = "outside_user"
 
 
 STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
@@ -126,6 +234,7 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     engine_errors.RuntimeMissingError: (503, "The OpenNI2 runtime is missing"),
     engine_errors.SourceLostError: (503, "The camera does not answer"),
     engine_errors.BeamLineError: (503, "The beam line does not answer"),
+    JournalError: (503, "Transitions cannot be kept safe from a kill"),
     BoundError: (422, "A value is out of its bound"),
     NotFoundError: (404, "There is no such thing"),
     SessionActiveError: (409, "Another session is open"),
@@ -139,11 +248,28 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     EngineTimeoutError: (503, "The engine did not answer in time"),
     PictureMissingError: (404, "There is no picture yet"),
     MeshMissingError: (404, "There is no surface yet"),
+    SamplesRemovedError: (404, "The samples are not there any more"),
+    StorageLowError: (507, "There is no room for another session"),
+    StorageUnwritableError: (503, "The disk takes nothing"),
     MediaTypeError: (415, "The body must be JSON"),
+    NotLoggedInError: (401, "Nobody is logged in"),
+    LoginFailedError: (401, "The log-in was refused"),
+    LockedOutError: (429, "Too many log-ins have failed"),
+    PasswordDeskFullError: (503, "Too many log-ins at once"),
+    WrongPasswordError: (422, "The old password is wrong"),
+    PermissionMissingError: (403, "That is not permitted"),
+    PasswordChangeDueError: (403, "The password has to be changed first"),
+    OriginRefusedError: (403, "Another page asks"),
+    OperatorMismatchError: (422, "The operator is somebody else"),
+    NameTakenError: (409, "The name is taken"),
+    LastAdminError: (409, "The last administrator stays"),
+    OutsideUserError: (409, "The account is kept elsewhere"),
     SQLAlchemyError: (503, "The database does not answer"),
 }
 HTTP_CODES = {
     400: "bad_request",
+    401: "not_logged_in",
+    403: "permission_missing",
     404: "not_found",
     405: "method_not_allowed",
     413: "body_too_large",

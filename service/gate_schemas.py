@@ -4,7 +4,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from service.schema_base import Answer, Name, Request, broken
+from service.schema_base import Answer, Operator, Request, broken
 
 UNITS = ("mm", "l")
 
@@ -12,7 +12,7 @@ UNITS = ("mm", "l")
 class BaselineCorrectionRequest(Request):
     """A person confirms that the window follows the drift that they saw; in l for a window on the volume."""
 
-    operator: Name = Field(examples=["A. Therapist"])
+    operator: Operator = ""
     by_mm: float | None = Field(
         default=None,
         ge=-50.0,

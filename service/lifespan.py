@@ -9,30 +9,38 @@ import anyio.to_thread
 from fastapi import FastAPI
 
 from engine import __version__
+from service.access.desk import AccessDesk, open_access
+from service.access.first import TellFirst, make_first_admin
+from service.access.oidc_desk import OidcDesk
 from service.audit import SYSTEM, Event
 from service.audit.care import AuditCare
 from service.audit_log import AuditLog
 from service.calibrations import CalibrationShelf
 from service.db.engine import Database
+from service.db.preparing import SAMPLES_FOLDER, prepare
 from service.deps import Services
 from service.interlocks import InterlockTable
+from service.interrupted import close_interrupted
+from service.journal_recovery import recover_transitions
+from service.journals import Journals
 from service.metrics import Metrics
-from service.model_store import ModelStore
+from service.model_store import MODELS_FOLDER, ModelStore
 from service.motion_models import ModelShelf
 from service.ports import EnginePort
-from service.qa.book import QaBook, close_interrupted
+from service.qa.book import QaBook
+from service.qa.book import close_interrupted as close_interrupted_qa
 from service.qa.desk import QaDesk
 from service.qa.ports import QaRig
 from service.qa.under_way import UnderWay
 from service.readiness import ReadinessProbe
 from service.room import Room
 from service.runner import SessionRunner
+from service.samples.desk import SampleDesk
+from service.samples.shelf import SampleShelf
 from service.sessions import SessionBook
 from service.settings import Settings
 from service.tallies import Tallies
 from service.ws.live import LiveStream
-
-MODELS_FOLDER = "models"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,6 +54,8 @@ class _House:
     database: Database
     care: AuditCare
     room: Room
+    access: AccessDesk
+    oidc: OidcDesk
 
     def hold_and_close_session(self) -> None:
         """Let nothing begin any more, hold the beam, whoever has it, and end what goes on."""
@@ -58,6 +68,8 @@ class _House:
     def close(self) -> None:
         """Hold the beam first, then write down and close."""
         self.hold_and_close_session()
+        self.oidc.close()
+        self.access.close()
         try:
             self.log.write(Event(actor=SYSTEM, action="service.stop"))
         finally:
@@ -66,16 +78,21 @@ class _House:
 
 
 def make_lifespan(
-    settings: Settings, make_engine: Callable[[Settings], EnginePort], make_rig: Callable[[Settings], QaRig]
+    settings: Settings,
+    make_engine: Callable[[Settings], EnginePort],
+    make_rig: Callable[[Settings], QaRig],
+    tell_first: TellFirst | None = None,
 ) -> Callable[[FastAPI], AbstractAsyncContextManager[None]]:
     """Make the application's lifespan."""
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        house = await anyio.to_thread.run_sync(_open, settings, make_engine(settings), make_rig(settings))
+        house = await anyio.to_thread.run_sync(_open, settings, make_engine(settings), make_rig(settings), tell_first)
         app.state.services = house.services
+        app.state.access = house.access
+        app.state.oidc = house.oidc
         app.state.hold_and_close_session = house.hold_and_close_session
-        app.state.live = LiveStream(max_clients=settings.max_live_clients, allowed_origins=settings.allowed_origins)
+        app.state.live = LiveStream(max_clients=settings.max_live_clients)
         try:
             yield
         finally:
@@ -85,11 +102,13 @@ def make_lifespan(
     return lifespan
 
 
-def _open(settings: Settings, engine: EnginePort, rig: QaRig) -> _House:
+def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFirst | None) -> _House:
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     database = Database(settings.database_place)
-    database.migrate()
+    shelf = SampleShelf(settings.data_dir / SAMPLES_FOLDER)
+    prepare(database, data_dir=settings.data_dir, min_free_disk_mb=settings.min_free_disk_mb)
     log, room, tallies = AuditLog(database), Room(), Tallies()
+    journals = Journals(settings.data_dir, settings.journal_dir)
     care = AuditCare(database=database, settings=settings, write=log.write)
     models = ModelStore(settings.data_dir / MODELS_FOLDER)
     book = SessionBook(database, log, settings, room, engine)
@@ -102,6 +121,8 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig) -> _House:
         room=room,
         settings=settings,
         tallies=tallies,
+        shelf=shelf,
+        journals=journals,
     )
     under_way = UnderWay()
     qa_desk = QaDesk(database=database, log=log, settings=settings, room=room, rig=rig, under_way=under_way)
@@ -109,6 +130,7 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig) -> _House:
     services = Services(
         sessions=book,
         runner=runner,
+        samples=SampleDesk(database, shelf),
         calibrations=CalibrationShelf(database, log),
         models=ModelShelf(database, room),
         audit=log,
@@ -119,10 +141,26 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig) -> _House:
         qa_desk=qa_desk,
         qa_book=qa_book,
     )
+    access = open_access(database, log, settings)
+    if tell_first is not None:
+        make_first_admin(access.store, access.people, tell_first)
+    oidc = OidcDesk(settings, access, tallies.registry)
+    oidc.start()
     care.start(_start_detail(engine))
-    book.close_interrupted()
-    close_interrupted(database)
-    return _House(care=care, services=services, runner=runner, qa_desk=qa_desk, log=log, database=database, room=room)
+    recover_transitions(database, journals)
+    close_interrupted(database, shelf)
+    close_interrupted_qa(database)
+    return _House(
+        care=care,
+        services=services,
+        runner=runner,
+        qa_desk=qa_desk,
+        log=log,
+        database=database,
+        room=room,
+        access=access,
+        oidc=oidc,
+    )
 
 
 def _start_detail(engine: EnginePort) -> dict[str, object]:

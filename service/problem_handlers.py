@@ -10,12 +10,14 @@ from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 
 from engine.errors import TidegateError
+from service.access.identity import identity_in
 from service.deps import services
-from service.errors import MediaTypeError, problem_of, problem_response
-from service.schema_base import Identifier, Name
+from service.errors import MediaTypeError, OperatorMismatchError, problem_of, problem_response
+from service.schema_base import Identifier
 
 logger = logging.getLogger(__name__)
-NAME: TypeAdapter[str] = TypeAdapter(Name)
+SECRET_ACTIONS = frozenset({"user.login", "user.password"})
+"""What is sent with these is never shown again, nor written down."""
 SESSION_ID: TypeAdapter[str] = TypeAdapter(Identifier)
 
 
@@ -24,6 +26,7 @@ def install_problem_handlers(app: FastAPI) -> None:
     app.add_exception_handler(TidegateError, _answer)
     app.add_exception_handler(SQLAlchemyError, _answer)
     app.add_exception_handler(MediaTypeError, _answer_refused)
+    app.add_exception_handler(OperatorMismatchError, _answer_refused)
     app.add_exception_handler(RequestValidationError, _answer_refused)
     app.add_exception_handler(HTTPException, _answer_refused)
     app.add_exception_handler(Exception, _answer)
@@ -34,27 +37,21 @@ def _answer(_request: Request, error: Exception) -> JSONResponse:
     problem = problem_of(error)
     if problem.status >= 500:
         logger.warning("answered %d %s (%s)", problem.status, problem.code, type(error).__name__)
-    return problem_response(problem)
+    return problem_response(problem, getattr(error, "headers", None))
 
 
 def _answer_refused(request: Request, error: Exception) -> JSONResponse:
     """Answer what was refused before any service was asked, so that none has audited it."""
     problem = problem_of(error)
     action = getattr(request.scope.get("route"), "name", None)
-    if request.method in {"POST", "PUT"} and action is not None and "." in action:
+    if action in SECRET_ACTIONS:
+        problem = problem.model_copy(update={"value": None})  # it may be a password
+    identity = identity_in(request.scope)
+    if identity is not None and request.method in {"POST", "PUT", "PATCH"} and action is not None and "." in action:
         services(request).audit.refused(
-            actor=_actor(request, error), action=action, session_id=_session_id(request), problem=problem
+            actor=identity.name, action=action, session_id=_session_id(request), problem=problem
         )
     return problem_response(problem, getattr(error, "headers", None))
-
-
-def _actor(request: Request, error: Exception) -> str:
-    body = getattr(error, "body", None)
-    claimed = body.get("operator") if isinstance(body, dict) else request.query_params.get("operator")
-    try:
-        return NAME.validate_python(claimed)
-    except ValidationError:
-        return "unknown"
 
 
 def _session_id(request: Request) -> str | None:

@@ -12,7 +12,7 @@ from engine.errors import InvalidValueError
 from engine.polygons import MAX_REGIONS, MAX_VERTICES, MIN_VERTICES, NAME_PATTERN, NamedRegion
 from engine.stages.regions import MIN_PART_ROWS
 from service.live_messages import LiveBreath, LiveBreathHold, LiveWindow
-from service.schema_base import Answer, Identifier, Name, Request, SourceText, broken
+from service.schema_base import Answer, Identifier, Name, Operator, Request, SourceText, broken
 from service.window_schemas import Window
 
 SessionStatus = Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
@@ -100,7 +100,7 @@ class SessionRequest(Request):
     plan_id: Name
     fraction_id: Name
     fraction_number: int | None = Field(default=None, ge=1, le=200)
-    operator: Name
+    operator: Operator = ""
     source: Source
     calibration_id: Identifier | None = Field(
         default=None,
@@ -141,7 +141,7 @@ class SessionRequest(Request):
 class OperatorRequest(Request):
     """Who asks."""
 
-    operator: Name = Field(examples=["A. Therapist"])
+    operator: Operator = ""
 
 
 class RetrainRequest(OperatorRequest):
@@ -387,6 +387,10 @@ class Transition(Answer):
     latency_ms: float | None = Field(
         default=None, description="From capture to the line told; null where no frame was the cause"
     )
+    number: int | None = Field(default=None, description="Its own in the session's journal, rising; not without gaps")
+    recovered: bool = Field(
+        default=False, description="Written down by the next start: the process was killed before it could"
+    )
 
 
 class TransitionPage(Answer):
@@ -443,10 +447,9 @@ class DeviceList(Answer):
 
 
 class Health(Answer):
-    """The process answers."""
+    """The process answers; to anybody, so that it says no more."""
 
     status: Literal["ok"]
-    version: str
 
 
 class Readiness(Answer):

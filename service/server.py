@@ -1,6 +1,8 @@
 """The web server: one process, one worker, and a way out that holds the beam before it says goodbye to anyone."""
 
 import socket
+import ssl
+from pathlib import Path
 
 import anyio.to_thread
 import uvicorn
@@ -10,6 +12,10 @@ LOG_LEVEL = "warning"
 PING_S = 5.0
 MAX_INCOMING_MESSAGE_BYTES = 4096
 GOODBYE_S = 5
+
+
+class CertificateError(Exception):
+    """TLS was asked for, and cannot be spoken; for the person who starts the service."""
 
 
 class BeamFirstServer(uvicorn.Server):
@@ -25,8 +31,16 @@ class BeamFirstServer(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def make_server(app: FastAPI, *, host: str, port: int) -> BeamFirstServer:
-    """Make the server for the application."""
+def make_server(
+    app: FastAPI, *, host: str, port: int, tls_cert: Path | None = None, tls_key: Path | None = None
+) -> BeamFirstServer:
+    """Make the server for the application; with a certificate it speaks TLS 1.2 or newer, and nothing else.
+
+    Raises
+    ------
+    CertificateError
+        The certificate or its key cannot be read, or they do not belong together.
+    """
     config = uvicorn.Config(
         app,
         host=host,
@@ -42,5 +56,14 @@ def make_server(app: FastAPI, *, host: str, port: int) -> BeamFirstServer:
         ws_max_size=MAX_INCOMING_MESSAGE_BYTES,
         ws_per_message_deflate=False,
         timeout_graceful_shutdown=GOODBYE_S,
+        ssl_certfile=tls_cert,
+        ssl_keyfile=tls_key,
     )
+    try:
+        config.load()
+    except (OSError, ssl.SSLError) as error:
+        msg = f"{tls_cert} and {tls_key} cannot be used for TLS: {error.strerror or error}"
+        raise CertificateError(msg) from error
+    if config.ssl is not None:
+        config.ssl.minimum_version = ssl.TLSVersion.TLSv1_2
     return BeamFirstServer(config, app)

@@ -4,7 +4,6 @@ A session may narrow a site's limits, never widen them.
 """
 
 import dataclasses
-import ipaddress
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -19,11 +18,14 @@ from engine.likeness import LIKENESS_BOUNDS, LikenessLimits
 from engine.limits import LIMIT_BOUNDS, GateLimits
 from engine.training import TRAINING_BOUNDS, TrainingSettings
 from engine.windows import HOLD_BOUNDS, amplitude_window
+from service.access_settings import AccessSettings
 from service.audit_settings import AuditSettings
 from service.beam_settings import PREFIX, BeamSettings
 from service.database_settings import DatabaseSettings
+from service.oidc_settings import OidcSettings
 from service.qa_settings import QaSettings
 from service.replay_settings import ReplaySettings
+from service.storage_settings import StorageSettings
 
 SETTING_OF = {"retrain_interval_s": "retrain_interval_min"}
 """Settings of the training that a site gives under another name, in another unit."""
@@ -60,16 +62,23 @@ class SettingsError(Exception):
     """The settings cannot be used; the message is one line a setting, for the person who starts the service."""
 
 
-class Settings(BeamSettings, QaSettings, AuditSettings, DatabaseSettings, ReplaySettings):
+class Settings(
+    BeamSettings,
+    QaSettings,
+    AuditSettings,
+    DatabaseSettings,
+    AccessSettings,
+    StorageSettings,
+    OidcSettings,
+    ReplaySettings,
+):
     """The site's settings."""
 
     model_config = SettingsConfigDict(
         env_prefix=PREFIX, extra="forbid", frozen=True, validate_default=True, allow_inf_nan=False
     )
 
-    host: str = Field(default="127.0.0.1", min_length=1, max_length=253)
     port: int = Field(default=8000, ge=0, le=65535)
-    allow_remote: bool = Field(default=False, description="Listen beyond this machine, although there are no users yet")
     allowed_hosts: NameList = Field(default=(), description="Names in the Host header; loopback names when left out")
     allowed_origins: NameList = Field(default=(), description="Pages besides our own that may open the live stream")
 
@@ -89,6 +98,9 @@ class Settings(BeamSettings, QaSettings, AuditSettings, DatabaseSettings, Replay
     command_timeout_s: float = Field(default=3.0, ge=0.1, le=30.0)
     min_free_disk_mb: float = Field(default=200.0, ge=0.0, le=1_000_000.0)
 
+    journal_dir: Path | None = Field(
+        default=None, description="Where transitions are kept until the audit has them; memory when left out"
+    )
     sample_batch_ms: float = Field(default=250.0, ge=10.0, le=500.0)
     min_dwell_ms: float = Field(default=0.0, ge=0.0, le=10_000.0, description="No session's dwell is shorter")
     min_good_frames: int = _limit("min_good_frames")
@@ -167,12 +179,6 @@ class Settings(BeamSettings, QaSettings, AuditSettings, DatabaseSettings, Replay
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Self:
-        if not self.allow_remote and not _is_loopback(self.host):
-            msg = (
-                f"host {self.host} can be reached from outside and this version has no users or passwords: "
-                f"set {PREFIX}ALLOW_REMOTE=true only where the network itself keeps strangers out"
-            )
-            raise ValueError(msg)
         if self.mode == "clinical":
             self._refuse_research_settings()
         if self.window_lower_mm >= self.window_upper_mm:
@@ -266,7 +272,7 @@ class Settings(BeamSettings, QaSettings, AuditSettings, DatabaseSettings, Replay
         """Names this service answers to; "*" is any."""
         if self.allowed_hosts:
             return self.allowed_hosts
-        return ("*",) if self.allow_remote else ("localhost", "127.0.0.1", "[::1]")
+        return ("*",) if self.is_remote else ("localhost", "127.0.0.1", "[::1]")
 
 
 def load_settings(**overrides: object) -> Settings:
@@ -287,6 +293,11 @@ def load_settings(**overrides: object) -> Settings:
 
 def _refuse_unknown(names: Iterable[str]) -> None:
     known = {f"{PREFIX}{name.upper()}" for name in Settings.model_fields}
+    if f"{PREFIX}ALLOW_REMOTE" in names:
+        raise SettingsError(
+            f"{PREFIX}ALLOW_REMOTE is no setting any more: give {PREFIX}TLS_CERT and {PREFIX}TLS_KEY, or "
+            f"{PREFIX}BEHIND_PROXY=true where a proxy in front speaks TLS"
+        )
     unknown = sorted(name for name in names if name.upper().startswith(PREFIX) and name.upper() not in known)
     if unknown:
         raise SettingsError("\n".join(f"{name} is not a setting of Tidegate; mistyped?" for name in unknown))
@@ -295,12 +306,3 @@ def _refuse_unknown(names: Iterable[str]) -> None:
 def _line(location: tuple[int | str, ...], message: str) -> str:
     name = f"{PREFIX}{str(location[0]).upper()}: " if location else ""
     return f"{name}{message.removeprefix('Value error, ')}"
-
-
-def _is_loopback(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False

@@ -4,10 +4,13 @@ from typing import Any
 
 PROBLEM_CONTENT = {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}}
 MEANING = {
+    401: "Nobody is logged in, or the log-in is over",
+    403: "Whoever asks may not, or another page asks",
     404: "There is no such thing",
     409: "Not in this state",
     413: "The body is too large",
     415: "The body is not JSON",
+    429: "Too many log-ins have failed",
     422: "A value is out of its bound",
     503: "The engine or the database does not answer",
 }

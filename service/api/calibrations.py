@@ -59,13 +59,14 @@ DOCUMENT = {
 )
 def upload_calibration(
     body: deps.Body,
-    operator: deps.OperatorName,
+    caller: deps.Caller,
     services: deps.Offered,
     response: Response,
+    operator: deps.OperatorName = "",
     idempotency_key: deps.IdempotencyKey = None,
 ) -> schemas.UploadedCalibration:
     """Check and keep a calibration; the same content again answers with the same one, and 200."""
-    kept = services.calibrations.upload(body, operator, idempotency_key)
+    kept = services.calibrations.upload(body, caller.acts_as(operator), idempotency_key)
     if kept.is_replay:
         response.status_code = 200
     return kept.answer

@@ -2,7 +2,6 @@
 
 from fastapi import APIRouter, Response
 
-from engine import __version__
 from service import deps, schemas
 
 router = APIRouter(tags=["health"])
@@ -11,7 +10,7 @@ router = APIRouter(tags=["health"])
 @router.get("/healthz")
 def healthz() -> schemas.Health:
     """Answer while the process lives."""
-    return schemas.Health(status="ok", version=__version__)
+    return schemas.Health(status="ok")
 
 
 @router.get("/readyz", responses={503: {"model": schemas.Readiness, "description": "Something is missing"}})

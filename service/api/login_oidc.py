@@ -16,8 +16,8 @@ from service.access.oidc_attempts import LIFE_S
 from service.access.oidc_desk import BUSY, DISABLED, STORAGE, UNAVAILABLE, OidcDesk, Refusal
 from service.access.oidc_errors import OidcReason
 from service.access.oidc_people import Returned
-from service.oidc_schemas import LoginWays, OidcWay
 from service.api import problems
+from service.oidc_schemas import LoginWays, OidcWay
 
 router = APIRouter(tags=["access"])
 PLAIN_NAME = "tidegate_oidc"
@@ -29,7 +29,7 @@ PAGE: dict[int | str, dict[str, object]] = {
     503: {"description": "A page that says that it cannot be asked now", "content": {"text/html": {}}},
 }
 SENTENCE = {
-    OidcReason.NO_ROLE: "You are known there, but none of your groups may use this system. Ask whoever keeps the groups.",
+    OidcReason.NO_ROLE: "It knows you, but none of your groups may use this system. Ask whoever keeps the groups.",
     OidcReason.STATE: "This log-in took too long, was used before, or was begun in another browser. Begin again.",
     OidcReason.PROVIDER_REFUSED: "It did not let you in there.",
     OidcReason.UNKNOWN_KEY: "It has just changed its keys. Try again in half a minute.",

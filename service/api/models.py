@@ -20,18 +20,20 @@ def list_models(
 
 @router.post("/sessions/{session_id}/models/retrain", status_code=202, name="model.retrain", responses=ACT)
 def retrain_model(
-    session_id: deps.SessionId, request: schemas.RetrainRequest, services: deps.Offered
+    session_id: deps.SessionId, request: schemas.RetrainRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.SessionDetail:
     """Learn a new model in the background; it takes over between two frames, or waits while the session is armed."""
-    return services.runner.retrain(session_id, request.operator, keeps_reference=request.keeps_reference)
+    return services.runner.retrain(
+        session_id, caller.acts_as(request.operator), keeps_reference=request.keeps_reference
+    )
 
 
 @router.post("/sessions/{session_id}/models/apply", name="model.apply", responses=ACT)
 def apply_model(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
+    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.SessionDetail:
     """Let the new model that waits take over now; disarms. Refused when none waits."""
-    return services.runner.apply_model(session_id, request.operator)
+    return services.runner.apply_model(session_id, caller.acts_as(request.operator))
 
 
 @router.get("/models/{model_id}", responses=READ)
@@ -48,7 +50,7 @@ def read_spectrum(model_id: deps.ModelId, services: deps.Offered) -> schemas.Spe
 
 @router.post("/models/{model_id}/activate", name="model.activate", responses=ACT)
 def activate_model(
-    model_id: deps.ModelId, request: schemas.OperatorRequest, services: deps.Offered
+    model_id: deps.ModelId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.SessionDetail:
     """Measure with this model of the running session once the zero is carried over to it; disarms."""
-    return services.runner.activate(model_id, request.operator)
+    return services.runner.activate(model_id, caller.acts_as(request.operator))

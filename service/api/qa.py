@@ -20,12 +20,14 @@ TrendLimit = Annotated[int, Query(ge=1, le=500, description="Most runs")]
 @router.post("/runs", status_code=202, name="qa.start", responses=ACT)
 def start_run(
     request: qa.QaRunRequest,
+    caller: deps.Caller,
     services: deps.Offered,
     response: Response,
     idempotency_key: deps.IdempotencyKey = None,
 ) -> qa.QaRun:
     """Begin a run; one at a time, and never while a session runs. Its drills PERMIT THE BEAM of a real line."""
-    kept = services.qa_desk.start(request, idempotency_key)
+    named = request.model_copy(update={"operator": caller.acts_as(request.operator)})
+    kept = services.qa_desk.start(named, idempotency_key)
     if kept.is_replay:
         response.headers["Idempotency-Replayed"] = "true"
     return kept.answer
@@ -44,9 +46,11 @@ def read_run(run_id: RunId, services: deps.Offered) -> qa.QaRunDetail:
 
 
 @router.post("/runs/{run_id}/cancel", name="qa.cancel", responses=ACT)
-def cancel_run(run_id: RunId, request: schemas.OperatorRequest, services: deps.Offered) -> qa.QaRun:
+def cancel_run(
+    run_id: RunId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
+) -> qa.QaRun:
     """Hold the beam line, then end the run."""
-    return services.qa_desk.cancel(run_id, request.operator)
+    return services.qa_desk.cancel(run_id, caller.whatever_is_claimed(request.operator))
 
 
 @router.get(
@@ -88,6 +92,6 @@ def read_baseline(services: deps.Offered) -> qa.QaBaselineHistory:
 
 
 @router.put("/baseline", name="qa.baseline", responses=ACT)
-def fix_baseline(request: qa.QaBaselineRequest, services: deps.Offered) -> qa.QaBaseline:
+def fix_baseline(request: qa.QaBaselineRequest, caller: deps.Caller, services: deps.Offered) -> qa.QaBaseline:
     """Fix what the camera's place should read; audited with what it was before."""
-    return services.qa_book.fix_baseline(request)
+    return services.qa_book.fix_baseline(request.model_copy(update={"operator": caller.acts_as(request.operator)}))

@@ -1,26 +1,37 @@
 """Sessions: create, start, arm, watch, stop. Nothing here turns a beam on: arming lets the gate decide."""
 
-from fastapi import APIRouter, Response
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Response
 from fastapi.responses import StreamingResponse
 
 from service import deps, schemas
 from service.api import problems
 from service.gate_schemas import BaselineCorrectionRequest
+from service.ports import SampleFormat
 
 router = APIRouter(prefix="/sessions", tags=["sessions"])
 READ = problems(404, 422, 503)
+SAMPLES_REFUSED = problems(409)
+ARROW, PARQUET = "application/vnd.apache.arrow.stream", "application/vnd.apache.parquet"
+BINARY = {"schema": {"type": "string", "format": "binary"}}
+SampleFormatQuery = Annotated[
+    SampleFormat, Query(alias="format", description="Parquet is there once the session is closed")
+]
 ACT = problems(404, 409, 413, 415, 422, 503)
 
 
 @router.post("", status_code=201, name="session.create", responses=ACT)
 def create_session(
     request: schemas.SessionRequest,
+    caller: deps.Caller,
     services: deps.Offered,
     response: Response,
     idempotency_key: deps.IdempotencyKey = None,
 ) -> schemas.Session:
     """Create a session; one at a time may be created or running."""
-    kept = services.sessions.create(request, idempotency_key)
+    named = request.model_copy(update={"operator": caller.acts_as(request.operator)})
+    kept = services.sessions.create(named, idempotency_key)
     if kept.is_replay:
         response.headers["Idempotency-Replayed"] = "true"
     return kept.answer
@@ -40,95 +51,105 @@ def read_session(session_id: deps.SessionId, services: deps.Offered) -> schemas.
 
 @router.post("/{session_id}/start", name="session.start", responses=ACT)
 def start_session(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
+    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.Session:
     """Open the source and begin to learn, disarmed."""
-    return services.runner.start(session_id, request.operator)
+    return services.runner.start(session_id, caller.acts_as(request.operator))
 
 
 @router.post("/{session_id}/arm", name="session.arm", responses=ACT)
 def arm_session(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
+    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.SessionDetail:
     """Let the gate decide from now on; refused without a model, a reference and a fresh frame."""
-    return services.runner.command(session_id, "arm", request.operator)
+    return services.runner.command(session_id, "arm", caller.acts_as(request.operator))
 
 
 @router.post("/{session_id}/disarm", name="session.disarm", responses=ACT)
 def disarm_session(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
+    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.SessionDetail:
     """Hold the beam until somebody arms again."""
-    return services.runner.command(session_id, "disarm", request.operator)
+    return services.runner.command(session_id, "disarm", caller.whatever_is_claimed(request.operator))
 
 
 @router.post("/{session_id}/reference", name="session.reference", responses=ACT)
 def set_reference(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
+    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.SessionDetail:
     """Make the patient's present position the zero of motion; disarms."""
-    return services.runner.command(session_id, "reference", request.operator)
+    return services.runner.command(session_id, "reference", caller.acts_as(request.operator))
 
 
 @router.post("/{session_id}/acknowledge", name="session.acknowledge", responses=ACT)
 def acknowledge_fault(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
+    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.SessionDetail:
     """Say that a person has seen the latched fault; the gate goes back to disarmed."""
-    return services.runner.command(session_id, "acknowledge", request.operator)
+    return services.runner.command(session_id, "acknowledge", caller.acts_as(request.operator))
 
 
 @router.post("/{session_id}/hold", name="session.hold", responses=ACT)
 def hold_beam(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
+    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.SessionDetail:
     """Hold the beam until somebody releases it; the session stays armed. Never refused while it runs."""
-    return services.runner.command(session_id, "hold", request.operator)
+    return services.runner.command(session_id, "hold", caller.whatever_is_claimed(request.operator))
 
 
 @router.post("/{session_id}/release", name="session.release", responses=ACT)
 def release_beam(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
+    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.SessionDetail:
     """Let the gate decide again, after a full dwell; refused when nobody holds."""
-    return services.runner.command(session_id, "release", request.operator)
+    return services.runner.command(session_id, "release", caller.acts_as(request.operator))
 
 
 @router.post("/{session_id}/presence", status_code=204, responses=ACT)
-def note_presence(session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered) -> None:
+def note_presence(
+    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
+) -> None:
     """Say that the page of this person is still looked at; where the site asks for it, silence holds the beam."""
-    services.runner.note_presence(session_id, request.operator)
+    services.runner.note_presence(session_id, caller.acts_as(request.operator))
 
 
 @router.post("/{session_id}/baseline-correction", name="session.baseline_correction", responses=ACT)
 def correct_baseline(
-    session_id: deps.SessionId, request: BaselineCorrectionRequest, services: deps.Offered
+    session_id: deps.SessionId, request: BaselineCorrectionRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.SessionDetail:
     """Move the window by a drift of the baseline that a person saw and confirms; disarms."""
-    return services.runner.correct_baseline(session_id, request)
+    return services.runner.correct_baseline(
+        session_id, request.model_copy(update={"operator": caller.acts_as(request.operator)})
+    )
 
 
 @router.post("/{session_id}/stop", name="session.stop", responses=ACT)
 def stop_session(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, services: deps.Offered
+    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.Session:
     """Hold the beam, end the engine, close the session."""
-    return services.runner.stop(session_id, request.operator)
+    return services.runner.stop(session_id, caller.whatever_is_claimed(request.operator))
 
 
 @router.get(
     "/{session_id}/samples",
     response_class=Response,
     responses={
-        200: {"description": "One row a depth frame", "content": {"text/csv": {"schema": {"type": "string"}}}},
+        200: {
+            "description": "One row a depth frame",
+            "content": {"text/csv": {"schema": {"type": "string"}}, ARROW: BINARY, PARQUET: BINARY},
+        },
         **READ,
+        409: SAMPLES_REFUSED[409],
     },
 )
-def export_samples(session_id: deps.SessionId, services: deps.Offered) -> StreamingResponse:
-    """Export the samples as CSV; what could not be measured is empty, never zero."""
-    headers = {"Content-Disposition": f'attachment; filename="{session_id}.csv"'}
-    pieces = services.sessions.samples_csv(session_id)
-    return StreamingResponse(pieces, media_type="text/csv", headers=headers)
+def export_samples(
+    session_id: deps.SessionId, services: deps.Offered, form: SampleFormatQuery = "csv"
+) -> StreamingResponse:
+    """Export the samples, as far as they are written; what could not be measured is empty, never zero."""
+    export = services.samples.export(session_id, form)
+    headers = {"Content-Disposition": f'attachment; filename="{export.file_name}"'}
+    return StreamingResponse(export.pieces, media_type=export.media_type, headers=headers)
 
 
 @router.get(

@@ -46,16 +46,17 @@ def serve(
 
 def _run(settings: Settings, console: Console) -> None:
     from service.app import create_app
-    from service.server import make_server
+    from service.server import CertificateError, make_server
 
     logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(levelname)s %(name)s %(message)s")
     # The engine thread gets the interpreter back from an API thread within this time, not within the default 5 ms.
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    if settings.allow_remote:
+    if settings.behind_proxy and not settings.trusted_proxies:
         console.print(
-            f"TIDEGATE_ALLOW_REMOTE: listening on {settings.host} WITHOUT users or passwords. Anyone who can reach "
-            "this port can arm the gate.",
-            style="bold red",
+            "TIDEGATE_BEHIND_PROXY: nobody on the way to this port may read it but the proxy; name its address in "
+            "TIDEGATE_TRUSTED_PROXIES, or all log-ins count as coming from one place.",
+            style="yellow",
+            soft_wrap=True,
             markup=False,
         )
     if settings.recordings_may_gate and settings.has_real_beam:
@@ -66,14 +67,35 @@ def _run(settings: Settings, console: Console) -> None:
             soft_wrap=True,
             markup=False,
         )
-    app = create_app(settings)
+    app = create_app(settings, tell_first=lambda name, password: _tell_first(console, name, password))
     _set_memory_aside()
     line = "SIMULATED beam line" if settings.is_simulated_beam else f"beam line {' and '.join(settings.beam_lines)}"
-    console.print(f"Tidegate on http://{settings.host}:{settings.port}/ ({line}; {settings.mode} mode, not cleared)")
+    scheme = "https" if settings.has_tls else "http"
+    console.print(
+        f"Tidegate on {scheme}://{settings.host}:{settings.port}/ ({line}; {settings.mode} mode, not cleared)"
+    )
     # Uvicorn raises the signal again once it has shut down; asked to stop and stopped is success.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _already_obeyed)
-    make_server(app, host=settings.host, port=settings.port).run()
+    try:
+        server = make_server(
+            app, host=settings.host, port=settings.port, tls_cert=settings.tls_cert, tls_key=settings.tls_key
+        )
+    except CertificateError as error:
+        console.print(f"tidegate serve: {error}", style="red", soft_wrap=True, markup=False)
+        raise typer.Exit(2) from error
+    server.run()
+
+
+def _tell_first(console: Console, name: str, password: str) -> None:
+    """Tell the person at this terminal, once; it stands in no log and in no file."""
+    console.print(
+        f"Nobody can log in yet. The first person is {name!r}, with this password, told once and to be changed at the "
+        f"first log-in:\n\n    {password}\n",
+        style="bold",
+        soft_wrap=True,
+        markup=False,
+    )
 
 
 def _set_memory_aside() -> None:

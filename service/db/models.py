@@ -1,8 +1,8 @@
-"""The tables. Samples and audit rows are append-only: triggers in the migrations refuse UPDATE and DELETE."""
+"""The tables. Audit rows are append-only: triggers in the migrations refuse UPDATE and DELETE."""
 
 from datetime import datetime
 
-from sqlalchemy import ForeignKey, Index, LargeBinary, String, Text, UniqueConstraint
+from sqlalchemy import ForeignKey, Index, String, Text, UniqueConstraint
 from sqlalchemy.orm import Mapped, mapped_column, relationship
 
 from service.db.base import Base, BigInt, UtcTime
@@ -46,41 +46,6 @@ class SessionRow(Base):
     regions: Mapped[str] = mapped_column(Text, default="{}", server_default="{}")
     model_id: Mapped[str | None] = mapped_column(String(32))
     calibration: Mapped[CalibrationRow] = relationship(lazy="joined")
-
-
-class SampleRow(Base):
-    """One depth frame as measured and decided.
-
-    `regions_mm` is little-endian float32, row by row, NaN where unknown; `named_mm` likewise in the session's order.
-    """
-
-    __tablename__ = "samples"
-    __table_args__ = {"sqlite_with_rowid": False}  # noqa: RUF012 - SQLAlchemy's own convention
-
-    session_id: Mapped[str] = mapped_column(ForeignKey("sessions.id"), primary_key=True)
-    frame_index: Mapped[int] = mapped_column(primary_key=True)
-    timestamp_us: Mapped[int] = mapped_column(BigInt)
-    missed_frames: Mapped[int]
-    state: Mapped[str] = mapped_column(String(16))
-    lost_reason: Mapped[str | None] = mapped_column(String(32))
-    whole_mm: Mapped[float | None]
-    thorax_mm: Mapped[float | None]
-    abdomen_mm: Mapped[float | None]
-    volume_l: Mapped[float | None]
-    signal_mm: Mapped[float | None]
-    residual_mm: Mapped[float | None]
-    valid_share: Mapped[float | None]
-    gate: Mapped[str] = mapped_column(String(16))
-    hold_reason: Mapped[str | None] = mapped_column(String(32))
-    line_on: Mapped[bool]
-    received_ns: Mapped[int] = mapped_column(BigInt)
-    decided_ns: Mapped[int] = mapped_column(BigInt)
-    asserted_ns: Mapped[int] = mapped_column(BigInt)
-    region_rows: Mapped[int | None]
-    regions_mm: Mapped[bytes | None] = mapped_column(LargeBinary)
-    named_mm: Mapped[bytes | None] = mapped_column(LargeBinary)
-    captured_ns: Mapped[int | None] = mapped_column(BigInt)
-    phase_percent: Mapped[float | None]
 
 
 class ModelRow(Base):
@@ -224,6 +189,7 @@ class LoginRow(Base):
     user_key: Mapped[str] = mapped_column(ForeignKey("users.key"))
     way: Mapped[str] = mapped_column(String(16))
     address: Mapped[str] = mapped_column(String(64))
+    is_break_glass: Mapped[bool]
     created_at: Mapped[datetime] = mapped_column(UtcTime)
     expires_at: Mapped[datetime] = mapped_column(UtcTime)
     seen_at: Mapped[datetime] = mapped_column(UtcTime)

@@ -6,7 +6,7 @@ from pydantic import AfterValidator, AwareDatetime, ConfigDict, Field, StringCon
 
 from engine.qa.bounds import BASELINE_BOUNDS
 from engine.qa.inputs import PART_BOUNDS, REPEATS_BOUNDS, SECONDS_BOUNDS
-from service.schema_base import Answer, Identifier, Name, Request, SourceText, broken
+from service.schema_base import Answer, Identifier, Name, Operator, Request, SourceText, broken
 from service.schemas import DeviceSource
 
 Kind = Literal["daily", "monthly", "annual"]
@@ -103,7 +103,7 @@ class QaRunRequest(Request):
     """A QA run. Its drills PERMIT THE BEAM, outside of any gating, where the site has a real beam line."""
 
     kind: Kind
-    operator: Name = Field(examples=["A. Physicist"])
+    operator: Operator = ""
     calibration_id: Identifier | None = Field(default=None, description="The camera's; needed with plate or phantom")
     plate: QaPlate | None = None
     phantom: QaPhantom | None = Field(default=None, description="For monthly and annual")
@@ -307,7 +307,7 @@ class QaExpected(Request):
 class QaBaselineRequest(Request):
     """A named person fixes what the camera's place should read, by hand or as a run measured it."""
 
-    operator: Name = Field(examples=["A. Physicist"])
+    operator: Operator = ""
     reason: Name = Field(examples=["camera mounted anew"])
     expected: QaExpected | None = None
     run_id: Identifier | None = Field(default=None, description="Take over what this finished run measured")

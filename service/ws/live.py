@@ -1,15 +1,15 @@
 """``/api/v1/live``: the newest frame to everyone who watches; a slow client skips frames, and nobody waits for it."""
 
+from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import cast
-from urllib.parse import urlsplit
 
 import anyio
 from fastapi import APIRouter, WebSocket
 from starlette.websockets import WebSocketDisconnect
 
 from engine import __version__
-from service.deps import services
+from service.deps import access, caller, require_guarded, services
 from service.live_messages import Hello, Idle, Message
 from service.ports import RunnerPort
 from service.uncalibrated import kind_of, warning_of
@@ -18,50 +18,44 @@ router = APIRouter()
 
 POLL_S = 0.004
 IDLE_S = 0.5
+CHECK_S = 1.0
+"""How often the stream asks whether who opened it may still watch; it counts as using the log-in, too."""
 SEND_TIMEOUT_S = 5.0
 POLICY_VIOLATION = 1008
 TRY_AGAIN_LATER = 1013
+MayStay = Callable[[], bool]
 
 
 class LiveStream:
     """Counts its clients and feeds each the newest there is."""
 
-    def __init__(self, *, max_clients: int, allowed_origins: tuple[str, ...]) -> None:
+    def __init__(self, *, max_clients: int) -> None:
         self._max_clients = max_clients
-        self._allowed_origins = allowed_origins
         self._clients = 0
 
-    async def serve(self, websocket: WebSocket, runner: RunnerPort) -> None:
-        """Feed one client until it goes."""
-        if not self._is_welcome(websocket):
-            await websocket.close(POLICY_VIOLATION, "origin")
-            return
+    async def serve(self, websocket: WebSocket, runner: RunnerPort, may_stay: MayStay) -> None:
+        """Feed one client until it goes, or may not stay; the guard has looked at who it is, and from which page."""
         await websocket.accept()
         if self._clients >= self._max_clients:
             await websocket.close(TRY_AGAIN_LATER, f"at most {self._max_clients} clients")
             return
         self._clients += 1
         try:
-            await _feed_until_gone(websocket, runner)
+            await _feed_until_gone(websocket, runner, may_stay)
         finally:
             self._clients -= 1
-
-    def _is_welcome(self, websocket: WebSocket) -> bool:
-        """Whether the page that opens the stream is ours; programs send no Origin."""
-        origin = websocket.headers.get("origin")
-        if origin is None or origin in self._allowed_origins:
-            return True
-        return urlsplit(origin).netloc == websocket.headers.get("host")
 
 
 @router.websocket("/live")
 async def live(websocket: WebSocket) -> None:
     """Send `hello`, then `sample`s, or `idle` twice a second while no session runs."""
     stream = cast("LiveStream", websocket.app.state.live)
-    await stream.serve(websocket, services(websocket).runner)
+    require_guarded(websocket)
+    identity, doorkeeper = caller(websocket).identity, access(websocket).doorkeeper
+    await stream.serve(websocket, services(websocket).runner, lambda: doorkeeper.is_valid(identity))
 
 
-async def _feed_until_gone(websocket: WebSocket, runner: RunnerPort) -> None:
+async def _feed_until_gone(websocket: WebSocket, runner: RunnerPort, may_stay: MayStay = lambda: True) -> None:
     async with anyio.create_task_group() as tasks:
 
         async def listen() -> None:
@@ -72,17 +66,26 @@ async def _feed_until_gone(websocket: WebSocket, runner: RunnerPort) -> None:
 
         tasks.start_soon(listen)
         try:
-            await _feed(websocket, runner)
+            await _feed(websocket, runner, may_stay)
+            with anyio.move_on_after(SEND_TIMEOUT_S):
+                await websocket.close(POLICY_VIOLATION, "not_logged_in")
+            tasks.cancel_scope.cancel()
         except (WebSocketDisconnect, TimeoutError):
             tasks.cancel_scope.cancel()
 
 
-async def _feed(websocket: WebSocket, runner: RunnerPort) -> None:
+async def _feed(websocket: WebSocket, runner: RunnerPort, may_stay: MayStay) -> None:
+    """Send until the log-in, or the key, that opened the stream is over."""
     await _send(websocket, _hello(runner.running_camera()))
     last = None
     sequence = 0
     idle_at_s = anyio.current_time()
+    checked_s = anyio.current_time()
     while True:
+        if anyio.current_time() >= checked_s + CHECK_S:
+            checked_s = anyio.current_time()
+            if not may_stay():
+                return
         newest = runner.newest()
         if newest is not None and newest is not last:
             last = newest

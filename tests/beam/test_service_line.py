@@ -1,13 +1,13 @@
 """The whole service on a real line: a session over HTTP turns a receiver in another process on, and off at its end."""
 
 import pytest
-from fastapi.testclient import TestClient
 
 from service.app import create_app
 from service.settings import Settings
 from tests.beam import modbus_server
 from tests.beam.receivers import TIMES, receiver
 from tests.service.conftest import act, audit_rows, eventually, make_session_body, upload
+from tests.service.people import PeopleClient
 from tests.service.test_real_engine import PATIENT_LIMITS, HurriedEngine, arm_when_ready, detail_of, open_session
 
 FILM = {"kind": "recording", "path": "recording.oni", "player": "reader"}
@@ -43,7 +43,7 @@ def client(tmp_path, regular_volunteer, far, site):
         beam_settle_ms=TIMES.settle_ms,
         **PATIENT_LIMITS,
     )
-    with TestClient(create_app(settings, HurriedEngine)) as held:
+    with PeopleClient(create_app(settings, HurriedEngine)) as held:
         yield held
 
 
@@ -99,7 +99,7 @@ def test_a_recording_that_was_allowed_when_its_session_was_made_is_refused_when_
     client, far, tmp_path, regular_volunteer, site
 ):
     earlier = Settings(data_dir=tmp_path / "data", recordings_dirs=(regular_volunteer,), allowed_hosts=("testserver",))
-    with TestClient(create_app(earlier, HurriedEngine)) as before:
+    with PeopleClient(create_app(earlier, HurriedEngine)) as before:
         session_id = open_session(before, (regular_volunteer / "calibration.json").read_bytes(), source=FILM)
     answer = act(client, session_id, "start")
     assert (answer.status_code, answer.json()["field"]) == (422, "source.kind")

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fastapi.testclient import TestClient
 
 from engine.calibration import Calibration
 from engine.geometry import Intrinsics, RigidTransform
 from service.app import create_app
 from service.settings import Settings
 from tests.service.fakes import FakeEngine, FakeRunning
+from tests.service.people import PeopleClient
 
 OPERATOR = {"operator": "A. Therapist"}
 WINDOW = {"signal": "whole", "lower_mm": -1.0, "upper_mm": 3.0, "hysteresis_mm": 0.2, "dwell_ms": 200.0}
@@ -35,7 +35,7 @@ def eventually(condition: Callable[[], bool], *, within_s: float = 5.0) -> None:
 
 
 @pytest.fixture
-def settings(tmp_path: Path) -> Settings:
+def settings(tmp_path: Path, database_url: str | None) -> Settings:
     recordings = tmp_path / "recordings"
     recordings.mkdir()
     (recordings / "chest.oni").write_bytes(b"not read by the fake engine")
@@ -45,6 +45,7 @@ def settings(tmp_path: Path) -> Settings:
         allowed_hosts=("testserver",),
         command_timeout_s=0.2,
         sample_batch_ms=20.0,
+        database_url=database_url,
     )
 
 
@@ -54,8 +55,8 @@ def engine() -> FakeEngine:
 
 
 @pytest.fixture
-def client(settings: Settings, engine: FakeEngine) -> Iterator[TestClient]:
-    with TestClient(create_app(settings, lambda _settings: engine)) as client:
+def client(settings: Settings, engine: FakeEngine) -> Iterator[PeopleClient]:
+    with PeopleClient(create_app(settings, lambda _settings: engine)) as client:
         yield client
 
 
@@ -65,7 +66,7 @@ def calibration_text() -> str:
 
 
 @pytest.fixture
-def calibration_id(client: TestClient, calibration_text: str) -> str:
+def calibration_id(client: PeopleClient, calibration_text: str) -> str:
     return upload(client, calibration_text).json()["id"]
 
 
@@ -75,12 +76,12 @@ def session_body(calibration_id: str) -> dict[str, Any]:
 
 
 @pytest.fixture
-def session_id(client: TestClient, session_body: dict[str, Any]) -> str:
+def session_id(client: PeopleClient, session_body: dict[str, Any]) -> str:
     return client.post("/api/v1/sessions", json=session_body).json()["id"]
 
 
 @pytest.fixture
-def running(client: TestClient, session_id: str, engine: FakeEngine) -> FakeRunning:
+def running(client: PeopleClient, session_id: str, engine: FakeEngine) -> FakeRunning:
     assert act(client, session_id, "start").status_code == 200
     return engine.running
 
@@ -98,7 +99,7 @@ def make_session_body(calibration_id: str) -> dict[str, Any]:
     }
 
 
-def upload(client: TestClient, text: str | bytes, **headers: str):
+def upload(client: PeopleClient, text: str | bytes, **headers: str):
     return client.post(
         "/api/v1/calibrations",
         params={"operator": "A. Physicist"},
@@ -107,11 +108,11 @@ def upload(client: TestClient, text: str | bytes, **headers: str):
     )
 
 
-def act(client: TestClient, session_id: str, action: str, operator: str = "A. Therapist"):
+def act(client: PeopleClient, session_id: str, action: str, operator: str = "A. Therapist"):
     return client.post(f"/api/v1/sessions/{session_id}/{action}", json={"operator": operator})
 
 
-def audit_rows(client: TestClient, action: str | None = None) -> list[dict[str, Any]]:
+def audit_rows(client: PeopleClient, action: str | None = None) -> list[dict[str, Any]]:
     """All audit rows, oldest first."""
     rows, cursor = [], None
     while True:

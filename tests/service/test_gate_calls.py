@@ -93,7 +93,7 @@ def test_a_correction_moves_the_window_and_the_audit_keeps_the_drift_and_both_wi
         ({"drift_mm": None}, "drift_mm"),
         ({"by_l": 0.1}, "by_l"),
         ({"by_mm": None, "drift_mm": None, "by_l": 0.1, "drift_l": 0.1}, "by_l"),
-        ({"operator": None}, "operator"),
+        ({"operator": ""}, "operator"),
         ({"surprise": 1}, "surprise"),
     ],
     ids=str,

@@ -1,12 +1,11 @@
 """The list of interlocks: complete, in plain words, with this site's numbers and their bounds."""
 
-from fastapi.testclient import TestClient
-
 from engine.interlocks import INTERLOCKS, NO_INTERLOCKS
 from engine.permits import HoldReason
 from service.app import create_app
 from service.interlocks import InterlockTable
 from service.settings import Settings
+from tests.service.people import PeopleClient
 
 
 def listed(**site):
@@ -47,7 +46,7 @@ def test_what_is_no_number_is_told_as_it_is():
 
 def test_the_list_is_one_call(settings, engine):
     site = settings.model_copy(update={"max_shift_mm": 9.5})
-    with TestClient(create_app(site, lambda _settings: engine)) as client:
+    with PeopleClient(create_app(site, lambda _settings: engine)) as client:
         answer = client.get("/api/v1/interlocks")
     assert answer.status_code == 200
     (shift,) = [one for one in answer.json()["items"] if one["code"] == "patient_shifted"]

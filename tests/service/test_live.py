@@ -9,7 +9,6 @@ from pathlib import Path
 import anyio
 import numpy as np
 import pytest
-from fastapi.testclient import TestClient
 from jsonschema import Draft202012Validator
 from starlette.websockets import WebSocketDisconnect
 
@@ -36,6 +35,7 @@ from service.schemas import RecordingSource, Window
 from service.ws import live
 from tests.service.conftest import WINDOW, act, make_calibration
 from tests.service.fakes import FakeRunning
+from tests.service.people import PeopleClient
 
 ROOT = Path(__file__).parents[2]
 PARTS = (LiveWindow, LiveCondition, LiveBreath, LiveBreathEvent, LiveBreathHold, LiveLatency)
@@ -262,7 +262,7 @@ def test_a_host_that_is_not_ours_gets_no_stream(client):
 
 def test_the_number_of_clients_is_bounded_and_places_come_free(settings, engine):
     few = settings.model_copy(update={"max_live_clients": 1})
-    with TestClient(create_app(few, lambda _settings: engine)) as client:
+    with PeopleClient(create_app(few, lambda _settings: engine)) as client:
         with client.websocket_connect("/api/v1/live") as first:
             assert first.receive_json()["type"] == "hello"
             with client.websocket_connect("/api/v1/live") as second, pytest.raises(WebSocketDisconnect) as refused:

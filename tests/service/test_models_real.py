@@ -1,7 +1,6 @@
 """A patient's second fraction on the real engine: begun with the first one's model, compared, and armed by a person."""
 
 import pytest
-from fastapi.testclient import TestClient
 
 from engine.capture.oni_file import OniFileSource
 from engine.likeness import LikenessLimits
@@ -11,6 +10,7 @@ from service.app import create_app
 from service.engine_adapter import EngineAdapter
 from service.settings import Settings
 from tests.service.conftest import act, audit_rows, eventually
+from tests.service.people import PeopleClient
 from tests.service.test_real_engine import PATIENT_LIMITS, detail_of, open_session
 
 MEASURING = PipelineSettings(
@@ -40,7 +40,7 @@ def client(tmp_path, regular_volunteer):
         allowed_hosts=("testserver",),
         **PATIENT_LIMITS,
     )
-    with TestClient(create_app(settings, PatientEngine)) as client:
+    with PeopleClient(create_app(settings, PatientEngine)) as client:
         yield client
 
 

@@ -3,7 +3,6 @@
 import inspect
 
 import pytest
-from fastapi.testclient import TestClient
 
 import engine.errors
 import service.errors
@@ -11,6 +10,7 @@ from engine.errors import TidegateError
 from service.app import create_app
 from service.errors import STATUS_OF, problem_of
 from tests.service.conftest import audit_rows, make_calibration, upload
+from tests.service.people import PeopleClient
 
 KINDS = {
     kind
@@ -101,7 +101,7 @@ def test_an_unexpected_error_tells_nothing_of_the_inside(settings, engine):
 
     engine.devices = broken
     app = create_app(settings, lambda _settings: engine)
-    with TestClient(app, raise_server_exceptions=False) as client:
+    with PeopleClient(app, raise_server_exceptions=False) as client:
         answer = client.get("/api/v1/devices")
     assert (answer.status_code, answer.json()["code"]) == (500, "internal_error")
     assert "secret" not in answer.text
@@ -124,7 +124,7 @@ def test_the_page_asks_nobody_else(client):
 
 
 def test_health_readiness_and_devices_answer(client):
-    assert client.get("/healthz").json() == {"status": "ok", "version": "0.1.0"}
+    assert client.get("/healthz").json() == {"status": "ok"}
     assert client.get("/readyz").json() == {"is_ready": True, "not_ready": []}
     assert client.get("/api/v1/devices").json()["items"][0]["name"] == "Fake Xtion"
 
@@ -138,11 +138,12 @@ def test_a_missing_recordings_folder_is_not_ready(client, settings):
     assert "recordings" in answer.json()["not_ready"][0]
 
 
-def test_an_operator_in_a_refused_body_is_named_in_the_audit(client, session_body):
+def test_who_is_logged_in_is_named_in_the_audit_of_a_refused_body_whatever_it_says(client, session_body):
     client.post("/api/v1/sessions", json=session_body | {"fraction_number": 0})
     assert audit_rows(client, "session.create")[-1]["actor"] == "A. Therapist"
+    client.speaks_as = "B. Physicist"
     client.post("/api/v1/sessions", json=session_body | {"operator": "a\nb"})
-    assert audit_rows(client, "session.create")[-1]["actor"] == "unknown"
+    assert audit_rows(client, "session.create")[-1]["actor"] == "B. Physicist"
 
 
 def test_names_outside_of_ascii_are_kept(client):

@@ -4,7 +4,6 @@ import subprocess
 
 import numpy as np
 import pytest
-from fastapi.testclient import TestClient
 
 from engine.errors import InvalidValueError, SourceLostError
 from engine.qa.results import QaKind
@@ -14,6 +13,7 @@ from service.qa.rig import EngineRig
 from service.qa.schemas import QaRunRequest
 from service.settings import Settings
 from tests.service.conftest import eventually, make_calibration
+from tests.service.people import PeopleClient
 
 ME = {"operator": "A. Physicist"}
 PATIENCE_S = 240.0
@@ -21,7 +21,7 @@ PATIENCE_S = 240.0
 
 def test_a_virtual_daily_run_is_passed_kept_printed_and_counts_for_nothing(settings, engine, tmp_path):
     strict = Settings(**settings.model_dump(exclude_unset=True), qa_required_daily_h=24.0)
-    with TestClient(create_app(strict, lambda _settings: engine)) as client:
+    with PeopleClient(create_app(strict, lambda _settings: engine)) as client:
         begun = client.post("/api/v1/qa/runs", json={"kind": "daily", **ME, "simulation": {"seed": 3}})
         assert begun.status_code == 202
         url = f"/api/v1/qa/runs/{begun.json()['id']}"

@@ -6,7 +6,6 @@ from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from fastapi.testclient import TestClient
 
 from engine.commands import Arm
 from engine.qa.bounds import QaBounds
@@ -19,19 +18,14 @@ from service.qa import records
 from service.qa.requirement import refusal
 from service.settings import Settings
 from tests.service.conftest import act, audit_rows
+from tests.service.people import PeopleClient
 from tests.service.qa_rig import FakeRig
 from tests.service.qa_samples import report
 
+pytestmark = pytest.mark.both_databases
+
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
 DAY = Settings(qa_required_daily_h=24.0)
-
-
-@pytest.fixture
-def database(tmp_path):
-    database = Database(tmp_path / "qa.db")
-    database.migrate()
-    yield database
-    database.close()
 
 
 def bounds_of(settings, **other):
@@ -187,8 +181,8 @@ def strict(settings) -> Settings:
 
 
 @pytest.fixture
-def client(strict, engine) -> Iterator[TestClient]:
-    with TestClient(create_app(strict, lambda _settings: engine, lambda _settings: FakeRig())) as client:
+def client(strict, engine) -> Iterator[PeopleClient]:
+    with PeopleClient(create_app(strict, lambda _settings: engine, lambda _settings: FakeRig())) as client:
         yield client
 
 
@@ -212,7 +206,7 @@ def test_nobody_arms_without_it_the_engine_is_not_even_asked_and_the_audit_says_
 
 
 def test_with_it_people_arm_and_the_service_is_ready(client, strict, running, session_id):
-    database = Database(strict.data_dir / "tidegate.db")
+    database = Database(strict.database_place)
     put(database, now=datetime.now(UTC))
     database.close()
     assert act(client, session_id, "arm").status_code == 200

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from fastapi.testclient import TestClient
 from sqlalchemy.exc import OperationalError
 
 from engine.errors import BeamLineError, InvalidValueError
@@ -17,8 +16,11 @@ from service.app import create_app
 from service.qa import records
 from service.qa.schemas import QaExpected
 from tests.service.conftest import OPERATOR, act, audit_rows, eventually, make_session_body
+from tests.service.people import PeopleClient
 from tests.service.qa_rig import FakeRig, qa_files
 from tests.service.qa_samples import report, sample_series
+
+pytestmark = pytest.mark.both_databases
 
 URL = "/api/v1/qa"
 ME = {"operator": "A. Physicist"}
@@ -32,9 +34,9 @@ def rig() -> Iterator[FakeRig]:
 
 
 @pytest.fixture
-def client(settings, engine, rig: FakeRig) -> Iterator[TestClient]:
+def client(settings, engine, rig: FakeRig) -> Iterator[PeopleClient]:
     qa_files(settings.recordings_dirs[0])
-    with TestClient(create_app(settings, lambda _settings: engine, lambda _settings: rig)) as client:
+    with PeopleClient(create_app(settings, lambda _settings: engine, lambda _settings: rig)) as client:
         yield client
 
 
@@ -299,7 +301,7 @@ def test_a_run_whose_drill_swallows_what_the_line_refuses_is_cancelled_all_the_s
 def test_a_service_that_shuts_down_in_a_run_holds_its_line_and_says_so(settings, engine, rig, calibration_text):
     qa_files(settings.recordings_dirs[0])
     app = create_app(settings, lambda _settings: engine, lambda _settings: rig)
-    with TestClient(app) as client:
+    with PeopleClient(app) as client:
         from tests.service.conftest import upload
 
         plate = {"source": {"kind": "recording", "path": "plate.oni"}}
@@ -308,7 +310,7 @@ def test_a_service_that_shuts_down_in_a_run_holds_its_line_and_says_so(settings,
         job = rig.job_now
         eventually(job.is_on.is_set)
     assert not job.far.is_on()
-    with TestClient(create_app(settings, lambda _settings: engine, lambda _settings: rig)) as client:
+    with PeopleClient(create_app(settings, lambda _settings: engine, lambda _settings: rig)) as client:
         assert read(client, run_id)["status"] == "cancelled"
 
 
@@ -347,9 +349,9 @@ def test_what_a_killed_program_left_is_interrupted_and_audited_at_the_next_start
     from service.db.engine import Database
     from service.db.models import QaRunRow
 
-    with TestClient(create_app(settings, lambda _settings: engine, lambda _settings: rig)):
+    with PeopleClient(create_app(settings, lambda _settings: engine, lambda _settings: rig)):
         pass
-    database = Database(settings.data_dir / "tidegate.db")
+    database = Database(settings.database_place)
     with database.write() as db:
         db.add(
             QaRunRow(
@@ -364,7 +366,7 @@ def test_what_a_killed_program_left_is_interrupted_and_audited_at_the_next_start
             )
         )
     database.close()
-    with TestClient(create_app(settings, lambda _settings: engine, lambda _settings: rig)) as client:
+    with PeopleClient(create_app(settings, lambda _settings: engine, lambda _settings: rig)) as client:
         assert read(client, "ab" * 16)["status"] == "interrupted"
         assert audit_rows(client, "qa.end")[-1]["detail"]["status"] == "interrupted"
 
@@ -482,7 +484,7 @@ def test_the_real_line_is_permitted_only_on_the_operator_s_word(settings, engine
     real = type(settings)(
         **settings.model_dump(exclude_unset=True) | {"beam_line": "modbus-tcp", "beam_modbus_host": "127.0.0.1"}
     )
-    with TestClient(create_app(real, lambda _settings: engine, lambda _settings: rig)) as client:
+    with PeopleClient(create_app(real, lambda _settings: engine, lambda _settings: rig)) as client:
         calibration_id = upload(client, calibration_text).json()["id"]
         plate = {"source": {"kind": "recording", "path": "plate.oni"}}
         body = {"kind": "daily", **ME, "calibration_id": calibration_id, "plate": plate}

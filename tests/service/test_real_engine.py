@@ -3,13 +3,11 @@
 import csv
 import io
 import json
-import sqlite3
 import time
 
 import cv2
 import numpy as np
 import pytest
-from fastapi.testclient import TestClient
 
 from engine.capture.oni_file import OniFileSource
 from engine.pipeline import PipelineSettings
@@ -17,8 +15,10 @@ from engine.training import TrainingSettings
 from service import beam_lines, engine_adapter
 from service.app import create_app
 from service.engine_adapter import EngineAdapter
+from service.samples.shelf import SampleShelf
 from service.settings import Settings
 from tests.service.conftest import act, audit_rows, eventually, make_calibration, make_session_body, upload
+from tests.service.people import PeopleClient
 
 WIDE = {"signal": "whole", "lower_mm": -40.0, "upper_mm": 40.0, "hysteresis_mm": 0.2, "dwell_ms": 100.0}
 PATIENT_LIMITS = {"max_frame_age_ms": 200.0, "lease_ms": 200.0, "watchdog_ms": 500.0, "max_gap_ms": 200.0}
@@ -46,7 +46,7 @@ def real_client(tmp_path, regular_volunteer):
         allowed_hosts=("testserver",),
         **PATIENT_LIMITS,
     )
-    with TestClient(create_app(settings, HurriedEngine)) as client:
+    with PeopleClient(create_app(settings, HurriedEngine)) as client:
         client.data_dir = settings.data_dir
         yield client
 
@@ -170,7 +170,7 @@ def test_per_cent_that_come_to_lie_beyond_the_site_s_edges_are_refused_at_arming
     )
     source = {"kind": "recording", "path": "recording.oni", "player": "reader"}
     per_cent = {"lower_percent": -50, "upper_percent": 250, "dwell_ms": 100.0}
-    with TestClient(create_app(settings, HurriedEngine)) as client:
+    with PeopleClient(create_app(settings, HurriedEngine)) as client:
         calibration = (regular_volunteer / "calibration.json").read_bytes()
         session_id = open_session(client, calibration, source=source, window=per_cent)
         act(client, session_id, "start")
@@ -192,10 +192,9 @@ def _check_samples(client, session_id, frames):
     assert all(row["whole_mm"] == "" for row in rows if row["state"] != "measuring")
     assert {row["gate"] for row in rows} >= {"disarmed", "beam_on"}
     assert all(int(row["received_ns"]) <= int(row["decided_ns"]) <= int(row["asserted_ns"]) for row in rows)
-    raw = sqlite3.connect(client.data_dir / "tidegate.db")
-    on = raw.execute("SELECT count(*) FROM samples WHERE line_on AND gate <> 'beam_on'").fetchone()
-    raw.close()
-    assert on == (0,)
+    for batch in SampleShelf(client.data_dir / "samples").batches(session_id):
+        on = zip(batch["line_on"].to_pylist(), batch["gate"].to_pylist(), strict=True)
+        assert all(gate == "beam_on" for line_on, gate in on if line_on)
 
 
 CALLS = (
@@ -220,7 +219,7 @@ def test_no_call_turns_the_beam_on_while_nothing_can_be_measured(tmp_path, regul
 
     monkeypatch.setattr(beam_lines, "SimulatedBeamLine", WatchedLine)
     settings = Settings(data_dir=tmp_path / "data", recordings_dirs=(regular_volunteer,), allowed_hosts=("testserver",))
-    with TestClient(create_app(settings, EngineAdapter)) as client:
+    with PeopleClient(create_app(settings, EngineAdapter)) as client:
         source = {"kind": "recording", "path": "recording.oni", "player": "reader"}
         session_id = open_session(client, (regular_volunteer / "calibration.json").read_bytes(), source=source)
         act(client, session_id, "start")
@@ -241,7 +240,7 @@ def test_no_call_turns_the_beam_on_while_nothing_can_be_measured(tmp_path, regul
 def test_a_file_that_is_no_recording_fails_the_start_with_one_line(tmp_path, content, player):
     (tmp_path / "broken.oni").write_bytes(content)
     settings = Settings(data_dir=tmp_path / "data", recordings_dirs=(tmp_path,), allowed_hosts=("testserver",))
-    with TestClient(create_app(settings)) as client:
+    with PeopleClient(create_app(settings)) as client:
         source = {"kind": "recording", "path": "broken.oni", "player": player}
         session_id = open_session(client, make_calibration().to_json(), source=source)
         answer = act(client, session_id, "start")
@@ -261,7 +260,7 @@ def test_a_camera_that_is_not_there_and_a_file_called_a_camera_are_refused(real_
 def test_a_missing_runtime_is_said_and_auto_falls_back_to_our_reader(tmp_path, regular_volunteer, monkeypatch):
     monkeypatch.setattr(engine_adapter, "runtime_available", lambda: False)
     settings = Settings(data_dir=tmp_path / "data", recordings_dirs=(regular_volunteer,), allowed_hosts=("testserver",))
-    with TestClient(create_app(settings)) as client:
+    with PeopleClient(create_app(settings)) as client:
         devices = client.get("/api/v1/devices").json()
         assert (devices["is_runtime_available"], devices["items"]) == (False, [])
         assert "libopenni2-0" in devices["detail"]

@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 import pytest
-from fastapi.testclient import TestClient
 
 from engine.commands import Acknowledge, ActivateModel, Arm, Disarm, Retrain, SetReference
 from engine.errors import RuntimeMissingError, SourceLostError
@@ -12,6 +11,9 @@ from engine.permits import GateState, HoldReason
 from service.app import create_app
 from tests.service.conftest import act, audit_rows, eventually, make_session_body, upload
 from tests.service.fakes import REFUSED, make_model
+from tests.service.people import PeopleClient
+
+pytestmark = pytest.mark.both_databases
 
 
 def detail_of(client, session_id):
@@ -251,13 +253,13 @@ def test_an_unknown_model_is_not_found(client):
 
 
 def test_the_service_stops_the_engine_on_its_way_out_and_closes_the_session(settings, engine, calibration_text):
-    with TestClient(create_app(settings, lambda _settings: engine)) as client:
+    with PeopleClient(create_app(settings, lambda _settings: engine)) as client:
         calibration_id = upload(client, calibration_text).json()["id"]
         session_id = client.post("/api/v1/sessions", json=make_session_body(calibration_id)).json()["id"]
         act(client, session_id, "start")
         engine.running.frame()
     assert engine.running.status.is_over
-    with TestClient(create_app(settings, lambda _settings: engine)) as client:
+    with PeopleClient(create_app(settings, lambda _settings: engine)) as client:
         detail = detail_of(client, session_id)
         assert (detail["status"], detail["summary"]["frames"]) == ("stopped", 1)
         assert client.get("/api/v1/audit/verify").json()["is_intact"]

@@ -4,6 +4,8 @@ import pytest
 
 from tests.service.conftest import OPERATOR, act, audit_rows, make_session_body
 
+pytestmark = pytest.mark.both_databases
+
 URL = "/api/v1/sessions"
 
 
@@ -44,7 +46,6 @@ BAD_BODIES = [
     ("patient_reference", "a\nb", "patient_reference"),
     ("patient_reference", "a\x00b", "patient_reference"),
     ("patient_reference", 7, "patient_reference"),
-    ("operator", ..., "operator"),
     ("operator", None, "operator"),
     ("plan_id", "\u202e", "plan_id"),
     ("fraction_number", 0, "fraction_number"),

@@ -13,6 +13,7 @@ from service import schemas
 from service.settings import Settings, SettingsError, load_settings
 from service.site_limits import gate_limits
 from tests.service.conftest import WINDOW, make_session_body
+from tests.service.people import PeopleClient
 
 
 @pytest.fixture(autouse=True)
@@ -95,13 +96,12 @@ def test_every_gate_limit_of_the_engine_can_be_set_by_a_site_and_reaches_the_gat
     ids=str,
 )
 def test_a_session_cannot_widen_a_site_s_limit(settings, engine, calibration_text, site, field):
-    from fastapi.testclient import TestClient
 
     from service.app import create_app
     from tests.service.conftest import upload
 
     narrow = settings.model_copy(update=site)
-    with TestClient(create_app(narrow, lambda _settings: engine)) as client:
+    with PeopleClient(create_app(narrow, lambda _settings: engine)) as client:
         calibration_id = upload(client, calibration_text).json()["id"]
         answer = client.post("/api/v1/sessions", json=make_session_body(calibration_id))
     assert (answer.status_code, answer.json()["field"]) == (422, field)

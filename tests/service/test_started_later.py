@@ -1,7 +1,6 @@
 """A session made under one set of settings and started under another: it is the site's rules of now that count."""
 
 import pytest
-from fastapi.testclient import TestClient
 
 from engine.breath import BreathEventKind
 from engine.errors import TidegateError
@@ -12,6 +11,7 @@ from service.ports import SessionPlan
 from service.settings import Settings
 from service.window_schemas import Window
 from tests.service.conftest import WINDOW, act, audit_rows, make_calibration, make_session_body, upload
+from tests.service.people import PeopleClient
 
 HOLD = {"kind": "breath_hold", "lower_mm": 8.0, "upper_mm": 12.0}
 PHASE = {"kind": "phase", "from_percent": 30.0, "to_percent": 70.0}
@@ -30,11 +30,11 @@ NARROWED = [
 
 @pytest.mark.parametrize(("window", "narrowed", "field"), NARROWED, ids=[field for _, _, field in NARROWED])
 def test_a_session_is_started_within_the_site_s_limits_of_now_or_not_at_all(settings, window, narrowed, field):
-    with TestClient(create_app(settings)) as client:
+    with PeopleClient(create_app(settings)) as client:
         calibration_id = upload(client, make_calibration().to_json()).json()["id"]
         made = client.post("/api/v1/sessions", json=make_session_body(calibration_id) | {"window": window})
         session_id = made.json()["id"]
-    with TestClient(create_app(settings.model_copy(update=narrowed))) as client:
+    with PeopleClient(create_app(settings.model_copy(update=narrowed))) as client:
         answer = act(client, session_id, "start")
         assert (answer.status_code, answer.json()["field"]) == (422, field)
         assert client.get(f"/api/v1/sessions/{session_id}").json()["status"] == "failed"

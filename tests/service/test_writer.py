@@ -5,19 +5,25 @@ import shutil
 import sqlite3
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from engine.live import LoopStatus
 from engine.permits import GateState, HoldReason
-from service import bridge
+from service.samples import rows
+from service.samples.shelf import SampleShelf
 from tests.service.conftest import act, audit_rows, eventually
+from tests.service.people import PeopleClient
 
 
-def stored_samples(settings):
-    connection = sqlite3.connect(settings.data_dir / "tidegate.db")
-    rows = [index for (index,) in connection.execute("SELECT frame_index FROM samples ORDER BY frame_index")]
-    connection.close()
-    return rows
+def stored_rows(settings, session_id):
+    """Every sample on file, as columns."""
+    batches = SampleShelf(settings.data_dir / "samples").batches(session_id)
+    return [row for batch in batches for row in batch.to_pylist()]
+
+
+def stored_samples(settings, session_id):
+    return [row["frame_index"] for row in stored_rows(settings, session_id)]
 
 
 @pytest.fixture
@@ -37,13 +43,13 @@ def test_a_locked_database_faults_the_gate_and_loses_nothing(client, session_id,
     for _ in range(5):
         running.frame()
     locker.execute("ROLLBACK")
-    eventually(lambda: stored_samples(settings) == list(range(10)))
+    eventually(lambda: stored_samples(settings, session_id) == list(range(10)))
     assert len(audit_rows(client, "gate.transition")) == 1
 
 
 def test_while_the_database_is_locked_the_queues_fill_so_that_the_gate_holds_by_itself(running, locker):
     locker.execute("BEGIN IMMEDIATE")
-    running.frame()
+    running.transition(GateState.HOLD, HoldReason.DWELL)
     eventually(lambda: running.faults)
     with pytest.raises(queue.Full):
         [running.frame() for _ in range(2000)]
@@ -84,11 +90,11 @@ def test_a_disk_that_is_almost_full_faults_the_gate(client, session_id, engine, 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_writer_that_breaks_stops_the_engine_and_closes_the_session(client, session_id, running, monkeypatch):
-    def broken(_session_id, _record):
+    def broken(_record):
         msg = "a bug"
         raise RuntimeError(msg)
 
-    monkeypatch.setattr(bridge, "sample_values", broken)
+    monkeypatch.setattr(rows, "sample_values", broken)
     running.transition(GateState.HOLD, HoldReason.DWELL)
     running.frame()
     eventually(lambda: running.status.is_over)
@@ -107,32 +113,28 @@ def test_the_last_transition_before_the_end_is_written(client, session_id, runni
 
 
 def test_regions_are_stored_as_they_were_measured(client, session_id, running, settings):
-    import numpy as np
-
     running.frame()
     running.frame(whole_mm=None)
     act(client, session_id, "stop")
-    connection = sqlite3.connect(settings.data_dir / "tidegate.db")
-    (rows, blob), (no_rows, no_blob) = connection.execute("SELECT region_rows, regions_mm FROM samples")
-    connection.close()
-    regions = np.frombuffer(blob, dtype="<f4").reshape(rows, -1)
+    measured, lost = stored_rows(settings, session_id)
+    regions = np.array(measured["regions_mm"]).reshape(measured["region_rows"], -1)
     assert regions.shape == (14, 8)
     assert np.isnan(regions[0, 0])
     assert (regions.ravel()[1:] == 1.5).all()
-    assert (no_rows, no_blob) == (None, None)
+    assert (lost["region_rows"], lost["regions_mm"]) == (None, None)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
 def test_what_is_no_number_is_stored_as_unknown(client, session_id, running, settings, value):
     running.frame(whole_mm=value)
     act(client, session_id, "stop")
-    connection = sqlite3.connect(settings.data_dir / "tidegate.db")
-    assert connection.execute("SELECT whole_mm, signal_mm, thorax_mm FROM samples").fetchall() == [(None, None, 1.1)]
-    connection.close()
+    (row,) = stored_rows(settings, session_id)
+    assert (row["whole_mm"], row["signal_mm"], row["thorax_mm"]) == (None, None, 1.1)
 
 
 def test_more_than_one_batch_that_waits_at_the_end_is_written_whole(client, session_id, running, settings, locker):
     locker.execute("BEGIN IMMEDIATE")
+    running.transition(GateState.HOLD, HoldReason.DWELL)
     running.frame()
     eventually(lambda: running.faults)
     for _ in range(880):
@@ -140,23 +142,22 @@ def test_more_than_one_batch_that_waits_at_the_end_is_written_whole(client, sess
     running.end()
     locker.execute("ROLLBACK")
     eventually(lambda: client.get(f"/api/v1/sessions/{session_id}").json()["status"] == "ended")
-    assert stored_samples(settings) == list(range(881))
+    assert stored_samples(settings, session_id) == list(range(881))
 
 
 def test_a_session_a_killed_process_left_running_is_closed_at_the_next_start(settings, engine, calibration_text):
-    from fastapi.testclient import TestClient
 
     from service.app import create_app
     from tests.service.conftest import make_session_body, upload
 
-    with TestClient(create_app(settings, lambda _settings: engine)) as client:
+    with PeopleClient(create_app(settings, lambda _settings: engine)) as client:
         calibration_id = upload(client, calibration_text).json()["id"]
         session_id = client.post("/api/v1/sessions", json=make_session_body(calibration_id)).json()["id"]
     connection = sqlite3.connect(settings.data_dir / "tidegate.db")
     connection.execute("UPDATE sessions SET status = 'running'")
     connection.commit()
     connection.close()
-    with TestClient(create_app(settings, lambda _settings: engine)) as client:
+    with PeopleClient(create_app(settings, lambda _settings: engine)) as client:
         assert client.get(f"/api/v1/sessions/{session_id}").json()["status"] == "interrupted"
         assert audit_rows(client, "session.close")[-1]["outcome"] == "failed"
         assert client.post("/api/v1/sessions", json=make_session_body(calibration_id)).status_code == 201

@@ -1,0 +1,50 @@
+"""Where a request comes from: the peer, or what a proxy that is trusted says of it."""
+
+import ipaddress
+from collections.abc import Sequence
+
+from starlette.datastructures import Headers
+from starlette.types import Scope
+
+UNKNOWN = "unknown"
+LOOPBACK = ("127.0.0.0/8", "::1")
+
+
+class Callers:
+    """Tells the address of a request's sender, for counting failed log-ins by it."""
+
+    def __init__(self, *, behind_proxy: bool, trusted_proxies: Sequence[str]) -> None:
+        self._behind_proxy = behind_proxy
+        self._trusted = [ipaddress.ip_network(text) for text in (trusted_proxies or LOOPBACK)]
+
+    def address(self, scope: Scope) -> str:
+        """Return the newest address on the way that is no proxy of ours; what is before it anybody may have made up."""
+        peer = (scope.get("client") or (UNKNOWN, 0))[0]
+        if not self._behind_proxy or not self._is_trusted(peer):
+            return plain(peer)
+        said = ",".join(Headers(scope=scope).getlist("x-forwarded-for"))
+        for hop in reversed([part.strip() for part in said.split(",") if part.strip()]):
+            if not self._is_trusted(hop):
+                return plain(hop)
+        return plain(peer)
+
+    def _is_trusted(self, address: str) -> bool:
+        try:
+            found = ipaddress.ip_address(plain(address))
+        except ValueError:
+            return False
+        return any(found in network for network in self._trusted)
+
+
+def plain(address: str) -> str:
+    """Write an address in one way; of IPv6 the network that one customer has, for a machine has billions in it."""
+    try:
+        found = ipaddress.ip_address(address)
+    except ValueError:
+        return UNKNOWN
+    if isinstance(found, ipaddress.IPv6Address):
+        if found.ipv4_mapped is not None:
+            return str(found.ipv4_mapped)
+        if not found.is_loopback:
+            return str(ipaddress.ip_network((found, 64), strict=False).network_address)
+    return str(found)

@@ -1,0 +1,80 @@
+"""Tells from a request's headers who sends it: memory only, no database, no argon2, some microseconds."""
+
+from datetime import timedelta
+
+from starlette.datastructures import Headers
+
+from service.access.cookies import token_in
+from service.access.identity import Identity, MachineVerifier
+from service.access.keys import TOKEN_PREFIX, KeyDesk, actor_of
+from service.access.logins import hashed
+from service.access.permissions import permissions_of
+from service.access.records import ApiKey, Login
+from service.access.store import AccessStore
+
+LONGEST_TOKEN = 16_384
+
+
+class Doorkeeper:
+    """Knows everybody who may come in."""
+
+    def __init__(self, store: AccessStore, keys: KeyDesk, *, idle: timedelta, is_secure: bool) -> None:
+        self._store = store
+        self._keys = keys
+        self._idle = idle
+        self._is_secure = is_secure
+        self.machine_verifier: MachineVerifier | None = None
+
+    def identify(self, headers: Headers) -> Identity | None:
+        """Return who sends this; a header that names a key is never passed over for a cookie."""
+        authorization = headers.get("authorization")
+        if authorization is not None:
+            return self._bearer(authorization)
+        token = token_in(headers, is_secure=self._is_secure)
+        return None if token is None else self._person(hashed(token))
+
+    def is_valid(self, identity: Identity) -> bool:
+        """Whether somebody who came in may still be here; for sockets, which stay open."""
+        if identity.until is not None and self._store.now() >= identity.until:
+            return False
+        if identity.kind == "key":
+            return identity.anchor is not None and self._keys.is_valid(identity.anchor)
+        if not identity.is_person or identity.anchor is None:
+            return True
+        now = self._person(identity.anchor)
+        return now is not None and identity.permissions <= now.permissions
+
+    def login_of(self, identity: Identity) -> Login | None:
+        """Return the log-in that an identity came in by."""
+        return self._store.logins.get(identity.anchor or "")
+
+    def _bearer(self, authorization: str) -> Identity | None:
+        scheme, _, token = authorization.partition(" ")
+        token = token.strip()
+        if scheme.lower() != "bearer" or not token or len(token) > LONGEST_TOKEN:
+            return None
+        if token.startswith(TOKEN_PREFIX):
+            key = self._keys.find(token)
+            return None if key is None else self._machine(key)
+        return None if self.machine_verifier is None else self.machine_verifier.identify(token)
+
+    def _machine(self, key: ApiKey) -> Identity:
+        self._store.seen[key.id] = self._store.now()
+        return Identity(kind="key", name=actor_of(key), permissions=key.scopes, anchor=key.id)
+
+    def _person(self, token_sha256: str) -> Identity | None:
+        login = self._store.logins.get(token_sha256)
+        if login is None:
+            return None
+        now = self._store.now()
+        user = self._store.users[login.user_key]
+        if user.is_disabled or now >= login.expires_at or now - self._store.seen_at(login) > self._idle:
+            return None
+        self._store.seen[token_sha256] = now
+        return Identity(
+            kind="user" if user.issuer is None else "oidc",
+            name=user.name,
+            permissions=permissions_of(user.roles),
+            anchor=token_sha256,
+            must_change_password=user.must_change_password,
+        )

@@ -1,0 +1,69 @@
+"""People: who may log in, as what. Nobody is deleted: the audit names them."""
+
+from fastapi import APIRouter
+
+from service import access_schemas as schemas
+from service import deps
+from service.access.people import Change, Issued
+from service.access.records import User
+from service.api import problems
+from service.api.login import logins_view
+
+router = APIRouter(prefix="/users", tags=["access"])
+ACT = problems(404, 409, 413, 415, 422, 503)
+
+
+@router.get("")
+def list_users(desk: deps.Access) -> schemas.UserList:
+    """List everybody, by name."""
+    return schemas.UserList(items=[_view(user) for user in desk.people.all()])
+
+
+@router.post("", status_code=201, name="user.create", responses=ACT)
+def add_user(body: schemas.UserRequest, caller: deps.Caller, desk: deps.Access) -> schemas.UserView:
+    """Make a person; the answer has a password for the first log-in, which asks for another."""
+    issued = desk.people.add(body.name, body.roles, by=caller.name, is_break_glass=body.is_break_glass)
+    return _issued(issued)
+
+
+@router.patch("/{name}", name="user.change", responses=ACT)
+def change_user(
+    name: schemas.PersonName, body: schemas.UserChange, caller: deps.Caller, desk: deps.Access
+) -> schemas.UserView:
+    """Change roles, disable, reset the password; disabling and a reset end the person's log-ins."""
+    change = Change(
+        roles=None if body.roles is None else frozenset(body.roles),
+        is_disabled=body.is_disabled,
+        is_break_glass=body.is_break_glass,
+        reset_password=body.reset_password,
+    )
+    return _issued(desk.people.change(name, change, by=caller.name))
+
+
+@router.get("/{name}/logins", responses=problems(404, 422))
+def list_logins(name: schemas.PersonName, caller: deps.Caller, desk: deps.Access) -> schemas.LoginList:
+    """List where a person is logged in."""
+    return logins_view(desk, desk.people.get(name), caller.identity)
+
+
+@router.post("/{name}/logins/{login_id}/end", status_code=204, name="user.end_login", responses=ACT)
+def end_login(name: schemas.PersonName, login_id: schemas.LoginId, caller: deps.Caller, desk: deps.Access) -> None:
+    """End a person's log-in; its live stream closes within seconds."""
+    desk.logins.end(desk.logins.find(desk.people.get(name), login_id), by=caller.name)
+
+
+def _issued(issued: Issued) -> schemas.UserView:
+    return _view(issued.user).model_copy(update={"one_time_password": issued.one_time_password})
+
+
+def _view(user: User) -> schemas.UserView:
+    return schemas.UserView(
+        name=user.name,
+        roles=sorted(user.roles),
+        is_disabled=user.is_disabled,
+        must_change_password=user.must_change_password,
+        is_break_glass=user.is_break_glass,
+        issuer=user.issuer,
+        created_at=user.created_at,
+        last_login_at=user.last_login_at,
+    )
