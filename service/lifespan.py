@@ -109,7 +109,7 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFi
     prepare(database, data_dir=settings.data_dir, min_free_disk_mb=settings.min_free_disk_mb)
     log, room, tallies = AuditLog(database), Room(), Tallies()
     journals = Journals(settings.data_dir, settings.journal_dir)
-    care = AuditCare(database=database, settings=settings, write=log.write)
+    care = AuditCare(database=database, settings=settings, write=log.write, site=settings.site_name)
     models = ModelStore(settings.data_dir / MODELS_FOLDER)
     book = SessionBook(database, log, settings, room, engine)
     runner = SessionRunner(

@@ -1,6 +1,7 @@
 """Everything that looks after the audit while the service runs: heads kept, clocks compared, events passed on."""
 
 import logging
+import socket
 import threading
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -14,7 +15,10 @@ from service.audit.anchors import AnchorFile
 from service.audit.chain import SYSTEM, Event
 from service.audit.check import check_tail
 from service.audit.clock_watch import ClockWatch
+from service.audit.dicom_message import Source
+from service.audit.forwarding import POSITION_NAME, AuditForwarder, PositionFile
 from service.audit.keeper import AnchorKeeper
+from service.audit.syslog import SyslogConnection, SyslogServer
 from service.audit.walk import head_sequence
 from service.audit_settings import AuditSettings
 from service.db.engine import Database
@@ -94,12 +98,14 @@ class AuditCare:
         database: Database,
         settings: AuditSettings,
         write: Callable[[Event], None],
+        site: str = "",
         clock: Clock | None = None,
         now: Callable[[], datetime] = lambda: datetime.now(UTC),
     ) -> None:
         self._database = database
         self._settings = settings
         self._write = write
+        self._site = site
         self._clock = clock or MonotonicClock()
         self._now = now
         self._file = AnchorFile(settings.anchor_file)
@@ -191,5 +197,29 @@ class AuditCare:
             Looking("tidegate-anchors", self._keeper.look, self._keeper.end),
             Looking("tidegate-clock", watch.look),
         ]
+        if self._settings.audit_syslog_host is not None:
+            self._workers.append(self._forwarder(self._settings.audit_syslog_host, seen))
         for worker in self._workers:
             worker.begin()
+
+    def _forwarder(self, host: str, seen: int) -> AuditForwarder:
+        settings, clock = self._settings, self._clock
+        assert settings.audit_syslog_ca_file is not None, "the settings were refused without one"
+        server = SyslogServer(
+            host=host,
+            port=settings.audit_syslog_port,
+            ca_file=settings.audit_syslog_ca_file,
+            cert_file=settings.audit_syslog_cert_file,
+            key_file=settings.audit_syslog_key_file,
+            timeout_s=settings.audit_syslog_timeout_s,
+        )
+        return AuditForwarder(
+            database=self._database,
+            connect=lambda: SyslogConnection(server, clock),
+            positions=PositionFile(settings.data_dir / POSITION_NAME),
+            source=Source(host_name=socket.gethostname(), site=self._site),
+            clock=clock,
+            write=self._write,
+            after=seen,
+            with_patients=settings.audit_syslog_patients,
+        )

@@ -1,0 +1,125 @@
+"""A syslog server over TLS: messages as RFC 5424 writes them, framed as RFC 5425 does, and whether they have arrived.
+
+Syslog has no answer. What there is, is the other machine's TCP: once it has acknowledged every byte, the messages are
+out of ours. Before each batch the line is looked at, so that a server that has gone away is noticed before anything is
+given to it.
+"""
+
+import array
+import fcntl
+import select
+import socket
+import ssl
+import termios
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from engine.clock import NS_PER_S, Clock
+
+FACILITY_AUTHPRIV = 10
+SEVERITY_NOTICE = 5
+PRIORITY = FACILITY_AUTHPRIV * 8 + SEVERITY_NOTICE
+MESSAGE_ID = "DICOM+RFC3881"
+"""As IHE's ATNA asks (ITI TF-2, 3.20)."""
+APP_NAME = "tidegate"
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+SETTLE_S = 0.25
+"""A server that refuses our certificate says so only after TLS 1.3 has let us begin."""
+ACK_LOOK_S = 0.002
+NIL = "-"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SyslogServer:
+    """Where to, and how both sides know each other."""
+
+    host: str
+    port: int
+    ca_file: Path
+    cert_file: Path | None
+    key_file: Path | None
+    timeout_s: float
+
+
+class SyslogLostError(OSError):
+    """The server went away, or did not take what it was sent in time."""
+
+
+class SyslogConnection:
+    """One TLS connection; raise OSError wherever it breaks (ssl.SSLError is one)."""
+
+    def __init__(self, server: SyslogServer, clock: Clock) -> None:
+        self._timeout_s = server.timeout_s
+        self._clock = clock
+        plain = socket.create_connection((server.host, server.port), server.timeout_s)
+        try:
+            plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            plain.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            self._line = _context(server).wrap_socket(plain, server_hostname=server.host)
+        except BaseException:
+            plain.close()
+            raise
+        try:
+            self.look(SETTLE_S)
+        except BaseException:
+            self._line.close()
+            raise
+
+    def look(self, wait_s: float = 0.0) -> None:
+        """Look whether the server is still there; it has nothing to say to us, so that whatever it says is an end."""
+        readable, _, _ = select.select([self._line], [], [], wait_s)
+        if not readable:
+            return
+        self._line.settimeout(0.0)
+        try:
+            if self._line.recv(1024) == b"":
+                msg = "the syslog server closed the connection"
+                raise SyslogLostError(msg)
+        except (ssl.SSLWantReadError, BlockingIOError):
+            return  # TLS's own business: session tickets
+        finally:
+            self._line.settimeout(self._timeout_s)
+
+    def send(self, messages: Sequence[bytes]) -> None:
+        """Send framed messages; return once the other machine has acknowledged every byte, and still listens."""
+        self.look()
+        self._line.sendall(b"".join(messages))
+        end_ns = self._clock.now_ns() + round(self._timeout_s * NS_PER_S)
+        while _unacknowledged_bytes(self._line):
+            self.look(ACK_LOOK_S)
+            if self._clock.now_ns() > end_ns:
+                msg = f"the syslog server did not take what it was sent within {self._timeout_s:g} s"
+                raise SyslogLostError(msg)
+        self.look()
+
+    def end(self) -> None:
+        """Say good-bye and wait for the answer: whoever answers has read everything before it."""
+        self._line.unwrap().close()
+
+    def close(self) -> None:
+        """Drop it."""
+        self._line.close()
+
+
+def framed(message: bytes, *, at: str, host_name: str, process_id: str) -> bytes:
+    """Put a header before a message, and its length before both."""
+    name = "".join(letter for letter in host_name if "!" <= letter <= "~")[:255] or NIL
+    header = f"<{PRIORITY}>1 {at} {name} {APP_NAME} {process_id} {MESSAGE_ID} {NIL} ".encode("ascii")
+    whole = header + BYTE_ORDER_MARK + message
+    return f"{len(whole)} ".encode("ascii") + whole
+
+
+def _context(server: SyslogServer) -> ssl.SSLContext:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)  # checks the certificate, and the name in it
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.load_verify_locations(server.ca_file)
+    if server.cert_file is not None:
+        context.load_cert_chain(server.cert_file, server.key_file)
+    return context
+
+
+def _unacknowledged_bytes(line: socket.socket) -> int:
+    waiting = array.array("i", [0])
+    fcntl.ioctl(line.fileno(), termios.TIOCOUTQ, waiting)
+    return waiting[0]
