@@ -13,14 +13,14 @@ from service.access.desk import AccessDesk
 from service.access.logins import LOGIN, OpenedLogin
 from service.access.oidc_attempts import AttemptShelf
 from service.access.oidc_errors import OidcReason, OidcRefusedError, OidcUnavailableError
-from service.access.oidc_local import LocalLoginRefusedError, LocalLogins
+from service.access.oidc_local import LocalLogins
 from service.access.oidc_machines import OidcMachines
 from service.access.oidc_people import Departure, NoRoleError, OidcPeople, OutsidePerson, Returned
 from service.access.oidc_provider import Provider
 from service.access.oidc_wire import ProviderWire
 from service.access.records import User
 from service.audit import SYSTEM, Event
-from service.errors import LoginFailedError, ServiceError
+from service.errors import LocalLoginRefusedError, LoginFailedError, ServiceError
 from service.oidc_settings import OidcSettings
 
 MOST_AT_ONCE = 4
@@ -117,10 +117,16 @@ class OidcDesk:
 
     def come_back(self, returned: Returned, browser: str | None, address: str) -> OpenedLogin | Refusal:
         """Open a log-in for somebody who came back, or say why not; for a thread that may wait."""
-        if self._people is None:
-            return Refusal(reason=UNAVAILABLE)
         if not self._seats.acquire(blocking=False):
             return Refusal(reason=BUSY)
+        try:
+            return self._ask(returned, browser, address)
+        finally:
+            self._seats.release()
+
+    def _ask(self, returned: Returned, browser: str | None, address: str) -> OpenedLogin | Refusal:
+        if self._people is None:
+            return Refusal(reason=UNAVAILABLE)
         try:
             return self._let_in(self._people.finish(returned, browser), address)
         except NoRoleError as error:
@@ -132,8 +138,6 @@ class OidcDesk:
             return Refusal(reason=UNAVAILABLE)
         except SQLAlchemyError:
             return Refusal(reason=STORAGE)
-        finally:
-            self._seats.release()
 
     def _let_in(self, person: OutsidePerson, address: str) -> OpenedLogin | Refusal:
         try:

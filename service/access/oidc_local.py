@@ -1,19 +1,13 @@
 """Passwords of Tidegate's own while people log in at the provider: for the day it is down, and never quietly."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import Protocol
 
-from service.errors import BoundError, ServiceError
+from service.errors import BoundError, LocalLoginRefusedError
 from service.oidc_settings import OidcSettings
 
 SHORTEST_REASON = 8
 LONGEST_REASON = 500
-
-
-class LocalLoginRefusedError(ServiceError):
-    """The account is not one for the day the provider is down, and the site has all others log in there."""
-
-    code: ClassVar[str] = "local_login_refused"
 
 
 class Account(Protocol):

@@ -1,7 +1,7 @@
 """Machines with an access token of the provider (client credentials): judged from memory, within microseconds."""
 
 from collections.abc import Callable, Mapping
-from datetime import datetime
+from datetime import UTC, datetime
 
 from service.access.identity import Identity
 from service.access.names import MAX_LENGTH
@@ -56,7 +56,8 @@ class OidcMachines:
         permissions = permissions_of(claims.get(self._settings.oidc_machine_scope_claim), self._permissions_of_scope)
         if not permissions:
             raise OidcRefusedError(OidcReason.SCOPE, "no scope of the token may do anything here")
-        return Identity(kind="machine", name=_name(claims), permissions=permissions)
+        until = datetime.fromtimestamp(claims["exp"] + self._settings.oidc_max_clock_skew_s, UTC)
+        return Identity(kind="machine", name=_name(claims), permissions=permissions, until=until)
 
 
 def permissions_of(claimed: object, permissions_of_scope: Mapping[str, frozenset[Permission]]) -> frozenset[Permission]:

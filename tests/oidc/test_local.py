@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from service.access.oidc_local import LocalLoginRefusedError, LocalLogins
-from service.errors import BoundError
+from service.access.oidc_local import LocalLogins
+from service.errors import BoundError, LocalLoginRefusedError
 from service.oidc_settings import OidcSettings
 from tests.oidc.provider_server import Provider
 

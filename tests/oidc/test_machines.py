@@ -58,6 +58,7 @@ def test_a_machine_may_do_what_its_scopes_are_mapped_to(house):
     assert (identity.kind, identity.name) == ("machine", "machine:rvs")
     assert identity.permissions == {Permission.SESSIONS_READ, Permission.SESSIONS_RUN}
     assert not identity.is_person
+    assert identity.until == NOW + timedelta(seconds=330)  # for its sockets, which nobody asks for a token again
 
 
 def test_scopes_may_come_as_a_list_under_another_claim():
