@@ -1,0 +1,198 @@
+"""Sessions for replays: a real service on a real engine, a recording played as fast as it can be, and a busy person.
+
+Everything that may come between two frames comes here by chance, from a seed: commands, silences, lost frames, a line
+that fails, an engine that hangs. What a machine makes of the same seed differs from run to run; a replay must not.
+"""
+
+import contextlib
+import random
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from engine.beam.simulated import SimulatedBeamLine
+from engine.capture.oni_file import OniFileSource
+from engine.errors import BeamLineError, FrameTimeoutError
+from engine.frames import RgbdFrame
+from engine.pipeline import PipelineSettings
+from engine.training import TrainingSettings
+from service import engine_adapter
+from service.app import create_app
+from service.engine_adapter import EngineAdapter
+from service.settings import Settings
+from tests.service.conftest import act, make_session_body, upload
+from tests.service.people import PeopleClient
+
+PATIENT_LIMITS = {
+    "max_frame_age_ms": 200.0,
+    "lease_ms": 200.0,
+    "watchdog_ms": 500.0,
+    "max_gap_ms": 200.0,
+    "min_fps": 5.0,
+    "max_latency_ms": 1000.0,
+}
+FEW_FRAMES = TrainingSettings(min_frames=40, max_frames=120, min_cycles=1, min_seconds=4.0)
+PERSON = "A. Therapist"
+LONGEST_S = 120.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Troubles:
+    """How likely a thing is, a frame or a call."""
+
+    silence: float = 0.0
+    loss: float = 0.0
+    hang: float = 0.0
+    line: float = 0.0
+
+
+class TroubledSource(OniFileSource):
+    """A recording with silences, losses and hangs that it does not have."""
+
+    def __init__(self, path: Path, troubles: Troubles, chance: random.Random, **how) -> None:
+        super().__init__(path, **how)
+        self._troubles, self._chance = troubles, chance
+
+    def read(self, timeout_s: float) -> RgbdFrame:
+        if self._chance.random() < self._troubles.silence:
+            time.sleep(timeout_s)
+            raise FrameTimeoutError("nothing came")
+        if self._chance.random() < self._troubles.hang:
+            time.sleep(0.6)
+        if self._chance.random() < self._troubles.loss:
+            super().read(timeout_s)
+        return super().read(timeout_s)
+
+
+class TroubledLine(SimulatedBeamLine):
+    """A line that does not answer now and then."""
+
+    def trouble_by(self, troubles: Troubles, chance: random.Random) -> "TroubledLine":
+        self._troubles, self._chance = troubles, chance
+        return self
+
+    def is_on(self) -> bool:
+        if self._chance.random() < self._troubles.line:
+            raise BeamLineError("it does not answer")
+        return super().is_on()
+
+
+class TroubledEngine(EngineAdapter):
+    """Plays as fast as frames can be measured, learns from few of them, and has its troubles from a seed."""
+
+    troubles = Troubles()
+    seed = 0
+    training = FEW_FRAMES
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings, measuring=PipelineSettings(training=self.training))
+
+    def _player(self, path: Path, _player: str) -> OniFileSource:
+        return TroubledSource(path, self.troubles, random.Random(self.seed), clock=self._clock, is_paced=False)
+
+
+@contextlib.contextmanager
+def troubled_line(troubles: Troubles, seed: int):
+    """Let engines have such lines meanwhile."""
+    before = engine_adapter.make_beam_line
+    engine_adapter.make_beam_line = lambda _settings, clock: TroubledLine(clock).trouble_by(
+        troubles, random.Random(seed)
+    )
+    try:
+        yield
+    finally:
+        engine_adapter.make_beam_line = before
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Played:
+    """A session that has run."""
+
+    data_dir: Path
+    session_id: str
+    status: str
+    frames: int
+
+
+def play(
+    data_dir: Path,
+    volunteer: Path,
+    seed: int,
+    *,
+    troubles: Troubles = Troubles(),
+    window: dict | None = None,
+    training: TrainingSettings = FEW_FRAMES,
+    regions: dict | None = None,
+    earlier: str | None = None,
+) -> Played:
+    """Run one session with a person whose mind is made up by a seed, until its recording is over.
+
+    ``earlier`` is a session of the same folder whose model this one begins with.
+    """
+    kind = type("Engine", (TroubledEngine,), {"troubles": troubles, "seed": seed, "training": training})
+    settings = Settings(
+        data_dir=data_dir, recordings_dirs=(volunteer,), allowed_hosts=("testserver",), **PATIENT_LIMITS
+    )
+    with troubled_line(troubles, seed), PeopleClient(create_app(settings, kind)) as client:
+        calibration_id = upload(client, (volunteer / "calibration.json").read_bytes()).json()["id"]
+        source = {"kind": "recording", "path": "recording.oni", "player": "reader"}
+        body = make_session_body(calibration_id) | {"window": window or WIDE, "source": source}
+        if regions is not None:
+            body["regions"] = regions
+        if earlier is not None:
+            body["model_id"] = client.get(f"/api/v1/sessions/{earlier}/models").json()["items"][0]["id"]
+        answer = client.post("/api/v1/sessions", json=body)
+        assert answer.status_code == 201, answer.text
+        session_id = answer.json()["id"]
+        assert act(client, session_id, "start").status_code == 200
+        detail = _live_through(client, session_id, random.Random(seed))
+    return Played(data_dir=data_dir, session_id=session_id, status=detail["status"], frames=detail["summary"]["frames"])
+
+
+WIDE = {"signal": "whole", "lower_mm": -40.0, "upper_mm": 40.0, "hysteresis_mm": 0.2, "dwell_ms": 100.0}
+WINDOWS = (
+    WIDE,
+    {"signal": "whole", "lower_mm": -2.0, "upper_mm": 2.0, "hysteresis_mm": 0.2, "dwell_ms": 0.0},
+    {
+        "signal": "thorax",
+        "lower_mm": -1.0,
+        "upper_mm": 6.0,
+        "hysteresis_mm": 0.5,
+        "dwell_ms": 200.0,
+        "min_on_ms": 300.0,
+    },
+    {"kind": "phase", "signal": "whole", "from_percent": 20.0, "to_percent": 80.0, "min_confidence": 0.6},
+)
+
+
+def _live_through(client: PeopleClient, session_id: str, chance: random.Random) -> dict:
+    """Act as a person of little patience until the session is over."""
+    end_s = time.monotonic() + LONGEST_S
+    while (detail := client.get(f"/api/v1/sessions/{session_id}").json())["status"] == "running":
+        if time.monotonic() > end_s:
+            act(client, session_id, "stop")
+        _do_something(client, session_id, detail, chance)
+        time.sleep(chance.uniform(0.01, 0.15))
+    return detail
+
+
+def _do_something(client: PeopleClient, session_id: str, detail: dict, chance: random.Random) -> None:
+    gate = detail["gate"] or {"state": "disarmed", "is_armed": False}
+    if gate["state"] == "fault":
+        act(client, session_id, "acknowledge")
+    elif not gate["is_armed"] and detail["measurement_state"] == "measuring":
+        act(client, session_id, "reference" if chance.random() < 0.2 else "arm")
+    elif chance.random() < 0.15:
+        act(client, session_id, chance.choice(["hold", "disarm", "reference", "acknowledge", "arm"]))
+        act(client, session_id, "release")
+    elif chance.random() < 0.03:
+        url = f"/api/v1/sessions/{session_id}/models/retrain"
+        client.post(url, json={"operator": PERSON, "keeps_reference": chance.random() < 0.5})
+    elif chance.random() < 0.03:
+        client.post(f"/api/v1/sessions/{session_id}/models/apply", json={"operator": PERSON})
+    elif chance.random() < 0.02 and detail["active_model_id"]:
+        client.post(f"/api/v1/models/{detail['active_model_id']}/activate", json={"operator": PERSON})
+    elif chance.random() < 0.02 and detail["breath"]:
+        drift_mm = detail["breath"].get("drift") or 0.0
+        body = {"operator": PERSON, "drift_mm": drift_mm, "by_mm": drift_mm}
+        client.post(f"/api/v1/sessions/{session_id}/baseline-correction", json=body)
