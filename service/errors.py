@@ -219,6 +219,12 @@ class LastAdminError(ServiceError):
     code = "last_admin"
 
 
+class LocalLoginRefusedError(ServiceError):
+    """The password is right, and the site has this account log in at the identity provider."""
+
+    code = "local_login_refused"
+
+
 class OutsideUserError(ServiceError):
     """The account is kept by the hospital's identity provider, and is changed there."""
 
@@ -263,6 +269,7 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     OperatorMismatchError: (422, "The operator is somebody else"),
     NameTakenError: (409, "The name is taken"),
     LastAdminError: (409, "The last administrator stays"),
+    LocalLoginRefusedError: (403, "This account logs in elsewhere"),
     OutsideUserError: (409, "The account is kept elsewhere"),
     SQLAlchemyError: (503, "The database does not answer"),
 }
