@@ -40,8 +40,16 @@ from service.baseline import check_correction, correction_detail, moved_window, 
 from service.bridge import SessionWriter, WriterSettings
 from service.db import repository
 from service.db.engine import Database
-from service.errors import EngineTimeoutError, PictureMissingError, SessionActiveError, SessionStateError, StartError
+from service.errors import (
+    EngineTimeoutError,
+    PictureMissingError,
+    SessionActiveError,
+    SessionStateError,
+    StartError,
+    StorageUnwritableError,
+)
 from service.gate_schemas import BaselineCorrectionRequest
+from service.journals import Journals
 from service.live_view import live_sample
 from service.model_store import ModelStore, origin_of
 from service.played_beam import described_source
@@ -49,10 +57,14 @@ from service.ports import CommandName, EnginePort, LiveFrame, Picture, RunningEn
 from service.qa.requirement import refuse_without_qa
 from service.recordings import find_recording
 from service.room import Room, Running
+from service.samples.heads import sample_head
+from service.samples.recorder import SampleRecorder
+from service.samples.shelf import SampleShelf
 from service.sessions import SOURCE, SessionBook, session_answer
 from service.settings import Settings
 from service.surface_view import mesh_answer
 from service.tallies import Tallies
+from service.time_anchor import TimeAnchor
 from service.uncalibrated import described
 from service.window_schemas import Window
 
@@ -90,6 +102,8 @@ class SessionRunner:
         room: Room,
         settings: Settings,
         tallies: Tallies,
+        shelf: SampleShelf,
+        journals: Journals,
     ) -> None:
         self._engine = engine
         self._database = database
@@ -103,6 +117,8 @@ class SessionRunner:
         self._room = room
         self._settings = settings
         self._tallies = tallies
+        self._shelf = shelf
+        self._journals = journals
         # A stop that comes while a session starts waits for it, and then finds it.
         self._coming_and_going = room.coming_and_going
         self._newest: tuple[LiveView, LiveFrame] | None = None
@@ -238,14 +254,22 @@ class SessionRunner:
 
     def _enter(self, session_id: str, operator: str, action: str) -> Running:
         """Write down that the session starts, then start its engine and its writer."""
-        plan = self._begin(session_id, operator, action)
-        try:
-            running = self._open(plan)
-        except TidegateError as error:
-            self._mark_failed(session_id, str(error))
-            raise
+        self._refuse_unless_created(session_id)
+        with self._journals.begun(session_id) as journal:  # before the session is said to run
+            plan = replace(self._begin(session_id, operator, action), journal=journal)
+            try:
+                running = self._open(plan)
+            except TidegateError as error:
+                self._mark_failed(session_id, str(error))
+                raise
         running.writer.start()
         return running
+
+    def _refuse_unless_created(self, session_id: str) -> None:
+        with self._database.read() as db:
+            status = repository.session_row(db, session_id).status
+        if status != "created":
+            raise _state_error(status, "created")
 
     def _begin(self, session_id: str, operator: str, action: str) -> SessionPlan:
         """Write down that the session starts, and gather what its engine needs."""
@@ -268,6 +292,7 @@ class SessionRunner:
                 window=Window.model_validate_json(row.window),
                 regions=schemas.Regions.model_validate_json(row.regions),
                 patient_reference=row.patient_reference,
+                model_id=row.model_id,
                 model=None if row.model_id is None else self._stored_model(db, row.model_id, row.patient_reference),
             )
             row.status, row.started_at = "running", datetime.now(UTC)
@@ -282,16 +307,24 @@ class SessionRunner:
         return model
 
     def _open(self, plan: SessionPlan) -> Running:
-        engine = self._engine.open(plan)
+        anchor = TimeAnchor.now()
+        recorder = self._recorder(plan, anchor)
+        try:
+            engine = self._engine.open(plan)
+        except BaseException:
+            recorder.discard()
+            raise
         writer = SessionWriter(
             session_id=plan.session_id,
             engine=engine,
             origin=origin_of(plan),
             database=self._writer_database,
             models=self._models,
+            recorder=recorder,
+            anchor=anchor,
+            journal=plan.journal,
             settings=WriterSettings(
                 data_dir=self._settings.data_dir,
-                sample_batch_s=self._settings.sample_batch_ms / 1000,
                 min_free_disk_bytes=self._settings.min_free_disk_mb * MIB,
             ),
             tallies=self._tallies,
@@ -300,10 +333,20 @@ class SessionRunner:
         running = Running(plan=plan, engine=engine, writer=writer)
         if not self._room.enter(running):
             engine.stop()
+            recorder.discard()
             self._room.refuse_closed()
             msg = "another session runs"
             raise SessionActiveError(msg, field="session_id", bound="one running session at a time")
         return running
+
+    def _recorder(self, plan: SessionPlan, anchor: TimeAnchor) -> SampleRecorder:
+        """Begin the sample file: before the engine, so that nothing of it is done beside frames that are measured."""
+        head = sample_head(plan, self._settings, anchor)
+        try:
+            return SampleRecorder(self._shelf, head, batch_s=self._settings.sample_batch_ms / 1000)
+        except OSError as error:
+            msg = f"no sample file can be begun: {error.strerror}"
+            raise StorageUnwritableError(msg) from error
 
     def _mark_failed(self, session_id: str, reason: str) -> None:
         with self._database.write() as db:

@@ -1,10 +1,7 @@
 """Sessions as records: created once, one open at a time, read with their figures."""
 
-import csv
-import io
 import json
 import uuid
-from collections.abc import Iterator
 from datetime import UTC, datetime
 
 from pydantic import TypeAdapter
@@ -20,7 +17,7 @@ from service.breath_view import live_breath, live_breath_hold
 from service.calibrations import kept_row
 from service.db import repository
 from service.db.engine import Database
-from service.db.models import AuditRow, CalibrationRow, SampleRow, SessionRow
+from service.db.models import AuditRow, CalibrationRow, SessionRow
 from service.errors import SessionActiveError
 from service.figures import Figures
 from service.idempotency import earlier_answer, keep_answer
@@ -29,7 +26,6 @@ from service.played_beam import check_source, described_source, warning_of_sourc
 from service.ports import EnginePort, Kept
 from service.recordings import find_recording
 from service.room import Room, Running
-from service.session_regions import named_values
 from service.settings import Settings
 from service.site_limits import check_window, gate_limits
 from service.uncalibrated import check_allowed, described, kind_of, warning_of
@@ -37,10 +33,6 @@ from service.window_schemas import Window
 from service.window_view import live_window
 
 ACTION = "session.create"
-CSV_COLUMNS = (
-    *("frame_index", "timestamp_us", "state", "whole_mm", "thorax_mm", "abdomen_mm", "volume_l", "gate", "hold_reason"),
-    *("received_ns", "decided_ns", "asserted_ns", "captured_ns", "phase_percent"),
-)
 SOURCE: TypeAdapter[schemas.RecordingSource | schemas.DeviceSource] = TypeAdapter(schemas.Source)
 
 
@@ -118,24 +110,6 @@ class SessionBook:
             rows, next_cursor = repository.transition_page(db, session_id, cursor, limit)
             return schemas.TransitionPage(items=[_transition(row) for row in rows], next_cursor=next_cursor)
 
-    def samples_csv(self, session_id: str) -> Iterator[str]:
-        """Write its samples as CSV, piece by piece; what could not be measured is empty."""
-        with self._database.read() as db:
-            regions = schemas.Regions.model_validate_json(repository.session_row(db, session_id).regions)
-        return self._csv_pieces(session_id, [region.name for region in regions.named])
-
-    def close_interrupted(self) -> None:
-        """Close what a killed process left running; called once at start."""
-        with self._database.write() as db:
-            for row in repository.running_sessions(db):
-                row.status, row.status_detail = "interrupted", "the service ended while this session ran"
-                row.ended_at = datetime.now(UTC)
-                figures = repository.summary(db, row.id)
-                row.summary = figures.model_dump_json()
-                detail = {"status": row.status, "detail": row.status_detail, "summary": figures.model_dump()}
-                event = Event(actor=SYSTEM, action="session.close", outcome="failed", session_id=row.id, detail=detail)
-                audit.append(db, event)
-
     def _check(self, request: schemas.SessionRequest) -> None:
         check_source(request.source, self._settings)
         check_window(request.window, self._settings)
@@ -182,20 +156,6 @@ class SessionBook:
             detail["beam_line"] = "SIMULATED: no accelerator is gated by this session"
         detail |= described_source(request.source, self._settings)
         return Event(actor=request.operator, action=ACTION, session_id=session_id, detail=detail)
-
-    def _csv_pieces(self, session_id: str, named: list[str]) -> Iterator[str]:
-        yield ",".join([*CSV_COLUMNS, *(f"{name}_mm" for name in named)]) + "\n"
-        last_index = -1
-        while True:
-            # A piece at a time: a reader that stays must not keep the WAL from being checkpointed.
-            with self._database.read() as db:
-                rows = repository.samples_after(db, session_id, last_index)
-                if not rows:
-                    return
-                last_index = rows[-1].frame_index
-                text = io.StringIO()
-                csv.writer(text, lineterminator="\n").writerows(_csv_values(row, len(named)) for row in rows)
-            yield text.getvalue()
 
 
 def session_answer(row: SessionRow) -> schemas.Session:
@@ -261,7 +221,3 @@ def _new_row(request: schemas.SessionRequest, calibration_id: str, *, is_simulat
 
 def _transition(row: AuditRow) -> schemas.Transition:
     return schemas.Transition.model_validate({**json.loads(row.detail), "audit_sequence": row.sequence, "at": row.at})
-
-
-def _csv_values(row: SampleRow, named: int) -> list[object]:
-    return [*(getattr(row, name) for name in CSV_COLUMNS), *named_values(row.named_mm, named)]

@@ -7,6 +7,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from service.samples.shelf import SampleShelf
 from tests.faults.verdict import Told
 
 TRANSITION, CLOSE = "gate.transition", "session.close"
@@ -18,6 +19,7 @@ class Ledger:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._shelf = SampleShelf(path.parent / "samples")
 
     def newest(self) -> int:
         """Return the number of the newest audit row."""
@@ -30,9 +32,13 @@ class Ledger:
 
     def first_outside_ns(self, session_id: str, from_ns: int, edge_mm: float) -> int | None:
         """When the first frame came, from this time on, whose signal lies beyond the edge."""
-        query = "SELECT min(received_ns) FROM samples WHERE session_id = ? AND received_ns >= ? AND abs(signal_mm) > ?"
-        rows = self._rows(query, session_id, from_ns, edge_mm)
-        return None if rows[0][0] is None else int(rows[0][0])
+        for batch in self._shelf.batches(session_id):
+            for received_ns, signal_mm in zip(
+                batch["received_ns"].to_pylist(), batch["signal_mm"].to_pylist(), strict=True
+            ):
+                if received_ns >= from_ns and signal_mm is not None and abs(signal_mm) > edge_mm:
+                    return int(received_ns)
+        return None
 
     def _rows(self, query: str, *values: object) -> list[tuple[Any, ...]]:
         end_s = time.monotonic() + BUSY_S

@@ -64,19 +64,6 @@ def test_the_database_refuses_to_change_the_log(database, raw, statement):
     assert verified(database).rows == 7
 
 
-@pytest.mark.parametrize(
-    "statement",
-    ["UPDATE samples SET whole_mm = 0", "DELETE FROM samples", "INSERT OR REPLACE INTO samples SELECT * FROM samples"],
-)
-def test_the_database_refuses_to_change_samples(client, session_id, running, settings, statement):
-    running.frame()
-    act(client, session_id, "stop")
-    connection = sqlite3.connect(settings.data_dir / "tidegate.db")
-    with pytest.raises(sqlite3.IntegrityError, match="samples"):
-        connection.execute(statement)
-    connection.close()
-
-
 @pytest.mark.parametrize("sequence", [1, 4, 7])
 @pytest.mark.parametrize(
     "column", ["at", "actor", "action", "outcome", "session_id", "detail", "previous_hash", "hash"]

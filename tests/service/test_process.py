@@ -14,6 +14,7 @@ from websockets.sync.client import connect
 
 from service import audit
 from service.db.engine import Database
+from service.samples.shelf import SampleShelf
 from tests.service.conftest import act, eventually, make_calibration, make_session_body, upload
 from tests.service.processes import free_port, service_process
 
@@ -27,11 +28,16 @@ def self_driving(tmp_path):
     (tmp_path / "chest.oni").write_bytes(b"")
     port = free_port()
     arguments = ("tests.service.self_driving", str(tmp_path / "data"), str(tmp_path), str(port))
-    with service_process(*arguments, port=port, log=tmp_path / "log") as (process, client):
+    started = service_process(*arguments, port=port, log=tmp_path / "log", data=tmp_path / "data")
+    with started as (process, client):
         calibration_id = upload(client, make_calibration().to_json()).json()["id"]
         session_id = client.post("/api/v1/sessions", json=make_session_body(calibration_id)).json()["id"]
         assert act(client, session_id, "start").status_code == 200
         yield process, client, session_id, tmp_path
+
+
+def live_stream(client):
+    return connect(f"ws://127.0.0.1:{client.base_url.port}/api/v1/live", additional_headers=client.key_headers)
 
 
 def lines(folder, kind):
@@ -40,7 +46,7 @@ def lines(folder, kind):
 
 
 def test_a_killed_service_loses_no_transition_and_at_most_the_last_second_of_samples(self_driving):
-    process, _, _, folder = self_driving
+    process, _, session_id, folder = self_driving
     eventually(lambda: len(lines(folder, "sample")) >= 60, within_s=20.0)
     process.send_signal(signal.SIGKILL)
     process.wait()
@@ -50,7 +56,8 @@ def test_a_killed_service_loses_no_transition_and_at_most_the_last_second_of_sam
         assert audit.verify(db).first_broken_sequence is None
     database.close()
     raw = sqlite3.connect(folder / "data" / "tidegate.db")
-    samples = [index for (index,) in raw.execute("SELECT frame_index FROM samples ORDER BY frame_index")]
+    batches = SampleShelf(folder / "data" / "samples").batches(session_id)
+    samples = [index for batch in batches for index in batch["frame_index"].to_pylist()]
     (transitions,) = raw.execute("SELECT count(*) FROM audit WHERE action = 'gate.transition'").fetchone()
     raw.close()
     due = [index for index, at_ns in lines(folder, "sample") if at_ns < killed_ns - SAMPLES_MAY_LOSE_NS]
@@ -69,7 +76,7 @@ def test_after_a_kill_the_service_starts_again_and_says_the_session_was_interrup
     process.wait()
     port = free_port()
     arguments = ("tests.service.self_driving", str(folder / "data"), str(folder), str(port))
-    with service_process(*arguments, port=port, log=folder / "second log") as (_, client):
+    with service_process(*arguments, port=port, log=folder / "second log", data=folder / "data") as (_, client):
         assert client.get(f"/api/v1/sessions/{session_id}").json()["status"] == "interrupted"
         assert client.get("/api/v1/audit/verify").json()["is_intact"]
 
@@ -77,8 +84,7 @@ def test_after_a_kill_the_service_starts_again_and_says_the_session_was_interrup
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=str)
 def test_told_to_stop_it_holds_first_although_a_client_stays_then_closes_the_session(self_driving, number):
     process, client, _, folder = self_driving
-    port = client.base_url.port
-    with connect(f"ws://127.0.0.1:{port}/api/v1/live") as socket:
+    with live_stream(client) as socket:
         eventually(lambda: json.loads(socket.recv())["type"] == "sample", within_s=20.0)
         process.send_signal(number)
         with pytest.raises(ConnectionClosed):
@@ -102,7 +108,7 @@ def _read_to_the_end(socket):
 
 def test_the_live_stream_over_a_real_socket_comes_at_the_engine_s_rate(self_driving):
     _, client, session_id, _ = self_driving
-    with connect(f"ws://127.0.0.1:{client.base_url.port}/api/v1/live") as socket:
+    with live_stream(client) as socket:
         assert json.loads(socket.recv())["type"] == "hello"
         samples = [json.loads(socket.recv(timeout=10.0)) for _ in range(15)]
     assert {sample["type"] for sample in samples} == {"sample"}

@@ -1,0 +1,78 @@
+"""The writer's hand on a session's samples: records gathered, sealed in batches, on the disk when it says so."""
+
+import time
+from collections.abc import Callable
+
+from engine.live import FrameRecord
+from service.figures import Figures
+from service.samples.layout import SampleHead
+from service.samples.shelf import SampleShelf, Settlement
+
+MOST_IN_A_BATCH = 512
+
+
+class SampleRecorder:
+    """Writes one session's samples; used by one thread.
+
+    Parameters
+    ----------
+    batch_s
+        How long a record waits at most for those it is written with.
+    """
+
+    def __init__(
+        self,
+        shelf: SampleShelf,
+        head: SampleHead,
+        *,
+        batch_s: float,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._shelf = shelf
+        self._session_id = head.session_id
+        self._batch_s = batch_s
+        self._now_s = now_s
+        self._stream = shelf.begin(head)
+        self._written_at_s = now_s()
+        self._unsynced: list[FrameRecord] = []
+        self.waiting: list[FrameRecord] = []
+        self.figures = Figures()
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the file is still where it was put."""
+        return self._stream.is_there
+
+    def write_due(self, *, is_last: bool) -> list[FrameRecord]:
+        """Write what has waited long enough; return the records that are safe on the disk from now on.
+
+        Raises
+        ------
+        OSError
+            The disk did not take them; they are written by the next call.
+        """
+        if self.waiting and (is_last or self._is_due()):
+            self.figures.add(self._stream.append(self.waiting))
+            self._unsynced += self.waiting
+            self.waiting.clear()
+        self._stream.sync()
+        if self._unsynced:
+            self._written_at_s = self._now_s()
+        synced, self._unsynced = self._unsynced, []
+        return synced
+
+    def settle(self) -> Settlement:
+        """Close the file and make Parquet of it; raise OSError where that cannot be, with the stream as it is."""
+        self._stream.finish()
+        return self._shelf.settle(self._session_id)
+
+    def forget_stream(self) -> None:
+        """Take the stream away once the Parquet file stands in the audit."""
+        self._shelf.forget_stream(self._session_id)
+
+    def discard(self) -> None:
+        """Take the file away: the session never began."""
+        self._stream.discard()
+
+    def _is_due(self) -> bool:
+        return len(self.waiting) >= MOST_IN_A_BATCH or self._now_s() - self._written_at_s >= self._batch_s

@@ -1,0 +1,82 @@
+"""From the engine's records to a batch of samples."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pyarrow as pa
+
+from engine.breath import Breath
+from engine.frames import Motion
+from engine.live import FrameRecord
+from service.live_view import known
+from service.samples.layout import SampleHead
+
+NO_BREATH = Breath(phase_confidence=float("nan"))
+
+
+def batch_of(head: SampleHead, records: Sequence[FrameRecord]) -> pa.RecordBatch:
+    """Put records into columns."""
+    rows = [sample_values(record) for record in records]
+    schema = head.schema
+    columns = [pa.array([row[field.name] for row in rows], field.type) for field in schema]
+    return pa.RecordBatch.from_arrays(columns, schema=schema)
+
+
+def sample_values(record: FrameRecord) -> dict[str, object]:
+    """Put a frame's record into the columns of `service.samples.layout`."""
+    measurement = record.measurement
+    return {
+        "frame_index": measurement.frame_index,
+        "timestamp_us": measurement.timestamp_us,
+        "missed_frames": measurement.missed_frames,
+        "state": measurement.state.value,
+        "lost_reason": None if measurement.lost is None else measurement.lost.reason.value,
+        "signal_mm": known(record.signal_mm),
+        "gate": record.gate_state.value,
+        "hold_reason": None if record.hold_reason is None else record.hold_reason.value,
+        "line_on": record.line_on,
+        "captured_ns": record.captured_ns,
+        "received_ns": record.received_ns,
+        "measured_ns": measurement.measured_ns,
+        "decided_ns": record.decided_ns,
+        "asserted_ns": record.asserted_ns,
+        **_motion_values(measurement.motion),
+        # The first signal whose breath is followed is the first one gated on.
+        **_breath_values(measurement.breaths[0] if measurement.breaths else NO_BREATH),
+    }
+
+
+NOT_MEASURED: dict[str, object] = dict.fromkeys(
+    (
+        *("whole_mm", "thorax_mm", "abdomen_mm", "volume_l", "residual_mm", "valid_share", "inlier_share"),
+        *("region_rows", "regions_mm", "named_mm"),
+    )
+)
+
+
+def _motion_values(motion: Motion | None) -> dict[str, object]:
+    if motion is None:
+        return NOT_MEASURED
+    return {
+        "whole_mm": known(motion.whole_mm),
+        "thorax_mm": known(motion.thorax_mm),
+        "abdomen_mm": known(motion.abdomen_mm),
+        "volume_l": known(motion.volume_l),
+        "residual_mm": known(motion.projection.residual_mm),
+        "valid_share": known(motion.projection.valid_share),
+        "inlier_share": known(motion.projection.inlier_share),
+        "region_rows": motion.regions_mm.shape[0],
+        "regions_mm": motion.regions_mm.astype(np.float32).ravel(),
+        "named_mm": motion.named_mm.astype(np.float32) if len(motion.named_mm) else None,
+    }
+
+
+def _breath_values(breath: Breath) -> dict[str, object]:
+    return {
+        "phase_percent": known(breath.phase_percent),
+        "phase_confidence": known(breath.phase_confidence),
+        "rate_per_min": known(breath.rate_per_min),
+        "breath_amplitude": known(breath.amplitude),
+        "breath_baseline": known(breath.baseline),
+        "breath_drift": known(breath.drift),
+    }
