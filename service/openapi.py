@@ -2,12 +2,30 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 from fastapi import FastAPI
 
 from service import schemas
+from service.access.cookies import PLAIN_NAME
+from service.access.rules import RULES, Needs, Open
+from service.api import problems
 from service.live_messages import LIVE_MESSAGE, SCHEMA
 
+SECURITY_SCHEMES = {
+    "login": {
+        "type": "apiKey",
+        "in": "cookie",
+        "name": PLAIN_NAME,
+        "description": "Of a person who has logged in; over TLS the name begins with `__Host-`. Calls that change "
+        "something must also carry the page's own Origin",
+    },
+    "key": {
+        "type": "http",
+        "scheme": "bearer",
+        "description": "Of a machine: an API key `tg_...`, or a token of the site's identity provider",
+    },
+}
 OPENAPI_NAME = "openapi.json"
 LIVE_NAME = "live.schema.json"
 
@@ -20,9 +38,28 @@ def describe_problems(app: FastAPI) -> None:
         document = generate()
         components = document.setdefault("components", {}).setdefault("schemas", {})
         components["Problem"] = schemas.Problem.model_json_schema(mode="serialization")
+        describe_access(document)
         return document
 
     app.openapi = openapi  # type: ignore[method-assign]  # FastAPI's documented way to extend the document
+
+
+def describe_access(document: dict[str, Any]) -> None:
+    """Say with every call what it takes, as the table of rules has it."""
+    document["components"]["securitySchemes"] = SECURITY_SCHEMES
+    for path, item in document["paths"].items():
+        for method, operation in item.items():
+            _describe_call(operation, RULES.get((method.upper(), path)))
+
+
+def _describe_call(operation: dict[str, Any], needs: Needs | None) -> None:
+    if needs is Open.PUBLIC:
+        operation["security"] = []
+        return
+    is_permission = needs is not None and not isinstance(needs, Open)
+    operation["security"] = [{name: []} for name in SECURITY_SCHEMES]
+    operation["x-permission"] = str(needs) if is_permission else None
+    operation["responses"] |= {str(status): problem for status, problem in problems(401, 403).items()}
 
 
 def contract_files(app: FastAPI) -> dict[str, str]:

@@ -32,7 +32,18 @@ POSTS = {
     "/api/v1/models/{model_id}/activate",
     "/api/v1/qa/runs",
     "/api/v1/qa/runs/{run_id}/cancel",
+    "/api/v1/login",
+    "/api/v1/logout",
+    "/api/v1/me/password",
+    "/api/v1/me/logins/{login_id}/end",
+    "/api/v1/users",
+    "/api/v1/users/{name}/logins/{login_id}/end",
+    "/api/v1/keys",
+    "/api/v1/keys/{key_id}/revoke",
 }
+SHOWN_TO_PEOPLE = {"/api/v1/login/oidc", "/api/v1/login/oidc/return"}
+"""Where a browser goes, not a program."""
+PATCHES = {"/api/v1/users/{name}"}
 PUTS = {"/api/v1/qa/baseline"}
 
 
@@ -45,7 +56,8 @@ def test_the_committed_contract_is_the_application_s(name):
 def test_these_are_all_the_calls_that_change_something():
     assert {path for method, path, _ in OPERATIONS if method == "post"} == POSTS
     assert {path for method, path, _ in OPERATIONS if method == "put"} == PUTS
-    assert {method for method, _, _ in OPERATIONS} == {"get", "post", "put"}
+    assert {path for method, path, _ in OPERATIONS if method == "patch"} == PATCHES
+    assert {method for method, _, _ in OPERATIONS} == {"get", "post", "put", "patch"}
 
 
 @pytest.mark.parametrize(("method", "path", "operation"), OPERATIONS, ids=lambda part: str(part)[:50])
@@ -59,7 +71,8 @@ def test_every_route_is_described_with_its_problems(method, path, operation):
         assert statuses >= {"404", "422"}
     for status, response in operation["responses"].items():
         if status.startswith("4"):
-            assert set(response["content"]) == {"application/problem+json"}
+            kind = "text/html" if path in SHOWN_TO_PEOPLE and status != "422" else "application/problem+json"
+            assert set(response["content"]) == {kind}
 
 
 def test_every_reference_leads_somewhere():
@@ -91,6 +104,11 @@ def test_every_request_body_refuses_what_it_does_not_know_and_bounds_its_numbers
         "Region",
         "SplitLine",
         "Regions",
+        "LoginRequest",
+        "PasswordRequest",
+        "UserRequest",
+        "UserChange",
+        "KeyRequest",
     }
     for name in names:
         schema = DOCUMENT["components"]["schemas"][name]
@@ -99,5 +117,6 @@ def test_every_request_body_refuses_what_it_does_not_know_and_bounds_its_numbers
             for kind in rule.get("anyOf", [rule]):
                 if kind.get("type") in {"number", "integer"}:
                     assert {"minimum", "maximum"} <= kind.keys(), f"{name}.{field}"
-                if kind.get("type") == "string" and "enum" not in kind and "const" not in kind:
+                is_free = kind.get("type") == "string" and not {"enum", "const", "format"} & kind.keys()
+                if is_free or kind.get("format") == "password":
                     assert "maxLength" in kind or "pattern" in kind, f"{name}.{field}"
