@@ -83,7 +83,7 @@ def come_back(
     oidc: Oidc,
     desk: deps.Access,
     address: deps.Address,
-    state: Annotated[str, Query(max_length=200)],
+    state: Annotated[str, Query(max_length=200)] = "",
     code: Text = None,
     error: Text = None,
     iss: Text = None,
