@@ -26,7 +26,7 @@ openni:
 
 # What the tests use for real beside the Python packages: the runtime, what a driver for it is built with, a browser.
 test-system:
-	@docker/install-debian-packages.sh libopenni2-0 libopenni2-dev g++ chromium poppler-utils postgresql
+	@docker/install-debian-packages.sh libopenni2-0 libopenni2-dev g++ chromium poppler-utils rsyslog rsyslog-openssl libxml2-utils postgresql
 
 # Two at a time; what plays through the runtime or trips a running engine has the machine to itself: the runtime's own
 # threads race where they are not run in time, and crash.

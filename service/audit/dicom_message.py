@@ -22,6 +22,7 @@ OBJECT_IDS = "RFC-3881"
 ROW_KIND = Code("audit-row", "Row of the audit log")
 SESSION_KIND = Code("session", "Gating session")
 PATIENT_NUMBER = Code("2", "Patient Number")
+DECLARATION = b'<?xml version="1.0" encoding="UTF-8"?>'
 NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -52,7 +53,8 @@ def audit_message(link: Link, *, source: Source, patient: Patient | None = None,
     _name_objects(message, link, is_told=is_told)
     if patient is not None and with_patients:
         _object(message, PATIENT_NUMBER, OBJECT_IDS, patient.reference, kind="1", role="1")
-    return bytes(ET.tostring(message, encoding="utf-8", xml_declaration=True))
+    # In one line: syslog daemons escape what would begin another.
+    return DECLARATION + ET.tostring(message, encoding="unicode").encode()
 
 
 def _identify(message: ET.Element, link: Link, detail: Mapping[str, object]) -> None:
@@ -70,7 +72,7 @@ def _identify(message: ET.Element, link: Link, detail: Mapping[str, object]) -> 
     _coded(event, "EventTypeCode", Code(link.action, link.action), OURS)
     said = detail.get("message") or detail.get("detail")
     description = ET.SubElement(event, "EventOutcomeDescription")
-    description.text = _clean(f"{link.outcome}: {said}" if isinstance(said, str) and said else link.outcome)
+    description.text = _token(f"{link.outcome}: {said}" if isinstance(said, str) and said else link.outcome)
 
 
 def _participate(message: ET.Element, link: Link, detail: Mapping[str, object], source: Source) -> None:
