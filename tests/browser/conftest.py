@@ -54,9 +54,6 @@ class Tab:
     def sees(self, kind: str) -> None:
         expect(self.page.locator("#gate")).to_have_attribute("data-kind", kind)
 
-    def named(self, operator: str = "A. Therapist") -> None:
-        self.page.fill("#operator", operator)
-
 
 @pytest.fixture
 def fake() -> FakeService:

@@ -10,6 +10,7 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import cv2
 import numpy as np
@@ -25,6 +26,7 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 import service
+from service.access.permissions import Role, permissions_of
 
 DASHBOARD = Path(service.__file__).parent / "dashboard"
 POLICY = "default-src 'self'; base-uri 'none'; frame-ancestors 'none'; form-action 'none'"
@@ -220,6 +222,34 @@ def chest_jpeg() -> bytes:
     return bytes(cv2.imencode(".jpg", cv2.GaussianBlur(picture, (5, 5), 0))[1])
 
 
+def person(name: str = "A. Therapist", *roles: Role, **changes: Any) -> dict[str, Any]:
+    """Return who is logged in, as the controller says it; a physicist unless told otherwise."""
+    held = roles or (Role.PHYSICIST,)
+    told = {"name": name, "roles": sorted(held), "permissions": sorted(permissions_of(held))}
+    return told | {"must_change_password": False, "is_break_glass": False, "way": "password"} | changes
+
+
+def user(name: str, *roles: Role, **changes: Any) -> dict[str, Any]:
+    """Return a person as the list of people has them."""
+    row = {"name": name, "roles": sorted(roles), "is_disabled": False, "must_change_password": False}
+    return row | {"is_break_glass": False, "created_at": "2026-11-20T08:00:00Z", "last_login_at": None} | changes
+
+
+def api_key(name: str, *scopes: str, **changes: Any) -> dict[str, Any]:
+    """Return an API key as the list of keys has them."""
+    row = {"id": name[:4].lower(), "name": name, "scopes": sorted(scopes), "created_by": "Grace"}
+    times = {"created_at": "2026-11-20T08:00:00Z", "expires_at": "2099-01-01T00:00:00Z"}
+    return row | times | {"revoked_at": None, "last_used_at": None} | changes
+
+
+ONE_TIME = "quiet-otter-plays-1729"
+SECRET = "tg_plan_0123456789abcdef"
+
+
+UNKNOWN = JSONResponse({"code": "not_logged_in", "detail": "log in first"}, 401)
+ABOUT_LOG_INS = {"/login", "/login/ways", "/logout", "/me", "/me/password"}
+
+
 class FakeService:
     """What the page sees. Tests set the attributes; the server's thread reads them for every message."""
 
@@ -236,6 +266,12 @@ class FakeService:
         self.qa: dict[str, Any] = qa_status()
         self.problem: tuple[int, dict[str, Any]] | None = None
         self.calls: list[tuple[str, str, Any]] = []
+        self.person: dict[str, Any] | None = person()
+        self.passwords: dict[str, tuple[str, dict[str, Any]]] = {}
+        self.locked_s = 0
+        self.ways: dict[str, Any] = {"password": True, "oidc": None}
+        self.people: list[dict[str, Any]] = [user("Grace", Role.ADMIN)]
+        self.keys: list[dict[str, Any]] = []
         self.connections = 0
         self.pictures = 0
         self._jpeg = chest_jpeg()
@@ -251,25 +287,25 @@ class FakeService:
         routes = [
             WebSocketRoute("/api/v1/live", self._live),
             Route("/api/v1/sessions/{id}/picture", self._picture),
-            Route("/api/v1/{rest:path}", self._api, methods=["GET", "POST"]),
+            Route("/api/v1/{rest:path}", self._api, methods=["GET", "POST", "PATCH"]),
             Mount("/", StaticFiles(directory=DASHBOARD, html=True)),
         ]
         return Starlette(routes=routes, middleware=[Middleware(BaseHTTPMiddleware, dispatch=_with_policy)])
 
     async def _live(self, websocket: WebSocket) -> None:
-        if not self.is_up:
-            await websocket.close(1013)
+        if not self.is_up or self.person is None:
+            await websocket.close(1013 if self.person else 1008)
             return
         await websocket.accept()
         self.connections += 1
         try:
             await websocket.send_json({"type": "hello", "schema": self.schema, "version": "0.1.0"})
-            while self.is_up:
+            while self.is_up and self.person is not None:
                 message = self._next_message()
                 if message is not None:
                     await websocket.send_text(message)
                 await asyncio.sleep(0.5 if self.mode == "idle" else 1.0 / 30.0)
-            await websocket.close(1001)
+            await websocket.close(1001 if self.person else 1008)
         except (WebSocketDisconnect, RuntimeError):
             return
 
@@ -288,6 +324,8 @@ class FakeService:
         return json.dumps(self.sample | moving | stamp)
 
     def _picture(self, _request: Request) -> Response:
+        if self.person is None:
+            return UNKNOWN
         self.pictures += 1
         return Response(self._jpeg, media_type="image/jpeg", headers={"X-Frame-Index": str(self._frame_index)})
 
@@ -295,10 +333,65 @@ class FakeService:
         text = (await request.body()).decode()
         body = json.loads(text) if text else None
         self.calls.append((request.method, request.url.path, body))
-        if request.method == "POST" and self.problem is not None:
+        path = request.url.path.removeprefix("/api/v1")
+        if path in ABOUT_LOG_INS:
+            return self._about_log_ins(path, body)
+        if self.person is None:
+            return UNKNOWN
+        if request.method != "GET" and self.problem is not None:
             status, problem = self.problem
             return JSONResponse(problem, status, media_type="application/problem+json")
+        if path.startswith(("/users", "/keys")):
+            return self._about_others(path, request.method, body)
         return self._answer(request.url.path.removeprefix("/api/v1"), request.method, body)
+
+    def _about_log_ins(self, path: str, body: Any) -> Response:
+        if path == "/login":
+            return self._log_in(body)
+        if path == "/login/ways":
+            return JSONResponse(self.ways)
+        if self.person is None:
+            return UNKNOWN
+        if path == "/logout":
+            self.person = None
+            return Response(status_code=204)
+        if path == "/me/password":
+            return self._change_password(body)
+        return JSONResponse(self.person)
+
+    def _log_in(self, body: dict[str, str]) -> Response:
+        if self.locked_s:
+            wait = {"Retry-After": str(self.locked_s)}
+            return JSONResponse({"code": "locked_out", "detail": "Too many attempts."}, 429, headers=wait)
+        password, someone = self.passwords.get(body["name"], ("", None))
+        if someone is None or body["password"] != password:
+            return JSONResponse({"code": "log_in_refused", "detail": "name or password is wrong"}, 401)
+        self.person = someone
+        return JSONResponse(someone)
+
+    def _change_password(self, body: dict[str, str]) -> Response:
+        assert self.person is not None
+        name = self.person["name"]
+        if name in self.passwords and self.passwords[name][0] != body["old_password"]:
+            return JSONResponse({"code": "wrong_password", "detail": "the old password is wrong"}, 422)
+        self.person = self.person | {"must_change_password": False}
+        self.passwords[name] = (body["new_password"], self.person)
+        return JSONResponse(self.person)
+
+    def _about_others(self, path: str, method: str, body: Any) -> Response:
+        kept = self.people if path.startswith("/users") else self.keys
+        if method == "GET":
+            return JSONResponse({"items": kept, "next_cursor": None})
+        if path == "/users":
+            kept.append(user(body["name"], *body["roles"], must_change_password=True))
+            return JSONResponse(kept[-1] | {"one_time_password": ONE_TIME}, 201)
+        if path == "/keys":
+            kept.append(api_key(body["name"], *body["scopes"], expires_at=body["expires_at"]))
+            return JSONResponse(kept[-1] | {"secret": SECRET}, 201)
+        wanted = unquote(path.split("/")[2])
+        (found,) = [one for one in kept if wanted in {one["name"], one.get("id")}]
+        found |= {"revoked_at": "2026-11-21T03:00:00Z"} if path.startswith("/keys") else body
+        return JSONResponse(found | ({"one_time_password": ONE_TIME} if found.pop("reset_password", None) else {}))
 
     def _answer(self, path: str, method: str, body: Any) -> Response:
         pages = {"/sessions": self.sessions, "/calibrations": self.calibrations, "/audit": self.audit, "/devices": []}

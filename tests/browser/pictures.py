@@ -163,7 +163,6 @@ def take(page: Page, fake: FakeService, out: Path, url: str) -> None:
 
 def _show(page: Page, url: str, kind: str, *, settle_ms: int = SETTLE_MS) -> None:
     page.goto(url)
-    page.fill("#operator", "A. Therapist")
     page.locator(f"#gate[data-kind={kind}]").wait_for()
     page.wait_for_timeout(settle_ms)
 

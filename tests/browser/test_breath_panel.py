@@ -13,6 +13,7 @@ from tests.browser.fake_service import (
     FakeService,
     breath_hold,
     condition,
+    person,
     phase,
     sample,
     window,
@@ -163,12 +164,10 @@ def test_all_conditions_are_named_beside_the_trace(fake: FakeService, tab: Tab):
 
 
 def test_a_drift_is_corrected_by_two_clicks_of_a_named_person_and_by_what_they_saw(fake: FakeService, tab: Tab):
-    fake.mode, fake.sample = "samples", DRIFTED
+    fake.mode, fake.sample, fake.person = "samples", DRIFTED, person("Ada L.")
     page = tab.open("hold")
     button = page.locator("#do-correct")
     expect(button).to_have_text("Correct baseline by +1.7 mm")
-    expect(button).to_be_disabled()
-    tab.named("Ada L.")
     button.click()
     expect(button).to_have_text("Really move the window by +1.7 mm? Disarms")
     assert corrections(fake) == []
@@ -183,7 +182,6 @@ def test_a_drift_is_corrected_by_two_clicks_of_a_named_person_and_by_what_they_s
 def test_a_correction_that_is_not_confirmed_is_forgotten(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", DRIFTED
     page = tab.open("hold")
-    tab.named()
     page.click("#do-correct")
     expect(page.locator("#do-correct")).to_contain_text("Really")
     page.wait_for_timeout(6_200)
@@ -194,7 +192,6 @@ def test_a_correction_that_is_not_confirmed_is_forgotten(fake: FakeService, tab:
 def test_after_a_correction_only_what_is_left_of_the_drift_is_offered(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", DRIFTED
     page = tab.open("hold")
-    tab.named()
     expect(page.locator("#do-correct")).to_be_enabled()
     fake.sample = sample(breath=BREATH | {"drift": 0.04}, window=window(condition(lower=0.7, upper=4.7)))
     expect(page.locator("#do-correct")).to_be_disabled()
@@ -203,7 +200,6 @@ def test_after_a_correction_only_what_is_left_of_the_drift_is_offered(fake: Fake
 
 def test_a_small_drift_and_a_phase_alone_offer_no_correction(fake: FakeService, tab: Tab):
     page = show(fake, tab)
-    tab.named()
     expect(page.locator("#do-correct")).to_be_disabled()
     fake.sample = DRIFTED | {"window": window(phase())}
     page.wait_for_timeout(400)

@@ -3,10 +3,11 @@
 import re
 
 import pytest
-from playwright.sync_api import BrowserContext, Page, expect
+from playwright.sync_api import Page, expect
 
+from service.access.permissions import Role
 from tests.browser.conftest import Tab
-from tests.browser.fake_service import SESSION, SESSION_ID, WAITING, FakeService, sample
+from tests.browser.fake_service import SESSION, SESSION_ID, WAITING, FakeService, person, sample
 
 pytestmark = pytest.mark.browser
 
@@ -30,20 +31,37 @@ def calls_to(fake: FakeService, path: str) -> list[object]:
     return [body for called, body in fake.posts() if called == f"/sessions/{SESSION_ID}/{path}"]
 
 
-def test_without_a_name_nothing_can_be_done_but_disarm(fake: FakeService, tab: Tab):
-    fake.mode, fake.sample = "samples", DISARMED
+def test_a_viewer_is_offered_nothing_and_told_why(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample, fake.person = "samples", DISARMED, person("V. Iewer", Role.VIEWER)
     page = tab.open("disarmed")
     expect_enabled(page)
-    expect(page.locator("#hint")).to_have_text("To arm: enter the operator's name.")
+    expect(page.locator("#hint")).to_have_text("To arm: your log-in (viewer) does not allow it.")
+    for action in ("disarm", "hold", "arm"):
+        button = page.locator(f"#do-{action}")
+        expect(button).to_be_disabled()
+        expect(button).to_have_attribute("title", "Not now: your log-in (viewer) does not allow it")
+    expect(page.locator("#events-empty")).to_have_text("Not shown: your log-in does not allow it.")
+    expect(page.locator("#do-people")).to_be_hidden()
+    page.keyboard.press("F8")
+    expect(page.locator("#outcome")).to_contain_text("The page could not hold: use the room's interlock.")
+    page.click("#do-setup")
+    expect(page.locator("#new-session [type=submit]")).to_be_disabled()
+    expect(page.locator("#setup-why")).to_contain_text("your log-in (viewer) does not allow it")
+    assert fake.posts() == []
+    assert not [path for _, path, _ in fake.calls if path.endswith("/audit")]
+
+
+def test_an_admin_can_hold_and_disarm_and_arms_nothing(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample, fake.person = "samples", DISARMED, person("Grace", Role.ADMIN)
+    page = tab.open("disarmed")
+    expect_enabled(page, "stop")
+    expect(page.locator("#do-hold")).to_be_enabled()
     expect(page.locator("#do-disarm")).to_be_enabled()
-    tab.named()
-    expect_enabled(page, "arm", "reference", "retrain", "stop")
 
 
 def test_each_button_is_offered_only_where_it_makes_sense(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", LEARNING
     page = tab.open("disarmed")
-    tab.named()
     expect_enabled(page, "stop")
     fake.sample = sample(gate="hold")
     tab.sees("hold")
@@ -65,18 +83,17 @@ def test_each_button_is_offered_only_where_it_makes_sense(fake: FakeService, tab
     ],
 )
 def test_a_button_sends_its_call_once_and_says_who(fake: FakeService, tab: Tab, button: str, path: str, message: dict):
-    fake.mode, fake.sample = "samples", message
+    fake.mode, fake.sample, fake.person = "samples", message, person("Ada L.")
     page = tab.open(message["gate"])
-    tab.named("Ada L.")
     page.click(f"#do-{button}")
     expect(page.locator("#outcome")).to_have_attribute("data-kind", "done")
-    assert calls_to(fake, path) == [{"operator": "Ada L."}]
+    # Whoever only takes permission away is not asked for a name: the log-in says who.
+    assert calls_to(fake, path) == [{} if button == "disarm" else {"operator": "Ada L."}]
 
 
 def test_stop_asks_once_more(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", DISARMED
     page = tab.open("disarmed")
-    tab.named()
     page.click("#do-stop")
     expect(page.locator("#do-stop")).to_have_text("Really stop?")
     assert calls_to(fake, "stop") == []
@@ -85,23 +102,21 @@ def test_stop_asks_once_more(fake: FakeService, tab: Tab):
     assert len(calls_to(fake, "stop")) == 1
 
 
-def test_escape_disarms_from_anywhere_even_without_a_name(fake: FakeService, tab: Tab):
+def test_escape_disarms_from_anywhere_even_while_typing(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", sample(gate="beam_on", hold_reason=None, hold_text=None, line_on=True)
     page = tab.open("beam_on")
     page.keyboard.press("Escape")
     expect(page.locator("#outcome")).to_have_text("Disarmed.")
-    tab.named("Ada L.")
     page.click("#do-setup")
     page.focus("[name=patient_reference]")
     page.keyboard.press("Escape")
     expect(page.locator("#outcome")).to_have_text("Disarmed.")
-    assert [body["operator"] for body in calls_to(fake, "disarm")] == ["unnamed at the page", "Ada L."]
+    assert calls_to(fake, "disarm") == [{}, {}]
 
 
 def test_a_key_hit_after_arming_does_not_press_the_button_again(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", DISARMED
     page = tab.open("disarmed")
-    tab.named()
     page.click("#do-arm")
     expect(page.locator("#outcome")).to_have_attribute("data-kind", "done")
     page.keyboard.press("Space")
@@ -118,7 +133,6 @@ def test_a_refusal_shows_the_field_and_the_bound(fake: FakeService, tab: Tab):
         | {"bound": "set first"},
     )
     page = tab.open("disarmed")
-    tab.named()
     page.click("#do-arm")
     expect(page.locator("#outcome")).to_have_attribute("data-kind", "failed")
     for part in ("Arm:", "no reference", "None", "set first"):
@@ -133,23 +147,10 @@ def test_a_disarm_that_fails_says_what_else_stops_the_beam(fake: FakeService, ta
     expect(page.locator("#outcome")).to_contain_text("room's interlock")
 
 
-def test_the_operator_is_remembered_for_this_tab_alone(fake: FakeService, tab: Tab, context: BrowserContext):
-    fake.mode, fake.sample = "samples", DISARMED
-    page = tab.open("disarmed")
-    tab.named("Ada L.")
-    page.reload()
-    expect(page.locator("#operator")).to_have_value("Ada L.")
-    other = context.new_page()
-    other.goto(tab.url)
-    expect(other.locator("#operator")).to_have_value("")
-    other.close()
-
-
 def test_a_waiting_session_is_found_and_started(fake: FakeService, tab: Tab):
     fake.sessions = [SESSION | {"status": "created"}]
     page = tab.open("idle")
     expect(page.locator("#who-patient")).to_have_text("P-0117")
-    tab.named()
     expect_enabled(page, "start", "stop")
     page.click("#do-start")
     expect(page.locator("#outcome")).to_have_text("Session started.")
@@ -162,7 +163,6 @@ def test_a_session_made_elsewhere_is_taken_up_by_a_page_that_waits(fake: FakeSer
     expect(page.locator("#setup")).to_be_visible()
     fake.sessions = [SESSION | {"status": "created", "id": "66" * 16}, *fake.sessions]
     expect(page.locator("#who-patient")).to_have_text("P-0117")
-    tab.named()
     expect(page.locator("#do-start")).to_be_enabled()
 
 
@@ -172,7 +172,6 @@ def test_nothing_the_page_can_send_names_a_beam(fake: FakeService, tab: Tab):
     for message in (DISARMED, sample(gate="hold", training=WAITING), FAULT):
         fake.sample = message
         page = tab.open(message["gate"])
-        tab.named()
         for button in page.locator(".controls button:visible:enabled").all():
             button.click(timeout=10_000, trial=False)
             page.wait_for_timeout(30)

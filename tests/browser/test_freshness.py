@@ -37,7 +37,6 @@ def test_silence_turns_beam_on_into_stale_with_an_age_that_counts_up(fake: FakeS
 def test_stale_hides_the_numbers_and_refuses_to_arm_but_not_to_disarm(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", sample(gate="disarmed", is_armed=False)
     page = tab.open("disarmed")
-    tab.named()
     expect(page.locator("#do-arm")).to_be_enabled()
     fake.mode = "silent"
     tab.sees("stale")

@@ -79,12 +79,9 @@ def test_a_model_that_waits_is_said_and_applied_by_name(fake: FakeService, tab: 
     expect(page.locator("#learning-title")).to_have_text("A new model waits")
     expect(page.locator("#learning-detail")).to_contain_text("Applying it disarms.")
     expect(page.locator("#learning-bar")).to_be_hidden()
-    expect(apply).to_be_disabled()
-    expect(apply).to_have_attribute("title", "Not now: enter the operator's name")
-    tab.named("Ada L.")
     apply.click()
     expect(page.locator("#outcome")).to_have_text("Disarmed. The new model takes over.")
-    assert calls_to(fake, "models/apply") == [{"operator": "Ada L."}]
+    assert calls_to(fake, "models/apply") == [{"operator": "A. Therapist"}]
 
 
 LONG_REFUSAL = WAITING | {"share": 0.0, "note": "the patient has moved, and all of this is to be read; " * 6}
@@ -104,13 +101,12 @@ def test_what_the_learning_has_to_say_moves_no_button(fake: FakeService, tab: Ta
     assert page.locator("#do-apply").is_visible() == (training is WAITING)
     assert [button.bounding_box() for button in buttons] == before
     spills = "e => e.scrollHeight > e.clientHeight && getComputedStyle(e).overflowY === 'visible'"
-    assert not page.locator("#learning").evaluate(spills), "the text lies over the operator's name"
+    assert not page.locator("#learning").evaluate(spills), "the text lies over the buttons"
 
 
 def test_apply_is_gone_when_the_stream_is_silent(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", sample(gate="hold", training=WAITING)
     page = tab.open("hold")
-    tab.named()
     expect(page.locator("#do-apply")).to_be_enabled()
     fake.mode = "silent"
     tab.sees("stale")
@@ -122,7 +118,6 @@ def test_a_refused_apply_shows_why(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", sample(gate="hold", training=WAITING)
     fake.problem = (409, {"code": "command_refused", "detail": "no new model waits to be applied"})
     page = tab.open("hold")
-    tab.named()
     page.click("#do-apply")
     expect(page.locator("#outcome")).to_have_text("Apply: no new model waits to be applied")
 
@@ -130,14 +125,13 @@ def test_a_refused_apply_shows_why(fake: FakeService, tab: Tab):
 def test_learning_again_keeps_the_zero_unless_told_otherwise_and_only_once(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", DISARMED
     page = tab.open("disarmed")
-    tab.named("Ada L.")
     for keeps in (True, False):
         page.set_checked("#keeps-zero", keeps)
         page.click("#do-retrain")
         expect(page.locator("#outcome")).to_have_attribute("data-kind", "done")
         expect(page.locator("#keeps-zero")).to_be_checked()
         fake_calls = calls_to(fake, "models/retrain")
-        assert fake_calls[-1] == {"operator": "Ada L.", "keeps_reference": keeps}
+        assert fake_calls[-1] == {"operator": "A. Therapist", "keeps_reference": keeps}
     assert len(fake_calls) == 2
 
 
@@ -145,7 +139,6 @@ def test_learning_again_keeps_the_zero_unless_told_otherwise_and_only_once(fake:
 def test_learning_while_measuring_shows_its_progress(fake: FakeService, tab: Tab, training: dict, text: str):
     fake.mode, fake.sample = "samples", sample(gate="hold", training=training)
     page = tab.open("hold")
-    tab.named()
     expect(page.locator("#learning-title")).to_have_text("Measuring, learning again")
     expect(page.locator("#learning-detail")).to_have_text(text)
     expect(page.locator("#do-retrain")).to_have_attribute("title", "Not now: already learning")
@@ -155,7 +148,6 @@ def test_a_refused_model_is_read_while_the_present_one_measures_on(fake: FakeSer
     note = "carry.correction_mm: 4.2 mm is more than 3 mm: the patient has moved"
     fake.mode, fake.sample = "samples", sample(gate="hold", training=WAITING | {"share": 0.0, "note": note})
     page = tab.open("hold")
-    tab.named()
     expect(page.locator("#learning-title")).to_have_text("Measuring, nothing new learned")
     expect(page.locator("#learning-detail")).to_have_text(f"Refused: {note}")
     expect(page.locator("#learning-bar")).to_be_hidden()
@@ -166,7 +158,6 @@ def test_a_session_without_a_zero_asks_for_the_reference(fake: FakeService, tab:
     fake.sessions = [detail(has_reference=False)]
     fake.mode, fake.sample = "samples", DISARMED
     page = tab.open("disarmed")
-    tab.named()
     expect(page.locator("#gate-reason")).to_have_text("Not armed. Set the reference before arming.")
     expect(page.locator("#learning-detail")).to_contain_text("set the reference")
     expect(page.locator("#hint")).to_have_text("To arm: set the reference first.")
@@ -182,7 +173,6 @@ def test_a_first_zero_that_sets_itself_is_not_asked_for(fake: FakeService, tab: 
     fake.sessions = [detail(has_reference=False, measurement_state="training")]
     fake.mode, fake.sample = "samples", DISARMED
     page = tab.open("disarmed")
-    tab.named()
     expect(page.locator("#who-patient")).to_have_text("P-0117")
     expect(page.locator("#do-arm")).to_be_enabled()
 
@@ -195,7 +185,6 @@ def test_nobody_is_offered_to_arm_while_the_stored_model_is_compared(fake: FakeS
     today.see()
     fake.mode, fake.sample = "samples", DISARMED | {"training": told(today.learner.progress)}
     page = tab.open("disarmed")
-    tab.named()
     expect(page.locator("#learning-title")).to_have_text("Measuring, comparing")
     for action in ("arm", "retrain"):
         expect(page.locator(f"#do-{action}")).to_be_disabled()

@@ -33,7 +33,6 @@ def test_without_a_session_the_page_offers_to_create_one(empty: Page):
 
 
 def test_the_form_sends_what_the_contract_asks_for(fake: FakeService, tab: Tab, empty: Page):
-    tab.named()
     fill(empty)
     empty.fill("[name=fraction_number]", "2")
     empty.click("#new-session [type=submit]")
@@ -59,7 +58,6 @@ def test_the_form_sends_what_the_contract_asks_for(fake: FakeService, tab: Tab, 
 
 
 def test_only_the_fields_of_the_chosen_source_and_signal_are_asked_and_sent(fake: FakeService, tab: Tab, empty: Page):
-    tab.named()
     fill(empty)
     empty.select_option("[name='source.kind']", "device")
     empty.select_option("[name='window.signal']", "region")
@@ -73,7 +71,6 @@ def test_only_the_fields_of_the_chosen_source_and_signal_are_asked_and_sent(fake
 
 
 def test_a_refusal_points_at_its_field(fake: FakeService, tab: Tab, empty: Page):
-    tab.named()
     fill(empty)
     problem = {"code": "invalid_value", "detail": "window.lower_mm: below upper_mm (3)", "field": "window.lower_mm"}
     fake.problem = (422, problem | {"value": "7", "bound": "below upper_mm (3)"})
@@ -84,18 +81,9 @@ def test_a_refusal_points_at_its_field(fake: FakeService, tab: Tab, empty: Page)
     expect(empty.locator("[name='window.upper_mm']")).to_have_attribute("aria-invalid", "false")
 
 
-def test_nothing_is_created_without_a_name(fake: FakeService, empty: Page):
-    fill(empty)
-    empty.click("#new-session [type=submit]")
-    expect(empty.locator("#setup-outcome")).to_contain_text("operator's name")
-    expect(empty.locator("#operator")).to_be_focused()
-    assert fake.posts() == []
-
-
 def test_a_missing_calibration_is_said_and_can_be_uploaded(fake: FakeService, tab: Tab, tmp_path: Path):
     fake.sessions, fake.calibrations = [], []
     page = tab.open("idle")
-    tab.named()
     expect(page.locator("[name=calibration_id]")).to_contain_text("No calibration yet")
     fake.calibrations = [dict(CALIBRATION)]
     document = tmp_path / "calibration.json"
@@ -120,7 +108,6 @@ def test_the_set_up_never_covers_the_gate_or_the_trace(fake: FakeService, tab: T
 
 
 def test_a_live_camera_can_be_asked_for_without_a_calibration(fake: FakeService, empty: Page):
-    empty.fill("#operator", "A. Therapist")
     fill(empty)
     empty.select_option("[name='source.kind']", "device")
     empty.select_option("[name=calibration_id]", label="None: the live camera's own registration")

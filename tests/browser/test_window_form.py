@@ -15,7 +15,6 @@ def form(fake: FakeService, tab: Tab) -> Page:
     fake.sessions = []
     page = tab.open("idle")
     expect(page.locator("#setup")).to_be_visible()
-    tab.named()
     page.fill("[name=patient_reference]", "P-0200")
     page.fill("[name=plan_id]", "PLAN-9")
     page.fill("[name=fraction_id]", "FX-1")

@@ -11,7 +11,17 @@ export class ApiError extends Error {
     this.status = status;
     this.code = problem.code ?? "";
     this.field = problem.field ?? "";
+    this.retryAfterS = null;
   }
+}
+
+/** Whether a call's answer says something about the log-in itself, and not about the page's. */
+const isAboutLogIn = (path) => path.startsWith("/login") || path === "/me" || path === "/me/password";
+let onRefused = () => {};
+
+/** @param {(status: number) => void} listener told of every 401 and 403: the log-in is over, or allows less than the page thinks */
+export function onRefusal(listener) {
+  onRefused = listener;
 }
 
 function sentence(status, problem) {
@@ -26,8 +36,14 @@ function sentence(status, problem) {
 async function call(method, path, body, headers = {}) {
   const response = await send(method, path, body, headers);
   const answer = await response.json().catch(() => null);
-  if (!response.ok) throw new ApiError(response.status, answer ?? {});
+  if (!response.ok) throw withWait(new ApiError(response.status, answer ?? {}), response);
   return answer;
+}
+
+function withWait(error, response) {
+  const seconds = Number(response.headers.get("Retry-After") ?? NaN);
+  if (Number.isFinite(seconds)) error.retryAfterS = seconds;
+  return error;
 }
 
 async function send(method, path, body, headers, timeoutMs = TIMEOUT_MS) {
@@ -37,7 +53,9 @@ async function send(method, path, body, headers, timeoutMs = TIMEOUT_MS) {
     request.headers["Content-Type"] = "application/json";
   }
   try {
-    return await fetch(ROOT + path, request);
+    const response = await fetch(ROOT + path, request);
+    if ((response.status === 401 || response.status === 403) && !isAboutLogIn(path)) onRefused(response.status);
+    return response;
   } catch (error) {
     const text = error.name === "TimeoutError" ? "The controller did not answer in time." : "The controller cannot be reached.";
     throw new ApiError(0, { code: "unreachable", detail: text });
@@ -57,8 +75,30 @@ export const qaReportUrl = (id) => `${ROOT}/qa/runs/${encodeURIComponent(id)}/re
 export const listDevices = () => call("GET", "/devices");
 export const listAudit = (id, limit) => call("GET", `/audit?session_id=${encodeURIComponent(id)}&limit=${limit}`);
 
-/** `action` is one of start, arm, disarm, hold, release, reference, acknowledge, stop. */
-export const act = (id, action, operator) => call("POST", `${session(id)}/${action}`, { operator });
+export const readMe = () => call("GET", "/me");
+export const logIn = (request) => call("POST", "/login", request);
+export const logOut = () => call("POST", "/logout", {});
+export const readLogInWays = () => call("GET", "/login/ways");
+/** Where a browser goes to be sent on to the hospital's own log-in. */
+export const OIDC_URL = `${ROOT}/login/oidc`;
+export const changePassword = (oldPassword, newPassword) =>
+  call("POST", "/me/password", { old_password: oldPassword, new_password: newPassword });
+
+const person = (name) => `/users/${encodeURIComponent(name)}`;
+export const listPeople = () => call("GET", "/users");
+export const addPerson = (request) => call("POST", "/users", request);
+export const changePerson = (name, changes) => call("PATCH", person(name), changes);
+export const listKeys = () => call("GET", "/keys");
+export const createKey = (request) => call("POST", "/keys", request);
+export const revokeKey = (id) => call("POST", `/keys/${encodeURIComponent(id)}/revoke`, {});
+
+/** Calls that only take permission away name nobody: the log-in says who, and no other name may stand in their way. */
+const HALTS = new Set(["hold", "disarm", "stop"]);
+/**
+ * `action` is one of start, arm, disarm, hold, release, reference, acknowledge, stop. `operator` is whom the page believes
+ * to be logged in: should another person have logged in with the same browser meanwhile, the controller refuses.
+ */
+export const act = (id, action, operator) => call("POST", `${session(id)}/${action}`, HALTS.has(action) ? {} : { operator });
 export const retrain = (id, operator, keepsReference) =>
   call("POST", `${session(id)}/models/retrain`, { operator, keeps_reference: keepsReference });
 /** `unit` is mm or l; `by` and `drift` are what the person saw and confirms. */

@@ -36,10 +36,10 @@ export class BaselineButton {
 
   #obstacle(sample) {
     if (sample === null) return "no running session";
-    if (this.confirmed !== null) return this.controls.operatorName === "" ? "enter the operator's name" : "";
+    const why = this.controls.forbids("correct");
+    if (why !== "" || this.confirmed !== null) return why;
     if (this.offer === null) return "the drift is not known, or the window has no edges on this signal";
-    if (this.offer.isSmall) return "the window lies where the baseline is";
-    return this.controls.operatorName === "" ? "enter the operator's name" : "";
+    return this.offer.isSmall ? "the window lies where the baseline is" : "";
   }
 
   #label() {

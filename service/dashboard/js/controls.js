@@ -2,18 +2,18 @@
  * The buttons of a session. None can turn the beam on: arming only lets the gate decide.
  *
  * Each is enabled only where it makes sense, and the line below says what is missing. Disarm and Hold are the exceptions:
- * one click or their key, at any time a running session is known, with or without a name or a fresh connection.
+ * one click or their key, at any time a running session is known, with or without a fresh connection, by whoever may.
  */
 
 import { act, applyModel, retrain } from "./api.js";
 import { setText } from "./gate.js";
 import { needsZero, stageOf } from "./learning.js";
+import { obstacle as forbidden } from "./permissions.js";
 import { rememberArming } from "./presence.js";
 
-/** What only takes permission away, and its key: never refused by the page, never asked twice. */
+/** What only takes permission away, and its key: never asked twice; a key is never swallowed, it is told what came of it. */
 const HALTS = { disarm: "Escape", hold: "F8" };
-const OPERATOR_KEY = "tidegate.operator";
-const UNNAMED = "unnamed at the page";
+const HALT_TITLES = { disarm: "Holds the beam until somebody arms again", hold: "Holds the beam until somebody releases it; the session stays armed" };
 /** How long "Stop" waits for the second click [ms]. */
 const CONFIRM_MS = 4000;
 
@@ -31,21 +31,20 @@ const DONE = {
   apply: "Disarmed. The new model takes over.",
 };
 
-/** Why an action makes no sense now, in the order a person would fix it; empty when it does. */
+/** Why an action makes no sense now, in the order a person would fix it; empty when it does. What a log-in allows comes before. */
 const OBSTACLES = {
-  arm: (c) => named(c) || running(c) || still(c) || (c.sample.gate === "fault" ? "acknowledge the fault first" : "") || measuring(c) || compared(c) || zeroed(c),
-  release: (c) => named(c) || running(c) || (c.sample.operator_hold ? "" : "nobody holds the beam"),
-  reference: (c) => named(c) || running(c) || still(c) || measuring(c),
-  retrain: (c) => named(c) || running(c) || compared(c) || (isLearning(c.sample) ? "already learning" : ""),
-  apply: (c) => named(c) || running(c) || (stageOf(c.sample) === "waiting" ? "" : "no new model waits"),
-  acknowledge: (c) => named(c) || running(c),
-  start: (c) => named(c) || (c.kind === "idle" ? "" : "a session is running") || (waits(c) ? "" : "create a session first"),
-  stop: (c) => named(c) || (waits(c) ? "" : running(c)),
+  arm: (c) => running(c) || still(c) || (c.sample.gate === "fault" ? "acknowledge the fault first" : "") || measuring(c) || compared(c) || zeroed(c),
+  release: (c) => running(c) || (c.sample.operator_hold ? "" : "nobody holds the beam"),
+  reference: (c) => running(c) || still(c) || measuring(c),
+  retrain: (c) => running(c) || compared(c) || (isLearning(c.sample) ? "already learning" : ""),
+  apply: (c) => running(c) || (stageOf(c.sample) === "waiting" ? "" : "no new model waits"),
+  acknowledge: (c) => running(c),
+  start: (c) => (c.kind === "idle" ? "" : "a session is running") || (waits(c) ? "" : "create a session first"),
+  stop: (c) => (waits(c) ? "" : running(c)),
 };
 
 /** Whether a session has been created and not yet started: there is at most one. */
 const waits = (c) => c.kind === "idle" && c.selected?.status === "created";
-const named = (c) => (c.operator === "" ? "enter the operator's name" : "");
 const running = (c) => (c.sample === null ? "no running session" : "");
 const still = (c) => (c.sample.is_armed ? "disarm first" : "");
 const compared = (c) => (stageOf(c.sample) === "comparing" ? "the stored model is still being compared" : "");
@@ -60,15 +59,9 @@ export class Controls {
     this.onChange = onChange;
     this.busy = null;
     this.lastRunningId = null;
-    this.context = { kind: "connecting", sample: null, selected: null, operator: "" };
+    this.context = { kind: "connecting", sample: null, selected: null, person: null };
     this.outcome = document.getElementById("outcome");
-    this.operator = document.getElementById("operator");
     this.keepsZero = document.getElementById("keeps-zero");
-    this.operator.value = sessionStorage.getItem(OPERATOR_KEY) ?? "";
-    this.operator.addEventListener("input", () => {
-      sessionStorage.setItem(OPERATOR_KEY, this.operatorName);
-      this.update(this.context);
-    });
     for (const action of Object.keys(OBSTACLES)) button(action).addEventListener("click", () => this.#press(action));
     for (const action of Object.keys(HALTS)) button(action).addEventListener("click", () => this.halt(action));
     document.addEventListener("keydown", (event) => {
@@ -79,23 +72,40 @@ export class Controls {
     }, { capture: true });
   }
 
+  /** The name of whoever is logged in; nothing while nobody is. */
   get operatorName() {
-    return this.operator.value.trim();
+    return this.context.person?.name ?? "";
   }
 
-  /** @param {{kind: string, sample: ?object, selected: ?object}} context the fresh sample of a running session, or null */
+  /** Why whoever is logged in may not do this at all, or nothing. */
+  forbids(action) {
+    return forbidden(this.context.person, action);
+  }
+
+  /** Nobody is logged in any more: what was said and known is not for whoever comes next. */
+  forget() {
+    this.lastRunningId = null;
+    this.busy = null;
+    this.say("", "");
+  }
+
+  /** @param {{kind: string, sample: ?object, selected: ?object, person: ?object}} context the fresh sample of a running session, or null; who is logged in, or null */
   update(context) {
-    this.context = { ...context, operator: this.operatorName };
+    this.context = context;
     if (context.sample !== null) this.lastRunningId = context.sample.session_id;
     else if (context.kind === "idle") this.lastRunningId = null;
-    this.operator.toggleAttribute("data-missing", this.operatorName === "");
     for (const [action, obstacle] of Object.entries(OBSTACLES)) {
-      const why = obstacle(this.context);
+      const why = this.forbids(action) || obstacle(this.context);
       button(action).disabled = why !== "" || this.busy !== null;
       button(action).title = why === "" ? "" : `Not now: ${why}`;
     }
     setText(document.getElementById("hint"), hint(this.context));
-    for (const action of Object.keys(HALTS)) button(action).disabled = this.lastRunningId === null;
+    for (const action of Object.keys(HALTS)) {
+      const why = this.forbids(action) || (this.lastRunningId === null ? "no running session" : "");
+      button(action).disabled = why !== "";
+      button(action).title = why === "" ? HALT_TITLES[action] : `Not now: ${why}`;
+    }
+    button("setup").disabled = context.person === null;
     button("release").classList.toggle("go", Boolean(context.sample?.operator_hold));
     const isFault = context.sample?.gate === "fault";
     button("acknowledge").hidden = !isFault;
@@ -106,8 +116,12 @@ export class Controls {
   }
 
   async halt(action) {
-    if (this.lastRunningId === null) return;
-    await this.#send(action, this.lastRunningId, this.operatorName || UNNAMED);
+    const why = this.forbids(action);
+    if (why !== "" && this.context.kind !== "idle") {
+      this.say("failed", `${label(action)}: ${why}.${elsewhere(action)}`);
+      return;
+    }
+    if (this.lastRunningId !== null) await this.#send(action, this.lastRunningId, this.operatorName);
   }
 
   /** Do something of another panel's, told of here like all else. */
@@ -146,8 +160,7 @@ export class Controls {
       if (this.busy === mine) this.say("done", DONE[action]);
     } catch (error) {
       // A refused or failed halt is never hidden behind a later answer: it names what else stops the beam.
-      const hint = action in HALTS ? ` The page could not ${action}: use the room's interlock.` : "";
-      this.say("failed", `${label(action)}: ${error.message}${hint}`);
+      this.say("failed", `${label(action)}: ${error.message}${action in HALTS ? elsewhere(action) : ""}`);
     } finally {
       if (this.busy === mine) this.busy = null;
       this.update(this.context);
@@ -174,12 +187,17 @@ export class Controls {
   }
 }
 
+/** What else stops the beam when this page cannot. */
+function elsewhere(action) {
+  return ` The page could not ${action}: use the room's interlock.`;
+}
+
 /** What stands between the person and the next step. */
 function hint(context) {
   const next = context.sample === null ? "start" : "arm";
   if (context.sample === null && context.kind !== "idle") return "";
   if (context.sample?.is_armed) return "";
-  const why = OBSTACLES[next](context);
+  const why = forbidden(context.person, next) || OBSTACLES[next](context);
   return why === "" ? "" : `To ${next}: ${why}.`;
 }
 

@@ -28,6 +28,11 @@ export class EventList {
     this.nextMs = 0;
   }
 
+  /** Say why there is nothing to see. */
+  tell(text) {
+    if (this.list.childElementCount === 0) this.#sayEmpty(text);
+  }
+
   /** Something changed: look again soon. */
   hurry(nowMs) {
     this.nextMs = Math.min(this.nextMs, nowMs + SOON_MS);

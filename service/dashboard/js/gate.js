@@ -5,7 +5,7 @@ const COVER_MS = 700;
 /** Re-opening the cover costs a frame of the compositor; no need for it more often [ms]. */
 const COVER_RENEW_MS = 100;
 
-const SAID_AT_ONCE = new Set(["fault", "stale", "offline"]);
+const SAID_AT_ONCE = new Set(["fault", "stale", "offline", "out"]);
 
 export class GatePanel {
   constructor(root) {

@@ -15,10 +15,15 @@ const FIRST_RETRY_MS = 250;
 const LAST_RETRY_MS = 5000;
 
 export class LiveStream {
-  /** @param {(message: object) => void} onMessage called for every valid sample and idle message */
-  constructor(url, onMessage) {
+  /**
+   * @param {(message: object) => void} onMessage called for every valid sample and idle message
+   * @param {() => void} onEnd called when a connection ended, perhaps because the log-in did
+   */
+  constructor(url, onMessage, onEnd) {
     this.url = url;
     this.onMessage = onMessage;
+    this.onEnd = onEnd;
+    this.isWanted = false;
     this.message = null;
     this.problem = "";
     this.hasConnectedOnce = false;
@@ -33,6 +38,7 @@ export class LiveStream {
   /** Connect now; everything known from before is forgotten. */
   connect() {
     this.#forget();
+    this.isWanted = true;
     this.retryAtMs = null;
     this.connectedAtMs = performance.now();
     const socket = new WebSocket(this.url);
@@ -41,8 +47,23 @@ export class LiveStream {
       if (socket === this.socket) this.#receive(event.data);
     });
     socket.addEventListener("close", () => {
-      if (socket === this.socket) this.#retryLater();
+      if (socket !== this.socket) return;
+      this.#retryLater();
+      this.onEnd();
     });
+  }
+
+  /** Watch no more, and know nothing: nobody is logged in who may. */
+  stop() {
+    const { socket } = this;
+    this.#forget();
+    this.isWanted = false;
+    this.socket = null;
+    this.retryAtMs = null;
+    this.lastNewsMs = null;
+    this.hasConnectedOnce = false;
+    this.retryMs = FIRST_RETRY_MS;
+    socket?.close();
   }
 
   /** Age of the newest message's content [ms], or null when there is none. */
@@ -58,6 +79,7 @@ export class LiveStream {
 
   /** To be called often: reconnects when it is time, gives up a socket that has gone silent. */
   tend(nowMs) {
+    if (!this.isWanted) return;
     if (this.retryAtMs !== null && nowMs >= this.retryAtMs) this.connect();
     else if (this.retryAtMs === null && this.#quietMs(nowMs) > GIVE_UP_MS) {
       const socket = this.socket;

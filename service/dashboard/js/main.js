@@ -1,5 +1,6 @@
 /** Puts the page together: the stream feeds the panels, two clocks make sure that nothing old is shown as new. */
 
+import { Access } from "./access.js";
 import { listSessions, readSession } from "./api.js";
 import { BaselineButton } from "./baseline.js";
 import { renderBreath } from "./breath.js";
@@ -10,12 +11,14 @@ import { GatePanel, setText } from "./gate.js";
 import { GridPanel } from "./grid.js";
 import { needsZero, renderLearning } from "./learning.js";
 import { LiveStream } from "./live.js";
+import { LogIn } from "./login.js";
+import { PeoplePanel } from "./people.js";
 import { PicturePanel } from "./picture.js";
 import { Presence } from "./presence.js";
 import { QaPanel } from "./qa.js";
 import { Range } from "./scale.js";
 import { Setup } from "./setup.js";
-import { MismatchWatch, present } from "./state.js";
+import { MismatchWatch, present, presentLocked } from "./state.js";
 import { Trace } from "./trace.js";
 import { describe as describeWindow, gatedUnit, gatedValue } from "./window.js";
 
@@ -32,7 +35,8 @@ const byId = (id) => document.getElementById(id);
 const liveUrl = new URL("/api/v1/live", window.location.href);
 liveUrl.protocol = liveUrl.protocol === "https:" ? "wss:" : "ws:";
 
-const stream = new LiveStream(liveUrl, receive);
+const access = new Access(() => followAccess());
+const stream = new LiveStream(liveUrl, receive, () => access.ask());
 const gate = new GatePanel(byId("gate"));
 const trace = new Trace(byId("trace"));
 const picture = new PicturePanel(byId("picture"), byId("overlay"));
@@ -41,7 +45,9 @@ const events = new EventList(byId("events"), byId("events-empty"));
 const controls = new Controls(() => lookAgain());
 const baseline = new BaselineButton(byId("do-correct"), controls);
 const presence = new Presence();
-const setup = new Setup(() => controls.operatorName, select);
+const setup = new Setup(access, select);
+const people = new PeoplePanel(access);
+const logIn = new LogIn(access);
 const qa = new QaPanel();
 const range = new Range();
 const mismatch = new MismatchWatch();
@@ -55,6 +61,51 @@ let hasLooked = false;
 let isSimulatedBeam = false;
 let nextLookMs = 0;
 let nextDescribeMs = 0;
+
+/** Somebody logged in, or out, or may something else now. */
+function followAccess() {
+  const isNew = access.state === "in" && document.body.dataset.access !== "in";
+  document.body.dataset.access = access.state;
+  logIn.show();
+  byId("person").hidden = access.person === null;
+  setText(byId("person-name"), access.person?.name ?? "");
+  setText(byId("person-roles"), access.person?.roles.join(", ") ?? "");
+  byId("badge-glass").hidden = access.person?.is_break_glass !== true;
+  byId("do-people").hidden = !access.may("people");
+  if (!access.may("people")) people.show(false);
+  if (access.may("watch")) watch();
+  else leave();
+  // Whoever runs no sessions is here for this.
+  if (isNew && access.may("people") && !access.may("create")) people.show(true);
+  render();
+}
+
+function watch() {
+  if (!stream.isWanted) stream.connect();
+  setup.refresh();
+}
+
+/** Nothing of the patient, the session or the beam stays on a page that nobody is logged in at. */
+function leave() {
+  stream.stop();
+  session = null;
+  shownSessionId = null;
+  hasLooked = false;
+  trace.reset(null);
+  picture.follow(null, false);
+  events.follow(null);
+  setup.forget();
+  controls.forget();
+  qa.forget();
+}
+
+async function logOut() {
+  try {
+    await access.leave();
+  } catch (error) {
+    controls.say("failed", `Log out: ${error.message} You are still logged in.`);
+  }
+}
 
 function receive(message, nowMs) {
   if (message.type !== "sample") return;
@@ -75,7 +126,7 @@ function select(chosen) {
 async function lookAgain() {
   events.hurry(performance.now());
   if (shownSessionId !== null) await describe(shownSessionId);
-  await Promise.all([setup.refresh(), qa.refresh()]);
+  await Promise.all([setup.refresh(), access.may("watch") ? qa.refresh() : null]);
 }
 
 async function describe(id) {
@@ -101,9 +152,10 @@ async function lookForSession() {
   } catch {
     return;
   }
+  if (!access.may("watch")) return;
   if (newest?.status === "created" && newest.id !== shownSessionId) select(newest);
   else if (newest !== undefined && newest.id === shownSessionId) session = newest;
-  if (isFirstLook && session === null) setup.show(true);
+  if (isFirstLook && session === null && access.may("create") && people.isHidden) setup.show(true);
 }
 
 function follow(view, sample, nowMs) {
@@ -141,8 +193,9 @@ function fraction({ fraction_id: id, fraction_number: number }) {
 /** One pass over everything that can go stale; called by a timer and by every animation frame. */
 function render() {
   const nowMs = performance.now();
+  access.tend(nowMs);
   stream.tend(nowMs);
-  const view = present(stream, nowMs);
+  const view = access.may("watch") ? present(stream, nowMs) : presentLocked(access);
   const isSample = view.isFresh && stream.message?.type === "sample";
   const sample = isSample ? stream.message : null;
   view.warning = mismatch.check(sample, nowMs) || view.warning;
@@ -152,11 +205,12 @@ function render() {
   setText(byId("figure-line"), lineText(sample));
   const running = sample?.session_status === "running" ? sample : null;
   follow(view, sample, nowMs);
-  controls.update({ kind: view.kind, sample: running, selected: session });
+  controls.update({ kind: view.kind, sample: running, selected: session, person: access.state === "in" ? access.person : null });
   baseline.update(view.isCurrent ? running : null);
   presence.tend(running, controls.operatorName, nowMs);
-  if (view.isFresh) events.tend(nowMs);
-  qa.tend(nowMs);
+  if (!access.may("events")) events.tell(access.state === "in" ? "Not shown: your log-in does not allow it." : "Nothing yet.");
+  else if (view.isFresh) events.tend(nowMs);
+  if (access.may("watch")) qa.tend(nowMs);
   return { nowMs, view, sample };
 }
 
@@ -205,8 +259,13 @@ function renderTraceValue(sample) {
 byId("trace-choice").addEventListener("change", (event) => {
   trace.choice = event.target.value;
 });
-document.addEventListener("visibilitychange", render);
-stream.connect();
+document.addEventListener("visibilitychange", () => {
+  // Another person may have logged in with this browser meanwhile.
+  if (!document.hidden && access.state === "in") access.ask();
+  render();
+});
+byId("do-log-out").addEventListener("click", logOut);
+byId("do-account").addEventListener("click", () => logIn.ask(logIn.panel.hidden));
 picture.run();
 setInterval(render, TICK_MS);
 requestAnimationFrame(draw);

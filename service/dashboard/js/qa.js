@@ -22,6 +22,14 @@ export class QaPanel {
     this.refresh();
   }
 
+  /** Nobody is logged in any more. */
+  forget() {
+    this.list.replaceChildren();
+    this.badge.hidden = true;
+    setText(byId("qa-note"), "");
+    this.nextMs = 0;
+  }
+
   async refresh() {
     try {
       this.#show(await readQaStatus());

@@ -2,6 +2,7 @@
 
 import { createSession, listCalibrations, listDevices, listSessions, uploadCalibration } from "./api.js";
 import { Conditions } from "./conditions.js";
+import { may, obstacle } from "./permissions.js";
 
 const SHOWN = 12;
 const MAX_CALIBRATION_BYTES = 1_000_000;
@@ -9,11 +10,11 @@ const OPTIONAL = new Set(["fraction_number", "source.uri", "calibration_id", "re
 
 export class Setup {
   /**
-   * @param {() => string} operatorName who is at the page
+   * @param {import("./access.js").Access} access who is logged in, and what they may
    * @param {(session: object) => void} onSelect called with the session a person chose or created
    */
-  constructor(operatorName, onSelect) {
-    this.operatorName = operatorName;
+  constructor(access, onSelect) {
+    this.access = access;
     this.onSelect = onSelect;
     this.panel = document.getElementById("setup");
     this.toggle = document.getElementById("do-setup");
@@ -36,7 +37,29 @@ export class Setup {
     this.panel.hidden = !isShown;
     this.toggle.setAttribute("aria-expanded", String(isShown));
     document.body.dataset.setup = isShown ? "yes" : "no";
-    if (isShown) this.refresh();
+    if (isShown) {
+      this.#offer();
+      this.refresh();
+    }
+  }
+
+  /** Nobody is logged in any more: no names and no patients stay behind. */
+  forget() {
+    this.show(false);
+    this.form.reset();
+    document.getElementById("session-list").replaceChildren();
+    this.#say("", "");
+  }
+
+  /** What a log-in does not allow is not offered as if it did. */
+  #offer() {
+    const { person } = this.access;
+    const why = obstacle(person, "create");
+    this.form.querySelector("[type=submit]").disabled = why !== "";
+    byId("setup-why").hidden = why === "";
+    byId("setup-why").textContent = why === "" ? "" : `Not to be created here: ${why}.`;
+    byId("calibration-file").disabled = !may(person, "upload");
+    byId("calibration-file").title = obstacle(person, "upload");
   }
 
   /** Ask the controller again for sessions, calibrations and cameras. */
@@ -98,13 +121,12 @@ export class Setup {
   async #upload(input) {
     const [file] = input.files;
     if (!file) return;
-    if (!this.#isNamed()) return this.#reset(input);
     if (file.size > MAX_CALIBRATION_BYTES) {
       this.#say("failed", `${file.name} has ${file.size} bytes; a calibration has a few thousand.`);
       return this.#reset(input);
     }
     try {
-      const stored = await uploadCalibration(await file.text(), this.operatorName());
+      const stored = await uploadCalibration(await file.text(), this.access.person.name);
       await this.#loadCalibrations(stored.id);
       const notes = (stored.notes ?? []).map((note) => ` Mind: ${note}.`);
       this.#say("done", `Calibration of ${stored.camera} stored.${notes.join("")}`);
@@ -120,7 +142,6 @@ export class Setup {
 
   async #create() {
     this.#mark("");
-    if (!this.#isNamed()) return;
     const submit = this.form.querySelector("[type=submit]");
     submit.disabled = true;
     try {
@@ -138,7 +159,7 @@ export class Setup {
 
   /** What the visible fields say, as nested JSON: `window.lower_mm` becomes `{window: {lower_mm}}`. */
   #request() {
-    const request = { operator: this.operatorName() };
+    const request = { operator: this.access.person.name };
     for (const input of this.form.elements) {
       if (!input.name || input.closest("[hidden]")) continue;
       const value = read(input);
@@ -151,13 +172,6 @@ export class Setup {
   #showWindow() {
     byId("join-field").hidden = this.conditions.count < 2;
     byId("own-regions").hidden = !this.conditions.asksForRegions;
-  }
-
-  #isNamed() {
-    if (this.operatorName() !== "") return true;
-    this.#say("failed", "Enter the operator's name first (on the left).");
-    document.getElementById("operator").focus();
-    return false;
   }
 
   #showFields() {

@@ -40,6 +40,18 @@ export function present(stream, nowMs) {
   return gate(message, ageMs);
 }
 
+/**
+ * What the page may claim while nobody is logged in who may see more: nothing.
+ *
+ * @param {import("./access.js").Access} access
+ */
+export function presentLocked(access) {
+  if (access.state === "asking") return stopped("connecting", "Connecting", access.reason || "Waiting for the controller.", null);
+  if (access.state === "change") return stopped("out", "Locked", "Choose a password of your own first.", null);
+  if (access.state === "out") return stopped("out", "Logged out", access.reason || `${UNKNOWN} Log in to see it.`, null);
+  return stopped("out", "Not shown", `What you may do (${access.person.roles.join(", ") || "nothing"}) does not include watching sessions.`, null);
+}
+
 function gate(message, ageMs) {
   const kind = message.gate;
   if (message.session_status !== "running" && kind !== "beam_on") {
