@@ -30,6 +30,7 @@ from tests.faults.kinds import (
     Inject,
     told,
 )
+from tests.faults.person import NAME
 from tests.faults.plan import OWN_CLOCK
 from tests.faults.verdict import Recovery
 
@@ -50,6 +51,12 @@ DISK_LOOK_MS = 1000.0
 MOST_CALLS = 400
 CALLERS, CLIENTS = 8, 24
 BUSY_LOOP = "while True: pass"
+MADE_UP: tuple[dict[str, str], ...] = (
+    {},
+    {"Authorization": "Bearer tg_00000000_made-up"},
+    {"Cookie": "tidegate=made-up", "Origin": "http://elsewhere.example"},
+)
+"""What somebody sends whom nobody let in."""
 
 
 def wall_clock(hours: int) -> Inject:
@@ -151,12 +158,19 @@ def processors_busy(rig: "Rig", chance: random.Random) -> Fault:
 def call_flood(rig: "Rig", chance: random.Random) -> Fault:
     """Call the API from eight threads, a bounded number of times, with everything a client may send, and more."""
     calls = _calls(rig, chance)
-    return _many(CALLERS, lambda number, over: _caller(rig.port, calls, number, over))
+    return _many(CALLERS, lambda number, over: _caller(rig, calls, number, over, rig.person.headers))
+
+
+def stranger_flood(rig: "Rig", chance: random.Random) -> Fault:
+    """The same from eight threads that nobody knows, who try to log in besides, and show keys that they made up."""
+    calls = _calls(rig, chance) + [("POST", "/api/v1/login", {"name": "Mallory", "password": "let me in, please"})] * 5
+    chance.shuffle(calls)
+    return _many(CALLERS, lambda number, over: _caller(rig, calls, number, over, MADE_UP[number % len(MADE_UP)]))
 
 
 def client_flood(rig: "Rig", _random: random.Random) -> Fault:
     """Open more live streams than there may be, and read none of them."""
-    return _many(CLIENTS, lambda _number, over: _silent_client(rig.port, over))
+    return _many(CLIENTS, lambda _number, over: _silent_client(rig, over))
 
 
 def _calls(rig: "Rig", chance: random.Random) -> list[tuple[str, str, object]]:
@@ -170,9 +184,9 @@ def _calls(rig: "Rig", chance: random.Random) -> list[tuple[str, str, object]]:
         ("GET", "/metrics", None),
         ("GET", "/api/v1/audit/verify", None),
         ("POST", f"{session}/arm", {"operator": "Nobody"}),
-        ("POST", f"{session}/acknowledge", {"operator": "Nobody"}),
-        ("POST", f"{session}/start", {"operator": "Nobody"}),
-        ("POST", f"{session}/baseline-correction", {"operator": "Nobody", "by_mm": 1e9, "drift_mm": "a"}),
+        ("POST", f"{session}/acknowledge", {"operator": NAME}),
+        ("POST", f"{session}/start", {"operator": NAME}),
+        ("POST", f"{session}/baseline-correction", {"operator": NAME, "by_mm": 1e9, "drift_mm": "a"}),
         ("POST", "/api/v1/sessions", {"operator": "Nobody" * 1000}),
         ("POST", f"{session}/arm", {"operator": "Nobody", "extra": list(range(2000))}),
         ("DELETE", session, None),
@@ -181,8 +195,10 @@ def _calls(rig: "Rig", chance: random.Random) -> list[tuple[str, str, object]]:
     return calls
 
 
-def _caller(port: int, calls: list[tuple[str, str, object]], number: int, over: threading.Event) -> None:
-    with httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=20.0) as client:
+def _caller(
+    rig: "Rig", calls: list[tuple[str, str, object]], number: int, over: threading.Event, headers: dict[str, str]
+) -> None:
+    with httpx2.Client(base_url=f"http://127.0.0.1:{rig.port}", timeout=20.0, headers=headers) as client:
         for index in range(MOST_CALLS // CALLERS):
             if over.is_set():
                 return
@@ -191,8 +207,12 @@ def _caller(port: int, calls: list[tuple[str, str, object]], number: int, over: 
                 client.request(method, path, json=body)
 
 
-def _silent_client(port: int, over: threading.Event) -> None:
-    with contextlib.suppress(OSError, WebSocketException), connect(f"ws://127.0.0.1:{port}/api/v1/live") as socket:
+def _silent_client(rig: "Rig", over: threading.Event) -> None:
+    url = f"ws://127.0.0.1:{rig.port}/api/v1/live"
+    with (
+        contextlib.suppress(OSError, WebSocketException),
+        connect(url, additional_headers=rig.key_headers) as socket,
+    ):
         over.wait(20.0)
         socket.close()
 
@@ -287,6 +307,13 @@ KINDS = (
     beside(
         _kind(
             *("call-flood", "400 API calls from 8 clients, then a marker is covered", call_flood),
+            told("frame_late", "frame_missing", "frame_stale", "latency_high", "watchdog", "beam_line_failed"),
+            BY_ITSELF,
+        )
+    ),
+    beside(
+        _kind(
+            *("stranger-flood", "400 calls and log-ins of 8 strangers, then a marker is covered", stranger_flood),
             told("frame_late", "frame_missing", "frame_stale", "latency_high", "watchdog", "beam_line_failed"),
             BY_ITSELF,
         )

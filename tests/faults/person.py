@@ -1,4 +1,4 @@
-"""A person in front of the page, over HTTP: makes a session, sets the zero, acknowledges, arms; and sees the audit."""
+"""A person at the page, logged in, over HTTP: makes a session, sets the zero, acknowledges, arms; and sees the audit."""
 
 import contextlib
 import threading
@@ -17,11 +17,18 @@ class PersonGaveUpError(Exception):
 
 
 class Person:
-    """Calls one service; every call names the person."""
+    """Calls one service; every call names the person.
 
-    def __init__(self, port: int) -> None:
+    Parameters
+    ----------
+    headers
+        Those of a log-in that is open in the service's data folder.
+    """
+
+    def __init__(self, port: int, headers: dict[str, str]) -> None:
         self.port = port
-        self._client = httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=20.0)
+        self.headers = headers
+        self._client = httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=20.0, headers=headers)
         self.session_id = ""
         self._present = threading.Event()
         self._is_over = threading.Event()
@@ -55,11 +62,16 @@ class Person:
 
     def make_session(self, request: dict[str, Any]) -> str:
         """Make and start a session; the id is kept."""
-        body = {"patient_reference": "P-1", "plan_id": "PLAN", "fraction_id": "FX", "operator": NAME, **request}
-        self.session_id = str(_body(self._client.post("/api/v1/sessions", json=body))["id"])
+        self.create_session(request)
         answer = self.act("start")
         if answer.status_code != 200:
             raise PersonGaveUpError(f"the session does not start: {answer.text}")
+        return self.session_id
+
+    def create_session(self, request: dict[str, Any]) -> str:
+        """Make a session; the id is kept."""
+        body = {"patient_reference": "P-1", "plan_id": "PLAN", "fraction_id": "FX", "operator": NAME, **request}
+        self.session_id = str(_body(self._client.post("/api/v1/sessions", json=body))["id"])
         return self.session_id
 
     def act(self, action: str, **more: object):
@@ -69,6 +81,12 @@ class Person:
 
     def post(self, path: str, **more: object):
         return self._client.post(f"/api/v1{path}", json={"operator": NAME, **more})
+
+    def post_as_is(self, path: str, body: dict[str, Any]):
+        return self._client.post(f"/api/v1{path}", json=body)
+
+    def get_top(self, path: str):
+        return self._client.get(path)
 
     def get(self, path: str):
         return self._client.get(f"/api/v1{path}")

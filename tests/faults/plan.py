@@ -16,5 +16,5 @@ ANYBODY = Plan(name="default")
 WATCHED = Plan(name="watched", settings={"OPERATOR_TIMEOUT_S": 3.0})
 """The page of whoever armed has to be heard of."""
 
-OWN_CLOCK = Plan(name="own clock", has_own_clock=True)
+OWN_CLOCK = Plan(name="own clock", settings={"LOGIN_IDLE_MIN": 120.0}, has_own_clock=True)
 """The wall clock of this process alone can be changed, the monotonic one is the machine's."""

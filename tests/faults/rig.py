@@ -20,11 +20,12 @@ from typing import Any
 from tests.beam.modbus_server import COIL, INPUT, REGISTER, UNIT
 from tests.beam.receivers import Receiver
 from tests.faults.ledger import Ledger
-from tests.faults.person import Person, PersonGaveUpError
+from tests.faults.person import NAME, Person, PersonGaveUpError
 from tests.faults.plan import Plan
 from tests.faults.verdict import LineEdge, is_on_at
 from tests.faults.wall_clock import WallClock
 from tests.faults.watchman import Watchman
+from tests.service.people import EVERY_ROLE, provision
 from tests.service.processes import ROOT, free_port
 from tests.xtion.camera import CameraSilentError, VirtualXtion
 
@@ -41,6 +42,7 @@ SETTINGS = {
     "BEAM_MODBUS_HEARTBEAT_REGISTER": REGISTER,
     "BEAM_MODBUS_READBACK_INPUT": INPUT,
     "MIN_FREE_DISK_MB": FREE_MB,
+    "SESSION_ROOM_MIN": 1,
     "LIKENESS_SECONDS": 2.0,
     "LIKENESS_MAX_SHIFT_MM": 60.0,
 }
@@ -95,7 +97,9 @@ class Rig:
             self.camera = held.enter_context(VirtualXtion(self.folder))
             self.port = free_port()
             held.callback(self._kill_service)
-            self.person = Person(self.port)
+            let_in = provision(self.data, people={NAME: EVERY_ROLE}, origin=f"http://127.0.0.1:{self.port}")
+            self.key_headers = let_in.key
+            self.person = Person(self.port, let_in.headers)
             held.callback(self.person.close)
             self.start_service()
             self._held = held.pop_all()
@@ -144,6 +148,11 @@ class Rig:
         return self.process.pid
 
     def start_service(self) -> None:
+        self.begin_service()
+        self.person.wait_for_service(lambda: self.is_alive)
+
+    def begin_service(self) -> None:
+        """Start it, and do not wait for it."""
         self._log_number += 1
         (self.folder / "saboteur").unlink(missing_ok=True)
         command = ["tests.faults.service", str(self.folder / "saboteur"), "serve", "--data", str(self.data)]
@@ -155,7 +164,6 @@ class Rig:
                 stderr=subprocess.STDOUT,
                 env=self._environment(),
             )
-        self.person.wait_for_service(lambda: self.is_alive)
 
     def signal(self, number: int) -> int:
         """Send the service a signal; returns when."""

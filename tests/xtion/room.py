@@ -151,7 +151,10 @@ def room(folder: Path, film: Film | None = None, **settings: object) -> Iterator
         told = {**SETTINGS, "BEAM_MODBUS_PORT": far.where, **settings}
         environment = camera.environment | {f"TIDEGATE_{name}": str(value) for name, value in told.items()}
         arguments = ("service.cli", "serve", "--port", str(port), "--data", str(folder / "data"))
-        with service_process(*arguments, port=port, log=folder / "log", environment=environment) as (_, client):
+        started = service_process(
+            *arguments, port=port, log=folder / "log", environment=environment, data=folder / "data"
+        )
+        with started as (_, client):
             held = Room(camera=camera, far=far, client=client)
             held.calibration_id = upload(client, camera.film.calibration_path.read_bytes()).json()["id"]
             yield held
