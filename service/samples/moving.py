@@ -56,7 +56,7 @@ def move_out(connection: Connection, folder: Path | None) -> None:
             session_id=session_id,
             calibration_sha256=calibration_sha256,
             model_id=model_id or "",
-            regions=tuple(region["name"] for region in json.loads(regions).get("named", [])),
+            regions=_names(regions),
         )
         write_parquet(path, head.schema, _pieces(connection, session_id, head.schema))
 
@@ -70,6 +70,14 @@ def move_back(connection: Connection, folder: Path | None) -> None:
     for session_id in sorted({*shelf.stored(), *shelf.left_streams()} & known):
         for batch in shelf.batches(session_id):
             connection.execute(INSERT, [_row(session_id, row) for row in batch.to_pylist()])
+
+
+def _names(regions: str) -> tuple[str, ...]:
+    """Read the named regions of a session; one that says no such thing has none."""
+    try:
+        return tuple(region["name"] for region in json.loads(regions).get("named", []))
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return ()
 
 
 def _shelf(folder: Path | None) -> SampleShelf:

@@ -72,7 +72,7 @@ def _value(connection: Connection, column: Column[Any], number: int) -> object:
     if isinstance(kind, Double | Float):
         return number / 8.0
     if isinstance(kind, LargeBinary):
-        return bytes([0, 255, number])
+        return bytes([0, 255, number, 64])  # four bytes: a number of single precision
     text = f"{column.name} ÄÖ {number}"
     length = getattr(kind, "length", None)
     return text if length is None else f"{number}-{text}"[:length]
