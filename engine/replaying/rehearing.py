@@ -73,7 +73,7 @@ class Rehearing:
             raise RehearsalOver
         then, words = next(self._answers, (None, None))
         if then is not seam:
-            self._compare_told()
+            self._compare_told(is_all=False)
             self._differ(f"{'nothing more' if then is None else then.name} heard", f"{seam.name} asked")
             raise RehearsalOver
         answer = self._spelling.read(words)
@@ -128,11 +128,12 @@ class Rehearing:
             self._differ(f"frame {head.index} at {head.timestamp_us} us", str(error))
             raise RehearsalOver from error
 
-    def _compare_told(self) -> None:
+    def _compare_told(self, *, is_all: bool = True) -> None:
+        """Hold what was told against what was told then; not all of it within a turn."""
         assert self._turn is not None
         rows, told = self._turn.rows, self._told
         self._told = []
-        for place in range(max(len(rows), len(told))):
+        for place in range(max(len(rows), len(told)) if is_all else len(told)):
             then = rows[place] if place < len(rows) else NOT_TOLD
             now = told[place] if place < len(told) else NOT_TOLD
             if not same(then, now):

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import typer
 
 import engine
 from engine.phantom.recording import make_volunteer
@@ -93,12 +94,12 @@ def main() -> int:
     wish = parser.parse_args()
     frames = transitions = identical = 0
     for outcome in outcomes(wish.sessions, wish.first_seed):
-        print(outcome.line, flush=True)
+        typer.echo(outcome.line)
         replayed = outcome.verdict.replay
         frames += replayed.frames
         transitions += len(replayed.transitions) + len(replayed.elsewhere)
         identical += outcome.verdict.is_identical
-    print(f"{identical} of {wish.sessions} sessions identical: {frames} frames, {transitions} transitions")
+    typer.echo(f"{identical} of {wish.sessions} sessions identical: {frames} frames, {transitions} transitions")
     return 0 if identical == wish.sessions else 1
 
 
