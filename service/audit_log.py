@@ -1,4 +1,4 @@
-"""The audit log as the service uses it: refusals written down, pages read, the chain walked."""
+"""The audit log as the service uses it: events and refusals written down, pages read."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -47,18 +47,6 @@ class AuditLog:
         with self._database.read() as db:
             rows, next_cursor = repository.audit_page(db, cursor, limit, session_id)
             return schemas.AuditPage(items=[_entry(row) for row in rows], next_cursor=next_cursor)
-
-    def verify(self) -> schemas.AuditVerification:
-        """Walk the whole chain."""
-        with self._database.read() as db:
-            found = audit.verify(db)
-        return schemas.AuditVerification(
-            is_intact=found.first_broken_sequence is None,
-            rows=found.rows,
-            head_hash=found.head_hash,
-            first_broken_sequence=found.first_broken_sequence,
-            detail=found.detail,
-        )
 
 
 def _entry(row: AuditRow) -> schemas.AuditEntry:

@@ -131,6 +131,12 @@ class StorageUnwritableError(ServiceError):
     code = "storage_unwritable"
 
 
+class AuditBusyError(ServiceError):
+    """The audit is being verified already; a walk is work, and one is enough."""
+
+    code = "audit_busy"
+
+
 class MediaTypeError(ServiceError):
     """The body is not JSON by its Content-Type."""
 
@@ -257,6 +263,7 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     SamplesRemovedError: (404, "The samples are not there any more"),
     StorageLowError: (507, "There is no room for another session"),
     StorageUnwritableError: (503, "The disk takes nothing"),
+    AuditBusyError: (409, "The audit is being verified already"),
     MediaTypeError: (415, "The body must be JSON"),
     NotLoggedInError: (401, "Nobody is logged in"),
     LoginFailedError: (401, "The log-in was refused"),

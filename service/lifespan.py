@@ -13,7 +13,9 @@ from service.access.desk import AccessDesk, open_access
 from service.access.first import TellFirst, make_first_admin
 from service.access.oidc_desk import OidcDesk
 from service.audit import SYSTEM, Event
+from service.audit.anchors import AnchorFile
 from service.audit.care import AuditCare
+from service.audit_desk import AuditDesk
 from service.audit_log import AuditLog
 from service.calibrations import CalibrationShelf
 from service.db.engine import Database
@@ -133,7 +135,7 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFi
         samples=SampleDesk(database, shelf),
         calibrations=CalibrationShelf(database, log),
         models=ModelShelf(database, room),
-        audit=log,
+        audit=AuditDesk(database, log, AnchorFile(settings.anchor_file), site=settings.site_name),
         health=ReadinessProbe(database, settings, lambda: care.troubles),
         interlocks=InterlockTable(settings),
         metrics=Metrics(tallies, room),

@@ -20,6 +20,8 @@ from engine.notices import LearningNotice
 from engine.permits import HoldReason
 from engine.transition_journal import TransitionJournal
 from service import schemas
+from service.audit.export import ExportRequest
+from service.audit_schemas import AuditVerification
 from service.gate_schemas import BaselineCorrectionRequest, InterlockList
 from service.live_messages import Sample
 from service.window_schemas import Window
@@ -256,8 +258,14 @@ class AuditPort(Protocol):
     def page(self, cursor: str | None, limit: int, session_id: str | None) -> schemas.AuditPage:
         """List its rows, newest first."""
 
-    def verify(self) -> schemas.AuditVerification:
-        """Walk the chain."""
+    def verify(self, after: int, limit: int) -> AuditVerification:
+        """Walk a bounded part of the chain."""
+
+    def export(self, request: ExportRequest, actor: str) -> Iterator[str]:
+        """Write rows for others, piece by piece; that it was asked for is written down first."""
+
+    def exported(self, *, actor: str, action: str, session_id: str | None, detail: dict[str, object]) -> None:
+        """Write down that something leaves the house; before it does."""
 
     def refused(self, *, actor: str, action: str, session_id: str | None, problem: schemas.Problem) -> None:
         """Write down a call that was refused before anyone acted on it."""

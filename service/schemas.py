@@ -421,16 +421,6 @@ class AuditPage(Answer):
     next_cursor: str | None
 
 
-class AuditVerification(Answer):
-    """Whether the chain of hashes holds; names the first broken row when it does not."""
-
-    is_intact: bool
-    rows: int
-    head_hash: str
-    first_broken_sequence: int | None
-    detail: str
-
-
 class Device(Answer):
     """A camera the OpenNI2 runtime sees."""
 

@@ -93,6 +93,7 @@ RULES: Mapping[tuple[str, str], Needs] = {
     # What happened
     ("GET", f"{V1}/audit"): Permission.AUDIT_READ,
     ("GET", f"{V1}/audit/verify"): Permission.AUDIT_READ,
+    ("GET", f"{V1}/audit/export"): Permission.AUDIT_READ,
 }
 
 BEFORE_THE_PASSWORD_IS_CHANGED = frozenset(

@@ -61,10 +61,12 @@ def cancel_run(
         **problems(404, 409, 422, 503),
     },
 )
-def read_report(run_id: RunId, services: deps.Offered) -> Response:
+def read_report(run_id: RunId, services: deps.Offered, caller: deps.Caller) -> Response:
     """Print a finished run: the checks, their trends, and what the plots show."""
     headers = {"Content-Disposition": f'inline; filename="qa-{run_id}.pdf"'}
-    return Response(services.qa_book.report_pdf(run_id), media_type="application/pdf", headers=headers)
+    report = services.qa_book.report_pdf(run_id)
+    services.audit.exported(actor=caller.name, action="qa.export", session_id=None, detail={"run_id": run_id})
+    return Response(report, media_type="application/pdf", headers=headers)
 
 
 @router.get("/trend", responses=problems(422, 503))

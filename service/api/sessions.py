@@ -144,10 +144,13 @@ def stop_session(
     },
 )
 def export_samples(
-    session_id: deps.SessionId, services: deps.Offered, form: SampleFormatQuery = "csv"
+    session_id: deps.SessionId, services: deps.Offered, caller: deps.Caller, form: SampleFormatQuery = "csv"
 ) -> StreamingResponse:
     """Export the samples, as far as they are written; what could not be measured is empty, never zero."""
     export = services.samples.export(session_id, form)
+    services.audit.exported(
+        actor=caller.name, action="samples.export", session_id=session_id, detail={"format": form}
+    )
     headers = {"Content-Disposition": f'attachment; filename="{export.file_name}"'}
     return StreamingResponse(export.pieces, media_type=export.media_type, headers=headers)
 

@@ -100,9 +100,13 @@ class Walk:
         return True
 
     def end(self) -> Verification:
-        """Say what was found, at the end of the rows."""
+        """Say what was found, at the end of the rows: no head may be left."""
         if self.broken is None and self._head is not None:
             self.broken = self._cut_off(self._head)
+        return self.so_far()
+
+    def so_far(self) -> Verification:
+        """Say what was found, although more rows may follow."""
         if self.broken is None:
             return Verification(rows=self.rows, head_hash=self.previous_hash)
         return Verification(
