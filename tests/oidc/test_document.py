@@ -1,0 +1,12 @@
+"""docs/oidc.md names every setting of the provider."""
+
+from pathlib import Path
+
+from service.oidc_settings import OidcSettings
+
+PAGE = Path(__file__).parents[2] / "docs" / "oidc.md"
+
+
+def test_the_page_has_a_row_for_every_setting_and_for_nothing_else():
+    rows = [line.split("`")[1] for line in PAGE.read_text().splitlines() if line.startswith("| `TIDEGATE_")]
+    assert rows == [f"TIDEGATE_{name.upper()}" for name in OidcSettings.model_fields]
