@@ -20,6 +20,7 @@ HOMES = {
     "bench": "bench",
     "beam-line": "beam_line",
     "qa": "qa",
+    "samples": "samples",
     "database": "database",
     "backup": "backup",
     "restore": "backup",

@@ -48,8 +48,10 @@ def standing(connection: Connection) -> Standing:
     MigrationError
         The tables were made by a newer version.
     """
+    is_own = not connection.in_transaction()
     revision = MigrationContext.configure(connection).get_current_revision()
-    connection.rollback()
+    if is_own:
+        connection.rollback()
     scripts = [script.revision for script in _scripts()]
     if revision is not None and revision not in scripts:
         msg = (

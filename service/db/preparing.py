@@ -49,9 +49,7 @@ def _keep_copy(path: Path, revision: str, min_free_bytes: float) -> None:
     """Keep the file as it was, where there is room for it; the upgrade itself happens whole or not at all anyway."""
     copy = path.with_name(f"{path.stem}-before-upgrade-from-{revision}{path.suffix}")
     size = path.stat().st_size + _size(path.with_name(path.name + "-wal"))
-    if copy.exists():
-        logger.warning("%s is kept from an earlier attempt", copy.name)
-    elif shutil.disk_usage(path.parent).free < 2 * size + min_free_bytes:
+    if shutil.disk_usage(path.parent).free < 2 * size + min_free_bytes:
         logger.warning("no room for a copy of the database before its upgrade (%.0f MiB)", size / MIB)
     else:
         copy_file(path, copy)
