@@ -1,4 +1,4 @@
-"""A person at the page, logged in, over HTTP: makes a session, sets the zero, acknowledges, arms; and sees the audit."""
+"""A person at the page, logged in, over HTTP: makes a session, sets the zero, acknowledges, arms; sees the audit."""
 
 import contextlib
 import threading

@@ -93,6 +93,7 @@ def test_the_audit_gets_what_it_lacks_in_order_and_the_file_goes(database, journ
     ((_, account),) = rows(database, "journal.recovered")
     assert (account["recovered"], account["kept"], account["last_state"]) == (2, 4, "hold")
     assert account["is_of_this_boot"]
+    assert rows(database, "journal.missing") == []
     assert not left.exists()
     with database.read() as db:
         assert audit.verify(db).first_broken_sequence is None

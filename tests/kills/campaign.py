@@ -1,0 +1,138 @@
+"""The campaign: kills side by side, each worker with a rig of its own, and one place that writes them down."""
+
+import contextlib
+import json
+import multiprocessing
+import os
+import signal
+import sys
+import tempfile
+import traceback
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass, replace
+from multiprocessing.util import Finalize
+from pathlib import Path
+
+from tests.faults.rig import WORN_MB, Template
+from tests.faults.template import learned
+from tests.kills.moments import moment_of
+from tests.kills.rig import KillRig
+from tests.kills.trial import run_trial
+from tests.kills.verdict import Outcome, Trouble
+
+FILE_NAME = "kills.jsonl"
+ATTEMPTS = 2
+"""A rig that broke in a way nobody foresaw is replaced, and the kill done once more; the first's story is kept."""
+
+
+class OutcomeFile:
+    """Outcomes in a folder; a line that a kill cut short is dropped, and its kill done again."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._path = folder / FILE_NAME
+
+    def read(self) -> list[Outcome]:
+        """Return what is there, the newest of each number, in order."""
+        found: dict[int, Outcome] = {}
+        for line in self._path.read_text().splitlines() if self._path.exists() else ():
+            with contextlib.suppress(ValueError, KeyError, TypeError):
+                outcome = Outcome.from_json(json.loads(line))
+                found[outcome.number] = outcome
+        return [found[number] for number in sorted(found)]
+
+    def append(self, outcome: Outcome) -> None:
+        """Add one; behind a cut line a new one is begun."""
+        with self._path.open("a+b") as file:
+            is_cut = False
+            if file.tell() > 0:
+                file.seek(-1, 2)
+                is_cut = file.read(1) != b"\n"
+            file.write((b"\n" if is_cut else b"") + json.dumps(outcome.to_json()).encode() + b"\n")
+
+
+class Bench:
+    """One worker's place: one rig at a time, kept for as long as it is good for the next kill."""
+
+    def __init__(self, folder: Path, template: Template) -> None:
+        self._folder, self._template = folder, template
+        self._held = contextlib.ExitStack()
+        self._rig: KillRig | None = None
+        self._rigs = 0
+
+    def kill(self, number: int, seed: int, code: str | None = None) -> Outcome:
+        """Do one kill of the campaign."""
+        moment = moment_of(number, seed, code)
+        stories: list[str] = []
+        for _ in range(ATTEMPTS):
+            try:
+                outcome = run_trial(self._a_rig(), moment, number, seed)
+            except Exception:  # noqa: BLE001 - whatever broke, the next kill has to go on
+                stories.append(traceback.format_exc(limit=-3))
+                self.clear()
+            else:
+                if outcome.is_red:
+                    self.clear()
+                return replace(outcome, note="\n".join([*stories, outcome.note]).strip())
+        return Outcome(number=number, moment=moment.code, troubles=(Trouble.NO_RESULT,), note="\n".join(stories))
+
+    def clear(self) -> None:
+        """Let go of everything that was started and mounted."""
+        self._rig = None
+        held, self._held = self._held, contextlib.ExitStack()
+        held.close()
+
+    def _a_rig(self) -> KillRig:
+        if self._rig is not None and self._rig.worn_mb > WORN_MB:
+            self.clear()
+        if self._rig is None:
+            self._rigs += 1
+            self._rig = self._held.enter_context(KillRig(self._folder / str(self._rigs), self._template))
+        return self._rig
+
+
+@dataclass(slots=True)
+class _Worker:
+    """What a worker process has; one a process, made when it begins."""
+
+    bench: Bench
+
+
+_workers: list[_Worker] = []
+
+
+def run(numbers: Sequence[int], *, seed: int, jobs: int, code: str | None = None) -> Iterator[Outcome]:
+    """Do these kills with so many rigs side by side; yields outcomes as they come. Whoever stops asking ends it."""
+    if not numbers:
+        return
+    with tempfile.TemporaryDirectory(prefix="tidegate-kills-") as folder:
+        template = learned(Path(folder) / "template")
+        context = multiprocessing.get_context("spawn")
+        begin = (_begin, (folder, template))
+        with ProcessPoolExecutor(jobs, mp_context=context, initializer=begin[0], initargs=begin[1]) as pool:
+            waiting = list(numbers)
+            running: set[Future[Outcome]] = set()
+            try:
+                while waiting or running:
+                    while waiting and len(running) < jobs:
+                        running.add(pool.submit(_kill, waiting.pop(0), seed, code))
+                    done, running = wait(running, return_when=FIRST_COMPLETED)
+                    yield from (one.result() for one in done)
+            finally:
+                waiting.clear()
+
+
+def _begin(folder: str, template: Template) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who asked ends the campaign; a kill that began is finished
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    place = Path(folder) / f"worker-{os.getpid()}"
+    with place.with_suffix(".log").open("ab") as log:
+        os.dup2(log.fileno(), sys.stderr.fileno())
+    bench = Bench(place, template)
+    Finalize(bench, bench.clear, exitpriority=10)  # a worker ends without running what atexit knows
+    _workers[:] = [_Worker(bench=bench)]
+
+
+def _kill(number: int, seed: int, code: str | None) -> Outcome:
+    return _workers[0].bench.kill(number, seed, code)

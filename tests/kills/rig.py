@@ -1,0 +1,103 @@
+"""The fault campaign's rig, with what a kill needs: a window that makes edges, starts that nobody waits for."""
+
+import shutil
+import sqlite3
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from service.journals import Journals
+from tests.faults.person import PersonGaveUpError
+from tests.faults.plan import ANYBODY
+from tests.faults.rig import DATABASE, Rig, Template
+from tests.faults.verdict import LineEdge
+
+EDGE_MM = 4.0
+"""A breath leaves this window on both sides of wherever the zero was set, or on one."""
+
+HALF_WRITTEN = (".partial", ".arrows", ".tmp", ".journal")
+OPENED_WITHIN_S = 20.0
+
+
+class KillRig(Rig):
+    """See the module; a context manager."""
+
+    def __init__(self, folder: Path, template: Template) -> None:
+        super().__init__(folder, ANYBODY, template)
+        self.window = {**self.window, "lower_mm": -EDGE_MM, "upper_mm": EDGE_MM}
+
+    @property
+    def session_body(self) -> dict[str, Any]:
+        return {"source": {"kind": "device", "uri": None}, "window": self.window, **self.session_request}
+
+    @property
+    def newest_edge(self) -> LineEdge | None:
+        """The receiver's last word, without all those before it."""
+        seen = self.receiver.seen
+        if not seen:
+            return None
+        words = seen[-1]
+        return LineEdge(is_on=words[0] == "on", at_ns=int(words[1]))
+
+    def await_opened_data(self, then_s: float) -> None:
+        """Wait until a start writes to the database, and a while more; at most for as long as a start may take."""
+        before = self._written
+        end_s = time.monotonic() + OPENED_WITHIN_S
+        while time.monotonic() < end_s and self.is_alive and self._written == before:
+            time.sleep(0.002)
+        time.sleep(then_s)
+
+    @property
+    def _written(self) -> tuple[int, int] | None:
+        try:
+            found = (self.data / "tidegate.db-wal").stat()
+        except OSError:
+            return None
+        return found.st_ino, found.st_size
+
+    @property
+    def database_trouble(self) -> str:
+        """What SQLite itself says of its file."""
+        with closing(sqlite3.connect(f"file:{self.data / DATABASE}?mode=ro", uri=True, timeout=20.0)) as database:
+            found = [str(row[0]) for row in database.execute("PRAGMA integrity_check") if row[0] != "ok"]
+            found += [f"a row of {row[0]} points nowhere" for row in database.execute("PRAGMA foreign_key_check")]
+        return "; ".join(found)
+
+    def empty_data(self) -> None:
+        """Leave the folder as it is before the first start of all; what was there comes back by :meth:`refill_data`."""
+        shutil.copytree(self.data, self._aside)
+        _clear(self.data)
+
+    def refill_data(self) -> None:
+        """Put back what was there."""
+        if self._aside.exists():
+            _clear(self.data)
+            shutil.copytree(self._aside, self.data, dirs_exist_ok=True)
+            shutil.rmtree(self._aside)
+
+    @property
+    def _aside(self) -> Path:
+        return self.folder / "aside"
+
+    @property
+    def leftovers(self) -> tuple[str, ...]:
+        """What is half written, while no session runs: in the data folder, and journals wherever they lie."""
+        inside = [str(path.relative_to(self.data)) for path in self.data.rglob("*") if path.name.endswith(HALF_WRITTEN)]
+        return tuple(sorted({*inside, *(path.name for path in Journals(self.data, None).left_behind())}))
+
+    def close_open_sessions(self) -> None:
+        """Stop what a kill left created: there may be one open session only."""
+        for item in self.person.get("/sessions").json()["items"]:
+            if item["status"] in {"created", "running"}:
+                self.person.session_id = item["id"]
+                if self.person.act("stop").status_code >= 400:
+                    raise PersonGaveUpError("a session that is open cannot be stopped")
+
+
+def _clear(folder: Path) -> None:
+    for path in folder.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
