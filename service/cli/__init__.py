@@ -22,6 +22,7 @@ HOMES = {
     "qa": "qa",
     "samples": "samples",
     "database": "database",
+    "audit": "audit",
     "backup": "backup",
     "restore": "backup",
     "replay": "replay",

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from engine.permits import GateState, HoldReason
 from service import audit
 from service.audit import Event
+from service.audit.export import verify_export
 from service.db.engine import Database
 from tests.service.conftest import act, audit_rows, eventually, upload
 
@@ -120,7 +121,48 @@ def test_a_broken_chain_is_told_over_http(client, settings):
     connection.commit()
     connection.close()
     found = client.get("/api/v1/audit/verify").json()
-    assert (found["is_intact"], found["first_broken_sequence"]) == (False, 1)
+    assert (found["is_intact"], found["first_broken_sequence"], found["breakage"]) == (False, 1, "changed")
+
+
+def test_a_chain_is_walked_part_by_part_over_http(client, session_id):
+    first = client.get("/api/v1/audit/verify", params={"limit": 2}).json()
+    assert (first["is_intact"], first["is_complete"], first["rows"], first["checked_to"]) == (True, False, 2, 2)
+    rest = client.get("/api/v1/audit/verify", params={"after": 2}).json()
+    assert (rest["is_intact"], rest["is_complete"], rest["rows"]) == (True, True, 1)
+    whole = client.get("/api/v1/audit/verify").json()
+    assert (whole["rows"], whole["head_hash"]) == (3, rest["head_hash"])
+    assert client.get("/api/v1/audit/verify", params={"after": 99}).status_code == 404
+
+
+def test_only_one_walk_is_done_at_a_time(client):
+    desk = client.app.state.services.audit
+    with desk._walking:
+        answer = client.get("/api/v1/audit/verify")
+    assert (answer.status_code, answer.json()["code"]) == (409, "audit_busy")
+    assert client.get("/api/v1/audit/verify").status_code == 200
+
+
+@pytest.mark.parametrize("form", ["jsonl", "fhir"])
+def test_an_export_is_streamed_audited_and_verified_by_itself(client, session_id, form):
+    answer = client.get("/api/v1/audit/export", params={"format": form, "session_id": session_id})
+    assert answer.status_code == 200
+    assert answer.headers["content-type"].partition(";")[0].endswith("ndjson")
+    assert verify_export(answer.text.splitlines()).is_intact
+    (row,) = audit_rows(client, "audit.export")
+    assert (row["actor"], row["session_id"], row["detail"]["format"]) == ("A. Therapist", session_id, form)
+
+
+def test_an_export_of_an_unknown_session_is_refused(client):
+    answer = client.get("/api/v1/audit/export", params={"format": "jsonl", "session_id": "f" * 32})
+    assert (answer.status_code, answer.json()["field"]) == (404, "session_id")
+
+
+def test_samples_that_leave_the_house_are_audited(client, session_id, running):
+    running.frame()
+    act(client, session_id, "stop")
+    assert client.get(f"/api/v1/sessions/{session_id}/samples").status_code == 200
+    (row,) = audit_rows(client, "samples.export")
+    assert (row["actor"], row["session_id"], row["detail"]) == ("A. Therapist", session_id, {"format": "csv"})
 
 
 def test_a_whole_treatment_can_be_read_from_the_audit(client, session_id, running):
@@ -174,6 +216,7 @@ def test_a_transition_is_audited_with_its_person_and_its_times(client, session_i
         "asserted_ns": 2_000_000_003,
         "captured_ns": None,
         "latency_ms": None,
+        "number": None,
     }
 
 
