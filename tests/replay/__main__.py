@@ -24,9 +24,9 @@ from tests.replay.played import WINDOWS, Played, Troubles, play
 
 MAKERS = [Path(engine.__path__[0]) / name for name in ("phantom", "oni", "geometry.py", "laser_plane.py")]
 VOLUNTEERS = (
-    *(("regular", number, 14.0) for number in (1, 2, 3, 4)),
-    *(("irregular", number, 14.0) for number in (1, 2, 5)),
-    *(("drift", number, 16.0) for number in (1, 6)),
+    *(("regular", number, 22.0) for number in (1, 2, 3, 4)),
+    *(("irregular", number, 22.0) for number in (1, 2, 5)),
+    *(("drift", number, 22.0) for number in (1, 6)),
     ("occlusion", 1, 36.0),
 )
 TROUBLES = (

@@ -7,6 +7,7 @@ that fails, an engine that hangs. What a machine makes of the same seed differs 
 import contextlib
 import random
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -124,10 +125,11 @@ def play(
     training: TrainingSettings = FEW_FRAMES,
     regions: dict | None = None,
     earlier: str | None = None,
+    person: "Person | None" = None,
 ) -> Played:
     """Run one session with a person whose mind is made up by a seed, until its recording is over.
 
-    ``earlier`` is a session of the same folder whose model this one begins with.
+    ``earlier`` is a session of the same folder whose model this one begins with; ``person`` is somebody else.
     """
     kind = type("Engine", (TroubledEngine,), {"troubles": troubles, "seed": seed, "training": training})
     settings = Settings(
@@ -145,7 +147,7 @@ def play(
         assert answer.status_code == 201, answer.text
         session_id = answer.json()["id"]
         assert act(client, session_id, "start").status_code == 200
-        detail = _live_through(client, session_id, random.Random(seed))
+        detail = _live_through(Hands(client, session_id), person or BusyPerson(random.Random(seed)))
     return Played(data_dir=data_dir, session_id=session_id, status=detail["status"], frames=detail["summary"]["frames"])
 
 
@@ -165,34 +167,86 @@ WINDOWS = (
 )
 
 
-def _live_through(client: PeopleClient, session_id: str, chance: random.Random) -> dict:
-    """Act as a person of little patience until the session is over."""
+@dataclass(frozen=True, slots=True)
+class Hands:
+    """What a person can do in one session."""
+
+    client: PeopleClient
+    session_id: str
+
+    def look(self) -> dict:
+        return self.client.get(f"/api/v1/sessions/{self.session_id}").json()
+
+    def act(self, action: str) -> None:
+        act(self.client, self.session_id, action)
+
+    def post(self, path: str, **body: object) -> None:
+        self.client.post(f"/api/v1/{path}", json={"operator": PERSON, **body})
+
+
+Person = Callable[[Hands, dict], None]
+
+
+def _live_through(hands: Hands, person: Person) -> dict:
+    """Let a person act until the session is over."""
     end_s = time.monotonic() + LONGEST_S
-    while (detail := client.get(f"/api/v1/sessions/{session_id}").json())["status"] == "running":
+    while (detail := hands.look())["status"] == "running":
         if time.monotonic() > end_s:
-            act(client, session_id, "stop")
-        _do_something(client, session_id, detail, chance)
-        time.sleep(chance.uniform(0.01, 0.15))
+            hands.act("stop")
+        person(hands, detail)
     return detail
 
 
-def _do_something(client: PeopleClient, session_id: str, detail: dict, chance: random.Random) -> None:
+def make_ready(hands: Hands, detail: dict) -> bool:
+    """Do what brings the beam nearer; return whether nothing was to do."""
     gate = detail["gate"] or {"state": "disarmed", "is_armed": False}
     if gate["state"] == "fault":
-        act(client, session_id, "acknowledge")
+        hands.act("acknowledge")
     elif not gate["is_armed"] and detail["measurement_state"] == "measuring":
-        act(client, session_id, "reference" if chance.random() < 0.2 else "arm")
-    elif chance.random() < 0.15:
-        act(client, session_id, chance.choice(["hold", "disarm", "reference", "acknowledge", "arm"]))
-        act(client, session_id, "release")
-    elif chance.random() < 0.03:
-        url = f"/api/v1/sessions/{session_id}/models/retrain"
-        client.post(url, json={"operator": PERSON, "keeps_reference": chance.random() < 0.5})
-    elif chance.random() < 0.03:
-        client.post(f"/api/v1/sessions/{session_id}/models/apply", json={"operator": PERSON})
-    elif chance.random() < 0.02 and detail["active_model_id"]:
-        client.post(f"/api/v1/models/{detail['active_model_id']}/activate", json={"operator": PERSON})
-    elif chance.random() < 0.02 and detail["breath"]:
-        drift_mm = detail["breath"].get("drift") or 0.0
-        body = {"operator": PERSON, "drift_mm": drift_mm, "by_mm": drift_mm}
-        client.post(f"/api/v1/sessions/{session_id}/baseline-correction", json=body)
+        hands.act("arm")
+    else:
+        return gate["is_armed"]
+    return False
+
+
+@dataclass(frozen=True, slots=True)
+class BusyPerson:
+    """Somebody of little patience, whose mind is made up by a seed."""
+
+    chance: random.Random
+
+    def __call__(self, hands: Hands, detail: dict) -> None:
+        session, chance = f"sessions/{hands.session_id}", self.chance
+        if make_ready(hands, detail) and chance.random() < 0.25:
+            wish = chance.choice(("by hand", "by hand", "by hand", "retrain", "apply", "activate", "correct"))
+            match wish:
+                case "by hand":
+                    hands.act(chance.choice(["hold", "disarm", "reference", "acknowledge", "arm"]))
+                    hands.act("release")
+                case "retrain":
+                    hands.post(f"{session}/models/retrain", keeps_reference=chance.random() < 0.5)
+                case "apply":
+                    hands.post(f"{session}/models/apply")
+                case "activate":
+                    hands.post(f"models/{detail['active_model_id']}/activate")
+                case "correct":
+                    drift_mm = (detail["breath"] or {}).get("drift") or 0.0
+                    hands.post(f"{session}/baseline-correction", drift_mm=drift_mm, by_mm=drift_mm)
+        time.sleep(chance.uniform(0.01, 0.1))
+
+
+class DeliberatePerson:
+    """Somebody who waits for the beam, holds it, releases it, sets the zero, and stops when it is on again."""
+
+    STEPS = ("hold", "release", "reference", "", "stop")
+
+    def __init__(self) -> None:
+        self.done = 0
+
+    def __call__(self, hands: Hands, detail: dict) -> None:
+        step = self.STEPS[min(self.done, len(self.STEPS) - 1)]
+        is_on = make_ready(hands, detail) and detail["gate"]["state"] == "beam_on"
+        if is_on or step == "release":
+            hands.act(step) if step else None
+            self.done += 1
+        time.sleep(0.02)

@@ -1,0 +1,174 @@
+"""A session that the real service ran, run again: the same to the last bit, and anything else is found."""
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from engine.replaying.tape_file import read_tape
+from engine.windows import amplitude_window
+from engine.witness import Seam
+from service.cli import app
+from service.db.engine import Database
+from service.db.place import DATABASE_NAME
+from service.session_replay import NotReplayableError, StoredSession
+from service.session_tape import tape_path
+from tests.replay.played import DeliberatePerson, Played, Troubles, play
+
+TROUBLES = Troubles(silence=0.01, loss=0.02, hang=0.004)
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory, regular_volunteer):
+    """A session with commands, a hold, silences, lost frames, an engine that hung, and a model learned meanwhile."""
+    data_dir = tmp_path_factory.mktemp("played") / "data"
+    return play(data_dir, regular_volunteer, seed=11, troubles=TROUBLES, person=DeliberatePerson())
+
+
+@pytest.fixture
+def copied(played, tmp_path):
+    """A copy of its folder, to spoil."""
+    return replace(played, data_dir=Path(shutil.copytree(played.data_dir, tmp_path / "copy")))
+
+
+def stored(played: Played) -> StoredSession:
+    return StoredSession(Database(played.data_dir / DATABASE_NAME), played.data_dir, played.session_id)
+
+
+def again(played: Played, recording: Path | None = None):
+    return stored(played).run_again(recording, lambda _frames: None)
+
+
+@pytest.fixture(scope="module")
+def verdict(played):
+    return again(played)
+
+
+def test_every_gate_edge_and_every_sample_is_the_same(played, verdict):
+    assert verdict.differences == []
+    assert verdict.replay.frames == verdict.samples == played.frames
+    assert verdict.audited == len(verdict.replay.transitions) + len(verdict.replay.elsewhere)
+    assert "beam_on" in {row["to"] for row in verdict.replay.transitions}
+    assert verdict.replay.is_whole
+
+
+def test_what_happened_in_it_happened_indeed(played, verdict):
+    heard = [answer for turn in turns(played) for answer in turn.heard]
+    commands = [command["d"][0] for seam, answer in heard if seam is Seam.LETTERS for command in answer["l"]]
+    assert set(commands) >= {"Arm", "HoldBeam", "ReleaseBeam", "SetReference"}
+    timeouts = [answer for seam, answer in heard if seam is Seam.FRAME and answer["d"][0] == "Raised"]
+    assert timeouts, "the camera was silent"
+    assert sum(answer is True for seam, answer in heard if seam is Seam.TRAINED) == 1, "one model was learned"
+    assert {row["state"] for turn in turns(played) for row in turn.rows if "state" in row} >= {"training", "measuring"}
+    assert "operator_hold" in {row["reason"] for row in verdict.replay.transitions}
+
+
+def turns(played: Played):
+    return read_tape(tape_path(played.data_dir, played.session_id)).turns()
+
+
+def test_the_command_says_so_in_a_line_and_writes_both_tables(played, tmp_path):
+    wish = ["replay", played.session_id, "--data", str(played.data_dir), "--out", str(tmp_path / "out")]
+    answer = CliRunner().invoke(app, wish)
+    assert answer.exit_code == 0, answer.output
+    assert f"identical: {played.frames} frames" in answer.output
+    motion = (tmp_path / "out" / "motion.csv").read_text().splitlines()
+    assert len(motion) == played.frames + 1
+    assert "beam_on" in (tmp_path / "out" / "transitions.csv").read_text()
+    assert actions(played).count("session.replayed") == 0, "a folder that was named is only read"
+
+
+def actions(played: Played) -> list[str]:
+    from service.db.models import AuditRow
+
+    with Database(played.data_dir / DATABASE_NAME).read() as db:
+        return [row.action for row in db.query(AuditRow).order_by(AuditRow.sequence)]
+
+
+def test_a_window_a_hair_wider_is_found_and_the_command_fails(copied, monkeypatch):
+    session = stored(copied)
+    window = amplitude_window(lower_mm=-0.5, upper_mm=0.5)
+    session.head = replace(session.head, limits=replace(session.head.limits, window=window))
+    (difference,) = session.run_again(None, lambda _frames: None).differences
+    assert difference.recorded != difference.replayed
+    monkeypatch.setattr("engine.stages.gate.CYCLES_WITHIN_NS", 0)
+    monkeypatch.setattr("engine.keeper.captured_ns", lambda last, _measurement, _limits: last.received_ns - 1)
+    wish = ["replay", copied.session_id, "--data", str(copied.data_dir)]
+    answer = CliRunner().invoke(app, wish)
+    assert (answer.exit_code, "DIFFERENT at frame" in answer.output) == (1, True), answer.output
+
+
+def test_another_recording_is_refused_and_so_is_a_tape_that_was_changed(copied, regular_volunteer, tmp_path):
+    other = tmp_path / "other.oni"
+    content = bytearray((regular_volunteer / "recording.oni").read_bytes())
+    content[len(content) // 2] ^= 1
+    other.write_bytes(content)
+    with pytest.raises(NotReplayableError, match="SHA-256"):
+        again(copied, other)
+    path = tape_path(copied.data_dir, copied.session_id)
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(NotReplayableError, match="was changed after the session was closed"):
+        stored(copied)
+
+
+def test_a_transition_missing_from_the_audit_is_found(copied, monkeypatch):
+    session = stored(copied)
+    audited = session._audited()
+    monkeypatch.setattr(session, "_audited", lambda: audited[:1] + audited[2:])
+    (difference,) = session.run_again(None, lambda _frames: None).differences
+    assert difference.recorded != difference.replayed
+
+
+def test_a_session_that_is_not_there_or_ran_as_another_version_is_refused(copied):
+    wish = ["replay", "0" * 32, "--data", str(copied.data_dir)]
+    assert CliRunner().invoke(app, wish).exit_code == 2
+    assert CliRunner().invoke(app, ["replay", "x", "--data", "/nowhere"]).exit_code == 2
+    session = stored(copied)
+    session.head = replace(session.head, software="tidegate 0.0.1")
+    with pytest.raises(NotReplayableError, match="--any-version"):
+        session.refuse_other_version()
+    tape_path(copied.data_dir, copied.session_id).unlink()
+    with pytest.raises(NotReplayableError, match="no tape"):
+        stored(copied)
+
+
+def test_a_session_whose_service_was_killed_is_replayed_up_to_the_tear(tmp_path, regular_volunteer):
+    data_dir = tmp_path / "data"
+    child = subprocess.Popen([sys.executable, "-m", "tests.replay.killed", str(data_dir), str(regular_volunteer)])
+    try:
+        end_s = time.monotonic() + 100.0
+        while not _has_been_on(data_dir):
+            assert child.poll() is None, "it ended by itself"
+            assert time.monotonic() < end_s, "the beam was never on"
+            time.sleep(0.05)
+    finally:
+        child.kill()
+        child.wait()
+    (tape,) = (data_dir / "replays").iterdir()
+    killed = Played(data_dir=data_dir, session_id=tape.stem, status="running", frames=0)
+    found = again(killed)
+    assert found.differences == []
+    assert not found.replay.is_whole
+    assert found.replay.frames > 100
+    assert "beam_on" in {row["to"] for row in found.replay.transitions}
+    assert any("up to the tear" in note for note in found.notes)
+
+
+def _has_been_on(data_dir: Path) -> bool:
+    if not (data_dir / "replays").is_dir():
+        return False
+    database = Database(data_dir / DATABASE_NAME)
+    try:
+        from service.db.models import AuditRow
+
+        with database.read() as db:
+            rows = db.query(AuditRow.detail).filter(AuditRow.action == "gate.transition").all()
+    finally:
+        database.close()
+    return any(json.loads(detail)["to_state"] == "beam_on" for (detail,) in rows)
