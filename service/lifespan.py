@@ -9,6 +9,7 @@ import anyio.to_thread
 from fastapi import FastAPI
 
 from engine import __version__
+from service.access.attendance import Attendance
 from service.access.desk import AccessDesk, open_access
 from service.access.first import TellFirst, make_first_admin
 from service.access.oidc_desk import OidcDesk
@@ -18,6 +19,7 @@ from service.audit.care import AuditCare
 from service.audit_desk import AuditDesk
 from service.audit_log import AuditLog
 from service.calibrations import CalibrationShelf
+from service.caretaker import Caretaker
 from service.db.engine import Database
 from service.db.preparing import SAMPLES_FOLDER, prepare
 from service.deps import Services
@@ -38,6 +40,7 @@ from service.readiness import ReadinessProbe
 from service.room import Room
 from service.runner import SessionRunner
 from service.samples.desk import SampleDesk
+from service.samples.register import adopt
 from service.samples.shelf import SampleShelf
 from service.sessions import SessionBook
 from service.settings import Settings
@@ -55,9 +58,11 @@ class _House:
     log: AuditLog
     database: Database
     care: AuditCare
+    caretaker: Caretaker
     room: Room
     access: AccessDesk
     oidc: OidcDesk
+    attendance: Attendance
 
     def hold_and_close_session(self) -> None:
         """Let nothing begin any more, hold the beam, whoever has it, and end what goes on."""
@@ -70,6 +75,8 @@ class _House:
     def close(self) -> None:
         """Hold the beam first, then write down and close."""
         self.hold_and_close_session()
+        self.attendance.close()
+        self.caretaker.close()
         self.oidc.close()
         self.access.close()
         try:
@@ -93,6 +100,7 @@ def make_lifespan(
         app.state.services = house.services
         app.state.access = house.access
         app.state.oidc = house.oidc
+        app.state.attendance = house.attendance
         app.state.hold_and_close_session = house.hold_and_close_session
         app.state.live = LiveStream(max_clients=settings.max_live_clients)
         try:
@@ -113,7 +121,8 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFi
     journals = Journals(settings.data_dir, settings.journal_dir)
     care = AuditCare(database=database, settings=settings, write=log.write, site=settings.site_name)
     models = ModelStore(settings.data_dir / MODELS_FOLDER)
-    book = SessionBook(database, log, settings, room, engine)
+    caretaker = Caretaker(database, settings, is_busy=lambda: room.running is not None)
+    book = SessionBook(database, log, settings, room, engine, caretaker.tidy)
     runner = SessionRunner(
         engine=engine,
         database=database,
@@ -148,12 +157,21 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFi
         make_first_admin(access.store, access.people, tell_first)
     oidc = OidcDesk(settings, access, tallies.registry)
     oidc.start()
+    attendance = Attendance(
+        is_here=access.doorkeeper.is_here,
+        is_armed=room.is_armed,
+        hold=runner.hold_unattended,
+    )
+    attendance.start()
     care.start(_start_detail(engine))
     recover_transitions(database, journals)
     close_interrupted(database, shelf)
     close_interrupted_qa(database)
+    adopt(database, shelf)
+    caretaker.start()
     return _House(
         care=care,
+        caretaker=caretaker,
         services=services,
         runner=runner,
         qa_desk=qa_desk,
@@ -162,6 +180,7 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFi
         room=room,
         access=access,
         oidc=oidc,
+        attendance=attendance,
     )
 
 

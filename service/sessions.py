@@ -2,6 +2,7 @@
 
 import json
 import uuid
+from collections.abc import Callable
 from datetime import UTC, datetime
 
 from pydantic import TypeAdapter
@@ -28,6 +29,7 @@ from service.recordings import find_recording
 from service.room import Room, Running
 from service.settings import Settings
 from service.site_limits import check_window, gate_limits
+from service.storage_room import refuse_without_room
 from service.uncalibrated import check_allowed, described, kind_of, warning_of
 from service.window_schemas import Window
 from service.window_view import live_window
@@ -39,12 +41,21 @@ SOURCE: TypeAdapter[schemas.RecordingSource | schemas.DeviceSource] = TypeAdapte
 class SessionBook:
     """The book of sessions."""
 
-    def __init__(self, database: Database, log: AuditLog, settings: Settings, room: Room, engine: EnginePort) -> None:
+    def __init__(
+        self,
+        database: Database,
+        log: AuditLog,
+        settings: Settings,
+        room: Room,
+        engine: EnginePort,
+        make_room: Callable[[], object],
+    ) -> None:
         self._database = database
         self._log = log
         self._settings = settings
         self._room = room
         self._engine = engine
+        self._make_room = make_room
 
     def create(self, request: schemas.SessionRequest, key: str | None) -> Kept[schemas.Session]:
         """Record a new session; one at a time."""
@@ -54,6 +65,7 @@ class SessionBook:
                 earlier = self._earlier_or_free(db, request, key, body)
             if earlier is not None:
                 return Kept(answer=earlier, is_replay=True)
+            refuse_without_room(self._settings, self._make_room)
             # A camera may take its time to answer, or hang: never while the database is locked.
             nominal = self._nominal_calibration(request)
             return self._write_down(request, key, body, nominal)

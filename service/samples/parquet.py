@@ -8,13 +8,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from service.samples.durable import file_sha256, put_in_place
-from service.samples.layout import PREFIX, SampleHead, head_of
+from service.samples.layout import SampleHead, head_of
 from service.samples.seal import next_seal
 
 ROWS_A_GROUP = 9000
 """Five minutes at thirty frames a second: some megabytes at a time, whoever reads."""
 
-SEAL_KEY = f"{PREFIX}stream_sha256"
 READ_ROWS = 1000
 
 

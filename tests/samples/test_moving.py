@@ -68,7 +68,10 @@ def row(session_id, index):
 def table_of(database):
     with database.connect() as connection:
         rows = connection.execute(text("SELECT * FROM samples ORDER BY session_id, frame_index")).mappings().all()
-    return [{name: bytes(value) if name.endswith("s_mm") and value else value for name, value in row.items()} for row in rows]
+    return [
+        {name: bytes(value) if name.endswith("s_mm") and value else value for name, value in row.items()}
+        for row in rows
+    ]
 
 
 def test_up_and_down_every_value_is_as_it_was(database, folder, old, monkeypatch):

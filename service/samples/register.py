@@ -1,0 +1,58 @@
+"""What the audit knows of sample files: the hash each is known by, and which were removed for good."""
+
+import json
+from dataclasses import dataclass
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from service import audit
+from service.audit import SYSTEM, AuditRow, Event
+from service.db.engine import Database
+from service.samples.durable import file_sha256
+from service.samples.parquet import parquet_head
+from service.samples.shelf import SampleShelf
+
+CLOSED, SETTLED, ADOPTED, REMOVED = "session.close", "samples.settled", "samples.adopted", "samples.removed"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Registered:
+    """The newest that the audit says of a session's samples: rows, hash of the Parquet file, whether it was removed."""
+
+    rows: int = 0
+    sha256: str | None = None
+    is_removed: bool = False
+
+
+def registered(db: Session, session_id: str) -> Registered:
+    """Look a session's samples up."""
+    query = select(AuditRow.action, AuditRow.detail).where(
+        AuditRow.session_id == session_id, AuditRow.action.in_((CLOSED, SETTLED, ADOPTED, REMOVED))
+    )
+    found = Registered()
+    for action, text in db.execute(query.order_by(AuditRow.sequence)):
+        detail = json.loads(text)
+        said = detail.get("samples", {}) if action == CLOSED else detail
+        if action == REMOVED:
+            found = Registered(rows=found.rows, sha256=found.sha256, is_removed=True)
+        elif said.get("parquet_sha256") is not None:
+            found = Registered(rows=int(said["rows"]), sha256=str(said["parquet_sha256"]))
+    return found
+
+
+def adopt(database: Database, shelf: SampleShelf) -> None:
+    """Write the hash of files into the audit that it does not know: those that migration 0008 has made."""
+    for session_id in shelf.stored():
+        with database.read() as db:
+            if registered(db, session_id).sha256 is not None:
+                continue
+        path = shelf.parquet_path(session_id)
+        detail = {
+            "rows": parquet_head(path)[1],
+            "bytes": path.stat().st_size,
+            "parquet_sha256": file_sha256(path),
+            "detail": "moved out of the database by an upgrade",
+        }
+        with database.write() as db:
+            audit.append(db, Event(actor=SYSTEM, action=ADOPTED, session_id=session_id, detail=detail))

@@ -1,0 +1,169 @@
+"""What the next start makes of what a killed process left: one truth, told once, even if that start is killed too."""
+
+import json
+import os
+import signal
+from datetime import timedelta
+
+import pytest
+from sqlalchemy import select
+
+from service import audit, interrupted
+from service.audit import AuditRow
+from service.db.engine import Database
+from service.db.models import SessionRow
+from service.interrupted import close_interrupted
+from service.samples import parquet
+from service.samples import shelf as shelves
+from service.samples.check import check
+from service.samples.register import adopt, registered
+from tests.samples.conftest import BEGUN, add_session
+from tests.samples.records import SESSION, frames_of, write_stream
+
+
+def told(database, *actions):
+    with database.read() as db:
+        query = select(AuditRow).where(AuditRow.action.in_(actions)).order_by(AuditRow.sequence)
+        return [(row.action, row.outcome, json.loads(row.detail)) for row in db.scalars(query)]
+
+
+def session_of(database):
+    with database.read() as db:
+        return db.get(SessionRow, SESSION)
+
+
+@pytest.mark.both_databases
+def test_an_interrupted_session_gets_its_parquet_and_its_figures(database, shelf):
+    add_session(database)
+    write_stream(shelf.folder, is_finished=False)
+    close_interrupted(database, shelf)
+    row = session_of(database)
+    summary = json.loads(row.summary)
+    assert (row.status, summary["frames"], summary["lost"]) == ("interrupted", 40, 8)
+    assert summary["latency"]["max_ms"] == pytest.approx(6.039)
+    ((_, outcome, detail),) = told(database, "session.close")
+    assert (outcome, detail["samples"]["rows"], detail["samples"]["ending"]) == ("failed", 40, "open")
+    assert detail["samples"]["parquet_sha256"] == parquet.file_sha256(shelf.parquet_path(SESSION))
+    assert told(database, "samples.repaired") == []
+    assert (shelf.left_streams(), frames_of(shelf)) == ([], list(range(40)))
+
+
+def test_a_torn_tail_is_said_in_the_audit_with_rows_and_bytes(database, shelf):
+    add_session(database)
+    path = write_stream(shelf.folder, is_finished=False).path
+    path.write_bytes(path.read_bytes()[:-500])
+    close_interrupted(database, shelf)
+    ((_, outcome, detail),) = told(database, "samples.repaired")
+    assert (outcome, detail["rows"], detail["ending"]) == ("done", 32, "torn")
+    assert detail["lost_bytes"] > 1000
+    assert frames_of(shelf) == list(range(32))
+
+
+def test_a_damaged_file_is_kept_aside_and_said_as_a_failure(database, shelf, caplog):
+    add_session(database)
+    path = write_stream(shelf.folder).path
+    path.write_bytes(path.read_bytes().replace(b"5" * 64, b"6" * 64, 1))
+    close_interrupted(database, shelf)
+    ((_, outcome, detail),) = told(database, "samples.repaired")
+    assert (outcome, detail["rows"], detail["kept_aside"]) == ("failed", 0, f"{SESSION}.damaged.arrows")
+    assert (shelf.folder / detail["kept_aside"]).exists()
+    assert "kept in" in caplog.text
+    assert "P-0001" not in caplog.text
+
+
+def test_a_start_with_nothing_left_says_nothing(database, shelf):
+    add_session(database, status="ended", ended_at=BEGUN)
+    write_stream(shelf.folder)
+    shelf.settle(SESSION)
+    shelf.forget_stream(SESSION)
+    close_interrupted(database, shelf)
+    assert told(database, "session.close", "samples.settled", "samples.repaired") == []
+
+
+def test_a_session_that_was_killed_before_its_file_was_there_is_closed_too(database, shelf):
+    add_session(database)
+    close_interrupted(database, shelf)
+    assert session_of(database).status == "interrupted"
+    assert json.loads(session_of(database).summary)["frames"] == 0
+
+
+def test_a_full_disk_keeps_the_stream_and_the_next_start_settles_it(database, shelf, monkeypatch):
+    add_session(database)
+    write_stream(shelf.folder, is_finished=False)
+
+    def full(*_arguments):
+        raise OSError(28, "full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(shelves, "write_parquet", full)
+        close_interrupted(database, shelf)
+    assert (session_of(database).status, shelf.left_streams()) == ("interrupted", [SESSION])
+    assert json.loads(session_of(database).summary)["frames"] == 40
+    assert frames_of(shelf) == list(range(40))
+    close_interrupted(database, shelf)
+    ((_, _, detail),) = told(database, "samples.settled")
+    assert (detail["rows"], shelf.left_streams()) == (40, [])
+    with database.read() as db:
+        assert registered(db, SESSION).sha256 == detail["parquet_sha256"]
+
+
+def test_a_parquet_file_that_the_audit_does_not_know_is_written_down_once(database, shelf):
+    add_session(database, status="ended", ended_at=BEGUN + timedelta(hours=1))
+    write_stream(shelf.folder)
+    shelf.settle(SESSION)
+    shelf.forget_stream(SESSION)
+    adopt(database, shelf)
+    adopt(database, shelf)
+    ((_, _, detail),) = told(database, "samples.adopted")
+    assert detail["rows"] == 40
+    with database.read() as db:
+        assert check(shelf, SESSION, registered(db, SESSION), is_open=False).is_good
+
+
+STEPS = {
+    "before the parquet is written": (shelves, "write_parquet", True),
+    "before it is read back": (parquet, "_group_seals", True),
+    "before it has its name": (parquet, "put_in_place", True),
+    "after it has its name": (parquet, "put_in_place", False),
+    "before the end is written down": (interrupted, "closing_event", True),
+    "in the middle of that": (audit, "append", False),
+    "before the stream goes": (shelves, "remove", True),
+    "after the stream went": (shelves, "remove", False),
+}
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_a_start_that_is_killed_at_any_step_leaves_it_to_the_next(database, shelf, step):
+    """A process of its own, killed for real between two system calls; and once more; then the truth is told once."""
+    add_session(database)
+    write_stream(shelf.folder, is_finished=False)
+    assert _killed_at(database.path, shelf, STEPS[step]) == signal.SIGKILL
+    _killed_at(database.path, shelf, STEPS[step])
+    close_interrupted(database, shelf)
+    ((_, _, detail),) = told(database, "session.close")
+    assert detail["samples"]["rows"] == 40
+    assert session_of(database).status == "interrupted"
+    assert [path.name for path in shelf.folder.iterdir()] == [f"{SESSION}.parquet"]
+    assert frames_of(shelf) == list(range(40))
+    with database.read() as db:
+        assert check(shelf, SESSION, registered(db, SESSION), is_open=False).is_good
+        assert audit.verify(db).first_broken_sequence is None
+
+
+def _killed_at(path, shelf, step):
+    module, name, is_before = step
+    child = os.fork()
+    if child == 0:
+        real = getattr(module, name)
+
+        def die(*arguments, **options):
+            if not is_before:
+                real(*arguments, **options)
+            os.kill(os.getpid(), signal.SIGKILL)
+
+        setattr(module, name, die)
+        try:
+            close_interrupted(Database(path), shelf)
+        finally:
+            os._exit(1)
+    return os.WTERMSIG(os.waitpid(child, 0)[1])
