@@ -1,9 +1,12 @@
 """The SQLite file: WAL, full synchronisation, foreign keys, and a write lock taken at once."""
 
+import contextlib
+import os
 import sqlite3
 from pathlib import Path
 
 from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy.engine.interfaces import Dialect
 
 BEGIN_OPTION = "tidegate_begin"
 MS_PER_S = 1000
@@ -16,6 +19,14 @@ def make_sqlite_engine(path: Path, *, busy_timeout_s: float) -> Engine:
         connect_args={"timeout": busy_timeout_s, "check_same_thread": False},
         pool_timeout=busy_timeout_s,
     )
+
+    @event.listens_for(engine, "do_connect")
+    def _make_private(_dialect: Dialect, _record: object, _args: object, _named: object) -> None:
+        # A new file is its owner's alone; SQLite gives the files beside it the same mode. One that is there is never
+        # opened here: to close it would drop all locks that this process has on it, and another process that ends
+        # would take the write-ahead log away under us.
+        with contextlib.suppress(OSError):
+            os.close(os.open(path, os.O_RDONLY | os.O_CREAT | os.O_EXCL, 0o600))
 
     @event.listens_for(engine, "connect")
     def _prepare(connection: sqlite3.Connection, _record: object) -> None:
