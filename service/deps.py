@@ -8,6 +8,7 @@ from fastapi import Depends, Header, Path, Query, Request
 from starlette.requests import HTTPConnection
 
 from service import ports
+from service.access.attendance import Attendance
 from service.access.calling import Calling
 from service.access.desk import AccessDesk
 from service.access.guard import ADDRESS
@@ -45,6 +46,11 @@ def services(connection: HTTPConnection) -> Services:
 def access(connection: HTTPConnection) -> AccessDesk:
     """Find who may do what on the application; made in the lifespan."""
     return cast("AccessDesk", connection.app.state.access)
+
+
+def attendance(connection: HTTPConnection) -> Attendance:
+    """Find who looks whether whoever armed is still there."""
+    return cast("Attendance", connection.app.state.attendance)
 
 
 def caller(connection: HTTPConnection) -> Calling:
@@ -104,6 +110,7 @@ def require_json(request: Request) -> None:
 Offered = Annotated[Services, Depends(services)]
 Access = Annotated[AccessDesk, Depends(access)]
 Caller = Annotated[Calling, Depends(caller)]
+Attending = Annotated[Attendance, Depends(attendance)]
 Address = Annotated[str, Depends(sender_address)]
 Body = Annotated[bytes, Depends(json_body)]
 SessionId = Annotated[Identifier, Path(description="The session's id")]

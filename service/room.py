@@ -53,6 +53,11 @@ class Room:
         running = self.of(session_id)
         return None if running is None else running.engine.latest
 
+    def is_armed(self, session_id: str) -> bool:
+        """Whether this session runs, and its gate is armed."""
+        view = self.view(session_id)
+        return view is not None and view.is_armed
+
     def enter(self, running: Running) -> bool:
         """Take the room; false when somebody is in it."""
         with self._lock:

@@ -34,6 +34,7 @@ from engine.live import LiveView, LoopStatus
 from engine.model import MotionModel
 from engine.provenance import check_patient
 from service import audit, schemas
+from service.access.identity import Identity
 from service.audit import Event
 from service.audit_log import AuditLog
 from service.baseline import check_correction, correction_detail, moved_window, told_in
@@ -139,6 +140,14 @@ class SessionRunner:
                 refuse_without_qa(self._database, self._settings)
         self._ask(session_id, COMMANDS[name](operator), operator, f"session.{name}")
         return self._book.detail(session_id)
+
+    def hold_unattended(self, session_id: str, armed_by: Identity) -> None:
+        """Hold, as by hand, because whoever armed has no log-in or key any more."""
+        detail: dict[str, object] = {
+            "reason": f"{armed_by.name} armed, and is not logged in any more",
+            "armed_by": armed_by.name,
+        }
+        self._ask(session_id, HoldBeam(operator=audit.SYSTEM), audit.SYSTEM, "session.hold", detail)
 
     def retrain(self, session_id: str, operator: str, *, keeps_reference: bool) -> schemas.SessionDetail:
         """Learn a new model in the background."""

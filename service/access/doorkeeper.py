@@ -8,7 +8,8 @@ from service.access.cookies import token_in
 from service.access.identity import Identity, MachineVerifier
 from service.access.keys import TOKEN_PREFIX, KeyDesk, actor_of
 from service.access.logins import hashed
-from service.access.permissions import permissions_of
+from service.access.names import name_key
+from service.access.permissions import Permission, permissions_of
 from service.access.records import ApiKey, Login
 from service.access.store import AccessStore
 
@@ -44,6 +45,19 @@ class Doorkeeper:
         now = self._person(identity.anchor)
         return now is not None and identity.permissions <= now.permissions
 
+    def is_here(self, identity: Identity) -> bool:
+        """Whether somebody who armed could still take it back, from whatever browser; asking counts as no use.
+
+        Of a machine with a token of the identity provider nothing is known but its last token: it counts as here.
+        """
+        if identity.kind == "key":
+            return identity.anchor is not None and self._keys.is_valid(identity.anchor)
+        user = self._store.users.get(name_key(identity.name)) if identity.is_person else None
+        if user is None:
+            return not identity.is_person
+        may_arm = Permission.GATE_ARM in permissions_of(user.roles)
+        return may_arm and any(self._is_open(login) for login in self._store.logins_of(user))
+
     def login_of(self, identity: Identity) -> Login | None:
         """Return the log-in that an identity came in by."""
         return self._store.logins.get(identity.anchor or "")
@@ -66,11 +80,10 @@ class Doorkeeper:
         login = self._store.logins.get(token_sha256)
         if login is None:
             return None
-        now = self._store.now()
-        user = self._store.users[login.user_key]
-        if user.is_disabled or now >= login.expires_at or now - self._store.seen_at(login) > self._idle:
+        if not self._is_open(login):
             return None
-        self._store.seen[token_sha256] = now
+        user = self._store.users[login.user_key]
+        self._store.seen[token_sha256] = self._store.now()
         return Identity(
             kind="user" if user.issuer is None else "oidc",
             name=user.name,
@@ -78,3 +91,8 @@ class Doorkeeper:
             anchor=token_sha256,
             must_change_password=user.must_change_password,
         )
+
+    def _is_open(self, login: Login) -> bool:
+        now = self._store.now()
+        is_disabled = self._store.users[login.user_key].is_disabled
+        return not is_disabled and now < login.expires_at and now - self._store.seen_at(login) <= self._idle

@@ -59,10 +59,16 @@ def start_session(
 
 @router.post("/{session_id}/arm", name="session.arm", responses=ACT)
 def arm_session(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
+    session_id: deps.SessionId,
+    request: schemas.OperatorRequest,
+    caller: deps.Caller,
+    services: deps.Offered,
+    attendance: deps.Attending,
 ) -> schemas.SessionDetail:
     """Let the gate decide from now on; refused without a model, a reference and a fresh frame."""
-    return services.runner.command(session_id, "arm", caller.acts_as(request.operator))
+    answer = services.runner.command(session_id, "arm", caller.acts_as(request.operator))
+    attendance.answers_for(session_id, caller.identity)
+    return answer
 
 
 @router.post("/{session_id}/disarm", name="session.disarm", responses=ACT)
@@ -99,10 +105,16 @@ def hold_beam(
 
 @router.post("/{session_id}/release", name="session.release", responses=ACT)
 def release_beam(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
+    session_id: deps.SessionId,
+    request: schemas.OperatorRequest,
+    caller: deps.Caller,
+    services: deps.Offered,
+    attendance: deps.Attending,
 ) -> schemas.SessionDetail:
     """Let the gate decide again, after a full dwell; refused when nobody holds."""
-    return services.runner.command(session_id, "release", caller.acts_as(request.operator))
+    answer = services.runner.command(session_id, "release", caller.acts_as(request.operator))
+    attendance.answers_for(session_id, caller.identity)
+    return answer
 
 
 @router.post("/{session_id}/presence", status_code=204, responses=ACT)
@@ -148,9 +160,7 @@ def export_samples(
 ) -> StreamingResponse:
     """Export the samples, as far as they are written; what could not be measured is empty, never zero."""
     export = services.samples.export(session_id, form)
-    services.audit.exported(
-        actor=caller.name, action="samples.export", session_id=session_id, detail={"format": form}
-    )
+    services.audit.exported(actor=caller.name, action="samples.export", session_id=session_id, detail={"format": form})
     headers = {"Content-Disposition": f'attachment; filename="{export.file_name}"'}
     return StreamingResponse(export.pieces, media_type=export.media_type, headers=headers)
 

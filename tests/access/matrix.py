@@ -1,6 +1,7 @@
 """Who may call what, as a table made from the table of rules: ``python -m tests.access.matrix --write``."""
 
 import argparse
+import sys
 from pathlib import Path
 
 from service.access.permissions import KEY_PERMISSIONS, MEANING, ROLE_PERMISSIONS, Permission, Role
@@ -48,7 +49,7 @@ def main() -> None:
     if parser.parse_args().write:
         PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
     else:
-        print(permissions_table(), matrix_table(), sep="\n\n")
+        sys.stdout.write(f"{permissions_table()}\n\n{matrix_table()}\n")
 
 
 if __name__ == "__main__":

@@ -71,7 +71,7 @@ def test_a_name_and_its_password_open_a_log_in(logins, door, person, database):
 
 
 def test_names_are_the_same_whatever_their_case_or_width(logins, person):
-    assert logins.log_in(attempt(name="ａ. therapist ")).user == logins._store.users[person.key]
+    assert logins.log_in(attempt(name="\uff41. therapist ")).user == logins._store.users[person.key]
 
 
 def test_nothing_tells_whether_a_name_is_known_the_password_is_checked_once_either_way(

@@ -1,0 +1,154 @@
+"""An armed gate belongs to somebody who is there: whose log-in ends, by whatever way, has the beam held."""
+
+from datetime import timedelta
+
+import pytest
+
+from engine.commands import Arm, HoldBeam
+from service.access.identity import Identity
+from service.access.people import Change
+from service.access.permissions import KEY_PERMISSIONS, Role
+
+# The fixtures of a service on a fake engine.
+from tests.service.conftest import (  # noqa: F401
+    act,
+    audit_rows,
+    calibration_id,
+    calibration_text,
+    client,
+    engine,
+    running,
+    session_body,
+    session_id,
+    settings,
+)
+
+ARMS = "A. Therapist"
+
+
+@pytest.fixture
+def armed(client, session_id, running):  # noqa: F811
+    client.app.state.attendance.close()  # looks when the test says so
+    client.headers_as("B. Physicist")
+    assert act(client, session_id, "arm").status_code == 200
+    running.frame()
+    return running
+
+
+def look(client):  # noqa: F811
+    client.app.state.attendance.look()
+
+
+def holds(running):  # noqa: F811
+    return [command for command in running.commands if isinstance(command, HoldBeam)]
+
+
+def test_while_whoever_armed_is_there_nothing_is_held(client, armed):  # noqa: F811
+    look(client)
+    assert holds(armed) == []
+
+
+def log_out(client):  # noqa: F811
+    assert client.post("/api/v1/logout", json={"operator": ARMS}).status_code == 204
+
+
+def disable(client):  # noqa: F811
+    client.desk.people.change(ARMS, Change(is_disabled=True), by="test")
+
+
+def let_idle(client):  # noqa: F811
+    store = client.desk.store
+    now = store.now() + timedelta(hours=1)
+    store.now = lambda: now
+
+
+def take_the_role(client):  # noqa: F811
+    client.desk.people.change(ARMS, Change(roles=frozenset({Role.VIEWER})), by="test")
+
+
+@pytest.mark.parametrize("ends", [log_out, disable, let_idle, take_the_role])
+def test_a_log_in_that_ends_by_itself_turns_nothing_on_and_has_the_beam_held_once(
+    client,
+    session_id,
+    armed,
+    ends,
+):
+    before = list(armed.commands)
+    ends(client)
+    assert armed.commands == before
+    look(client)
+    look(client)
+    assert holds(armed) == [HoldBeam(operator="tidegate")]
+    client.desk.store.now = type(client.desk.store)(None).now
+    client.speaks_as = "B. Physicist"
+    row = audit_rows(client, "session.hold")[-1]
+    assert (row["actor"], row["outcome"], row["detail"]["armed_by"]) == ("tidegate", "done", ARMS)
+
+
+def test_another_holds_stops_and_goes_on_where_one_s_log_in_has_ended(client, session_id, armed):  # noqa: F811
+    log_out(client)
+    look(client)
+    assert act(client, session_id, "hold", operator="B. Physicist").status_code == 200
+    assert act(client, session_id, "release", operator="B. Physicist").status_code == 200
+    look(client)
+    assert len(holds(armed)) == 2
+    assert act(client, session_id, "stop", operator="B. Physicist").status_code == 200
+
+
+def test_a_person_who_is_logged_in_elsewhere_is_there(client, armed):  # noqa: F811
+    from tests.service.people import open_login
+
+    open_login(client.desk.store, ARMS)
+    log_out(client)
+    look(client)
+    assert holds(armed) == []
+
+
+def test_a_gate_that_is_not_armed_is_not_held_over_a_log_in(client, session_id, armed):  # noqa: F811
+    act(client, session_id, "disarm")
+    armed.frame()
+    log_out(client)
+    look(client)
+    assert holds(armed) == []
+
+
+def test_a_machine_whose_key_is_revoked_is_not_there(client, session_id, armed):  # noqa: F811
+    desk = client.desk
+    made = desk.keys.create("planning", KEY_PERMISSIONS, desk.store.now() + timedelta(days=1), by="test")
+    bearer = {"Authorization": f"Bearer {made.secret}"}
+    client.speaks_as = None
+    url = f"/api/v1/sessions/{session_id}/arm"
+    answer = client.post(
+        url, content=b'{"operator": "C. Nurse"} ', headers={**bearer, "Content-Type": "application/json"}
+    )
+    assert answer.status_code == 200, answer.text
+    assert Arm(operator="key:planning") in armed.commands
+    look(client)
+    assert holds(armed) == []
+    desk.keys.revoke(made.key.id, by="test")
+    look(client)
+    assert len(holds(armed)) == 1
+
+
+def test_a_machine_of_the_identity_provider_counts_as_there(client):  # noqa: F811
+    assert client.desk.doorkeeper.is_here(Identity(kind="machine", name="m", permissions=KEY_PERMISSIONS))
+    assert not client.desk.doorkeeper.is_here(Identity(kind="user", name="nobody", permissions=KEY_PERMISSIONS))
+
+
+def test_the_look_is_every_second_and_goes_on_after_a_failure():
+    from service.access import attendance
+    from service.access.attendance import Attendance
+    from tests.service.conftest import eventually
+
+    asked = []
+
+    def is_here(_identity):
+        asked.append(1)
+        raise OSError
+
+    looks = Attendance(is_here=is_here, is_armed=lambda _id: True, hold=lambda *_: None)
+    looks.answers_for("s", Identity(kind="user", name="x", permissions=frozenset()))
+    assert attendance.ROUND_S <= 1.0
+    looks.start()
+    eventually(lambda: len(asked) >= 2)
+    looks.close()
