@@ -7,7 +7,7 @@ STAMP := $(VENV)/.stamp
 export PYTHONDONTWRITEBYTECODE ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup openni test-system test lint types contracts openapi demo bench faults mutants safety lock clean
+.PHONY: help setup openni test-system test lint types contracts openapi demo bench faults kills mutants safety lock clean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -30,7 +30,7 @@ test-system:
 
 # Two at a time; what plays through the runtime or trips a running engine has the machine to itself: the runtime's own
 # threads race where they are not run in time, and crash.
-ALONE := tests/capture tests/faults tests/interlocks tests/xtion tests/phantom/test_played_by_the_runtime.py \
+ALONE := tests/capture tests/faults tests/kills tests/interlocks tests/xtion tests/phantom/test_played_by_the_runtime.py \
 	$(addprefix tests/service/test_,real_engine.py process.py uncalibrated.py) \
 	$(addprefix tests/beam/test_,killed_processes.py real_receivers.py service_line.py) tests/loop/test_wired_line.py
 test: $(STAMP) test-system lint types contracts  ## everything that must hold: lint, types, contracts, all tests
@@ -45,6 +45,9 @@ bench: $(STAMP)  ## how fast it is, against the marks; QUICK=1 is shorter, MINUT
 
 faults: $(STAMP) test-system  ## break the running service in every way, and judge by what the receiver saw; goes on where it was stopped
 	$(BIN)/python -m tests.faults --seeds $(or $(SEEDS),40) --jobs $(or $(JOBS),2) --out $(or $(OUT),build/faults) $(if $(KINDS),--kinds $(KINDS)) $(if $(KEEP),--keep) $(if $(WRITE),--write)
+
+kills: $(STAMP) test-system  ## kill -9 the running service at 200 random moments of its life, and look at what it left; goes on where it was stopped
+	$(BIN)/python -m tests.kills --moments $(or $(MOMENTS),200) --jobs $(or $(JOBS),2) --seed $(or $(SEED),1) --out $(or $(OUT),build/kills) $(if $(KEEP),--keep) $(if $(WRITE),--write)
 
 mutants: $(STAMP)  ## break gate, loop, watchdog and beam lines in every small way: a test must notice; goes on where it stopped
 	PATH="$(CURDIR)/$(BIN):$$PATH" nice -n 10 mutmut run --max-children $(or $(CHILDREN),1)

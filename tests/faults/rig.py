@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from service.journals import Journals
 from tests.beam.modbus_server import COIL, INPUT, REGISTER, UNIT
 from tests.beam.receivers import Receiver
 from tests.faults.ledger import Ledger
@@ -107,6 +108,8 @@ class Rig:
 
     def __exit__(self, *_: object) -> None:
         self._held.close()
+        for left in Journals(self.data, None).left_behind():
+            left.unlink()  # of the machine's memory: no start comes that would read it
 
     # The receiver.
 

@@ -1,6 +1,9 @@
 """One session that learns, so that no other has to: its data folder is what every rig begins with."""
 
+import atexit
+import functools
 import shutil
+import tempfile
 import time
 from pathlib import Path
 
@@ -17,6 +20,14 @@ QUICK_TO_LEARN = Plan(
         "TRAINING_MIN_SECONDS": 8.0,
     },
 )
+
+
+@functools.cache
+def learned_here() -> Template:
+    """Learn one for all tests of this process."""
+    folder = Path(tempfile.mkdtemp(prefix="tidegate-learned-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return learned(folder / "template")
 
 
 def learned(folder: Path) -> Template:

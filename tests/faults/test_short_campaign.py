@@ -8,7 +8,7 @@ import pytest
 
 from tests.faults.campaign import Bench
 from tests.faults.kinds import all_kinds, chosen
-from tests.faults.template import learned
+from tests.faults.template import learned_here
 
 ROOT = Path(__file__).parents[2]
 ALWAYS = frozenset(
@@ -56,7 +56,7 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     folder = tmp_path_factory.mktemp("faults")
-    held = Bench(folder, learned(folder / "template"))
+    held = Bench(folder, learned_here())
     yield held
     held.clear()
 

@@ -18,7 +18,7 @@ from tests.faults.person import NAME, PersonGaveUpError
 from tests.faults.way_back import WayBack
 
 if TYPE_CHECKING:
-    from tests.faults.rig import Rig
+    from tests.kills.rig import KillRig
 
 START_S = 3.5
 """How long a start takes on a machine of this size, with its migrations."""
@@ -47,12 +47,12 @@ class Moment:
 
     code: str
     what: str
-    strike: Callable[["Rig", random.Random], Strike]
+    strike: Callable[["KillRig", random.Random], Strike]
     share: int
     is_fresh: bool = False
 
 
-def kill(rig: "Rig") -> int:
+def kill(rig: "KillRig") -> int:
     """Kill -9 the service; returns when."""
     at_ns = time.monotonic_ns()
     with contextlib.suppress(ProcessLookupError):
@@ -62,19 +62,19 @@ def kill(rig: "Rig") -> int:
     return at_ns
 
 
-def _idle(rig: "Rig", chance: random.Random) -> Strike:
+def _idle(rig: "KillRig", chance: random.Random) -> Strike:
     time.sleep(chance.uniform(0.0, 0.5))
     return Strike(killed_ns=kill(rig), has_session=False)
 
 
-def _starting(rig: "Rig", chance: random.Random) -> Strike:
+def _starting(rig: "KillRig", chance: random.Random) -> Strike:
     kill(rig)
     rig.begin_service()
     time.sleep(chance.uniform(0.0, START_S))
     return Strike(killed_ns=kill(rig), has_session=False)
 
 
-def _recovering(rig: "Rig", chance: random.Random) -> Strike:
+def _recovering(rig: "KillRig", chance: random.Random) -> Strike:
     """Kill with the beam on or about to be, then once or twice more while the next start puts it in order."""
     struck = _beam(rig, chance)
     for _ in range(chance.choice((1, 2))):
@@ -84,7 +84,7 @@ def _recovering(rig: "Rig", chance: random.Random) -> Strike:
     return struck
 
 
-def _creating(rig: "Rig", chance: random.Random) -> Strike:
+def _creating(rig: "KillRig", chance: random.Random) -> Strike:
     asked = _ask(lambda: rig.person.create_session(rig.session_body))
     time.sleep(chance.uniform(0.0, 0.06))
     killed_ns = kill(rig)
@@ -92,7 +92,7 @@ def _creating(rig: "Rig", chance: random.Random) -> Strike:
     return Strike(killed_ns=killed_ns, has_session=False)
 
 
-def _session_starts(rig: "Rig", chance: random.Random) -> Strike:
+def _session_starts(rig: "KillRig", chance: random.Random) -> Strike:
     rig.person.create_session(rig.session_body)
     asked = _ask(lambda: rig.person.act("start"))
     time.sleep(chance.uniform(0.0, 0.8))
@@ -101,7 +101,7 @@ def _session_starts(rig: "Rig", chance: random.Random) -> Strike:
     return Strike(killed_ns=killed_ns)
 
 
-def _logging_in(rig: "Rig", chance: random.Random) -> Strike:
+def _logging_in(rig: "KillRig", chance: random.Random) -> Strike:
     """Somebody logs in, somebody else is made, a key is asked for: what writes people down."""
     body = {"name": f"K. {chance.randrange(10**9)}", "roles": ["viewer"]}
     calls = (
@@ -116,14 +116,14 @@ def _logging_in(rig: "Rig", chance: random.Random) -> Strike:
     return Strike(killed_ns=killed_ns, has_session=False)
 
 
-def _measuring(rig: "Rig", chance: random.Random) -> Strike:
+def _measuring(rig: "KillRig", chance: random.Random) -> Strike:
     rig.new_session()
     since_ns = _await_measuring(rig)
     time.sleep(chance.uniform(0.0, 2.0))
     return Strike(killed_ns=kill(rig), measured_from_ns=since_ns)
 
 
-def _arming(rig: "Rig", chance: random.Random) -> Strike:
+def _arming(rig: "KillRig", chance: random.Random) -> Strike:
     rig.new_session()
     since_ns = _await_measuring(rig)
     rig.person.act("reference")
@@ -134,19 +134,19 @@ def _arming(rig: "Rig", chance: random.Random) -> Strike:
     return Strike(killed_ns=killed_ns, measured_from_ns=since_ns)
 
 
-def _arm(rig: "Rig") -> None:
+def _arm(rig: "KillRig") -> None:
     for _ in range(20):
         if rig.person.act("arm").status_code == httpx2.codes.OK:
             return
 
 
-def _beam(rig: "Rig", chance: random.Random) -> Strike:
+def _beam(rig: "KillRig", chance: random.Random) -> Strike:
     since_ns = _reach_beam(rig)
     time.sleep(chance.uniform(0.0, 2.5))
     return Strike(killed_ns=kill(rig), measured_from_ns=since_ns)
 
 
-def _behind_edge(rig: "Rig", chance: random.Random) -> Strike:
+def _behind_edge(rig: "KillRig", chance: random.Random) -> Strike:
     """Kill within 30 ms of an edge that was just seen, most often within a few."""
     since_ns = _reach_beam(rig)
     after_s = chance.choice((chance.uniform(0.0, 0.005), chance.uniform(0.0, EDGE_S)))
@@ -155,7 +155,7 @@ def _behind_edge(rig: "Rig", chance: random.Random) -> Strike:
     return Strike(killed_ns=kill(rig), measured_from_ns=since_ns)
 
 
-def _around_edge(rig: "Rig", chance: random.Random) -> Strike:
+def _around_edge(rig: "KillRig", chance: random.Random) -> Strike:
     """Kill around the edge that is due a breath after one that was seen."""
     since_ns = _reach_beam(rig)
     edge_ns = _await_edge(rig, chance.random() < 0.5)
@@ -164,7 +164,7 @@ def _around_edge(rig: "Rig", chance: random.Random) -> Strike:
     return Strike(killed_ns=kill(rig), measured_from_ns=since_ns)
 
 
-def _stopping(rig: "Rig", chance: random.Random) -> Strike:
+def _stopping(rig: "KillRig", chance: random.Random) -> Strike:
     """Kill while the session is closed and its samples turned into their last form."""
     since_ns = _reach_beam(rig)
     asked = _ask(lambda: rig.person.act("stop"))
@@ -174,7 +174,17 @@ def _stopping(rig: "Rig", chance: random.Random) -> Strike:
     return Strike(killed_ns=killed_ns, measured_from_ns=since_ns)
 
 
-def _first_start(rig: "Rig", chance: random.Random) -> Strike:
+def _backing_up(rig: "KillRig", chance: random.Random) -> Strike:
+    """Kill service and backup while one is made of a session that runs."""
+    since_ns = _reach_beam(rig)
+    with rig.backup() as process:
+        time.sleep(chance.uniform(0.5, 4.0))
+        killed_ns = kill(rig)
+        process.kill()
+    return Strike(killed_ns=killed_ns, measured_from_ns=since_ns)
+
+
+def _first_start(rig: "KillRig", chance: random.Random) -> Strike:
     """Kill the very first start of all: the tables are made."""
     kill(rig)
     rig.empty_data()
@@ -195,14 +205,14 @@ def _ask(call: Callable[[], object]) -> threading.Thread:
     return thread
 
 
-def _reach_beam(rig: "Rig") -> int:
+def _reach_beam(rig: "KillRig") -> int:
     way = WayBack(rig)
     if way.walk() is None:
         raise MissedError(f"the beam does not come on: {way.refusal}")
     return time.monotonic_ns()
 
 
-def _await_measuring(rig: "Rig") -> int:
+def _await_measuring(rig: "KillRig") -> int:
     end_s = time.monotonic() + MEASURING_S
     while rig.person.detail()["measurement_state"] != "measuring":
         if time.monotonic() > end_s:
@@ -211,7 +221,7 @@ def _await_measuring(rig: "Rig") -> int:
     return time.monotonic_ns()
 
 
-def _await_edge(rig: "Rig", is_on: bool) -> int:
+def _await_edge(rig: "KillRig", is_on: bool) -> int:
     """Wait for the next edge of this direction; a session that faults is put right meanwhile."""
     since_ns = time.monotonic_ns()
     end_s = time.monotonic() + PATIENCE_S
@@ -232,9 +242,10 @@ MOMENTS = (
     Moment(code="stopping", what="while the session is stopped and its files made", strike=_stopping, share=12),
     Moment(code="recovering", what="while a start puts the kill before in order", strike=_recovering, share=10),
     Moment(code="arming", what="around an arming", strike=_arming, share=8),
-    Moment(code="measuring", what="while a session measures, not armed", strike=_measuring, share=6),
+    Moment(code="measuring", what="while a session measures, not armed", strike=_measuring, share=4),
     Moment(code="session-starts", what="while a session starts", strike=_session_starts, share=5),
     Moment(code="starting", what="while the service starts", strike=_starting, share=4),
+    Moment(code="backing-up", what="while a backup is made beside a session", strike=_backing_up, share=2),
     Moment(code="creating", what="while a session is made", strike=_creating, share=3),
     Moment(code="logging-in", what="while people log in and are made", strike=_logging_in, share=2),
     Moment(code="idle", what="while nothing goes on", strike=_idle, share=2),

@@ -2,8 +2,11 @@
 
 import shutil
 import sqlite3
+import subprocess
+import sys
 import time
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +15,7 @@ from tests.faults.person import PersonGaveUpError
 from tests.faults.plan import ANYBODY
 from tests.faults.rig import DATABASE, Rig, Template
 from tests.faults.verdict import LineEdge
+from tests.service.processes import ROOT
 
 EDGE_MM = 4.0
 """A breath leaves this window on both sides of wherever the zero was set, or on one."""
@@ -63,6 +67,21 @@ class KillRig(Rig):
             found = [str(row[0]) for row in database.execute("PRAGMA integrity_check") if row[0] != "ok"]
             found += [f"a row of {row[0]} points nowhere" for row in database.execute("PRAGMA foreign_key_check")]
         return "; ".join(found)
+
+    @contextmanager
+    def backup(self) -> Iterator[subprocess.Popen[bytes]]:
+        """Make a backup beside the service; what it has made when the block ends is thrown away."""
+        out = self.folder / "backup"
+        command = [sys.executable, "-m", "service.cli", "backup", str(out), "--data", str(self.data), "--no-verify"]
+        with (self.folder / "backup.log").open("wb") as log:
+            process = subprocess.Popen(command, cwd=ROOT, env=self._environment(), stdout=log, stderr=log)
+        try:
+            yield process
+        finally:
+            process.kill()
+            process.wait()
+            for left in self.folder.glob("backup*"):
+                left.unlink()
 
     def empty_data(self) -> None:
         """Leave the folder as it is before the first start of all; what was there comes back by :meth:`refill_data`."""

@@ -74,7 +74,7 @@ def service_process(
             stdout=output,
             stderr=subprocess.STDOUT,
             cwd=ROOT,
-            env={**os.environ, **(environment or {})},
+            env={**os.environ, "TIDEGATE_JOURNAL_DIR": str(log.parent / "journals"), **(environment or {})},
         )
         try:
             with PeopleOverHttp(port, provisioned) as client:
