@@ -204,9 +204,9 @@ def postgres_server() -> Iterator[PostgresServer]:
     server.close()
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def own_postgres_server() -> Iterator[PostgresServer]:
-    """Give a server of this test's own, to stop and to kill."""
+    """Give a server of this module's own, to stop and to kill and to start again."""
     server = PostgresServer()
     yield server
     server.close()

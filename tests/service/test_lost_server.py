@@ -1,0 +1,163 @@
+"""The database's server is restarted, killed or stands still under a running session: the gate hears of it in time.
+
+On a real server of these tests' own. What is written in the meantime waits, and is there once the server is.
+"""
+
+import threading
+import time
+
+import pytest
+from sqlalchemy import text
+from sqlalchemy.exc import SQLAlchemyError
+
+from engine.commands import HoldBeam
+from engine.permits import GateState, HoldReason
+from service import audit, bridge
+from service.db.engine import Database
+from tests.service.conftest import act, audit_rows, eventually
+
+BEHIND = HoldReason.AUDIT_BEHIND
+IN_TIME_S = 3.0
+"""On a busy machine; an armed gate's sample or transition that waits a second holds it by itself (rule 7)."""
+
+
+@pytest.fixture
+def place(own_postgres_server):
+    url = own_postgres_server.migrated()
+    yield url
+    own_postgres_server.drop(url)
+
+
+@pytest.fixture
+def server(own_postgres_server):
+    return own_postgres_server
+
+
+@pytest.fixture
+def quick_looks(monkeypatch):
+    monkeypatch.setattr(bridge, "DISK_CHECK_S", 0.05)
+
+
+def hears(running):
+    running.faults.clear()
+    eventually(lambda: BEHIND in running.faults, within_s=IN_TIME_S)
+
+
+def is_whole(place):
+    database = Database(place)
+    with database.read() as db:
+        found = audit.verify(db)
+    database.close()
+    return found.is_intact
+
+
+@pytest.mark.parametrize("end", ["stop", "kill"])
+def test_a_server_that_goes_is_heard_of_while_it_is_away_and_nothing_is_lost(
+    client, session_id, running, server, place, quick_looks, end
+):
+    running.transition(GateState.HOLD, HoldReason.DWELL)
+    eventually(lambda: len(audit_rows(client, "gate.transition")) == 1)
+    getattr(server, end)()
+    hears(running)
+    running.transition(GateState.DWELL, None)
+    running.frame()
+    hears(running)
+    assert act(client, session_id, "arm").status_code == 503
+    assert client.get("/readyz").status_code == 503
+    server.start()
+    eventually(lambda: len(audit_rows(client, "gate.transition")) == 2, within_s=10.0)
+    running.faults.clear()
+    running.transition(GateState.HOLD, HoldReason.DWELL)
+    eventually(lambda: len(audit_rows(client, "gate.transition")) == 3)
+    assert running.faults == []
+    assert client.get("/readyz").status_code == 200
+    assert is_whole(place)
+
+
+def test_a_server_that_stands_still_is_heard_of_and_keeps_nobody_from_holding(
+    client, session_id, running, server, quick_looks
+):
+    server.pause()
+    try:
+        running.transition(GateState.HOLD, HoldReason.DWELL)
+        hears(running)
+        asked = threading.Thread(target=act, args=(client, session_id, "hold"))
+        asked.start()
+        eventually(lambda: any(isinstance(command, HoldBeam) for command in running.commands), within_s=IN_TIME_S)
+    finally:
+        server.go_on()
+    asked.join(15.0)
+    assert not asked.is_alive()
+    eventually(lambda: len(audit_rows(client, "gate.transition")) >= 1, within_s=10.0)
+
+
+def test_an_answer_that_does_not_come_ends_the_wait_and_the_connection(server, place):
+    database = Database(place, answer_timeout_s=0.3)
+    with database.read() as db:
+        assert db.scalar(text("SELECT 1")) == 1
+    server.pause()
+    try:
+        began_s = time.monotonic()
+        with pytest.raises(SQLAlchemyError), database.read() as db:
+            db.scalar(text("SELECT 2"))
+        assert time.monotonic() - began_s < IN_TIME_S
+    finally:
+        server.go_on()
+    with database.read() as db:
+        assert db.scalar(text("SELECT 3")) == 3
+    database.close()
+
+
+def test_a_statement_that_takes_too_long_is_ended_by_the_server_itself(place):
+    database = Database(place, answer_timeout_s=0.3)
+    with pytest.raises(SQLAlchemyError), database.read() as db:
+        db.scalar(text("SELECT pg_sleep(30)"))
+    with database.read() as db:
+        busy = db.scalar(
+            text("SELECT count(*) FROM pg_stat_activity WHERE query LIKE '%pg_sleep(30)%' AND state = 'active'")
+        )
+    assert busy <= 1  # the question itself
+    database.close()
+
+
+def test_one_writes_at_a_time_and_who_waits_too_long_is_told(place):
+    one, other = Database(place), Database(place, busy_timeout_s=0.2)
+    with one.write(), pytest.raises(SQLAlchemyError, match="lock timeout"), other.write():
+        pass
+    with other.write() as db:
+        db.execute(text("SELECT 1"))
+    one.close()
+    other.close()
+
+
+def test_another_database_in_its_place_is_not_the_one_that_was_opened(server, place):
+    database = Database(place)
+    assert database.trouble() is None
+    with database.write() as db:
+        db.execute(text("ALTER TABLE audit RENAME TO audit_aside"))
+        db.execute(text("CREATE TABLE audit (LIKE audit_aside INCLUDING ALL)"))
+    assert "another database" in database.trouble()
+    with database.write() as db:
+        db.execute(text("DROP TABLE audit"))
+        db.execute(text("ALTER TABLE audit_aside RENAME TO audit"))
+    assert database.trouble() is None
+    database.close()
+
+
+def test_what_the_site_s_url_says_of_commits_does_not_make_them_less_durable(place):
+    database = Database(place.update_query_dict({"options": "-c synchronous_commit=off"}))
+    with database.read() as db:
+        assert db.scalar(text("SHOW synchronous_commit")) == "on"
+    database.close()
+
+
+def test_who_reads_sees_one_moment_and_changes_nothing(place):
+    database = Database(place)
+    with database.read() as db:
+        before = db.scalar(text("SELECT count(*) FROM audit"))
+        with database.write() as other:
+            audit.append(other, audit.Event(actor="me", action="meanwhile"))
+        assert db.scalar(text("SELECT count(*) FROM audit")) == before
+        with pytest.raises(SQLAlchemyError, match="read-only"):
+            db.execute(text("DELETE FROM idempotency_keys"))
+    database.close()
