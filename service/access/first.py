@@ -13,8 +13,11 @@ TellFirst = Callable[[str, str], None]
 
 
 def make_first_admin(store: AccessStore, people: PeopleDesk, tell: TellFirst) -> None:
-    """Make an administrator where there is nobody at all, with a password to be changed at the first log-in."""
+    """Make an administrator where there is nobody at all, with a password to be changed at the first log-in.
+
+    It is a break-glass account: at a site whose people log in at an identity provider no other password counts.
+    """
     if store.users:
         return
-    issued = people.add(FIRST_NAME, [Role.ADMIN], by=SYSTEM)
+    issued = people.add(FIRST_NAME, [Role.ADMIN], by=SYSTEM, is_break_glass=True)
     tell(issued.user.name, issued.one_time_password or "")

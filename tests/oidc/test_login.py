@@ -411,6 +411,18 @@ def test_other_accounts_of_our_own_are_refused_once_their_password_was_right(cli
     assert wrong.json() == unknown.json()
 
 
+def test_the_first_administrator_of_a_new_folder_gets_in_although_people_log_in_at_the_provider(
+    tmp_path, outside, oidc
+):
+    told = {}
+    settings = Settings(data_dir=tmp_path / "data", allowed_hosts=("testserver",), **oidc(outside))
+    app = create_app(settings, lambda _settings: FakeEngine(), tell_first=told.__setitem__)
+    with TestClient(app) as client:
+        [(name, password)] = told.items()
+        body = {"name": name, "password": password, "reason": "the first start"}
+        assert client.post("/api/v1/login", json=body).json()["must_change_password"]
+
+
 def test_a_site_may_let_its_other_accounts_in(start, outside):
     client = start(outside, oidc_local_accounts="all")
     local(client)
