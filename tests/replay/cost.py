@@ -1,0 +1,108 @@
+"""What looking back costs the gate: frames timed from capture to the line told, without a tape, with one, and with raw.
+
+`python -m tests.replay.cost` plays a volunteer at 30 frames a second through an engine, in turns of each kind so that
+what else the machine does falls on all alike, and prints the quantiles. Judge by the differences.
+"""
+
+import itertools
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import typer
+
+from engine.beam.simulated import SimulatedBeamLine
+from engine.calibration import load_calibration
+from engine.capture.oni_file import OniFileSource
+from engine.capture.raw_recorder import RawRecorder
+from engine.clock import NS_PER_MS, MonotonicClock
+from engine.limits import GateLimits
+from engine.loop import EngineLoop
+from engine.pipeline import Pipeline, PipelineSettings
+from engine.replaying.tape_writer import TapeWriter
+from engine.replaying.taping import Taping
+from engine.replaying.witnessed_trainer import WitnessedTrainer
+from engine.training import BackgroundTrainer, TrainingSettings
+from engine.windows import amplitude_window
+from engine.witness import NOBODY, Seam, WitnessedClock
+from service.cli.serve import SWITCH_INTERVAL_S
+from tests.replay.__main__ import VOLUNTEERS, kept_volunteer
+from tests.replay.scripted import NO_MODELS
+
+KINDS = ("without", "tape", "tape and raw")
+ROUNDS = 2
+ANSWERS = 100_000
+GIB = 1024.0**3
+
+
+def latencies_ms(volunteer: Path, kind: str, folder: Path) -> list[float]:
+    """Play one session; return every measured frame's time from its receipt to the line told."""
+    clock = MonotonicClock()
+    raw = RawRecorder(folder / "raw.oni", min_free_bytes=GIB) if "raw" in kind else None
+    taping = Taping(keep_frame=(lambda _frame: None) if raw is None else raw.offer)
+    witness = NOBODY if kind == "without" else taping
+    training = TrainingSettings(min_frames=40, max_frames=120, min_cycles=1, min_seconds=4.0)
+    loop = EngineLoop(
+        source=OniFileSource(volunteer / "recording.oni", clock=clock, is_paced=True),
+        pipeline=Pipeline(
+            load_calibration(volunteer / "calibration.json"),
+            PipelineSettings(training=training),
+            WitnessedClock(clock, witness),
+            WitnessedTrainer(BackgroundTrainer(), witness),
+        ),
+        beam=SimulatedBeamLine(clock),
+        limits=GateLimits(window=amplitude_window(lower_mm=-40.0, upper_mm=40.0)),
+        clock=clock,
+        witness=witness,
+    )
+    if witness is taping:
+        TapeWriter(taping, folder / "a.tape", dict, NO_MODELS).start()
+    if raw is not None:
+        raw.start()
+    found = []
+    loop.start()
+    while not loop.join(0.01):
+        for filled in (loop.transitions, loop.notices):
+            while not filled.empty():
+                filled.get()
+        while not loop.samples.empty():
+            record = loop.samples.get()
+            if record.measurement.state.value == "measuring":
+                found.append((record.asserted_ns - record.received_ns) / NS_PER_MS)
+    assert raw is None or raw.finish(30.0) is None, raw.error
+    assert taping.torn is None, taping.torn
+    return found
+
+
+def microseconds_an_answer() -> float:
+    """Time what one answer costs more when it is written down."""
+    taping, clock = Taping(), MonotonicClock()
+    spent = []
+    for witness in (NOBODY, taping):
+        started = time.perf_counter()
+        for _ in range(ANSWERS):
+            witness.heard(Seam.CLOCK, clock.now_ns)
+        spent.append(time.perf_counter() - started)
+    return (spent[1] - spent[0]) / ANSWERS * 1e6
+
+
+def main() -> None:
+    """Measure and print."""
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    volunteer = kept_volunteer(*VOLUNTEERS[0])
+    found = defaultdict(list)
+    for _, kind in itertools.product(range(ROUNDS), KINDS):
+        with tempfile.TemporaryDirectory(prefix="tidegate-cost-") as folder:
+            found[kind] += latencies_ms(volunteer, kind, Path(folder))
+    typer.echo(f"one answer written down: {microseconds_an_answer():.2f} us more")
+    typer.echo("capture to the line told [ms]     p50     p99   p99.9     max   frames")
+    for kind in KINDS:
+        p50, p99, p999 = np.percentile(found[kind], [50, 99, 99.9])
+        typer.echo(f"{kind:28s} {p50:8.2f}{p99:8.2f}{p999:8.2f}{max(found[kind]):8.2f}{len(found[kind]):9d}")
+
+
+if __name__ == "__main__":
+    main()
