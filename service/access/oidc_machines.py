@@ -1,4 +1,4 @@
-"""Machines with an access token of the provider (client credentials): judged from memory, within microseconds."""
+"""Machines with an access token of the provider (client credentials): judged from memory, waiting for nobody."""
 
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime

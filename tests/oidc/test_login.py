@@ -440,6 +440,14 @@ def test_a_machine_comes_in_with_the_provider_s_token_and_may_what_its_scopes_sa
     assert client.get("/api/v1/sessions", headers={"Authorization": f"Bearer {'x' * 20_000}"}).status_code == 401
 
 
+def test_what_a_machine_has_open_ends_with_its_token(client, outside):
+    access = client.app.state.access
+    identity = access.doorkeeper.machine_verifier.identify(machine_token(outside))
+    assert access.doorkeeper.is_valid(identity)
+    over = replace(identity, until=access.store.now())
+    assert not access.doorkeeper.is_valid(over)
+
+
 def machine_token(outside) -> str:
     from authlib.integrations.httpx_client import OAuth2Client
 
