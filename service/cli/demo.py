@@ -1,8 +1,8 @@
 """``tidegate demo``: a virtual volunteer through the whole of Tidegate, over its own HTTP API.
 
-Makes a recording, starts ``tidegate serve`` as a process of its own, plays the recording in real time through the
-OpenNI2 runtime, opens a session, learns, sets the reference at end-exhale, arms, gates, and compares what the service
-stored with the truth.
+Makes a recording and a person, starts ``tidegate serve`` as a process of its own, logs in, plays the recording in real
+time through the OpenNI2 runtime, opens a session, learns, sets the reference at end-exhale, arms, gates, and compares
+what the service stored with the truth.
 """
 
 import contextlib
@@ -10,6 +10,7 @@ import csv
 import io
 import json
 import os
+import secrets
 import socket
 import subprocess
 import sys
@@ -17,7 +18,8 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from http.cookiejar import CookieJar
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,14 +36,17 @@ from engine.capture.openni import runtime_available
 from engine.errors import TidegateError
 from engine.frames import FloatArray
 from engine.phantom.truth import load_truth
+from service.cli.demo_person import put_person
 from service.cli.terminal import refused
 
 OPERATOR = "Demo"
+PASSWORD_BYTES = 12
 WINDOW = {"signal": "whole", "lower_mm": -1.5, "upper_mm": 2.0, "hysteresis_mm": 0.2, "dwell_ms": 200.0}
 LATENCIES = {"p50": "p50", "p99": "p99", "longest": "max"}
 START_TIMEOUT_S = 30.0
 SILENCE_S = 15.0
 EXHALE_WATCH_S = 4.0
+REFERENCE_WITHIN_US = 500_000
 Message = dict[str, Any]
 
 
@@ -62,11 +67,15 @@ def demo(
     console = Console(highlight=False)
     try:
         recording = _volunteer(folder, volunteer, seconds, console)
+        one_time_password = put_person(_data(folder), OPERATOR, by="tidegate demo")
         with _service(folder, _free_port(port), console) as api:
-            session_id = _gate(api, recording, console)
-            _summarise(api, session_id, recording, console)
+            password = _log_in(api, one_time_password)
+            _summarise(api, _gate(api, recording, console), recording, console)
             if keep:
-                console.print(f"Still up: {api.address}/  (Ctrl-C ends)", markup=False)
+                console.print(
+                    f"Still up: {api.address}/  Log in as {OPERATOR} with the password {password}  (Ctrl-C ends)",
+                    markup=False,
+                )
                 _wait_for_ctrl_c()
     except TidegateError as error:
         raise refused("demo", error) from error
@@ -85,11 +94,24 @@ def _volunteer(folder: Path, volunteer: int, seconds: float, console: Console) -
     return out
 
 
+def _log_in(api: "_Api", one_time_password: str) -> str:
+    """Log in as everybody does the first time: with a password for once, and one of one's own chosen at once."""
+    password = secrets.token_urlsafe(PASSWORD_BYTES)
+    api.post("/api/v1/login", {"name": OPERATOR, "password": one_time_password})
+    api.post("/api/v1/me/password", {"old_password": one_time_password, "new_password": password})
+    return password
+
+
+def _data(folder: Path) -> Path:
+    return (folder / "data").resolve()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Api:
-    """A few calls of the service's API."""
+    """A few calls of the service's API, by whoever has logged in with it."""
 
     address: str
+    cookies: CookieJar = field(default_factory=CookieJar)
 
     def get(self, path: str) -> Any:  # noqa: ANN401 - JSON
         return json.loads(self._call("GET", path, None))
@@ -98,13 +120,16 @@ class _Api:
         return self._call("GET", path, None).decode()
 
     def post(self, path: str, body: bytes | Message) -> Any:  # noqa: ANN401 - JSON
-        return json.loads(self._call("POST", path, body if isinstance(body, bytes) else json.dumps(body).encode()))
+        return json.loads(
+            self._call("POST", path, body if isinstance(body, bytes) else json.dumps(body).encode()) or b"null"
+        )
 
     def live(self) -> Iterator[Message]:
         """Follow the live stream."""
         url = self.address.replace("http://", "ws://") + "/api/v1/live"
         try:
-            with connect(url, compression=None) as socket_:
+            cookie = "; ".join(f"{one.name}={one.value}" for one in self.cookies)
+            with connect(url, compression=None, additional_headers={"Cookie": cookie}) as socket_:
                 while True:
                     yield json.loads(socket_.recv(timeout=SILENCE_S))
         except (WebSocketException, OSError) as error:
@@ -112,11 +137,13 @@ class _Api:
             raise DemoError(message) from error
 
     def _call(self, method: str, path: str, body: bytes | None) -> bytes:
+        headers = {"Content-Type": "application/json", "Origin": self.address}
         request = urllib.request.Request(  # noqa: S310 - the address is our own loopback
-            f"{self.address}{path}", data=body, method=method, headers={"Content-Type": "application/json"}
+            f"{self.address}{path}", data=body, method=method, headers=headers
         )
+        opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor(self.cookies))
         try:
-            with urllib.request.urlopen(request, timeout=30.0) as answer:  # noqa: S310
+            with opener.open(request, timeout=30.0) as answer:
                 content: bytes = answer.read()
                 return content
         except urllib.error.HTTPError as error:
@@ -138,8 +165,7 @@ def _free_port(wanted: int) -> int:
 
 @contextlib.contextmanager
 def _service(folder: Path, port: int, console: Console) -> Iterator[_Api]:
-    data = (folder / "data").resolve()
-    command = [sys.executable, "-m", "service.cli", "serve", "--port", str(port), "--data", str(data)]
+    command = [sys.executable, "-m", "service.cli", "serve", "--port", str(port), "--data", str(_data(folder))]
     environment = {key: value for key, value in os.environ.items() if not key.startswith("TIDEGATE_")}
     log_path = folder / "service.log"
     with (
@@ -175,8 +201,16 @@ def _wait_until_ready(api: _Api, process: "subprocess.Popen[bytes]", log_path: P
     raise DemoError(message)
 
 
-def _gate(api: _Api, recording: Path, console: Console) -> str:
-    """Run one session from its creation to the recording's end; return its id."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Ran:
+    """A session that is over, and the camera's time when its reference was asked for; None if it never was [us]."""
+
+    session_id: str
+    asked_us: int | None
+
+
+def _gate(api: _Api, recording: Path, console: Console) -> _Ran:
+    """Run one session from its creation to the recording's end."""
     player = "openni" if runtime_available() else "reader"
     if player == "reader":
         console.print(
@@ -199,9 +233,9 @@ def _gate(api: _Api, recording: Path, console: Console) -> str:
     path = f"/api/v1/sessions/{session['id']}"
     api.post(f"{path}/start", {"operator": OPERATOR})
     console.print(f"3 Session {session['id'][:8]}: playing through {player}, learning the patient's breathing")
-    _follow(api, path, console)
+    asked_us = _follow(api, path, console)
     _close(api, path)
-    return str(session["id"])
+    return _Ran(session_id=str(session["id"]), asked_us=asked_us)
 
 
 def _close(api: _Api, path: str) -> None:
@@ -213,29 +247,30 @@ def _close(api: _Api, path: str) -> None:
         time.sleep(0.1)
 
 
-def _follow(api: _Api, path: str, console: Console) -> None:
+def _follow(api: _Api, path: str, console: Console) -> int | None:
     """Show a live line; set the reference at end-exhale, arm, and watch until the recording is over."""
     began = time.monotonic()
     exhale = _EndExhale()
-    is_armed = False
+    asked_us = None
     with Live(console=console, refresh_per_second=8, transient=True) as live:
         for message in api.live():
             if message["type"] == "idle":
                 if api.get(path)["status"] in {"created", "running"}:
                     continue
-                return
+                return asked_us
             if message["type"] != "sample":
                 continue
             live.update(_line(message))
             if message["session_status"] != "running":
-                return
-            if not is_armed and exhale.is_reached(message):
+                return asked_us
+            if asked_us is None and exhale.is_reached(message):
                 api.post(f"{path}/reference", {"operator": OPERATOR})
                 _arm(api, path)
-                is_armed = True
+                asked_us = int(message["timestamp_us"])
                 console.print(
                     f"4 Reference set at end-exhale; armed after {time.monotonic() - began:.0f} s of the session."
                 )
+    return asked_us
 
 
 def _arm(api: _Api, path: str) -> None:
@@ -287,11 +322,11 @@ def _line(message: Message) -> Text:
     return line
 
 
-def _summarise(api: _Api, session_id: str, recording: Path, console: Console) -> None:
-    session = api.get(f"/api/v1/sessions/{session_id}")
-    rows = list(csv.DictReader(io.StringIO(api.text(f"/api/v1/sessions/{session_id}/samples"))))
+def _summarise(api: _Api, ran: _Ran, recording: Path, console: Console) -> None:
+    session = api.get(f"/api/v1/sessions/{ran.session_id}")
+    rows = list(csv.DictReader(io.StringIO(api.text(f"/api/v1/sessions/{ran.session_id}/samples"))))
     summary = session["summary"]
-    error_mm = _errors_mm(rows, recording)
+    error_mm = np.empty(0) if ran.asked_us is None else _errors_mm(rows, ran.asked_us, recording)
     table = Table("what", "value", title="Summary", show_header=False, title_justify="left")
     table.add_row("session", f"{session['status']}  {session['status_detail']}".strip())
     table.add_row("frames", str(summary["frames"]))
@@ -310,14 +345,19 @@ def _summarise(api: _Api, session_id: str, recording: Path, console: Console) ->
     console.print(table)
 
 
-def _errors_mm(rows: list[dict[str, str]], recording: Path) -> FloatArray:
-    """Absolute error of the whole-region motion since the reference was last set, that frame's own error included."""
+def _errors_mm(rows: list[dict[str, str]], asked_us: int, recording: Path) -> FloatArray:
+    """Absolute error of the whole-region motion since the reference was set, that frame's own error included.
+
+    The frame that became the reference is one of the first after it was asked for: where the motion steps to zero.
+    """
     truth = load_truth(recording / "truth.npz")
     measured = [(int(row["timestamp_us"]), float(row["whole_mm"])) for row in rows if row["whole_mm"]]
-    zeros = [i for i, (_, motion_mm) in enumerate(measured) if abs(motion_mm) < 1e-6]
-    if not zeros:
+    since = [one for one in measured if one[0] >= asked_us]
+    soon = [motion_mm for at_us, motion_mm in since if at_us <= asked_us + REFERENCE_WITHIN_US]
+    if len(soon) < 2:
         return np.empty(0)
-    times_us, motion_mm = np.array(measured[zeros[-1] :]).T
+    first = int(np.argmax(np.abs(np.diff(soon)))) + 1
+    times_us, motion_mm = np.array(since[first:]).T
     at = np.searchsorted(truth.timestamp_us, times_us)
     depth_mm = truth.whole_depth_mm[np.minimum(at, len(truth.timestamp_us) - 1)]
     return np.asarray(np.abs(motion_mm - (depth_mm[0] - depth_mm)), dtype=np.float64)
