@@ -19,11 +19,13 @@ from playwright.sync_api import BrowserContext, Page, expect
 from playwright.sync_api import TimeoutError as BrowserTimeoutError
 
 from tests.browser.conftest import Tab
+from tests.service.people import EVERY_ROLE, provision
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
 COMMAND = Path(sysconfig.get_path("scripts")) / "tidegate"
 OPERATOR = "A. Therapist"
+PASSWORD = "a password of a therapist"
 # Around the reference, where every breath comes by, and narrower than any breath.
 WINDOW = {"signal": "whole", "lower_mm": -2.0, "upper_mm": 2.0, "hysteresis_mm": 0.1, "dwell_ms": 200.0}
 
@@ -52,13 +54,15 @@ REMEMBER_STATES = """() => {
 
 
 class Controller:
-    """A `tidegate serve` process and its HTTP API."""
+    """A `tidegate serve` process with one person, and its HTTP API as the planning software calls it."""
 
     def __init__(self, data: Path, recordings: Path) -> None:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             port = probe.getsockname()[1]
         self.url = f"http://127.0.0.1:{port}"
+        let_in = provision(data, people={OPERATOR: EVERY_ROLE}, origin=self.url, password=PASSWORD)
+        self._key = let_in.key
         command = [COMMAND, "serve", "--port", str(port), "--data", data, "--recordings", recordings]
         self._process = subprocess.Popen([str(word) for word in command], env=os.environ | PATIENCE)
 
@@ -67,7 +71,7 @@ class Controller:
             f"{self.url}/api/v1{path}",
             method=method,
             data=None if body is None else json.dumps(body).encode(),
-            headers={"Content-Type": "application/json"},
+            headers={"Content-Type": "application/json", **self._key},
         )
         with urllib.request.urlopen(request, timeout=10.0) as response:
             return json.load(response)
@@ -119,6 +123,12 @@ def create_session(controller: Controller, volunteer: Path) -> str:
     return str(controller.call("POST", "/sessions", request)["id"])
 
 
+def log_in(page: Page, password: str) -> None:
+    page.locator("#log-in").get_by_label("Name", exact=True).fill(OPERATOR)
+    page.locator("#log-in").get_by_label("Password", exact=True).fill(password)
+    page.keyboard.press("Enter")
+
+
 def seen_on(page: Page) -> set[tuple[str, str, str]]:
     return {tuple(one) for one in page.evaluate("window.seen")}
 
@@ -151,8 +161,12 @@ def gate_one_recording(tab: Tab) -> set[tuple[str, str, str]]:
 def test_a_volunteer_is_gated_on_the_page(controller: Controller, occlusion_volunteer: Path, context: BrowserContext):
     tab = Tab(page=context.new_page(), url=controller.url)
     tab.watch()
-    page = tab.open("idle")
-    tab.named(OPERATOR)
+    page = tab.open("out")
+    log_in(page, "not the password")
+    expect(page.locator("#log-in-outcome")).to_have_text("Name or password is wrong.")
+    log_in(page, PASSWORD)
+    tab.sees("idle")
+    expect(page.locator("#person-name")).to_have_text(OPERATOR)
     # The recording plays in real time. Where other work takes the processors, learning may outlast it: once more, then.
     for _ in range(ATTEMPTS):
         session_id = create_session(controller, occlusion_volunteer)
@@ -169,5 +183,9 @@ def test_a_volunteer_is_gated_on_the_page(controller: Controller, occlusion_volu
     assert {row["actor"] for row in armed} == {OPERATOR}
     controller.call("POST", f"/sessions/{session_id}/stop", {"operator": OPERATOR})
     tab.sees("idle")
+    page.click("#do-log-out")
+    tab.sees("out")
+    page.reload()
+    tab.sees("out")
     page.close()
     assert tab.complaints == []
