@@ -9,6 +9,8 @@ from typer.core import TyperGroup
 
 HOMES = {
     "serve": "serve",
+    "users": "users",
+    "keys": "keys",
     "measure": "measure",
     "phantom": "phantom",
     "info": "recordings",

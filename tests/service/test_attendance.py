@@ -8,26 +8,13 @@ from engine.commands import Arm, HoldBeam
 from service.access.identity import Identity
 from service.access.people import Change
 from service.access.permissions import KEY_PERMISSIONS, Role
-
-# The fixtures of a service on a fake engine.
-from tests.service.conftest import (  # noqa: F401
-    act,
-    audit_rows,
-    calibration_id,
-    calibration_text,
-    client,
-    engine,
-    running,
-    session_body,
-    session_id,
-    settings,
-)
+from tests.service.conftest import act, audit_rows
 
 ARMS = "A. Therapist"
 
 
 @pytest.fixture
-def armed(client, session_id, running):  # noqa: F811
+def armed(client, session_id, running):
     client.app.state.attendance.close()  # looks when the test says so
     client.headers_as("B. Physicist")
     assert act(client, session_id, "arm").status_code == 200
@@ -35,34 +22,34 @@ def armed(client, session_id, running):  # noqa: F811
     return running
 
 
-def look(client):  # noqa: F811
+def look(client):
     client.app.state.attendance.look()
 
 
-def holds(running):  # noqa: F811
+def holds(running):
     return [command for command in running.commands if isinstance(command, HoldBeam)]
 
 
-def test_while_whoever_armed_is_there_nothing_is_held(client, armed):  # noqa: F811
+def test_while_whoever_armed_is_there_nothing_is_held(client, armed):
     look(client)
     assert holds(armed) == []
 
 
-def log_out(client):  # noqa: F811
+def log_out(client):
     assert client.post("/api/v1/logout", json={"operator": ARMS}).status_code == 204
 
 
-def disable(client):  # noqa: F811
+def disable(client):
     client.desk.people.change(ARMS, Change(is_disabled=True), by="test")
 
 
-def let_idle(client):  # noqa: F811
+def let_idle(client):
     store = client.desk.store
     now = store.now() + timedelta(hours=1)
     store.now = lambda: now
 
 
-def take_the_role(client):  # noqa: F811
+def take_the_role(client):
     client.desk.people.change(ARMS, Change(roles=frozenset({Role.VIEWER})), by="test")
 
 
@@ -85,7 +72,7 @@ def test_a_log_in_that_ends_by_itself_turns_nothing_on_and_has_the_beam_held_onc
     assert (row["actor"], row["outcome"], row["detail"]["armed_by"]) == ("tidegate", "done", ARMS)
 
 
-def test_another_holds_stops_and_goes_on_where_one_s_log_in_has_ended(client, session_id, armed):  # noqa: F811
+def test_another_holds_stops_and_goes_on_where_one_s_log_in_has_ended(client, session_id, armed):
     log_out(client)
     look(client)
     assert act(client, session_id, "hold", operator="B. Physicist").status_code == 200
@@ -95,7 +82,7 @@ def test_another_holds_stops_and_goes_on_where_one_s_log_in_has_ended(client, se
     assert act(client, session_id, "stop", operator="B. Physicist").status_code == 200
 
 
-def test_a_person_who_is_logged_in_elsewhere_is_there(client, armed):  # noqa: F811
+def test_a_person_who_is_logged_in_elsewhere_is_there(client, armed):
     from tests.service.people import open_login
 
     open_login(client.desk.store, ARMS)
@@ -104,7 +91,7 @@ def test_a_person_who_is_logged_in_elsewhere_is_there(client, armed):  # noqa: F
     assert holds(armed) == []
 
 
-def test_a_gate_that_is_not_armed_is_not_held_over_a_log_in(client, session_id, armed):  # noqa: F811
+def test_a_gate_that_is_not_armed_is_not_held_over_a_log_in(client, session_id, armed):
     act(client, session_id, "disarm")
     armed.frame()
     log_out(client)
@@ -112,7 +99,7 @@ def test_a_gate_that_is_not_armed_is_not_held_over_a_log_in(client, session_id, 
     assert holds(armed) == []
 
 
-def test_a_machine_whose_key_is_revoked_is_not_there(client, session_id, armed):  # noqa: F811
+def test_a_machine_whose_key_is_revoked_is_not_there(client, session_id, armed):
     desk = client.desk
     made = desk.keys.create("planning", KEY_PERMISSIONS, desk.store.now() + timedelta(days=1), by="test")
     bearer = {"Authorization": f"Bearer {made.secret}"}
@@ -130,7 +117,7 @@ def test_a_machine_whose_key_is_revoked_is_not_there(client, session_id, armed):
     assert len(holds(armed)) == 1
 
 
-def test_a_machine_of_the_identity_provider_counts_as_there(client):  # noqa: F811
+def test_a_machine_of_the_identity_provider_counts_as_there(client):
     assert client.desk.doorkeeper.is_here(Identity(kind="machine", name="m", permissions=KEY_PERMISSIONS))
     assert not client.desk.doorkeeper.is_here(Identity(kind="user", name="nobody", permissions=KEY_PERMISSIONS))
 
