@@ -10,9 +10,9 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, cast
 
-from sqlalchemy import select
+from sqlalchemy import Table, insert, select
 from sqlalchemy.orm import Session
 
 from service.access import behalf
@@ -52,6 +52,8 @@ class Link(NamedTuple):
 
 
 COLUMNS = tuple(getattr(AuditRow, name) for name in Link._fields)
+_LAST = select(AuditRow.sequence, AuditRow.hash).order_by(AuditRow.sequence.desc()).limit(1)
+_INSERT = insert(cast("Table", AuditRow.__table__))
 
 
 def canonical_json(value: object) -> str:
@@ -59,10 +61,10 @@ def canonical_json(value: object) -> str:
     return _encode(value)
 
 
-def append(db: Session, event: Event, at: datetime | None = None) -> AuditRow:
+def append(db: Session, event: Event, at: datetime | None = None) -> Link:
     """Add the next row; the session must hold the write lock (``Database.write``)."""
-    last = db.execute(select(AuditRow.sequence, AuditRow.hash).order_by(AuditRow.sequence.desc()).limit(1)).first()
-    row = AuditRow(
+    last = db.execute(_LAST).first()
+    link = Link(
         sequence=1 if last is None else last.sequence + 1,
         at=utc_text(at or datetime.now(UTC)),
         actor=event.actor,
@@ -71,11 +73,11 @@ def append(db: Session, event: Event, at: datetime | None = None) -> AuditRow:
         session_id=event.session_id,
         detail=canonical_json({**event.detail, **behalf.told()}),
         previous_hash=GENESIS_HASH if last is None else last.hash,
+        hash="",
     )
-    row.hash = seal(row)
-    db.add(row)
-    db.flush()
-    return row
+    link = link._replace(hash=seal(link))
+    db.execute(_INSERT, link._asdict())  # no object of the session's: a writer adds many
+    return link
 
 
 def seal(row: AuditRow | Link, *, sequence: int | None = None) -> str:
