@@ -185,6 +185,7 @@ class Settings(
             msg = f"window_lower_mm must be below window_upper_mm ({self.window_upper_mm:g})"
             raise ValueError(msg)
         self._refuse_limits_that_contradict()
+        self._refuse_another_way_back()
         try:
             _ = self.training  # settings that cannot be met together are refused where they are read
         except InvalidValueError as error:
@@ -223,6 +224,15 @@ class Settings(
         if 0.0 < self.operator_timeout_s < SHORTEST_SILENCE_OF_A_PAGE_S:
             bound = f"0, which does not ask, or at least {SHORTEST_SILENCE_OF_A_PAGE_S:g}"
             msg = f"{PREFIX}OPERATOR_TIMEOUT_S is {self.operator_timeout_s:g}: must be {bound}"
+            raise ValueError(msg)
+
+    def _refuse_another_way_back(self) -> None:
+        """Refuse that people come back from their provider by https where cookies are those of http, or the reverse."""
+        if self.has_oidc_people and self.oidc_redirect_uri.startswith("https:") != self.is_secure:
+            msg = (
+                f"{PREFIX}OIDC_REDIRECT_URI must be {'https' if self.is_secure else 'http'}, as the service itself is "
+                f"reached: {PREFIX}TLS_CERT or {PREFIX}BEHIND_PROXY=true make that https"
+            )
             raise ValueError(msg)
 
     def _refuse_research_settings(self) -> None:

@@ -158,7 +158,7 @@ def test_the_cookies_are_out_of_reach_of_scripts_and_the_one_on_the_way_lasts_as
 
 
 def test_behind_tls_both_cookies_are_bound_to_this_very_host(start, outside):
-    client = start(outside, behind_proxy=True)
+    client = start(outside, behind_proxy=True, oidc_redirect_uri=f"https://localhost{BACK}")
     client.base_url = "https://testserver"
     out = client.get(OUT).headers["set-cookie"]
     assert out.startswith("__Host-tidegate_oidc=")

@@ -110,6 +110,14 @@ def test_they_are_settings_of_the_site_read_from_the_environment(oidc, monkeypat
     for name, value in oidc(HTTPS).items():
         monkeypatch.setenv(f"TIDEGATE_{name.upper()}", str(value))
     assert load_settings(data_dir=tmp_path).has_oidc_people
+    monkeypatch.setenv("TIDEGATE_BEHIND_PROXY", "true")
+    with pytest.raises(SettingsError, match="OIDC_REDIRECT_URI must be https"):
+        load_settings(data_dir=tmp_path)
+    monkeypatch.setenv("TIDEGATE_OIDC_REDIRECT_URI", f"https://tidegate.example{RETURN_PATH}")
+    assert load_settings(data_dir=tmp_path).is_secure
+    monkeypatch.delenv("TIDEGATE_BEHIND_PROXY")
+    with pytest.raises(SettingsError, match="OIDC_REDIRECT_URI must be http,"):
+        load_settings(data_dir=tmp_path)
     monkeypatch.delenv("TIDEGATE_OIDC_CLIENT_ID")
     with pytest.raises(SettingsError, match="TIDEGATE_OIDC_CLIENT_ID is not"):
         load_settings(data_dir=tmp_path)
