@@ -8,6 +8,7 @@ import argparse
 import json
 import os
 import platform
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -40,6 +41,8 @@ def main(arguments: list[str] | None = None) -> int:
     if os.geteuid() != 0:
         console.print("tests.kills: a small disk cannot be mounted without root: nothing is run", style="red")
         return WRONG_USAGE
+    for number in (signal.SIGINT, signal.SIGTERM):  # whoever started it may have had it ignore them
+        signal.signal(number, signal.default_int_handler)
     _run(console, file, asked, revision)
     return _report(console, file, asked)
 

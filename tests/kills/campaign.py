@@ -1,6 +1,7 @@
 """The campaign: kills side by side, each worker with a rig of its own, and one place that writes them down."""
 
 import contextlib
+import ctypes
 import json
 import multiprocessing
 import os
@@ -15,6 +16,7 @@ from multiprocessing.util import Finalize
 from pathlib import Path
 
 from tests.faults.rig import WORN_MB, Template
+from tests.faults.service import DIES_WITH_ITS_PARENT
 from tests.faults.template import learned
 from tests.kills.moments import moment_of
 from tests.kills.rig import KillRig
@@ -125,7 +127,8 @@ def run(numbers: Sequence[int], *, seed: int, jobs: int, code: str | None = None
 
 def _begin(folder: str, template: Template) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who asked ends the campaign; a kill that began is finished
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    ctypes.CDLL(None).prctl(DIES_WITH_ITS_PARENT, signal.SIGKILL)
     place = Path(folder) / f"worker-{os.getpid()}"
     with place.with_suffix(".log").open("ab") as log:
         os.dup2(log.fileno(), sys.stderr.fileno())
