@@ -8,6 +8,8 @@ RESERVED = frozenset({"tidegate", "unknown", "nobody", "anonymous"})
 MAX_LENGTH = 80
 KEY_PREFIX = "key:"
 NOT_IN_NAMES = "/:"
+INVISIBLE = frozenset("\u115f\u1160\u2800\u3164\uffa0")
+"""Letters, by Unicode and to Python, that no reader sees: with one, two people could seem to have one name."""
 
 
 def name_key(name: str) -> str:
@@ -18,7 +20,7 @@ def name_key(name: str) -> str:
 def check_name(name: str) -> str:
     """Return a name that a person or key may have, or refuse it."""
     bound = f"1 to {MAX_LENGTH} printable characters without / and :, and not {', '.join(sorted(RESERVED))}"
-    is_plain = name.isprintable() and name.strip() == name and not set(name) & set(NOT_IN_NAMES)
+    is_plain = name.isprintable() and name.strip() == name and not set(name) & {*NOT_IN_NAMES, *INVISIBLE}
     if not 1 <= len(name) <= MAX_LENGTH or not is_plain or name_key(name) in RESERVED:
         msg = f"name must be {bound}"
         raise BoundError(msg, field="name", value=name[:MAX_LENGTH], bound=bound)

@@ -223,6 +223,14 @@ def test_two_people_of_one_name_are_told_apart_by_who_they_are():
     assert mine == names_of("Jane Doe", "i", "u-1")
 
 
+@pytest.mark.parametrize(
+    "sign", "\u115f\u1160\u2800\u3164\uffa0\u200b\u00ad\u202e\u0000", ids=lambda sign: f"U+{ord(sign):04X}"
+)
+def test_no_name_has_a_sign_that_nobody_sees(sign):
+    with pytest.raises(OidcRefusedError):
+        names_of(f"Jane {sign}Doe", "i", "u")
+
+
 def test_a_name_fits_into_the_audit_whatever_the_provider_calls_people():
     plain, marked = names_of("A/B:C " + "x" * 500, "i", "u")
     assert plain.startswith("A-B-C x")
