@@ -47,6 +47,8 @@ RETRY_S = 0.2
 GIVE_UP_S = 60.0
 DISK_CHECK_S = 1.0
 MAX_BATCH = 512
+MOST_HURRIED_ROWS = 9000
+"""Five minutes are made Parquet within a second; an hour would outlast the time that a process is given to end."""
 RowT = TypeVar("RowT")
 
 
@@ -94,6 +96,7 @@ class SessionWriter(threading.Thread):
         self._model: MotionModel | None = None
         self._stopped_by: str | None = None
         self._is_complete = False
+        self._is_hurried = False
         self._settled: Settlement | None = None
         self.active_model_id: str | None = None
 
@@ -102,9 +105,10 @@ class SessionWriter(threading.Thread):
         """What was written so far, counted."""
         return self._recorder.figures
 
-    def stopping(self, operator: str) -> None:
-        """Remember who ended the session, for its last row."""
+    def stopping(self, operator: str, *, is_hurried: bool = False) -> None:
+        """Remember who ended the session, for its last row; hurried, the process waits, and not for long."""
         self._stopped_by = operator
+        self._is_hurried = is_hurried
 
     @property
     def is_stopping(self) -> bool:
@@ -242,6 +246,7 @@ class SessionWriter(threading.Thread):
         if self._settled is None:
             self._settled = self._settle()
         settled = self._settled
+        samples = self._recorder.leave_open() if settled is None else settled.said
         evidence = self._engine.evidence()
         with self._database.write() as db:
             row = repository.session_row(db, self._session_id)
@@ -249,7 +254,7 @@ class SessionWriter(threading.Thread):
             self.figures.transitions = repository.transition_count(db, self._session_id)
             figures = self.figures.summary()
             row.summary = figures.model_dump_json()
-            event = closing_event(row, figures, settled, actor=self._stopped_by or SYSTEM)
+            event = closing_event(row, figures, samples, actor=self._stopped_by or SYSTEM)
             audit.append(db, replace(event, detail={**event.detail, **evidence}))
         if self._journal is not None:
             self._journal.close()
@@ -259,6 +264,8 @@ class SessionWriter(threading.Thread):
 
     def _settle(self) -> Settlement | None:
         """Make the Parquet file; where that cannot be, the stream stays, and the next start makes it."""
+        if self._is_hurried and self._recorder.rows > MOST_HURRIED_ROWS:
+            return None
         try:
             return self._recorder.settle()
         except OSError as error:

@@ -46,8 +46,12 @@ def _close(database: Database, shelf: SampleShelf, session_id: str) -> None:
         row.summary = summary.model_dump_json()
         if settled is not None and not settled.is_whole:
             audit.append(db, _repaired(session_id, settled))
-        audit.append(db, closing_event(row, summary, settled, actor=SYSTEM))
+        audit.append(db, closing_event(row, summary, _said(settled), actor=SYSTEM))
     _forget(shelf, session_id, settled)
+
+
+def _said(settled: Settlement | None) -> dict[str, object]:
+    return {"detail": "no stream, or one that could not be settled yet"} if settled is None else settled.said
 
 
 def _settle_late(database: Database, shelf: SampleShelf, session_id: str) -> None:

@@ -216,7 +216,7 @@ class SessionRunner:
         """Hold the beam, then close the running session: on the service's way out."""
         running = self._room.running
         if running is not None:
-            running.writer.stopping(audit.SYSTEM)
+            running.writer.stopping(audit.SYSTEM, is_hurried=True)
             running.engine.stop()
             running.writer.join(WRITER_JOIN_S)
         self._writer_database.close()

@@ -1,6 +1,7 @@
 """A session's own events in the audit's words: what the gate did, what was learned, how it ended."""
 
 import uuid
+from collections.abc import Mapping
 from datetime import UTC, datetime
 
 from sqlalchemy import func, select
@@ -14,7 +15,6 @@ from service import audit, schemas
 from service.audit import SYSTEM, Event
 from service.db import repository
 from service.db.models import ModelRow, SessionRow
-from service.samples.shelf import Settlement
 
 
 def transition_event(session_id: str, transition: GateTransition) -> Event:
@@ -53,9 +53,8 @@ def notice_event(session_id: str, notice: LearningNotice) -> Event:
     )
 
 
-def closing_event(row: SessionRow, figures: schemas.Summary, settled: Settlement | None, *, actor: str) -> Event:
+def closing_event(row: SessionRow, figures: schemas.Summary, samples: Mapping[str, object], *, actor: str) -> Event:
     """Tell how a session ended, with its figures and what its samples are known by."""
-    samples = {"detail": "still a stream; see samples.settled"} if settled is None else settled.said
     return Event(
         actor=actor,
         action="session.close",
@@ -65,7 +64,7 @@ def closing_event(row: SessionRow, figures: schemas.Summary, settled: Settlement
             "status": row.status,
             "detail": row.status_detail,
             "summary": figures.model_dump(),
-            "samples": samples,
+            "samples": dict(samples),
         },
     )
 

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 
 from service.samples.durable import file_sha256, put_in_place
 from service.samples.layout import SampleHead, head_of
-from service.samples.seal import next_seal
+from service.samples.values import digest_of
 
 ROWS_A_GROUP = 9000
 """Five minutes at thirty frames a second: some megabytes at a time, whoever reads."""
@@ -40,8 +40,8 @@ def write_parquet(path: Path, schema: pa.Schema, batches: Iterable[pa.RecordBatc
     """
     partial = path.with_name(f"{path.name}.partial")
     try:
-        seals, rows = _write(partial, schema, batches)
-        if list(_group_seals(partial)) != seals:
+        digests, rows = _write(partial, schema, batches)
+        if list(_group_digests(partial)) != digests:
             msg = f"{path.name} was not read back as it was written"
             raise NotReadBackError(msg)
         stored = Stored(rows=rows, size=partial.stat().st_size, sha256=file_sha256(partial))
@@ -72,13 +72,13 @@ def _pieces(file: pq.ParquetFile) -> Iterator[pa.RecordBatch]:
 
 
 def _write(partial: Path, schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> tuple[list[str], int]:
-    seals, rows = [], 0
+    digests, rows = [], 0
     with pq.ParquetWriter(partial, schema, compression="zstd", use_dictionary=_texts(schema)) as writer:
         for group in _groups(schema, batches):
             writer.write_batch(group, row_group_size=ROWS_A_GROUP)
-            seals.append(next_seal("", group))
+            digests.append(digest_of(group))
             rows += group.num_rows
-    return seals, rows
+    return digests, rows
 
 
 def _texts(schema: pa.Schema) -> list[str]:
@@ -87,23 +87,27 @@ def _texts(schema: pa.Schema) -> list[str]:
 
 def _groups(schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
     held: list[pa.RecordBatch] = []
+    rows = 0
     for batch in batches:
         held.append(batch)
-        while sum(one.num_rows for one in held) >= ROWS_A_GROUP:
+        rows += batch.num_rows
+        while rows >= ROWS_A_GROUP:
             whole = _joined(schema, held)
             yield whole.slice(0, ROWS_A_GROUP)
             held = [whole.slice(ROWS_A_GROUP)]
-    if any(one.num_rows for one in held):
+            rows -= ROWS_A_GROUP
+    if rows:
         yield _joined(schema, held)
 
 
 def _joined(schema: pa.Schema, held: list[pa.RecordBatch]) -> pa.RecordBatch:
-    table = pa.Table.from_batches([one.cast(schema) for one in held], schema).combine_chunks()
+    same = [one if one.schema.equals(schema) else one.cast(schema) for one in held]
+    table = pa.Table.from_batches(same, schema).combine_chunks()
     return table.to_batches()[0]
 
 
-def _group_seals(path: Path) -> Iterator[str]:
+def _group_digests(path: Path) -> Iterator[str]:
     with pq.ParquetFile(path, pre_buffer=False) as file:
         for group in range(file.metadata.num_row_groups):
             table = file.read_row_group(group, use_threads=False).combine_chunks()
-            yield next_seal("", table.to_batches()[0])
+            yield digest_of(table.to_batches()[0])

@@ -1,5 +1,6 @@
 """The writer's hand on a session's samples: records gathered, sealed in batches, on the disk when it says so."""
 
+import contextlib
 import time
 from collections.abc import Callable
 
@@ -65,6 +66,18 @@ class SampleRecorder:
         """Close the file and make Parquet of it; raise OSError where that cannot be, with the stream as it is."""
         self._stream.finish()
         return self._shelf.settle(self._session_id)
+
+    def leave_open(self) -> dict[str, object]:
+        """Close the file and leave it a stream; tell what it is known by until it is settled."""
+        with contextlib.suppress(OSError):
+            self._stream.finish()
+        stream = self._stream
+        return {"rows": stream.rows, "stream_sha256": stream.seal, "detail": "still a stream: see samples.settled"}
+
+    @property
+    def rows(self) -> int:
+        """How many samples were written."""
+        return self._stream.rows
 
     def forget_stream(self) -> None:
         """Take the stream away once the Parquet file stands in the audit."""

@@ -1,6 +1,7 @@
 """From the engine's records to a batch of samples."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -9,17 +10,26 @@ from engine.breath import Breath
 from engine.frames import Motion
 from engine.live import FrameRecord
 from service.live_view import known
-from service.samples.layout import SampleHead
 
+NO_CELLS = np.empty(0, dtype=np.float32)
 NO_BREATH = Breath(phase_confidence=float("nan"))
 
 
-def batch_of(head: SampleHead, records: Sequence[FrameRecord]) -> pa.RecordBatch:
+def batch_of(schema: pa.Schema, records: Sequence[FrameRecord]) -> pa.RecordBatch:
     """Put records into columns."""
     rows = [sample_values(record) for record in records]
-    schema = head.schema
-    columns = [pa.array([row[field.name] for row in rows], field.type) for field in schema]
+    columns = [_column(field.type, [row[field.name] for row in rows]) for field in schema]
     return pa.RecordBatch.from_arrays(columns, schema=schema)
+
+
+def _column(kind: pa.DataType, values: list[Any]) -> pa.Array:
+    if not pa.types.is_list(kind):
+        return pa.array(values, kind)
+    # Arrow takes a list of arrays cell by cell, which is most of what a sample would cost.
+    cells = [NO_CELLS if value is None else value for value in values]
+    offsets = np.cumsum([0, *map(len, cells)], dtype=np.int32)
+    missing = pa.array([value is None for value in values], pa.bool_())
+    return pa.ListArray.from_arrays(offsets, np.concatenate([NO_CELLS, *cells]), type=kind, mask=missing)
 
 
 def sample_values(record: FrameRecord) -> dict[str, object]:

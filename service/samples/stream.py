@@ -15,7 +15,7 @@ from service.samples.durable import put_in_place, sync_folder
 from service.samples.layout import SampleHead
 from service.samples.memory import WrittenBytes
 from service.samples.rows import batch_of
-from service.samples.seal import head_seal, next_seal
+from service.samples.seal import BLANK, FIRST, seal_in_place
 
 SEAL_KEY = "tidegate.sha256"
 BEFORE_KEY = "tidegate.sha256_before"
@@ -28,13 +28,12 @@ class SampleStream:
         self.path = path
         self.rows = 0
         self._is_finished = False
-        self._head = head
         self._schema = head.schema
         self._memory = WrittenBytes()
         options = pa.ipc.IpcWriteOptions(use_threads=False)
         self._writer = pa.ipc.new_stream(self._memory.sink, self._schema, options=options)
-        self.seal = head_seal(self._schema)
-        self._write(batch_of(head, []))  # a batch of no rows carries the head's seal
+        self.seal = FIRST
+        self._write(batch_of(self._schema, []), 0)  # a batch of no rows carries the head's seal
         self._end = len(self._memory.held)
         self._file = self._begin()
 
@@ -58,9 +57,8 @@ class SampleStream:
 
     def append(self, records: Sequence[FrameRecord]) -> pa.RecordBatch:
         """Seal a batch; :meth:`sync` brings it to the disk."""
-        batch = batch_of(self._head, records)
-        seal = next_seal(self.seal, batch)
-        self._write(batch, seal)
+        batch = batch_of(self._schema, records)
+        self._write(batch, len(self._memory.held))
         self.rows += batch.num_rows
         return batch
 
@@ -93,9 +91,9 @@ class SampleStream:
         self.path.unlink(missing_ok=True)
         sync_folder(self.path.parent)
 
-    def _write(self, batch: pa.RecordBatch, seal: str | None = None) -> None:
-        before, self.seal = self.seal, seal or self.seal
-        self._writer.write_batch(batch, custom_metadata={BEFORE_KEY: before, SEAL_KEY: self.seal})
+    def _write(self, batch: pa.RecordBatch, start: int) -> None:
+        self._writer.write_batch(batch, custom_metadata={BEFORE_KEY: self.seal, SEAL_KEY: BLANK})
+        self.seal = seal_in_place(self._memory.held, start, self.seal)
 
 
 def _write_at(file: int, content: bytearray, place: int) -> None:

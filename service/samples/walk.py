@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from engine.errors import TidegateError
 from service.samples.layout import SampleHead, head_of
-from service.samples.seal import head_seal, next_seal
+from service.samples.seal import FIRST, is_sealed
 from service.samples.stream import BEFORE_KEY, SEAL_KEY
 
 END_MARK = b"\xff\xff\xff\xff\x00\x00\x00\x00"
@@ -52,9 +52,9 @@ class StreamWalk:
             msg = f"{path.name} is no sample file"
             raise NoSamplesError(msg) from error
         self.schema = self._reader.schema
-        self.seal = head_seal(self.schema)
+        self.seal = FIRST
         self.rows = 0
-        self.end = int(self._file.tell())
+        self.end = 0
         self.ending = Ending.OPEN
         self.detail = ""
 
@@ -84,26 +84,24 @@ class StreamWalk:
             except (pa.ArrowException, OSError) as error:
                 self._judge_rest(str(error))
                 return
-            if not self._follows(batch, said):
+            end = int(self._file.tell())
+            if not self._follows(said, end) or not _is_valid(batch):
                 self._damaged(f"the batch behind row {self.rows} does not fit its seal")
                 return
-            self.end = int(self._file.tell())
+            self.end = end
             self.rows += batch.num_rows
             if batch.num_rows:
                 yield batch
 
-    def _follows(self, batch: pa.RecordBatch, said: object) -> bool:
+    def _follows(self, said: object, end: int) -> bool:
+        """Whether what was just read, up to ``end``, is what was sealed behind the batch before."""
         if not isinstance(said, pa.KeyValueMetadata) or SEAL_KEY not in said or BEFORE_KEY not in said:
             return False
-        is_first = batch.num_rows == 0 and self.rows == 0
-        try:
-            batch.validate(full=True)
-            seal = self.seal if is_first else next_seal(self.seal, batch)
-        except (pa.ArrowException, ValueError):
+        before, seal = said[BEFORE_KEY], said[SEAL_KEY]
+        message = os.pread(self._raw.fileno(), end - self.end, self.end)
+        if before != self.seal.encode() or not is_sealed(message, self.seal, seal.decode(errors="replace")):
             return False
-        if (said[BEFORE_KEY].decode(), said[SEAL_KEY].decode()) != (self.seal, seal):
-            return False
-        self.seal = seal
+        self.seal = seal.decode()
         return True
 
     def _judge_end(self) -> None:
@@ -143,3 +141,11 @@ class StreamWalk:
     def _close(self) -> None:
         self._file.close()
         self._raw.close()
+
+
+def _is_valid(batch: pa.RecordBatch) -> bool:
+    try:
+        batch.validate()
+    except pa.ArrowException:
+        return False
+    return True

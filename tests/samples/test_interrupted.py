@@ -122,7 +122,7 @@ def test_a_parquet_file_that_the_audit_does_not_know_is_written_down_once(databa
 
 STEPS = {
     "before the parquet is written": (shelves, "write_parquet", True),
-    "before it is read back": (parquet, "_group_seals", True),
+    "before it is read back": (parquet, "_group_digests", True),
     "before it has its name": (parquet, "put_in_place", True),
     "after it has its name": (parquet, "put_in_place", False),
     "before the end is written down": (interrupted, "closing_event", True),

@@ -1,4 +1,4 @@
-"""Migration 0008: samples of older sessions leave the database for files, and go back; nothing is lost on either way."""
+"""Migration 0008: samples of older sessions leave the database for files and go back; nothing is lost either way."""
 
 import json
 

@@ -59,7 +59,7 @@ def test_a_session_without_a_frame_has_a_file_without_a_row(shelf):
 
 def test_a_file_that_is_not_read_back_as_it_was_written_is_none(shelf, monkeypatch):
     write_stream(shelf.folder)
-    monkeypatch.setattr(parquet, "_group_seals", lambda _path: iter(["another"]))
+    monkeypatch.setattr(parquet, "_group_digests", lambda _path: iter(["another"]))
     with pytest.raises(NotReadBackError):
         shelf.settle(SESSION)
     assert [path.name for path in shelf.folder.iterdir()] == [f"{SESSION}.arrows"]

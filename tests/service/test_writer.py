@@ -1,5 +1,6 @@
 """The writer thread: what it does when the database, the disk or it itself fails."""
 
+import os
 import queue
 import shutil
 import sqlite3
@@ -10,9 +11,11 @@ import pytest
 
 from engine.live import LoopStatus
 from engine.permits import GateState, HoldReason
+from service import bridge
+from service.app import create_app
 from service.samples import rows
 from service.samples.shelf import SampleShelf
-from tests.service.conftest import act, audit_rows, eventually
+from tests.service.conftest import act, audit_rows, eventually, make_session_body, upload
 from tests.service.people import PeopleClient
 
 
@@ -147,9 +150,6 @@ def test_more_than_one_batch_that_waits_at_the_end_is_written_whole(client, sess
 
 def test_a_session_a_killed_process_left_running_is_closed_at_the_next_start(settings, engine, calibration_text):
 
-    from service.app import create_app
-    from tests.service.conftest import make_session_body, upload
-
     with PeopleClient(create_app(settings, lambda _settings: engine)) as client:
         calibration_id = upload(client, calibration_text).json()["id"]
         session_id = client.post("/api/v1/sessions", json=make_session_body(calibration_id)).json()["id"]
@@ -167,3 +167,67 @@ def test_a_hung_engine_counts_as_failed(client, session_id, running):
     running.status = LoopStatus.FAILED
     running.error = "the engine did not stop when told to; the beam is held"
     eventually(lambda: client.get(f"/api/v1/sessions/{session_id}").json()["status"] == "failed")
+
+
+def test_a_service_that_ends_leaves_a_long_session_a_stream_and_the_next_start_settles_it(
+    settings, engine, calibration_text, monkeypatch
+):
+    monkeypatch.setattr(bridge, "MOST_HURRIED_ROWS", 3)
+    with PeopleClient(create_app(settings, lambda _settings: engine)) as client:
+        session_id = _started(client, calibration_text)
+        for _ in range(4):
+            engine.running.frame()
+    with PeopleClient(create_app(settings, lambda _settings: engine)) as client:
+        assert client.get(f"/api/v1/sessions/{session_id}").json()["status"] == "stopped"
+        (closed,) = audit_rows(client, "session.close")
+        (settled,) = audit_rows(client, "samples.settled")
+    assert closed["detail"]["samples"]["rows"] == settled["detail"]["rows"] == 4
+    assert closed["detail"]["samples"]["stream_sha256"] == settled["detail"]["stream_sha256"]
+    assert stored_samples(settings, session_id) == [0, 1, 2, 3]
+
+
+def _started(client, calibration_text):
+    calibration_id = upload(client, calibration_text).json()["id"]
+    session_id = client.post("/api/v1/sessions", json=make_session_body(calibration_id)).json()["id"]
+    assert act(client, session_id, "start").status_code == 200
+    return session_id
+
+
+def test_a_disk_that_does_not_take_samples_faults_the_gate_and_loses_none(
+    client, session_id, running, settings, monkeypatch
+):
+    def full(*_arguments):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "pwrite", full)
+        running.frame()
+        eventually(lambda: HoldReason.RECORDER_BEHIND in running.faults)
+        running.frame()
+    eventually(lambda: stored_samples(settings, session_id) == [0, 1])
+
+
+def test_a_sample_file_that_was_taken_away_faults_the_gate(client, session_id, running, settings, monkeypatch):
+    monkeypatch.setattr(bridge, "DISK_CHECK_S", 0.01)
+    (settings.data_dir / "samples" / f"{session_id}.arrows").rename(settings.data_dir / "away")
+    eventually(lambda: HoldReason.RECORDER_BEHIND in running.faults)
+    (settings.data_dir / "away").rename(settings.data_dir / "samples" / f"{session_id}.arrows")
+    running.faults.clear()
+    running.frame()
+    act(client, session_id, "stop")
+    assert stored_samples(settings, session_id) == [0]
+
+
+def test_no_engine_is_started_where_no_sample_file_can_be(client, session_id, engine, settings):
+    (settings.data_dir / "samples").write_bytes(b"a file where the folder should be")
+    answer = act(client, session_id, "start")
+    assert (answer.status_code, answer.json()["code"]) == (503, "storage_unwritable")
+    assert engine.opened == []
+
+
+def test_an_engine_that_does_not_open_leaves_no_sample_file(client, session_id, engine, settings):
+    from engine.errors import SourceLostError
+
+    engine.fail_with = SourceLostError("no camera")
+    assert act(client, session_id, "start").status_code == 503
+    assert list((settings.data_dir / "samples").iterdir()) == []
