@@ -47,6 +47,7 @@ def make_server(
         port=port,
         workers=1,
         log_level=LOG_LEVEL,
+        log_config=None,  # its own would write down what an exception was about
         access_log=False,
         server_header=False,
         proxy_headers=False,

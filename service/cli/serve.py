@@ -1,7 +1,6 @@
 """``tidegate serve``: the service on this machine."""
 
 import gc
-import logging
 import signal
 import socket
 import sys
@@ -13,6 +12,7 @@ import typer
 from rich.console import Console
 
 from service.folder_lock import FolderInUseError, alone_in
+from service.private_log import install_private_log
 from service.settings import Settings, SettingsError, load_settings
 
 SWITCH_INTERVAL_S = 0.001
@@ -48,7 +48,7 @@ def _run(settings: Settings, console: Console) -> None:
     from service.app import create_app
     from service.server import CertificateError, make_server
 
-    logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(levelname)s %(name)s %(message)s")
+    install_private_log()
     # The engine thread gets the interpreter back from an API thread within this time, not within the default 5 ms.
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     if settings.behind_proxy and not settings.trusted_proxies:

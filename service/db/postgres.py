@@ -52,6 +52,7 @@ def make_postgres_engine(url: URL, *, busy_timeout_s: float, answer_timeout_s: f
         url,
         pool_pre_ping=True,
         pool_timeout=busy_timeout_s,
+        hide_parameters=True,  # an error that is told somewhere must not tell a row
         connect_args={
             "connect_timeout": CONNECT_TIMEOUT_S,
             "keepalives_idle": KEEPALIVE_S,

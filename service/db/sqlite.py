@@ -18,6 +18,7 @@ def make_sqlite_engine(path: Path, *, busy_timeout_s: float) -> Engine:
         f"sqlite:///{path}",
         connect_args={"timeout": busy_timeout_s, "check_same_thread": False},
         pool_timeout=busy_timeout_s,
+        hide_parameters=True,  # an error that is told somewhere must not tell a row
     )
 
     @event.listens_for(engine, "do_connect")
