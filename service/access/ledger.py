@@ -1,7 +1,7 @@
 """What was refused, on its way to the audit: one row for each that somebody known was refused, a count of the rest.
 
-Nobody waits for the audit here: a flood of strangers costs one row a minute, and one who is known but asks too much
-fills a short queue, beyond which is counted too.
+Nobody waits for the audit here: a flood of strangers costs one row a minute, and of somebody known a few rows a minute
+of each kind are kept, and the rest counted. Rows are for ever, and take the lock that the gate's own rows wait for.
 """
 
 import threading
@@ -10,6 +10,8 @@ from collections import Counter
 from service.audit import SYSTEM, Event
 
 LONGEST_QUEUE = 256
+MOST_A_MINUTE = 10
+"""Rows of one kind about one person or machine, between two summaries."""
 MOST_ADDRESSES = 8
 REFUSED = "access.refused"
 
@@ -22,6 +24,7 @@ class RefusalLedger:
         self._events: list[Event] = []
         self._counts: Counter[str] = Counter()
         self._addresses: Counter[str] = Counter()
+        self._noted: Counter[tuple[str, str]] = Counter()
         self.total: Counter[str] = Counter()
 
     def count(self, what: str, address: str) -> None:
@@ -36,7 +39,10 @@ class RefusalLedger:
         """Keep a refusal of somebody known."""
         with self._lock:
             self.total[event.action] += 1
-            if len(self._events) < LONGEST_QUEUE:
+            self._noted[event.actor, event.action] += 1
+            if self._noted[event.actor, event.action] > MOST_A_MINUTE:
+                self._counts[f"{event.action} of {event.actor}"] += 1
+            elif len(self._events) < LONGEST_QUEUE:
                 self._events.append(event)
             else:
                 self._counts["beyond the queue"] += 1
@@ -60,6 +66,7 @@ class RefusalLedger:
             counts, addresses = dict(self._counts), dict(self._addresses)
             self._counts.clear()
             self._addresses.clear()
+            self._noted.clear()
         if not counts:
             return None
         detail = {"counts": counts, "addresses": addresses}
