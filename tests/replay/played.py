@@ -203,6 +203,7 @@ def make_ready(hands: Hands, detail: dict) -> bool:
     if gate["state"] == "fault":
         hands.act("acknowledge")
     elif not gate["is_armed"] and detail["measurement_state"] == "measuring":
+        _ = detail["has_reference"] or hands.act("reference")
         hands.act("arm")
     else:
         return gate["is_armed"]
