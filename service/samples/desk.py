@@ -1,7 +1,7 @@
 """Samples for whoever asks over the API: what is written so far of a session that runs, all of one that is closed."""
 
 from collections.abc import Iterator
-from typing import Literal
+from typing import BinaryIO, Literal
 
 from service import schemas
 from service.db import repository
@@ -55,7 +55,7 @@ class SampleDesk:
         except FileNotFoundError as error:
             msg = "Parquet is made when the session closes: ask for csv or arrow until then"
             raise SessionStateError(msg, field="format", value=form, bound="csv or arrow") from error
-        return iter(lambda: file.read(PIECE_BYTES), b"")
+        return _read(file)
 
     def _refuse_removed(self, session_id: str, summary: str | None) -> None:
         if summary is None or self._shelf.has(session_id):
@@ -63,3 +63,9 @@ class SampleDesk:
         if schemas.Summary.model_validate_json(summary).frames:
             msg = "the session's samples are not there any more; the audit says when they were removed, and why"
             raise SamplesRemovedError(msg, field="session_id", value=session_id)
+
+
+def _read(file: BinaryIO) -> Iterator[bytes]:
+    with file:
+        while piece := file.read(PIECE_BYTES):
+            yield piece
