@@ -1,0 +1,75 @@
+"""Which row each route writes, in docs/audit.md: ``python -m tests.audit.routes_document`` prints it.
+
+With ``--write`` it is put into the document instead.
+"""
+
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from service.app import create_app
+from service.settings import Settings
+from tests.made_parts import ROOT, write_parts
+
+DOCUMENT = ROOT / "docs" / "audit.md"
+UNSAFE = ("post", "put", "patch", "delete")
+NOT_AUDITED = {("POST", "/api/v1/sessions/{session_id}/presence"): "a page says every second that it is looked at"}
+EXPORTS = {
+    "/api/v1/audit/export": "audit.export",
+    "/api/v1/sessions/{session_id}/samples": "samples.export",
+    "/api/v1/qa/runs/{run_id}/report.pdf": "qa.export",
+}
+"""What leaves the house by GET."""
+
+
+@cache
+def operations() -> dict[tuple[str, str], dict[str, Any]]:
+    """Every route there is, by method and path."""
+    paths = create_app(Settings(data_dir=Path("not made"))).openapi()["paths"]
+    return {(method.upper(), path): one for path, methods in paths.items() for method, one in methods.items()}
+
+
+def action_of(operation: dict[str, Any]) -> str:
+    """The name of a route that changes something is its action."""
+    return operation["operationId"].partition("_api_v1")[0].replace("_", ".", 1)
+
+
+def audited() -> dict[tuple[str, str], str]:
+    """Every route that writes a row, with its action."""
+    found = {
+        place: action_of(operation)
+        for place, operation in operations().items()
+        if place[0].lower() in UNSAFE and place not in NOT_AUDITED
+    }
+    return found | {("GET", path): action for path, action in EXPORTS.items()}
+
+
+def route_table() -> str:
+    """One row a route."""
+    head = ["| route | action |", "|---|---|"]
+    rows = [f"| {method} `{path}` | `{action}` |" for (method, path), action in sorted(audited().items(), key=_by_path)]
+    rows += [f"| {method} `{path}` | none: {why} |" for (method, path), why in NOT_AUDITED.items()]
+    return "\n".join(head + rows)
+
+
+def _by_path(item: tuple[tuple[str, str], str]) -> tuple[str, str]:
+    return item[0][1], item[0][0]
+
+
+MADE = {"routes": route_table}
+
+
+def main(arguments: list[str]) -> None:
+    """Print the table, or write it."""
+    if arguments == ["--write"]:
+        changed = write_parts(DOCUMENT, MADE)
+        sys.stdout.write(f"{DOCUMENT.name} {'is written anew' if changed else 'says so already'}\n")
+        return
+    if arguments:
+        sys.exit("usage: python -m tests.audit.routes_document [--write]")
+    sys.stdout.write(f"{route_table()}\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,47 @@
+"""No route changes anything, or hands anything out, without a row that says so."""
+
+import pytest
+
+from tests.audit.routes_document import DOCUMENT, EXPORTS, MADE, NOT_AUDITED, UNSAFE, audited, operations
+from tests.made_parts import part_of
+from tests.service.conftest import audit_rows
+from tests.service.people import PeopleClient
+
+PLACES = dict.fromkeys(("session_id", "model_id", "run_id", "key_id", "login_id"), "0" * 32) | {"name": "nobody"}
+BEFORE_ANYBODY_IS_KNOWN = ("POST", "/api/v1/login")
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory):
+    from service.app import create_app
+    from service.settings import Settings
+    from tests.service.fakes import FakeEngine
+
+    settings = Settings(data_dir=tmp_path_factory.mktemp("data"), allowed_hosts=("testserver",))
+    with PeopleClient(create_app(settings, lambda _settings: FakeEngine())) as client:
+        yield client
+
+
+def test_every_route_that_changes_something_is_named_after_its_action():
+    names = {place: action for place, action in audited().items() if place[0] != "GET"}
+    assert [place for place, action in names.items() if "." not in action] == []
+    assert len(names) > 20
+
+
+def test_every_way_out_of_the_house_is_a_route():
+    assert {("GET", path) for path in EXPORTS} <= set(operations())
+    assert set(NOT_AUDITED) <= set(operations())
+
+
+def test_every_call_that_is_refused_where_it_would_have_changed_something_is_written_down(client):
+    asked = [place for place in audited() if place[0].lower() in UNSAFE and place != BEFORE_ANYBODY_IS_KNOWN]
+    for method, path in asked:
+        answer = client.request(method, path.format(**PLACES), content=b"x", headers={"Content-Type": "text/plain"})
+        assert answer.status_code in {401, 403, 415, 422}, (method, path, answer.text)
+    told = [row["action"] for row in audit_rows(client) if row["outcome"] == "refused"]
+    assert told == [audited()[place] for place in asked]
+
+
+def test_the_document_says_what_the_routes_do():
+    text = DOCUMENT.read_text(encoding="utf-8")
+    assert {name: part_of(text, name) for name in MADE} == {name: make() for name, make in MADE.items()}
