@@ -141,6 +141,7 @@ class OidcPeople:
             code=code,
             verifier=attempt.verifier,
             redirect_uri=self._settings.oidc_redirect_uri,
+            takes_basic=known.endpoints.takes_basic,
         )
         text, access_token = tokens.get("id_token"), tokens.get("access_token")
         if not isinstance(text, str) or not isinstance(access_token, str):

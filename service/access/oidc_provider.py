@@ -39,6 +39,7 @@ class Endpoints:
     token: str
     jwks: str
     says_issuer_on_return: bool = False
+    takes_basic: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,10 +77,12 @@ def endpoints_from(document: Mapping[str, Any], issuer: str) -> Endpoints:
     if not isinstance(methods, list) or "S256" not in methods:
         msg = "the provider supports no PKCE by SHA-256"
         raise OidcUnavailableError(msg)
+    ways = document.get("token_endpoint_auth_methods_supported", ["client_secret_basic"])
     return Endpoints(
         authorization=found["authorization_endpoint"],
         token=found["token_endpoint"],
         jwks=found["jwks_uri"],
+        takes_basic=not isinstance(ways, list) or "client_secret_basic" in ways,
         says_issuer_on_return=document.get("authorization_response_iss_parameter_supported") is True,
     )
 

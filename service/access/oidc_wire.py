@@ -104,7 +104,9 @@ class ProviderWire:
             msg = f"the provider cannot be reached ({type(error).__name__})"
             raise OidcUnavailableError(msg) from error
 
-    def exchange(self, address: str, *, code: str, verifier: str, redirect_uri: str) -> Mapping[str, Any]:
+    def exchange(
+        self, address: str, *, code: str, verifier: str, redirect_uri: str, takes_basic: bool = True
+    ) -> Mapping[str, Any]:
         """Turn a person's code into tokens.
 
         Raises
@@ -114,12 +116,16 @@ class ProviderWire:
         OidcUnavailableError
             It cannot be reached, or answers what no provider would.
         """
-        client_id, client_secret = self._client_id, self._client_secret
-        if client_secret is not None:  # RFC 6749, 2.3.1: both are form-encoded before they go into a Basic header
-            client_id, client_secret = quote_plus(client_id), quote_plus(client_secret)
+        client_id, client_secret, method = self._client_id, self._client_secret, "none"
+        if client_secret is not None and takes_basic:
+            # RFC 6749, 2.3.1: both are form-encoded before they go into a Basic header
+            client_id, client_secret, method = quote_plus(client_id), quote_plus(client_secret), "client_secret_basic"
+        elif client_secret is not None:
+            method = "client_secret_post"
         client = OAuth2Client(
             client_id=client_id,
             client_secret=client_secret,
+            token_endpoint_auth_method=method,
             transport=_BoundedTransport(self._context, self._timeout_s),
             timeout=self._timeout_s,
             trust_env=False,

@@ -80,7 +80,9 @@ class Provider:
         return 302, {"Location": f"{query['redirect_uri']}?{urlencode(told)}"}, b""
 
     def _token(self, form: dict[str, str], basic: str) -> Answer:
-        if basic != f"{CLIENT}:{SECRET}":
+        ways = self.description.get("token_endpoint_auth_methods_supported", ["client_secret_basic"])
+        posted = f"{form.get('client_id')}:{form.get('client_secret')}"
+        if (basic if "client_secret_basic" in ways else posted) != f"{CLIENT}:{SECRET}":
             return _json({"error": "invalid_client"}, 401)
         if form["grant_type"] == "client_credentials":
             return self._machine_token()

@@ -74,6 +74,16 @@ def test_a_client_without_a_secret_has_pkce_alone(outside, oidc, monkeypatch):
     assert site.log_in().subject == "u-1"
 
 
+def test_a_provider_that_wants_the_secret_in_the_form_gets_it_there_and_not_in_a_header(outside, oidc):
+    outside.description = {"token_endpoint_auth_methods_supported": ["private_key_jwt", "client_secret_post"]}
+    assert Site(OidcSettings(**oidc(outside))).log_in().subject == "u-1"
+
+
+def test_a_wrong_secret_lets_nobody_in(outside, oidc, secret_file):
+    secret_file.write_text("another")
+    assert Site(OidcSettings(**oidc(outside))).refused() == "code"
+
+
 def test_roles_follow_the_groups_at_every_log_in(site, outside):
     outside.person["groups"] = ["physics", "it"]
     assert site.log_in().roles == {Role.PHYSICIST, Role.VIEWER, Role.ADMIN}
