@@ -201,13 +201,13 @@ def test_a_password_can_be_changed_at_will_and_a_wrong_old_one_ends_nothing(fake
 def test_logging_out_leaves_nothing_of_the_patient_on_the_page(fake: FakeService, tab: Tab):
     row = {"at": "2026-11-21T03:00:00Z", "session_id": SESSION_ID, "previous_hash": "", "hash": "", "outcome": "done"}
     fake.audit = [row | {"sequence": 3, "actor": "Ada L.", "action": "session.arm", "detail": {}}]
-    fake.mode, fake.sample, fake.person = "samples", BEAM_ON, person()
-    page = tab.open("beam_on")
+    fake.mode, fake.sample, fake.person = "samples", DISARMED, person()
+    page = tab.open("disarmed")
     expect(page.locator("#who-patient")).to_have_text("P-0117")
     expect(page.locator("#events li")).to_have_count(1)
     page.click("#do-log-out")
     tab.sees("out")
-    expect(page.locator("#access-reason")).to_have_text("You have logged out. The gate goes on without this page.")
+    expect(page.locator("#access-reason")).to_contain_text("What you had armed is held by hand")
     shows_nothing_of_a_session(page)
     expect(page.locator("#person")).to_be_hidden()
     pictures = fake.pictures
@@ -218,12 +218,24 @@ def test_logging_out_leaves_nothing_of_the_patient_on_the_page(fake: FakeService
 
 
 def test_a_log_out_that_is_not_heard_is_said_and_the_person_stays_logged_in(fake: FakeService, tab: Tab):
-    fake.mode, fake.sample = "samples", BEAM_ON
-    page = tab.open("beam_on")
+    fake.mode, fake.sample = "samples", DISARMED
+    page = tab.open("disarmed")
     page.route("**/api/v1/logout", lambda route: route.abort())
     page.click("#do-log-out")
     expect(page.locator("#outcome")).to_contain_text("You are still logged in.")
-    tab.sees("beam_on")
+    tab.sees("disarmed")
+
+
+def test_logging_out_while_a_gate_is_armed_asks_once_more(fake: FakeService, tab: Tab):
+    """Whoever armed takes the beam with them, perhaps in the middle of a treatment."""
+    fake.mode, fake.sample = "samples", BEAM_ON
+    page = tab.open("beam_on")
+    page.click("#do-log-out")
+    expect(page.locator("#do-log-out")).to_have_text("Really? May hold")
+    assert fake.posts() == []
+    page.click("#do-log-out")
+    tab.sees("out")
+    assert [path for path, _ in fake.posts()] == ["/logout"]
 
 
 def test_a_log_in_that_ends_while_the_beam_is_on_is_said_at_once(fake: FakeService, tab: Tab):

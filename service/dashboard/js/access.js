@@ -13,7 +13,7 @@ const RETRY_MS = 2000;
 const REFUSED_MS = 3000;
 
 const ENDED = "Your log-in has ended. The gate is not known here, and this page can hold nothing: use the room's interlock.";
-const LEFT = "You have logged out. The gate goes on without this page.";
+const LEFT = "You have logged out. What you had armed is held by hand until somebody releases it.";
 
 export class Access {
   /** @param {() => void} onChange called when the state or the person is another */

@@ -30,6 +30,8 @@ const PANEL_MS = 120;
 const LOOK_MS = 1500;
 /** How often the running session is asked for what the stream does not tell: its zero, its likeness [ms]. */
 const DESCRIBE_MS = 2000;
+/** How long "Log out" waits for a second click while a gate is armed [ms]. */
+const ASK_MS = 4000;
 
 const byId = (id) => document.getElementById(id);
 const liveUrl = new URL("/api/v1/live", window.location.href);
@@ -59,6 +61,7 @@ let lastGate = "";
 let drawn = { trace: -Infinity, panels: -Infinity };
 let hasLooked = false;
 let isSimulatedBeam = false;
+let asking = 0;
 let nextLookMs = 0;
 let nextDescribeMs = 0;
 
@@ -99,7 +102,17 @@ function leave() {
   qa.forget();
 }
 
+/** Whoever armed takes the beam with them: while a gate is armed the first click only asks. */
 async function logOut() {
+  const button = byId("do-log-out");
+  const asks = button.dataset.asks !== "yes" && stream.message?.is_armed === true;
+  button.dataset.asks = asks ? "yes" : "no";
+  setText(button, asks ? "Really? May hold" : "Log out");
+  clearTimeout(asking);
+  if (asks) {
+    asking = setTimeout(() => { button.dataset.asks = "no"; setText(button, "Log out"); }, ASK_MS);
+    return;
+  }
   try {
     await access.leave();
   } catch (error) {
