@@ -66,7 +66,7 @@ def test_it_is_asked_for_its_health_on_the_port_it_serves():
     port = re.search(r'"--port", "(\d+)"', final("CMD")[-1])
     assert port is not None
     assert final("EXPOSE") == [f"EXPOSE {port[1]}"]
-    assert f"http://127.0.0.1:{port[1]}/healthz" in final("HEALTHCHECK")[-1]
+    assert f"://127.0.0.1:{port[1]}/healthz" in final("HEALTHCHECK")[-1]
     assert f":{port[1]}" in COMPOSE
 
 
@@ -98,11 +98,15 @@ def test_nothing_but_the_sources_is_given_to_the_builder():
 
 
 def test_compose_publishes_to_this_machine_alone():
-    ports = re.search(r"ports:\n((?:\s+- .*\n)+)", COMPOSE)
-    assert ports is not None
-    entries = [line.strip() for line in ports[1].splitlines()]
-    assert entries
-    assert all(entry.startswith('- "127.0.0.1:') for entry in entries)
+    assert re.search(r"(?m)^    ports:", COMPOSE) is None
+    assert re.search(r"(?m)^    network_mode: host$", COMPOSE)
+    assert re.search(r'(?m)^    command: \["serve", "--host", "127.0.0.1", "--port", "8000"\]$', COMPOSE)
+
+
+def test_the_image_by_itself_does_not_serve_others_without_tls():
+    assert '"--host", "0.0.0.0"' in final("CMD")[-1]
+    assert "BEHIND_PROXY" not in " ".join(final("ENV"))
+    assert "TLS_CERT" not in " ".join(final("ENV"))
 
 
 @pytest.mark.parametrize(

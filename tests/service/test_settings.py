@@ -25,7 +25,7 @@ def no_settings_around(monkeypatch):
 
 def test_without_settings_the_service_listens_on_this_machine_only():
     settings = load_settings()
-    assert (settings.host, settings.port, settings.allow_remote) == ("127.0.0.1", 8000, False)
+    assert (settings.host, settings.port, settings.is_remote, settings.is_secure) == ("127.0.0.1", 8000, False, False)
     assert "*" not in settings.host_names
 
 
@@ -51,9 +51,39 @@ def test_every_number_has_a_bound(monkeypatch, name, value):
 def test_listening_beyond_this_machine_has_to_be_asked_for(monkeypatch, host):
     with pytest.raises(SettingsError):
         load_settings(host=host)
-    monkeypatch.setenv("TIDEGATE_ALLOW_REMOTE", "true")
+    monkeypatch.setenv("TIDEGATE_BEHIND_PROXY", "true")
     if host:
         assert load_settings(host=host).host_names == ("*",)
+    monkeypatch.delenv("TIDEGATE_BEHIND_PROXY")
+    monkeypatch.setenv("TIDEGATE_TLS_CERT", "cert.pem")
+    with pytest.raises(SettingsError, match="TIDEGATE_TLS_KEY must be given together"):
+        load_settings(host=host or "0.0.0.0")
+    monkeypatch.setenv("TIDEGATE_TLS_KEY", "key.pem")
+    if host:
+        assert load_settings(host=host).is_secure
+
+
+def test_the_setting_that_let_anybody_in_is_gone_and_says_what_to_set(monkeypatch):
+    monkeypatch.setenv("TIDEGATE_ALLOW_REMOTE", "true")
+    with pytest.raises(SettingsError, match=r"ALLOW_REMOTE is no setting any more.*TLS_CERT.*BEHIND_PROXY"):
+        load_settings()
+
+
+@pytest.mark.parametrize(
+    ("environment", "said"),
+    [
+        ({"TRUSTED_PROXIES": "10.0.0.1"}, "without TIDEGATE_BEHIND_PROXY"),
+        ({"TRUSTED_PROXIES": "proxy.example", "BEHIND_PROXY": "1"}, "must be an address or a network"),
+        ({"TRUSTED_PROXIES": ",".join(["10.0.0.1"] * 17), "BEHIND_PROXY": "1"}, "at most 16"),
+        ({"BEHIND_PROXY": "1", "TLS_CERT": "a", "TLS_KEY": "b"}, "a proxy speaks TLS"),
+    ],
+    ids=str,
+)
+def test_what_says_two_things_about_the_way_here_is_refused(monkeypatch, environment, said):
+    for name, value in environment.items():
+        monkeypatch.setenv(f"TIDEGATE_{name}", value)
+    with pytest.raises(SettingsError, match=said):
+        load_settings()
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.8.8.8", "::1", "localhost"])
@@ -148,7 +178,7 @@ def test_limits_that_just_go_together_are_taken(site):
 
 @pytest.mark.parametrize(
     ("environment", "said"),
-    [({"TIDEGATE_PROT": "1"}, "TIDEGATE_PROT"), ({"TIDEGATE_HOST": "0.0.0.0"}, "TIDEGATE_ALLOW_REMOTE")],
+    [({"TIDEGATE_PROT": "1"}, "TIDEGATE_PROT"), ({"TIDEGATE_HOST": "0.0.0.0"}, "TIDEGATE_TLS_CERT")],
     ids=str,
 )
 def test_the_command_line_says_it_in_one_line_and_ends_with_2(environment, said):
