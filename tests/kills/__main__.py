@@ -23,7 +23,7 @@ from tests.kills.campaign import OutcomeFile, run
 from tests.kills.document import write_document
 from tests.kills.moments import MOMENTS
 from tests.kills.table import draw, markdown, summary, terminal_table
-from tests.kills.verdict import Outcome
+from tests.kills.verdict import Outcome, Trouble
 
 MOST_KILLS, MOST_SEED = 100_000, 10**9
 
@@ -48,7 +48,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(console: Console, file: OutcomeFile, asked: argparse.Namespace, revision: str) -> None:
-    done = {outcome.number for outcome in file.read()}
+    done = {outcome.number for outcome in file.read() if outcome.troubles != (Trouble.NO_RESULT,)}
     numbers = [number for number in range(asked.moments) if number not in done]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console) as progress:

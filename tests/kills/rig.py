@@ -22,6 +22,7 @@ EDGE_MM = 4.0
 
 HALF_WRITTEN = (".partial", ".arrows", ".tmp", ".journal")
 OPENED_WITHIN_S = 20.0
+WAITS = 5
 
 
 class KillRig(Rig):
@@ -30,6 +31,18 @@ class KillRig(Rig):
     def __init__(self, folder: Path, template: Template) -> None:
         super().__init__(folder, ANYBODY, template)
         self.window = {**self.window, "lower_mm": -EDGE_MM, "upper_mm": EDGE_MM}
+
+    def start_service(self) -> None:
+        """Start it, and wait for it however long this machine takes; one that ends by itself is not waited for."""
+        self.begin_service()
+        for turn in range(WAITS):
+            try:
+                self.person.wait_for_service(lambda: self.is_alive)
+            except PersonGaveUpError:
+                if not self.is_alive or turn == WAITS - 1:
+                    raise
+            else:
+                return
 
     @property
     def session_body(self) -> dict[str, Any]:
