@@ -12,6 +12,8 @@ from pathlib import Path
 from engine.errors import TidegateError
 
 LOCK_NAME = "tidegate.lock"
+OWNER_ONLY = 0o700
+"""A data folder holds patients' references and the hashes of passwords."""
 
 
 class FolderInUseError(TidegateError):
@@ -24,7 +26,7 @@ class FolderInUseError(TidegateError):
 def alone_in(folder: Path) -> Iterator[None]:
     """Have a data folder for oneself, made where it is missing; raise FolderInUseError where another has it."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True, mode=OWNER_ONLY)
         held = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT, 0o600)
     except OSError as error:
         msg = f"the data folder {folder} cannot be locked: {error.strerror}"

@@ -113,7 +113,7 @@ def make_lifespan(
 
 
 def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFirst | None) -> _House:
-    settings.data_dir.mkdir(parents=True, exist_ok=True)
+    settings.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     database = Database(settings.database_place)
     shelf = SampleShelf(settings.data_dir / SAMPLES_FOLDER)
     prepare(database, data_dir=settings.data_dir, min_free_disk_mb=settings.min_free_disk_mb)

@@ -163,7 +163,7 @@ def _write_file(backup: BackupFile, file: FilePart, target: Target) -> None:
             msg = f"{path} is there already, and another: a backup is restored into an empty data folder"
             raise BackupError(msg)
         return  # a file of heads only grows: the one that is there knows more than the backup
-    path.parent.mkdir(parents=True, exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     draft = path.with_name(path.name + UNFINISHED)
     draft.unlink(missing_ok=True)
     try:

@@ -16,6 +16,8 @@ from service.private_log import install_private_log
 from service.settings import Settings, SettingsError, load_settings
 
 SWITCH_INTERVAL_S = 0.001
+OTHERS_MAY_NOTHING = 0o077
+"""Of every file that the service makes: models, samples, tapes, heads."""
 
 
 def serve(
@@ -37,6 +39,7 @@ def serve(
         raise typer.Exit(2) from error
     _refuse_taken_port(settings, console)
     try:
+        os.umask(OTHERS_MAY_NOTHING)
         with alone_in(settings.data_dir):
             _run(settings, console)
     except FolderInUseError as error:

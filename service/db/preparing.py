@@ -5,6 +5,7 @@ import logging
 import os
 import shutil
 import sqlite3
+import stat
 from pathlib import Path
 
 from service.db.engine import Database
@@ -16,6 +17,7 @@ logger = logging.getLogger(__name__)
 SAMPLES_FOLDER = "samples"
 MIB = 1024 * 1024
 COPY_PAGES = 4096
+OTHERS = 0o077
 
 
 def prepare(database: Database, *, data_dir: Path, min_free_disk_mb: float) -> None:
@@ -26,6 +28,7 @@ def prepare(database: Database, *, data_dir: Path, min_free_disk_mb: float) -> N
     MigrationError
         The tables were made by a newer version.
     """
+    _warn_of_others(data_dir)
     with database.connect() as connection:
         found = standing(connection)
     if found.ahead and found.revision is not None:
@@ -35,6 +38,13 @@ def prepare(database: Database, *, data_dir: Path, min_free_disk_mb: float) -> N
     database.migrate(samples_dir=data_dir / SAMPLES_FOLDER)
     if found.ahead and found.revision is not None:
         logger.warning("the database is at revision %s", found.head)
+
+
+def _warn_of_others(data_dir: Path) -> None:
+    with contextlib.suppress(OSError):
+        mode = stat.S_IMODE(data_dir.stat().st_mode)
+        if mode & OTHERS:
+            logger.warning("others on this machine may look into the data folder (mode %o): chmod 700 it", mode)
 
 
 def _announce(database: Database, found: Standing) -> None:

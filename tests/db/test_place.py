@@ -1,5 +1,7 @@
 """Where the database is: the settings that say so, and the password that nobody gets to see."""
 
+import subprocess
+import sys
 from contextlib import closing
 from pathlib import Path
 
@@ -107,3 +109,24 @@ def test_a_new_file_is_its_owner_s_alone_with_those_beside_it(tmp_path):
         modes = {path.name: path.stat().st_mode & 0o777 for path in Path(tmp_path).glob("new.db*")}
     assert len(modes) == 3
     assert set(modes.values()) == {0o600}
+
+
+def test_a_database_in_use_stays_whole_when_it_is_opened_again_here_and_another_program_comes_and_goes(tmp_path):
+    """To close a file drops all locks a process has on it; a program that came last would then remove the log."""
+    path = tmp_path / "used.db"
+    come_and_go = (
+        f"import sqlite3; c = sqlite3.connect({str(path)!r}); c.execute('SELECT count(*) FROM x').fetchall(); c.close()"
+    )
+    with closing(Database(path)) as database, database.connect() as held:
+        held.execute(text("CREATE TABLE x (y INTEGER)"))
+        held.commit()
+        held.execute(text("SELECT * FROM x")).all()
+        with closing(Database(path)) as again, again.read() as db:
+            db.execute(text("SELECT 1"))
+        subprocess.run([sys.executable, "-c", come_and_go], check=True)
+        assert path.with_name("used.db-wal").exists()
+        held.rollback()
+        held.execute(text("INSERT INTO x VALUES (1)"))
+        held.commit()
+    with closing(Database(path)) as database, database.read() as db:
+        assert db.scalar(text("SELECT count(*) FROM x")) == 1
