@@ -4,7 +4,7 @@ import hashlib
 import hmac
 import secrets
 import threading
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from dataclasses import dataclass
 
 from engine.clock import NS_PER_S, Clock
@@ -14,6 +14,8 @@ LIFE_S = 300.0
 MOST = 4_096
 MOST_AN_ADDRESS = 64
 """From one address; a flood from there drops its own oldest, nobody else's."""
+MOST_FAILURES = 20
+"""Codes that the provider does not take, from one address within an attempt's life."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,6 +81,30 @@ class AttemptShelf:
 
     def _is_old(self, attempt: Attempt) -> bool:
         return self._clock.now_ns() - attempt.at_ns > LIFE_S * NS_PER_S
+
+
+class FailureBrake:
+    """Stops an address that brings back one wrong code after the other: each is a call to the provider, in our name."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._failures: OrderedDict[str, deque[int]] = OrderedDict()
+
+    def note(self, address: str) -> None:
+        """Count a code that the provider did not take."""
+        with self._lock:
+            own = self._failures.setdefault(address, deque(maxlen=MOST_FAILURES))
+            own.append(self._clock.now_ns())
+            self._failures.move_to_end(address)
+            if len(self._failures) > MOST:
+                self._failures.popitem(last=False)
+
+    def is_on(self, address: str) -> bool:
+        """Whether this address has to wait."""
+        with self._lock:
+            own = self._failures.get(address, ())
+            return len(own) == MOST_FAILURES and self._clock.now_ns() - own[0] <= LIFE_S * NS_PER_S
 
 
 def _sha256(text: str) -> bytes:

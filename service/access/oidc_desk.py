@@ -11,7 +11,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from engine.clock import Clock, MonotonicClock
 from service.access.desk import AccessDesk
 from service.access.logins import LOGIN, OpenedLogin
-from service.access.oidc_attempts import AttemptShelf
+from service.access.oidc_attempts import AttemptShelf, FailureBrake
 from service.access.oidc_errors import OidcReason, OidcRefusedError, OidcUnavailableError
 from service.access.oidc_local import LocalLogins
 from service.access.oidc_machines import OidcMachines
@@ -51,6 +51,8 @@ class OidcDesk:
     ) -> None:
         self.settings = settings
         self._access = access
+        self._clock = clock or MonotonicClock()
+        self._brake = FailureBrake(self._clock)
         self._seats = threading.BoundedSemaphore(MOST_AT_ONCE)
         self._local = LocalLogins(settings=settings)
         self._provider: Provider | None = None
@@ -60,7 +62,7 @@ class OidcDesk:
         )
         access.logins.local_rule = self._judge_password
         if settings.oidc_issuer:
-            self._open(clock or MonotonicClock(), now, registry)
+            self._open(self._clock, now, registry)
 
     def _open(self, clock: Clock, now: Callable[[], datetime], registry: CollectorRegistry) -> None:
         settings = self.settings
@@ -117,7 +119,7 @@ class OidcDesk:
 
     def come_back(self, returned: Returned, browser: str | None, address: str) -> OpenedLogin | Refusal:
         """Open a log-in for somebody who came back, or say why not; for a thread that may wait."""
-        if not self._seats.acquire(blocking=False):
+        if self._brake.is_on(address) or not self._seats.acquire(blocking=False):
             return Refusal(reason=BUSY)
         try:
             return self._ask(returned, browser, address)
@@ -132,6 +134,8 @@ class OidcDesk:
         except NoRoleError as error:
             return self._turn_away(error.person, OidcReason.NO_ROLE, address)
         except OidcRefusedError as error:
+            if error.reason is OidcReason.CODE:
+                self._brake.note(address)
             self._note(error.reason, address)
             return Refusal(reason=error.reason)
         except OidcUnavailableError:

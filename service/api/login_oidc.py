@@ -35,7 +35,7 @@ SENTENCE = {
     OidcReason.UNKNOWN_KEY: "It has just changed its keys. Try again in half a minute.",
     DISABLED: "Your account is disabled here. Ask whoever administers this system.",
     UNAVAILABLE: "It does not answer. A break-glass account can log in by password.",
-    BUSY: "Too many people log in at once. Try again in a moment.",
+    BUSY: "Too many people log in at once, or too many log-ins have failed from here. Try again in some minutes.",
     STORAGE: "The database here does not answer, so nobody can be let in. Try again.",
 }
 OTHERWISE = "What it told of you cannot be trusted. If that happens again, tell whoever administers this system."

@@ -4,7 +4,7 @@ import pytest
 
 from engine.clock import NS_PER_S, ManualClock
 from service.access import oidc_attempts
-from service.access.oidc_attempts import LIFE_S, MOST_AN_ADDRESS, AttemptShelf
+from service.access.oidc_attempts import LIFE_S, MOST_AN_ADDRESS, MOST_FAILURES, AttemptShelf, FailureBrake
 from service.access.oidc_errors import OidcRefusedError
 
 
@@ -82,3 +82,24 @@ def test_old_ones_make_room_by_themselves(shelf, clock):
     clock.advance_ns(int(LIFE_S) * NS_PER_S + 1)
     shelf.begin("new")
     assert len(shelf._attempts) == 1
+
+
+def test_an_address_that_brings_one_wrong_code_after_the_other_has_to_wait_and_no_other_has(clock):
+    brake = FailureBrake(clock)
+    for _ in range(MOST_FAILURES):
+        assert not brake.is_on("flood")
+        brake.note("flood")
+    assert brake.is_on("flood")
+    assert not brake.is_on("me")
+    clock.advance_ns(int(LIFE_S) * NS_PER_S)
+    assert brake.is_on("flood")
+    clock.advance_ns(1)
+    assert not brake.is_on("flood")
+
+
+def test_failures_from_everywhere_take_no_more_room_than_that(clock, monkeypatch):
+    monkeypatch.setattr(oidc_attempts, "MOST", 10)
+    brake = FailureBrake(clock)
+    for number in range(100):
+        brake.note(str(number))
+    assert len(brake._failures) == 10

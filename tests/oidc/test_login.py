@@ -9,6 +9,8 @@ import httpx2
 import pytest
 from fastapi.testclient import TestClient
 
+from engine.clock import MonotonicClock
+from service.access.oidc_attempts import FailureBrake
 from service.access.oidc_desk import MOST_AT_ONCE
 from service.access.permissions import Role
 from service.access.records import User
@@ -344,6 +346,14 @@ def test_no_more_people_are_asked_about_at_once_than_leave_threads_for_a_stop(cl
     for _ in range(MOST_AT_ONCE):
         desk._seats.release()
     assert log_in(client).status_code == 303
+
+
+def test_codes_that_are_made_up_are_not_shown_to_the_provider_without_end(client, outside, monkeypatch):
+    monkeypatch.setattr("service.access.oidc_attempts.MOST_FAILURES", 3)
+    monkeypatch.setattr(client.app.state.oidc, "_brake", FailureBrake(MonotonicClock()))
+    outside.on_return = {"code": "made up"}
+    assert [log_in(client).status_code for _ in range(5)] == [403, 403, 403, 503, 503]
+    assert outside.asked.count("/token") == 3
 
 
 def test_every_seat_is_given_back_whatever_came_of_it(client, outside):
