@@ -75,6 +75,7 @@ MEANINGS: dict[str, Meaning] = {
     "samples.export": Meaning(event=EXPORT, letter="R"),
     "samples.removed": Meaning(event=PROCEDURE, letter="D"),
     "raw.removed": Meaning(event=PROCEDURE, letter="D"),
+    "tape.removed": Meaning(event=PROCEDURE, letter="D"),
     "qa.export": Meaning(event=EXPORT, letter="R"),
     "qa.baseline": Meaning(event=PROCEDURE, letter="C"),
     "calibration.upload": Meaning(event=IMPORT, letter="C"),
