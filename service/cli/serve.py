@@ -1,6 +1,8 @@
 """``tidegate serve``: the service on this machine."""
 
 import gc
+import os
+import resource
 import signal
 import socket
 import sys
@@ -16,6 +18,7 @@ from service.private_log import install_private_log
 from service.settings import Settings, SettingsError, load_settings
 
 SWITCH_INTERVAL_S = 0.001
+MOST_FILES = 65_536
 OTHERS_MAY_NOTHING = 0o077
 """Of every file that the service makes: models, samples, tapes, heads."""
 
@@ -70,6 +73,7 @@ def _run(settings: Settings, console: Console) -> None:
             soft_wrap=True,
             markup=False,
         )
+    _take_all_connections()
     app = create_app(settings, tell_first=lambda name, password: _tell_first(console, name, password))
     _set_memory_aside()
     line = "SIMULATED beam line" if settings.is_simulated_beam else f"beam line {' and '.join(settings.beam_lines)}"
@@ -99,6 +103,13 @@ def _tell_first(console: Console, name: str, password: str) -> None:
         soft_wrap=True,
         markup=False,
     )
+
+
+def _take_all_connections() -> None:
+    """Open as many connections as the system lets: strangers who only keep some open must not keep a hold out."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    enough = MOST_FILES if most == resource.RLIM_INFINITY else min(most, MOST_FILES)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (enough, most))
 
 
 def _set_memory_aside() -> None:
