@@ -29,22 +29,31 @@ class Callers:
         return plain(peer)
 
     def _is_trusted(self, address: str) -> bool:
-        try:
-            found = ipaddress.ip_address(plain(address))
-        except ValueError:
-            return False
-        return any(found in network for network in self._trusted)
+        found = _parsed(address)
+        return found is not None and any(found in network for network in self._trusted)
 
 
 def plain(address: str) -> str:
     """Write an address in one way; of IPv6 the network that one customer has, for a machine has billions in it."""
-    try:
-        found = ipaddress.ip_address(address)
-    except ValueError:
+    found = _parsed(address)
+    if found is None:
         return UNKNOWN
-    if isinstance(found, ipaddress.IPv6Address):
-        if found.ipv4_mapped is not None:
-            return str(found.ipv4_mapped)
-        if not found.is_loopback:
-            return str(ipaddress.ip_network((found, 64), strict=False).network_address)
+    if isinstance(found, ipaddress.IPv6Address) and not found.is_loopback:
+        return str(ipaddress.ip_network((found, 64), strict=False).network_address)
     return str(found)
+
+
+def _parsed(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    """Read an address, with the port that some gateways write behind it or without; None where it is none."""
+    try:
+        found = ipaddress.ip_address(_without_port(address))
+    except ValueError:
+        return None
+    mapped = found.ipv4_mapped if isinstance(found, ipaddress.IPv6Address) else None
+    return mapped or found
+
+
+def _without_port(address: str) -> str:
+    if address.startswith("["):
+        return address[1:].partition("]")[0]
+    return address.partition(":")[0] if address.count(":") == 1 else address

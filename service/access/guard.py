@@ -89,7 +89,10 @@ class Guard:
 
     def _check_origin(self, headers: Headers, method: str) -> None:
         """Refuse a call that a foreign page may have sent with the browser's cookie, and any foreign page's socket."""
-        origin = headers.get("origin")
+        origins = headers.getlist("origin")
+        if len(origins) > 1:
+            raise _foreign("more than one")
+        origin = next(iter(origins), None)
         if origin is not None and (method == SOCKET or method not in SAFE_METHODS):
             if not is_ours(origin, headers.get("host", ""), self._allowed_origins, is_secure=self._is_secure):
                 raise _foreign(origin)

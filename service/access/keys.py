@@ -56,7 +56,7 @@ class KeyDesk:
             secret_sha256=hashed(secret),
             scopes=chosen,
             created_by=by,
-            created_at=self._store.now(),
+            created_at=self._store.wall(),
             expires_at=expires_at,
         )
         detail = {"key_id": key.id, "key": name, "scopes": sorted(chosen), "expires_at": expires_at.isoformat()}
@@ -75,7 +75,7 @@ class KeyDesk:
                 msg = "there is no such key"
                 raise NotFoundError(msg, field="key_id", value=key_id)
             if key.revoked_at is None:
-                key = replace(key, revoked_at=self._store.now())
+                key = replace(key, revoked_at=self._store.wall())
                 detail = {"key_id": key.id, "key": key.name}
                 self._store.write(save=[key], event=Event(actor=by, action=REVOKE, detail=detail))
         return key
@@ -91,10 +91,10 @@ class KeyDesk:
     def is_valid(self, key_id: str) -> bool:
         """Whether a key still opens anything."""
         key = self._store.keys.get(key_id)
-        return key is not None and key.revoked_at is None and key.expires_at > self._store.now()
+        return key is not None and key.revoked_at is None and key.expires_at > self._store.wall()
 
     def _check_expiry(self, expires_at: datetime) -> None:
-        now = self._store.now()
+        now = self._store.wall()
         if not now < expires_at <= now + self._longest:
             bound = f"later than now, and at most {self._longest.days} days from now"
             msg = f"expires_at must be {bound}"

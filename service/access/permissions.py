@@ -1,7 +1,7 @@
 """What may be done, and by whom: few permissions, four roles. A person may have several roles.
 
-Whoever administers does not arm: whoever makes people and keys cannot treat in the same name without another
-person having given them the role for it, and that is in the audit.
+Whoever administers does not arm by that: who makes people and keys treats under the same name only where they have a
+role for it. That they gave it to themselves is not prevented, for somebody must be able to; it is in the audit.
 """
 
 from collections.abc import Iterable, Mapping

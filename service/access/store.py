@@ -5,9 +5,10 @@ something holds `changing` from looking to writing, so that two changes never st
 """
 
 import threading
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -23,12 +24,26 @@ from service.db.models import ApiKeyRow, AttemptsRow, LoginRow, UserRow
 ROW_OF: dict[type[Record], type[Base]] = {User: UserRow, Login: LoginRow, ApiKey: ApiKeyRow, Attempts: AttemptsRow}
 
 
+def wall_clock() -> datetime:
+    """Return the time of day."""
+    return datetime.now(UTC)
+
+
+def steady_clock() -> Callable[[], datetime]:
+    """Make a clock that begins with the time of day and goes on evenly, whatever is done to that meanwhile."""
+    began, began_ns = wall_clock(), time.monotonic_ns()
+    return lambda: began + timedelta(microseconds=(time.monotonic_ns() - began_ns) // 1000)
+
+
 class AccessStore:
     """People, log-ins, keys and failed attempts."""
 
-    def __init__(self, database: Database, now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
+    def __init__(self, database: Database, now: Callable[[], datetime] | None = None) -> None:
         self._database = database
-        self.now = now
+        self.now = now or steady_clock()
+        """For how long: no step of the wall clock ends a log-in, or a lock, in the middle of a treatment."""
+        self.wall = now or wall_clock
+        """For dates that were agreed on: until when a key holds."""
         self.changing = threading.RLock()
         self.users: dict[str, User] = {}
         self.logins: dict[str, Login] = {}

@@ -387,3 +387,10 @@ def test_refusals_are_written_by_the_keeper_itself(nobody):
     nobody.get("/api/v1/users", headers=headers)
     nobody.speaks_as = "A. Therapist"
     eventually(lambda: len(audit_rows(nobody, "access.refused")) == 1)
+
+
+def test_two_origins_are_none_of_ours(door):
+    mine = headers_of(open_login(door.desk.store, "B. Physicist"))
+    headers = [("Cookie", mine["Cookie"]), *JSON.items(), *OURS.items(), ("Origin", "http://evil.example")]
+    request = door.build_request("POST", "/api/v1/logout", content=b"{}", headers=headers)
+    assert door.send(request).status_code == 403
