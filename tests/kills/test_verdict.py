@@ -112,9 +112,19 @@ def test_a_machine_that_stood_still_excuses_so_much_and_no_more():
     assert judge(replace(late, stall_ms=15.0)) == (Trouble.OFF_LATE,)
 
 
-def test_a_watchdog_s_own_account_need_not_join_the_engine_s():
-    steps = (*STEPS, step(9, "beam_on", "fault", 9700, "watchdog"), step(10, "hold", "disarmed", 9900))
-    assert Trouble.STATES_APART not in judge(replace(GOOD, steps=steps))
+def test_a_watchdog_s_fault_may_stand_between_the_engine_s_own_rows_and_is_taken_up_later():
+    fault = step(9, "beam_on", "fault", 9700, "watchdog")
+    late = step(10, "beam_on", "hold", 9690, "frame_late")
+    acknowledged = step(11, "fault", "disarmed", 9900)
+    for steps in ((fault, late, acknowledged), (fault, acknowledged), (late, fault, acknowledged)):
+        assert Trouble.STATES_APART not in judge(replace(GOOD, steps=(*STEPS, *steps)))
+
+
+def test_a_watchdog_excuses_no_other_state_and_one_step_only():
+    fault = step(9, "beam_on", "fault", 9700, "watchdog")
+    acknowledged = step(11, "fault", "disarmed", 9900)
+    for steps in ((fault, step(12, "hold", "dwell", 9950)), (fault, acknowledged, step(12, "fault", "disarmed", 9950))):
+        assert Trouble.STATES_APART in judge(replace(GOOD, steps=(*STEPS, *steps)))
 
 
 def test_a_session_that_was_never_measured_has_no_samples_to_lose():

@@ -216,13 +216,24 @@ def _off_is_told(edge: LineEdge, steps: Sequence[Step]) -> bool:
 
 
 def _of_the_states(steps: Sequence[Step]) -> Iterator[Trouble]:
-    pairs = list(itertools.pairwise(steps))
-    if any(one.to_state != other.from_state for one, other in pairs if WATCHDOG not in {one.reason, other.reason}):
+    if not _do_join(steps):
         yield Trouble.STATES_APART
-    if steps and steps[0].from_state != "disarmed":
-        yield Trouble.STATES_APART
-    if any(one.number >= other.number for one, other in pairs):
+    if any(one.number >= other.number for one, other in itertools.pairwise(steps)):
         yield Trouble.NUMBERS_APART
+
+
+def _do_join(steps: Sequence[Step]) -> bool:
+    """Whether each begins where the one before it ended; a watchdog's fault comes in between, and is taken up later."""
+    state, has_fired = "disarmed", False
+    for step in steps:
+        if step.reason == WATCHDOG and step.to_state == "fault":
+            has_fired = True
+            continue
+        if step.from_state != state and not (has_fired and step.from_state == "fault"):
+            return False
+        has_fired = has_fired and step.from_state != "fault"
+        state = step.to_state
+    return True
 
 
 def _of_the_rest(evidence: Evidence) -> Iterator[Trouble]:
