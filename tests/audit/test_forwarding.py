@@ -9,6 +9,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+from pydantic import ValidationError
 
 from engine.clock import NS_PER_S, ManualClock
 from service import audit
@@ -16,9 +17,11 @@ from service.audit import Event, forwarding, walk
 from service.audit.dicom_message import Source
 from service.audit.forwarding import FAILED, RESUMED, AuditForwarder, PositionFile
 from service.audit.syslog import SyslogConnection, SyslogServer
+from service.settings import Settings
 from tests.audit.certificates import Authority
 from tests.audit.conftest import fill
 from tests.audit.syslog_server import SyslogDaemon
+from tests.audit.test_care import House
 
 SCHEMA = Path(__file__).with_name("audit_message.rng")
 HEADER = re.compile(rb"^<85>1 \S+Z \S+ tidegate \d+ DICOM\+RFC3881 - \xef\xbb\xbf(<\?xml.*)$", re.DOTALL)
@@ -277,3 +280,35 @@ def test_a_position_that_cannot_be_read_begins_with_this_start(desk, daemon, tmp
     (tmp_path / "forwarded.json").write_text("nonsense")
     desk.turns()
     assert received(daemon, 7) == list(range(1, 8))
+
+
+def test_a_service_with_a_syslog_host_passes_on_its_whole_life(database, daemon, tmp_path, authority, our_pair):
+    settings = {
+        "audit_syslog_host": "localhost",
+        "audit_syslog_port": daemon.port,
+        "audit_syslog_ca_file": authority.file,
+        "audit_syslog_cert_file": our_pair.cert,
+        "audit_syslog_key_file": our_pair.key,
+    }
+    house = House(database, tmp_path, **settings).run()
+    assert received(daemon, 9) == [8, 9]
+    assert house.care.troubles == []
+    house.run()
+    assert received(daemon, 11) == [8, 9, 10, 11]
+    assert b"service.stop" in daemon.messages()[-1]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"audit_syslog_host": "log.test"}, "audit_syslog_ca_file is not given"),
+        ({"audit_syslog_cert_file": "cert.pem"}, "are one pair"),
+        ({"audit_syslog_key_file": "key.pem"}, "are one pair"),
+        ({"audit_syslog_timeout_s": 0.0}, "greater than or equal to 0.5"),
+        ({"audit_anchor_interval_s": 0.5}, "greater than or equal to 1"),
+        ({"audit_clock_jump_ms": 100_000.0}, "less than or equal to 60000"),
+    ],
+)
+def test_settings_that_lead_nowhere_are_refused(given, said):
+    with pytest.raises(ValidationError, match=said):
+        Settings(**given)

@@ -8,10 +8,12 @@ from hypothesis import strategies as st
 
 from engine.permits import GateState, HoldReason
 from service import audit
+from service.app import create_app
 from service.audit import Event
 from service.audit.export import verify_export
 from service.db.engine import Database
 from tests.service.conftest import act, audit_rows, eventually, upload
+from tests.service.people import PeopleClient
 
 TRIGGERS = ("audit_no_update", "audit_no_delete", "audit_only_next")
 
@@ -237,3 +239,28 @@ def test_the_audit_is_filtered_by_session_and_paged(client, session_id, calibrat
 def test_a_bad_question_to_the_audit_is_refused(client, name, value):
     answer = client.get("/api/v1/audit", params={name: value})
     assert (answer.status_code, answer.json()["field"]) == (422, name)
+
+
+def test_an_audit_that_is_not_as_it_should_be_is_told_by_the_readiness(client, settings):
+    ready = client.get("/readyz").json()
+    assert not [reason for reason in ready["not_ready"] if "audit" in reason]
+    settings.anchor_file.unlink(missing_ok=True)
+    settings.anchor_file.mkdir()
+    eventually(lambda: "the audit's heads cannot be kept" in str(client.get("/readyz").json()["not_ready"]))
+    (row,) = audit_rows(client, "audit.anchors_failed")
+    assert row["outcome"] == "failed"
+
+
+def test_a_log_that_was_cut_off_while_nothing_ran_is_told_by_the_readiness(settings, engine):
+    with PeopleClient(create_app(settings, lambda _settings: engine)):
+        pass
+    connection = sqlite3.connect(settings.data_dir / "tidegate.db")
+    connection.execute("DROP TRIGGER audit_no_delete")
+    connection.execute("DELETE FROM audit WHERE sequence > 1")
+    connection.commit()
+    connection.close()
+    with PeopleClient(create_app(settings, lambda _settings: engine)) as client:
+        assert "rows were cut off" in str(client.get("/readyz").json()["not_ready"])
+        (row,) = audit_rows(client, "audit.broken")
+        assert (row["actor"], row["outcome"]) == ("tidegate", "failed")
+        assert client.get("/api/v1/audit/verify").json()["is_intact"] is False
