@@ -259,6 +259,16 @@ def test_a_log_in_that_ends_while_the_beam_is_on_is_said_at_once(fake: FakeServi
     expect(page.locator("#do-hold")).to_be_enabled()
 
 
+def test_a_closed_stream_alone_is_enough_to_say_that_the_log_in_has_ended(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", BEAM_ON
+    page = tab.open("beam_on")
+    for path in ("sessions**", "sessions/**", "audit**", "qa/**"):
+        page.route(f"**/api/v1/{path}", lambda route: route.abort())
+    page.wait_for_timeout(300)
+    fake.person = None
+    expect(page.locator("#gate")).to_have_attribute("data-kind", "out", timeout=4_000)
+
+
 def test_a_refused_call_ends_the_log_in_also_while_the_stream_goes_on(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", DISARMED
     page = tab.open("disarmed")

@@ -96,7 +96,6 @@ function leave() {
   hasLooked = false;
   trace.reset(null);
   picture.follow(null, false);
-  events.follow(null);
   setup.forget();
   controls.forget();
   qa.forget();
