@@ -82,6 +82,32 @@ def test_a_measurement_that_differs_in_the_last_bit_is_found_at_its_frame(busy):
     assert (difference.frame, "volume_l" in difference.recorded) == (12, True)
 
 
+def test_a_cell_that_no_table_tells_is_found_by_the_frames_digest(busy):
+    _one, path = busy
+
+    def a_bit_more(one):
+        return replace(one, motion=replace(one.motion, regions_depth_mm=one.motion.regions_depth_mm + 1e-12))
+
+    difference = heard_again(path, spoil={12: a_bit_more}).difference
+    assert (difference.frame, difference.recorded.split()[0]) == (12, "digest")
+
+
+def test_a_session_that_was_stopped_stops_at_the_same_frame(tmp_path):
+    one = taped()
+    stop = after(one.loop._stop_requested.set)
+    lived([good, after(lambda: one.loop.submit(ARM)), *(good for _ in range(8)), stop, *(good for _ in range(5))], one)
+    again = heard_again(one.write(tmp_path / "a.tape"))
+    assert (again.difference, again.frames) == (None, one.source.frames)
+    assert again.transitions[-1]["reason"] == "engine_stopped"
+
+
+def test_a_camera_that_never_showed_anything_is_lost_again(tmp_path):
+    one = lived([silent] * 300, taped())
+    again = heard_again(one.write(tmp_path / "a.tape"))
+    assert again.difference is None
+    assert (again.frames, again.transitions[-1]["reason"]) == (0, "source_lost")
+
+
 def test_an_engine_that_asks_for_something_else_is_found(busy, monkeypatch):
     _one, path = busy
     monkeypatch.setattr("engine.keeper.GateKeeper._has_watchdog_fired", lambda _self: False)
