@@ -4,6 +4,7 @@
 """
 
 import argparse
+import random
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -20,7 +21,7 @@ from service.db.engine import Database
 from service.db.place import DATABASE_NAME
 from service.session_replay import StoredSession, Verdict
 from tests.kept import digest_of, made_once
-from tests.replay.played import WINDOWS, Played, Troubles, play
+from tests.replay.played import WINDOWS, BusyPerson, Played, Troubles, play
 
 MAKERS = [Path(engine.__path__[0]) / name for name in ("phantom", "oni", "geometry.py", "laser_plane.py")]
 VOLUNTEERS = (
@@ -73,16 +74,17 @@ def verdict_on(played: Played) -> Verdict:
         database.close()
 
 
-def outcomes(sessions: int, first_seed: int) -> Iterator[Outcome]:
+def outcomes(sessions: int, first_seed: int, frames: int | None, volunteers: int) -> Iterator[Outcome]:
     """Play and replay, one after the other."""
     for seed in range(first_seed, first_seed + sessions):
         with tempfile.TemporaryDirectory(prefix="tidegate-replay-") as folder:
-            data_dir, volunteer = Path(folder) / "data", kept_volunteer(*VOLUNTEERS[seed % len(VOLUNTEERS)])
+            data_dir, volunteer = Path(folder) / "data", kept_volunteer(*VOLUNTEERS[seed % volunteers])
             how = {"troubles": TROUBLES[seed % len(TROUBLES)], "window": WINDOWS[seed % len(WINDOWS)]}
             earlier = None
             if seed % FROM_A_MODEL == 0:
                 earlier = play(data_dir, volunteer, seed, window=WINDOWS[0]).session_id
-            played = play(data_dir, volunteer, seed, earlier=earlier, **how)
+            person = BusyPerson(random.Random(seed), frames)
+            played = play(data_dir, volunteer, seed, earlier=earlier, person=person, **how)
             yield Outcome(seed=seed, played=played, verdict=verdict_on(played))
 
 
@@ -91,9 +93,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.replay", description=__doc__)
     parser.add_argument("--sessions", type=int, default=50)
     parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--frames", type=int, default=None, help="stop each session after so many")
+    parser.add_argument("--volunteers", type=int, default=len(VOLUNTEERS), choices=range(1, len(VOLUNTEERS) + 1))
     wish = parser.parse_args()
     frames = transitions = identical = 0
-    for outcome in outcomes(wish.sessions, wish.first_seed):
+    for outcome in outcomes(wish.sessions, wish.first_seed, wish.frames, wish.volunteers):
         typer.echo(outcome.line)
         replayed = outcome.verdict.replay
         frames += replayed.frames

@@ -212,12 +212,16 @@ def make_ready(hands: Hands, detail: dict) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class BusyPerson:
-    """Somebody of little patience, whose mind is made up by a seed."""
+    """Somebody of little patience, whose mind is made up by a seed; who stops after so many frames, if given."""
 
     chance: random.Random
+    frames: int | None = None
 
     def __call__(self, hands: Hands, detail: dict) -> None:
         session, chance = f"sessions/{hands.session_id}", self.chance
+        if self.frames is not None and detail["summary"]["frames"] >= self.frames:
+            hands.act("stop")
+            return
         if make_ready(hands, detail) and chance.random() < 0.25:
             wish = chance.choice(("by hand", "by hand", "by hand", "retrain", "apply", "activate", "correct"))
             match wish:
