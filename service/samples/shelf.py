@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from service.samples.durable import remove, sync_folder
 from service.samples.layout import SampleHead
-from service.samples.parquet import Stored, parquet_head, read_parquet, write_parquet
+from service.samples.parquet import NotReadBackError, Stored, parquet_head, read_parquet, write_parquet
 from service.samples.stream import SampleStream
 from service.samples.walk import Ending, NoSamplesError, StreamWalk
 
@@ -100,6 +100,9 @@ class SampleShelf:
         try:
             with StreamWalk(path) as walk:
                 stored = write_parquet(self.parquet_path(session_id), walk.schema, _shown(walk, watch))
+                if stored.rows != walk.rows:
+                    msg = f"{path.name} has {walk.rows} rows, and {stored.rows} were written"
+                    raise NotReadBackError(msg)
                 lost_bytes = walk.size - walk.end if walk.ending in {Ending.TORN, Ending.DAMAGED} else 0
                 aside = self._keep_aside(path) if walk.ending is Ending.DAMAGED else None
                 return Settlement(

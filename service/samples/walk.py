@@ -95,13 +95,12 @@ class StreamWalk:
 
     def _follows(self, said: object, end: int) -> bool:
         """Whether what was just read, up to ``end``, is what was sealed behind the batch before."""
-        if not isinstance(said, pa.KeyValueMetadata) or SEAL_KEY not in said or BEFORE_KEY not in said:
+        if not isinstance(said, pa.KeyValueMetadata) or SEAL_KEY not in said:
             return False
-        before, seal = said[BEFORE_KEY], said[SEAL_KEY]
-        message = os.pread(self._raw.fileno(), end - self.end, self.end)
-        if before != self.seal.encode() or not is_sealed(message, self.seal, seal.decode(errors="replace")):
+        seal = said[SEAL_KEY].decode(errors="replace")
+        if not is_sealed(os.pread(self._raw.fileno(), end - self.end, self.end), self.seal, seal):
             return False
-        self.seal = seal.decode()
+        self.seal = seal
         return True
 
     def _judge_end(self) -> None:

@@ -39,13 +39,14 @@ def columns_of(shelf):
     return [group.column(index) for index in range(group.num_columns)]
 
 
-def test_a_long_session_comes_in_groups_of_five_minutes(shelf, monkeypatch):
+@pytest.mark.parametrize(("rows", "groups"), [(50, [20, 20, 10]), (24, [20, 4]), (40, [20, 20])])
+def test_a_long_session_comes_in_groups_of_five_minutes(shelf, monkeypatch, rows, groups):
     monkeypatch.setattr(parquet, "ROWS_A_GROUP", 20)
-    write_stream(shelf.folder, 50)
+    write_stream(shelf.folder, rows)
     shelf.settle(SESSION)
     found = pq.ParquetFile(shelf.parquet_path(SESSION)).metadata
-    assert [found.row_group(index).num_rows for index in range(found.num_row_groups)] == [20, 20, 10]
-    assert frames_of(shelf) == list(range(50))
+    assert [found.row_group(index).num_rows for index in range(found.num_row_groups)] == groups
+    assert frames_of(shelf) == list(range(rows))
     assert ROWS_A_GROUP == 5 * 60 * 30
 
 
@@ -64,6 +65,14 @@ def test_a_file_that_is_not_read_back_as_it_was_written_is_none(shelf, monkeypat
         shelf.settle(SESSION)
     assert [path.name for path in shelf.folder.iterdir()] == [f"{SESSION}.arrows"]
     assert frames_of(shelf) == list(range(40))
+
+
+def test_a_file_with_fewer_rows_than_the_stream_is_none(shelf, monkeypatch):
+    write_stream(shelf.folder)
+    real = parquet._groups
+    monkeypatch.setattr(parquet, "_groups", lambda schema, batches: (one.slice(1) for one in real(schema, batches)))
+    with pytest.raises(NotReadBackError, match="40 rows, and 39"):
+        shelf.settle(SESSION)
 
 
 def test_what_arrow_itself_cannot_write_is_the_disk_s_error(shelf, monkeypatch):

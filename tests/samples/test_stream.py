@@ -87,6 +87,18 @@ def test_a_changed_byte_changes_nothing_that_is_read_or_is_found(tmp_path):
     assert found > 50
 
 
+@pytest.mark.parametrize(("batch", "ending"), [(2, Ending.DAMAGED), (4, Ending.TORN)])
+def test_a_batch_that_cannot_be_read_is_damage_where_others_follow_it_and_a_torn_tail_where_none_does(
+    tmp_path, batch, ending
+):
+    path = write_stream(tmp_path, is_finished=False).path
+    content, places = bytearray(path.read_bytes()), places_of(path)
+    content[places[batch - 1] + 4 : places[batch - 1] + 8] = (2**31 - 8).to_bytes(4, "little")
+    path.write_bytes(content)
+    walk, rows = walked(path)
+    assert (walk.ending, len(rows)) == (ending, 8 * batch)
+
+
 def test_a_batch_taken_out_is_found(tmp_path):
     path = write_stream(tmp_path).path
     content, places = path.read_bytes(), places_of(path)
