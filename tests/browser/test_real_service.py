@@ -1,8 +1,9 @@
-"""End to end: a real `tidegate serve`, a volunteer played in real time, and the gate changing on the page."""
+"""End to end: a real `tidegate serve`, people who log in, a volunteer played in real time, gated on the page."""
 
 import contextlib
 import json
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -40,6 +41,7 @@ PATIENCE = {
 }
 WANTED = {("hold", "Hold", "hold"), ("dwell", "Dwell", "dwell"), ("beam_on", "Beam on", "beam_on")}
 ATTEMPTS = 3
+START_S = 60.0
 
 # Notes each state of the gate as it is drawn: a dwell may be over before a test looks again.
 REMEMBER_STATES = """() => {
@@ -56,15 +58,21 @@ REMEMBER_STATES = """() => {
 class Controller:
     """A `tidegate serve` process with one person, and its HTTP API as the planning software calls it."""
 
-    def __init__(self, data: Path, recordings: Path) -> None:
+    def __init__(self, data: Path, recordings: Path, *, is_new: bool = False) -> None:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             port = probe.getsockname()[1]
         self.url = f"http://127.0.0.1:{port}"
-        let_in = provision(data, people={OPERATOR: EVERY_ROLE}, origin=self.url, password=PASSWORD)
-        self._key = let_in.key
+        self._key = {} if is_new else self._let_in(data)
+        self.log = data.with_name("log")
         command = [COMMAND, "serve", "--port", str(port), "--data", data, "--recordings", recordings]
-        self._process = subprocess.Popen([str(word) for word in command], env=os.environ | PATIENCE)
+        with self.log.open("wb") as log:
+            self._process = subprocess.Popen(
+                [str(word) for word in command], env=os.environ | PATIENCE, stdout=log, stderr=log
+            )
+
+    def _let_in(self, data: Path) -> dict[str, str]:
+        return provision(data, people={OPERATOR: EVERY_ROLE}, origin=self.url, password=PASSWORD).key
 
     def call(self, method: str, path: str, body: object = None) -> Any:
         request = urllib.request.Request(
@@ -77,7 +85,7 @@ class Controller:
             return json.load(response)
 
     def wait_until_up(self) -> None:
-        deadline_s = time.monotonic() + 20.0
+        deadline_s = time.monotonic() + START_S
         while True:
             try:
                 with urllib.request.urlopen(f"{self.url}/healthz", timeout=1.0):
@@ -107,6 +115,17 @@ def controller(tmp_path: Path, occlusion_volunteer: Path) -> Iterator[Controller
         shutil.rmtree(tmp_path / "data")
 
 
+@pytest.fixture
+def new_controller(tmp_path: Path) -> Iterator[Controller]:
+    """A service that is started for the first time: nobody can log in yet but whom it tells of on its terminal."""
+    controller = Controller(tmp_path / "data", tmp_path, is_new=True)
+    try:
+        controller.wait_until_up()
+        yield controller
+    finally:
+        assert controller.end() == 0
+
+
 def create_session(controller: Controller, volunteer: Path) -> str:
     """Upload the calibration and create the session, as the planning software would."""
     document = json.loads((volunteer / "calibration.json").read_text())
@@ -123,8 +142,8 @@ def create_session(controller: Controller, volunteer: Path) -> str:
     return str(controller.call("POST", "/sessions", request)["id"])
 
 
-def log_in(page: Page, password: str) -> None:
-    page.locator("#log-in").get_by_label("Name", exact=True).fill(OPERATOR)
+def log_in(page: Page, password: str, name: str = OPERATOR) -> None:
+    page.locator("#log-in").get_by_label("Name", exact=True).fill(name)
     page.locator("#log-in").get_by_label("Password", exact=True).fill(password)
     page.keyboard.press("Enter")
 
@@ -189,3 +208,52 @@ def test_a_volunteer_is_gated_on_the_page(controller: Controller, occlusion_volu
     tab.sees("out")
     page.close()
     assert tab.complaints == []
+
+
+def choose_password(page: Page, password: str) -> None:
+    """After a log-in with a password for once: the old one is known to the page already."""
+    expect(page.get_by_role("heading", name="Choose a password")).to_be_visible()
+    page.fill("[name=new_password]", password)
+    page.fill("[name=repeated]", password)
+    page.keyboard.press("Enter")
+
+
+def test_from_the_first_start_to_a_therapist_who_is_logged_in(new_controller: Controller, context: BrowserContext):
+    told = re.search(r"first log-in:\s+(\S+)", new_controller.log.read_text())
+    assert told is not None
+    tab = Tab(page=context.new_page(), url=new_controller.url)
+    tab.watch()
+    page = tab.open("out")
+    log_in(page, told[1], "admin")
+    choose_password(page, "a password of an admin")
+    tab.sees("idle")
+    expect(page.locator("#people-next")).to_be_visible()
+    page.fill("#new-person [name=name]", OPERATOR)
+    page.check("#new-person-roles [value=therapist]")
+    page.click("#new-person [type=submit]")
+    expect(page.locator("#once-secret")).not_to_have_text("")
+    one_time = page.locator("#once-secret").inner_text()
+    page.fill("#new-key [name=name]", "Planning")
+    page.check("#new-key-scopes [value='sessions.read']")
+    page.click("#new-key [type=submit]")
+    expect(page.locator("#once-secret")).to_have_text(re.compile("^tg_"))
+    secret = page.locator("#once-secret").inner_text()
+    page.click("#once-done")
+    new_controller._key = {"Authorization": f"Bearer {secret}"}
+    assert new_controller.call("GET", "/sessions")["items"] == []
+    page.locator("#key-list").get_by_role("button", name="Revoke").click()
+    page.locator("#key-list").get_by_role("button", name="Really revoke?").click()
+    expect(page.locator("#key-list")).to_contain_text("revoked")
+    with pytest.raises(urllib.error.HTTPError, match="401"):
+        new_controller.call("GET", "/sessions")
+    page.click("#do-log-out")
+    tab.sees("out")
+    log_in(page, one_time)
+    choose_password(page, PASSWORD)
+    tab.sees("idle")
+    expect(page.locator("#person-roles")).to_have_text("therapist")
+    expect(page.locator("#do-people")).to_be_hidden()
+    page.close()
+    assert tab.complaints == []
+    log = new_controller.log.read_text()
+    assert not [one for one in (one_time, secret, PASSWORD) if one in log]
