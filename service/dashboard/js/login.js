@@ -94,7 +94,6 @@ export class LogIn {
       say(this.outcome, "failed", missing === reason ? "Say why." : `Enter your ${missing.name}.`);
       return missing.focus();
     }
-    if (performance.now() < this.freeAtMs) return;
     submit.disabled = true;
     say(this.outcome, "busy", "Asking…");
     try {
