@@ -103,8 +103,8 @@ class FailureBrake:
     def is_on(self, address: str) -> bool:
         """Whether this address has to wait."""
         with self._lock:
-            own = self._failures.get(address, ())
-            return len(own) == MOST_FAILURES and self._clock.now_ns() - own[0] <= LIFE_S * NS_PER_S
+            own = self._failures.get(address)
+            return own is not None and len(own) == MOST_FAILURES and self._clock.now_ns() - own[0] <= LIFE_S * NS_PER_S
 
 
 def _sha256(text: str) -> bytes:

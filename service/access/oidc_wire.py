@@ -5,8 +5,10 @@ Nothing here is called from the event loop or from a request that needs only mem
 
 import json
 import ssl
+import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote_plus
@@ -22,6 +24,31 @@ from service.access.oidc_errors import OidcReason, OidcRefusedError, OidcUnavail
 MAX_ANSWER_BYTES = 512 * 1024
 WHOLE_FACTOR = 2.0
 """A call takes at most so many times the longest silence, however steadily its answer trickles."""
+MOST_CALLS = 8
+_SPARE = threading.BoundedSemaphore(MOST_CALLS)
+
+
+def _within(seconds: float, work: Callable[[], httpx2.Response]) -> httpx2.Response:
+    """Ask on a thread that is left behind where it takes too long: an answer's head may come one byte at a time."""
+    if not _SPARE.acquire(blocking=False):
+        msg = "too many calls to the provider hang"
+        raise OidcUnavailableError(msg)
+    told: Future[httpx2.Response] = Future()
+
+    def ask() -> None:
+        try:
+            told.set_result(work())
+        except (httpx2.HTTPError, httpx2.InvalidURL, OSError, ValueError, RuntimeError) as error:
+            told.set_exception(error)
+        finally:
+            _SPARE.release()
+
+    threading.Thread(target=ask, name="oidc-call", daemon=True).start()
+    try:
+        return told.result(seconds)
+    except TimeoutError as error:
+        msg = "the provider's answer did not begin in time"
+        raise OidcUnavailableError(msg) from error
 
 
 class _Bounded(httpx2.SyncByteStream):
@@ -56,7 +83,7 @@ class _BoundedTransport(httpx2.BaseTransport):
         """Ask, and bound what comes back; a compressed answer could be any size once it is unpacked."""
         until_s = time.monotonic() + self._whole_s
         request.headers["Accept-Encoding"] = "identity"
-        answer = self._inner.handle_request(request)
+        answer = _within(self._whole_s, lambda: self._inner.handle_request(request))
         if answer.headers.get("Content-Encoding", "identity") != "identity":
             answer.close()
             msg = "the provider compressed its answer although it was asked not to"

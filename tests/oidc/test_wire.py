@@ -1,6 +1,8 @@
 """Calls to the provider end: in time, within bounds, and as one of two errors."""
 
+import contextlib
 import gzip
+import socket
 import threading
 import time
 
@@ -51,9 +53,39 @@ def test_an_answer_of_100_megabytes_is_read_as_far_as_the_bound(provider):
     assert "more than 524288 bytes" in unavailable(provider)
 
 
-def test_an_answer_that_trickles_ends_by_the_clock(provider, monkeypatch):
-    monkeypatch.setattr(oidc_wire, "WHOLE_FACTOR", -1.0)  # it has been too long from the first byte on
-    assert "did not end in time" in unavailable(provider)
+@contextlib.contextmanager
+def trickling(beginning: bytes):
+    """A server whose answer comes one byte at a time after this beginning, each well within the longest silence."""
+    is_over = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def serve() -> None:
+            with contextlib.suppress(OSError), listener.accept()[0] as connection:
+                connection.sendall(beginning)
+                while not is_over.wait(0.05):
+                    connection.sendall(b"a")
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        yield Provider(issuer=f"http://127.0.0.1:{listener.getsockname()[1]}")
+        is_over.set()
+        thread.join(5.0)
+
+
+def test_an_answer_whose_head_trickles_is_given_up_and_its_call_ends_by_itself(monkeypatch):
+    spare = threading.BoundedSemaphore(1)
+    monkeypatch.setattr(oidc_wire, "_SPARE", spare)
+    with trickling(b"HTTP/1.1 200 OK\r\nX-A: ") as provider:
+        before_s = time.monotonic()
+        assert "did not begin in time" in unavailable(provider)
+        assert time.monotonic() - before_s < 5.0
+        assert spare.acquire(timeout=5.0)  # what was left behind is over
+        assert "too many calls" in unavailable(provider)
+
+
+def test_an_answer_whose_body_trickles_ends_by_the_clock():
+    with trickling(b"HTTP/1.1 200 OK\r\n\r\n") as provider:
+        assert "did not end in time" in unavailable(provider)
 
 
 def test_a_compressed_answer_is_not_unpacked(provider):
