@@ -75,6 +75,13 @@ def _run(settings: Settings, console: Console) -> None:
         )
     _take_all_connections()
     app = create_app(settings, tell_first=lambda name, password: _tell_first(console, name, password))
+    try:
+        server = make_server(
+            app, host=settings.host, port=settings.port, tls_cert=settings.tls_cert, tls_key=settings.tls_key
+        )
+    except CertificateError as error:
+        console.print(f"tidegate serve: {error}", style="red", soft_wrap=True, markup=False)
+        raise typer.Exit(2) from error
     _set_memory_aside()
     line = "SIMULATED beam line" if settings.is_simulated_beam else f"beam line {' and '.join(settings.beam_lines)}"
     scheme = "https" if settings.has_tls else "http"
@@ -84,13 +91,6 @@ def _run(settings: Settings, console: Console) -> None:
     # Uvicorn raises the signal again once it has shut down; asked to stop and stopped is success.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _already_obeyed)
-    try:
-        server = make_server(
-            app, host=settings.host, port=settings.port, tls_cert=settings.tls_cert, tls_key=settings.tls_key
-        )
-    except CertificateError as error:
-        console.print(f"tidegate serve: {error}", style="red", soft_wrap=True, markup=False)
-        raise typer.Exit(2) from error
     server.run()
 
 
