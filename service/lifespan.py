@@ -116,6 +116,7 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFi
     settings.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     database = Database(settings.database_place)
     shelf = SampleShelf(settings.data_dir / SAMPLES_FOLDER)
+    database.claim()
     prepare(database, data_dir=settings.data_dir, min_free_disk_mb=settings.min_free_disk_mb)
     log, room, tallies = AuditLog(database), Room(), Tallies()
     journals = Journals(settings.data_dir, settings.journal_dir)

@@ -3,16 +3,30 @@
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import ClassVar
 
 from sqlalchemy import URL, Connection, Engine
 from sqlalchemy.orm import Session
 
+from engine.errors import TidegateError
 from service.db import migrating
-from service.db.postgres import make_postgres_engine, reading_postgres_engine, server_identity, take_write_lock
+from service.db.postgres import (
+    make_postgres_engine,
+    reading_postgres_engine,
+    server_identity,
+    take_service_lock,
+    take_write_lock,
+)
 from service.db.sqlite import file_identity, make_sqlite_engine, writing_sqlite_engine
 
 BUSY_TIMEOUT_S = 5.0
 ANSWER_TIMEOUT_S = 10.0
+
+
+class DatabaseInUseError(TidegateError):
+    """Another service runs with this database."""
+
+    code: ClassVar[str] = "database_in_use"
 
 
 class Database:
@@ -41,6 +55,7 @@ class Database:
     ) -> None:
         self.place = place
         self._identity: tuple[object, ...] | None = None
+        self._claim: Connection | None = None
         self._engine: Engine
         if isinstance(place, Path):
             self._engine = make_sqlite_engine(place, busy_timeout_s=busy_timeout_s)
@@ -81,6 +96,23 @@ class Database:
             if self.is_postgresql:
                 take_write_lock(session.connection())
             yield session
+
+    def claim(self) -> None:
+        """Have a server's database for this service alone until it is closed; a file is its data folder's.
+
+        Raises
+        ------
+        DatabaseInUseError
+            A service with another data folder has it: each would end the other's session as interrupted.
+        """
+        if not self.is_postgresql:
+            return
+        connection = self._engine.connect()
+        if not take_service_lock(connection):
+            connection.close()
+            msg = "another Tidegate service runs with this database: each needs one of its own"
+            raise DatabaseInUseError(msg)
+        self._claim = connection
 
     def trouble(self) -> str | None:
         """Say whether this is no longer the database that was opened, in words; None where it is.
@@ -126,4 +158,7 @@ class Database:
 
     def close(self) -> None:
         """Give all connections back; the last one to a file checkpoints the WAL."""
+        if self._claim is not None:
+            self._claim.invalidate()  # the lock ends with the connection, and is never one of the pool's
+            self._claim.close()
         self._engine.dispose()

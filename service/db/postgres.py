@@ -16,6 +16,7 @@ from sqlalchemy.pool import ConnectionPoolEntry
 ResultT = TypeVar("ResultT")
 
 WRITE_LOCK = 0x7469646567617465  # "tidegate" in ASCII; a lock of this database alone
+SERVICE_LOCK = 0x7469646573657276  # "tideserv": held for as long as a service runs with this database
 CONNECT_TIMEOUT_S = 2
 """The driver's shortest."""
 KEEPALIVE_S = 5
@@ -101,6 +102,13 @@ def reading_postgres_engine(engine: Engine) -> Engine:
 def take_write_lock(connection: Connection) -> None:
     """Become the one writer, until the transaction ends; whoever waits sees what the one before has committed."""
     connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": WRITE_LOCK})
+
+
+def take_service_lock(connection: Connection) -> bool:
+    """Have the database for one service, for as long as this connection lives; False where another has it."""
+    taken = connection.scalar(text("SELECT pg_try_advisory_lock(:lock)"), {"lock": SERVICE_LOCK})
+    connection.commit()
+    return bool(taken)
 
 
 def server_identity(connection: Connection) -> tuple[object, ...] | None:

@@ -13,7 +13,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from engine.commands import HoldBeam
 from engine.permits import GateState, HoldReason
 from service import audit, bridge
-from service.db.engine import Database
+from service.db.engine import Database, DatabaseInUseError
 from tests.service.conftest import act, audit_rows, eventually
 
 BEHIND = HoldReason.AUDIT_BEHIND
@@ -161,3 +161,15 @@ def test_who_reads_sees_one_moment_and_changes_nothing(place):
         with pytest.raises(SQLAlchemyError, match="read-only"):
             db.execute(text("DELETE FROM idempotency_keys"))
     database.close()
+
+
+def test_a_database_has_one_service_at_a_time(place):
+    one, other = Database(place), Database(place)
+    one.claim()
+    with pytest.raises(DatabaseInUseError, match="another Tidegate service"):
+        other.claim()
+    with other.write() as db:  # a backup beside it is none
+        db.execute(text("SELECT 1"))
+    one.close()
+    other.claim()
+    other.close()
