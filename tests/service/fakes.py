@@ -135,6 +135,9 @@ class FakeRunning:
     def stop(self) -> None:
         self.end()
 
+    def evidence(self) -> dict[str, object]:
+        return {}
+
     def end(self, *, error: str | None = None) -> None:
         if not self.status.is_over:
             self.transition(GateState.HOLD, HoldReason.ENGINE_STOPPED)
