@@ -77,11 +77,11 @@ class SampleShelf:
 
     def batches(self, session_id: str) -> Iterator[pa.RecordBatch]:
         """Read a session's samples, as far as they are written; nothing where there is no file."""
-        for read in (self._read_parquet, self._read_stream, self._read_parquet):
+        for read in (self._read_stream, self._read_parquet):  # a stream only goes when its Parquet file is there
             try:
                 return read(session_id)
             except FileNotFoundError:
-                continue  # closed in this moment: the other one is there by now
+                continue
         return iter(())
 
     def has(self, session_id: str) -> bool:
@@ -152,12 +152,12 @@ class SampleShelf:
     def head(self, session_id: str) -> SampleHead | None:
         """Read what the file says of itself."""
         try:
-            return parquet_head(self.parquet_path(session_id))[0]
+            with StreamWalk(self.stream_path(session_id)) as walk:
+                return walk.head
         except FileNotFoundError:
             pass
         try:
-            with StreamWalk(self.stream_path(session_id)) as walk:
-                return walk.head
+            return parquet_head(self.parquet_path(session_id))[0]
         except FileNotFoundError:
             return None
 

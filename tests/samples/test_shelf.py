@@ -102,6 +102,7 @@ def test_a_kill_at_any_step_of_a_closing_leaves_it_to_be_done_again(shelf, monke
         shelf.settle(SESSION)
     shelf.sweep()
     assert shelf.left_streams() == [SESSION]
+    assert frames_of(shelf) == list(range(40)), "the stream is the truth, whatever lies beside it"
     assert shelf.settle(SESSION).stored.rows == 40
     shelf.forget_stream(SESSION)
     assert [path.name for path in shelf.folder.iterdir()] == [f"{SESSION}.parquet"]
