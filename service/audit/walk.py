@@ -7,9 +7,10 @@ beside a running service can let go of the database, and of the interpreter, bet
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
-from sqlalchemy import func, select
+from sqlalchemy import Select, func, select
+from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
 
 from service.audit.chain import COLUMNS, GENESIS_HASH, Link, seal
@@ -18,6 +19,10 @@ from service.db.models import AuditRow
 PIECE_ROWS = 2000
 NEAR_ROWS = 1000
 """How far from its place the place is looked for at which a row's seal fits."""
+
+NO_TEXT = "decode to UTF-8"
+"""What SQLite's driver says of a text that is none: somebody wrote bytes into the file."""
+UNREADABLE = ("", "", "", "", None, "", "", "")
 
 
 class Breakage(StrEnum):
@@ -193,11 +198,23 @@ def _sealed_as(link: Link) -> int | None:
 
 
 def read_links(db: Session, after: int | None, limit: int) -> list[Link]:
-    """Read the rows after a sequence, in order; from the very first with None, whatever its number."""
-    query = select(*COLUMNS).order_by(AuditRow.sequence).limit(limit)
-    if after is not None:
-        query = query.where(AuditRow.sequence > after)
-    return [Link._make(row) for row in db.execute(query)]
+    """Read the rows after a sequence, in order; from the very first with None, whatever its number.
+
+    Fewer than ``limit`` come before a row that holds what is no text; of such a row only its number is read.
+    """
+    try:
+        return [Link._make(row) for row in db.execute(_after(select(*COLUMNS), after).limit(limit))]
+    except OperationalError as error:
+        if NO_TEXT not in str(error.orig):
+            raise
+    if limit > 1:
+        return read_links(db, after, limit // 2)
+    return [Link(sequence, *UNREADABLE) for sequence in db.scalars(_after(select(AuditRow.sequence), after).limit(1))]
+
+
+def _after(query: "Select[tuple[Any, ...]]", after: int | None) -> "Select[tuple[Any, ...]]":
+    query = query.order_by(AuditRow.sequence)
+    return query if after is None else query.where(AuditRow.sequence > after)
 
 
 def head_sequence(db: Session) -> int:

@@ -1,5 +1,7 @@
 """The shell's way to prove the log and to take it along."""
 
+import shutil
+
 import pytest
 from typer.testing import CliRunner
 
@@ -16,12 +18,11 @@ def run(*arguments):
 
 
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path, filled_file):
     settings = Settings(data_dir=tmp_path / "data")
     settings.data_dir.mkdir()
-    database = Database(settings.database_place)
-    database.migrate()
-    fill(database, 40)
+    database = Database(shutil.copyfile(filled_file, settings.database_place))
+    fill(database, 33)
     with database.read() as db:
         head = read_links(db, None, 100)[-1]
     AnchorFile(settings.anchor_file).append("time", sequence=head.sequence, head_hash=head.hash)
@@ -81,7 +82,7 @@ def test_an_export_is_written_audited_and_verified(folder, tmp_path, form):
 def test_an_export_that_was_edited_is_exit_code_1(folder, tmp_path):
     out = tmp_path / "audit.jsonl"
     run("audit", "export", "--data", folder, "--out", out)
-    out.write_text(out.read_text().replace('"number":7', '"number":8'))
+    out.write_text(out.read_text().replace('"number":7', '"number":8', 1))
     ran = run("audit", "verify", "--export", out)
     assert ran.exit_code == 1
     assert ran.stdout.startswith("BROKEN at row 7 (changed)")

@@ -110,6 +110,15 @@ def test_a_row_that_holds_what_no_row_can_is_called_changed(database, raw):
     assert (found.breakage, found.first_broken_sequence) == (Breakage.CHANGED, 2)
 
 
+@pytest.mark.parametrize("sequence", [1, 4, 7])
+@pytest.mark.parametrize("column", ["actor", "detail", "hash"])
+def test_a_row_of_bytes_that_are_no_text_is_called_changed(database, raw, sequence, column):
+    raw.execute(f"UPDATE audit SET {column} = CAST(x'61ff62' AS TEXT) WHERE sequence = ?", (sequence,))
+    raw.commit()
+    found = verified(database)
+    assert (found.breakage, found.first_broken_sequence, found.rows) == (Breakage.CHANGED, sequence, sequence - 1)
+
+
 def test_newest_rows_cut_off_are_missed_by_a_head_kept_elsewhere(database, raw):
     kept = [Head(link.sequence, link.hash, link.at) for link in links_of(database) if link.sequence in {2, 6}]
     raw.execute("DELETE FROM audit WHERE sequence > 4")
