@@ -12,6 +12,8 @@ from service.db.models import SessionRow
 
 FIELDS = frozenset({"patient_reference", "plan_id", "fraction_id", "fraction_number"})
 """What a session says about its patient."""
+BEFORE_A_SESSION = frozenset({"session.create"})
+OF_SESSIONS = ("session.", "model.")
 ABOUT = ("patient_reference", "plan_id", "fraction_id")
 
 
@@ -33,6 +35,8 @@ def patients_of(db: Session, session_ids: Iterable[str | None]) -> dict[str, Pat
 
 def is_about_patient(link: Link, patient: Patient | None) -> bool:
     """Whether a row's detail tells a patient's reference, plan or fraction: by the field's name, or by what it says."""
+    if link.action in BEFORE_A_SESSION or (link.session_id is None and link.action.startswith(OF_SESSIONS)):
+        return True  # what was asked for, or why it was refused, names the patient in words of any kind
     detail = parsed(link.detail)
     if detail is None or FIELDS & {str(name) for name in _names(detail)}:
         return True

@@ -148,6 +148,23 @@ def test_a_session_is_named_and_its_patient_only_where_asked(treated):
     assert asked.entity[1].what.identifier.value == PATIENT
 
 
+@pytest.mark.parametrize(
+    ("action", "detail"),
+    [
+        ("session.create", {"field": "model_id", "bound": "a model of P-OTHER-5"}),
+        ("model.activate", {"message": "learned of P-OTHER-5"}),
+        ("qa.start", {"patient_reference": "P-OTHER-5"}),
+        ("qa.start", {"deeper": [{"plan_id": "P-OTHER-5"}]}),
+        ("qa.start", {"field": "window.fraction_id", "value": "'P-OTHER-5'"}),
+    ],
+)
+def test_a_refusal_before_there_is_a_session_tells_of_no_patient_either(treated, action, detail):
+    with treated.write() as db:
+        audit.append(db, Event(actor="me", action=action, outcome="refused", detail=detail))
+    assert "P-OTHER-5" not in "".join(exported(treated, format=ExportFormat.FHIR))
+    assert "P-OTHER-5" in "".join(exported(treated, format=ExportFormat.FHIR, with_patients=True))
+
+
 def test_fhir_resources_are_verified_by_themselves_as_far_as_they_tell(treated):
     whole = [json.dumps(resource) for resource in resources(treated, with_patients=True)]
     assert (verify_export(whole).is_intact, verify_export(whole).notes) == (True, ())
