@@ -15,6 +15,8 @@ logger = logging.getLogger(__name__)
 
 EVERY_S = 3600.0
 AGAIN_S = 60.0
+JOIN_S = 5.0
+"""A large file that is being hashed is not waited for: it is removed another day."""
 
 
 class Caretaker(threading.Thread):
@@ -24,6 +26,8 @@ class Caretaker(threading.Thread):
     ----------
     is_busy
         Whether a session runs.
+    first
+        What is done once, before: it may take a while, and nobody waits for it.
     """
 
     def __init__(
@@ -32,12 +36,14 @@ class Caretaker(threading.Thread):
         settings: Settings,
         *,
         is_busy: Callable[[], bool],
+        first: Callable[[], object] = lambda: None,
         now: Callable[[], datetime] = lambda: datetime.now(UTC),
     ) -> None:
         super().__init__(name="tidegate-caretaker", daemon=True)
         self._database = database
         self._settings = settings
         self._is_busy = is_busy
+        self._first: Callable[[], object] | None = first
         self._now = now
         self._is_over = threading.Event()
         self._one_at_a_time = threading.Lock()
@@ -54,16 +60,19 @@ class Caretaker(threading.Thread):
             return remove_old(self._database, self._settings.data_dir, self._settings, self._now())
 
     def close(self) -> None:
-        """End; what is being removed is removed."""
+        """End; what is being removed is removed, if that takes no longer than somebody waits."""
         self._is_over.set()
         if self.is_alive():
-            self.join()
+            self.join(JOIN_S)
 
     def _turn(self) -> float:
         """Do one turn; return when the next is due [s]."""
         if self._is_busy():
             return AGAIN_S
         try:
+            if self._first is not None:
+                self._first()
+                self._first = None
             self.tidy()
         except (SQLAlchemyError, OSError) as error:
             logger.warning("old files could not be removed: %s", type(error).__name__)

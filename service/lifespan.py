@@ -122,7 +122,9 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFi
     journals = Journals(settings.data_dir, settings.journal_dir)
     care = AuditCare(database=database, settings=settings, write=log.write, site=settings.site_name)
     models = ModelStore(settings.data_dir / MODELS_FOLDER)
-    caretaker = Caretaker(database, settings, is_busy=lambda: room.running is not None)
+    caretaker = Caretaker(
+        database, settings, is_busy=lambda: room.running is not None, first=lambda: adopt(database, shelf)
+    )
     book = SessionBook(database, log, settings, room, engine, caretaker.tidy)
     runner = SessionRunner(
         engine=engine,
@@ -168,7 +170,6 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFi
     recover_transitions(database, journals)
     close_interrupted(database, shelf)
     close_interrupted_qa(database)
-    adopt(database, shelf)
     caretaker.start()
     return _House(
         care=care,

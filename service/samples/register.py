@@ -1,8 +1,10 @@
 """What the audit knows of sample files: the hash each is known by, and which were removed for good."""
 
 import json
+import logging
 from dataclasses import dataclass
 
+import pyarrow as pa
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
@@ -12,6 +14,8 @@ from service.db.engine import Database
 from service.samples.durable import file_sha256
 from service.samples.parquet import parquet_head
 from service.samples.shelf import SampleShelf
+
+logger = logging.getLogger(__name__)
 
 CLOSED, SETTLED, ADOPTED, REMOVED = "session.close", "samples.settled", "samples.adopted", "samples.removed"
 
@@ -48,8 +52,13 @@ def adopt(database: Database, shelf: SampleShelf) -> None:
             if registered(db, session_id).sha256 is not None:
                 continue
         path = shelf.parquet_path(session_id)
+        try:
+            rows = parquet_head(path)[1]
+        except (pa.ArrowException, ValueError, KeyError):
+            logger.warning("%s is no sample file, and the audit does not know it", path.name)
+            continue
         detail = {
-            "rows": parquet_head(path)[1],
+            "rows": rows,
             "bytes": path.stat().st_size,
             "parquet_sha256": file_sha256(path),
             "detail": "moved out of the database by an upgrade",

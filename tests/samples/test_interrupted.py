@@ -91,7 +91,8 @@ def test_a_full_disk_keeps_the_stream_and_the_next_start_settles_it(database, sh
     add_session(database)
     write_stream(shelf.folder, is_finished=False)
 
-    def full(*_arguments):
+    def full(_path, _schema, batches):
+        next(batches)
         raise OSError(28, "full")
 
     with monkeypatch.context() as patch:
@@ -107,13 +108,15 @@ def test_a_full_disk_keeps_the_stream_and_the_next_start_settles_it(database, sh
         assert registered(db, SESSION).sha256 == detail["parquet_sha256"]
 
 
-def test_a_parquet_file_that_the_audit_does_not_know_is_written_down_once(database, shelf):
+def test_a_parquet_file_that_the_audit_does_not_know_is_written_down_once(database, shelf, caplog):
     add_session(database, status="ended", ended_at=BEGUN + timedelta(hours=1))
     write_stream(shelf.folder)
     shelf.settle(SESSION)
     shelf.forget_stream(SESSION)
+    shelf.parquet_path("f" * 32).write_bytes(b"no Parquet")
     adopt(database, shelf)
     adopt(database, shelf)
+    assert "is no sample file" in caplog.text
     ((_, _, detail),) = told(database, "samples.adopted")
     assert detail["rows"] == 40
     with database.read() as db:
