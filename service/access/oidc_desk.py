@@ -27,7 +27,7 @@ MOST_AT_ONCE = 4
 """People whom the provider is asked about at once: each holds one of the threads that also stop and hold."""
 ANYBODY_S = frozenset({OidcReason.STATE, OidcReason.CODE, OidcReason.PROVIDER_REFUSED, OidcReason.ISSUER})
 """Refusals that anybody can bring about as often as they like; they are counted, not written down one by one."""
-DISABLED, UNAVAILABLE, BUSY, STORAGE = "disabled", "unavailable", "busy", "storage"
+NOT_OFFERED, DISABLED, UNAVAILABLE, BUSY, STORAGE = "not_offered", "disabled", "unavailable", "busy", "storage"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,7 +111,7 @@ class OidcDesk:
     def set_out(self, address: str) -> Departure | Refusal:
         """Say where to send somebody who wants to log in."""
         if self._people is None:
-            return Refusal(reason=UNAVAILABLE)
+            return Refusal(reason=NOT_OFFERED)
         try:
             return self._people.begin(address)
         except OidcUnavailableError:
@@ -128,7 +128,7 @@ class OidcDesk:
 
     def _ask(self, returned: Returned, browser: str | None, address: str) -> OpenedLogin | Refusal:
         if self._people is None:
-            return Refusal(reason=UNAVAILABLE)
+            return Refusal(reason=NOT_OFFERED)
         try:
             return self._let_in(self._people.finish(returned, browser), address)
         except NoRoleError as error:

@@ -13,7 +13,7 @@ from fastapi.responses import HTMLResponse, RedirectResponse, Response
 from service import deps
 from service.access.cookies import set_login_cookie
 from service.access.oidc_attempts import LIFE_S
-from service.access.oidc_desk import BUSY, DISABLED, STORAGE, UNAVAILABLE, OidcDesk, Refusal
+from service.access.oidc_desk import BUSY, DISABLED, NOT_OFFERED, STORAGE, UNAVAILABLE, OidcDesk, Refusal
 from service.access.oidc_errors import OidcReason
 from service.access.oidc_people import Returned
 from service.api import problems
@@ -33,6 +33,7 @@ SENTENCE = {
     OidcReason.STATE: "This log-in took too long, was used before, or was begun in another browser. Begin again.",
     OidcReason.PROVIDER_REFUSED: "It did not let you in there.",
     OidcReason.UNKNOWN_KEY: "It has just changed its keys. Try again in half a minute.",
+    NOT_OFFERED: "Nobody logs in that way here; a password is what counts.",
     DISABLED: "Your account is disabled here. Ask whoever administers this system.",
     UNAVAILABLE: "It does not answer. A break-glass account can log in by password.",
     BUSY: "Too many people log in at once, or too many log-ins have failed from here. Try again in some minutes.",
@@ -106,11 +107,13 @@ def cookie_name(*, is_secure: bool) -> str:
 
 def _refusal(refusal: Refusal, oidc: OidcDesk, *, is_secure: bool) -> Response:
     """Answer with a page of fixed words: nothing that came from outside stands in it."""
-    label = escape(oidc.settings.oidc_label)
+    label = oidc.settings.oidc_label
+    label = escape(label[:1].upper() + label[1:])
     sentence = escape(SENTENCE.get(refusal.reason, OTHERWISE))
     answer = HTMLResponse(
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Not logged in</title>'
-        f'<meta name="viewport" content="width=device-width"><link rel="stylesheet" href="/css/refused.css">'
+        f'<meta name="viewport" content="width=device-width"><link rel="icon" href="/icon.svg">'
+        f'<link rel="stylesheet" href="/css/refused.css">'
         f"<main><h1>Not logged in</h1><p>{label}: {sentence}</p>"
         f'<p><a href="/">Back to the log-in</a></p><p class="code">{escape(refusal.reason)}</p></main></html>',
         status_code=503 if refusal.reason in PASSING else 403,

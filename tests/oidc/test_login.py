@@ -367,8 +367,8 @@ def test_every_seat_is_given_back_whatever_came_of_it(client, outside):
 def test_without_a_provider_the_page_offers_a_password_and_the_routes_lead_nowhere(start):
     client = start(None)
     assert client.get(WAYS).json() == {"password": True, "local_accounts": "all", "oidc": None}
-    assert client.get(OUT).status_code == 503
-    assert client.get(f"{BACK}?state=x&code=y").status_code == 503
+    assert client.get(OUT).status_code == 403
+    assert "a password is what counts" in client.get(f"{BACK}?state=x&code=y").text
 
 
 def test_the_page_is_told_what_to_offer(client):
