@@ -4,10 +4,12 @@ import getpass
 import os
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from sqlalchemy import func, select
 from sqlalchemy.exc import SQLAlchemyError
 
 from engine.errors import TidegateError
@@ -20,6 +22,7 @@ from service.backup.restoring import Target, check
 from service.backup.restoring import restore as restore_backup
 from service.cli.terminal import frame_bar, refused, say
 from service.db.engine import Database
+from service.db.models import ApiKeyRow, UserRow
 from service.db.place import shown_place
 from service.folder_lock import alone_in
 from service.settings import Settings, SettingsError, load_settings
@@ -82,11 +85,17 @@ def restore(
         with alone_in(settings.data_dir), closing(_database(settings)) as database, _Bar.drawn() as bar:
             target = Target(database=database, data_dir=settings.data_dir, anchor_file=settings.anchor_file)
             restore_backup(found, target, actor=_who(), name=file.name, progress=bar, takes_broken_log=takes_broken_log)
+            people, keys = _let_in(database)
         manifest = found.manifest
         where = shown_place(settings.database_place)
         say(
             f"Restored into {where}: {manifest.rows} rows, {len(manifest.files)} files, as of {manifest.made_at}",
             "green",
+        )
+        say(
+            f"{people} people and {keys} API keys are let in again as they were then: "
+            "disable and revoke what was disabled and revoked since; changed passwords are the old ones",
+            "yellow",
         )
 
 
@@ -117,6 +126,15 @@ class _Bar:
         self._done += done
         if self._task is not None:
             self._bar.update(self._task, completed=self._done)
+
+
+def _let_in(database: Database) -> tuple[int, int]:
+    """Count who may come in: a backup knows nothing of what was taken away after it was made."""
+    now = datetime.now(UTC)
+    is_valid = ApiKeyRow.revoked_at.is_(None) & (ApiKeyRow.expires_at > now)
+    with database.read() as db:
+        people = db.scalar(select(func.count()).select_from(UserRow).where(UserRow.is_disabled.is_(False)))
+        return people or 0, db.scalar(select(func.count()).select_from(ApiKeyRow).where(is_valid)) or 0
 
 
 def _check(made: Made, out: Path, bar: _Bar) -> None:

@@ -58,7 +58,7 @@ class PostgresServer:
 
     def __init__(self) -> None:
         self._programs = _programs()
-        self.folder = Path(tempfile.mkdtemp(prefix=PREFIX))
+        self.folder = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-"))
         self.port = _free_port()
         self._count = 0
         self._process: subprocess.Popen[bytes] | None = None
@@ -189,10 +189,9 @@ def _free_port() -> int:
 def _clear_away() -> None:
     """Remove what tests left that were killed; their servers died with them."""
     for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
-        with contextlib.suppress(OSError):
-            pid = int((folder / "data" / "postmaster.pid").read_text().split("\n", maxsplit=1)[0])
-            if not Path(f"/proc/{pid}").exists():
-                shutil.rmtree(folder, ignore_errors=True)
+        owner = folder.name.removeprefix(PREFIX).partition("-")[0]
+        if owner.isdigit() and not Path(f"/proc/{owner}").exists():
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 @pytest.fixture(scope="session")

@@ -97,7 +97,9 @@ def test_what_was_backed_up_is_restored_into_an_empty_folder_and_a_filled_one_is
     refused = run("restore", out, "--data", data)
     assert (refused.exit_code, "not empty" in refused.output) == (2, True)
     monkeypatch.delenv("TIDEGATE_DATABASE_URL", raising=False)
-    assert run("restore", out, "--data", tmp_path / "new").exit_code == 0
+    done = run("restore", out, "--data", tmp_path / "new")
+    assert done.exit_code == 0, done.output
+    assert "1 people and 0 API keys are let in again" in done.output
     assert rows_at(tmp_path / "new" / "tidegate.db")["audit"][-1]["action"] == "backup.restored"
     assert (tmp_path / "new/models/ab12.npz").read_bytes() == FILES["models/ab12.npz"]
 
