@@ -25,7 +25,7 @@ def bench(tmp_path_factory):
     held.clear()
 
 
-@pytest.mark.parametrize(("number", "code"), enumerate(WORST))
+@pytest.mark.parametrize(("number", "code"), list(enumerate(WORST)))
 def test_a_kill_loses_no_transition_and_the_next_start_puts_everything_in_order(bench, number, code):
     outcomes = []
     while not outcomes or (outcomes[-1].is_red and len(outcomes) < TRIES):

@@ -112,6 +112,13 @@ def test_a_machine_that_stood_still_excuses_so_much_and_no_more():
     assert judge(replace(late, stall_ms=15.0)) == (Trouble.OFF_LATE,)
 
 
+def test_only_a_machine_that_stood_still_before_the_kill_excuses_an_off_that_nobody_decided():
+    lapsed = replace(GOOD, edges=(*EDGES[:3], LineEdge(is_on=False, at_ns=KILLED - 79 * MS, cause="told")))
+    assert judge(replace(lapsed, stall_before_ms=50.0)) == ()
+    assert judge(replace(lapsed, stall_ms=50.0)) == (Trouble.OFF_UNTOLD,)
+    assert judge(replace(lapsed, stall_before_ms=48.0)) == (Trouble.OFF_UNTOLD,)
+
+
 def test_a_watchdog_s_fault_may_stand_between_the_engine_s_own_rows_and_is_taken_up_later():
     fault = step(9, "beam_on", "fault", 9700, "watchdog")
     late = step(10, "beam_on", "hold", 9690, "frame_late")

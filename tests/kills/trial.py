@@ -72,6 +72,7 @@ def _kill_once(rig: KillRig, moment: Moment, chance: random.Random) -> Killed:
 
 def _look(rig: KillRig, strike: Strike, edges_before: int) -> Evidence:
     session_id = rig.person.session_id if strike.has_session else ""
+    before = [edge.at_ns for edge in rig.edges[edges_before:] if edge.at_ns <= strike.killed_ns]
     off = [edge.at_ns for edge in rig.edges[edges_before:] if not edge.is_on and edge.at_ns >= strike.killed_ns]
     return Evidence(
         killed_ns=strike.killed_ns,
@@ -85,6 +86,7 @@ def _look(rig: KillRig, strike: Strike, edges_before: int) -> Evidence:
         is_ready=rig.person.get_top("/readyz").status_code == httpx2.codes.OK,
         has_new_session=_has_new_session(rig),
         edges=rig.edges[edges_before:],  # last: an on that comes while we look is seen
+        stall_before_ms=rig.watchman.stalled_ms(max(before, default=strike.killed_ns), strike.killed_ns),
         stall_ms=rig.watchman.stalled_ms(strike.killed_ns, min(off, default=strike.killed_ns + NS_PER_S)),
     )
 

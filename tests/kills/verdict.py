@@ -75,8 +75,9 @@ class Evidence:
         When the newest frame on file was received.
     status
         The session's, after the restart; empty where there was none.
-    stall_ms
-        How long this machine stood still between kill and off, by a process that only looks.
+    stall_ms, stall_before_ms
+        How long this machine stood still between kill and off, and between the last edge and the kill, by a process that
+        only looks: a line whose engine was not let go on goes off by its lease, and nobody has decided anything.
     """
 
     killed_ns: int
@@ -91,6 +92,7 @@ class Evidence:
     is_ready: bool = True
     has_new_session: bool = True
     stall_ms: float = 0.0
+    stall_before_ms: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,7 +194,7 @@ def _offs(evidence: Evidence) -> list[LineEdge]:
 
 
 def _excused(edge: LineEdge, evidence: Evidence) -> bool:
-    return evidence.killed_ns - edge.at_ns <= LAST_INSTANT_NS + evidence.stall_ms * NS_PER_MS
+    return evidence.killed_ns - edge.at_ns <= LAST_INSTANT_NS + evidence.stall_before_ms * NS_PER_MS
 
 
 def _cause_of_on(edge: LineEdge, steps: Sequence[Step]) -> int | None:
