@@ -1,19 +1,22 @@
 """Tapes of a scripted loop: what is on them, and that another engine, another frame or another answer is found."""
 
+import random
 import threading
 from dataclasses import replace
 
 import pytest
 
 from engine.commands import Acknowledge, Arm, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam, Retrain, SetReference
-from engine.errors import BeamLineError, RecordingError, SourceLostError
+from engine.errors import BeamLineError, RecordingError, SourceAwayError, SourceLostError
 from engine.permits import HoldReason
 from engine.replaying.outcomes import text_of
 from engine.replaying.tape_file import read_tape
 from engine.witness import Seam
+from tests.gate.constructed import MS
 from tests.loop.fakes import after, good, raising, silent
 from tests.replay.scripted import heard_again, lived, taped, with_limits
 
+FAULTS = (HoldReason.DISK_LOW, HoldReason.AUDIT_BEHIND, HoldReason.RECORDER_BEHIND)
 ARM = Arm(operator="A. Therapist")
 
 
@@ -52,6 +55,41 @@ def test_a_session_with_every_command_is_heard_again_the_same(busy):
     assert again.difference is None
     assert again.frames == one.source.frames
     assert [row["to"] for row in again.transitions].count("beam_on") >= 2, "it was on, and on again"
+
+
+def by_chance(one, seed):
+    """Make a script in which anything may come between two frames."""
+    chance = random.Random(seed)
+    wishes = (Arm, Arm, Arm, Disarm, HoldBeam, ReleaseBeam, Acknowledge, Acknowledge, SetReference, Retrain)
+
+    def ask():
+        command = chance.choice(wishes)(operator=chance.choice(["A", "B"]))
+        chance.random() < 0.5 and one.loop.note_presence("A")
+        one.loop.submit(command)
+
+    def step():
+        draw = chance.random()
+        if draw < 0.2:
+            return after(ask)
+        if draw < 0.23:
+            return silent
+        if draw < 0.25:
+            return raising(SourceAwayError("unplugged"))
+        if draw < 0.27:
+            return after(lambda: one.loop.report_fault(chance.choice(FAULTS), "by chance"))
+        return after(lambda: one.source.clock.advance_ns(50 * MS)) if draw < 0.29 else good
+
+    return [step() for _ in range(150)]
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_session_made_by_chance_is_heard_again_the_same(tmp_path, seed):
+    one = taped(with_limits(operator_timeout_s=1.0))
+    lived(by_chance(one, seed), one)
+    again = heard_again(one.write(tmp_path / "a.tape"), with_limits(operator_timeout_s=1.0))
+    assert again.difference is None
+    assert again.frames == one.source.frames
+    assert again.transitions, "it was armed now and then"
 
 
 def test_the_second_session_asks_nobody_and_turns_nothing_on(busy, monkeypatch):
