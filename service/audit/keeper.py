@@ -25,6 +25,7 @@ MARKS: dict[str, AnchorKind] = {
 }
 """Rows after which a head is kept at once."""
 LOOK_ROWS = 5000
+SILENT_S = 10
 FAILED = "audit.anchors_failed"
 RESUMED = "audit.anchors_resumed"
 
@@ -52,7 +53,17 @@ class AnchorKeeper:
         self._kept = after
         self._tried_at_ns: int | None = None
         self._wanted: AnchorKind | None = None
-        self.trouble: str | None = None
+        self._failed: str | None = None
+        self._asking_since_ns: int | None = None
+
+    @property
+    def trouble(self) -> str | None:
+        """Say that heads are not kept: refused, or a share that does not answer at all."""
+        since_ns = self._asking_since_ns
+        silent_s = 0 if since_ns is None else (self._clock.now_ns() - since_ns) // NS_PER_S
+        if silent_s >= SILENT_S:
+            return f"the audit's heads cannot be kept: {self._file.path} has not answered for {silent_s} s"
+        return self._failed
 
     def look(self) -> None:
         """Take in what was added, and keep the head where it is due."""
@@ -62,7 +73,7 @@ class AnchorKeeper:
         now_ns = self._clock.now_ns()
         is_due = self._tried_at_ns is None or now_ns - self._tried_at_ns >= self._interval_ns
         # A mark is kept at once; but a share that is away is asked no more often than one that is there.
-        if is_due or (self._wanted is not None and self.trouble is None):
+        if is_due or (self._wanted is not None and self._failed is None):
             self._tried_at_ns = now_ns
             self._keep(self._wanted or "time", self._hash)
 
@@ -85,18 +96,21 @@ class AnchorKeeper:
 
     def _keep(self, kind: AnchorKind, head_hash: str) -> None:
         sequence = self._seen
+        self._asking_since_ns = self._clock.now_ns()
         try:
             self._file.append(kind, sequence=sequence, head_hash=head_hash)
         except OSError as error:
             self._tell(f"the audit's heads cannot be kept in {self._file.path}: {error.strerror or error}")
             return
+        finally:
+            self._asking_since_ns = None
         self._kept, self._wanted = sequence, None
-        if self.trouble is not None:
-            self.trouble = None
+        if self._failed is not None:
+            self._failed = None
             self._write(Event(actor=SYSTEM, action=RESUMED, detail={"sequence": sequence}))
 
     def _tell(self, trouble: str) -> None:
-        is_new, self.trouble = self.trouble is None, trouble
+        is_new, self._failed = self._failed is None, trouble
         if is_new:
             logger.error("%s", trouble)
             self._write(Event(actor=SYSTEM, action=FAILED, outcome="failed", detail={"detail": trouble}))

@@ -329,6 +329,22 @@ def test_a_share_that_is_away_is_told_once_and_asked_no_more_often(keeping, capl
     assert [event.action for event in keeping.events] == ["audit.anchors_failed", "audit.anchors_resumed"]
 
 
+def test_a_share_that_never_answers_is_told_while_it_hangs(keeping, monkeypatch):
+    told = []
+
+    def hang(*_, **__):
+        keeping.clock.advance_ns(9 * NS_PER_S)
+        told.append(keeping.keeper.trouble)
+        keeping.clock.advance_ns(NS_PER_S)
+        told.append(keeping.keeper.trouble)
+
+    monkeypatch.setattr(keeping.file, "append", hang)
+    keeping.look("test")
+    assert told[0] is None
+    assert "has not answered for 10 s" in told[1]
+    assert keeping.keeper.trouble is None
+
+
 def test_a_disk_that_takes_half_a_line_is_trouble(keeping, monkeypatch):
     monkeypatch.setattr("service.audit.anchors.os.fsync", lambda _: (_ for _ in ()).throw(OSError(28, "No space left")))
     keeping.look("test")
