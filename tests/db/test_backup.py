@@ -293,6 +293,19 @@ def test_flipped_bytes_anywhere_are_found(made, out, tmp_path):
             assert backup.manifest == made.manifest
 
 
+def test_rows_that_did_not_arrive_as_they_were_are_found_before_anything_is_kept(made, out, tmp_path, monkeypatch):
+    add_lines = restoring.add_lines
+
+    def forgetful(connection, table, part, source, on_rows):
+        lines = list(source)
+        add_lines(connection, table, part, lines[:-1] if table.name == "idempotency_keys" else lines, on_rows)
+
+    monkeypatch.setattr(restoring, "add_lines", forgetful)
+    with pytest.raises(BackupError, match="idempotency_keys was not restored as it was"):
+        restored(out, tmp_path / "new.db", tmp_path / "new")
+    assert rows_at(tmp_path / "new.db") == {}
+
+
 def test_a_check_leaves_nothing_behind(made, out, tmp_path):
     before = sorted(tmp_path.iterdir())
     with opened(out) as backup:
