@@ -1,9 +1,16 @@
 """No route changes anything, or hands anything out, without a row that says so."""
 
+import re
+
 import pytest
 
+from service.audit.care import BROKEN
+from service.audit.codes import FAMILIES, MEANINGS
+from service.audit.forwarding import FAILED
+from service.audit.start import CLOCK_CHANGED, SETTINGS_CHANGED
+from service.db.repository import TRANSITION
 from tests.audit.routes_document import DOCUMENT, EXPORTS, MADE, NOT_AUDITED, UNSAFE, audited, operations
-from tests.made_parts import part_of
+from tests.made_parts import ROOT, part_of
 from tests.service.conftest import audit_rows
 from tests.service.people import PeopleClient
 
@@ -45,3 +52,11 @@ def test_every_call_that_is_refused_where_it_would_have_changed_something_is_wri
 def test_the_document_says_what_the_routes_do():
     text = DOCUMENT.read_text(encoding="utf-8")
     assert {name: part_of(text, name) for name in MADE} == {name: make() for name, make in MADE.items()}
+
+
+def test_every_action_that_the_code_writes_is_some_kind_of_event_to_others():
+    literal = re.compile(r'action=f?"([a-z]+\.[a-z_]*)')
+    text = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "service").rglob("*.py"))
+    found = {*literal.findall(text), *audited().values(), TRANSITION, SETTINGS_CHANGED, CLOCK_CHANGED, BROKEN, FAILED}
+    assert len(found) > 40
+    assert [action for action in found if action not in MEANINGS and action.partition(".")[0] not in FAMILIES] == []
