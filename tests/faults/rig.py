@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from service.journals import Journals
+from service.settings import Settings
 from tests.beam.modbus_server import COIL, INPUT, REGISTER, UNIT
 from tests.beam.receivers import Receiver
 from tests.faults.ledger import Ledger
@@ -87,8 +88,7 @@ class Rig:
         self.wall_clock = WallClock(self.folder)
         with contextlib.ExitStack() as held:
             held.enter_context(_small_disk(self.data))
-            if self.template is not None:
-                shutil.copytree(self.template.folder, self.data, dirs_exist_ok=True)
+            self.fill_data()
             self.watchman = Watchman()
             held.callback(self.watchman.end)
             self.receiver = Receiver("tcp")
@@ -98,7 +98,8 @@ class Rig:
             self.camera = held.enter_context(VirtualXtion(self.folder))
             self.port = free_port()
             held.callback(self._kill_service)
-            let_in = provision(self.data, people={NAME: EVERY_ROLE}, origin=f"http://127.0.0.1:{self.port}")
+            origin = f"http://127.0.0.1:{self.port}"
+            let_in = provision(self.data, people={NAME: EVERY_ROLE}, origin=origin, settings=self.service_settings)
             self.key_headers = let_in.key
             self.person = Person(self.port, let_in.headers)
             held.callback(self.person.close)
@@ -110,6 +111,16 @@ class Rig:
         self._held.close()
         for left in Journals(self.data, None).left_behind():
             left.unlink()  # of the machine's memory: no start comes that would read it
+
+    def fill_data(self) -> None:
+        """Put into the data folder what every rig begins with."""
+        if self.template is not None:
+            shutil.copytree(self.template.folder, self.data, dirs_exist_ok=True)
+
+    @property
+    def service_settings(self) -> Settings | None:
+        """Where the service's database is, where that is not the data folder."""
+        return None
 
     # The receiver.
 

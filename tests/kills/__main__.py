@@ -25,6 +25,7 @@ from tests.kills.moments import MOMENTS
 from tests.kills.table import draw, markdown, summary, terminal_table
 from tests.kills.verdict import Outcome, Trouble
 
+POSTGRESQL = "postgresql"
 MOST_KILLS, MOST_SEED = 100_000, 10**9
 
 
@@ -53,7 +54,9 @@ def _run(console: Console, file: OutcomeFile, asked: argparse.Namespace, revisio
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console) as progress:
         task = progress.add_task("kills", total=len(numbers))
-        for outcome in run(numbers, seed=asked.seed, jobs=asked.jobs, code=asked.moment):
+        for outcome in run(
+            numbers, seed=asked.seed, jobs=asked.jobs, code=asked.moment, is_postgresql=asked.database == POSTGRESQL
+        ):
             file.append(stamped(outcome, revision))
             progress.update(task, advance=1, description=outcome.moment)
             if outcome.is_red:
@@ -83,7 +86,8 @@ def _report(console: Console, file: OutcomeFile, asked: argparse.Namespace) -> i
 
 def _how(outcomes: Sequence[Outcome], asked: argparse.Namespace) -> str:
     revisions = ", ".join(sorted({outcome.revision for outcome in outcomes}))
-    command = f"make kills MOMENTS={asked.moments} SEED={asked.seed}"
+    other = "" if asked.database != POSTGRESQL else f" DATABASE={POSTGRESQL}"
+    command = f"make kills MOMENTS={asked.moments} SEED={asked.seed}{other}"
     return f"`{command}` at {revisions}, {os.cpu_count()} processors, Python {platform.python_version()}"
 
 
@@ -93,6 +97,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=_bounded(0, MOST_SEED), default=1)
     parser.add_argument("--jobs", type=_bounded(1, MOST_JOBS), default=2)
     parser.add_argument("--out", type=Path, required=True, help="folder for outcomes, table and picture")
+    parser.add_argument("--database", choices=["sqlite", POSTGRESQL], default="sqlite")
     parser.add_argument("--moment", choices=[moment.code for moment in MOMENTS], help="this one alone")
     parser.add_argument("--go-on", action="store_true", help="do not end at the first red kill")
     parser.add_argument("--keep", action="store_true", help="go on with outcomes of another state of the code")

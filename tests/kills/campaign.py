@@ -15,6 +15,9 @@ from dataclasses import dataclass, replace
 from multiprocessing.util import Finalize
 from pathlib import Path
 
+from sqlalchemy import URL
+
+from tests.db.postgres import PostgresServer
 from tests.faults.rig import WORN_MB, Template
 from tests.faults.service import DIES_WITH_ITS_PARENT
 from tests.faults.template import learned
@@ -24,6 +27,7 @@ from tests.kills.trial import run_trial
 from tests.kills.verdict import Outcome, Trouble
 
 FILE_NAME = "kills.jsonl"
+STARTING = "starting"
 ATTEMPTS = 2
 """A rig that broke in a way nobody foresaw is replaced, and the kill done once more; the first's story is kept."""
 
@@ -57,8 +61,9 @@ class OutcomeFile:
 class Bench:
     """One worker's place: one rig at a time, kept for as long as it is good for the next kill."""
 
-    def __init__(self, folder: Path, template: Template) -> None:
+    def __init__(self, folder: Path, template: Template, *, is_postgresql: bool = False) -> None:
         self._folder, self._template = folder, template
+        self._server = PostgresServer() if is_postgresql else None
         self._held = contextlib.ExitStack()
         self._rig: KillRig | None = None
         self._rigs = 0
@@ -66,6 +71,8 @@ class Bench:
     def kill(self, number: int, seed: int, code: str | None = None) -> Outcome:
         """Do one kill of the campaign."""
         moment = moment_of(number, seed, code)
+        if moment.is_fresh and self._server is not None:
+            moment = moment_of(number, seed, STARTING)  # the first start of all is SQLite's: it makes the file
         stories: list[str] = []
         for _ in range(ATTEMPTS):
             try:
@@ -85,13 +92,24 @@ class Bench:
         held, self._held = self._held, contextlib.ExitStack()
         held.close()
 
+    def end(self) -> None:
+        """Let go of everything, the server too."""
+        self.clear()
+        if self._server is not None:
+            self._server.close()
+
     def _a_rig(self) -> KillRig:
         if self._rig is not None and self._rig.worn_mb > WORN_MB:
             self.clear()
         if self._rig is None:
             self._rigs += 1
-            self._rig = self._held.enter_context(KillRig(self._folder / str(self._rigs), self._template))
+            url = None if self._server is None else _plain(self._server.empty())
+            self._rig = self._held.enter_context(KillRig(self._folder / str(self._rigs), self._template, url))
         return self._rig
+
+
+def _plain(url: URL) -> str:
+    return url.set(drivername="postgresql").render_as_string(hide_password=False)
 
 
 @dataclass(slots=True)
@@ -104,14 +122,16 @@ class _Worker:
 _workers: list[_Worker] = []
 
 
-def run(numbers: Sequence[int], *, seed: int, jobs: int, code: str | None = None) -> Iterator[Outcome]:
+def run(
+    numbers: Sequence[int], *, seed: int, jobs: int, code: str | None = None, is_postgresql: bool = False
+) -> Iterator[Outcome]:
     """Do these kills with so many rigs side by side; yields outcomes as they come. Whoever stops asking ends it."""
     if not numbers:
         return
     with tempfile.TemporaryDirectory(prefix="tidegate-kills-") as folder:
         template = learned(Path(folder) / "template")
         context = multiprocessing.get_context("spawn")
-        begin = (_begin, (folder, template))
+        begin = (_begin, (folder, template, is_postgresql))
         with ProcessPoolExecutor(jobs, mp_context=context, initializer=begin[0], initargs=begin[1]) as pool:
             waiting = list(numbers)
             running: set[Future[Outcome]] = set()
@@ -125,15 +145,15 @@ def run(numbers: Sequence[int], *, seed: int, jobs: int, code: str | None = None
                 waiting.clear()
 
 
-def _begin(folder: str, template: Template) -> None:
+def _begin(folder: str, template: Template, is_postgresql: bool) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who asked ends the campaign; a kill that began is finished
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     ctypes.CDLL(None).prctl(DIES_WITH_ITS_PARENT, signal.SIGKILL)
     place = Path(folder) / f"worker-{os.getpid()}"
     with place.with_suffix(".log").open("ab") as log:
         os.dup2(log.fileno(), sys.stderr.fileno())
-    bench = Bench(place, template)
-    Finalize(bench, bench.clear, exitpriority=10)  # a worker ends without running what atexit knows
+    bench = Bench(place, template, is_postgresql=is_postgresql)
+    Finalize(bench, bench.end, exitpriority=10)  # a worker ends without running what atexit knows
     _workers[:] = [_Worker(bench=bench)]
 
 

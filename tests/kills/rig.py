@@ -1,5 +1,6 @@
 """The fault campaign's rig, with what a kill needs: a window that makes edges, starts that nobody waits for."""
 
+import os
 import shutil
 import sqlite3
 import subprocess
@@ -7,10 +8,14 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from pydantic import SecretStr
+
 from service.journals import Journals
+from service.settings import Settings
 from tests.faults.person import PersonGaveUpError
 from tests.faults.plan import ANYBODY
 from tests.faults.rig import DATABASE, Rig, Template
@@ -22,15 +27,42 @@ EDGE_MM = 4.0
 
 HALF_WRITTEN = (".partial", ".arrows", ".tmp", ".journal")
 OPENED_WITHIN_S = 20.0
+START_S = 4.0
+URL_NAME = "TIDEGATE_DATABASE_URL"
 WAITS = 5
 
 
 class KillRig(Rig):
     """See the module; a context manager."""
 
-    def __init__(self, folder: Path, template: Template) -> None:
-        super().__init__(folder, ANYBODY, template)
+    def __init__(self, folder: Path, template: Template, database_url: str | None = None) -> None:
+        plan = ANYBODY if database_url is None else replace(ANYBODY, settings={"DATABASE_URL": database_url})
+        super().__init__(folder, plan, template)
+        self._database_url = database_url
         self.window = {**self.window, "lower_mm": -EDGE_MM, "upper_mm": EDGE_MM}
+
+    def fill_data(self) -> None:
+        """Put what was learned into the data folder; into another database by way of a backup."""
+        if self._database_url is None:
+            super().fill_data()
+            return
+        assert self.template is not None
+        copy = self.folder / "learned.backup"
+        mine = {name: value for name, value in os.environ.items() if name != URL_NAME}
+        for words, environment in (
+            (("backup", str(copy), "--data", str(self.template.folder), "--no-verify"), mine),
+            (("restore", str(copy), "--data", str(self.data)), {**mine, URL_NAME: self._database_url}),
+        ):
+            command = [sys.executable, "-m", "service.cli", *words]
+            subprocess.run(command, cwd=ROOT, env=environment, check=True, stdout=subprocess.DEVNULL)
+        copy.unlink()
+
+    @property
+    def service_settings(self) -> Settings | None:
+        """Where the service's database is."""
+        if self._database_url is None:
+            return None
+        return Settings(data_dir=self.data, database_url=SecretStr(self._database_url))
 
     def start_service(self) -> None:
         """Start it, and wait for it however long this machine takes; one that ends by itself is not waited for."""
@@ -58,7 +90,13 @@ class KillRig(Rig):
         return LineEdge(is_on=words[0] == "on", at_ns=int(words[1]))
 
     def await_opened_data(self, then_s: float) -> None:
-        """Wait until a start writes to the database, and a while more; at most for as long as a start may take."""
+        """Wait until a start writes to the database, and a while more; at most for as long as a start may take.
+
+        A server's database shows nothing from outside: there the moment is any of a start's.
+        """
+        if self._database_url is not None:
+            time.sleep(START_S * then_s)
+            return
         before = self._written
         end_s = time.monotonic() + OPENED_WITHIN_S
         while time.monotonic() < end_s and self.is_alive and self._written == before:
@@ -75,7 +113,9 @@ class KillRig(Rig):
 
     @property
     def database_trouble(self) -> str:
-        """What SQLite itself says of its file."""
+        """What SQLite itself says of its file; a server was not killed, and is not asked."""
+        if self._database_url is not None:
+            return ""
         with closing(sqlite3.connect(f"file:{self.data / DATABASE}?mode=ro", uri=True, timeout=20.0)) as database:
             found = [str(row[0]) for row in database.execute("PRAGMA integrity_check") if row[0] != "ok"]
             found += [f"a row of {row[0]} points nowhere" for row in database.execute("PRAGMA foreign_key_check")]

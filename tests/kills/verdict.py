@@ -76,8 +76,8 @@ class Evidence:
     status
         The session's, after the restart; empty where there was none.
     stall_ms, stall_before_ms
-        How long this machine stood still between kill and off, and between the last edge and the kill, by a process that
-        only looks: a line whose engine was not let go on goes off by its lease, and nobody has decided anything.
+        How long this machine stood still between kill and off, and between the last edge and the kill, by a process
+        that only looks: a line whose engine was not let go on goes off by its lease, and nobody has decided anything.
     """
 
     killed_ns: int
