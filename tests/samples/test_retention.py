@@ -26,7 +26,7 @@ def data_dir(tmp_path, database):
     folder = tmp_path / "data"
     add_session(database, OLD, status="ended", ended_at=BEGUN)
     add_session(database, NEW, status="stopped", ended_at=NOW - timedelta(days=1))
-    add_session(database, OPEN)
+    add_session(database, OPEN, ended_at=BEGUN)  # a row that contradicts itself: what it says of running counts
     for session_id in (OLD, NEW, OPEN, STRAY):
         for place in ("samples/{}.parquet", "raw/{}.oni", "replays/{}.tape"):
             path = folder / place.format(session_id)
