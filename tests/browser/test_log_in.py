@@ -217,6 +217,18 @@ def test_logging_out_leaves_nothing_of_the_patient_on_the_page(fake: FakeService
     assert "P-0117" not in page.inner_text("body")
 
 
+def test_a_page_that_was_logged_out_tries_no_stream_any_more(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", DISARMED
+    tab.page.clock.install()
+    page = tab.open("disarmed")
+    page.click("#do-log-out")
+    tab.sees("out")
+    sockets = len([url for url in tab.requests if url.startswith("ws")])
+    page.clock.run_for(20_000)
+    tab.sees("out")
+    assert len([url for url in tab.requests if url.startswith("ws")]) == sockets == 1
+
+
 def test_a_log_out_that_is_not_heard_is_said_and_the_person_stays_logged_in(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", DISARMED
     page = tab.open("disarmed")

@@ -93,6 +93,7 @@ export class Access {
 
   #become(state, reason) {
     this.epoch += 1;
+    this.nextAskMs = performance.now() + ASK_MS;
     this.state = state;
     this.reason = reason;
     this.onChange();

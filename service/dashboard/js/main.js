@@ -73,6 +73,7 @@ function followAccess() {
   byId("person").hidden = access.person === null;
   setText(byId("person-name"), access.person?.name ?? "");
   setText(byId("person-roles"), access.person?.roles.join(", ") ?? "");
+  byId("do-account").title = access.person === null ? "" : `${access.person.name} (${access.person.roles.join(", ")}): change your password`;
   byId("badge-glass").hidden = access.person?.is_break_glass !== true;
   byId("do-people").hidden = !access.may("people");
   if (!access.may("people")) people.show(false);
