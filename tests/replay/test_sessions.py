@@ -17,7 +17,7 @@ from engine.witness import Seam
 from service.cli import app
 from service.db.engine import Database
 from service.db.place import DATABASE_NAME
-from service.session_replay import NotReplayableError, StoredSession
+from service.session_replay import NotReplayableError, StoredSession, audit_differences
 from service.session_tape import tape_path
 from tests.replay.played import DeliberatePerson, Played, Troubles, play
 
@@ -73,15 +73,15 @@ def turns(played: Played):
     return read_tape(tape_path(played.data_dir, played.session_id)).turns()
 
 
-def test_the_command_says_so_in_a_line_and_writes_both_tables(played, tmp_path):
-    wish = ["replay", played.session_id, "--data", str(played.data_dir), "--out", str(tmp_path / "out")]
-    answer = CliRunner().invoke(app, wish)
+def test_the_command_says_so_in_a_line_writes_both_tables_and_tells_its_own_audit(copied, tmp_path, monkeypatch):
+    monkeypatch.setenv("TIDEGATE_DATA_DIR", str(copied.data_dir))
+    answer = CliRunner().invoke(app, ["replay", copied.session_id, "--out", str(tmp_path / "out")])
     assert answer.exit_code == 0, answer.output
-    assert f"identical: {played.frames} frames" in answer.output
+    assert f"identical: {copied.frames} frames" in answer.output
     motion = (tmp_path / "out" / "motion.csv").read_text().splitlines()
-    assert len(motion) == played.frames + 1
+    assert len(motion) == copied.frames + 1
     assert "beam_on" in (tmp_path / "out" / "transitions.csv").read_text()
-    assert actions(played).count("session.replayed") == 0, "a folder that was named is only read"
+    assert actions(copied)[-1] == "session.replayed"
 
 
 def actions(played: Played) -> list[str]:
@@ -102,6 +102,7 @@ def test_a_window_a_hair_wider_is_found_and_the_command_fails(copied, monkeypatc
     wish = ["replay", copied.session_id, "--data", str(copied.data_dir)]
     answer = CliRunner().invoke(app, wish)
     assert (answer.exit_code, "DIFFERENT at frame" in answer.output) == (1, True), answer.output
+    assert actions(copied).count("session.replayed") == 0, "a folder that was named is only read"
 
 
 def test_another_recording_is_refused_and_so_is_a_tape_that_was_changed(copied, regular_volunteer, tmp_path):
@@ -117,12 +118,30 @@ def test_another_recording_is_refused_and_so_is_a_tape_that_was_changed(copied, 
         stored(copied)
 
 
-def test_a_transition_missing_from_the_audit_is_found(copied, monkeypatch):
-    session = stored(copied)
-    audited = session._audited()
-    monkeypatch.setattr(session, "_audited", lambda: audited[:1] + audited[2:])
-    (difference,) = session.run_again(None, lambda _frames: None).differences
-    assert difference.recorded != difference.replayed
+def differences(verdict, audited, *, is_torn=False, is_open=False):
+    return audit_differences(verdict.replay, audited, is_torn=is_torn, is_open=is_open)
+
+
+def test_a_transition_that_is_missing_from_the_audit_or_was_altered_there_is_found(played, verdict):
+    audited = stored(played)._audited()
+    assert differences(verdict, audited) == []
+    for place in range(len(audited)):
+        without = audited[:place] + audited[place + 1 :]
+        (difference,) = differences(verdict, without)
+        assert difference.recorded != difference.replayed
+        altered = [*audited[:place], audited[place] | {"decided_ns": audited[place]["decided_ns"] + 1}]
+        assert differences(verdict, altered + audited[place + 1 :])
+        assert differences(verdict, [*without, audited[place]]) or place == len(audited) - 1, "another order"
+    assert differences(verdict, [*audited, audited[-1]])
+
+
+def test_an_audit_may_end_before_a_tape_only_while_its_session_is_open_and_after_it_only_where_it_is_torn(
+    played, verdict
+):
+    audited = stored(played)._audited()
+    assert differences(verdict, audited[:-1], is_open=True) == []
+    assert differences(verdict, [*audited, audited[0]], is_torn=True) == []
+    assert differences(verdict, audited[1:], is_torn=True, is_open=True) != []
 
 
 def test_a_session_that_is_not_there_or_ran_as_another_version_is_refused(copied):
