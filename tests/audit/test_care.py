@@ -6,6 +6,7 @@ import threading
 from datetime import UTC, datetime, timedelta
 
 import pytest
+from pydantic_settings import BaseSettings
 from sqlalchemy.exc import OperationalError
 
 from engine.clock import NS_PER_S, ManualClock
@@ -110,6 +111,18 @@ def test_no_secret_is_told(tmp_path):
     url = "postgresql://gate:topsecret@localhost/tidegate"
     told = told_settings(Settings(data_dir=tmp_path, database_url=url))
     assert "topsecret" not in json.dumps(told)
+
+
+class Careless(BaseSettings):
+    """Settings whose maker forgot that a secret is one."""
+
+    api_token: str = "topsecret"
+    key_file: str = "key.pem"
+    keyboard: str = "qwerty"
+
+
+def test_a_secret_that_is_only_called_one_is_not_told_either():
+    assert told_settings(Careless()) == {"api_token": "(not told)", "key_file": "key.pem", "keyboard": "qwerty"}
 
 
 @pytest.mark.parametrize("cut", [8, 5, 1])

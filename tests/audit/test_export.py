@@ -98,6 +98,14 @@ def test_lines_left_out_cut_off_swapped_added_or_mistaken_are_found(treated):
     assert verify_export(["nonsense"]).breakage is Breakage.CHANGED
 
 
+def test_a_line_left_out_is_found_although_the_end_was_made_to_fit(treated):
+    lines = exported(treated)
+    end = json.loads(lines[-1])
+    end["end"]["rows"] -= 1
+    found = verify_export([*lines[:4], *lines[5:-1], json.dumps(end)])
+    assert (found.breakage, found.detail) == (Breakage.MISSING, "rows are missing at 1 places of a whole export")
+
+
 def test_a_detail_that_somebody_wrote_otherwise_is_exported_as_it_lies_there(treated, raw):
     raw.execute("UPDATE audit SET detail = '{ }' WHERE sequence = 2")
     raw.commit()
