@@ -77,7 +77,9 @@ class PostgresServer:
         secret.write_text(PASSWORD)
         secret.chmod(0o644)
         names = ["-D", str(self.folder / "data"), "-U", OWNER, "--pwfile", str(secret)]
-        ways = ["--auth-local=trust", "--auth-host=scram-sha-256", "--encoding=UTF8", "--locale=C.UTF-8", "--no-sync"]
+        ways = ["--auth-local=trust", "--auth-host=scram-sha-256", "--no-sync"]
+        # A server of people who read: text is ordered as in a dictionary, and not by its bytes.
+        ways += ["--encoding=UTF8", "--locale=C.UTF-8", "--locale-provider=icu", "--icu-locale=en-US"]
         words = _as_nobody_special()
         prefix = ["setpriv", *words] if words else []
         made = subprocess.run(

@@ -16,6 +16,7 @@ from service.backup.layout import BackupError, BrokenLogError, Manifest
 from service.backup.making import make_backup, needed_bytes, refuse_full_disk
 from service.backup.reading import opened
 from service.backup.restoring import check
+from service.backup.rows import digest_of, tables_of
 from service.db.engine import Database
 from tests.db.backups import FILES, OTHERS, Silent, backed_up, restored, rows_at, source_of, write_rows
 
@@ -344,3 +345,18 @@ def test_a_backup_of_older_tables_is_brought_up_to_this_version_s(empty_place, f
 def test_every_column_there_is_has_a_type_that_backups_know(made):
     assert isinstance(made.manifest, Manifest)
     assert {table.name for table in made.manifest.tables} >= {"audit", "sessions", "users", "api_keys", "qa_results"}
+
+
+def test_rows_have_one_order_whatever_a_server_thinks_of_letters(places):
+    parts = []
+    for kind in KINDS:
+        with closing(Database(places(kind))) as database:
+            database.migrate()
+            with database.write() as db:
+                for key in ("b", "A", "a", "_", "B", "ä", "a-1", "a1"):
+                    row = "INSERT INTO idempotency_keys VALUES ('r', :key, 'h', '{}', '2026-01-01')"
+                    db.execute(text(row), {"key": key})
+                connection = db.connection()
+                table = next(one for one in tables_of(connection) if one.name == "idempotency_keys")
+                parts.append(digest_of(connection, table, lambda _rows: None))
+    assert parts[0] == parts[1]
