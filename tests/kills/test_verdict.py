@@ -13,7 +13,9 @@ KILLED = 10_000 * MS
 
 
 def step(number: int, from_state: str, to_state: str, at_ms: int, reason: str = "") -> Step:
-    return Step(from_state=from_state, to_state=to_state, reason=reason, decided_ns=at_ms * MS, number=number)
+    at_ns = at_ms * MS
+    words = {"from_state": from_state, "to_state": to_state, "reason": reason}
+    return Step(**words, decided_ns=at_ns, received_ns=at_ns - 8 * MS, number=number)
 
 
 STEPS = (
@@ -57,7 +59,7 @@ def test_a_kill_that_left_everything_as_promised_is_no_trouble():
         (replace(GOOD, edges=(*EDGES, LineEdge(is_on=True, at_ns=11_000 * MS))), Trouble.ON_UNASKED),
         (replace(GOOD, steps=without(STEPS, 8)), Trouble.ON_UNTOLD),
         (replace(GOOD, steps=without(STEPS, 6)), Trouble.NO_DWELL),
-        (replace(GOOD, steps=(*STEPS[:4], replace(STEPS[4], decided_ns=9580 * MS), STEPS[5])), Trouble.NO_DWELL),
+        (replace(GOOD, steps=(*STEPS[:4], replace(STEPS[4], received_ns=9503 * MS), STEPS[5])), Trouble.NO_DWELL),
         (replace(GOOD, steps=without(STEPS, 5)), Trouble.OFF_UNTOLD),
         (replace(GOOD, steps=without(STEPS, 5)), Trouble.STATES_APART),
         (replace(GOOD, steps=STEPS[1:]), Trouble.STATES_APART),
@@ -100,6 +102,11 @@ def test_an_on_is_never_excused_however_late_it_was():
     on = LineEdge(is_on=True, at_ns=KILLED - MS)
     off = LineEdge(is_on=False, at_ns=KILLED + 150 * MS)
     assert judge(replace(GOOD, steps=STEPS[:5], edges=(*EDGES[:2], on, off))) == (Trouble.ON_UNTOLD,)
+
+
+def test_a_dwell_is_counted_by_when_its_frames_came_and_not_by_when_they_were_decided_on():
+    late = replace(STEPS[4], decided_ns=9600 * MS)
+    assert judge(replace(GOOD, steps=(*STEPS[:4], late, STEPS[5]))) == ()
 
 
 def test_a_permit_on_record_that_the_line_never_heard_of_is_no_trouble():

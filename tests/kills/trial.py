@@ -127,6 +127,7 @@ def _steps(rig: KillRig, session_id: str) -> tuple[Step, ...]:
                 reason=item["reason"] or "",
                 decided_ns=item["decided_ns"],
                 number=item["number"],
+                received_ns=item["received_ns"],
                 is_recovered=item["recovered"],
             )
             for item in page["items"]

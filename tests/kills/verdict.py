@@ -51,13 +51,14 @@ class Trouble(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """One transition, as the audit has it."""
+    """One transition, as the audit has it; ``received_ns`` is when the frame that caused it came."""
 
     from_state: str
     to_state: str
     reason: str
     decided_ns: int
     number: int
+    received_ns: int | None = None
     is_recovered: bool = False
 
 
@@ -207,10 +208,12 @@ def _cause_of_on(edge: LineEdge, steps: Sequence[Step]) -> int | None:
 
 
 def _has_dwelt(steps: Sequence[Step], index: int) -> bool:
-    """Whether the permit followed a dwell that was as long as it must be."""
+    """Whether the permit followed a full dwell, counted by when the frames of both came, as the gate counts it."""
     before = steps[index - 1] if index else None
-    is_dwell = before is not None and before.to_state == "dwell"
-    return is_dwell and steps[index].decided_ns - before.decided_ns >= DWELL_NS - FRAME_NS
+    if before is None or before.to_state != "dwell" or before.received_ns is None:
+        return False
+    received_ns = steps[index].received_ns
+    return received_ns is not None and received_ns - before.received_ns >= DWELL_NS
 
 
 def _off_is_told(edge: LineEdge, steps: Sequence[Step]) -> bool:
