@@ -47,7 +47,8 @@ class Taping:
     Parameters
     ----------
     keep_frame
-        Told of every frame that the engine got; returns why the tape has to end there, or None.
+        Told of every frame that the engine got, once it is decided on; returns why the tape has to end before it, or
+        None.
     """
 
     def __init__(
@@ -59,6 +60,7 @@ class Taping:
         self._keep_frame = keep_frame
         self._thread: int | None = threading.get_ident()  # an engine hears while it is put together
         self._turn = Turn()
+        self._frame: RgbdFrame | None = None
         self._elsewhere: deque[GateTransition] = deque()
 
     def begin(self) -> None:
@@ -76,7 +78,7 @@ class Taping:
             raise
         self._turn.heard.append((seam, kept_of(seam, answer)))
         if isinstance(answer, RgbdFrame):
-            self.tear(self._keep_frame(answer))
+            self._frame = answer
         return answer
 
     def told(self, outcome: object) -> None:
@@ -91,6 +93,7 @@ class Taping:
         turn, self._turn = self._turn, Turn()
         while self._elsewhere:
             turn.elsewhere.append(self._elsewhere.popleft())
+        self._keep()
         if self.torn is not None:
             return
         try:
@@ -102,6 +105,12 @@ class Taping:
         """Hand the last turn over."""
         self.turn()
         self._over.set()
+
+    def _keep(self) -> None:
+        """Leave the turn's frame where it is kept: now, for whoever writes it takes a core while the gate decides."""
+        frame, self._frame = self._frame, None
+        if frame is not None and self.torn is None:
+            self.tear(self._keep_frame(frame))
 
     @property
     def is_over(self) -> bool:

@@ -41,8 +41,8 @@ PICTURES = 40
 GIB = 1024.0**3
 
 
-def latencies_ms(volunteer: Path, kind: str, folder: Path) -> list[float]:
-    """Play one session; return every measured frame's time from its receipt to the line told."""
+def latencies_ms(volunteer: Path, kind: str, folder: Path) -> tuple[list[float], float]:
+    """Play one session; return each measured frame's time from receipt to the line told, and the processor's [s]."""
     clock = MonotonicClock()
     raw = RawRecorder(folder / "raw.oni", min_free_bytes=GIB) if "raw" in kind else None
     taping = Taping(keep_frame=(lambda _frame: None) if raw is None else raw.offer)
@@ -66,6 +66,7 @@ def latencies_ms(volunteer: Path, kind: str, folder: Path) -> list[float]:
     if raw is not None:
         raw.start()
     found = []
+    spent_s = time.process_time()
     loop.start()
     while not loop.join(0.01):
         for filled in (loop.transitions, loop.notices):
@@ -77,7 +78,7 @@ def latencies_ms(volunteer: Path, kind: str, folder: Path) -> list[float]:
                 found.append((record.asserted_ns - record.received_ns) / NS_PER_MS)
     assert raw is None or raw.finish(30.0) is None, raw.error
     assert taping.torn is None, taping.torn
-    return found
+    return found, time.process_time() - spent_s
 
 
 def microseconds_an_answer() -> float:
@@ -113,16 +114,19 @@ def main() -> None:
     """Measure and print."""
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     volunteer = kept_volunteer(*VOLUNTEERS[0])
-    found = defaultdict(list)
+    found, spent_s = defaultdict(list), defaultdict(float)
     for _, kind in itertools.product(range(ROUNDS), KINDS):
         with tempfile.TemporaryDirectory(prefix="tidegate-cost-") as folder:
-            found[kind] += latencies_ms(volunteer, kind, Path(folder))
+            more, seconds = latencies_ms(volunteer, kind, Path(folder))
+            found[kind] += more
+            spent_s[kind] += seconds
     typer.echo(f"one answer written down: {microseconds_an_answer():.2f} us more")
     typer.echo(f"coding depth as 16zT: {milliseconds_a_coded_picture(volunteer):.1f} ms of a core a frame")
-    typer.echo("capture to the line told [ms]     p50     p99   p99.9     max   frames")
+    typer.echo("capture to the line told [ms]     p50     p99   p99.9     max   frames   processor [s]")
     for kind in KINDS:
         p50, p99, p999 = np.percentile(found[kind], [50, 99, 99.9])
-        typer.echo(f"{kind:28s} {p50:8.2f}{p99:8.2f}{p999:8.2f}{max(found[kind]):8.2f}{len(found[kind]):9d}")
+        quantiles = f"{p50:8.2f}{p99:8.2f}{p999:8.2f}{max(found[kind]):8.2f}"
+        typer.echo(f"{kind:28s} {quantiles}{len(found[kind]):9d}{spent_s[kind]:12.1f}")
 
 
 if __name__ == "__main__":
