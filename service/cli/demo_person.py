@@ -17,7 +17,7 @@ ROLES = frozenset({Role.PHYSICIST, Role.ADMIN})
 
 def put_person(data: Path, name: str, *, by: str) -> str:
     """Make the person, or give them a new password; return it: it is to be changed at the first log-in."""
-    data.mkdir(parents=True, exist_ok=True)
+    data.mkdir(mode=0o700, parents=True, exist_ok=True)  # it will hold password hashes
     with alone_in(data):
         database = Database(data / "tidegate.db")
         try:
