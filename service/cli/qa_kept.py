@@ -14,8 +14,8 @@ from service.cli import qa_tables
 from service.cli.terminal import refused, say
 from service.cli.written import write_whole
 from service.db.engine import Database
-from service.db.preparing import prepare
 from service.db.models import QaRunRow
+from service.db.preparing import prepare
 from service.errors import BoundError, NotFoundError
 from service.folder_lock import alone_in
 from service.qa import records, views
