@@ -8,7 +8,7 @@ import fcntl
 import hashlib
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from engine.clock import Clock, MonotonicClock
@@ -23,23 +23,30 @@ DIGEST_CHARACTERS = 16
 class Journals:
     """Makes journals for sessions, and finds those that a killed process left."""
 
-    def __init__(self, data_dir: Path, folder: Path | None, *, memory: Path = MEMORY) -> None:
+    def __init__(self, data_dir: Path, folder: Path | None, *, memory: Path | None = None) -> None:
         self._in_data = data_dir / FOLDER
-        self._memory = memory
+        self._memory = memory or MEMORY
         self._told = folder
         digest = hashlib.sha256(str(data_dir.resolve()).encode()).hexdigest()[:DIGEST_CHARACTERS]
         self._prefix = f"tidegate-{digest}-"
 
     @property
-    def folder(self) -> Path:
-        """Where a new session's journal is made: as told, else in memory, else in the data folder."""
+    def _folders(self) -> tuple[Path, ...]:
+        """Where a new journal may be made, best first: where told and nowhere else; in memory; with the data."""
         if self._told is not None:
-            return self._told
-        return self._memory if os.access(self._memory, os.W_OK | os.X_OK) else self._in_data
+            return (self._told,)
+        has_memory = os.access(self._memory, os.W_OK | os.X_OK)
+        return (self._memory, self._in_data) if has_memory else (self._in_data,)
 
     def begin(self, session_id: str, clock: Clock | None = None) -> TransitionJournal:
-        """Make a session's journal; raise JournalError where that cannot be."""
-        folder = self.folder
+        """Make a session's journal; raise JournalError where that cannot be: memory may be full, and the disk too."""
+        *better, last = self._folders
+        for folder in better:
+            with suppress(JournalError):
+                return self._made(folder, session_id, clock)
+        return self._made(last, session_id, clock)
+
+    def _made(self, folder: Path, session_id: str, clock: Clock | None) -> TransitionJournal:
         try:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError as error:

@@ -1,6 +1,8 @@
 """Virtual volunteers, made once on this machine; each process has a copy of its own, to do with as it likes."""
 
 import shutil
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -9,6 +11,7 @@ import pytest
 
 import engine
 from engine.phantom.recording import make_volunteer
+from service import journals
 from tests.db.postgres import (  # noqa: F401 - fixtures for all tests
     database,
     database_kind,
@@ -30,6 +33,16 @@ def volunteer(factory: pytest.TempPathFactory, scenario: str, **wishes: object) 
         if draft is not None:
             make_volunteer(scenario, out=draft / "volunteer", **wishes)
     return Path(shutil.copytree(kept / "volunteer", factory.mktemp(f"volunteer-{scenario}") / scenario))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _memory_of_the_tests() -> Iterator[None]:
+    """Let journals lie in a folder that goes with the tests: what a test leaves behind fills no machine's memory."""
+    folder = Path(tempfile.mkdtemp(prefix="tidegate-journals-"))
+    before, journals.MEMORY = journals.MEMORY, folder
+    yield
+    journals.MEMORY = before
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 @pytest.fixture(scope="session")

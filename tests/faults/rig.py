@@ -35,6 +35,9 @@ WINDOW_MM = 30.0
 WINDOW = {"signal": "whole", "lower_mm": -WINDOW_MM, "upper_mm": WINDOW_MM, "hysteresis_mm": 0.2, "dwell_ms": 100.0}
 TMPFS_MB, FREE_MB, WORN_MB = 192, 24, 90
 RECEIVER_NICE = -15
+MEMORY = Path("/dev/shm")
+"""Where a real service's journals lie; those of the tests' own process lie elsewhere."""
+
 DATABASE = "tidegate.db"
 SETTINGS = {
     "BEAM_LINE": "modbus-tcp",
@@ -109,7 +112,7 @@ class Rig:
 
     def __exit__(self, *_: object) -> None:
         self._held.close()
-        for left in Journals(self.data, None).left_behind():
+        for left in Journals(self.data, None, memory=MEMORY).left_behind():
             left.unlink()  # of the machine's memory: no start comes that would read it
 
     def fill_data(self) -> None:

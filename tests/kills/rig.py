@@ -18,7 +18,7 @@ from service.journals import Journals
 from service.settings import Settings
 from tests.faults.person import PersonGaveUpError
 from tests.faults.plan import ANYBODY
-from tests.faults.rig import DATABASE, Rig, Template
+from tests.faults.rig import DATABASE, MEMORY, Rig, Template
 from tests.faults.verdict import LineEdge
 from tests.service.processes import ROOT
 
@@ -156,7 +156,7 @@ class KillRig(Rig):
     def leftovers(self) -> tuple[str, ...]:
         """What is half written, while no session runs: in the data folder, and journals wherever they lie."""
         inside = [str(path.relative_to(self.data)) for path in self.data.rglob("*") if path.name.endswith(HALF_WRITTEN)]
-        return tuple(sorted({*inside, *(path.name for path in Journals(self.data, None).left_behind())}))
+        return tuple(sorted({*inside, *(path.name for path in Journals(self.data, None, memory=MEMORY).left_behind())}))
 
     def close_open_sessions(self) -> None:
         """Stop what a kill left created: there may be one open session only."""

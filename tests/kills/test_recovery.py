@@ -6,6 +6,7 @@ import logging
 import os
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import pytest
 from sqlalchemy import select
@@ -221,6 +222,22 @@ def test_without_memory_to_use_it_lies_in_the_data_folder(tmp_path):
     journals = Journals(tmp_path / "data", None, memory=tmp_path / "no such folder")
     journal = journals.begin("s1")
     assert journal.path.parent == tmp_path / "data" / "journal"
+    journal.close()
+
+
+def test_memory_without_room_is_no_reason_not_to_begin(tmp_path, monkeypatch):
+    (tmp_path / "memory").mkdir()
+    allocate = os.posix_fallocate
+
+    def has_room_on_disk(file, offset, size):
+        if Path(f"/proc/self/fd/{file}").readlink().is_relative_to(tmp_path / "memory"):
+            raise OSError(28, "No space left on device")
+        allocate(file, offset, size)
+
+    monkeypatch.setattr("engine.transition_journal.os.posix_fallocate", has_room_on_disk)
+    journal = Journals(tmp_path / "data", None, memory=tmp_path / "memory").begin("s1")
+    assert journal.path.parent == tmp_path / "data" / "journal"
+    assert list((tmp_path / "memory").iterdir()) == []
     journal.close()
 
 
