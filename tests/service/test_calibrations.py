@@ -15,6 +15,8 @@ from tests.engine.foreign_calibrations import (
 )
 from tests.service.conftest import audit_rows, edited, make_calibration, upload
 
+pytestmark = pytest.mark.both_databases
+
 URL = "/api/v1/calibrations"
 
 
@@ -91,9 +93,10 @@ def test_a_stream_without_length_is_cut_off_at_the_bound(client, settings):
     assert (answer.status_code, answer.json()["code"]) == (413, "body_too_large")
 
 
-def test_who_uploads_has_to_be_said(client, calibration_text):
+def test_who_uploads_is_who_has_logged_in(client, calibration_text):
+    client.speaks_as = "B. Physicist"
     answer = client.post(URL, content=calibration_text, headers={"Content-Type": "application/json"})
-    assert (answer.status_code, answer.json()["field"]) == (422, "operator")
+    assert (answer.status_code, answer.json()["uploaded_by"]) == (201, "B. Physicist")
 
 
 def test_a_key_gives_the_same_answer_and_refuses_another_body(client, calibration_text):
