@@ -1,6 +1,6 @@
 """Steps of the wall clock end no log-in; an address is what a trusted proxy says, and of that the newest."""
 
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 
 import pytest
 
@@ -17,7 +17,14 @@ def scope(peer, *forwarded):
 def test_a_step_of_the_wall_clock_ends_no_log_in_and_opens_no_lock(database, monkeypatch):
     mine = AccessStore(database)
     before = mine.now()
-    monkeypatch.setattr(store_module, "wall_clock", lambda: datetime(2030, 1, 1, tzinfo=UTC))
+
+    class SetAhead(datetime):
+        @classmethod
+        def now(cls, tz=None):
+            return datetime(2030, 1, 1, tzinfo=tz)
+
+    monkeypatch.setattr(store_module, "datetime", SetAhead)
+    assert mine.wall().year == 2030
     assert mine.now() - before < timedelta(seconds=60)
     assert AccessStore(database).now().year == 2030
 
