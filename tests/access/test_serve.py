@@ -13,6 +13,9 @@ from contextlib import contextmanager
 import httpx2
 import pytest
 
+from service.app import create_app
+from service.server import make_server
+from service.settings import Settings
 from tests.access.certificates import make_certificate
 from tests.service.processes import ROOT, free_port
 
@@ -131,3 +134,10 @@ def test_a_certificate_that_cannot_be_used_is_said_in_one_line(tmp_path, broken)
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1
     assert "cannot be used for TLS" in done.stderr
+
+
+def test_the_oldest_version_does_not_depend_on_what_the_system_refuses_anyway(tmp_path):
+    cert, key = make_certificate(tmp_path)
+    app = create_app(Settings(data_dir=tmp_path))
+    server = make_server(app, host="127.0.0.1", port=0, tls_cert=cert, tls_key=key)
+    assert server.config.ssl.minimum_version is ssl.TLSVersion.TLSv1_2
