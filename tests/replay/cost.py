@@ -76,8 +76,9 @@ def latencies_ms(volunteer: Path, kind: str, folder: Path) -> tuple[list[float],
             record = loop.samples.get()
             if record.measurement.state.value == "measuring":
                 found.append((record.asserted_ns - record.received_ns) / NS_PER_MS)
-    assert raw is None or raw.finish(30.0) is None, raw.error
-    assert taping.torn is None, taping.torn
+    ended = None if raw is None else raw.finish(30.0)
+    if taping.torn or ended:
+        typer.echo(f"{kind}: ended early: {taping.torn or ended}")
     return found, time.process_time() - spent_s
 
 
