@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import anyio
 import anyio.to_thread
 from fastapi import FastAPI
+from sqlalchemy.exc import SQLAlchemyError
 
 from engine import __version__
+from engine.errors import TidegateError
 from service.access.attendance import Attendance
 from service.access.desk import AccessDesk, open_access
 from service.access.first import TellFirst, make_first_admin
@@ -96,7 +98,13 @@ def make_lifespan(
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        house = await anyio.to_thread.run_sync(_open, settings, make_engine(settings), make_rig(settings), tell_first)
+        try:
+            house = await anyio.to_thread.run_sync(
+                _open, settings, make_engine(settings), make_rig(settings), tell_first
+            )
+        except (TidegateError, SQLAlchemyError) as error:
+            app.state.start_refusal = _refusal(error)
+            raise
         app.state.services = house.services
         app.state.access = house.access
         app.state.oidc = house.oidc
@@ -184,6 +192,13 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFi
         oidc=oidc,
         attendance=attendance,
     )
+
+
+def _refusal(error: TidegateError | SQLAlchemyError) -> str:
+    """Say why nothing was started; what a driver says may hold more than a log should."""
+    if isinstance(error, SQLAlchemyError):
+        return f"the database does not answer, or not as it should ({type(error).__name__})"
+    return str(error)
 
 
 def _start_detail(engine: EnginePort) -> dict[str, object]:

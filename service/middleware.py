@@ -36,7 +36,7 @@ class Doorway:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let a request in, or refuse it."""
         if scope["type"] == "lifespan":
-            await self._app(scope, receive, send)
+            await self._app(scope, receive, _in_one_line(scope, send))
             return
         host = _host_name(Headers(scope=scope).get("host", ""))
         if "*" not in self._host_names and host not in self._host_names:
@@ -54,6 +54,18 @@ class Doorway:
         bound = f"one of {', '.join(self._host_names)}"
         error = RefusedError(421, "This name is not served here", field="Host", value=host[:80], bound=bound)
         await problem_response(problem_of(error))(scope, receive, _with_headers(send))
+
+
+def _in_one_line(scope: Scope, send: Send) -> Send:
+    """Let the log say why nothing was started, where that is known, instead of where in the program it was found."""
+
+    async def send_in_one_line(message: Message) -> None:
+        refusal = getattr(scope["app"].state, "start_refusal", None)
+        if message["type"] == "lifespan.startup.failed" and refusal is not None:
+            message = {**message, "message": f"nothing was started: {refusal}"}
+        await send(message)
+
+    return send_in_one_line
 
 
 def _host_name(host: str) -> str:
