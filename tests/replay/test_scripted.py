@@ -10,11 +10,11 @@ from engine.commands import Acknowledge, Arm, CorrectBaseline, Disarm, HoldBeam,
 from engine.errors import BeamLineError, RecordingError, SourceAwayError, SourceLostError
 from engine.permits import HoldReason
 from engine.replaying.outcomes import text_of
-from engine.replaying.tape_file import read_tape
+from engine.replaying.tape_file import TapeFile, read_tape
 from engine.witness import Seam
 from tests.gate.constructed import MS
 from tests.loop.fakes import after, good, raising, silent
-from tests.replay.scripted import heard_again, lived, taped, with_limits
+from tests.replay.scripted import NO_MODELS, heard_again, lived, taped, with_limits
 
 FAULTS = (HoldReason.DISK_LOW, HoldReason.AUDIT_BEHIND, HoldReason.RECORDER_BEHIND)
 ARM = Arm(operator="A. Therapist")
@@ -245,3 +245,20 @@ def test_a_tape_with_another_byte_in_it_is_damaged_or_differs(busy, tmp_path):
 def test_rows_are_lines_that_tell_a_bit_from_another():
     assert text_of({"a": 0.1 + 0.2}) != text_of({"a": 0.3})
     assert text_of({"a": float("nan")}) == text_of({"a": float("nan")})
+
+
+def test_an_engine_that_asks_for_less_is_found(tmp_path):
+    one = lived([good, good, good], taped())
+    one.taping.turns.queue[1].heard.append((Seam.STOP_ASKED, False))
+    difference = heard_again(one.write(tmp_path / "a.tape")).difference
+    assert (difference.recorded, difference.replayed) == ("STOP_ASKED heard", "asked for nothing more")
+
+
+def test_what_was_written_is_there_for_who_kills_the_process(tmp_path):
+    one = lived([good, good, good], taped())
+    file = TapeFile(tmp_path / "a.tape", {}, NO_MODELS)
+    for turns in (1, 2, 3):
+        file.add(one.taping.turns.get())
+        file.write()
+        assert sum(1 for _ in read_tape(tmp_path / "a.tape").turns()) == turns
+    file.end(None)
