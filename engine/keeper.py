@@ -116,9 +116,14 @@ class GateKeeper:
         asserted_ns = self._clock.now_ns()
         slowness = self._slowness(gate, cause.measurement, asserted_ns)
         if slowness is not None:
-            gate = step_gate(gate, slowness, decided_ns, self._limits)
+            permitted, permitted_ns, gate = gate, asserted_ns, step_gate(gate, slowness, decided_ns, self._limits)
             report = self._driver.carry_out(gate, decided_ns)
             asserted_ns = self._clock.now_ns()
+            if before.state is not GateState.BEAM_ON and permitted.state is GateState.BEAM_ON:
+                # Told and held within one decision: the line was on meanwhile, and no beam-on is left off the record.
+                told = self._transition(before, permitted, cause, decided_ns, permitted_ns)
+                self._tell_transition(told, settles=foreseen)
+                before, foreseen = permitted, None
         self.gate = gate
         self._watchdog.feed(decided_ns, is_armed=gate.is_armed)
         self._tell(before, cause, decided_ns, asserted_ns, report, foreseen)

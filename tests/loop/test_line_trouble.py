@@ -217,6 +217,24 @@ def test_a_line_that_was_told_too_late_is_held_by_the_decision_that_finds_it_out
     assert bench.beam._deadman._is_latched
 
 
+def test_a_permit_that_was_told_too_late_is_on_record_before_the_fault_that_took_it_back():
+    limits = replace(LIMITS, max_latency_ms=100.0, camera_latency_ms=60.0)
+    bench = armed_bench([good] * 6, limits=limits)
+
+    def dawdle(lease):
+        if lease.sequence == 1:
+            bench.clock.advance_ns(40 * MS)
+
+    bench.beam.before_permit = dawdle
+    bench.run()
+    edges = [edge.is_on for edge in bench.beam.edges]
+    assert edges == [True, False]
+    path = [(change.from_state, change.to_state, change.reason) for change in bench.transitions()]
+    assert (GateState.DWELL, GateState.BEAM_ON, None) in path
+    at = path.index((GateState.DWELL, GateState.BEAM_ON, None))
+    assert path[at + 1] == (GateState.BEAM_ON, GateState.FAULT, HoldReason.LATENCY_HIGH)
+
+
 def test_a_line_is_not_even_asked_once_the_lease_it_would_get_has_ended():
     class Gullible(WatchedBeamLine):
         def permit(self, lease):
