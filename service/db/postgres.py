@@ -51,6 +51,8 @@ def make_postgres_engine(url: URL, *, busy_timeout_s: float, answer_timeout_s: f
     """Reach a server; ``answer_timeout_s`` bounds each statement, None (migrations, backups) waits."""
     engine = create_engine(
         url,
+        # Under a snapshot (a site's default may be one) the chain's last link is the one from before the lock was had.
+        isolation_level="READ COMMITTED",
         pool_pre_ping=True,
         pool_timeout=busy_timeout_s,
         hide_parameters=True,  # an error that is told somewhere must not tell a row

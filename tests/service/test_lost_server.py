@@ -3,6 +3,7 @@
 On a real server of these tests' own. What is written in the meantime waits, and is there once the server is.
 """
 
+import contextlib
 import threading
 import time
 
@@ -128,6 +129,38 @@ def test_one_writes_at_a_time_and_who_waits_too_long_is_told(place):
         db.execute(text("SELECT 1"))
     one.close()
     other.close()
+
+
+def test_who_waited_for_the_lock_sees_what_the_one_before_wrote_whatever_the_server_s_default(place):
+    options = {"options": r"-c default_transaction_isolation=repeatable\ read"}
+    one, other = Database(place), Database(place.update_query_dict(options))
+    waiting = threading.Thread(target=_append, args=(other,))
+    with one.write() as db:
+        waiting.start()
+        eventually(lambda: _waiters(one) == 1)
+        audit.append(db, audit.Event(actor="me", action="first"))
+    waiting.join(10.0)
+    with one.read() as db:
+        last = db.scalars(text("SELECT action FROM audit ORDER BY sequence DESC LIMIT 2")).all()
+    assert last == ["second", "first"]
+    assert is_whole(place)
+    one.close()
+    other.close()
+
+
+def _append(database):
+    with contextlib.suppress(SQLAlchemyError), database.write() as db:
+        audit.append(db, audit.Event(actor="me", action="second"))
+
+
+def _waiters(database):
+    with database.read() as db:
+        return db.scalar(
+            text(
+                "SELECT count(*) FROM pg_locks JOIN pg_database ON pg_database.oid = database "
+                "WHERE locktype = 'advisory' AND NOT granted AND datname = current_database()"
+            )
+        )
 
 
 def test_another_database_in_its_place_is_not_the_one_that_was_opened(server, place):
