@@ -1,8 +1,7 @@
 """Models over the API: learned again, applied, carried to a later fraction of the same patient, and audited."""
 
-import sqlite3
-
 import pytest
+from sqlalchemy import text
 
 from engine.commands import ApplyModel, Retrain
 from engine.errors import CommandRefusedError, InvalidValueError, ModelMismatchError
@@ -11,11 +10,14 @@ from engine.model_file import load_model, save_model
 from engine.notices import LearningNotice, NoticeKind
 from engine.provenance import ModelOrigin
 from engine.training import TRAINING_BOUNDS, TrainingSettings
+from service.db.engine import Database
 from service.engine_adapter import EngineAdapter
 from service.model_store import ModelStore
 from service.settings import Settings, SettingsError, load_settings
 from tests.service.conftest import act, audit_rows, edited, eventually, make_session_body, upload
 from tests.service.fakes import make_model
+
+pytestmark = pytest.mark.both_databases
 
 SWAPPED = LearningNotice(
     kind=NoticeKind.SWAPPED,
@@ -163,6 +165,16 @@ def test_an_unknown_or_malformed_model_is_refused_by_name(client, calibration_id
     assert (malformed.status_code, malformed.json()["field"]) == (422, "model_id")
 
 
+def name_another_file(settings, model_id, sha256):
+    """Change the table as only its owner can: the trigger that refuses it goes first."""
+    database = Database(settings.database_place)
+    with database.connect() as connection, connection.begin():
+        connection.execute(text("DROP TRIGGER models_no_update" + (" ON models" if database.is_postgresql else "")))
+        changes = {"sha256": sha256, "id": model_id}
+        connection.execute(text("UPDATE models SET sha256 = :sha256 WHERE id = :id"), changes)
+    database.close()
+
+
 @pytest.mark.parametrize("spoiled", ["patient", "gone", "changed"])
 def test_a_model_whose_file_is_not_what_the_table_says_does_not_start_a_session(
     client, kept_model, calibration_id, settings, engine, spoiled
@@ -176,10 +188,7 @@ def test_a_model_whose_file_is_not_what_the_table_says_does_not_start_a_session(
     else:  # a file that is whole and in its place, of another patient: the table was changed
         other = make_model(3).from_origin(ModelOrigin(patient="P-0666"))
         sha256 = ModelStore(settings.data_dir / "models").save(other)
-        raw = sqlite3.connect(settings.data_dir / "tidegate.db")
-        raw.execute("UPDATE models SET sha256 = ? WHERE id = ?", (sha256, kept_model["id"]))
-        raw.commit()
-        raw.close()
+        name_another_file(settings, kept_model["id"], sha256)
     opened = len(engine.opened)
     answer = act(client, session_id, "start")
     assert answer.status_code == 409
