@@ -5,7 +5,7 @@ put fakes there.
 """
 
 import queue
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -189,8 +189,13 @@ class RunnerPort(Protocol):
     def start(self, session_id: str, operator: str) -> schemas.Session:
         """Start its engine, disarmed."""
 
-    def command(self, session_id: str, name: CommandName, operator: str) -> schemas.SessionDetail:
-        """Ask the engine; answers when it has done or refused it."""
+    def command(
+        self, session_id: str, name: CommandName, operator: str, *, may_be_done: Callable[[], None] = lambda: None
+    ) -> schemas.SessionDetail:
+        """Ask the engine; answers when it has done or refused it.
+
+        ``may_be_done`` is called, before anything waits for a database, unless the engine refused.
+        """
 
     def stop(self, session_id: str, operator: str) -> schemas.Session:
         """Hold the beam, end the engine, close the session; never refused while there is something to stop."""

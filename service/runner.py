@@ -6,9 +6,10 @@ not done when it cannot be.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from concurrent.futures import TimeoutError as FutureTimeoutError
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -29,7 +30,7 @@ from engine.commands import (
     Retrain,
     SetReference,
 )
-from engine.errors import TidegateError
+from engine.errors import CommandRefusedError, TidegateError
 from engine.live import LiveView, LoopStatus
 from engine.model import MotionModel
 from engine.provenance import check_patient
@@ -133,12 +134,14 @@ class SessionRunner:
             _await_start(running)
         return self._book.detail(session_id)
 
-    def command(self, session_id: str, name: CommandName, operator: str) -> schemas.SessionDetail:
+    def command(
+        self, session_id: str, name: CommandName, operator: str, *, may_be_done: Callable[[], None] = lambda: None
+    ) -> schemas.SessionDetail:
         """Ask the engine; answers when it has done or refused it."""
         if name == "arm":
             with self._log.refusals(actor=operator, action="session.arm", session_id=session_id):
                 refuse_without_qa(self._database, self._settings)
-        self._ask(session_id, COMMANDS[name](operator), operator, f"session.{name}")
+        self._ask(session_id, COMMANDS[name](operator), operator, f"session.{name}", may_be_done=may_be_done)
         return self._book.detail(session_id)
 
     def hold_unattended(self, session_id: str, armed_by: Identity) -> None:
@@ -371,6 +374,7 @@ class SessionRunner:
         detail: dict[str, object] | None = None,
         *,
         after: Callable[[RunningEngine], dict[str, object]] | None = None,
+        may_be_done: Callable[[], None] = lambda: None,
     ) -> None:
         """Put a command to the engine and write down who asked, before and after; ``after`` finds what came of it."""
         done = Event(actor=operator, action=action, session_id=session_id, detail=detail or {})
@@ -378,7 +382,8 @@ class SessionRunner:
             running = self._running(session_id)
             if not isinstance(command, TAKES_PERMISSION_AWAY):
                 self._log.write(replace(done, outcome="requested"))
-            self._await(running, command)
+            with _unless_refused(may_be_done):
+                self._await(running, command)
         found = {} if after is None else after(running.engine)
         self._log.write(replace(done, detail={**done.detail, **found}))
 
@@ -402,6 +407,19 @@ class SessionRunner:
         if not self._engine.is_simulated_beam:
             return {"is_simulated_beam": False, **described_source(source, self._settings)}
         return {"is_simulated_beam": True, "beam_line": "SIMULATED: no accelerator is gated by this session"}
+
+
+@contextmanager
+def _unless_refused(may_be_done: Callable[[], None]) -> Iterator[None]:
+    """Call, unless the engine refused: what was not answered in time may be done all the same."""
+    try:
+        yield
+    except CommandRefusedError:
+        raise
+    except BaseException:
+        may_be_done()
+        raise
+    may_be_done()
 
 
 def _model_detail(model_id: str | None) -> dict[str, object]:

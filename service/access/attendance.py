@@ -45,12 +45,15 @@ class Attendance:
         self._thread.join(ROUND_S * 10)
 
     def look(self) -> None:
-        """Hold where nobody answers for an armed gate any more; once, until somebody does again."""
+        """Hold where nobody answers for an armed gate any more; once, until somebody does again.
+
+        A gate that does not show armed is looked at again: an arming may not be in the newest frame yet, or come true
+        after its asker was told that it did not come in time. A hold that fails is tried again.
+        """
         answers = self._answers
-        if answers is None or self._is_here(answers[1]):
+        if answers is None or self._is_here(answers[1]) or not self._is_armed(answers[0]):
             return
-        if self._is_armed(answers[0]):
-            self._hold(*answers)
+        self._hold(*answers)
         if self._answers is answers:
             self._answers = None
 

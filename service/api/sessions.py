@@ -66,9 +66,10 @@ def arm_session(
     attendance: deps.Attending,
 ) -> schemas.SessionDetail:
     """Let the gate decide from now on; refused without a model, a reference and a fresh frame."""
-    answer = services.runner.command(session_id, "arm", caller.acts_as(request.operator))
-    attendance.answers_for(session_id, caller.identity)
-    return answer
+    operator = caller.acts_as(request.operator)
+    return services.runner.command(
+        session_id, "arm", operator, may_be_done=lambda: attendance.answers_for(session_id, caller.identity)
+    )
 
 
 @router.post("/{session_id}/disarm", name="session.disarm", responses=ACT)
@@ -112,9 +113,10 @@ def release_beam(
     attendance: deps.Attending,
 ) -> schemas.SessionDetail:
     """Let the gate decide again, after a full dwell; refused when nobody holds."""
-    answer = services.runner.command(session_id, "release", caller.acts_as(request.operator))
-    attendance.answers_for(session_id, caller.identity)
-    return answer
+    operator = caller.acts_as(request.operator)
+    return services.runner.command(
+        session_id, "release", operator, may_be_done=lambda: attendance.answers_for(session_id, caller.identity)
+    )
 
 
 @router.post("/{session_id}/presence", status_code=204, responses=ACT)

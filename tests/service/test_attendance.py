@@ -3,12 +3,17 @@
 from datetime import timedelta
 
 import pytest
+from sqlalchemy.exc import OperationalError
 
 from engine.commands import Arm, HoldBeam
+from service.access import attendance
+from service.access.attendance import Attendance
 from service.access.identity import Identity
 from service.access.people import Change
 from service.access.permissions import KEY_PERMISSIONS, Role
-from tests.service.conftest import act, audit_rows
+from service.errors import EngineTimeoutError
+from tests.service.conftest import act, audit_rows, eventually
+from tests.service.fakes import REFUSED
 
 ARMS = "A. Therapist"
 
@@ -123,10 +128,6 @@ def test_a_machine_of_the_identity_provider_counts_as_there(client):
 
 
 def test_the_look_is_every_second_and_goes_on_after_a_failure():
-    from service.access import attendance
-    from service.access.attendance import Attendance
-    from tests.service.conftest import eventually
-
     asked = []
 
     def is_here(_identity):
@@ -139,3 +140,93 @@ def test_the_look_is_every_second_and_goes_on_after_a_failure():
     looks.start()
     eventually(lambda: len(asked) >= 2)
     looks.close()
+
+
+def fail_to_write(client, monkeypatch, action):
+    """The database goes between what the engine did and the row that says so."""
+    log = client.app.state.services.runner._log
+    write = log.write
+
+    def refuse(event):
+        if (event.action, event.outcome) == (action, "done"):
+            raise OperationalError("INSERT", {}, OSError("locked"))
+        write(event)
+
+    monkeypatch.setattr(log, "write", refuse)
+
+
+def test_whoever_armed_answers_for_the_gate_though_no_row_could_say_that_they_did(
+    client, session_id, running, monkeypatch
+):
+    client.app.state.attendance.close()
+    client.headers_as("B. Physicist")
+    fail_to_write(client, monkeypatch, "session.arm")
+    assert act(client, session_id, "arm").status_code == 503
+    running.frame()
+    log_out(client)
+    look(client)
+    assert holds(running) == [HoldBeam(operator="tidegate")]
+
+
+def test_whoever_released_answers_for_the_gate_though_no_row_could_say_that_they_did(
+    client, session_id, armed, monkeypatch
+):
+    act(client, session_id, "hold")
+    fail_to_write(client, monkeypatch, "session.release")
+    assert act(client, session_id, "release", operator="B. Physicist").status_code == 503
+    log_out(client)
+    look(client)
+    assert holds(armed) == [HoldBeam(operator=ARMS)]
+
+
+def test_whoever_s_arming_was_not_answered_in_time_answers_for_a_gate_that_is_armed_all_the_same(
+    client, session_id, running
+):
+    client.app.state.attendance.close()
+    client.headers_as("B. Physicist")
+    running.is_silent = True
+    assert act(client, session_id, "arm").json()["code"] == "engine_timeout"
+    log_out(client)
+    look(client)  # the engine has not come to it
+    running.is_silent = False
+    running.submit(Arm(operator=ARMS))  # and does: it was taken a moment before it was taken back
+    running.frame()
+    look(client)
+    assert holds(running) == [HoldBeam(operator="tidegate")]
+
+
+def test_a_log_in_that_ends_before_a_frame_shows_the_gate_armed_has_it_held_then(client, session_id, running):
+    client.app.state.attendance.close()
+    client.headers_as("B. Physicist")
+    assert act(client, session_id, "arm").status_code == 200
+    log_out(client)
+    look(client)
+    running.frame()
+    look(client)
+    assert holds(running) == [HoldBeam(operator="tidegate")]
+
+
+def test_whose_arming_is_refused_does_not_answer_for_another_one_s_gate(client, session_id, armed):
+    armed.refuse_with = REFUSED
+    assert act(client, session_id, "arm", operator="B. Physicist").status_code == 409
+    armed.refuse_with = None
+    log_out(client)
+    look(client)
+    assert holds(armed) == [HoldBeam(operator="tidegate")]
+
+
+def test_a_hold_that_fails_is_tried_again_at_the_next_look():
+    tried = []
+
+    def hold(session_id, _identity):
+        tried.append(session_id)
+        if len(tried) == 1:
+            raise EngineTimeoutError("not in time")
+
+    looks = Attendance(is_here=lambda _identity: False, is_armed=lambda _id: True, hold=hold)
+    looks.answers_for("s", Identity(kind="user", name="x", permissions=frozenset()))
+    with pytest.raises(EngineTimeoutError):
+        looks.look()
+    looks.look()
+    looks.look()
+    assert tried == ["s", "s"]
