@@ -73,6 +73,8 @@ class Manifest(_Part):
     tables: list[TablePart]
     files: list[FilePart]
     left_out: list[str]
+    without_samples: list[str] = []
+    """Sessions that were started, whose samples are not in it, and were not there to be removed for good either."""
 
     @property
     def rows(self) -> int:

@@ -1,7 +1,7 @@
 """A backup is made beside a running service: one moment of the database, then the files as they are.
 
 Nobody waits for it: SQLite readers do not stand in a writer's way, and PostgreSQL's neither. What is written after that
-moment is in the next backup.
+moment is in the next backup. What was a stream then and is closed while others are copied is in it as Parquet.
 """
 
 import hashlib
@@ -43,6 +43,9 @@ from service.db.models import AuditRow
 PIECE_BYTES = 1024 * 1024
 MIB = 1024 * 1024
 OWNER_ONLY = 0o600
+STREAM, PARQUET = ".arrows", ".parquet"
+STARTED = text("SELECT id FROM sessions WHERE started_at IS NOT NULL")
+REMOVED = text("SELECT session_id FROM audit WHERE action = 'samples.removed'")
 
 
 class Progress(Protocol):
@@ -111,7 +114,9 @@ def _fill(archive: zipfile.ZipFile, source: Source, progress: Progress) -> Manif
         newest = select(AuditRow.sequence, AuditRow.hash).order_by(AuditRow.sequence.desc()).limit(1)
         head = connection.execute(newest).first()
         tables = [_write_table(archive, connection, table, progress) for table in tables_of(connection)]
-    files = [part for part in (_write_file(archive, *one, progress) for one in _files(source)) if part is not None]
+        wanted = _sessions_with_files(connection, tables)
+    files = _write_files(archive, source, progress)
+    present = {Path(file.path).stem for file in files if Path(file.path).suffix in (STREAM, PARQUET)}
     kind: Literal["sqlite", "postgresql"] = "postgresql" if source.database.is_postgresql else "sqlite"
     manifest = Manifest(
         schema=SCHEMA,
@@ -124,6 +129,7 @@ def _fill(archive: zipfile.ZipFile, source: Source, progress: Progress) -> Manif
         tables=tables,
         files=files,
         left_out=[*LEFT_OUT, *([] if source.has_raw else [RAW_FOLDER])],
+        without_samples=sorted(wanted - present),
     )
     archive.writestr(MANIFEST, manifest.model_dump_json(by_alias=True, indent=1))
     return manifest
@@ -139,6 +145,26 @@ def _write_table(archive: zipfile.ZipFile, connection: Connection, table: Table,
             if digest.rows % PIECE == 0:
                 progress.advance(PIECE)
     return digest.part(table)
+
+
+def _sessions_with_files(connection: Connection, tables: list[TablePart]) -> set[str]:
+    """Name the sessions whose samples lie in a file; in older tables they lie in one of their own."""
+    if any(table.name == "samples" for table in tables):
+        return set()
+    return set(connection.scalars(STARTED)) - set(connection.scalars(REMOVED))
+
+
+def _write_files(archive: zipfile.ZipFile, source: Source, progress: Progress) -> list[FilePart]:
+    """Copy all files, looking again until nothing is new: a session that closes meanwhile changes its file's name."""
+    tried: set[str] = set()
+    written: dict[str, FilePart] = {}
+    while new := [(name, path) for name, path in _files(source) if name not in tried]:
+        for name, path in new:
+            tried.add(name)
+            part = _write_file(archive, name, path, progress)
+            if part is not None:
+                written[name] = part
+    return list(written.values())
 
 
 def _write_file(archive: zipfile.ZipFile, name: str, path: Path, progress: Progress) -> FilePart | None:

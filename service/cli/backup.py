@@ -161,6 +161,7 @@ def _made_event(made: Made, *, is_verified: bool) -> Event:
         "revision": manifest.revision,
         "audit_rows": manifest.audit_rows,
         "audit_head": manifest.audit_head,
+        "sessions_without_samples": len(manifest.without_samples),
         "is_verified": is_verified,
     }
     return Event(actor=_who(), action="backup.made", detail=detail)
@@ -170,6 +171,8 @@ def _tell(made: Made, *, is_verified: bool) -> None:
     manifest = made.manifest
     proof = "restored and found equal" if is_verified else "not verified"
     say(f"Backed up {manifest.rows} rows and {len(manifest.files)} files: {made.size_bytes} bytes ({proof})", "green")
+    if manifest.without_samples:
+        say(f"{len(manifest.without_samples)} sessions are in it without their samples: see its manifest", "yellow")
     typer.echo(f"{made.sha256}  {made.path.name}")
 
 

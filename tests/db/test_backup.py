@@ -18,7 +18,8 @@ from service.backup.reading import opened
 from service.backup.restoring import check
 from service.backup.rows import digest_of, tables_of
 from service.db.engine import Database
-from tests.db.backups import FILES, OTHERS, Silent, backed_up, restored, rows_at, source_of, write_rows
+from tests.db.backups import FILES, OTHERS, Silent, backed_up, fill_folder, restored, rows_at, source_of, write_rows
+from tests.db.rows import add_rows, tables
 
 KINDS = ("sqlite", "postgresql")
 
@@ -141,6 +142,45 @@ def test_a_file_that_grows_while_it_is_copied_is_in_as_it_was_and_one_that_goes_
     assert "models/ab12.npz" not in {file.path for file in made.manifest.files}
     restored(out, folder / "new.db", folder / "new")
     assert (folder / "new/samples/4567.arrows").read_bytes().startswith(FILES["samples/4567.arrows"])
+
+
+class Closing(Silent):
+    """A session is closed after its stream was listed and before its turn."""
+
+    def __init__(self, folder):
+        self._stream = folder / "samples/4567.arrows"
+
+    def begin(self, what, _total):
+        if what == "models" and self._stream.exists():
+            self._stream.with_suffix(".parquet").write_bytes(b"all of it")
+            self._stream.unlink()
+
+
+def test_a_session_that_closes_while_files_are_copied_is_in_as_it_was_closed(database, folder, out, tmp_path):
+    write_rows(database)
+    fill_folder(folder)
+    made = make_backup(source_of(database, folder), out, Closing(folder))
+    names = [file.path for file in made.manifest.files]
+    assert "samples/4567.parquet" in names
+    assert len(set(names)) == len(names)
+    restored(out, tmp_path / "new.db", tmp_path / "new")
+    assert (tmp_path / "new/samples/4567.parquet").read_bytes() == b"all of it"
+
+
+@pytest.mark.both_databases
+def test_sessions_without_their_samples_are_named_unless_they_were_removed_for_good(database, folder, out):
+    with database.write() as db:
+        connection = db.connection()
+        others = tuple(table.name for table in tables(connection) if table.name not in ("calibrations", "sessions"))
+        for _ in range(4):
+            add_rows(connection, but=others)
+        ids = db.scalars(text("SELECT id FROM sessions ORDER BY id")).all()
+        db.execute(text("UPDATE sessions SET started_at = NULL WHERE id = :id"), {"id": ids[0]})
+        audit.append(db, Event(actor="me", action="samples.removed", session_id=ids[1]))
+        db.execute(text("UPDATE sessions SET id = '4567' WHERE id = :id"), {"id": ids[2]})
+    fill_folder(folder)
+    made = make_backup(source_of(database, folder), out, Silent())
+    assert made.manifest.without_samples == [ids[3]]
 
 
 def test_raw_recordings_are_in_it_where_asked_for_and_its_absence_is_said(database, folder, out, tmp_path):
