@@ -11,13 +11,14 @@ import queue
 import shutil
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
 
 from engine.errors import TidegateError
 from engine.live import GateTransition, LoopStatus
@@ -31,6 +32,7 @@ from service.audit import SYSTEM
 from service.db import repository
 from service.db.base import utc_text
 from service.db.engine import Database
+from service.db.once import OnceWriter
 from service.figures import Figures
 from service.model_store import ModelStore
 from service.ports import RunningEngine
@@ -58,6 +60,13 @@ class WriterSettings:
 
     data_dir: Path
     min_free_disk_bytes: float
+
+
+class _Told(NamedTuple):
+    """What is committed together."""
+
+    transitions: tuple[GateTransition, ...]
+    notices: tuple[LearningNotice, ...]
 
 
 class SessionWriter(threading.Thread):
@@ -90,6 +99,8 @@ class SessionWriter(threading.Thread):
         self._recorder = recorder
         self._anchor = anchor
         self._journal = journal
+        self._telling, self._keeping, self._closing = (OnceWriter(database) for _ in range(3))
+        self._told: _Told | None = None
         self._transitions: list[GateTransition] = []
         self._notices: list[LearningNotice] = []
         self._disk_checked_at_s = 0.0
@@ -176,23 +187,29 @@ class SessionWriter(threading.Thread):
 
     def _write_told(self) -> None:
         """Commit what the gate did and what the learning told, at once."""
-        if not (self._transitions or self._notices):
-            return
-        with self._database.write() as db:
-            for transition in self._transitions:
-                audit.append(db, transition_event(self._session_id, transition), self._anchor.utc(transition.at_ns))
-            for notice in self._notices:
-                audit.append(db, notice_event(self._session_id, notice))
-        self._confirm_transitions()
-        for transition in self._transitions:
-            self._tallies.transition(transition)
-        self.figures.transitions += len(self._transitions)
-        self._transitions.clear()
-        self._notices.clear()
+        while self._transitions or self._notices:
+            self._write_batch()
 
-    def _confirm_transitions(self) -> None:
+    def _write_batch(self) -> None:
+        """Commit what waits; what was tried and may be committed is tried again as it was, and nothing with it."""
+        told = self._told = self._told or _Told(tuple(self._transitions), tuple(self._notices))
+        self._telling.write(told, lambda db: self._append(db, told))
+        self._told = None
+        self._confirm(told.transitions)
+        for transition in told.transitions:
+            self._tallies.transition(transition)
+        self.figures.transitions += len(told.transitions)
+        del self._transitions[: len(told.transitions)], self._notices[: len(told.notices)]
+
+    def _append(self, db: Session, told: _Told) -> None:
+        for transition in told.transitions:
+            audit.append(db, transition_event(self._session_id, transition), self._anchor.utc(transition.at_ns))
+        for notice in told.notices:
+            audit.append(db, notice_event(self._session_id, notice))
+
+    def _confirm(self, transitions: Iterable[GateTransition]) -> None:
         """Tell the journal what is committed, so that its place may be taken again."""
-        newest = max((transition.number or 0 for transition in self._transitions), default=0)
+        newest = max((transition.number or 0 for transition in transitions), default=0)
         if self._journal is not None:
             self._journal.confirm(newest)
 
@@ -211,8 +228,11 @@ class SessionWriter(threading.Thread):
         except TidegateError as error:
             logger.warning("a model of session %s could not be kept: %s", self._session_id, error.code)
             return
-        with self._database.write() as db:
+
+        def record(db: Session) -> None:
             self.active_model_id = record_model(db, self._session_id, sha256, kept)
+
+        self._keeping.write(model, record)
         self._model = model
 
     def _check_disk(self) -> None:
@@ -248,7 +268,8 @@ class SessionWriter(threading.Thread):
         settled = self._settled
         samples = self._recorder.leave_open() if settled is None else settled.said
         evidence = self._engine.evidence()
-        with self._database.write() as db:
+
+        def end(db: Session) -> None:
             row = repository.session_row(db, self._session_id)
             row.status, row.status_detail, row.ended_at = status, detail, datetime.now(UTC)
             self.figures.transitions = repository.transition_count(db, self._session_id)
@@ -256,6 +277,8 @@ class SessionWriter(threading.Thread):
             row.summary = figures.model_dump_json()
             event = closing_event(row, figures, samples, actor=self._stopped_by or SYSTEM)
             audit.append(db, replace(event, detail={**event.detail, **evidence}))
+
+        self._closing.write(self, end)
         if self._journal is not None:
             self._journal.close()
         if settled is not None:
