@@ -23,6 +23,7 @@ logger = logging.getLogger(__name__)
 
 FOLDER, RAW_FOLDER = "replays", "raw"
 JOIN_S = 5.0
+UNFINISHED = "the tape was still being written when the session was closed: its hash is not known"
 MIB = 1024 * 1024
 
 
@@ -53,6 +54,7 @@ class SessionTape:
             self._raw = RawRecorder(path, min_free_bytes=settings.raw_min_free_mb * MIB)
         self.taping = Taping() if self._raw is None else Taping(keep_frame=self._raw.offer)
         self._writer: TapeWriter | None = None
+        self._kept: dict[str, object] | None = None
 
     def start(self, limits: GateLimits, measuring: PipelineSettings) -> None:
         """Begin to write."""
@@ -82,17 +84,22 @@ class SessionTape:
         return Frames(kind=None if self._raw is None else RAW)
 
     def finish(self) -> dict[str, object]:
-        """Wait a moment for the last line; return what the audit keeps of the tape."""
-        if self._writer is None:
-            return {}
+        """Wait a moment for the last line; return what the audit keeps of the tape, the same however often asked."""
+        if self._kept is None:
+            self._kept = {} if self._writer is None else self._finish(self._writer)
+        return self._kept
+
+    def _finish(self, writer: TapeWriter) -> dict[str, object]:
         raw_error = None if self._raw is None else self._raw.finish(JOIN_S)
-        self._writer.join(JOIN_S)
-        if self._writer.is_alive():
+        writer.join(JOIN_S)
+        if writer.is_alive():
             self.taping.tear("the tape was not written in time")
-            self._writer.join(JOIN_S)
+            writer.join(JOIN_S)
         torn = self.taping.torn or raw_error
         if torn is not None:
             logger.warning("a session's tape ends early: %s", torn)
+        if writer.is_alive():  # what it still writes would make any hash of now look like a change made later
+            return {"tape_sha256": None, "tape_torn": torn, "tape_detail": UNFINISHED}
         try:
             return {"tape_sha256": sha256_of(self._path), "tape_torn": torn}
         except OSError:

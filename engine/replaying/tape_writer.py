@@ -3,6 +3,7 @@
 import hashlib
 import queue
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ from engine.replaying.taping import Taping
 WRITE_EVERY_S = 0.1
 WRITES_A_SYNC = 10
 HASHED_AT_ONCE = 1 << 20
+HASH_WAIT_S = 3.0
+"""How long a tape's end waits for the hash of a recording: its session may have been shorter than the reading of it."""
 
 
 class TapeWriter(threading.Thread):
@@ -22,7 +25,7 @@ class TapeWriter(threading.Thread):
     Parameters
     ----------
     recording
-        The file whose frames are played; its hash is noted as soon as it is known.
+        The file whose frames are played; its hash is noted if it is known soon enough.
     """
 
     def __init__(
@@ -59,9 +62,15 @@ class TapeWriter(threading.Thread):
             writes += 1
             if writes % WRITES_A_SYNC == 0:
                 tape.sync()
-        hashing.join()
+        self._await(hashing)
         self._take(tape)
         tape.end(self._taping.torn)
+
+    def _await(self, hashing: threading.Thread) -> None:
+        """Wait for the recording's hash; not for long, and not where the tape is torn: it can do without."""
+        end_s = time.monotonic() + HASH_WAIT_S
+        while hashing.is_alive() and self._taping.torn is None and time.monotonic() < end_s:
+            hashing.join(WRITE_EVERY_S)
 
     def _take(self, tape: TapeFile) -> None:
         self._taping.await_news(WRITE_EVERY_S)
