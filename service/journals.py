@@ -6,13 +6,16 @@ finds its own. docs/adr/0012 says why memory, and when not.
 
 import fcntl
 import hashlib
+import logging
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from engine.clock import Clock, MonotonicClock
 from engine.transition_journal import JournalError, TransitionJournal
+
+logger = logging.getLogger(__name__)
 
 MEMORY = Path("/dev/shm")  # noqa: S108 - made with O_EXCL, mode 0600, and read only where the file is our own
 FOLDER = "journal"
@@ -31,20 +34,28 @@ class Journals:
         self._prefix = f"tidegate-{digest}-"
 
     @property
-    def _folders(self) -> tuple[Path, ...]:
-        """Where a new journal may be made, best first: where told and nowhere else; in memory; with the data."""
+    def folder(self) -> Path:
+        """Where a journal is made: where told and nowhere else; in memory; with the data, also for want of room."""
         if self._told is not None:
-            return (self._told,)
-        has_memory = os.access(self._memory, os.W_OK | os.X_OK)
-        return (self._memory, self._in_data) if has_memory else (self._in_data,)
+            return self._told
+        return self._memory if self._has_memory else self._in_data
+
+    @property
+    def _has_memory(self) -> bool:
+        return os.access(self._memory, os.W_OK | os.X_OK)
 
     def begin(self, session_id: str, clock: Clock | None = None) -> TransitionJournal:
         """Make a session's journal; raise JournalError where that cannot be: memory may be full, and the disk too."""
-        *better, last = self._folders
-        for folder in better:
-            with suppress(JournalError):
-                return self._made(folder, session_id, clock)
-        return self._made(last, session_id, clock)
+        if self._told is not None:
+            return self._made(self._told, session_id, clock)
+        reason = f"{self._memory} cannot be written to"
+        if self._has_memory:
+            try:
+                return self._made(self._memory, session_id, clock)
+            except JournalError as error:
+                reason = str(error)
+        logger.warning("transitions are kept in %s, where a write may wait for a disk: %s", self._in_data, reason)
+        return self._made(self._in_data, session_id, clock)
 
     def _made(self, folder: Path, session_id: str, clock: Clock | None) -> TransitionJournal:
         try:

@@ -174,7 +174,7 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFi
         hold=runner.hold_unattended,
     )
     attendance.start()
-    care.start(_start_detail(engine))
+    care.start({**_start_detail(engine), "journal_folder": str(journals.folder)})
     recover_transitions(database, journals)
     close_interrupted(database, shelf)
     close_interrupted_qa(database)

@@ -1,6 +1,9 @@
 """A session's journal: there before the session runs, confirmed by what is committed, gone when all of it is."""
 
+import logging
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -53,3 +56,44 @@ def test_a_session_whose_source_does_not_open_leaves_no_journal(client, journals
     engine.fail_with = SourceLostError("gone")
     assert act(client, session_id, "start").status_code == 503
     assert list(journals.left_behind()) == []
+
+
+def test_a_journal_that_lies_on_a_disk_for_want_of_memory_is_said_with_the_reason(tmp_path, caplog):
+    with caplog.at_level(logging.WARNING, "service.journals"):
+        journal = Journals(tmp_path / "data", None, memory=tmp_path / "no such folder").begin("s1")
+    journal.close()
+    (record,) = caplog.records
+    assert f"{tmp_path / 'data' / 'journal'}" in record.message
+    assert f"{tmp_path / 'no such folder'} cannot be written to" in record.message
+
+
+def test_a_journal_that_lies_on_a_disk_because_memory_is_full_is_said_with_the_reason(tmp_path, caplog, monkeypatch):
+    memory = tmp_path / "memory"
+    memory.mkdir()
+    allocate = os.posix_fallocate
+
+    def has_room_on_disk(file, offset, size):
+        if Path(f"/proc/self/fd/{file}").readlink().is_relative_to(memory):
+            raise OSError(28, "No space left on device")
+        allocate(file, offset, size)
+
+    monkeypatch.setattr("engine.transition_journal.os.posix_fallocate", has_room_on_disk)
+    with caplog.at_level(logging.WARNING, "service.journals"):
+        journal = Journals(tmp_path / "data", None, memory=memory).begin("s1")
+    journal.close()
+    (record,) = caplog.records
+    assert "No space left on device" in record.message
+
+
+@pytest.mark.parametrize("told", [None, "told"])
+def test_a_journal_in_memory_or_where_it_was_told_to_be_says_nothing(tmp_path, caplog, told):
+    (tmp_path / "memory").mkdir()
+    journals = Journals(tmp_path / "data", told and tmp_path / told, memory=tmp_path / "memory")
+    with caplog.at_level(logging.WARNING, "service.journals"):
+        journals.begin("s1").close()
+    assert caplog.records == []
+
+
+def test_the_start_of_the_service_tells_where_journals_are_made(client, settings):
+    (row,) = audit_rows(client, "service.start")
+    assert row["detail"]["journal_folder"] == str(Journals(settings.data_dir, settings.journal_dir).folder)
