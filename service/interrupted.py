@@ -6,16 +6,21 @@ Every step can be done again: a start that is killed in the middle leaves it to 
 import logging
 from datetime import UTC, datetime
 
+import pyarrow as pa
+
 from service import audit
 from service.audit import SYSTEM, Event
 from service.db import repository
 from service.db.engine import Database
 from service.figures import Figures
 from service.samples.shelf import SampleShelf, Settlement
+from service.samples.walk import NoSamplesError
 from service.session_events import closing_event
 
 logger = logging.getLogger(__name__)
 
+UNREADABLE = (NoSamplesError, pa.ArrowException, OSError, ValueError, KeyError, TypeError)
+"""What a file may do that a disk or somebody has damaged: no reason for a start to fail, and the next one with it."""
 INTERRUPTED = "the service ended while this session ran"
 
 
@@ -34,10 +39,9 @@ def _close(database: Database, shelf: SampleShelf, session_id: str) -> None:
     """Write a session's end down, with the figures of what it left."""
     figures = Figures()
     settled = _settled(shelf, session_id, figures) if session_id in shelf.left_streams() else None
+    said = {} if settled is None else settled.said
     if settled is None:
-        figures = Figures()  # what was counted before it failed is counted again
-        for batch in shelf.batches(session_id):
-            figures.add(batch)
+        figures, said = _counted(shelf, session_id)
     with database.write() as db:
         row = repository.session_row(db, session_id)
         row.status, row.status_detail, row.ended_at = "interrupted", INTERRUPTED, datetime.now(UTC)
@@ -46,12 +50,20 @@ def _close(database: Database, shelf: SampleShelf, session_id: str) -> None:
         row.summary = summary.model_dump_json()
         if settled is not None and not settled.is_whole:
             audit.append(db, _repaired(session_id, settled))
-        audit.append(db, closing_event(row, summary, _said(settled), actor=SYSTEM))
+        audit.append(db, closing_event(row, summary, said, actor=SYSTEM))
     _forget(shelf, session_id, settled)
 
 
-def _said(settled: Settlement | None) -> dict[str, object]:
-    return {"detail": "no stream, or one that could not be settled yet"} if settled is None else settled.said
+def _counted(shelf: SampleShelf, session_id: str) -> tuple[Figures, dict[str, object]]:
+    """Count what can be read where nothing was settled; a session whose file cannot be read is closed all the same."""
+    figures = Figures()
+    try:
+        for batch in shelf.batches(session_id):
+            figures.add(batch)
+    except UNREADABLE as error:
+        logger.error("the samples of session %s cannot be read and are left as they are: %s", session_id, error)  # noqa: TRY400 - no bug of ours
+        return Figures(), {"detail": f"the sample file cannot be read ({type(error).__name__}); it is left as it is"}
+    return figures, {"detail": "no stream, or one that could not be settled yet"}
 
 
 def _settle_late(database: Database, shelf: SampleShelf, session_id: str) -> None:
@@ -69,7 +81,7 @@ def _settle_late(database: Database, shelf: SampleShelf, session_id: str) -> Non
 def _settled(shelf: SampleShelf, session_id: str, figures: Figures) -> Settlement | None:
     try:
         settled = shelf.settle(session_id, figures.add)
-    except OSError as error:
+    except UNREADABLE as error:
         logger.warning("the samples of session %s stay in their stream: %s", session_id, error)
         return None
     if not settled.is_whole:

@@ -3,6 +3,7 @@
 import json
 import logging
 from dataclasses import dataclass
+from pathlib import Path
 
 import pyarrow as pa
 from sqlalchemy import select
@@ -53,15 +54,21 @@ def adopt(database: Database, shelf: SampleShelf) -> None:
                 continue
         path = shelf.parquet_path(session_id)
         try:
-            rows = parquet_head(path)[1]
+            detail = _detail(path)
         except (pa.ArrowException, ValueError, KeyError):
             logger.warning("%s is no sample file, and the audit does not know it", path.name)
             continue
-        detail = {
-            "rows": rows,
-            "bytes": path.stat().st_size,
-            "parquet_sha256": file_sha256(path),
-            "detail": "moved out of the database by an upgrade",
-        }
+        except OSError as error:  # the others are no worse for it, and the next start tries again
+            logger.warning("%s cannot be read, and the audit does not know it: %s", path.name, error.strerror)
+            continue
         with database.write() as db:
             audit.append(db, Event(actor=SYSTEM, action=ADOPTED, session_id=session_id, detail=detail))
+
+
+def _detail(path: Path) -> dict[str, object]:
+    return {
+        "rows": parquet_head(path)[1],
+        "bytes": path.stat().st_size,
+        "parquet_sha256": file_sha256(path),
+        "detail": "moved out of the database by an upgrade",
+    }

@@ -5,13 +5,14 @@ step of a closing can be done again: settle, write the session's end down, only 
 """
 
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow as pa
 
-from service.samples.durable import remove, sync_folder
+from service.samples.durable import put_in_place, remove, sync_folder
 from service.samples.layout import SampleHead
 from service.samples.parquet import NotReadBackError, Stored, parquet_head, read_parquet, write_parquet
 from service.samples.stream import SampleStream
@@ -175,11 +176,16 @@ class SampleShelf:
         return _pieces(StreamWalk(self.stream_path(session_id)))
 
     def _keep_aside(self, path: Path) -> str:
-        """Give the damaged file a second name, under which it stays."""
+        """Give the damaged file a second name, under which it stays; a copy where a file can have but one."""
         aside = path.with_name(f"{path.stem}{ASIDE}{STREAM}")
         if not aside.exists():
-            os.link(path, aside)
-            sync_folder(path.parent)
+            try:
+                os.link(path, aside)
+                sync_folder(path.parent)
+            except OSError:
+                partial = aside.with_name(f"{aside.name}{PARTIAL}")
+                shutil.copyfile(path, partial)
+                put_in_place(partial, aside)
         return aside.name
 
 

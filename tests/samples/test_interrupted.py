@@ -5,6 +5,8 @@ import os
 import signal
 from datetime import timedelta
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from sqlalchemy import select
 
@@ -13,7 +15,7 @@ from service.audit import AuditRow
 from service.db.engine import Database
 from service.db.models import SessionRow
 from service.interrupted import close_interrupted
-from service.samples import parquet
+from service.samples import parquet, register
 from service.samples import shelf as shelves
 from service.samples.check import check
 from service.samples.register import adopt, registered
@@ -121,6 +123,79 @@ def test_a_parquet_file_that_the_audit_does_not_know_is_written_down_once(databa
     assert detail["rows"] == 40
     with database.read() as db:
         assert check(shelf, SESSION, registered(db, SESSION), is_open=False).is_good
+
+
+def refuse(*_arguments, **_options):
+    raise PermissionError(1, "Operation not permitted")
+
+
+def spoil_head(path):
+    path.write_bytes(b"\x00" * 100)
+
+
+def test_a_damaged_file_is_kept_aside_as_a_copy_where_a_file_can_have_but_one_name(database, shelf, monkeypatch):
+    add_session(database)
+    path = write_stream(shelf.folder, is_finished=False).path
+    spoil_head(path)
+    monkeypatch.setattr(os, "link", refuse)
+    close_interrupted(database, shelf)
+    ((_, outcome, detail),) = told(database, "samples.repaired")
+    assert (outcome, detail["lost_bytes"]) == ("failed", 100)
+    assert (shelf.folder / detail["kept_aside"]).read_bytes() == b"\x00" * 100
+    assert session_of(database).status == "interrupted"
+    assert [path.name for path in shelf.folder.iterdir()] == [detail["kept_aside"]]
+
+
+def test_a_stream_that_can_be_neither_read_nor_kept_aside_lets_the_session_be_closed(database, shelf, monkeypatch):
+    add_session(database)
+    spoil_head(write_stream(shelf.folder, is_finished=False).path)
+    monkeypatch.setattr(os, "link", refuse)
+    monkeypatch.setattr(shelves.shutil, "copyfile", refuse)
+    close_interrupted(database, shelf)
+    ((_, _, detail),) = told(database, "session.close")
+    assert "cannot be read (NoSamplesError)" in detail["samples"]["detail"]
+    assert (session_of(database).status, shelf.left_streams()) == ("interrupted", [SESSION])
+
+
+@pytest.mark.parametrize("spoiled", ["its end", "a page", "its schema"])
+def test_a_session_of_which_only_a_damaged_parquet_is_left_is_closed_and_the_audit_says_why(database, shelf, spoiled):
+    add_session(database)
+    write_stream(shelf.folder)
+    shelf.settle(SESSION)
+    shelf.forget_stream(SESSION)
+    path = shelf.parquet_path(SESSION)
+    content = path.read_bytes()
+    if spoiled == "its schema":
+        pq.write_table(pa.table({"another": [1]}), path)
+    else:
+        path.write_bytes(content[:-8] + bytes(8) if spoiled == "its end" else bytes(2000) + content[2000:])
+    before = path.read_bytes()
+    close_interrupted(database, shelf)
+    ((_, outcome, detail),) = told(database, "session.close")
+    assert outcome == "failed"
+    assert "the sample file cannot be read" in detail["samples"]["detail"]
+    assert detail["summary"]["frames"] == json.loads(session_of(database).summary)["frames"] == 0
+    assert path.read_bytes() == before
+
+
+def test_a_file_that_cannot_be_read_keeps_no_other_from_being_written_down(database, shelf, monkeypatch, caplog):
+    add_session(database, status="ended", ended_at=BEGUN)
+    write_stream(shelf.folder)
+    shelf.settle(SESSION)
+    shelf.forget_stream(SESSION)
+    bad = shelf.parquet_path("0" * 32)
+    bad.write_bytes(shelf.parquet_path(SESSION).read_bytes())
+    real = register.file_sha256
+
+    def hashed(path):
+        if path == bad:
+            raise OSError(5, "Input/output error")
+        return real(path)
+
+    monkeypatch.setattr(register, "file_sha256", hashed)
+    adopt(database, shelf)
+    assert len(told(database, "samples.adopted")) == 1
+    assert f"{bad.name} cannot be read" in caplog.text
 
 
 STEPS = {
