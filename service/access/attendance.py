@@ -28,6 +28,7 @@ class Attendance:
         self._is_armed = is_armed
         self._hold = hold
         self._answers: tuple[str, Identity] | None = None
+        self._held_for: tuple[str, Identity] | None = None  # set by who looks alone: what others set is never lost
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="attendance", daemon=True)
 
@@ -51,11 +52,11 @@ class Attendance:
         after its asker was told that it did not come in time. A hold that fails is tried again.
         """
         answers = self._answers
-        if answers is None or self._is_here(answers[1]) or not self._is_armed(answers[0]):
+        if answers is None or answers is self._held_for:
             return
-        self._hold(*answers)
-        if self._answers is answers:
-            self._answers = None
+        if self._is_armed(answers[0]) and not self._is_here(answers[1]):
+            self._hold(*answers)
+            self._held_for = answers
 
     def _run(self) -> None:
         while not self._is_over.wait(ROUND_S):

@@ -230,3 +230,30 @@ def test_a_hold_that_fails_is_tried_again_at_the_next_look():
     looks.look()
     looks.look()
     assert tried == ["s", "s"]
+
+
+def test_whoever_releases_while_the_gate_is_being_held_answers_for_it():
+    held = []
+
+    def hold(_session_id, identity):
+        held.append(identity.name)
+        if identity is first:  # the hold is done, its row is not: another releases
+            looks.answers_for("s", second)
+
+    first, second = (Identity(kind="user", name=name, permissions=frozenset()) for name in "ab")
+    looks = Attendance(is_here=lambda _identity: False, is_armed=lambda _id: True, hold=hold)
+    looks.answers_for("s", first)
+    for _ in range(3):
+        looks.look()
+    assert held == ["a", "b"]
+
+
+def test_whoever_answers_again_after_a_hold_in_their_name_is_looked_for_again():
+    held = []
+    looks = Attendance(is_here=lambda _identity: False, is_armed=lambda _id: True, hold=lambda *_: held.append(1))
+    identity = Identity(kind="user", name="x", permissions=frozenset())
+    for _ in range(2):
+        looks.answers_for("s", identity)
+        looks.look()
+        looks.look()
+    assert len(held) == 2
