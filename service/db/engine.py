@@ -10,13 +10,8 @@ from sqlalchemy.orm import Session
 
 from engine.errors import TidegateError
 from service.db import migrating
-from service.db.postgres import (
-    make_postgres_engine,
-    reading_postgres_engine,
-    server_identity,
-    take_service_lock,
-    take_write_lock,
-)
+from service.db.claim import ServiceClaim
+from service.db.postgres import make_postgres_engine, reading_postgres_engine, server_identity, take_write_lock
 from service.db.sqlite import file_identity, make_sqlite_engine, writing_sqlite_engine
 
 BUSY_TIMEOUT_S = 5.0
@@ -55,7 +50,8 @@ class Database:
     ) -> None:
         self.place = place
         self._identity: tuple[object, ...] | None = None
-        self._claim: Connection | None = None
+        self._claim: ServiceClaim | None = None
+        self._is_claim_ours = False
         self._engine: Engine
         if isinstance(place, Path):
             self._engine = make_sqlite_engine(place, busy_timeout_s=busy_timeout_s)
@@ -80,7 +76,7 @@ class Database:
     def twin(self, *, busy_timeout_s: float, answer_timeout_s: float | None) -> "Database":
         """Open the same database once more, with other patience."""
         other = Database(self.place, busy_timeout_s=busy_timeout_s, answer_timeout_s=answer_timeout_s)
-        other._identity = self._identity
+        other._identity, other._claim = self._identity, self._claim
         return other
 
     @contextmanager
@@ -105,14 +101,19 @@ class Database:
         DatabaseInUseError
             A service with another data folder has it: each would end the other's session as interrupted.
         """
-        if not self.is_postgresql:
+        if isinstance(self.place, Path):
             return
-        connection = self._engine.connect()
-        if not take_service_lock(connection):
-            connection.close()
+        claim = ServiceClaim(self.place)
+        try:
+            is_taken = claim.take()
+        except BaseException:
+            claim.close()
+            raise
+        if not is_taken:
+            claim.close()
             msg = "another Tidegate service runs with this database: each needs one of its own"
             raise DatabaseInUseError(msg)
-        self._claim = connection
+        self._claim, self._is_claim_ours = claim, True
 
     def trouble(self) -> str | None:
         """Say whether this is no longer the database that was opened, in words; None where it is.
@@ -129,6 +130,8 @@ class Database:
             self._identity = found
         if found != self._identity:
             return "another database lies in the place of the one that was opened"
+        if self._claim is not None and not self._claim.take():
+            return "another Tidegate service may have the database: this one lost its lock on it"
         return None
 
     def _look(self) -> tuple[object, ...] | None:
@@ -158,7 +161,6 @@ class Database:
 
     def close(self) -> None:
         """Give all connections back; the last one to a file checkpoints the WAL."""
-        if self._claim is not None:
-            self._claim.invalidate()  # the lock ends with the connection, and is never one of the pool's
+        if self._claim is not None and self._is_claim_ours:
             self._claim.close()
         self._engine.dispose()

@@ -16,7 +16,6 @@ from sqlalchemy.pool import ConnectionPoolEntry
 ResultT = TypeVar("ResultT")
 
 WRITE_LOCK = 0x7469646567617465  # "tidegate" in ASCII; a lock of this database alone
-SERVICE_LOCK = 0x7469646573657276  # "tideserv": held for as long as a service runs with this database
 CONNECT_TIMEOUT_S = 2
 """The driver's shortest."""
 KEEPALIVE_S = 5
@@ -25,7 +24,9 @@ MS_PER_S = 1000
 IDENTITY = text(
     "SELECT (SELECT system_identifier FROM pg_control_system()), "
     "(SELECT oid::bigint FROM pg_database WHERE datname = current_database()), "
-    "to_regclass('audit')::oid::bigint, pg_is_in_recovery()"
+    "to_regclass('audit')::oid::bigint, "
+    # A standby that took over, or a server brought back to an earlier time, writes a timeline of its own.
+    "CASE WHEN pg_is_in_recovery() THEN NULL ELSE left(pg_walfile_name(pg_current_wal_lsn()), 8) END"
 )
 
 
@@ -106,14 +107,7 @@ def take_write_lock(connection: Connection) -> None:
     connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": WRITE_LOCK})
 
 
-def take_service_lock(connection: Connection) -> bool:
-    """Have the database for one service, for as long as this connection lives; False where another has it."""
-    taken = connection.scalar(text("SELECT pg_try_advisory_lock(:lock)"), {"lock": SERVICE_LOCK})
-    connection.commit()
-    return bool(taken)
-
-
 def server_identity(connection: Connection) -> tuple[object, ...] | None:
-    """Return which server, database and audit table this is; None of a standby, which takes no writing."""
-    *identity, is_standby = connection.execute(IDENTITY).one()
-    return None if is_standby else tuple(identity)
+    """Return which server, database, audit table and timeline this is; None of a standby, which takes no writing."""
+    found = tuple(connection.execute(IDENTITY).one())
+    return None if found[-1] is None else found

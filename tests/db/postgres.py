@@ -105,6 +105,15 @@ class PostgresServer:
             else:
                 return
 
+    def start_as_standby(self) -> None:
+        """Start it as one that follows another and takes no writing."""
+        (self.folder / "data" / "standby.signal").touch()
+        self.start()
+
+    def promote(self) -> None:
+        """Let a standby take over."""
+        self._create("SELECT pg_promote()")
+
     def kill(self) -> None:
         """End it, and all that serve its connections, at once."""
         self._signal_all(signal.SIGKILL)

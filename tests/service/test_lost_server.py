@@ -4,6 +4,8 @@ On a real server of these tests' own. What is written in the meantime waits, and
 """
 
 import contextlib
+import os
+import socket
 import threading
 import time
 
@@ -18,6 +20,10 @@ from service.db.engine import Database, DatabaseInUseError
 from tests.service.conftest import act, audit_rows, eventually
 
 BEHIND = HoldReason.AUDIT_BEHIND
+ADVISORY = (
+    "FROM pg_locks WHERE locktype = 'advisory' AND database = "
+    "(SELECT oid FROM pg_database WHERE datname = current_database())"
+)
 IN_TIME_S = 3.0
 """On a busy machine; an armed gate's sample or transition that waits a second holds it by itself (rule 7)."""
 
@@ -154,13 +160,7 @@ def _append(database):
 
 
 def _waiters(database):
-    with database.read() as db:
-        return db.scalar(
-            text(
-                "SELECT count(*) FROM pg_locks JOIN pg_database ON pg_database.oid = database "
-                "WHERE locktype = 'advisory' AND NOT granted AND datname = current_database()"
-            )
-        )
+    return _count(database, f"{ADVISORY} AND NOT granted")
 
 
 def test_another_database_in_its_place_is_not_the_one_that_was_opened(server, place):
@@ -206,3 +206,78 @@ def test_a_database_has_one_service_at_a_time(place):
     one.close()
     other.claim()
     other.close()
+
+
+def test_a_lock_whose_connection_ended_is_taken_again_at_the_next_look(place):
+    one, other = Database(place), Database(place)
+    one.claim()
+    writers = one.twin(busy_timeout_s=0.5, answer_timeout_s=1.0)
+    _end_who_has_it(other)
+    assert writers.trouble() is None
+    with pytest.raises(DatabaseInUseError):
+        other.claim()
+    _close(writers, one, other)
+
+
+def test_a_lock_that_another_service_took_meanwhile_is_told_for_as_long_as_it_has_it(place):
+    one, other = Database(place), Database(place)
+    one.claim()
+    writers = one.twin(busy_timeout_s=0.5, answer_timeout_s=1.0)
+    _end_who_has_it(other)
+    other.claim()
+    assert "lost its lock" in writers.trouble()
+    assert "lost its lock" in one.trouble()
+    other.close()
+    assert writers.trouble() is None
+    _close(writers, one)
+
+
+def test_a_connection_that_only_the_server_still_knows_does_not_keep_the_lock_from_us(place):
+    one, other = Database(place), Database(place)
+    one.claim()
+    number = one._claim._connection.connection.dbapi_connection.fileno()
+    way = os.dup(number)  # stays open: the server does not hear that we have gone
+    broken, end = socket.socketpair()
+    end.close()
+    os.dup2(broken.fileno(), number)
+    broken.close()
+    eventually(lambda: one.trouble() is None)
+    with pytest.raises(DatabaseInUseError):
+        other.claim()
+    os.close(way)
+    _close(one, other)
+
+
+def test_a_standby_that_takes_over_is_not_the_server_that_was_written_to(server, place):
+    database = Database(place)
+    assert database.trouble() is None
+    server.stop()
+    server.start_as_standby()
+    assert "standby" in _trouble_now(database)
+    server.promote()
+    assert "another database" in database.trouble()
+    database.close()
+
+
+def _trouble_now(database):
+    """Look once more than a connection that the restart has ended."""
+    with contextlib.suppress(SQLAlchemyError):
+        return database.trouble()
+    return database.trouble()
+
+
+def _end_who_has_it(database):
+    """End the connection behind the service's lock, and wait until the server has let the lock go."""
+    with database.read() as db:
+        db.execute(text(f"SELECT pg_terminate_backend(pid) {ADVISORY}"))
+    eventually(lambda: _count(database, ADVISORY) == 0)
+
+
+def _count(database, what):
+    with database.read() as db:
+        return db.scalar(text(f"SELECT count(*) {what}"))
+
+
+def _close(*databases):
+    for database in databases:
+        database.close()
