@@ -105,6 +105,7 @@ class SessionWriter(threading.Thread):
         self._notices: list[LearningNotice] = []
         self._disk_checked_at_s = 0.0
         self._model: MotionModel | None = None
+        self._kept: tuple[MotionModel, MotionModel] | None = None
         self._stopped_by: str | None = None
         self._is_complete = False
         self._is_hurried = False
@@ -222,7 +223,9 @@ class SessionWriter(threading.Thread):
         model = self._engine.model
         if model is None or model is self._model:
             return
-        kept = model.from_origin(replace(self._origin, created_at=utc_text(datetime.now(UTC))))
+        if self._kept is None or self._kept[0] is not model:  # another try keeps the same file
+            self._kept = (model, model.from_origin(replace(self._origin, created_at=utc_text(datetime.now(UTC)))))
+        kept = self._kept[1]
         try:
             sha256 = self._models.save(kept)
         except TidegateError as error:

@@ -57,7 +57,7 @@ def answers(running, monkeypatch):
 
 
 @pytest.mark.parametrize("is_committed", [True, False])
-def test_whatever_became_of_a_commit_it_is_written_once(client, session_id, running, answers, is_committed):
+def test_whatever_became_of_a_commit_it_is_written_once(client, session_id, running, answers, is_committed, settings):
     answers.wanted, answers.is_committed = set(WRITTEN), is_committed
     running.transition(GateState.HOLD, HoldReason.DWELL)
     eventually(lambda: len(answers.lost) == 1 and HoldReason.AUDIT_BEHIND in running.faults)
@@ -69,6 +69,7 @@ def test_whatever_became_of_a_commit_it_is_written_once(client, session_id, runn
     assert answers.lost == list(WRITTEN)
     found = [row["action"] for row in audit_rows(client)]
     assert [found.count(action) for action in WRITTEN] == [2, 1, 1, 1]  # the engine's end is a transition too
+    assert len(list((settings.data_dir / "models").iterdir())) == 1
     assert audit_rows(client, "session.close")[0]["detail"]["summary"]["transitions"] == 2
     assert 'tidegate_gate_transitions_total{reason="dwell",to_state="hold"} 1.0' in client.get("/metrics").text
     assert client.get("/api/v1/audit/verify").json()["is_intact"]
