@@ -5,13 +5,14 @@ import stat
 from contextlib import closing
 
 import pytest
+from sqlalchemy import text
 from typer.testing import CliRunner
 
 from service.cli import app
 from service.db.engine import Database
 from service.folder_lock import alone_in
 from tests.db.backups import FILES, fill_folder, rows_at, write_rows
-from tests.db.rows import add_rows
+from tests.db.rows import add_rows, tables
 
 pytestmark = pytest.mark.both_databases
 
@@ -102,6 +103,25 @@ def test_what_was_backed_up_is_restored_into_an_empty_folder_and_a_filled_one_is
     assert "1 people and 0 API keys are let in again" in done.output
     assert rows_at(tmp_path / "new" / "tidegate.db")["audit"][-1]["action"] == "backup.restored"
     assert (tmp_path / "new/models/ab12.npz").read_bytes() == FILES["models/ab12.npz"]
+
+
+def test_a_restore_counts_who_is_let_in_again_and_nobody_else(run, data, database, tmp_path, monkeypatch):
+    others = ("users", "api_keys", "calibrations")
+    with database.write() as db:
+        connection = db.connection()
+        but = tuple(table.name for table in tables(connection) if table.name not in others)
+        for _ in range(3):  # the second person is disabled, and all keys are revoked
+            add_rows(connection, but=but)
+        in_time, over = "2999-01-01T00:00:00.000000Z", "2001-01-01T00:00:00.000000Z"
+        db.execute(text("UPDATE api_keys SET expires_at = :at"), {"at": in_time})
+        db.execute(text("UPDATE api_keys SET revoked_at = NULL WHERE id NOT LIKE '1%'"))
+        db.execute(text("UPDATE api_keys SET expires_at = :at WHERE id LIKE '2%'"), {"at": over})
+    out = tmp_path / "all.backup"
+    assert run("backup", out, "--data", data, "--no-verify").exit_code == 0
+    monkeypatch.delenv("TIDEGATE_DATABASE_URL", raising=False)
+    done = run("restore", out, "--data", tmp_path / "new")
+    assert "2 people and 1 API keys are let in again" in done.output
+    assert "changed passwords are the old ones" in done.output
 
 
 def test_a_backup_that_would_leave_too_little_of_the_disk_is_not_begun(run, data, database, tmp_path, monkeypatch):
