@@ -18,8 +18,20 @@ def fail(text: str) -> None:
     raise ValueError(text)
 
 
+SERVERS = ("uvicorn", "uvicorn.error", "uvicorn.access")
+
+
 @pytest.fixture
-def written():
+def plain_servers(monkeypatch):
+    """The web server's loggers as a new process has them: a server that another test ran has given them its own."""
+    for name in SERVERS:
+        monkeypatch.setattr(logging.getLogger(name), "handlers", [])
+        monkeypatch.setattr(logging.getLogger(name), "propagate", True)
+        monkeypatch.setattr(logging.getLogger(name), "disabled", False)
+
+
+@pytest.fixture
+def written(plain_servers):
     kept = logging.root.handlers[:], logging.root.level, sys.excepthook, threading.excepthook
     install_private_log()
     stream = io.StringIO()
@@ -91,7 +103,7 @@ def test_what_nobody_catches_is_told_without_its_message(written):
 
 def test_the_web_server_has_no_log_of_its_own(written):
     make_server(FastAPI(), host="127.0.0.1", port=0)
-    for name in ("uvicorn", "uvicorn.error", "uvicorn.access"):
+    for name in SERVERS:
         found = logging.getLogger(name)
         assert found.handlers == [], name
     assert logging.getLogger("uvicorn.error").propagate

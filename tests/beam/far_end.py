@@ -45,7 +45,8 @@ class FarEnd:
             self.said.append(message)
             answer = self.receiver.accept(packet, self.clock.now_ns())
             for said in [] if answer is None else self.answers(message, answer):
-                self._socket.sendto(said, sender)
+                with contextlib.suppress(FileNotFoundError, ConnectionRefusedError):  # whoever asked has gone
+                    self._socket.sendto(said, sender)
                 self.has_answered.set()
 
 
