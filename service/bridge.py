@@ -48,6 +48,8 @@ POLL_S = 0.02
 RETRY_S = 0.2
 GIVE_UP_S = 60.0
 DISK_CHECK_S = 1.0
+ASK_S = 0.25
+"""A database that nothing is written to is asked so often whether it would take it: the beam is not on without."""
 MAX_BATCH = 512
 MOST_HURRIED_ROWS = 9000
 """Five minutes are made Parquet within a second; an hour would outlast the time that a process is given to end."""
@@ -104,6 +106,7 @@ class SessionWriter(threading.Thread):
         self._transitions: list[GateTransition] = []
         self._notices: list[LearningNotice] = []
         self._disk_checked_at_s = 0.0
+        self._taken_at_s = time.monotonic()
         self._model: MotionModel | None = None
         self._kept: tuple[MotionModel, MotionModel] | None = None
         self._stopped_by: str | None = None
@@ -187,15 +190,20 @@ class SessionWriter(threading.Thread):
             time.sleep(RETRY_S)
 
     def _write_told(self) -> None:
-        """Commit what the gate did and what the learning told, at once."""
+        """Commit what the gate did and what the learning told, at once; ask a database that has long had nothing."""
         while self._transitions or self._notices:
             self._write_batch()
+        if time.monotonic() - self._taken_at_s >= ASK_S:
+            with self._database.write() as db:
+                db.connection()  # begins, which takes the lock that a row would take
+            self._taken_at_s = time.monotonic()
 
     def _write_batch(self) -> None:
         """Commit what waits; what was tried and may be committed is tried again as it was, and nothing with it."""
         told = self._told = self._told or _Told(tuple(self._transitions), tuple(self._notices))
         self._telling.write(told, lambda db: self._append(db, told))
         self._told = None
+        self._taken_at_s = time.monotonic()
         self._confirm(told.transitions)
         for transition in told.transitions:
             self._tallies.transition(transition)

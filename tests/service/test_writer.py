@@ -50,6 +50,13 @@ def test_a_locked_database_faults_the_gate_and_loses_nothing(client, session_id,
     assert len(audit_rows(client, "gate.transition")) == 1
 
 
+def test_a_locked_database_faults_the_gate_though_there_is_nothing_to_write(running, locker):
+    """Samples have a file of their own: a beam that is simply on writes no row for as long as a breath is held."""
+    locker.execute("BEGIN IMMEDIATE")
+    eventually(lambda: HoldReason.AUDIT_BEHIND in running.faults)
+    locker.execute("ROLLBACK")
+
+
 def test_while_the_database_is_locked_the_queues_fill_so_that_the_gate_holds_by_itself(running, locker):
     locker.execute("BEGIN IMMEDIATE")
     running.transition(GateState.HOLD, HoldReason.DWELL)
