@@ -57,22 +57,7 @@ def _run(settings: Settings, console: Console) -> None:
     install_private_log()
     # The engine thread gets the interpreter back from an API thread within this time, not within the default 5 ms.
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    if settings.behind_proxy and not settings.trusted_proxies:
-        console.print(
-            "TIDEGATE_BEHIND_PROXY: nobody on the way to this port may read it but the proxy; name its address in "
-            "TIDEGATE_TRUSTED_PROXIES, or all log-ins count as coming from one place.",
-            style="yellow",
-            soft_wrap=True,
-            markup=False,
-        )
-    if settings.recordings_may_gate and settings.has_real_beam:
-        console.print(
-            f"TIDEGATE_RECORDINGS_MAY_GATE: a played recording may turn on a REAL beam line "
-            f"({' and '.join(settings.beam_lines)}). Nobody may be in that beam.",
-            style="bold red",
-            soft_wrap=True,
-            markup=False,
-        )
+    _warn(settings, console)
     _take_all_connections()
     app = create_app(settings, tell_first=lambda name, password: _tell_first(console, name, password))
     try:
@@ -92,6 +77,26 @@ def _run(settings: Settings, console: Console) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _already_obeyed)
     server.run()
+
+
+def _warn(settings: Settings, console: Console) -> None:
+    """Say aloud what a site has set that somebody has to answer for."""
+    if settings.behind_proxy and not settings.trusted_proxies:
+        console.print(
+            "TIDEGATE_BEHIND_PROXY: nobody on the way to this port may read it but the proxy; name its address in "
+            "TIDEGATE_TRUSTED_PROXIES, or all log-ins count as coming from one place.",
+            style="yellow",
+            soft_wrap=True,
+            markup=False,
+        )
+    if settings.recordings_may_gate and settings.has_real_beam:
+        console.print(
+            f"TIDEGATE_RECORDINGS_MAY_GATE: a played recording may turn on a REAL beam line "
+            f"({' and '.join(settings.beam_lines)}). Nobody may be in that beam.",
+            style="bold red",
+            soft_wrap=True,
+            markup=False,
+        )
 
 
 def _tell_first(console: Console, name: str, password: str) -> None:
