@@ -18,9 +18,7 @@ MIB = 1024 * 1024
 class ReadinessProbe:
     """Looks at the database, the disk, the folders and the audit."""
 
-    def __init__(
-        self, database: Database, settings: Settings, audit_troubles: Callable[[], list[str]] = list
-    ) -> None:
+    def __init__(self, database: Database, settings: Settings, audit_troubles: Callable[[], list[str]] = list) -> None:
         self._database = database
         self._settings = settings
         self._audit_troubles = audit_troubles
