@@ -22,6 +22,12 @@ URL = "/api/v1/sessions"
 SAID = {"calibration": "device registration", "calibration_warning": WARNING}
 
 
+@pytest.fixture(autouse=True)
+def _in_a_folder_of_its_own(tmp_path, monkeypatch):
+    """An engine puts what it keeps into the data folder, which by default lies where one is."""
+    monkeypatch.chdir(tmp_path)
+
+
 @pytest.fixture
 def device_body(session_body):
     body = {name: value for name, value in session_body.items() if name != "calibration_id"}
