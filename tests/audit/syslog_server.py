@@ -34,8 +34,7 @@ class SyslogDaemon:
     """A daemon that can be stopped, killed and started again at the same place."""
 
     def __init__(self, folder: Path, *, ca_file: Path, pair: Pair) -> None:
-        if not Path(DAEMON).exists():
-            pytest.skip("rsyslog is not installed: make test-system")
+        assert Path(DAEMON).exists(), "rsyslog is not installed: make test-system"
         self.port = free_port()
         self.out = folder / "received.log"
         self._config, self._pid_file = folder / "rsyslog.conf", folder / "rsyslog.pid"
