@@ -1,7 +1,7 @@
 """Errors of the service, and the one table that turns errors into HTTP (RFC 9457 problems)."""
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
@@ -16,6 +16,8 @@ from service import schemas
 PROBLEM_TYPE = "urn:tidegate:problem:"
 MEDIA_TYPE = "application/problem+json"
 SHOWN_CHARACTERS = 80
+MOST_ERRORS = 20
+"""Most fields that one problem names; a body may be wrong in any number of places."""
 SOURCE_TAGS = {"recording", "device"}
 """What pydantic puts into the path of a source's field: the kind, which is no field."""
 
@@ -87,6 +89,28 @@ class IdempotencyError(ServiceError):
     """The Idempotency-Key was used before, with another body."""
 
     code = "idempotency_key_reused"
+
+
+class IdempotencyInProgressError(ServiceError):
+    """The first request with this Idempotency-Key is still being worked on."""
+
+    code = "idempotency_in_progress"
+
+    def __init__(self, message: str, *, field: str | None = None, bound: str | None = None) -> None:
+        super().__init__(message, field=field, bound=bound)
+        self.headers = {"Retry-After": "1"}
+
+
+class PreconditionFailedError(ServiceError):
+    """It was changed since: ``If-Match`` names another state than the present one."""
+
+    code = "precondition_failed"
+
+
+class NotAcceptableError(ServiceError):
+    """The answer has none of the media types that ``Accept`` asks for."""
+
+    code = "not_acceptable"
 
 
 class StartError(ServiceError):
@@ -256,6 +280,9 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     QaStateError: (409, "The QA run is not in a state for that"),
     QaOverdueError: (409, "The daily QA is due"),
     IdempotencyError: (409, "The Idempotency-Key was used for another request"),
+    IdempotencyInProgressError: (409, "The first request with this Idempotency-Key goes on"),
+    PreconditionFailedError: (412, "It was changed since"),
+    NotAcceptableError: (406, "No such media type"),
     StartError: (422, "The session's source cannot be used"),
     EngineTimeoutError: (503, "The engine did not answer in time"),
     PictureMissingError: (404, "There is no picture yet"),
@@ -286,6 +313,8 @@ HTTP_CODES = {
     403: "permission_missing",
     404: "not_found",
     405: "method_not_allowed",
+    406: "not_acceptable",
+    412: "precondition_failed",
     413: "body_too_large",
     415: "media_type",
     421: "host_refused",
@@ -335,20 +364,32 @@ def _http_problem(error: HTTPException) -> schemas.Problem:
 
 
 def _validation_problem(error: RequestValidationError) -> schemas.Problem:
-    first = error.errors()[0]
-    context = first.get("ctx", {})
-    place, *rest = first["loc"]
-    parts = [str(part) for part in rest if place != "body" or part not in SOURCE_TAGS]
-    if first["type"] == "json_invalid":
+    """Name every field that is wrong, up to a bound; the first as `field`, `value` and `bound`, too."""
+    broken = [_broken(one) for one in error.errors()[:MOST_ERRORS]]
+    first = broken[0]
+    problem = _problem(
+        422,
+        "invalid_value",
+        "A value is out of its bound",
+        f"{first.field}: {first.bound}",
+        field=first.field,
+        value=first.value,
+        bound=first.bound,
+    )
+    return problem.model_copy(update={"errors": broken})
+
+
+def _broken(error: Mapping[str, Any]) -> schemas.BrokenBound:
+    context = error.get("ctx", {})
+    place, *rest = error["loc"]
+    parts = [str(part)[:SHOWN_CHARACTERS] for part in rest if place != "body" or part not in SOURCE_TAGS]
+    if error["type"] == "json_invalid":
         parts = ["body"]
-    if first["type"] == "inconsistent":
+    if error["type"] == "inconsistent":
         field, value, bound = [*parts, str(context["field"])], str(context["value"]), str(context["bound"])
     else:
-        field, value, bound = parts, _offered(first), _bound(str(first["msg"]))
-    name = ".".join(field) or "body"
-    return _problem(
-        422, "invalid_value", "A value is out of its bound", f"{name}: {bound}", field=name, value=value, bound=bound
-    )
+        field, value, bound = parts, _offered(error), _bound(str(error["msg"]))
+    return schemas.BrokenBound(field=".".join(field) or "body", value=value, bound=bound)
 
 
 def _offered(error: Mapping[str, object]) -> str:

@@ -45,7 +45,7 @@ def _answer_refused(request: Request, error: Exception) -> JSONResponse:
     problem = problem_of(error)
     action = getattr(request.scope.get("route"), "name", None)
     if action in SECRET_ACTIONS:
-        problem = problem.model_copy(update={"value": None})  # it may be a password
+        problem = problem.model_copy(update={"value": None, "errors": None})  # it may be a password
     identity = identity_in(request.scope)
     if identity is not None and request.method in {"POST", "PUT", "PATCH"} and action is not None and "." in action:
         services(request).audit.refused(

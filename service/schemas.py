@@ -168,6 +168,14 @@ class SurfaceMesh(Answer):
     )
 
 
+class BrokenBound(Answer):
+    """One value of a request that is out of its bound."""
+
+    field: str = Field(examples=["window.lower_mm"])
+    value: str = Field(examples=["-400.0"])
+    bound: str = Field(examples=["at least -100"])
+
+
 class Problem(Answer):
     """RFC 9457, with a stable code, and the field, the value and the bound where one was broken."""
 
@@ -179,6 +187,9 @@ class Problem(Answer):
     field: str | None = Field(default=None, examples=["window.lower_mm"])
     value: str | None = Field(default=None, examples=["-400.0"])
     bound: str | None = Field(default=None, examples=["at least -100"])
+    errors: list[BrokenBound] | None = Field(
+        default=None, description="Every value that is out of its bound, the one above first; at most 20"
+    )
 
 
 class GateView(Answer):
