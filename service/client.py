@@ -1,0 +1,1739 @@
+"""Tidegate over HTTP, for planning and record-and-verify systems: this one file, the standard library, Python 3.11+.
+
+Copy it next to your program, or import it from the distribution; it needs nothing of the server::
+
+    with TidegateClient("https://gating.example", key=KEY, ca_file="site-ca.pem", operator="A. Therapist") as tidegate:
+        for session in tidegate.sessions():
+            print(session["id"], session["status"])
+
+What it promises: TLS is verified, answers are bounded, and a call is repeated only where that is safe. Reading is; so
+is creating (every such call carries an ``Idempotency-Key``), and whatever takes the beam away. Nothing that could lead
+to a beam (start, reference, arm, release, acknowledge, correct) is ever sent twice: where its answer was lost, read
+the session. No call turns a beam on; arming lets the gate decide.
+
+It stands in one file, whatever its length, so that it can be taken along. The part between the marks is made from the
+contract by ``python -m tests.client.answers --write``.
+"""
+
+import contextlib
+import hashlib
+import http.client
+import ipaddress
+import json
+import os
+import re
+import ssl
+import tempfile
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from http.cookies import CookieError, SimpleCookie
+from pathlib import Path
+from typing import Any, Final, Literal, NotRequired, Self, TypedDict, TypeVar, cast
+from urllib.parse import quote, urlencode, urlsplit
+
+VERSION: Final = "1"
+MIB: Final = 1024 * 1024
+MAX_ANSWER_BYTES: Final = 16 * MIB
+MAX_EXPORT_BYTES: Final = 16 * 1024 * MIB
+MAX_EVENT_BYTES: Final = MIB
+CHUNK_BYTES: Final = 64 * 1024
+LONGEST_WAIT_S: Final = 30.0
+"""Whoever is told to come back later than this is told so, instead of waiting."""
+
+HOLD_TIMEOUT_S: Final = 2.0
+"""A hold that nobody answers is asked for again sooner than anything else."""
+
+FIRST_WAIT_S: Final = 0.2
+KEPT_FOR_S: Final = 2.0
+"""How long an unused connection is kept: less than servers and proxies keep theirs."""
+
+PASSING: Final = frozenset({429, 502, 503, 504})
+JSON_TYPE: Final = "application/json"
+_VISIBLE: Final = re.compile(r"[\x21-\x7e]+")
+
+# <made: answers>
+
+
+class AuditEntry(TypedDict):
+    """One row of the append-only log."""
+
+    action: str
+    actor: str
+    at: str
+    detail: dict[str, object]
+    hash: str
+    outcome: Literal["done", "requested", "refused", "failed"]
+    previous_hash: str
+    sequence: int
+    session_id: str | None
+
+
+class AuditPage(TypedDict):
+    """Newest first."""
+
+    items: list[AuditEntry]
+    next_cursor: str | None
+
+
+Breakage = Literal["changed", "missing", "inserted", "reordered", "resealed", "cut_off", "replaced", "anchors"]
+
+
+class AuditVerification(TypedDict):
+    """Whether the chain of hashes holds; names the first broken row, and what was done to it, when it does not."""
+
+    breakage: Breakage | None
+    checked_to: int
+    detail: str
+    first_broken_sequence: int | None
+    head_hash: str
+    is_complete: bool
+    is_intact: bool
+    notes: list[str]
+    rows: int
+
+
+class BaselineCorrectionRequest(TypedDict):
+    """A person confirms that the window follows the drift that they saw; in l for a window on the volume."""
+
+    by_l: NotRequired[float | None]
+    by_mm: NotRequired[float | None]
+    drift_l: NotRequired[float | None]
+    drift_mm: NotRequired[float | None]
+    operator: NotRequired[str]
+
+
+class CalibrationDetail(TypedDict):
+    """A calibration with its canonical document."""
+
+    camera: str
+    created_at: str
+    document: dict[str, object]
+    id: str
+    sha256: str
+    uploaded_by: str
+
+
+class Calibration(TypedDict):
+    """A stored camera calibration; the same content has the same id."""
+
+    camera: str
+    created_at: str
+    id: str
+    sha256: str
+    uploaded_by: str
+
+
+class CalibrationPage(TypedDict):
+    """Newest first."""
+
+    items: list[Calibration]
+    next_cursor: str | None
+
+
+class Device(TypedDict):
+    """A camera the OpenNI2 runtime sees."""
+
+    name: str
+    uri: str
+
+
+class DeviceList(TypedDict):
+    """Cameras, and why there are none when the runtime is missing."""
+
+    detail: str
+    is_runtime_available: bool
+    items: list[Device]
+
+
+class Hello(TypedDict):
+    """First message of every connection."""
+
+    calibration: NotRequired[Literal["uploaded", "device registration"] | None]
+    calibration_warning: NotRequired[str | None]
+    schema: NotRequired[Literal["tidegate.live/1"]]
+    type: NotRequired[Literal["hello"]]
+    version: str
+
+
+class Idle(TypedDict):
+    """Twice a second while no session runs."""
+
+    sent_at: str
+    type: NotRequired[Literal["idle"]]
+
+
+class InterlockSetting(TypedDict):
+    """One of the site's settings that bounds an interlock."""
+
+    high: float | None
+    low: float | None
+    name: str
+    value: float | bool | list[str]
+    variable: str
+
+
+class Interlock(TypedDict):
+    """One reason to hold the beam."""
+
+    code: str
+    latches: bool
+    settings: list[InterlockSetting]
+    source: str
+    text: str
+    trips: str
+
+
+class InterlockList(TypedDict):
+    """Every reason there is."""
+
+    items: list[Interlock]
+
+
+class LoginRequest(TypedDict):
+    """A name and a password."""
+
+    name: str
+    password: str
+    reason: NotRequired[str | None]
+
+
+Permission = Literal[
+    "sessions.read",
+    "sessions.run",
+    "gate.arm",
+    "gate.hold",
+    "gate.acknowledge",
+    "models.write",
+    "calibrations.read",
+    "calibrations.write",
+    "qa.read",
+    "qa.run",
+    "qa.baseline",
+    "audit.read",
+    "users.manage",
+    "metrics.read",
+]
+
+Role = Literal["viewer", "therapist", "physicist", "admin"]
+
+
+class Me(TypedDict):
+    """Who is logged in, and what they may do."""
+
+    expires_at: NotRequired[str | None]
+    idle_minutes: NotRequired[float | None]
+    is_break_glass: NotRequired[bool]
+    kind: Literal["user", "key", "oidc", "machine"]
+    must_change_password: bool
+    name: str
+    permissions: list[Permission]
+    roles: list[Role]
+    way: NotRequired[Literal["password", "oidc"] | None]
+
+
+class ModelQuality(TypedDict):
+    """What a model's training frames were worth."""
+
+    amplitude_mm: float
+    explained_share: float
+    noise_mm: float
+    outlier_share: float
+    residual_mm: float
+    shift_mm: float
+    tilt_deg: float
+
+
+class Model(TypedDict):
+    """A learned motion model of a session."""
+
+    calibration_id: str
+    components: int
+    created_at: str
+    cycles: NotRequired[int | None]
+    id: str
+    is_active: bool
+    number: int
+    patient_reference: str
+    quality: NotRequired[ModelQuality | None]
+    session_id: str
+    settings: NotRequired[dict[str, float]]
+    sha256: str
+    software: NotRequired[str | None]
+    source: NotRequired[str | None]
+    training_frames: NotRequired[int | None]
+
+
+class ModelPage(TypedDict):
+    """Newest first."""
+
+    items: list[Model]
+    next_cursor: str | None
+
+
+class OperatorRequest(TypedDict):
+    """Who asks."""
+
+    operator: NotRequired[str]
+
+
+class PasswordRequest(TypedDict):
+    """The old password and the new."""
+
+    new_password: str
+    old_password: str
+
+
+class QaCheck(TypedDict):
+    """One thing that is checked, with this site's bounds."""
+
+    code: str
+    expected: float | None
+    fail: float
+    fail_setting: str
+    has_baseline: bool
+    kinds: list[Literal["daily", "monthly", "annual"]]
+    method: str
+    most: float
+    needs: Literal["plate", "phantom", "beam"]
+    sidedness: Literal["absolute", "at_most"]
+    source: str
+    title: str
+    unit: str
+    warn: float
+    warn_setting: str
+
+
+class QaCheckList(TypedDict):
+    """Every check there is."""
+
+    items: list[QaCheck]
+
+
+class QaProgress(TypedDict):
+    """How far a run has come."""
+
+    done: int
+    stage: str
+    total: int | None
+
+
+class QaResult(TypedDict):
+    """One check of a run, judged; `value` is null where it could not be measured, which is a fail."""
+
+    code: str
+    detail: str
+    deviation: float | None
+    expected: float | None
+    fail: float
+    sidedness: Literal["absolute", "at_most"]
+    title: str
+    uncertainty: float | None
+    unit: str
+    value: float | None
+    verdict: Literal["pass", "warn", "fail"]
+    warn: float
+
+
+class QaCurve(TypedDict):
+    """Points of a plot."""
+
+    name: str
+    x: list[float]
+    y: list[float]
+
+
+class QaSeries(TypedDict):
+    """What a plot of a report shows."""
+
+    code: str
+    curves: list[QaCurve]
+    title: str
+    x_label: str
+    y_label: str
+
+
+class QaRunDetail(TypedDict):
+    """A QA run with every check and what its plots show."""
+
+    baseline_number: int | None
+    calibration_sha256: str | None
+    created_at: str
+    ended_at: str | None
+    id: str
+    is_simulated: bool
+    is_simulated_beam: bool
+    kind: Literal["daily", "monthly", "annual"]
+    machine: str
+    note: str
+    operator: str
+    progress: NotRequired[QaProgress | None]
+    results: list[QaResult]
+    series: list[QaSeries]
+    sha256: str | None
+    site: str
+    software: str
+    status: Literal["running", "finished", "cancelled", "failed", "interrupted"]
+    status_detail: str
+    verdict: Literal["pass", "warn", "fail"] | None
+
+
+class QaRun(TypedDict):
+    """A QA run, as it stands."""
+
+    created_at: str
+    ended_at: str | None
+    id: str
+    is_simulated: bool
+    is_simulated_beam: bool
+    kind: Literal["daily", "monthly", "annual"]
+    machine: str
+    operator: str
+    progress: NotRequired[QaProgress | None]
+    site: str
+    software: str
+    status: Literal["running", "finished", "cancelled", "failed", "interrupted"]
+    status_detail: str
+    verdict: Literal["pass", "warn", "fail"] | None
+
+
+class QaRunPage(TypedDict):
+    """A page of runs, newest first."""
+
+    items: list[QaRun]
+    next_cursor: str | None
+
+
+class QaStatus(TypedDict):
+    """The newest run of each kind that counts, and whether the site's QA lets anybody arm."""
+
+    is_arming_allowed: bool
+    newest: dict[str, QaRun | None]
+    refusal: str | None
+    required_daily_h: float
+
+
+class QaTrendPoint(TypedDict):
+    """One check of one finished run."""
+
+    at: str
+    deviation: float | None
+    expected: float | None
+    fail: float
+    kind: Literal["daily", "monthly", "annual"]
+    run_id: str
+    value: float | None
+    verdict: Literal["pass", "warn", "fail"]
+    warn: float
+
+
+class QaTrend(TypedDict):
+    """A check over the newest runs, oldest first; simulated runs are left out."""
+
+    check: str
+    items: list[QaTrendPoint]
+    sidedness: Literal["absolute", "at_most"]
+    title: str
+    unit: str
+
+
+ReadinessCode = Literal[
+    "audit_trouble",
+    "camera_runtime_missing",
+    "certificate_ended",
+    "certificate_ends_soon",
+    "certificate_unreadable",
+    "clock_behind",
+    "database_unwritable",
+    "disk_low",
+    "engine_missing",
+    "not_known",
+    "qa_overdue",
+    "recordings_missing",
+    "service_stopping",
+    "thread_ended",
+]
+
+
+class ReadinessReason(TypedDict):
+    """One thing that is missing, or will be."""
+
+    code: ReadinessCode
+    detail: str
+
+
+class Readiness(TypedDict):
+    """Whether a session could run, and what is missing."""
+
+    checked_at: str
+    is_ready: bool
+    not_ready: list[str]
+    reasons: list[ReadinessReason]
+    warnings: list[ReadinessReason]
+
+
+class RetrainRequest(TypedDict):
+    """Who asks for a new model, and whether its zero is the present one's."""
+
+    keeps_reference: NotRequired[bool]
+    operator: NotRequired[str]
+
+
+class LiveBreathEvent(TypedDict):
+    """Something in the breathing that is no quiet breath, and is under way."""
+
+    confidence: float
+    detail: str
+    kind: Literal["cough", "sigh", "apnoea", "talking", "irregular", "drift"]
+    since_s: float
+
+
+class LiveBreath(TypedDict):
+    """Where the first gated signal stands in the breath; what cannot be told is null."""
+
+    amplitude: float | None
+    baseline: float | None
+    drift: float | None
+    drift_per_s: float | None
+    events: list[LiveBreathEvent]
+    note: str
+    phase_confidence: float
+    phase_percent: float | None
+    rate_confidence: float
+    rate_per_min: float | None
+    regularity: float | None
+    signal: str
+    unit: Literal["mm", "l"]
+
+
+class LiveBreathHold(TypedDict):
+    """Where the breath hold of the window stands."""
+
+    count: int
+    hold: Literal["inspiration", "expiration"]
+    seconds: float | None
+    settle_s: float
+    stage: Literal["awaited", "settling", "held", "drifted", "over"]
+    timeout_s: float
+
+
+class LiveLag(TypedDict):
+    """How much later the first region moves than the second; a note says why it cannot be told."""
+
+    confidence: float | None
+    first: str
+    lag_deg: float | None
+    lag_s: float | None
+    note: str
+    period_s: float | None
+    second: str
+
+
+class LiveLatency(TypedDict):
+    """From the camera taking the frame to the beam line told [ms]."""
+
+    last: float | None
+    max: NotRequired[float | None]
+    p50: float | None
+    p99: float | None
+    warned: NotRequired[bool]
+
+
+class LiveLost(TypedDict):
+    """Why this frame could not be measured."""
+
+    detail: str
+    reason: str
+
+
+class LiveTraining(TypedDict):
+    """How far the learning has come; share runs from 0 to 1."""
+
+    amplitude_mm: NotRequired[float | None]
+    cycles: int
+    frames: int
+    note: str
+    seconds: float
+    share: float
+    shift_mm: NotRequired[float | None]
+
+
+class LiveCondition(TypedDict):
+    """One condition of the window, as the gate judges by it; what its kind does not have is null."""
+
+    column: int | None
+    from_percent: NotRequired[float | None]
+    hold: NotRequired[Literal["inspiration", "expiration"] | None]
+    hysteresis: NotRequired[float | None]
+    is_inside: bool
+    kind: Literal["amplitude", "breath_hold", "phase"]
+    label: str
+    lower: NotRequired[float | None]
+    max_drift: NotRequired[float | None]
+    min_confidence: NotRequired[float | None]
+    name: str | None
+    row: int | None
+    settle_ms: NotRequired[float | None]
+    signal: Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]
+    stage: NotRequired[Literal["awaited", "settling", "held", "drifted", "over"] | None]
+    still: NotRequired[float | None]
+    timeout_s: NotRequired[float | None]
+    to_percent: NotRequired[float | None]
+    unit: NotRequired[Literal["mm", "l", "percent"] | None]
+    upper: NotRequired[float | None]
+
+
+class LiveWindow(TypedDict):
+    """The gating window; the edges beside the list are the first condition's, null where it has none in mm."""
+
+    column: int | None
+    conditions: NotRequired[list[LiveCondition]]
+    hysteresis_mm: float | None
+    join: NotRequired[Literal["and", "or"]]
+    lower_mm: float | None
+    row: int | None
+    signal: Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]
+    upper_mm: float | None
+
+
+class Sample(TypedDict):
+    """The newest frame, as measured and decided."""
+
+    abdomen_mm: float | None
+    age_ms: float
+    breath: NotRequired[LiveBreath | None]
+    breath_hold: NotRequired[LiveBreathHold | None]
+    calibration: NotRequired[Literal["uploaded", "device registration"]]
+    fps: float | None
+    frame_index: int
+    frames: int
+    gate: Literal["disarmed", "hold", "dwell", "beam_on", "fault"]
+    hold_detail: NotRequired[str]
+    hold_reason: str | None
+    hold_text: str | None
+    is_armed: bool
+    is_simulated_beam: bool
+    lags: list[LiveLag] | None
+    latency_ms: LiveLatency
+    line_on: bool
+    lost: LiveLost | None
+    missed_frames: int
+    named_mm: dict[str, float | None] | None
+    operator_hold: NotRequired[str | None]
+    regions_mm: list[list[float | None]] | None
+    residual_mm: float | None
+    roi_px: list[list[float]] | None
+    sent_at: str
+    sequence: int
+    session_id: str
+    session_status: Literal["running", "ended", "stopped", "failed"]
+    signal_mm: float | None
+    split_rows: list[float] | None
+    state: Literal["training", "measuring", "lost"]
+    thorax_mm: float | None
+    timestamp_us: int
+    training: LiveTraining | None
+    type: NotRequired[Literal["sample"]]
+    valid_share: float | None
+    volume_l: float | None
+    whole_mm: float | None
+    window: LiveWindow
+
+
+class Region(TypedDict):
+    """A simple polygon on the region's grid of 350 rows by 200 columns, reported under its name."""
+
+    name: str
+    vertices: list[list[float]]
+
+
+class SplitLine(TypedDict):
+    """The line between thorax and abdomen: the rows where it crosses the patient's right and left edge of the grid."""
+
+    left_row: float
+    right_row: float
+
+
+class Regions(TypedDict):
+    """What motion is reported of, besides the whole and the cells of the grid."""
+
+    extra_markers: NotRequired[bool]
+    named: NotRequired[list[Region]]
+    split: NotRequired[SplitLine | None]
+
+
+class RecordingSource(TypedDict):
+    """A recording inside one of the folders that the site allows."""
+
+    kind: Literal["recording"]
+    path: str
+    player: NotRequired[Literal["openni", "reader", "auto"]]
+
+
+class DeviceSource(TypedDict):
+    """A live camera through the OpenNI2 runtime."""
+
+    kind: Literal["device"]
+    uri: NotRequired[str | None]
+
+
+class Condition(TypedDict):
+    """One thing the breath has to meet."""
+
+    column: NotRequired[int | None]
+    from_percent: NotRequired[float | None]
+    hold: NotRequired[Literal["inspiration", "expiration"] | None]
+    hysteresis_l: NotRequired[float | None]
+    hysteresis_mm: NotRequired[float | None]
+    hysteresis_percent: NotRequired[float | None]
+    kind: NotRequired[Literal["amplitude", "breath_hold", "phase"]]
+    lower_l: NotRequired[float | None]
+    lower_mm: NotRequired[float | None]
+    lower_percent: NotRequired[float | None]
+    max_drift_l: NotRequired[float | None]
+    max_drift_mm: NotRequired[float | None]
+    min_confidence: NotRequired[float | None]
+    name: NotRequired[str | None]
+    row: NotRequired[int | None]
+    settle_ms: NotRequired[float | None]
+    signal: NotRequired[Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]]
+    still_l: NotRequired[float | None]
+    still_mm: NotRequired[float | None]
+    timeout_s: NotRequired[float | None]
+    to_percent: NotRequired[float | None]
+    upper_l: NotRequired[float | None]
+    upper_mm: NotRequired[float | None]
+    upper_percent: NotRequired[float | None]
+
+
+class Window(TypedDict):
+    """The gating window; the beam may be on only while the patient stays inside it."""
+
+    column: NotRequired[int | None]
+    dwell_ms: NotRequired[float]
+    from_percent: NotRequired[float | None]
+    further: NotRequired[list[Condition]]
+    hold: NotRequired[Literal["inspiration", "expiration"] | None]
+    hysteresis_l: NotRequired[float | None]
+    hysteresis_mm: NotRequired[float | None]
+    hysteresis_percent: NotRequired[float | None]
+    join: NotRequired[Literal["and", "or"]]
+    kind: NotRequired[Literal["amplitude", "breath_hold", "phase"]]
+    lower_l: NotRequired[float | None]
+    lower_mm: NotRequired[float | None]
+    lower_percent: NotRequired[float | None]
+    max_cycles_per_min: NotRequired[int | None]
+    max_drift_l: NotRequired[float | None]
+    max_drift_mm: NotRequired[float | None]
+    min_confidence: NotRequired[float | None]
+    min_off_ms: NotRequired[float | None]
+    min_on_ms: NotRequired[float | None]
+    name: NotRequired[str | None]
+    row: NotRequired[int | None]
+    settle_ms: NotRequired[float | None]
+    signal: NotRequired[Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]]
+    still_l: NotRequired[float | None]
+    still_mm: NotRequired[float | None]
+    timeout_s: NotRequired[float | None]
+    to_percent: NotRequired[float | None]
+    upper_l: NotRequired[float | None]
+    upper_mm: NotRequired[float | None]
+    upper_percent: NotRequired[float | None]
+
+
+class Session(TypedDict):
+    """A session, as it stands."""
+
+    calibration: NotRequired[Literal["uploaded", "device registration"]]
+    calibration_id: str
+    calibration_warning: NotRequired[str | None]
+    created_at: str
+    ended_at: str | None
+    fraction_id: str
+    fraction_number: int | None
+    id: str
+    is_simulated_beam: bool
+    model_id: NotRequired[str | None]
+    operator: str
+    patient_reference: str
+    plan_id: str
+    regions: NotRequired[Regions]
+    source: RecordingSource | DeviceSource
+    source_warning: NotRequired[str | None]
+    started_at: str | None
+    status: Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
+    status_detail: str
+    window: Window
+
+
+class GateView(TypedDict):
+    """Where the gate of a running session stands."""
+
+    hold_detail: NotRequired[str]
+    hold_reason: str | None
+    hold_text: str | None
+    is_armed: bool
+    line_on: bool
+    operator_hold: NotRequired[str | None]
+    state: Literal["disarmed", "hold", "dwell", "beam_on", "fault"]
+
+
+class LikenessView(TypedDict):
+    """How far the patient of today is from the stored model that the session began with."""
+
+    explained_share: float
+    frames: int
+    is_accepted: bool
+    refusal: str | None
+    residual_mm: float | None
+    shape_mm: float
+    shift_mm: list[float]
+    tilt_deg: float
+
+
+class LatencyView(TypedDict):
+    """From the camera taking a frame to the beam line told [ms]."""
+
+    max_ms: NotRequired[float | None]
+    p50_ms: float | None
+    p99_ms: float | None
+
+
+class Summary(TypedDict):
+    """Figures of a session so far, from what is in the database."""
+
+    duty_cycle: float | None
+    frames: int
+    latency: LatencyView
+    lost: int
+    missed_frames: int
+    transitions: int
+
+
+class TrainingView(TypedDict):
+    """How far the learning of the patient's motion has come; share runs from 0 to 1."""
+
+    amplitude_mm: NotRequired[float | None]
+    cycles: int
+    frames: int
+    note: str
+    seconds: float
+    share: float
+    shift_mm: NotRequired[float | None]
+
+
+class SessionDetail(TypedDict):
+    """A session with its gate, its learning and its figures."""
+
+    active_model_id: str | None
+    breath: NotRequired[LiveBreath | None]
+    breath_hold: NotRequired[LiveBreathHold | None]
+    calibration: NotRequired[Literal["uploaded", "device registration"]]
+    calibration_id: str
+    calibration_warning: NotRequired[str | None]
+    created_at: str
+    ended_at: str | None
+    fraction_id: str
+    fraction_number: int | None
+    gate: GateView | None
+    gate_window: NotRequired[LiveWindow | None]
+    has_reference: NotRequired[bool | None]
+    id: str
+    is_simulated_beam: bool
+    likeness: NotRequired[LikenessView | None]
+    measurement_state: Literal["training", "measuring", "lost"] | None
+    model_id: NotRequired[str | None]
+    operator: str
+    patient_reference: str
+    plan_id: str
+    regions: NotRequired[Regions]
+    source: RecordingSource | DeviceSource
+    source_warning: NotRequired[str | None]
+    started_at: str | None
+    status: Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
+    status_detail: str
+    summary: Summary
+    training: TrainingView | None
+    window: Window
+
+
+class SessionPage(TypedDict):
+    """Newest first; `next_cursor` is null on the last page."""
+
+    items: list[Session]
+    next_cursor: str | None
+
+
+class SessionRequest(TypedDict):
+    """A new session: who is treated, by which plan, watched by which camera, gated by which window."""
+
+    calibration_id: NotRequired[str | None]
+    fraction_id: str
+    fraction_number: NotRequired[int | None]
+    model_id: NotRequired[str | None]
+    operator: NotRequired[str]
+    patient_reference: str
+    plan_id: str
+    regions: NotRequired[Regions]
+    source: RecordingSource | DeviceSource
+    window: Window
+
+
+class Transition(TypedDict):
+    """One change of the gate, as audited; the `_ns` are host monotonic time."""
+
+    asserted_ns: int | None
+    at: str
+    audit_sequence: int
+    captured_ns: NotRequired[int | None]
+    captured_us: int | None
+    decided_ns: int | None
+    detail: str
+    frame_index: int | None
+    from_state: str
+    latency_ms: NotRequired[float | None]
+    number: NotRequired[int | None]
+    operator: str | None
+    reason: str | None
+    received_ns: int | None
+    recovered: NotRequired[bool]
+    to_state: str
+
+
+class TransitionPage(TypedDict):
+    """Oldest first."""
+
+    items: list[Transition]
+    next_cursor: str | None
+
+
+class UploadedCalibration(TypedDict):
+    """A calibration as just uploaded: which format it came in, and what was assumed on the way."""
+
+    camera: str
+    created_at: str
+    format: NotRequired[Literal["tidegate.calibration/1", "opencv-filestorage", "ros-camera-info"]]
+    id: str
+    notes: NotRequired[list[str]]
+    sha256: str
+    uploaded_by: str
+
+
+LiveMessage = Hello | Idle | Sample
+
+
+# </made: answers>
+
+
+class ClientError(Exception):
+    """Base of what this client raises; `code` is stable."""
+
+    code = "client_error"
+
+
+class UsageError(ClientError, ValueError):
+    """The client was given what it cannot work with."""
+
+    code = "usage"
+
+
+class UnreachableError(ClientError):
+    """No answer came: the network, the service, or a proxy.
+
+    The call may have been done or not. After one that is never repeated (arm!) read the session to know.
+    """
+
+    code = "unreachable"
+
+
+class AnswerError(ClientError):
+    """An answer came that the contract does not know: too large, cut off, no JSON, or without what it must have."""
+
+    code = "answer_unexpected"
+
+
+class ProblemError(ClientError):
+    """The service refused, with a problem (RFC 9457).
+
+    Attributes
+    ----------
+    code
+        Stable; what a program decides by. The catalogue is docs/problems.md.
+    status
+        Of HTTP.
+    field, value, bound
+        What was wrong, where one field was; else None.
+    retry_after_s
+        When to come back, if the service said so.
+    request_id
+        To be named when asking the site's IT: it stands in the service's log.
+    """
+
+    def __init__(self, status: int, problem: Mapping[str, object], headers: Mapping[str, str]) -> None:
+        self.code = _text_of(problem.get("code")) or f"http_{status}"
+        self.status = status
+        self.title = _text_of(problem.get("title")) or ""
+        self.detail = _text_of(problem.get("detail")) or ""
+        self.field, self.value, self.bound = (_text_of(problem.get(name)) for name in ("field", "value", "bound"))
+        self.retry_after_s = _seconds_of(headers.get("retry-after"))
+        self.request_id = headers.get("x-request-id")
+        super().__init__(f"{status} {self.code}: {self.detail or self.title}")
+
+    def __reduce__(self) -> tuple[type["ProblemError"], tuple[object, ...]]:
+        """Let it cross to another process."""
+        problem = {name: getattr(self, name) for name in ("code", "title", "detail", "field", "value", "bound")}
+        headers = {"x-request-id": self.request_id} if self.request_id else {}
+        if self.retry_after_s is not None:
+            headers["retry-after"] = str(self.retry_after_s)
+        return (ProblemError, (self.status, problem, headers))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exported:
+    """A file that was written whole."""
+
+    path: Path
+    size: int
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaggedSession:
+    """A session and its version, to be given as ``if_match`` of a call that must not act on a newer one."""
+
+    session: "SessionDetail"
+    etag: str | None
+
+
+AnswerT = TypeVar("AnswerT")
+Query = Mapping[str, str | int | float | bool | None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Call:
+    """One request; ``is_repeatable`` says whether it may be sent again when nobody knows what became of it."""
+
+    method: str
+    path: str
+    query: Query = field(default_factory=dict)
+    body: bytes | None = None
+    headers: Mapping[str, str] = field(default_factory=dict)
+    is_repeatable: bool
+    accepted: frozenset[int] = frozenset()
+    timeout_s: float | None = None
+
+    @property
+    def target(self) -> str:
+        told = {name: _told(value) for name, value in self.query.items() if value is not None}
+        return f"{self.path}?{urlencode(told)}" if told else self.path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Answer:
+    status: int
+    headers: Mapping[str, str]
+    body: bytes
+
+
+class TidegateClient:
+    """The calls a planning system needs; may be used by several threads at once.
+
+    Parameters
+    ----------
+    base_url
+        ``https://host[:port][/prefix]``; plain ``http`` only to this machine, unless ``is_plain_http_allowed``.
+    key
+        An API key, ``tg_...``; or None, and a person logs in with :meth:`log_in`.
+    operator
+        For whom this program acts, in the audit; a call may name another.
+    ca_file
+        The certificate authority of the site, PEM; the system's when left out. Certificates are always verified.
+    timeout_s
+        Longest silence of the service within one call.
+    retries
+        How often a call that may be repeated is.
+    """
+
+    def __init__(
+        self,
+        base_url: str,
+        *,
+        key: str | None = None,
+        operator: str | None = None,
+        ca_file: str | Path | None = None,
+        timeout_s: float = 10.0,
+        retries: int = 3,
+        is_plain_http_allowed: bool = False,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        if not 0.05 <= timeout_s <= 600.0:
+            raise UsageError(f"timeout_s {timeout_s!r} must be from 0.05 to 600")
+        if not 0 <= retries <= 20:
+            raise UsageError(f"retries {retries!r} must be from 0 to 20")
+        self._place = _Place.of(base_url, ca_file, is_plain_http_allowed=is_plain_http_allowed)
+        self._timeout_s = timeout_s
+        self._retries = retries
+        self._operator = operator
+        self._sleep = sleep
+        self._lock = threading.Lock()
+        self._kept: list[tuple[http.client.HTTPConnection, float]] = []
+        self._secrets: dict[str, str] = {} if key is None else {"Authorization": f"Bearer {_checked_key(key)}"}
+
+    def __repr__(self) -> str:
+        """Say where it leads; never with what key."""
+        return f"TidegateClient({self._place.origin!r})"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connections that are kept; the client may be used again."""
+        with self._lock:
+            kept, self._kept = self._kept, []
+        for connection, _ in kept:
+            connection.close()
+
+    # -- who, and whether
+
+    def log_in(self, name: str, password: str) -> "Me":
+        """Log in as a person: for what no machine may do, such as acknowledging a fault."""
+        return self._send("POST", "/api/v1/login", Me, body={"name": name, "password": password})
+
+    def log_out(self) -> None:
+        """End the log-in."""
+        self._exchange(_Call(method="POST", path="/api/v1/logout", body=b"{}", is_repeatable=False))
+        self._secrets.pop("Cookie", None)
+
+    def change_password(self, old_password: str, new_password: str) -> None:
+        """Change the password of whoever is logged in."""
+        body = {"old_password": old_password, "new_password": new_password}
+        self._act("/api/v1/me/password", body)
+
+    def me(self) -> "Me":
+        """Tell as whom one is known, and what one may."""
+        return self._read("/api/v1/me", Me)
+
+    def readiness(self) -> "Readiness":
+        """Tell whether a session could run, and what is missing."""
+        return self._read("/readyz", Readiness, accepted=frozenset({503}))
+
+    def devices(self) -> "DeviceList":
+        """List the cameras."""
+        return self._read("/api/v1/devices", DeviceList)
+
+    def interlocks(self) -> "InterlockList":
+        """List every reason to hold, what trips it, and whether it latches."""
+        return self._read("/api/v1/interlocks", InterlockList)
+
+    # -- calibrations
+
+    def upload_calibration(
+        self, document: bytes, *, media_type: str = JSON_TYPE, operator: str | None = None
+    ) -> "UploadedCalibration":
+        """Keep a camera calibration; the same content again is the same calibration."""
+        query = {"operator": operator or self._operator}
+        return self._make("/api/v1/calibrations", UploadedCalibration, document, media_type=media_type, query=query)
+
+    def calibrations(self) -> Iterator["Calibration"]:
+        """List the calibrations, newest first."""
+        return self._pages("/api/v1/calibrations", CalibrationPage)
+
+    def read_calibration(self, calibration_id: str) -> "CalibrationDetail":
+        """Read a calibration with its document."""
+        return self._read(f"/api/v1/calibrations/{_part(calibration_id)}", CalibrationDetail)
+
+    # -- sessions
+
+    def create_session(self, request: "SessionRequest", *, idempotency_key: str | None = None) -> "Session":
+        """Prepare a session. Give a key of your own if you may have to ask again after your program has died."""
+        return self._make("/api/v1/sessions", Session, self._for_somebody(request), idempotency_key=idempotency_key)
+
+    def sessions(self) -> Iterator["Session"]:
+        """List the sessions, newest first."""
+        return self._pages("/api/v1/sessions", SessionPage)
+
+    def read_session(self, session_id: str) -> "SessionDetail":
+        """Read a session with its gate, its learning and its figures."""
+        return self._read(_session(session_id), SessionDetail)
+
+    def read_session_tagged(self, session_id: str) -> TaggedSession:
+        """Read a session with its version."""
+        answer = self._exchange(_Call(method="GET", path=_session(session_id), is_repeatable=True))
+        return TaggedSession(session=_parsed(answer, SessionDetail), etag=answer.headers.get("etag"))
+
+    def start(self, session_id: str, *, operator: str | None = None, if_match: str | None = None) -> "Session":
+        """Open the camera and begin to learn, disarmed. Never repeated."""
+        return self._do(session_id, "start", Session, operator, if_match)
+
+    def set_reference(
+        self, session_id: str, *, operator: str | None = None, if_match: str | None = None
+    ) -> "SessionDetail":
+        """Make the patient's present position the zero of motion; disarms. Never repeated."""
+        return self._do(session_id, "reference", SessionDetail, operator, if_match)
+
+    def arm(self, session_id: str, *, operator: str | None = None, if_match: str | None = None) -> "SessionDetail":
+        """Let the gate decide from now on. Never repeated: where no answer came, read the session."""
+        return self._do(session_id, "arm", SessionDetail, operator, if_match)
+
+    def release(self, session_id: str, *, operator: str | None = None, if_match: str | None = None) -> "SessionDetail":
+        """Let go of a hold by hand; the gate decides again after a full dwell. Never repeated."""
+        return self._do(session_id, "release", SessionDetail, operator, if_match)
+
+    def acknowledge(
+        self, session_id: str, *, operator: str | None = None, if_match: str | None = None
+    ) -> "SessionDetail":
+        """Say that a person has seen the fault: for a person who logged in; no key may. Never repeated."""
+        return self._do(session_id, "acknowledge", SessionDetail, operator, if_match)
+
+    def correct_baseline(
+        self,
+        session_id: str,
+        *,
+        by_mm: float,
+        drift_mm: float,
+        operator: str | None = None,
+        if_match: str | None = None,
+    ) -> "SessionDetail":
+        """Move the window by a drift that a person saw and confirms; disarms. Never repeated."""
+        told = {"by_mm": by_mm, "drift_mm": drift_mm}
+        return self._do(session_id, "baseline-correction", SessionDetail, operator, if_match, told)
+
+    def note_presence(self, session_id: str, *, operator: str | None = None) -> None:
+        """Say that a person looks at this session now. Never on a timer of its own: somebody has to be there."""
+        self._act(f"{_session(session_id)}/presence", self._for_whom(operator))
+
+    def hold(self, session_id: str, *, operator: str | None = None) -> "SessionDetail":
+        """Hold the beam until somebody releases it. Repeated until an answer comes."""
+        return self._take_away(session_id, "hold", SessionDetail, operator)
+
+    def disarm(self, session_id: str, *, operator: str | None = None) -> "SessionDetail":
+        """Hold the beam until somebody arms again. Repeated until an answer comes."""
+        return self._take_away(session_id, "disarm", SessionDetail, operator)
+
+    def stop(self, session_id: str, *, operator: str | None = None) -> "Session":
+        """Hold the beam and close the session. Repeated until an answer comes; a session that is over stays so."""
+        try:
+            return self._take_away(session_id, "stop", Session, operator)
+        except ProblemError as problem:
+            if problem.code != "session_state":
+                raise
+            return self.read_session(session_id)
+
+    def transitions(self, session_id: str) -> Iterator["Transition"]:
+        """List the gate's transitions, oldest first."""
+        return self._pages(f"{_session(session_id)}/transitions", TransitionPage)
+
+    # -- motion models
+
+    def session_models(self, session_id: str) -> Iterator["Model"]:
+        """List what was learned in a session, newest first."""
+        return self._pages(f"{_session(session_id)}/models", ModelPage)
+
+    def read_model(self, model_id: str) -> "Model":
+        """Read what a model was learned from, and what it is worth."""
+        return self._read(f"/api/v1/models/{_part(model_id)}", Model)
+
+    def retrain(self, session_id: str, *, keeps_reference: bool = True, operator: str | None = None) -> "SessionDetail":
+        """Learn a new model in the background. Never repeated."""
+        told = {"keeps_reference": keeps_reference}
+        return self._do(session_id, "models/retrain", SessionDetail, operator, None, told)
+
+    def apply_model(self, session_id: str, *, operator: str | None = None) -> "SessionDetail":
+        """Let the model that waits take over; disarms. Never repeated."""
+        return self._do(session_id, "models/apply", SessionDetail, operator, None)
+
+    # -- taking along
+
+    def export_samples(
+        self, session_id: str, to: str | Path, *, form: Literal["csv", "arrow", "parquet"] = "csv"
+    ) -> Exported:
+        """Write every frame's row to a file: the whole of it, or no file at all."""
+        return self._download(f"{_session(session_id)}/samples", {"format": form}, Path(to))
+
+    def audit(self, *, session_id: str | None = None) -> Iterator["AuditEntry"]:
+        """List the audit, newest first."""
+        return self._pages("/api/v1/audit", AuditPage, {"session_id": session_id})
+
+    def verify_audit(self, *, after: int = 0, limit: int = 100_000) -> "AuditVerification":
+        """Have the chain of hashes walked."""
+        return self._read("/api/v1/audit/verify", AuditVerification, {"after": after, "limit": limit})
+
+    def export_audit(
+        self,
+        to: str | Path,
+        *,
+        form: Literal["jsonl", "fhir"] = "jsonl",
+        session_id: str | None = None,
+        since: str | None = None,
+        until: str | None = None,
+    ) -> Exported:
+        """Write the audit to a file: the whole of what was asked for, or no file at all. Times are RFC 3339."""
+        query = {"format": form, "session_id": session_id, "since": since, "until": until}
+        return self._download("/api/v1/audit/export", query, Path(to))
+
+    # -- QA
+
+    def qa_status(self) -> "QaStatus":
+        """Tell whether the site's QA lets anybody arm."""
+        return self._read("/api/v1/qa/status", QaStatus)
+
+    def qa_checks(self) -> "QaCheckList":
+        """List what QA checks, by which bounds."""
+        return self._read("/api/v1/qa/checks", QaCheckList)
+
+    def qa_runs(self) -> Iterator["QaRun"]:
+        """List the QA runs, newest first."""
+        return self._pages("/api/v1/qa/runs", QaRunPage)
+
+    def read_qa_run(self, run_id: str) -> "QaRunDetail":
+        """Read a QA run with every check."""
+        return self._read(f"/api/v1/qa/runs/{_part(run_id)}", QaRunDetail)
+
+    def qa_trend(self, check: str, *, limit: int = 30) -> "QaTrend":
+        """Tell a check over the newest runs."""
+        return self._read("/api/v1/qa/trend", QaTrend, {"check": check, "limit": limit})
+
+    def export_qa_report(self, run_id: str, to: str | Path) -> Exported:
+        """Write a run's report, PDF."""
+        return self._download(f"/api/v1/qa/runs/{_part(run_id)}/report.pdf", {}, Path(to))
+
+    # -- live
+
+    def live(
+        self,
+        *,
+        session_id: str | None = None,
+        after_frame: int | None = None,
+        rate_hz: float | None = None,
+        form: Literal["full", "thin"] = "thin",
+        silence_s: float = 5.0,
+        reconnects: int = 8,
+    ) -> Iterator["LiveMessage"]:
+        """Follow what happens, for ever; a stream that breaks is taken up where it was.
+
+        Ends with UnreachableError where ``reconnects`` attempts one after another brought nothing. ``session_id`` and
+        ``after_frame`` ask for what was missed before; ``silence_s`` is how long no message may come (one comes twice a
+        second even where nothing runs). Close the iterator, or leave its loop, to end it.
+        """
+        query = {"session_id": session_id, "after_frame": after_frame, "rate_hz": rate_hz, "form": form}
+        call = _Call(method="GET", path="/api/v1/live/events", query=query, is_repeatable=True)
+        return self._live(call, silence_s=silence_s, reconnects=reconnects)
+
+    # -- how it is done
+
+    def _live(self, call: _Call, *, silence_s: float, reconnects: int) -> Iterator["LiveMessage"]:
+        last_id: str | None = None
+        failures = 0
+        while True:
+            headers = {"Accept": "text/event-stream", **({} if last_id is None else {"Last-Event-ID": last_id})}
+            wait_s = min(FIRST_WAIT_S * 2**failures, 2.0)
+            try:
+                with self._opened(_with(call, headers), timeout_s=silence_s) as response:
+                    for event in _events(response):
+                        last_id = event.id if event.id is not None else last_id
+                        failures = 0
+                        yield cast("LiveMessage", _document(event.data, "a live message"))
+                broken: Exception = AnswerError("the stream ended")
+            except ProblemError as problem:
+                if problem.status not in PASSING:
+                    raise
+                broken, wait_s = problem, max(wait_s, problem.retry_after_s or 0.0)
+            except (OSError, http.client.HTTPException) as error:
+                broken = error
+            failures += 1
+            if failures > reconnects or wait_s > LONGEST_WAIT_S:
+                raise UnreachableError(f"the live stream is broken: {broken}") from broken
+            self._sleep(wait_s)
+
+    def _read(
+        self,
+        path: str,
+        kind: type[AnswerT],
+        query: Query | None = None,
+        *,
+        accepted: frozenset[int] = frozenset(),
+    ) -> AnswerT:
+        call = _Call(method="GET", path=path, query=query or {}, is_repeatable=True, accepted=accepted)
+        return _parsed(self._exchange(call), kind)
+
+    def _pages(self, path: str, kind: type[Any], query: Query | None = None) -> Iterator[Any]:
+        """Walk a list page by page, each asked for when it is reached."""
+        seen: set[str] = set()
+        cursor: str | None = None
+        while True:
+            page = self._read(path, kind, {**(query or {}), "cursor": cursor})
+            yield from page["items"]
+            cursor = page["next_cursor"]
+            if cursor is None:
+                return
+            if cursor in seen:
+                raise AnswerError(f"{path}: the list leads round in a circle")
+            seen.add(cursor)
+
+    def _make(
+        self,
+        path: str,
+        kind: type[AnswerT],
+        body: bytes | Mapping[str, object],
+        *,
+        media_type: str = JSON_TYPE,
+        query: Query | None = None,
+        idempotency_key: str | None = None,
+    ) -> AnswerT:
+        """Create something: once, however often it is asked for with this key."""
+        headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex, "Content-Type": media_type}
+        sent = body if isinstance(body, bytes) else json.dumps(body, allow_nan=False).encode()
+        call = _Call(method="POST", path=path, query=query or {}, body=sent, headers=headers, is_repeatable=True)
+        return _parsed(self._exchange(call), kind)
+
+    def _do(
+        self,
+        session_id: str,
+        action: str,
+        kind: type[AnswerT],
+        operator: str | None,
+        if_match: str | None,
+        told: Mapping[str, object] | None = None,
+    ) -> AnswerT:
+        """Ask for what could lead to a beam: once."""
+        body = {**self._for_whom(operator), **(told or {})}
+        headers = {} if if_match is None else {"If-Match": if_match}
+        return self._send("POST", f"{_session(session_id)}/{action}", kind, body=body, headers=headers)
+
+    def _take_away(self, session_id: str, action: str, kind: type[AnswerT], operator: str | None) -> AnswerT:
+        """Ask for what takes the beam away, until somebody answers."""
+        path, body = f"{_session(session_id)}/{action}", json.dumps(self._for_whom(operator)).encode()
+        timeout_s = None if kind is Session else min(self._timeout_s, HOLD_TIMEOUT_S)
+        call = _Call(method="POST", path=path, body=body, is_repeatable=True, timeout_s=timeout_s)
+        return _parsed(self._exchange(call), kind)
+
+    def _send(
+        self,
+        method: str,
+        path: str,
+        kind: type[AnswerT],
+        *,
+        body: Mapping[str, object],
+        headers: Mapping[str, str] | None = None,
+    ) -> AnswerT:
+        sent = json.dumps(body, allow_nan=False).encode()
+        call = _Call(method=method, path=path, body=sent, headers=headers or {}, is_repeatable=False)
+        return _parsed(self._exchange(call), kind)
+
+    def _act(self, path: str, body: Mapping[str, object]) -> None:
+        """Ask for something that is answered with nothing."""
+        self._exchange(_Call(method="POST", path=path, body=json.dumps(body).encode(), is_repeatable=False))
+
+    def _for_whom(self, operator: str | None) -> dict[str, object]:
+        named = operator or self._operator
+        return {} if named is None else {"operator": named}
+
+    def _for_somebody(self, request: Mapping[str, object]) -> dict[str, object]:
+        return {**self._for_whom(None), **request}
+
+    def _exchange(self, call: _Call) -> _Answer:
+        """Send a call, and again where that is safe and could help."""
+        attempts = 0
+        while True:
+            attempts += 1
+            wait_s = FIRST_WAIT_S * 2 ** (attempts - 1)
+            is_last = not call.is_repeatable or attempts > self._retries
+            try:
+                answer = self._once(call)
+            except (OSError, http.client.HTTPException) as error:
+                if is_last or isinstance(error, ssl.SSLCertVerificationError):
+                    message = f"{call.method} {call.path}: no answer ({type(error).__name__}: {error})"
+                    raise UnreachableError(message) from error
+            else:
+                if answer.status < 300 or answer.status in call.accepted:
+                    return answer
+                problem = _problem(answer)
+                wait_s = wait_s if problem.retry_after_s is None else problem.retry_after_s
+                if is_last or answer.status not in PASSING or wait_s > LONGEST_WAIT_S:
+                    raise problem
+            self._sleep(wait_s)
+
+    def _once(self, call: _Call) -> _Answer:
+        """Send a call once; what must not be repeated never goes over a connection that may be closed already."""
+        if call.timeout_s is not None or not call.is_repeatable:
+            connection = self._place.connection(call.timeout_s or self._timeout_s)
+        else:
+            connection = self._connection()
+        try:
+            with self._asked(connection, call) as response:  # whose end frees its connection for the next call
+                body = _bounded(response, MAX_ANSWER_BYTES, time.monotonic() + 4 * self._timeout_s)
+        except BaseException:
+            connection.close()
+            raise
+        if response.will_close or call.timeout_s is not None:
+            connection.close()
+        else:
+            self._keep(connection)
+        headers = _headers_of(response)
+        self._take_cookie(headers)
+        return _Answer(status=response.status, headers=headers, body=body)
+
+    @contextlib.contextmanager
+    def _opened(self, call: _Call, *, timeout_s: float | None = None) -> Iterator[http.client.HTTPResponse]:
+        """Open an answer that is read piece by piece, on a connection of its own."""
+        connection = self._place.connection(timeout_s or self._timeout_s)
+        try:
+            with self._asked(connection, call) as response:
+                if response.status >= 300:
+                    body = _bounded(response, MAX_ANSWER_BYTES, time.monotonic() + self._timeout_s)
+                    raise _problem(_Answer(status=response.status, headers=_headers_of(response), body=body))
+                yield response
+        finally:
+            connection.close()
+
+    def _asked(self, connection: http.client.HTTPConnection, call: _Call) -> http.client.HTTPResponse:
+        headers = {"Accept": "application/json, application/problem+json, */*;q=0.1", **self._secrets}
+        headers["User-Agent"] = f"tidegate-client/{VERSION}"
+        if call.body is not None:
+            headers["Content-Type"] = JSON_TYPE
+        if "Cookie" in self._secrets:
+            headers["Origin"] = self._place.origin
+        target = self._place.prefix + call.target
+        connection.request(call.method, target, body=call.body, headers={**headers, **call.headers})
+        return connection.getresponse()
+
+    def _download(self, path: str, query: Query, to: Path) -> Exported:
+        """Write an answer to a file beside ``to``, and name it so only once it is whole."""
+        call = _Call(method="GET", path=path, query=query, is_repeatable=True)
+        attempts = 0
+        while True:
+            attempts += 1
+            wait_s = FIRST_WAIT_S * 2 ** (attempts - 1)
+            try:
+                with self._opened(call) as response:
+                    return _written(response, to)
+            except ProblemError as problem:
+                wait_s = wait_s if problem.retry_after_s is None else problem.retry_after_s
+                if attempts > self._retries or problem.status not in PASSING or wait_s > LONGEST_WAIT_S:
+                    raise
+            except (ConnectionError, TimeoutError, http.client.HTTPException) as error:
+                if attempts > self._retries:
+                    raise UnreachableError(f"GET {path}: the export was cut off ({error})") from error
+            self._sleep(wait_s)
+
+    def _connection(self) -> http.client.HTTPConnection:
+        with self._lock:
+            while self._kept:
+                connection, since_s = self._kept.pop()
+                if time.monotonic() - since_s < KEPT_FOR_S:
+                    return connection
+                connection.close()
+        return self._place.connection(self._timeout_s)
+
+    def _keep(self, connection: http.client.HTTPConnection) -> None:
+        with self._lock:
+            self._kept.append((connection, time.monotonic()))
+            spare = self._kept[:-4]
+            del self._kept[:-4]
+        for old, _ in spare:
+            old.close()
+
+    def _take_cookie(self, headers: Mapping[str, str]) -> None:
+        """Keep the cookie of a log-in."""
+        told = headers.get("set-cookie")
+        if told is None or "Authorization" in self._secrets:
+            return
+        with contextlib.suppress(CookieError):
+            for name, morsel in SimpleCookie(told).items():
+                self._secrets["Cookie"] = f"{name}={morsel.value}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Place:
+    """Where the service is."""
+
+    host: str
+    port: int
+    prefix: str
+    origin: str
+    tls: ssl.SSLContext | None
+
+    @classmethod
+    def of(cls, base_url: str, ca_file: str | Path | None, *, is_plain_http_allowed: bool) -> "_Place":
+        parts = urlsplit(base_url)
+        if parts.scheme not in {"http", "https"} or not parts.hostname:
+            raise UsageError("base_url must be https://host[:port][/prefix]")
+        if parts.username or parts.password or parts.query or parts.fragment:
+            raise UsageError("base_url must have no user, password, query or fragment")
+        is_plain = parts.scheme == "http"
+        if is_plain and not is_plain_http_allowed and not _is_this_machine(parts.hostname):
+            raise UsageError("base_url must be https: a key over plain http to another machine can be read by others")
+        tls = None if is_plain else ssl.create_default_context(cafile=None if ca_file is None else str(ca_file))
+        if tls is not None:
+            tls.minimum_version = ssl.TLSVersion.TLSv1_2
+        port = parts.port or (80 if is_plain else 443)
+        origin = f"{parts.scheme}://{parts.netloc}"
+        return cls(host=parts.hostname, port=port, prefix=parts.path.rstrip("/"), origin=origin, tls=tls)
+
+    def connection(self, timeout_s: float) -> http.client.HTTPConnection:
+        if self.tls is None:
+            return http.client.HTTPConnection(self.host, self.port, timeout=timeout_s)
+        return http.client.HTTPSConnection(self.host, self.port, timeout=timeout_s, context=self.tls)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Event:
+    """A server-sent event."""
+
+    id: str | None
+    data: str
+
+
+def _events(response: http.client.HTTPResponse) -> Iterator[_Event]:
+    """Read server-sent events; what is no field of one, such as a comment, is passed over."""
+    content_type = response.headers.get_content_type()
+    if content_type != "text/event-stream":
+        raise AnswerError(f"the live stream came as {content_type}")
+    data: list[str] = []
+    event_id: str | None = None
+    size = 0
+    while line := response.readline(MAX_EVENT_BYTES + 1):
+        size += len(line)
+        if size > MAX_EVENT_BYTES:
+            raise AnswerError(f"a live message is larger than {MAX_EVENT_BYTES} bytes")
+        text = line.decode("utf-8", errors="replace").rstrip("\r\n")
+        if not text:
+            if data:
+                yield _Event(id=event_id, data="\n".join(data))
+            data, event_id, size = [], None, 0
+            continue
+        name, _, value = text.partition(":")
+        value = value.removeprefix(" ")
+        if name == "data":
+            data.append(value)
+        elif name == "id" and "\0" not in value:
+            event_id = value
+
+
+def _written(response: http.client.HTTPResponse, to: Path) -> Exported:
+    """Write a whole answer under another name, sync it, and give it its name."""
+    if response.length is None and not response.chunked:
+        raise AnswerError("the export tells neither its length nor its end: nobody could say whether it is whole")
+    digest, size = hashlib.sha256(), 0
+    number, draft = tempfile.mkstemp(dir=to.parent, prefix=f".{to.name}.")
+    try:
+        with os.fdopen(number, "wb") as file:
+            while piece := response.read(CHUNK_BYTES):
+                size = _within(size + len(piece), MAX_EXPORT_BYTES)
+                digest.update(piece)
+                file.write(piece)
+            _check_whole(response)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(draft).replace(to)
+    except BaseException:
+        Path(draft).unlink(missing_ok=True)
+        raise
+    return Exported(path=to, size=size, sha256=digest.hexdigest())
+
+
+def _bounded(response: http.client.HTTPResponse, most: int, until_s: float) -> bytes:
+    """Read an answer as far as its bound, and no longer than until a time."""
+    pieces, size = [], 0
+    while piece := response.read1(CHUNK_BYTES):
+        pieces.append(piece)
+        size = _within(size + len(piece), most)
+        if time.monotonic() > until_s:
+            raise TimeoutError("the answer does not end")
+    _check_whole(response)
+    return b"".join(pieces)
+
+
+def _within(size: int, most: int) -> int:
+    if size > most:
+        raise AnswerError(f"the answer is larger than {most} bytes")
+    return size
+
+
+def _check_whole(response: http.client.HTTPResponse) -> None:
+    """Refuse an answer that ended before the length that it told; of pieces, the library looks itself."""
+    if response.length:
+        raise http.client.IncompleteRead(b"", response.length)
+
+
+def _parsed(answer: _Answer, kind: type[AnswerT]) -> AnswerT:
+    """Read JSON, and see that it has what the contract says it has; what is new in it is let be."""
+    found = _document(answer.body, "the answer")
+    missing = sorted(getattr(kind, "__required_keys__", frozenset()) - found.keys())
+    if missing:
+        raise AnswerError(f"the answer is no {kind.__name__}: {', '.join(missing)} is missing")
+    return cast("AnswerT", found)
+
+
+def _document(text: bytes | str, what: str) -> dict[str, Any]:
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise AnswerError(f"{what} is no JSON") from error
+    if not isinstance(found, dict):
+        raise AnswerError(f"{what} is no JSON object")
+    return found
+
+
+def _problem(answer: _Answer) -> ProblemError:
+    """Read a problem; what a proxy says in other words is one too."""
+    try:
+        told = _document(answer.body, "the problem")
+    except AnswerError:
+        told = {"detail": f"HTTP {answer.status}, and no problem that Tidegate would tell"}
+    return ProblemError(answer.status, told, answer.headers)
+
+
+def _headers_of(response: http.client.HTTPResponse) -> dict[str, str]:
+    return {name.lower(): value for name, value in response.getheaders()}
+
+
+def _session(session_id: str) -> str:
+    return f"/api/v1/sessions/{_part(session_id)}"
+
+
+def _part(identifier: str) -> str:
+    """Make an id one part of a path, whatever somebody put into it."""
+    if not identifier or identifier in {".", ".."}:
+        raise UsageError(f"{identifier!r} is no id")
+    return quote(identifier, safe="")
+
+
+def _with(call: _Call, headers: Mapping[str, str]) -> _Call:
+    return _Call(method=call.method, path=call.path, query=call.query, headers=headers, is_repeatable=True)
+
+
+def _told(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _text_of(value: object) -> str | None:
+    return value if isinstance(value, str) else None
+
+
+def _seconds_of(header: str | None) -> float | None:
+    """Read ``Retry-After`` in seconds; as a date, which this service never sends, it says nothing."""
+    try:
+        return max(0.0, float(header)) if header is not None else None
+    except ValueError:
+        return None
+
+
+def _checked_key(key: str) -> str:
+    """Refuse a key that could not stand in a header, without repeating it."""
+    if not _VISIBLE.fullmatch(key):
+        raise UsageError("key must be visible ASCII characters, without spaces or line ends")
+    return key
+
+
+def _is_this_machine(host: str) -> bool:
+    if host == "localhost":
+        return True
+    with contextlib.suppress(ValueError):
+        return ipaddress.ip_address(host).is_loopback
+    return False
