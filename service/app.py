@@ -31,7 +31,7 @@ from service.deps import require_guarded, require_json
 from service.engine_adapter import EngineAdapter
 from service.lifespan import make_lifespan
 from service.middleware import Doorway
-from service.openapi import describe_problems
+from service.openapi import describe_contract, operation_id
 from service.ports import EnginePort
 from service.problem_handlers import install_problem_handlers
 from service.qa.ports import QaRig
@@ -68,6 +68,7 @@ def create_app(
         description=DESCRIPTION,
         license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
         openapi_url="/api/v1/openapi.json",
+        generate_unique_id_function=operation_id,
         docs_url=None,
         redoc_url=None,
         lifespan=make_lifespan(settings, make_engine, make_rig, tell_first),
@@ -83,7 +84,7 @@ def create_app(
         ],
     )
     install_problem_handlers(app)
-    describe_problems(app)
+    describe_contract(app)
     guarded = Depends(require_guarded)
     app.include_router(health.router, dependencies=[guarded])
     app.include_router(metrics.router, dependencies=[guarded])

@@ -15,7 +15,7 @@ from service.audit_log import AuditLog
 from service.db import repository
 from service.db.engine import Database
 from service.db.models import CalibrationRow
-from service.idempotency import earlier_answer, keep_answer
+from service.idempotency import CallersKey, InProgress, earlier_answer, keep_answer
 from service.ports import Kept
 from service.uncalibrated import refuse_reserved_name
 
@@ -28,10 +28,12 @@ class CalibrationShelf:
     def __init__(self, database: Database, log: AuditLog) -> None:
         self._database = database
         self._log = log
+        self._in_progress = InProgress()
 
-    def upload(self, body: bytes, operator: str, key: str | None) -> Kept[schemas.UploadedCalibration]:
+    def upload(self, body: bytes, operator: str, key: CallersKey | None) -> Kept[schemas.UploadedCalibration]:
         """Check and keep one; the same content again is the same calibration."""
-        with self._log.refusals(actor=operator, action=ACTION, detail={"bytes": len(body)}):
+        refusals = self._log.refusals(actor=operator, action=ACTION, detail={"bytes": len(body)})
+        with refusals, self._in_progress.only(key):
             converted = read_upload(body)
             calibration = converted.calibration
             refuse_reserved_name(calibration)

@@ -2,9 +2,9 @@
 
 import re
 from dataclasses import dataclass
-from typing import Annotated, cast
+from typing import Annotated, TypeVar, cast
 
-from fastapi import Depends, Header, Path, Query, Request
+from fastapi import Depends, Header, Path, Query, Request, Response
 from starlette.requests import HTTPConnection
 
 from service import ports
@@ -13,10 +13,13 @@ from service.access.calling import Calling
 from service.access.desk import AccessDesk
 from service.access.guard import ADDRESS
 from service.access.identity import RULE, identity_in
+from service.conditional import LONGEST, Precondition, is_known, precondition
 from service.errors import MediaTypeError, NotLoggedInError
+from service.idempotency import CallersKey
 from service.qa.ports import QaBookPort, QaDeskPort
 from service.schema_base import Identifier, Name
 
+AnswerT = TypeVar("AnswerT")
 PARAMETER = re.compile(r"\{(\w+)\}")
 
 
@@ -85,6 +88,11 @@ def require_guarded(connection: HTTPConnection) -> None:
         raise RuntimeError(msg)
 
 
+async def guarded(connection: HTTPConnection) -> None:
+    """Do as :func:`require_guarded`, on the event loop: no request waits for a worker thread because of it."""
+    require_guarded(connection)
+
+
 async def json_body(request: Request) -> bytes:
     """Read the raw body, as far as the body limit lets it."""
     return await request.body()
@@ -125,12 +133,62 @@ OperatorName = Annotated[
         examples=["A. Physicist"],
     ),
 ]
-IdempotencyKey = Annotated[
-    str | None,
-    Header(
-        min_length=1,
-        max_length=255,
-        pattern=r"^[\x21-\x7e]+$",
-        description="The same key with the same body gives the same answer, once and for all",
-    ),
-]
+
+
+def callers_key(
+    caller: Caller,
+    idempotency_key: Annotated[
+        str | None,
+        Header(
+            min_length=1,
+            max_length=255,
+            pattern=r"^[\x21-\x7e]+$",
+            description="The same key of the same caller with the same body gives the same answer, for 7 days unless "
+            "the site says otherwise; nothing is done twice",
+            examples=["6b1f0d3c-1c54-4f0e-9c5e-3f6f1b8a2d11"],
+        ),
+    ] = None,
+) -> CallersKey | None:
+    """Return the Idempotency-Key as whoever calls owns it."""
+    if idempotency_key is None:
+        return None
+    return CallersKey(caller=f"{caller.identity.kind}:{caller.name}", key=idempotency_key)
+
+
+def if_match(
+    if_match: Annotated[
+        str | None,
+        Header(
+            max_length=LONGEST,
+            description="Do it only where the ETag is still this one; 412 `precondition_failed` otherwise",
+        ),
+    ] = None,
+) -> Precondition:
+    """Return what has to be so for this to be done."""
+    return precondition(if_match)
+
+
+class Freshness:
+    """What the client has already, and the answer that it may not need again."""
+
+    def __init__(
+        self,
+        response: Response,
+        if_none_match: Annotated[
+            str | None, Header(max_length=LONGEST, description="Answer 304 where the ETag is still this one")
+        ] = None,
+    ) -> None:
+        self._response = response
+        self._if_none_match = if_none_match
+
+    def told(self, answer: AnswerT, etag: str) -> AnswerT:
+        """Return the answer with its ETag; or 304 without one, which FastAPI passes on as it is."""
+        if is_known(self._if_none_match, etag):
+            return cast("AnswerT", Response(status_code=304, headers={"ETag": etag}))
+        self._response.headers["ETag"] = etag
+        return answer
+
+
+IdempotencyKey = Annotated[CallersKey | None, Depends(callers_key)]
+IfMatch = Annotated[Precondition, Depends(if_match)]
+IfNoneMatch = Annotated[Freshness, Depends()]

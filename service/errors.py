@@ -18,6 +18,7 @@ MEDIA_TYPE = "application/problem+json"
 SHOWN_CHARACTERS = 80
 MOST_ERRORS = 20
 """Most fields that one problem names; a body may be wrong in any number of places."""
+STORAGE_CODE = "storage_unavailable"
 SOURCE_TAGS = {"recording", "device"}
 """What pydantic puts into the path of a source's field: the kind, which is no field."""
 
@@ -314,10 +315,14 @@ HTTP_CODES = {
     404: "not_found",
     405: "method_not_allowed",
     406: "not_acceptable",
+    408: "request_timeout",
     412: "precondition_failed",
     413: "body_too_large",
+    414: "url_too_long",
     415: "media_type",
     421: "host_refused",
+    431: "headers_too_large",
+    501: "not_implemented",
 }
 
 
@@ -325,6 +330,18 @@ def shown(value: object) -> str:
     """Show a value in a problem, bounded."""
     text = repr(value)
     return text if len(text) <= SHOWN_CHARACTERS else f"{text[: SHOWN_CHARACTERS - 3]}..."
+
+
+def status_of(kind: type[Exception]) -> int:
+    """Return the HTTP status of an error by the table; 500 for what is not in it."""
+    return next((STATUS_OF[one][0] for one in kind.__mro__ if one in STATUS_OF), 500)
+
+
+def code_of(kind: type[Exception]) -> str:
+    """Return the stable code that an error has in a problem."""
+    if issubclass(kind, SQLAlchemyError):
+        return STORAGE_CODE
+    return kind.code if issubclass(kind, TidegateError) else "internal_error"
 
 
 def problem_of(error: Exception) -> schemas.Problem:
@@ -351,7 +368,7 @@ def problem_response(problem: schemas.Problem, headers: Mapping[str, str] | None
 
 def _table_problem(error: Exception, status: int, title: str) -> schemas.Problem:
     if isinstance(error, SQLAlchemyError):
-        return _problem(status, "storage_unavailable", title, "nothing was changed; try again")
+        return _problem(status, STORAGE_CODE, title, "nothing was changed; try again")
     code = error.code if isinstance(error, TidegateError) else "error"
     found = {name: getattr(error, name, None) for name in ("field", "value", "bound")}
     return _problem(status, code, title, str(error), **found)

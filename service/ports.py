@@ -23,6 +23,7 @@ from service import schemas
 from service.audit.export import ExportRequest
 from service.audit_schemas import AuditVerification
 from service.gate_schemas import BaselineCorrectionRequest, InterlockList
+from service.idempotency import CallersKey
 from service.live_messages import Sample
 from service.window_schemas import Window
 
@@ -151,7 +152,7 @@ class EnginePort(Protocol):
 class SessionsPort(Protocol):
     """Sessions as records."""
 
-    def create(self, request: schemas.SessionRequest, key: str | None) -> Kept[schemas.Session]:
+    def create(self, request: schemas.SessionRequest, key: CallersKey | None) -> Kept[schemas.Session]:
         """Record a new session; one at a time."""
 
     def page(self, cursor: str | None, limit: int) -> schemas.SessionPage:
@@ -234,7 +235,7 @@ class RunnerPort(Protocol):
 class CalibrationsPort(Protocol):
     """Stored camera calibrations."""
 
-    def upload(self, body: bytes, operator: str, key: str | None) -> Kept[schemas.UploadedCalibration]:
+    def upload(self, body: bytes, operator: str, key: CallersKey | None) -> Kept[schemas.UploadedCalibration]:
         """Check and keep one; the same content again is the same calibration."""
 
     def page(self, cursor: str | None, limit: int) -> schemas.CalibrationPage:

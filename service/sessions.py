@@ -21,7 +21,7 @@ from service.db.engine import Database
 from service.db.models import AuditRow, CalibrationRow, SessionRow
 from service.errors import SessionActiveError
 from service.figures import Figures
-from service.idempotency import earlier_answer, keep_answer
+from service.idempotency import CallersKey, InProgress, earlier_answer, keep_answer
 from service.live_view import gate_view, known, likeness_view, training_view
 from service.played_beam import check_source, described_source, warning_of_source
 from service.ports import EnginePort, Kept
@@ -56,11 +56,12 @@ class SessionBook:
         self._room = room
         self._engine = engine
         self._make_room = make_room
+        self._in_progress = InProgress()
 
-    def create(self, request: schemas.SessionRequest, key: str | None) -> Kept[schemas.Session]:
+    def create(self, request: schemas.SessionRequest, key: CallersKey | None) -> Kept[schemas.Session]:
         """Record a new session; one at a time."""
         body = audit.canonical_json(request.model_dump(mode="json")).encode()
-        with self._log.refusals(actor=request.operator, action=ACTION):
+        with self._log.refusals(actor=request.operator, action=ACTION), self._in_progress.only(key):
             with self._database.read() as db:
                 earlier = self._earlier_or_free(db, request, key, body)
             if earlier is not None:
@@ -71,7 +72,7 @@ class SessionBook:
             return self._write_down(request, key, body, nominal)
 
     def _write_down(
-        self, request: schemas.SessionRequest, key: str | None, body: bytes, nominal: Calibration | None
+        self, request: schemas.SessionRequest, key: CallersKey | None, body: bytes, nominal: Calibration | None
     ) -> Kept[schemas.Session]:
         with self._database.write() as db:
             earlier = self._earlier_or_free(db, request, key, body)
@@ -130,7 +131,7 @@ class SessionBook:
             find_recording(request.source.path, self._settings.recording_folders)
 
     def _earlier_or_free(
-        self, db: Session, request: schemas.SessionRequest, key: str | None, body: bytes
+        self, db: Session, request: schemas.SessionRequest, key: CallersKey | None, body: bytes
     ) -> schemas.Session | None:
         """Return what was answered to this key before; refuse a bad request, and any while a session is open."""
         earlier = earlier_answer(db, ACTION, key, body, schemas.Session)

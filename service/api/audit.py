@@ -10,13 +10,14 @@ from service import deps, schemas
 from service.api import problems
 from service.audit.export import MEDIA, ExportFormat, ExportRequest
 from service.audit_schemas import AuditVerification
+from service.errors import AuditBusyError, NotFoundError
 from service.schema_base import Identifier
 
 router = APIRouter(prefix="/audit", tags=["audit"])
 NDJSON = {media: {"schema": {"type": "string"}} for media in MEDIA.values()}
 
 
-@router.get("", responses=problems(422, 503))
+@router.get("")
 def list_audit(
     services: deps.Offered,
     cursor: deps.Cursor = None,
@@ -27,7 +28,7 @@ def list_audit(
     return services.audit.page(cursor, limit, session_id)
 
 
-@router.get("/verify", responses=problems(404, 409, 422, 503))
+@router.get("/verify", responses=problems(NotFoundError, AuditBusyError))
 def verify_audit(
     services: deps.Offered,
     after: Annotated[int, Query(ge=0, le=2**53, description="Go on after this row, which held")] = 0,
@@ -40,7 +41,7 @@ def verify_audit(
 @router.get(
     "/export",
     response_class=Response,
-    responses={200: {"description": "One row a line", "content": NDJSON}, **problems(404, 422, 503)},
+    responses={200: {"description": "One row a line", "content": NDJSON}, **problems(NotFoundError)},
 )
 def export_audit(
     services: deps.Offered,

@@ -1,12 +1,20 @@
 """Camera calibrations: upload, list, read."""
 
+from typing import Any
+
 from fastapi import APIRouter, Response
 
 from engine.calibration_formats.convert import IMPORT_SCHEMA
+from engine.errors import CalibrationError
 from service import deps, schemas
 from service.api import problems
+from service.errors import BoundError, NotFoundError, OperatorMismatchError
 
 router = APIRouter(prefix="/calibrations", tags=["calibrations"])
+UPLOAD: dict[int | str, dict[str, Any]] = {
+    200: {"model": schemas.UploadedCalibration, "description": "It was there already, with the same content"},
+    **problems(BoundError, CalibrationError, OperatorMismatchError),
+}
 TEXT = {"schema": {"type": "string"}}
 DOCUMENT = {
     "requestBody": {
@@ -54,9 +62,7 @@ DOCUMENT = {
 }
 
 
-@router.post(
-    "", status_code=201, name="calibration.upload", responses=problems(409, 413, 415, 422, 503), openapi_extra=DOCUMENT
-)
+@router.post("", status_code=201, name="calibration.upload", responses=UPLOAD, openapi_extra=DOCUMENT)
 def upload_calibration(
     body: deps.Body,
     caller: deps.Caller,
@@ -72,7 +78,7 @@ def upload_calibration(
     return kept.answer
 
 
-@router.get("", responses=problems(422, 503))
+@router.get("")
 def list_calibrations(
     services: deps.Offered, cursor: deps.Cursor = None, limit: deps.Limit = 50
 ) -> schemas.CalibrationPage:
@@ -80,7 +86,7 @@ def list_calibrations(
     return services.calibrations.page(cursor, limit)
 
 
-@router.get("/{calibration_id}", responses=problems(404, 422, 503))
+@router.get("/{calibration_id}", responses=problems(NotFoundError))
 def read_calibration(calibration_id: deps.CalibrationId, services: deps.Offered) -> schemas.CalibrationDetail:
     """Read a calibration with its document."""
     return services.calibrations.detail(calibration_id)

@@ -8,9 +8,9 @@ from service import access_schemas as schemas
 from service import deps
 from service.access.records import ApiKey
 from service.api import problems
+from service.errors import BoundError, NameTakenError, NotFoundError
 
 router = APIRouter(prefix="/keys", tags=["access"])
-ACT = problems(404, 409, 413, 415, 422, 503)
 
 
 @router.get("")
@@ -19,14 +19,14 @@ def list_keys(desk: deps.Access) -> schemas.KeyList:
     return schemas.KeyList(items=[schemas.KeyView(**_told(key)) for key in desk.keys.all()])
 
 
-@router.post("", status_code=201, name="key.create", responses=ACT)
+@router.post("", status_code=201, name="key.create", responses=problems(BoundError, NameTakenError))
 def create_key(body: schemas.KeyRequest, caller: deps.Caller, desk: deps.Access) -> schemas.MadeKeyView:
     """Make a key; the answer has its secret, which is told never again."""
     made = desk.keys.create(body.name, body.scopes, body.expires_at, by=caller.name)
     return schemas.MadeKeyView(**_told(made.key), secret=made.secret)
 
 
-@router.post("/{key_id}/revoke", name="key.revoke", responses=ACT)
+@router.post("/{key_id}/revoke", name="key.revoke", responses=problems(NotFoundError))
 def revoke_key(key_id: schemas.KeyId, caller: deps.Caller, desk: deps.Access) -> schemas.KeyView:
     """Take a key back, for good; what it has open closes within seconds."""
     return schemas.KeyView(**_told(desk.keys.revoke(key_id, by=caller.name)))

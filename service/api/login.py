@@ -16,13 +16,24 @@ from service.access.logins import Attempt
 from service.access.permissions import permissions_of
 from service.access.records import Login, User
 from service.api import problems
+from service.errors import (
+    BoundError,
+    LocalLoginRefusedError,
+    LockedOutError,
+    LoginFailedError,
+    NotFoundError,
+    OutsideUserError,
+    PasswordDeskFullError,
+    WrongPasswordError,
+)
 
 router = APIRouter(tags=["access"])
-ACT = problems(409, 413, 415, 422, 503)
+LOG_IN = problems(BoundError, LoginFailedError, LocalLoginRefusedError, LockedOutError, PasswordDeskFullError)
+PASSWORD = problems(BoundError, OutsideUserError, WrongPasswordError, LockedOutError, PasswordDeskFullError)
 ResultT = TypeVar("ResultT")
 
 
-@router.post("/login", name="user.login", responses=ACT | problems(401, 403, 429))
+@router.post("/login", name="user.login", responses=LOG_IN)
 async def log_in(
     body: schemas.LoginRequest, desk: deps.Access, address: deps.Address, request: Request, response: Response
 ) -> schemas.Me:
@@ -40,7 +51,7 @@ async def log_in(
     return person_view(desk, opened.user, opened.login)
 
 
-@router.post("/logout", status_code=204, name="user.logout", responses=ACT)
+@router.post("/logout", status_code=204, name="user.logout")
 def log_out(caller: deps.Caller, desk: deps.Access, response: Response) -> None:
     """End this log-in; it changes nothing of a session, and takes no beam away or gives one."""
     login = desk.doorkeeper.login_of(caller.identity)
@@ -58,7 +69,7 @@ def who_am_i(caller: deps.Caller, desk: deps.Access) -> schemas.Me:
     return person_view(desk, desk.person(caller.identity), login)
 
 
-@router.post("/me/password", status_code=204, name="user.password", responses=ACT | problems(429))
+@router.post("/me/password", status_code=204, name="user.password", responses=PASSWORD)
 async def change_password(
     body: schemas.PasswordRequest, caller: deps.Caller, desk: deps.Access, address: deps.Address
 ) -> None:
@@ -80,7 +91,7 @@ def list_my_logins(caller: deps.Caller, desk: deps.Access) -> schemas.LoginList:
     return logins_view(desk, desk.person(caller.identity), caller.identity)
 
 
-@router.post("/me/logins/{login_id}/end", status_code=204, name="user.logout_other", responses=ACT | problems(404))
+@router.post("/me/logins/{login_id}/end", status_code=204, name="user.logout_other", responses=problems(NotFoundError))
 def end_my_login(login_id: schemas.LoginId, caller: deps.Caller, desk: deps.Access) -> None:
     """End a log-in of one's own, here or elsewhere."""
     person = desk.person(caller.identity)

@@ -52,7 +52,7 @@ Oidc = Annotated[OidcDesk, Depends(oidc_desk)]
 
 
 @router.get("/login/ways")
-def list_ways(oidc: Oidc) -> LoginWays:
+def list_login_ways(oidc: Oidc) -> LoginWays:
     """Tell by which ways one may log in; for the page, before anybody has."""
     way = OidcWay(label=oidc.settings.oidc_label, is_reachable=oidc.is_reachable) if oidc.has_people else None
     is_all = way is None or oidc.settings.oidc_local_accounts == "all"
@@ -60,7 +60,7 @@ def list_ways(oidc: Oidc) -> LoginWays:
 
 
 @router.get("/login/oidc", status_code=303, response_class=HTMLResponse, responses=PAGE)
-def set_out(oidc: Oidc, desk: deps.Access, address: deps.Address) -> Response:
+def begin_oidc_login(oidc: Oidc, desk: deps.Access, address: deps.Address) -> Response:
     """Send the browser to the provider."""
     departure = oidc.set_out(address)
     if isinstance(departure, Refusal):
@@ -79,7 +79,7 @@ def set_out(oidc: Oidc, desk: deps.Access, address: deps.Address) -> Response:
 
 
 @router.get("/login/oidc/return", status_code=303, response_class=HTMLResponse, responses=PAGE | problems(422))
-def come_back(
+def finish_oidc_login(
     request: Request,
     oidc: Oidc,
     desk: deps.Access,

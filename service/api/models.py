@@ -2,16 +2,27 @@
 
 from fastapi import APIRouter
 
+from engine.errors import CommandRefusedError, ModelError, ModelMismatchError, TrainingRefusedError
 from service import deps, schemas
 from service.api import problems
+from service.errors import EngineTimeoutError, NotFoundError, OperatorMismatchError, SessionStateError
 
 router = APIRouter(tags=["models"])
-READ = problems(404, 422, 503)
-ACT = problems(404, 409, 413, 415, 422, 503)
+READ = problems(NotFoundError)
+ACT = problems(
+    NotFoundError,
+    OperatorMismatchError,
+    SessionStateError,
+    CommandRefusedError,
+    ModelError,
+    ModelMismatchError,
+    TrainingRefusedError,
+    EngineTimeoutError,
+)
 
 
 @router.get("/sessions/{session_id}/models", responses=READ)
-def list_models(
+def list_session_models(
     session_id: deps.SessionId, services: deps.Offered, cursor: deps.Cursor = None, limit: deps.Limit = 50
 ) -> schemas.ModelPage:
     """List a session's models, newest first."""

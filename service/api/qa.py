@@ -4,21 +4,44 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Response
 
+from engine.errors import BeamLineError, CalibrationError, RecordingError, RuntimeMissingError, SourceLostError
 from service import deps, schemas
 from service.api import problems
+from service.errors import (
+    BoundError,
+    NotFoundError,
+    OperatorMismatchError,
+    QaActiveError,
+    QaStateError,
+    ServiceStoppingError,
+    SessionActiveError,
+)
 from service.qa import schemas as qa
 from service.schema_base import Identifier
 
 router = APIRouter(prefix="/qa", tags=["qa"])
-READ = problems(404, 422, 503)
-ACT = problems(404, 409, 413, 415, 422, 503)
+READ = problems(NotFoundError)
+START = problems(
+    NotFoundError,
+    BoundError,
+    OperatorMismatchError,
+    CalibrationError,
+    RecordingError,
+    QaActiveError,
+    SessionActiveError,
+    ServiceStoppingError,
+    RuntimeMissingError,
+    SourceLostError,
+    BeamLineError,
+)
+FIX = problems(NotFoundError, BoundError, OperatorMismatchError, QaActiveError, QaStateError)
 RunId = Annotated[Identifier, Path(description="The QA run's id")]
 Check = Annotated[str, Query(min_length=1, max_length=48, pattern=r"^[a-z0-9_]+$", examples=["camera_distance_mm"])]
 TrendLimit = Annotated[int, Query(ge=1, le=500, description="Most runs")]
 
 
-@router.post("/runs", status_code=202, name="qa.start", responses=ACT)
-def start_run(
+@router.post("/runs", status_code=202, name="qa.start", responses=START)
+def start_qa_run(
     request: qa.QaRunRequest,
     caller: deps.Caller,
     services: deps.Offered,
@@ -33,20 +56,20 @@ def start_run(
     return kept.answer
 
 
-@router.get("/runs", responses=problems(422, 503))
-def list_runs(services: deps.Offered, cursor: deps.Cursor = None, limit: deps.Limit = 50) -> qa.QaRunPage:
+@router.get("/runs")
+def list_qa_runs(services: deps.Offered, cursor: deps.Cursor = None, limit: deps.Limit = 50) -> qa.QaRunPage:
     """List runs, newest first."""
     return services.qa_book.page(cursor, limit)
 
 
 @router.get("/runs/{run_id}", responses=READ)
-def read_run(run_id: RunId, services: deps.Offered) -> qa.QaRunDetail:
+def read_qa_run(run_id: RunId, services: deps.Offered) -> qa.QaRunDetail:
     """Read a run with every check, or how far it has come."""
     return services.qa_book.detail(run_id)
 
 
-@router.post("/runs/{run_id}/cancel", name="qa.cancel", responses=ACT)
-def cancel_run(
+@router.post("/runs/{run_id}/cancel", name="qa.cancel", responses=problems(NotFoundError, QaStateError))
+def cancel_qa_run(
     run_id: RunId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> qa.QaRun:
     """Hold the beam line, then end the run."""
@@ -58,10 +81,10 @@ def cancel_run(
     response_class=Response,
     responses={
         200: {"description": "The report", "content": {"application/pdf": {}}},
-        **problems(404, 409, 422, 503),
+        **problems(NotFoundError, QaStateError),
     },
 )
-def read_report(run_id: RunId, services: deps.Offered, caller: deps.Caller) -> Response:
+def read_qa_report(run_id: RunId, services: deps.Offered, caller: deps.Caller) -> Response:
     """Print a finished run: the checks, their trends, and what the plots show."""
     headers = {"Content-Disposition": f'inline; filename="qa-{run_id}.pdf"'}
     report = services.qa_book.report_pdf(run_id)
@@ -69,31 +92,31 @@ def read_report(run_id: RunId, services: deps.Offered, caller: deps.Caller) -> R
     return Response(report, media_type="application/pdf", headers=headers)
 
 
-@router.get("/trend", responses=problems(422, 503))
-def read_trend(services: deps.Offered, check: Check, limit: TrendLimit = 30) -> qa.QaTrend:
+@router.get("/trend")
+def read_qa_trend(services: deps.Offered, check: Check, limit: TrendLimit = 30) -> qa.QaTrend:
     """Tell a check over the newest runs, oldest first; simulated runs are left out."""
     return services.qa_book.trend(check, limit)
 
 
 @router.get("/checks")
-def list_checks(services: deps.Offered) -> qa.QaCheckList:
+def list_qa_checks(services: deps.Offered) -> qa.QaCheckList:
     """List what is checked, how, by which bounds of this site, and where they come from."""
     return services.qa_book.checks()
 
 
-@router.get("/status", responses=problems(503))
-def read_status(services: deps.Offered) -> qa.QaStatus:
+@router.get("/status")
+def read_qa_status(services: deps.Offered) -> qa.QaStatus:
     """Tell the newest run of each kind, and whether the site's QA lets anybody arm."""
     return services.qa_book.status()
 
 
-@router.get("/baseline", responses=problems(503))
-def read_baseline(services: deps.Offered) -> qa.QaBaselineHistory:
+@router.get("/baseline")
+def read_qa_baseline(services: deps.Offered) -> qa.QaBaselineHistory:
     """Tell what the camera's place should read, who fixed it, and what it was before."""
     return services.qa_book.baseline()
 
 
-@router.put("/baseline", name="qa.baseline", responses=ACT)
-def fix_baseline(request: qa.QaBaselineRequest, caller: deps.Caller, services: deps.Offered) -> qa.QaBaseline:
+@router.put("/baseline", name="qa.baseline", responses=FIX)
+def fix_qa_baseline(request: qa.QaBaselineRequest, caller: deps.Caller, services: deps.Offered) -> qa.QaBaseline:
     """Fix what the camera's place should read; audited with what it was before."""
     return services.qa_book.fix_baseline(request.model_copy(update={"operator": caller.acts_as(request.operator)}))

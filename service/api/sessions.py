@@ -5,23 +5,96 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import StreamingResponse
 
+from engine.errors import (
+    BeamLineError,
+    CalibrationError,
+    CommandRefusedError,
+    ModelError,
+    ModelMismatchError,
+    RecordingError,
+    RuntimeMissingError,
+    SourceLostError,
+)
+from engine.transition_journal import JournalError
 from service import deps, schemas
 from service.api import problems
+from service.errors import (
+    BoundError,
+    EngineTimeoutError,
+    MeshMissingError,
+    NotFoundError,
+    OperatorMismatchError,
+    PictureMissingError,
+    QaActiveError,
+    QaOverdueError,
+    SamplesRemovedError,
+    ServiceStoppingError,
+    SessionActiveError,
+    SessionStateError,
+    StartError,
+    StorageLowError,
+    StorageUnwritableError,
+)
 from service.gate_schemas import BaselineCorrectionRequest
 from service.ports import SampleFormat
 
 router = APIRouter(prefix="/sessions", tags=["sessions"])
-READ = problems(404, 422, 503)
-SAMPLES_REFUSED = problems(409)
+READ = problems(NotFoundError)
 ARROW, PARQUET = "application/vnd.apache.arrow.stream", "application/vnd.apache.parquet"
 BINARY = {"schema": {"type": "string", "format": "binary"}}
 SampleFormatQuery = Annotated[
     SampleFormat, Query(alias="format", description="Parquet is there once the session is closed")
 ]
-ACT = problems(404, 409, 413, 415, 422, 503)
+CREATE = problems(
+    NotFoundError,
+    BoundError,
+    OperatorMismatchError,
+    RecordingError,
+    SessionActiveError,
+    QaActiveError,
+    ModelMismatchError,
+    CommandRefusedError,
+    RuntimeMissingError,
+    SourceLostError,
+    StorageLowError,
+    ServiceStoppingError,
+)
+START = problems(
+    NotFoundError,
+    BoundError,
+    OperatorMismatchError,
+    CalibrationError,
+    RecordingError,
+    StartError,
+    SessionStateError,
+    SessionActiveError,
+    QaActiveError,
+    ModelError,
+    ModelMismatchError,
+    CommandRefusedError,
+    RuntimeMissingError,
+    SourceLostError,
+    BeamLineError,
+    JournalError,
+    StorageUnwritableError,
+    ServiceStoppingError,
+)
+HOLD = problems(NotFoundError, SessionStateError, CommandRefusedError, EngineTimeoutError, BeamLineError)
+ASK = problems(
+    NotFoundError, OperatorMismatchError, SessionStateError, CommandRefusedError, EngineTimeoutError, BeamLineError
+)
+ARM = problems(
+    NotFoundError,
+    OperatorMismatchError,
+    SessionStateError,
+    CommandRefusedError,
+    EngineTimeoutError,
+    BeamLineError,
+    QaOverdueError,
+)
 
 
-@router.post("", status_code=201, name="session.create", responses=ACT)
+@router.post("", status_code=201, name="session.create", responses=CREATE)
 def create_session(
     request: schemas.SessionRequest,
     caller: deps.Caller,
@@ -37,7 +110,7 @@ def create_session(
     return kept.answer
 
 
-@router.get("", responses=problems(422, 503))
+@router.get("")
 def list_sessions(services: deps.Offered, cursor: deps.Cursor = None, limit: deps.Limit = 50) -> schemas.SessionPage:
     """List sessions, newest first."""
     return services.sessions.page(cursor, limit)
@@ -49,7 +122,7 @@ def read_session(session_id: deps.SessionId, services: deps.Offered) -> schemas.
     return services.sessions.detail(session_id)
 
 
-@router.post("/{session_id}/start", name="session.start", responses=ACT)
+@router.post("/{session_id}/start", name="session.start", responses=START)
 def start_session(
     session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.Session:
@@ -57,7 +130,7 @@ def start_session(
     return services.runner.start(session_id, caller.acts_as(request.operator))
 
 
-@router.post("/{session_id}/arm", name="session.arm", responses=ACT)
+@router.post("/{session_id}/arm", name="session.arm", responses=ARM)
 def arm_session(
     session_id: deps.SessionId,
     request: schemas.OperatorRequest,
@@ -72,7 +145,7 @@ def arm_session(
     )
 
 
-@router.post("/{session_id}/disarm", name="session.disarm", responses=ACT)
+@router.post("/{session_id}/disarm", name="session.disarm", responses=HOLD)
 def disarm_session(
     session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.SessionDetail:
@@ -80,7 +153,7 @@ def disarm_session(
     return services.runner.command(session_id, "disarm", caller.whatever_is_claimed(request.operator))
 
 
-@router.post("/{session_id}/reference", name="session.reference", responses=ACT)
+@router.post("/{session_id}/reference", name="session.reference", responses=ASK)
 def set_reference(
     session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.SessionDetail:
@@ -88,7 +161,7 @@ def set_reference(
     return services.runner.command(session_id, "reference", caller.acts_as(request.operator))
 
 
-@router.post("/{session_id}/acknowledge", name="session.acknowledge", responses=ACT)
+@router.post("/{session_id}/acknowledge", name="session.acknowledge", responses=ASK)
 def acknowledge_fault(
     session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.SessionDetail:
@@ -96,7 +169,7 @@ def acknowledge_fault(
     return services.runner.command(session_id, "acknowledge", caller.acts_as(request.operator))
 
 
-@router.post("/{session_id}/hold", name="session.hold", responses=ACT)
+@router.post("/{session_id}/hold", name="session.hold", responses=HOLD)
 def hold_beam(
     session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.SessionDetail:
@@ -104,7 +177,7 @@ def hold_beam(
     return services.runner.command(session_id, "hold", caller.whatever_is_claimed(request.operator))
 
 
-@router.post("/{session_id}/release", name="session.release", responses=ACT)
+@router.post("/{session_id}/release", name="session.release", responses=ASK)
 def release_beam(
     session_id: deps.SessionId,
     request: schemas.OperatorRequest,
@@ -119,7 +192,11 @@ def release_beam(
     )
 
 
-@router.post("/{session_id}/presence", status_code=204, responses=ACT)
+@router.post(
+    "/{session_id}/presence",
+    status_code=204,
+    responses=problems(NotFoundError, OperatorMismatchError, SessionStateError),
+)
 def note_presence(
     session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> None:
@@ -127,7 +204,7 @@ def note_presence(
     services.runner.note_presence(session_id, caller.acts_as(request.operator))
 
 
-@router.post("/{session_id}/baseline-correction", name="session.baseline_correction", responses=ACT)
+@router.post("/{session_id}/baseline-correction", name="session.baseline_correction", responses=ASK)
 def correct_baseline(
     session_id: deps.SessionId, request: BaselineCorrectionRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.SessionDetail:
@@ -137,7 +214,7 @@ def correct_baseline(
     )
 
 
-@router.post("/{session_id}/stop", name="session.stop", responses=ACT)
+@router.post("/{session_id}/stop", name="session.stop", responses=problems(NotFoundError, SessionStateError))
 def stop_session(
     session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
 ) -> schemas.Session:
@@ -153,8 +230,7 @@ def stop_session(
             "description": "One row a depth frame",
             "content": {"text/csv": {"schema": {"type": "string"}}, ARROW: BINARY, PARQUET: BINARY},
         },
-        **READ,
-        409: SAMPLES_REFUSED[409],
+        **problems(NotFoundError, SamplesRemovedError, SessionStateError),
     },
 )
 def export_samples(
@@ -170,7 +246,10 @@ def export_samples(
 @router.get(
     "/{session_id}/picture",
     response_class=Response,
-    responses={200: {"description": "The newest colour frame", "content": {"image/jpeg": {}}}, **READ},
+    responses={
+        200: {"description": "The newest colour frame", "content": {"image/jpeg": BINARY}},
+        **problems(NotFoundError, PictureMissingError),
+    },
 )
 def read_picture(session_id: deps.SessionId, services: deps.Offered) -> Response:
     """Show the newest colour frame; `X-Frame-Index` tells which."""
@@ -179,7 +258,7 @@ def read_picture(session_id: deps.SessionId, services: deps.Offered) -> Response
     return Response(picture.jpeg, media_type="image/jpeg", headers=headers)
 
 
-@router.get("/{session_id}/mesh", responses=READ)
+@router.get("/{session_id}/mesh", responses=problems(NotFoundError, MeshMissingError))
 def read_mesh(session_id: deps.SessionId, services: deps.Offered) -> schemas.SurfaceMesh:
     """Show the surface of the newest frame as a mesh in the depth camera's frame."""
     return services.runner.mesh(session_id)

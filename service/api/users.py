@@ -8,9 +8,9 @@ from service.access.people import Change, Issued
 from service.access.records import User
 from service.api import problems
 from service.api.login import logins_view
+from service.errors import BoundError, LastAdminError, NameTakenError, NotFoundError, OutsideUserError
 
 router = APIRouter(prefix="/users", tags=["access"])
-ACT = problems(404, 409, 413, 415, 422, 503)
 
 
 @router.get("")
@@ -19,14 +19,16 @@ def list_users(desk: deps.Access) -> schemas.UserList:
     return schemas.UserList(items=[_view(user) for user in desk.people.all()])
 
 
-@router.post("", status_code=201, name="user.create", responses=ACT)
+@router.post("", status_code=201, name="user.create", responses=problems(BoundError, NameTakenError))
 def add_user(body: schemas.UserRequest, caller: deps.Caller, desk: deps.Access) -> schemas.UserView:
     """Make a person; the answer has a password for the first log-in, which asks for another."""
     issued = desk.people.add(body.name, body.roles, by=caller.name, is_break_glass=body.is_break_glass)
     return _issued(issued)
 
 
-@router.patch("/{name}", name="user.change", responses=ACT)
+@router.patch(
+    "/{name}", name="user.change", responses=problems(NotFoundError, BoundError, LastAdminError, OutsideUserError)
+)
 def change_user(
     name: schemas.PersonName, body: schemas.UserChange, caller: deps.Caller, desk: deps.Access
 ) -> schemas.UserView:
@@ -40,14 +42,14 @@ def change_user(
     return _issued(desk.people.change(name, change, by=caller.name))
 
 
-@router.get("/{name}/logins", responses=problems(404, 422))
-def list_logins(name: schemas.PersonName, caller: deps.Caller, desk: deps.Access) -> schemas.LoginList:
+@router.get("/{name}/logins", responses=problems(NotFoundError))
+def list_user_logins(name: schemas.PersonName, caller: deps.Caller, desk: deps.Access) -> schemas.LoginList:
     """List where a person is logged in."""
     return logins_view(desk, desk.people.get(name), caller.identity)
 
 
-@router.post("/{name}/logins/{login_id}/end", status_code=204, name="user.end_login", responses=ACT)
-def end_login(name: schemas.PersonName, login_id: schemas.LoginId, caller: deps.Caller, desk: deps.Access) -> None:
+@router.post("/{name}/logins/{login_id}/end", status_code=204, name="user.end_login", responses=problems(NotFoundError))
+def end_user_login(name: schemas.PersonName, login_id: schemas.LoginId, caller: deps.Caller, desk: deps.Access) -> None:
     """End a person's log-in; its live stream closes within seconds."""
     desk.logins.end(desk.logins.find(desk.people.get(name), login_id), by=caller.name)
 

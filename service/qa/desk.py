@@ -16,7 +16,7 @@ from service.audit_log import AuditLog
 from service.db import repository
 from service.db.engine import Database
 from service.errors import BoundError, QaStateError
-from service.idempotency import earlier_answer, keep_answer
+from service.idempotency import CallersKey, InProgress, earlier_answer, keep_answer
 from service.ports import Kept
 from service.qa import records, schemas, views
 from service.qa.jobs import Handle, QaJob, carry_out
@@ -52,11 +52,12 @@ class QaDesk:
         self._rig = rig
         self._under_way = under_way
         self._thread: threading.Thread | None = None
+        self._in_progress = InProgress()
 
-    def start(self, request: schemas.QaRunRequest, key: str | None) -> Kept[schemas.QaRun]:
+    def start(self, request: schemas.QaRunRequest, key: CallersKey | None) -> Kept[schemas.QaRun]:
         """Begin a run; refused while a session or another run has camera and line."""
         body = audit.canonical_json(request.model_dump(mode="json")).encode()
-        with self._log.refusals(actor=request.operator, action=records.START):
+        with self._log.refusals(actor=request.operator, action=records.START), self._in_progress.only(key):
             with self._database.read() as db:
                 earlier = earlier_answer(db, records.START, key, body, schemas.QaRun)
                 if earlier is not None:
@@ -99,7 +100,7 @@ class QaDesk:
     def _begin(
         self,
         request: schemas.QaRunRequest,
-        key: str | None,
+        key: CallersKey | None,
         body: bytes,
         run_id: str,
         job: QaJob,

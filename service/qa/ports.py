@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Protocol
 
 from engine.calibration import Calibration
+from service.idempotency import CallersKey
 from service.ports import Kept
 from service.qa import schemas
 from service.qa.jobs import QaJob
@@ -29,7 +30,7 @@ class QaRig(Protocol):
 class QaDeskPort(Protocol):
     """Runs under way: begun and cancelled; one at a time, and never beside a session."""
 
-    def start(self, request: schemas.QaRunRequest, key: str | None) -> Kept[schemas.QaRun]:
+    def start(self, request: schemas.QaRunRequest, key: CallersKey | None) -> Kept[schemas.QaRun]:
         """Begin a run on a thread of its own."""
 
     def cancel(self, run_id: str, operator: str) -> schemas.QaRun:

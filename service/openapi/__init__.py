@@ -1,0 +1,60 @@
+"""The contract: what FastAPI writes of the routes, completed by what every call has in common.
+
+`operations` adds what a call takes and may be refused with, `examples` what requests and answers look like, `links` how
+one call leads to another, `contract_files` writes what the repository keeps.
+"""
+
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.routing import APIRoute
+
+from service import schemas
+from service.openapi.components import HEADERS, SECURITY_SCHEMES, TAGS, problem_examples
+from service.openapi.contract_files import contract_files, write_contracts
+from service.openapi.examples import add_examples
+from service.openapi.links import add_links
+from service.openapi.operations import complete_operation
+
+__all__ = ["contract_files", "describe_contract", "operation_id", "write_contracts"]
+
+
+def operation_id(route: APIRoute) -> str:
+    """Name an operation by its function: short, and the same for ever."""
+    return str(getattr(route.endpoint, "__name__", route.name))
+
+
+def describe_contract(app: FastAPI) -> None:
+    """Complete the document that FastAPI makes of the application."""
+    generate = app.openapi
+
+    def openapi() -> dict[str, object]:
+        is_made = app.openapi_schema is not None
+        document = generate()
+        if not is_made:
+            _complete(document)
+        return document
+
+    app.openapi = openapi  # type: ignore[method-assign]  # FastAPI's documented way to extend the document
+
+
+def _complete(document: dict[str, Any]) -> None:
+    components = document.setdefault("components", {})
+    components["schemas"] = components.get("schemas", {}) | _problem_schemas()
+    components["securitySchemes"] = SECURITY_SCHEMES
+    components["headers"] = HEADERS
+    components["examples"] = problem_examples()
+    document["tags"] = TAGS
+    for path, item in document["paths"].items():
+        for method, operation in item.items():
+            complete_operation(operation, method.upper(), path)
+            add_examples(operation)
+            add_links(operation)
+    for unused in ("HTTPValidationError", "ValidationError"):
+        components["schemas"].pop(unused, None)
+
+
+def _problem_schemas() -> dict[str, Any]:
+    """Return the problem's schemas: routes refer to them, none returns them."""
+    schema = schemas.Problem.model_json_schema(mode="serialization", ref_template="#/components/schemas/{model}")
+    return {**schema.pop("$defs", {}), "Problem": schema}

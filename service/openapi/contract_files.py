@@ -1,0 +1,33 @@
+"""The two contracts that are kept in the repository: the OpenAPI document and the JSON Schema of the live stream."""
+
+import json
+from pathlib import Path
+
+from fastapi import FastAPI
+
+from service.live_messages import LIVE_MESSAGE, SCHEMA
+
+OPENAPI_NAME = "openapi.json"
+LIVE_NAME = "live.schema.json"
+
+
+def contract_files(app: FastAPI) -> dict[str, str]:
+    """Return name and text of each contract file."""
+    live = LIVE_MESSAGE.json_schema(mode="serialization")
+    live = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": SCHEMA, **live}
+    return {OPENAPI_NAME: _text(app.openapi()), LIVE_NAME: _text(live)}
+
+
+def write_contracts(app: FastAPI, folder: Path) -> list[Path]:
+    """Write the contract files; returns where."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, text in contract_files(app).items():
+        path = folder / name
+        path.write_text(text, encoding="utf-8")
+        written.append(path)
+    return written
+
+
+def _text(document: object) -> str:
+    return json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False) + "\n"

@@ -1,0 +1,58 @@
+"""How one call leads to another: an id in an answer is a parameter of these."""
+
+from typing import Any
+
+SESSION, MODEL, CALIBRATION, RUN = "session_id", "model_id", "calibration_id", "run_id"
+OF_SESSION = (
+    "read_session",
+    "start_session",
+    "set_reference",
+    "arm_session",
+    "hold_beam",
+    "release_beam",
+    "disarm_session",
+    "acknowledge_fault",
+    "correct_baseline",
+    "note_presence",
+    "stop_session",
+    "retrain_model",
+    "apply_model",
+    "list_session_models",
+    "list_transitions",
+    "export_samples",
+    "read_picture",
+    "read_mesh",
+)
+OF_MODEL = ("read_model", "read_spectrum", "activate_model")
+OF_RUN = ("read_qa_run", "cancel_qa_run", "read_qa_report")
+OF_PERSON = ("read_user", "change_user", "list_user_logins")
+OF_KEY = ("read_key", "revoke_key")
+LINKS: dict[str, tuple[tuple[str, str, tuple[str, ...]], ...]] = {
+    "create_session": (("id", SESSION, OF_SESSION),),
+    "start_session": (("id", SESSION, OF_SESSION),),
+    "read_session": (("id", SESSION, OF_SESSION), ("calibration_id", CALIBRATION, ("read_calibration",))),
+    "list_sessions": (
+        ("items/0/id", SESSION, ("read_session", "list_transitions", "export_samples", "list_session_models")),
+    ),
+    "list_session_models": (("items/0/id", MODEL, OF_MODEL),),
+    "upload_calibration": (("id", CALIBRATION, ("read_calibration",)),),
+    "list_calibrations": (("items/0/id", CALIBRATION, ("read_calibration",)),),
+    "start_qa_run": (("id", RUN, OF_RUN),),
+    "list_qa_runs": (("items/0/id", RUN, OF_RUN),),
+    "add_user": (("name", "name", OF_PERSON),),
+    "create_key": (("id", "key_id", OF_KEY),),
+    "list_my_logins": (("items/0/id", "login_id", ("end_my_login",)),),
+    "import_plan": (("id", "plan_id", ("read_plan", "create_plan_session")),),
+}
+"""Operation -> (where in its answer, which parameter that is, of which operations)."""
+
+
+def add_links(operation: dict[str, Any]) -> None:
+    """Put an operation's links into its first good answer."""
+    made: dict[str, Any] = {}
+    for place, parameter, targets in LINKS.get(operation["operationId"], ()):
+        for target in targets:
+            made[target] = {"operationId": target, "parameters": {parameter: f"$response.body#/{place}"}}
+    if made:
+        status = min(status for status in operation["responses"] if status.startswith("2"))
+        operation["responses"][status]["links"] = made

@@ -1,0 +1,154 @@
+"""What every operation is completed with: what it takes, what it may be refused with, the headers of its answers.
+
+All of it is worked out from the operation itself and the table of rules; a router names only what is its own.
+"""
+
+from copy import deepcopy
+from typing import Any
+
+from service.access.rules import BEFORE_THE_PASSWORD_IS_CHANGED, RULES, Needs, Open
+from service.api import CODES, problem_answer
+from service.conditional import IF_MATCH, IF_NONE_MATCH
+from service.deprecation import DEPRECATED
+from service.idempotency import HEADER as IDEMPOTENCY_KEY
+from service.openapi.components import SECURITY_SCHEMES, header
+from service.problem_catalogue import CATALOGUE
+
+Operation = dict[str, Any]
+Codes = dict[int, set[str]]
+CHANGES = frozenset({"POST", "PUT", "PATCH", "DELETE"})
+V1 = "/api/v1/"
+SHOWN_TO_PEOPLE = "text/html"
+WITH_RETRY = frozenset({"idempotency_in_progress", "locked_out", "login_busy"})
+
+
+def complete_operation(operation: Operation, method: str, path: str) -> None:
+    """Add what the call takes, all its problems, and the headers of its answers."""
+    needs = RULES.get((method, path))
+    _describe_access(operation, needs)
+    responses = operation["responses"]
+    if _is_made_by_fastapi(responses.get("422")):
+        del responses["422"]
+    for status, codes in _codes(operation, method, path, needs).items():
+        _add_problem(responses, status, codes)
+    for status, answer in responses.items():
+        _complete_answer(operation, status, answer)
+    if IF_NONE_MATCH in _parameters(operation):
+        responses["304"] = {"description": "It is what `If-None-Match` names", "headers": _headers(operation, "304")}
+    _deprecate(operation, (method, path))
+    operation["responses"] = dict(sorted(responses.items()))
+
+
+def _describe_access(operation: Operation, needs: Needs | None) -> None:
+    if needs is Open.PUBLIC:
+        operation["security"] = []
+        return
+    is_permission = needs is not None and not isinstance(needs, Open)
+    operation["security"] = [{name: []} for name in SECURITY_SCHEMES]
+    operation["x-permission"] = str(needs) if is_permission else None
+
+
+def _codes(operation: Operation, method: str, path: str, needs: Needs | None) -> Codes:
+    """Work out the problems that this call may meet whatever it does."""
+    found: Codes = {421: {"host_refused"}, 500: {"internal_error"}}
+    for codes in (_of_access(method, path, needs), _of_body(operation, method), _of_parameters(operation)):
+        for status, more in codes.items():
+            found.setdefault(status, set()).update(more)
+    if path.startswith(V1) and not _is_page(operation):
+        found.setdefault(422, set()).add("invalid_value")  # an unknown parameter
+        found[503] = {"storage_unavailable"}
+        if needs is None or str(needs) != "gate.hold":
+            found[406] = {"not_acceptable"}
+    return found
+
+
+def _of_access(method: str, path: str, needs: Needs | None) -> Codes:
+    codes: Codes = {}
+    if method in CHANGES:
+        codes[403] = {"origin_refused"}
+    if needs is Open.PUBLIC:
+        return codes
+    codes[401] = {"not_logged_in"}
+    if (method, path) not in BEFORE_THE_PASSWORD_IS_CHANGED:
+        codes.setdefault(403, set()).add("password_change_due")
+    if not isinstance(needs, Open):
+        codes.setdefault(403, set()).add("permission_missing")
+    return codes
+
+
+def _of_body(operation: Operation, method: str) -> Codes:
+    if method not in CHANGES:
+        return {}
+    codes: Codes = {413: {"body_too_large"}, 415: {"media_type"}}
+    if "requestBody" in operation:
+        codes[400] = {"bad_request"}
+        codes[422] = {"invalid_value"}
+    return codes
+
+
+def _of_parameters(operation: Operation) -> Codes:
+    names = _parameters(operation)
+    codes: Codes = {}
+    if IDEMPOTENCY_KEY in names:
+        codes[409] = {"idempotency_key_reused", "idempotency_in_progress"}
+    if IF_MATCH in names:
+        codes[412] = {"precondition_failed"}
+    if names:
+        codes[422] = {"invalid_value"}
+    return codes
+
+
+def _add_problem(responses: Operation, status: int, codes: set[str]) -> None:
+    known = responses.get(str(status), {})
+    if SHOWN_TO_PEOPLE in known.get("content", {}):
+        return
+    responses[str(status)] = {**known, **problem_answer(status, codes | set(known.get(CODES, ())))}
+
+
+def _complete_answer(operation: Operation, status: str, answer: Operation) -> None:
+    """Write down an answer's headers; a problem's codes with what each means, and an example of each."""
+    answer["headers"] = answer.get("headers", {}) | _headers(operation, status)
+    codes = answer.get(CODES, [])
+    if not codes:
+        return
+    answer["description"] = "\n".join(f"- `{code}`: {CATALOGUE[code].title}" for code in codes)
+    answer["content"] = deepcopy(answer["content"])
+    examples = {code: {"$ref": f"#/components/examples/{code}"} for code in codes}
+    answer["content"]["application/problem+json"]["examples"] = examples
+    if WITH_RETRY & set(codes):
+        answer["headers"]["Retry-After"] = header("Retry-After")
+    if status == "401":
+        answer["headers"]["WWW-Authenticate"] = header("WWW-Authenticate")
+
+
+def _headers(operation: Operation, status: str) -> Operation:
+    """Return the headers that an answer may have by what the call takes."""
+    names = _parameters(operation)
+    found = ["X-Request-ID"]
+    if {IF_MATCH, IF_NONE_MATCH} & names and status[0] in "23":
+        found.append("ETag")
+    if IDEMPOTENCY_KEY in names and status[0] == "2":
+        found.append("Idempotency-Replayed")
+    if "cursor" in names and status == "200":
+        found.append("Link")
+    return {name: header(name) for name in found}
+
+
+def _deprecate(operation: Operation, call: tuple[str, str]) -> None:
+    if call not in DEPRECATED:
+        return
+    operation["deprecated"] = True
+    for answer in operation["responses"].values():
+        answer["headers"] |= {name: header(name) for name in ("Deprecation", "Sunset")}
+
+
+def _parameters(operation: Operation) -> set[str]:
+    return {parameter["name"] for parameter in operation.get("parameters", ())}
+
+
+def _is_made_by_fastapi(answer: Operation | None) -> bool:
+    return answer is not None and "HTTPValidationError" in str(answer.get("content", ""))
+
+
+def _is_page(operation: Operation) -> bool:
+    return any(SHOWN_TO_PEOPLE in answer.get("content", {}) for answer in operation["responses"].values())
