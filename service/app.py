@@ -37,9 +37,11 @@ from service.problem_handlers import install_problem_handlers
 from service.qa.ports import QaRig
 from service.qa.rig import EngineRig
 from service.settings import Settings
+from service.strictness import require_acceptable, require_known_query
 from service.ws import live
 
 DASHBOARD = Path(str(files("service"))) / "dashboard"
+STRICT = (require_known_query, require_acceptable, require_json)
 DESCRIPTION = """Respiratory gating for research and commissioning; **not cleared for clinical use**.
 
 No call can turn a beam on: calls can only arm, which lets the gate decide. Lengths are mm, volumes l, times RFC 3339
@@ -88,7 +90,7 @@ def create_app(
     guarded = Depends(require_guarded)
     app.include_router(health.router, dependencies=[guarded])
     app.include_router(metrics.router, dependencies=[guarded])
-    api = APIRouter(prefix="/api/v1", dependencies=[guarded, Depends(require_json)])
+    api = APIRouter(prefix="/api/v1", dependencies=[guarded, *map(Depends, STRICT)])
     for module in (login, login_oidc, users, keys, sessions, models, calibrations, devices, interlocks, audit, qa):
         api.include_router(module.router)
     app.include_router(api)

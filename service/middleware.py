@@ -1,9 +1,14 @@
 """What every request passes: the host's name, a bound on the body, and headers that keep the page to itself."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service.access.identity import RULE
+from service.deprecation import DEPRECATED
 from service.errors import problem_of, problem_response
 
 SECURITY_HEADERS = {
@@ -44,7 +49,7 @@ class Doorway:
         elif scope["type"] == "websocket":
             await self._app(scope, receive, send)
         else:
-            await self._app(scope, _bounded(scope, receive, self._max_body_bytes), _with_headers(send))
+            await self._app(scope, _bounded(scope, receive, self._max_body_bytes), _with_headers(send, scope))
 
     async def _refuse_host(self, host: str, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a name that is not ours: a foreign page's name may have been pointed at this machine."""
@@ -96,13 +101,21 @@ def _too_large(value: str, max_bytes: int) -> RefusedError:
     return RefusedError(413, "The body is too large", field="body", value=value, bound=f"at most {max_bytes} bytes")
 
 
-def _with_headers(send: Send) -> Send:
+def _with_headers(send: Send, scope: Scope | None = None) -> Send:
     async def send_with_headers(message: Message) -> None:
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
             for name, value in SECURITY_HEADERS.items():
                 headers[name] = value
             headers.setdefault("Cache-Control", "no-cache")
+            for name, value in _deprecation(scope or {}).items():
+                headers[name] = value
         await send(message)
 
     return send_with_headers
+
+
+def _deprecation(scope: Mapping[str, Any]) -> dict[str, str]:
+    """Return the headers of a call that should not be used any more."""
+    said = DEPRECATED.get(scope.get(RULE, ("", "")))
+    return {} if said is None else said.headers()

@@ -12,7 +12,14 @@ from starlette.exceptions import HTTPException
 from engine.errors import TidegateError
 from service.access.identity import identity_in
 from service.deps import services
-from service.errors import MediaTypeError, OperatorMismatchError, problem_of, problem_response
+from service.errors import (
+    MediaTypeError,
+    NotAcceptableError,
+    OperatorMismatchError,
+    PreconditionFailedError,
+    problem_of,
+    problem_response,
+)
 from service.schema_base import Identifier
 
 logger = logging.getLogger(__name__)
@@ -27,6 +34,8 @@ def install_problem_handlers(app: FastAPI) -> None:
     app.add_exception_handler(SQLAlchemyError, _answer)
     app.add_exception_handler(MediaTypeError, _answer_refused)
     app.add_exception_handler(OperatorMismatchError, _answer_refused)
+    app.add_exception_handler(PreconditionFailedError, _answer_refused)
+    app.add_exception_handler(NotAcceptableError, _answer_refused)
     app.add_exception_handler(RequestValidationError, _answer_refused)
     app.add_exception_handler(HTTPException, _answer_refused)
     app.add_exception_handler(Exception, _answer)
