@@ -5,6 +5,8 @@ error it is decides whoever reads: a calibration refuses with :class:`engine.err
 """
 
 import json
+import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +15,9 @@ from engine.errors import InvalidValueError
 
 ROOT = "file"
 """The field's name of the document itself."""
+
+_ESCAPED_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
+"""Halves of characters: a half alone is text that can be written nowhere, not even into a refusal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,15 +41,20 @@ class StrictJson:
             raise self.error(ROOT, path.name, f"readable ({error.strerror})") from error
 
     def parse(self, text: bytes) -> object:
-        """Parse a document; no key twice, no NaN, no infinity, not deep."""
+        """Parse a document; no key twice, no NaN, no infinity, no half characters, not deep."""
         if len(text) > self.max_bytes:
             raise self.error(ROOT, f"{len(text)} bytes or more", f"at most {self.max_bytes} bytes")
         self._refuse_deep_nesting(text)
         try:
             document: object = json.loads(
-                text, object_pairs_hook=self._unique_keys, parse_constant=self._refuse_constant
+                text,
+                object_pairs_hook=self._unique_keys,
+                parse_constant=self._refuse_constant,
+                parse_float=self._finite,
             )
-        except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
+            if _ESCAPED_SURROGATE.search(text):
+                json.dumps(document, ensure_ascii=False).encode()
+        except ValueError as error:  # no JSON, no UTF-8, a number of thousands of digits, or half a character
             reason = str(error).splitlines()[0][:80]
             raise self.error(ROOT, f"{len(text)} bytes", f"a JSON document ({reason})") from error
         return document
@@ -110,6 +120,12 @@ class StrictJson:
                 raise self.error(key[:80], "given twice", "given once")
             keys[key] = value
         return keys
+
+    def _finite(self, text: str) -> float:
+        number = float(text)
+        if not math.isfinite(number):
+            raise self.error(ROOT, text[:80], "made of finite numbers")
+        return number
 
     def _refuse_constant(self, name: str) -> float:
         raise self.error(ROOT, name, "made of finite numbers")

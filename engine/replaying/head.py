@@ -8,7 +8,7 @@ from typing import Any
 
 from engine import __version__
 from engine.calibration import Calibration, parse_calibration
-from engine.errors import RecordingError
+from engine.errors import InvalidValueError, RecordingError
 from engine.limits import GateLimits
 from engine.model import MotionModel
 from engine.pipeline import PipelineSettings
@@ -75,7 +75,7 @@ def read_head(words: dict[str, Any], spelling: Spelling) -> TapeHead:
             software=words["software"],
             machine=words["machine"],
         )
-    except (KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, AttributeError, InvalidValueError) as error:
         msg = f"the tape's head is damaged: {type(error).__name__}"
         raise RecordingError(msg) from error
 

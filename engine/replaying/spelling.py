@@ -23,7 +23,7 @@ from engine.commands import (
     Retrain,
     SetReference,
 )
-from engine.errors import RecordingError
+from engine.errors import InvalidValueError, ModelError, RecordingError
 from engine.likeness import LikenessLimits
 from engine.limits import GateLimits
 from engine.model import MotionModel
@@ -35,6 +35,7 @@ from engine.stages.gate import Interruption
 from engine.training import TrainingSettings
 from engine.windows import AmplitudeWindow, BreathHoldWindow, HoldKind, Join, JoinedWindow, PhaseWindow, Unit
 
+_NO_WORDS = (LookupError, TypeError, ValueError, AttributeError, RecursionError, InvalidValueError, ModelError)
 _CLASSES: dict[str, type] = {
     known.__name__: known
     for known in (
@@ -82,7 +83,15 @@ class Spelling:
         try:
             ((kind, body),) = words.items()
             return self._made(kind, body)
-        except (KeyError, TypeError, ValueError) as error:
+        except (
+            LookupError,
+            TypeError,
+            ValueError,
+            AttributeError,
+            RecursionError,
+            InvalidValueError,
+            ModelError,
+        ) as error:
             msg = f"the tape is damaged: {type(error).__name__} in {str(words)[:60]}"
             raise RecordingError(msg) from error
 

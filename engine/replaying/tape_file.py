@@ -6,6 +6,7 @@ before; ``r`` what came of it, ``e`` what other threads told. The last line is t
 """
 
 import json
+import operator
 import os
 import zlib
 from collections.abc import Iterator
@@ -62,19 +63,40 @@ class Tape:
             if "h" not in line:
                 self._take(line)
                 continue
-            words = iter(line["h"])
-            heard = []
-            for seam in map(Seam, words):
-                answer = next(words)
-                if seam is Seam.CLOCK:
-                    answer = clock_ns = clock_ns + answer
-                heard.append((seam, answer))
-            yield HeardTurn(heard=heard, rows=line.get("r", []), elsewhere=line.get("e", []))
+            try:
+                heard, clock_ns = _heard(line["h"], clock_ns)
+                rows, elsewhere = (_rows(line.get(name, [])) for name in ("r", "e"))
+            except (TypeError, ValueError) as error:
+                msg = f"the tape is damaged: {type(error).__name__} in a turn"
+                raise RecordingError(msg) from error
+            yield HeardTurn(heard=heard, rows=rows, elsewhere=elsewhere)
 
     def _take(self, line: dict[str, Any]) -> None:
+        torn, facts = line.get("torn", self.torn), line.get("facts", {})
+        if not isinstance(torn, str | None) or not isinstance(facts, dict):
+            msg = "the tape is damaged: it ends with what is no end"
+            raise RecordingError(msg)
         self.is_whole = self.is_whole or "end" in line
-        self.torn = line.get("torn", self.torn)
-        self.facts |= line.get("facts", {})
+        self.torn = torn
+        self.facts |= facts
+
+
+def _heard(words: list[Any], clock_ns: int) -> tuple[list[tuple[Seam, Any]], int]:
+    """Return a turn's answers, each with where it came from, and the clock's last reading."""
+    heard = []
+    for word, answer in zip(words[::2], words[1::2], strict=True):
+        seam = Seam(word)
+        if seam is Seam.CLOCK:
+            clock_ns += operator.index(answer)
+        heard.append((seam, clock_ns if seam is Seam.CLOCK else answer))
+    return heard, clock_ns
+
+
+def _rows(words: object) -> list[Row]:
+    if not isinstance(words, list) or not all(isinstance(row, dict) for row in words):
+        msg = "no rows"
+        raise TypeError(msg)
+    return words
 
 
 class TapeFile:
@@ -168,10 +190,14 @@ def _lines(path: Path) -> Iterator[dict[str, Any]]:
             raise RecordingError(msg)
         for line in lines:
             try:
-                yield json.loads(line)
-            except ValueError as error:
+                found = json.loads(line)
+            except (ValueError, RecursionError) as error:
                 msg = f"{path.name}: damaged ({error})"
                 raise RecordingError(msg) from error
+            if not isinstance(found, dict):
+                msg = f"{path.name}: damaged (a line that is no object)"
+                raise RecordingError(msg)
+            yield found
 
 
 def _unpacked(path: Path) -> Iterator[bytes]:

@@ -1,12 +1,13 @@
 """A backup file read back: whole, ours, and every part as its manifest says."""
 
 import hashlib
+import struct
 import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import IO, BinaryIO
 
 from pydantic import ValidationError
 
@@ -23,7 +24,9 @@ from service.backup.layout import (
 
 PIECE_BYTES = 1024 * 1024
 MAX_LINE_BYTES = 256 * 1024 * 1024
-DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError)
+MOST_ENTRIES = 1_000_000
+DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError, struct.error, MemoryError)
+"""What comes out of a ZIP archive that is cut, bent, encrypted, or none."""
 
 
 class BackupFile:
@@ -37,7 +40,7 @@ class BackupFile:
         """Read a table's lines; raise BackupError at the end if they are not those that were written."""
         digest, rows = hashlib.sha256(), 0
         with self._opened(table_entry(table.name)) as source:
-            while line := source.readline(MAX_LINE_BYTES):
+            while rows <= table.rows and (line := source.line()):
                 digest.update(line)
                 rows += 1
                 yield line
@@ -49,7 +52,8 @@ class BackupFile:
         """Read a file into another; raise BackupError if it is not the one that was written."""
         digest, size = hashlib.sha256(), 0
         with self._opened(file.path) as source:
-            while piece := source.read(PIECE_BYTES):
+            # Not a byte more than it says: what a few bytes unpack to may fill a disk.
+            while size <= file.bytes and (piece := source.piece()):
                 digest.update(piece)
                 size += len(piece)
                 out.write(piece)
@@ -58,16 +62,42 @@ class BackupFile:
             raise BackupError(msg)
 
     @contextmanager
-    def _opened(self, name: str) -> Iterator[BinaryIO]:
+    def _opened(self, name: str) -> Iterator["_Entry"]:
         try:
-            with self._archive.open(name) as source:
-                yield cast("BinaryIO", source)
+            source = self._archive.open(name)
         except KeyError as error:
             msg = f"{name} is missing in the backup"
             raise BackupError(msg) from error
         except DAMAGED as error:
-            msg = f"{name} of the backup is damaged"
-            raise BackupError(msg) from error
+            raise _damaged(name) from error
+        with source:
+            yield _Entry(name, source)
+
+
+class _Entry:
+    """One entry of the archive; what its reading fails with is told as damage, what its reader fails with is not."""
+
+    def __init__(self, name: str, source: IO[bytes]) -> None:
+        self._name = name
+        self._source = source
+
+    def line(self) -> bytes:
+        """Read the next line; empty at the end."""
+        try:
+            return self._source.readline(MAX_LINE_BYTES)
+        except DAMAGED as error:
+            raise _damaged(self._name) from error
+
+    def piece(self) -> bytes:
+        """Read the next bytes; empty at the end."""
+        try:
+            return self._source.read(PIECE_BYTES)
+        except DAMAGED as error:
+            raise _damaged(self._name) from error
+
+
+def _damaged(name: str) -> BackupError:
+    return BackupError(f"{name} of the backup is damaged")
 
 
 @contextmanager
@@ -81,10 +111,13 @@ def opened(path: Path) -> Iterator[BackupFile]:
     """
     try:
         archive = zipfile.ZipFile(path)
-    except (OSError, *DAMAGED) as error:
+    except DAMAGED as error:
         msg = f"{path} is no backup, or was cut off"
         raise BackupError(msg) from error
     with archive:
+        if len(archive.filelist) > MOST_ENTRIES:
+            msg = f"{path} is no backup of ours: it has {len(archive.filelist)} entries"
+            raise BackupError(msg)
         yield BackupFile(archive, _manifest(path, archive))
 
 
@@ -94,7 +127,8 @@ def _manifest(path: Path, archive: zipfile.ZipFile) -> Manifest:
         if entry.file_size > MAX_MANIFEST_BYTES:
             msg = f"{path} is no backup of ours: its manifest is too long"
             raise BackupError(msg)
-        manifest = Manifest.model_validate_json(archive.read(entry))
+        with archive.open(entry) as source:
+            manifest = Manifest.model_validate_json(source.read(MAX_MANIFEST_BYTES))
     except (KeyError, ValidationError, *DAMAGED) as error:
         msg = f"{path} is no backup of ours, or of a newer version"
         raise BackupError(msg) from error

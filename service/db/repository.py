@@ -1,20 +1,20 @@
 """The questions asked of the tables; each takes the session it runs in: callers decide what is one transaction."""
 
 from collections.abc import Callable, Sequence
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import TypeVar
 
 from sqlalchemy import ColumnElement, Select, func, literal, select, tuple_
 from sqlalchemy.orm import Session
 
 from service.db.base import UtcTime, utc_text
-from service.db.models import AuditRow, CalibrationRow, ModelRow, QaRunRow, SessionRow
+from service.db.models import AuditRow, CalibrationRow, ModelRow, PlanRow, QaRunRow, SessionRow
 from service.errors import BoundError, NotFoundError
 
 OPEN_STATUSES = ("created", "running")
 TRANSITION = "gate.transition"
 RowT = TypeVar("RowT")
-DatedT = TypeVar("DatedT", SessionRow, CalibrationRow, QaRunRow)
+DatedT = TypeVar("DatedT", SessionRow, CalibrationRow, QaRunRow, PlanRow)
 
 
 def session_row(db: Session, session_id: str) -> SessionRow:
@@ -108,6 +108,8 @@ def newest_first(
     query = select(kind).order_by(kind.created_at.desc(), kind.id.desc())
     if cursor is not None:
         created_at, _, row_id = cursor.partition("_")
+        if not (row_id.isascii() and row_id.isalnum()):
+            raise _cursor_error(cursor)
         query = query.where(tuple_(kind.created_at, kind.id) < tuple_(_moment(created_at), literal(row_id)))
     return _cut(db, query, limit, lambda row: f"{utc_text(row.created_at)}_{row.id}")
 
@@ -129,11 +131,11 @@ def _number(cursor: str) -> int:
 def _moment(text: str) -> ColumnElement[datetime]:
     try:
         moment = datetime.fromisoformat(text)
-    except ValueError as error:
+        if moment.tzinfo is None:
+            raise _cursor_error(text)
+        return literal(moment.astimezone(UTC), UtcTime)
+    except (ValueError, OverflowError) as error:  # a zone may lead out of the calendar
         raise _cursor_error(text) from error
-    if moment.tzinfo is None:
-        raise _cursor_error(text)
-    return literal(moment, UtcTime)
 
 
 def _cursor_error(cursor: str) -> BoundError:

@@ -47,7 +47,7 @@ class StreamWalk:
         try:
             self._reader = pa.ipc.open_stream(self._file, options=pa.ipc.IpcReadOptions(use_threads=False))
             self.head: SampleHead = head_of(self._reader.schema.metadata or {})
-        except (pa.ArrowInvalid, OSError, ValueError, KeyError) as error:
+        except (pa.ArrowException, OSError, ValueError, TypeError, KeyError) as error:
             self._close()
             msg = f"{path.name} is no sample file"
             raise NoSamplesError(msg) from error

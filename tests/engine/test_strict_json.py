@@ -32,11 +32,24 @@ def test_each_reader_raises_its_own_error():
         (b"[[[[]]]]", "nested at most 3 deep"),
         (b'{"a": 1, "a": 1}', "given once"),
         (b'{"a": NaN}', "made of finite numbers"),
+        (b'{"a": -Infinity}', "made of finite numbers"),
+        (b'{"a": 1e999}', "made of finite numbers"),
+        (b'{"a": -1e999}', "made of finite numbers"),
+        (b'{"\\ud800": 1}', "a JSON document"),
+        (b'["\\uDFFF"]', "a JSON document"),
+        (b"\xff", "a JSON document"),
         (b"{", "a JSON document"),
     ],
 )
 def test_a_document_is_bounded(text, bound):
     assert refusal_of(READ.parse, text).bound.startswith(bound)
+
+
+def test_a_character_of_two_halves_is_whole_and_a_long_number_costs_nothing():
+    assert READ.parse(b'["\\ud83d\\ude00"]') == ["\U0001f600"]
+    digits = StrictJson(max_bytes=10_000)
+    assert refusal_of(digits.parse, b"9" * 5000).bound.startswith("a JSON document")
+    assert digits.parse(b"9" * 4000) == 10**4000 - 1
 
 
 def test_a_file_is_never_read_beyond_its_bound(tmp_path):

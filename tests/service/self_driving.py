@@ -53,7 +53,7 @@ def main() -> None:
     settings = Settings(data_dir=Path(data), recordings_dirs=(Path(recordings),), port=int(port))
     with contextlib.suppress(KeyboardInterrupt):
         app = create_app(settings, lambda _settings: SelfDrivingEngine())
-        make_server(app, host=settings.host, port=settings.port).run()
+        make_server(app, host=settings.host, port=settings.port, doors=settings.doors).run()
 
 
 if __name__ == "__main__":

@@ -1,0 +1,10 @@
+"""All targets, by name."""
+
+from collections.abc import Mapping
+
+from tests.fuzz import documents, kept_files, pictures, requests
+from tests.fuzz.target import Target
+
+TARGETS: Mapping[str, Target] = {
+    target.name: target for module in (pictures, documents, kept_files, requests) for target in module.TARGETS
+}
