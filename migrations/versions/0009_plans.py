@@ -1,14 +1,76 @@
-"""Sessions prepared from an RT Plan: what the plan was is kept beside them."""
+"""RT Plans as they were read, added to and never changed; and which plan a session was prepared from."""
+
+import sqlalchemy as sa
+from alembic import op
+
+from migrations.refusals import allow, refuse
 
 revision = "0009"
 down_revision = "0008"
 branch_labels = None
 depends_on = None
 
+SAME = "id = NEW.id OR sha256 = NEW.sha256 OR sop_instance_uid = NEW.sop_instance_uid"
+
 
 def upgrade() -> None:
-    """Nothing yet."""
+    op.create_table(
+        "plans",
+        sa.Column("id", sa.String(32), primary_key=True),
+        sa.Column("sop_instance_uid", sa.String(64), nullable=False, unique=True),
+        sa.Column("sha256", sa.String(64), nullable=False, unique=True),
+        sa.Column("kind", sa.String(16), nullable=False),
+        sa.Column("label", sa.String(16), nullable=False),
+        sa.Column("patient_reference", sa.String(80), nullable=False),
+        sa.Column("gating", sa.String(16), nullable=False),
+        sa.Column("document", sa.Text, nullable=False),
+        sa.Column("imported_by", sa.String(80), nullable=False),
+        sa.Column("created_at", sa.String(27), nullable=False),
+    )
+    op.create_index("ix_plans_created", "plans", ["created_at", "id"])
+    op.create_index("ix_plans_patient_reference", "plans", ["patient_reference"])
+    for name, trigger in _triggers().items():
+        refuse(name, *trigger)
+    if op.get_bind().dialect.name == "postgresql":
+        _refuse_truncate()
+    op.add_column("sessions", sa.Column("rt_plan_id", sa.String(32)))
+    op.create_index("ix_sessions_rt_plan_id", "sessions", ["rt_plan_id"])
 
 
 def downgrade() -> None:
-    """Nothing yet."""
+    op.drop_index("ix_sessions_rt_plan_id", "sessions")
+    op.drop_column("sessions", "rt_plan_id")
+    if op.get_bind().dialect.name == "postgresql":
+        allow("plans_no_truncate", "plans")
+    for name, (table, *_) in _triggers().items():
+        allow(name, table)
+    op.drop_table("plans")
+
+
+def _triggers() -> dict[str, tuple[str, str, str | None, str]]:
+    """Name each trigger: its table, its verb, when it refuses (None is always), and what it says. See 0006."""
+    words = "plans is append-only"
+    made: dict[str, tuple[str, str, str | None, str]] = {
+        f"plans_no_{verb.lower()}": ("plans", verb, None, words) for verb in ("UPDATE", "DELETE")
+    }
+    same = {"plans_only_new": SAME}
+    if op.get_bind().dialect.name == "sqlite":
+        same["plans_only_new_rowid"] = "rowid = NEW.rowid"
+    for name, condition in same.items():
+        there = f"EXISTS (SELECT 1 FROM plans WHERE {condition})"  # noqa: S608 - words of this file alone
+        made[name] = ("plans", "INSERT", there, words)
+    return made
+
+
+def _refuse_truncate() -> None:
+    """Refuse what fires no row's trigger, and let all triggers fire for whoever replicates, too."""
+    op.execute(
+        "CREATE FUNCTION plans_no_truncate() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN "
+        "RAISE EXCEPTION 'plans is append-only' USING ERRCODE = 'integrity_constraint_violation'; END $$"
+    )
+    op.execute(
+        "CREATE TRIGGER plans_no_truncate BEFORE TRUNCATE ON plans FOR EACH STATEMENT "
+        "EXECUTE FUNCTION plans_no_truncate()"
+    )
+    for name in (*_triggers(), "plans_no_truncate"):
+        op.execute(f'ALTER TABLE plans ENABLE ALWAYS TRIGGER "{name}"')

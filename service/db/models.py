@@ -45,7 +45,26 @@ class SessionRow(Base):
     ended_at: Mapped[datetime | None] = mapped_column(UtcTime)
     regions: Mapped[str] = mapped_column(Text, default="{}", server_default="{}")
     model_id: Mapped[str | None] = mapped_column(String(32))
+    rt_plan_id: Mapped[str | None] = mapped_column(String(32), index=True)
     calibration: Mapped[CalibrationRow] = relationship(lazy="joined")
+
+
+class PlanRow(Base):
+    """An RT Plan as it was read; see `service.plans`. Never changed nor removed."""
+
+    __tablename__ = "plans"
+    __table_args__ = (Index("ix_plans_created", "created_at", "id"),)
+
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    sop_instance_uid: Mapped[str] = mapped_column(String(64), unique=True)
+    sha256: Mapped[str] = mapped_column(String(64), unique=True)
+    kind: Mapped[str] = mapped_column(String(16))
+    label: Mapped[str] = mapped_column(String(16))
+    patient_reference: Mapped[str] = mapped_column(String(80), index=True)
+    gating: Mapped[str] = mapped_column(String(16))
+    document: Mapped[str] = mapped_column(Text)
+    imported_by: Mapped[str] = mapped_column(String(80))
+    created_at: Mapped[datetime] = mapped_column(UtcTime)
 
 
 class ModelRow(Base):

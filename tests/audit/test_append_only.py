@@ -28,6 +28,18 @@ ROWS = {
         "is_simulated_beam": 1,
         "created_at": "t",
     },
+    "plans": {
+        "id": SOME,
+        "sop_instance_uid": "1.2.3",
+        "sha256": "e" * 64,
+        "kind": "RT Plan",
+        "label": "l",
+        "patient_reference": "p",
+        "gating": "none",
+        "document": "{}",
+        "imported_by": "me",
+        "created_at": "t",
+    },
     "models": {
         "id": SOME,
         "session_id": SOME,
@@ -71,7 +83,13 @@ ROWS = {
     },
 }
 KEPT = [table for table in ROWS if table != "sessions"]
-COLUMN = {"calibrations": "camera", "models": "sha256", "qa_baselines": "reason", "qa_runs": "site"} | {
+COLUMN = {
+    "plans": "label",
+    "calibrations": "camera",
+    "models": "sha256",
+    "qa_baselines": "reason",
+    "qa_runs": "site",
+} | {
     "qa_results": "detail",
     "qa_outcomes": "series",
 }
@@ -129,6 +147,7 @@ def test_no_insert_takes_the_place_of_a_row(filled, table):
 
 
 OTHER_KEYS = {
+    "plans": {"id": "y" * 32, "sop_instance_uid": "1.2.4", "sha256": "f"},
     "calibrations": {"id": "y" * 32, "sha256": "d"},
     "models": {"id": "y" * 32, "number": 2},
     "qa_runs": {"id": "y" * 32},
@@ -143,12 +162,14 @@ def test_no_insert_takes_the_place_of_a_row_by_its_hidden_number(filled, table):
     refused(filled, table, *insert(table, "INSERT OR REPLACE", rowid=1, **OTHER_KEYS[table]))
 
 
-def test_another_calibration_or_model_of_the_same_content_or_number_takes_no_place(filled):
+def test_another_calibration_plan_or_model_of_the_same_content_or_number_takes_no_place(filled):
     refused(filled, "calibrations", *insert("calibrations", "INSERT OR REPLACE", id="y" * 32))
+    for other in ({"sha256": "f"}, {"sop_instance_uid": "1.2.4"}):
+        refused(filled, "plans", *insert("plans", "INSERT OR REPLACE", id="y" * 32, **other))
     refused(filled, "models", *insert("models", "INSERT OR REPLACE", id="y" * 32))
 
 
-@pytest.mark.parametrize("table", ["calibrations", "models", "qa_runs"])
+@pytest.mark.parametrize("table", ["calibrations", "plans", "models", "qa_runs"])
 def test_new_rows_are_taken(filled, table):
     filled.execute(*insert(table, **OTHER_KEYS[table]))
     assert len(contents(filled, table)) == 2
@@ -175,7 +196,7 @@ def test_the_audit_takes_the_next_row_only(filled, statement):
 
 
 def test_down_and_up_again_leaves_the_rows_and_lets_go_of_them_in_between(tmp_path, filled, database):
-    before = {table: contents(filled, table) for table in ("audit", *KEPT)}
+    before = {table: contents(filled, table) for table in ("audit", *KEPT) if table != "plans"}  # came with 0009
     filled.close()
     database.downgrade("0005")
     connection = sqlite3.connect(database.path)
