@@ -27,7 +27,7 @@ from service.api import (
     sessions,
     users,
 )
-from service.deps import require_guarded, require_json
+from service.deps import guarded, require_json
 from service.engine_adapter import EngineAdapter
 from service.lifespan import make_lifespan
 from service.middleware import Doorway
@@ -36,6 +36,7 @@ from service.ports import EnginePort
 from service.problem_handlers import install_problem_handlers
 from service.qa.ports import QaRig
 from service.qa.rig import EngineRig
+from service.request_watch import RequestWatch
 from service.settings import Settings
 from service.strictness import require_acceptable, require_known_query
 from service.ws import live
@@ -75,6 +76,7 @@ def create_app(
         redoc_url=None,
         lifespan=make_lifespan(settings, make_engine, make_rig, tell_first),
         middleware=[
+            Middleware(RequestWatch, page_files=_page_files()),
             Middleware(Doorway, host_names=settings.host_names, max_body_bytes=settings.max_body_bytes),
             Middleware(
                 Guard,
@@ -87,10 +89,10 @@ def create_app(
     )
     install_problem_handlers(app)
     describe_contract(app)
-    guarded = Depends(require_guarded)
-    app.include_router(health.router, dependencies=[guarded])
-    app.include_router(metrics.router, dependencies=[guarded])
-    api = APIRouter(prefix="/api/v1", dependencies=[guarded, *map(Depends, STRICT)])
+    is_guarded = Depends(guarded)
+    app.include_router(health.router, dependencies=[is_guarded])
+    app.include_router(metrics.router, dependencies=[is_guarded])
+    api = APIRouter(prefix="/api/v1", dependencies=[is_guarded, *map(Depends, STRICT)])
     for module in (login, login_oidc, users, keys, sessions, models, calibrations, devices, interlocks, audit, qa):
         api.include_router(module.router)
     app.include_router(api)

@@ -15,7 +15,7 @@ logger = logging.getLogger(__name__)
 
 EVERY_S = 3600.0
 AGAIN_S = 60.0
-JOIN_S = 5.0
+JOIN_S = 1.0
 """A large file that is being hashed is not waited for: it is removed another day."""
 
 
@@ -47,6 +47,11 @@ class Caretaker(threading.Thread):
         self._now = now
         self._is_over = threading.Event()
         self._one_at_a_time = threading.Lock()
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether it looks no more although nobody closed it."""
+        return self.ident is not None and not self.is_alive() and not self._is_over.is_set()
 
     def run(self) -> None:
         """Look, and look again."""

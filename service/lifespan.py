@@ -29,7 +29,6 @@ from service.interlocks import InterlockTable
 from service.interrupted import close_interrupted
 from service.journal_recovery import recover_transitions
 from service.journals import Journals
-from service.metrics import Metrics
 from service.model_store import MODELS_FOLDER, ModelStore
 from service.motion_models import ModelShelf
 from service.ports import EnginePort
@@ -38,7 +37,6 @@ from service.qa.book import close_interrupted as close_interrupted_qa
 from service.qa.desk import QaDesk
 from service.qa.ports import QaRig
 from service.qa.under_way import UnderWay
-from service.readiness import ReadinessProbe
 from service.room import Room
 from service.runner import SessionRunner
 from service.samples.desk import SampleDesk
@@ -47,6 +45,7 @@ from service.samples.shelf import SampleShelf
 from service.sessions import SessionBook
 from service.settings import Settings
 from service.tallies import Tallies
+from service.watching import Watched, Watching, make_watching
 from service.ws.live import LiveStream
 
 
@@ -65,6 +64,7 @@ class _House:
     access: AccessDesk
     oidc: OidcDesk
     attendance: Attendance
+    watching: Watching
 
     def hold_and_close_session(self) -> None:
         """Let nothing begin any more, hold the beam, whoever has it, and end what goes on."""
@@ -106,6 +106,7 @@ def make_lifespan(
             app.state.start_refusal = _refusal(error)
             raise
         app.state.services = house.services
+        app.state.http_tallies = house.watching.http
         app.state.access = house.access
         app.state.oidc = house.oidc
         app.state.attendance = house.attendance
@@ -149,20 +150,6 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFi
     under_way = UnderWay()
     qa_desk = QaDesk(database=database, log=log, settings=settings, room=room, rig=rig, under_way=under_way)
     qa_book = QaBook(database, log, settings, under_way)
-    services = Services(
-        sessions=book,
-        runner=runner,
-        samples=SampleDesk(database, shelf),
-        calibrations=CalibrationShelf(database, log),
-        models=ModelShelf(database, room),
-        audit=AuditDesk(database, log, AnchorFile(settings.anchor_file), site=settings.site_name),
-        health=ReadinessProbe(database, settings, lambda: care.troubles),
-        interlocks=InterlockTable(settings),
-        metrics=Metrics(tallies, room),
-        engine=engine,
-        qa_desk=qa_desk,
-        qa_book=qa_book,
-    )
     access = open_access(database, log, settings)
     if tell_first is not None:
         make_first_admin(access.store, access.people, tell_first)
@@ -172,6 +159,33 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFi
         is_here=access.doorkeeper.is_here,
         is_armed=room.is_armed,
         hold=runner.hold_unattended,
+    )
+    watching = make_watching(
+        Watched(
+            settings=settings,
+            database=database,
+            room=room,
+            engine=engine,
+            tallies=tallies,
+            care=care,
+            caretaker=caretaker,
+            access=access,
+            attendance=attendance,
+        )
+    )
+    services = Services(
+        sessions=book,
+        runner=runner,
+        samples=SampleDesk(database, shelf),
+        calibrations=CalibrationShelf(database, log),
+        models=ModelShelf(database, room),
+        audit=AuditDesk(database, log, AnchorFile(settings.anchor_file), site=settings.site_name),
+        health=watching.health,
+        interlocks=InterlockTable(settings),
+        metrics=watching.metrics,
+        engine=engine,
+        qa_desk=qa_desk,
+        qa_book=qa_book,
     )
     attendance.start()
     care.start({**_start_detail(engine), "journal_folder": str(journals.folder)})
@@ -191,6 +205,7 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFi
         access=access,
         oidc=oidc,
         attendance=attendance,
+        watching=watching,
     )
 
 

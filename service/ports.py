@@ -13,6 +13,7 @@ from typing import Generic, Literal, Protocol, TypeVar
 
 from engine.calibration import Calibration
 from engine.commands import Command
+from engine.frames import ColorImage
 from engine.likeness import Likeness
 from engine.live import FrameRecord, GateTransition, LiveView, LoopStatus
 from engine.model import MotionModel
@@ -25,6 +26,7 @@ from service.audit_schemas import AuditVerification
 from service.gate_schemas import BaselineCorrectionRequest, InterlockList
 from service.idempotency import CallersKey
 from service.live_messages import Sample
+from service.readiness_schemas import Readiness
 from service.window_schemas import Window
 
 CommandName = Literal["arm", "disarm", "reference", "acknowledge", "hold", "release"]
@@ -93,6 +95,9 @@ class RunningEngine(Protocol):
     def latest(self) -> LiveView | None:
         """The newest of everything, or None before the first frame."""
 
+    def picture(self) -> tuple[int, ColorImage] | None:
+        """Return the newest frame's index and colour picture; None before there is one. A view may come without."""
+
     @property
     def has_reference(self) -> bool:
         """Whether motion has a zero that somebody may arm with."""
@@ -147,6 +152,13 @@ class EnginePort(Protocol):
 
     def devices(self) -> schemas.DeviceList:
         """List the cameras that could be used."""
+
+    @property
+    def trouble(self) -> str | None:
+        """Why no session could begin at once; None where one could."""
+
+    def close(self) -> None:
+        """End what waits for a session; no session runs any more."""
 
 
 class SessionsPort(Protocol):
@@ -287,12 +299,12 @@ class InterlocksPort(Protocol):
 class MetricsPort(Protocol):
     """What a monitoring system reads."""
 
-    def text(self) -> bytes:
-        """Write the metrics in the text format of Prometheus."""
+    def text(self, accept: str = "") -> tuple[bytes, str]:
+        """Write the metrics in the form that is accepted; return the text and its media type."""
 
 
 class HealthPort(Protocol):
     """Whether everything a session needs is there."""
 
-    def readiness(self) -> schemas.Readiness:
+    def readiness(self) -> Readiness:
         """Say what is missing, if anything."""

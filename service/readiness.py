@@ -1,60 +1,196 @@
-"""Whether a session could run now, and if not, what is missing."""
+"""Whether a session could run now, and if not, what is missing.
+
+Machines ask many times a second: what was found is told again for a moment, one look is under way at a time, and who
+asks while that one hangs is told so instead of hanging, too.
+"""
 
 import shutil
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from datetime import UTC, datetime, timedelta
+from functools import cache
 
 from sqlalchemy import text
 from sqlalchemy.exc import SQLAlchemyError
 
-from service import schemas
+from engine.capture.openni import runtime_installed
+from engine.clock import NS_PER_MS, Clock, MonotonicClock
+from service.audit.start import clock_went_back
+from service.certificate import CertificateWatch
 from service.db.engine import Database
 from service.errors import QaOverdueError
 from service.qa.requirement import refuse_without_qa
+from service.readiness_schemas import Readiness, ReadinessCode, ReadinessReason
 from service.settings import Settings
 
 MIB = 1024 * 1024
+LONGEST_AGE_MS = 5_000.0
+"""What was found longer ago is told no more, even while a look hangs."""
 
 
 class ReadinessProbe:
-    """Looks at the database, the disk, the folders and the audit."""
+    """Looks at the database, the disk, the folders, the certificate, the clock, the audit and the threads.
 
-    def __init__(self, database: Database, settings: Settings, audit_troubles: Callable[[], list[str]] = list) -> None:
+    Parameters
+    ----------
+    audit_troubles
+        What the audit's keepers say.
+    ended_threads
+        Names of threads that ended although they should not have.
+    engine_trouble
+        Why no engine could be started.
+    is_stopping
+        Whether the service is on its way out.
+    """
+
+    def __init__(
+        self,
+        database: Database,
+        settings: Settings,
+        audit_troubles: Callable[[], list[str]] = list,
+        *,
+        ended_threads: Callable[[], Iterable[str]] = tuple,
+        engine_trouble: Callable[[], str | None] = lambda: None,
+        is_stopping: Callable[[], bool] = lambda: False,
+        has_camera_runtime: Callable[[], bool] = runtime_installed,
+        now: Callable[[], datetime] = lambda: datetime.now(UTC),
+        clock: Clock | None = None,
+    ) -> None:
         self._database = database
         self._settings = settings
         self._audit_troubles = audit_troubles
+        self._ended_threads = ended_threads
+        self._engine_trouble = engine_trouble
+        self._is_stopping = is_stopping
+        # Looked for once: it costs a process each time, and who installs a runtime starts the service again.
+        self._has_camera_runtime = cache(has_camera_runtime)
+        self._now = now
+        self._clock = clock or MonotonicClock()
+        self._certificate = CertificateWatch(settings.tls_cert)
+        self._looking = threading.Lock()
+        self._kept: tuple[int, Readiness] | None = None
 
-    def readiness(self) -> schemas.Readiness:
-        """Say what is missing, if anything."""
-        missing = [*self._database_trouble(), *self._disk_trouble(), *self._folder_trouble(), *self._qa_trouble()]
-        missing += self._audit_troubles()
-        return schemas.Readiness(is_ready=not missing, not_ready=missing)
+    def readiness(self) -> Readiness:
+        """Say what is missing, if anything; what is told may be a moment old."""
+        kept = self._younger_than(self._settings.readiness_keep_ms)
+        if kept is not None:
+            return kept
+        if not self._looking.acquire(blocking=False):
+            return self._younger_than(LONGEST_AGE_MS) or self._not_known()
+        try:
+            found = self._look()
+            self._kept = (self._clock.now_ns(), found)
+        finally:
+            self._looking.release()
+        return found
 
-    def _database_trouble(self) -> list[str]:
+    def _younger_than(self, age_ms: float) -> Readiness | None:
+        kept = self._kept
+        is_young = kept is not None and self._clock.now_ns() - kept[0] < age_ms * NS_PER_MS
+        # The way out is told at once: whoever sends sessions here must not send another.
+        return kept[1] if kept is not None and is_young and not self._is_stopping() else None
+
+    def _look(self) -> Readiness:
+        return self._answer(list(self._missing()), list(self._warnings()))
+
+    def _not_known(self) -> Readiness:
+        detail = "the look before this one has not come back: a disk, a share or the database may hang"
+        return self._answer([ReadinessReason(code=ReadinessCode.NOT_KNOWN, detail=detail)], [])
+
+    def _answer(self, reasons: list[ReadinessReason], warnings: list[ReadinessReason]) -> Readiness:
+        return Readiness(
+            is_ready=not reasons,
+            not_ready=[one.detail for one in reasons],
+            reasons=reasons,
+            warnings=warnings,
+            checked_at=self._now(),
+        )
+
+    def _missing(self) -> Iterator[ReadinessReason]:
+        if self._is_stopping():
+            yield _reason(ReadinessCode.SERVICE_STOPPING, "the service is on its way out")
+        yield from self._database_trouble()
+        yield from self._disk_trouble()
+        yield from self._folder_trouble()
+        yield from self._qa_trouble()
+        for trouble in self._audit_troubles():
+            yield _reason(ReadinessCode.AUDIT_TROUBLE, trouble)
+        for name in () if self._is_stopping() else self._ended_threads():
+            yield _reason(ReadinessCode.THREAD_ENDED, f"the thread {name} has ended: see the service's log")
+        engine = self._engine_trouble()
+        if engine is not None:
+            yield _reason(ReadinessCode.ENGINE_MISSING, engine)
+        yield from self._runtime_trouble(is_needed=True)
+        yield from self._certificate_trouble()
+
+    def _warnings(self) -> Iterator[ReadinessReason]:
+        yield from self._runtime_trouble(is_needed=False)
+        yield from self._certificate_warning()
+        yield from self._clock_trouble()
+
+    def _database_trouble(self) -> Iterator[ReadinessReason]:
         try:
             with self._database.write() as db:
                 db.execute(text("SELECT 1"))
         except SQLAlchemyError as error:
-            return [f"the database cannot be written ({type(error).__name__})"]
-        return []
+            detail = f"the database cannot be written ({type(error).__name__})"
+            yield _reason(ReadinessCode.DATABASE_UNWRITABLE, detail)
 
-    def _disk_trouble(self) -> list[str]:
+    def _disk_trouble(self) -> Iterator[ReadinessReason]:
         free_mb = shutil.disk_usage(self._settings.data_dir).free / MIB
         if free_mb < self._settings.min_free_disk_mb:
-            return [f"only {free_mb:.0f} MiB of disk are free, {self._settings.min_free_disk_mb:g} are needed"]
-        return []
+            detail = f"only {free_mb:.0f} MiB of disk are free, {self._settings.min_free_disk_mb:g} are needed"
+            yield _reason(ReadinessCode.DISK_LOW, detail)
 
-    def _qa_trouble(self) -> list[str]:
+    def _qa_trouble(self) -> Iterator[ReadinessReason]:
         try:
             refuse_without_qa(self._database, self._settings)
         except QaOverdueError as error:
-            return [str(error)]
+            yield _reason(ReadinessCode.QA_OVERDUE, str(error))
         except SQLAlchemyError:
-            return []  # told as the database's own trouble
-        return []
+            return  # told as the database's own trouble
 
-    def _folder_trouble(self) -> list[str]:
-        return [
-            f"the recordings folder {path} does not exist"
-            for path in self._settings.recordings_dirs
-            if not path.is_dir()
-        ]
+    def _folder_trouble(self) -> Iterator[ReadinessReason]:
+        for path in self._settings.recordings_dirs:
+            if not path.is_dir():
+                yield _reason(ReadinessCode.RECORDINGS_MISSING, f"the recordings folder {path} does not exist")
+
+    def _runtime_trouble(self, *, is_needed: bool) -> Iterator[ReadinessReason]:
+        """In clinical mode sessions run on cameras; elsewhere there are recordings, too."""
+        if (self._settings.mode == "clinical") is is_needed and not self._has_camera_runtime():
+            detail = "the OpenNI2 runtime is missing: no session can run on a camera"
+            yield _reason(ReadinessCode.CAMERA_RUNTIME_MISSING, detail)
+
+    def _certificate_trouble(self) -> Iterator[ReadinessReason]:
+        try:
+            ends_at = self._certificate.ends_at()
+        except (OSError, ValueError) as error:
+            detail = f"the TLS certificate cannot be read any more ({type(error).__name__})"
+            yield _reason(ReadinessCode.CERTIFICATE_UNREADABLE, detail)
+            return
+        if ends_at is not None and ends_at <= self._now():
+            yield _reason(ReadinessCode.CERTIFICATE_ENDED, f"the TLS certificate ended on {ends_at:%Y-%m-%d}")
+
+    def _certificate_warning(self) -> Iterator[ReadinessReason]:
+        try:
+            ends_at = self._certificate.ends_at()
+        except (OSError, ValueError):
+            return
+        if ends_at is None or ends_at <= self._now():
+            return
+        if ends_at - self._now() <= timedelta(days=self._settings.certificate_warn_days):
+            yield _reason(ReadinessCode.CERTIFICATE_ENDS_SOON, f"the TLS certificate ends on {ends_at:%Y-%m-%d}")
+
+    def _clock_trouble(self) -> Iterator[ReadinessReason]:
+        try:
+            with self._database.read() as db:
+                event = clock_went_back(db, self._now(), self._settings.audit_clock_jump_ms / 1000.0)
+        except SQLAlchemyError:
+            return
+        if event is not None:
+            detail = "the wall clock is behind the newest row of the audit: it was set back"
+            yield _reason(ReadinessCode.CLOCK_BEHIND, detail)
+
+
+def _reason(code: ReadinessCode, detail: str) -> ReadinessReason:
+    return ReadinessReason(code=code, detail=detail)

@@ -451,10 +451,3 @@ class Health(Answer):
     """The process answers; to anybody, so that it says no more."""
 
     status: Literal["ok"]
-
-
-class Readiness(Answer):
-    """Whether a session could run, and what is missing."""
-
-    is_ready: bool
-    not_ready: list[str]

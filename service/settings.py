@@ -22,6 +22,8 @@ from service.access_settings import AccessSettings
 from service.audit_settings import AuditSettings
 from service.beam_settings import PREFIX, BeamSettings
 from service.database_settings import DatabaseSettings
+from service.door_settings import DoorSettings
+from service.monitoring_settings import MonitoringSettings
 from service.oidc_settings import OidcSettings
 from service.qa_settings import QaSettings
 from service.replay_settings import ReplaySettings
@@ -71,6 +73,8 @@ class Settings(
     StorageSettings,
     OidcSettings,
     ReplaySettings,
+    DoorSettings,
+    MonitoringSettings,
 ):
     """The site's settings."""
 
@@ -127,6 +131,7 @@ class Settings(
     camera_latency_ms: float = _limit("camera_latency_ms")
     max_model_age_min: float = _limit("max_model_age_min")
     max_unwritten_ms: float = _limit("max_unwritten_ms")
+    max_service_silence_ms: float = _limit("max_service_silence_ms")
     operator_timeout_s: float = _limit("operator_timeout_s")
     beam_without_calibration: bool = Field(
         default=True, description="A session on a camera's own registration may be gated: research only"

@@ -2,11 +2,17 @@
 
 from prometheus_client import CollectorRegistry, Counter, Histogram, disable_created_metrics
 
+from engine.clock import NS_PER_S
 from engine.frames import MeasurementState
 from engine.live import FrameRecord, GateTransition
+from engine.permits import GateState, HoldReason
 
 MS_PER_S = 1000.0
 LATENCY_BUCKETS_S = (0.005, 0.01, 0.02, 0.033, 0.05, 0.067, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
+DECISION_BUCKETS_S = (0.001, 0.002, 0.003, 0.004, 0.006, 0.008, 0.01, 0.015, 0.02, 0.033, 0.05, 0.1)
+HELD = frozenset({GateState.HOLD, GateState.FAULT})
+LONGEST_STEP_S = 1.0
+"""Frames further apart tell nothing of the time between them: the beam was off there, by the gate's own limits."""
 
 
 class Tallies:
@@ -15,34 +21,74 @@ class Tallies:
     def __init__(self) -> None:
         # When a counter began says nothing that the counter does not.
         disable_created_metrics()  # type: ignore[no-untyped-call]
-        self.registry = CollectorRegistry()
-        self._frames = Counter("tidegate_frames", "Frames measured and written down", ["state"], registry=self.registry)
+        registry = self.registry = CollectorRegistry()
+        self._frames = Counter("tidegate_frames", "Frames measured and written down", ["state"], registry=registry)
         self._missed = Counter(
-            "tidegate_missed_frames", "Frames the camera counted and that never came", registry=self.registry
+            "tidegate_missed_frames", "Frames the camera counted and that never came", registry=registry
         )
-        self._on = Counter("tidegate_line_on_frames", "Frames with the beam line on", registry=self.registry)
+        self._on = Counter("tidegate_line_on_frames", "Frames with the beam line on", registry=registry)
+        self._on_s = Counter(
+            "tidegate_line_on_seconds", "Time that the beam line was on, from frame to frame", registry=registry
+        )
         self._transitions = Counter(
-            "tidegate_gate_transitions", "Changes of the gate", ["to_state", "reason"], registry=self.registry
+            "tidegate_gate_transitions", "Changes of the gate", ["to_state", "reason"], registry=registry
+        )
+        self._holds = Counter(
+            "tidegate_holds",
+            "Times that the gate began to hold, or to hold for another reason",
+            ["reason"],
+            registry=registry,
+        )
+        self._interruptions = Counter(
+            "tidegate_beam_interruptions", "Times that a beam that was on was taken off", ["reason"], registry=registry
         )
         self._latency = Histogram(
             "tidegate_latency_seconds",
             "From the camera taking a frame to the beam line told",
             buckets=LATENCY_BUCKETS_S,
-            registry=self.registry,
+            registry=registry,
         )
+        self._decision = Histogram(
+            "tidegate_decision_seconds",
+            "From a frame in our hands to the gate's decision on it",
+            buckets=DECISION_BUCKETS_S,
+            registry=registry,
+        )
+        self._assertion = Histogram(
+            "tidegate_assertion_seconds",
+            "From the gate's decision to the beam line told",
+            buckets=DECISION_BUCKETS_S,
+            registry=registry,
+        )
+        self._last: FrameRecord | None = None
         for state in MeasurementState:
             self._frames.labels(state=state.value)
+        for reason in HoldReason:  # there from the start, or a rate would not see the first of each
+            self._holds.labels(reason=reason.value)
+            self._interruptions.labels(reason=reason.value)
 
     def frame(self, record: FrameRecord) -> None:
         """Count a frame that was written down."""
         self._frames.labels(state=record.measurement.state.value).inc()
         self._missed.inc(max(record.measurement.missed_frames, 0))
-        if record.line_on:
-            self._on.inc()
+        self._decision.observe(max(record.decided_ns - record.received_ns, 0) / NS_PER_S)
+        self._assertion.observe(max(record.asserted_ns - record.decided_ns, 0) / NS_PER_S)
         if record.latency_ms is not None:
             self._latency.observe(record.latency_ms / MS_PER_S)
+        self._count_on(record)
+
+    def _count_on(self, record: FrameRecord) -> None:
+        last, self._last = self._last, record
+        if record.line_on:
+            self._on.inc()
+        if last is not None and last.line_on:
+            self._on_s.inc(min(max(record.decided_ns - last.decided_ns, 0) / NS_PER_S, LONGEST_STEP_S))
 
     def transition(self, transition: GateTransition) -> None:
         """Count a change of the gate."""
         reason = "" if transition.reason is None else transition.reason.value
         self._transitions.labels(to_state=transition.to_state.value, reason=reason).inc()
+        if transition.to_state in HELD:
+            self._holds.labels(reason=reason).inc()
+        if transition.from_state is GateState.BEAM_ON and transition.to_state is not GateState.BEAM_ON:
+            self._interruptions.labels(reason=reason).inc()

@@ -58,6 +58,11 @@ def runtime_available() -> bool:
     return True
 
 
+def runtime_installed() -> bool:
+    """Whether the OpenNI2 runtime is on this machine; does not start it, and does not say that it would start."""
+    return c.library_path() is not None
+
+
 def list_devices() -> list[ListedDevice]:
     """List the devices plugged in now; raise RuntimeMissingError without the runtime."""
     runtime = c.runtime()

@@ -36,6 +36,11 @@ class Attendance:
         """Hear who armed, or released a hold: the newest answers for the gate."""
         self._answers = (session_id, identity)
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether nobody looks any more although nobody said so."""
+        return self._thread.ident is not None and not self._thread.is_alive() and not self._is_over.is_set()
+
     def start(self) -> None:
         """Begin to look."""
         self._thread.start()

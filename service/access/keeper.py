@@ -36,6 +36,11 @@ class Keeper:
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="access-keeper", daemon=True)
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether it makes no rounds any more although nobody closed it."""
+        return self._thread.ident is not None and not self._thread.is_alive() and not self._is_over.is_set()
+
     def start(self) -> None:
         """Begin."""
         self._thread.start()

@@ -3,18 +3,23 @@
 from fastapi import APIRouter, Response
 
 from service import deps, schemas
+from service.readiness_schemas import Readiness
 
 router = APIRouter(tags=["health"])
 
 
 @router.get("/healthz")
-def healthz() -> schemas.Health:
-    """Answer while the process lives."""
+async def healthz() -> schemas.Health:
+    """Answer while the process and its event loop live.
+
+    Nothing else is looked at: whoever restarts what does not answer ends a session, and no disk or database that is in
+    trouble is mended by that. Answered by the event loop itself, so that requests that wait keep it from nobody.
+    """
     return schemas.Health(status="ok")
 
 
-@router.get("/readyz", responses={503: {"model": schemas.Readiness, "description": "Something is missing"}})
-def readyz(services: deps.Offered, response: Response) -> schemas.Readiness:
+@router.get("/readyz", responses={503: {"model": Readiness, "description": "Something is missing"}})
+def readyz(services: deps.Offered, response: Response) -> Readiness:
     """Say whether a session could run, and what is missing."""
     readiness = services.health.readiness()
     if not readiness.is_ready:

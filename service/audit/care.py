@@ -120,6 +120,11 @@ class AuditCare:
         found = [self._broken, keeper, *(worker.trouble for worker in self._workers)]
         return [trouble for trouble in found if trouble is not None]
 
+    @property
+    def passed_on(self) -> int | None:
+        """The newest row that was passed on to the site's server; None without one."""
+        return next((one.passed_on for one in self._workers if isinstance(one, AuditForwarder)), None)
+
     def start(self, detail: dict[str, object]) -> None:
         """Check what was written before, write the start down with what changed since the last one, and look on."""
         with self._database.read() as db:

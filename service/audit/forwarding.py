@@ -142,6 +142,11 @@ class AuditForwarder:
         seconds = (self._clock.now_ns() - since_ns) // NS_PER_S
         return f"the audit has not been passed on for {seconds} s, {waiting} rows wait: {self._why}"
 
+    @property
+    def passed_on(self) -> int | None:
+        """The newest row that surely came through; None before the first look."""
+        return self._settled
+
     def begin(self) -> None:
         """Start to pass on."""
         self._thread.start()

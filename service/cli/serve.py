@@ -13,9 +13,11 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from service.access.addresses import LOOPBACK
 from service.folder_lock import FolderInUseError, alone_in
 from service.private_log import install_private_log
 from service.settings import Settings, SettingsError, load_settings
+from service.unhurried_log import UnhurriedHandler
 
 SWITCH_INTERVAL_S = 0.001
 MOST_FILES = 65_536
@@ -54,7 +56,7 @@ def _run(settings: Settings, console: Console) -> None:
     from service.app import create_app
     from service.server import CertificateError, make_server
 
-    install_private_log()
+    install_private_log(settings.log_level, settings.log_format, handler=UnhurriedHandler())
     # The engine thread gets the interpreter back from an API thread within this time, not within the default 5 ms.
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     _warn(settings, console)
@@ -62,7 +64,14 @@ def _run(settings: Settings, console: Console) -> None:
     app = create_app(settings, tell_first=lambda name, password: _tell_first(console, name, password))
     try:
         server = make_server(
-            app, host=settings.host, port=settings.port, tls_cert=settings.tls_cert, tls_key=settings.tls_key
+            app,
+            host=settings.host,
+            port=settings.port,
+            tls_cert=settings.tls_cert,
+            tls_key=settings.tls_key,
+            doors=settings.doors,
+            leave=os._exit,
+            trusted_proxies=(settings.trusted_proxies or LOOPBACK) if settings.behind_proxy else (),
         )
     except CertificateError as error:
         console.print(f"tidegate serve: {error}", style="red", soft_wrap=True, markup=False)
