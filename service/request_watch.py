@@ -115,6 +115,5 @@ class RequestWatch:
             await self._app(answer.scope, receive, send_noted)
         except Exception as error:
             if answer.method != SOCKET and answer.status == 0:
-                logger.warning("answered %d (%s)", FAILED, type(error).__name__)
                 await problem_response(problem_of(error), SECURITY_HEADERS)(answer.scope, receive, send_noted)
             raise
