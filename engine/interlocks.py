@@ -83,6 +83,11 @@ INTERLOCKS: tuple[Interlock, ...] = (
     _row(_R.RECORDER_BEHIND, "samples that cannot be kept, or wait too long", "max_unwritten_ms"),
     _row(_R.AUDIT_BEHIND, "transitions that cannot be kept, or wait too long", "max_unwritten_ms"),
     _row(_R.DISK_LOW, "the disk is almost full", "min_free_disk_mb"),
+    _row(
+        _R.SERVICE_SILENT,
+        "nothing heard of the service: no hold would come",
+        "max_service_silence_ms",
+    ),
     _row(_R.BEAM_LINE_FAILED, "the line does not answer, or refuses", "beam_answer_ms", source=GATING_INTERLOCK),
     _row(_R.BEAM_LINE_MISMATCH, "the line reads back otherwise than told", "beam_settle_ms", source=GATING_INTERLOCK),
     _row(_R.WATCHDOG, "no decision of an armed engine in time", "watchdog_ms"),

@@ -100,7 +100,7 @@ def size_of(slots: int) -> int:
 
 def read_kept(content: bytes) -> Kept:
     """Read a whole file; raise NotAJournalError when its header cannot be believed."""
-    header = _read_header(content)
+    header = read_header(content)
     found: dict[int, _Slot] = {}
     damaged: list[int] = []
     for index in range(header.slots):
@@ -151,7 +151,8 @@ def _pack(number: int, transition: GateTransition, settles: int, kind: int) -> b
     return _CHECKSUM.pack(zlib.crc32(body)) + body
 
 
-def _read_header(content: bytes) -> JournalHeader:
+def read_header(content: bytes) -> JournalHeader:
+    """Read how a file begins; raise NotAJournalError when that cannot be believed."""
     raw = content[: _CHECKSUM.size + _HEADER.size]
     if len(raw) < _CHECKSUM.size + _HEADER.size:
         msg = "the file is too short for a header"
@@ -161,12 +162,17 @@ def _read_header(content: bytes) -> JournalHeader:
     if zlib.crc32(body) != checksum or magic != MAGIC or slot_bytes != SLOT_BYTES:
         msg = "the header's checksum or format is another"
         raise NotAJournalError(msg)
+    try:
+        session_id, boot_id = (name.rstrip(b"\0").decode() for name in (session, boot))
+    except UnicodeDecodeError as error:
+        msg = "the header's names are no text"
+        raise NotAJournalError(msg) from error
     if not 0 < slots <= MAX_SLOTS or len(content) != size_of(slots):
         msg = f"{slots} slots do not fit a file of {len(content)} bytes"
         raise NotAJournalError(msg)
     return JournalHeader(
-        session_id=session.rstrip(b"\0").decode(),
-        boot_id=boot.rstrip(b"\0").decode(),
+        session_id=session_id,
+        boot_id=boot_id,
         anchor_utc_us=anchor_utc_us,
         anchor_ns=anchor_ns,
         slots=slots,

@@ -209,7 +209,7 @@ class GateKeeper:
         found = [] if not self._has_watchdog_fired() else [Interruption(HoldReason.WATCHDOG, WATCHDOG_DETAIL)]
         if self.gate.is_armed and not heard(Seam.WATCHDOG_WATCHES, lambda: self._watchdog.is_watching):
             found.append(Interruption(HoldReason.WATCHDOG, WATCHDOG_GONE))
-        report = heard(Seam.REPORT, self._mailbox.take_report)
+        report = heard(Seam.REPORT, lambda: self._mailbox.take_report(is_armed=self.gate.is_armed))
         trouble = heard(Seam.QUEUES, self._outbox.trouble)
         found += [] if report is None else [report]
         found += [] if trouble is None else [Interruption(trouble, "a queue to the disk is full")]

@@ -69,6 +69,9 @@ class GateLimits:
         How long a model may be measured with after it was learned or compared with the patient.
     max_unwritten_ms
         How long a sample or a transition of an armed gate may wait to be written down; a kill loses no more than this.
+    max_service_silence_ms
+        How long the process that people reach an armed engine by may be silent, where that is another than the
+        engine's: no hold by hand would come through, and nothing is written down.
     operator_timeout_s
         How long the page of the person who armed may be silent; 0 does not ask.
     is_calibrated
@@ -111,6 +114,7 @@ class GateLimits:
     camera_latency_ms: float = 0.0
     max_model_age_min: float = 240.0
     max_unwritten_ms: float = 1_000.0
+    max_service_silence_ms: float = 500.0
     operator_timeout_s: float = 0.0
     max_baseline_correction_mm: float = 5.0
     window_lower_mm: float = -100.0
@@ -161,6 +165,7 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "camera_latency_ms": (0.0, 300.0),
     "max_model_age_min": (1.0, 1_440.0),
     "max_unwritten_ms": (600.0, 1_000.0),
+    "max_service_silence_ms": (100.0, 2_000.0),
     "operator_timeout_s": (0.0, 600.0),
     "max_baseline_correction_mm": (0.0, 50.0),
     "window_lower_mm": (-100.0, 100.0),

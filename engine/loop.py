@@ -9,6 +9,7 @@ import queue
 import threading
 from concurrent.futures import Future
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from engine.beam.line import BeamLine
 from engine.beam.witnessed import WitnessedLine
@@ -40,6 +41,9 @@ from engine.transition_journal import Journal
 from engine.watchdog import Watchdog
 from engine.witness import NOBODY, Seam, Witness, WitnessedClock
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 __all__ = ["EngineLoop", "FramePipeline", "FrameRecord", "GateTransition", "LiveView", "LoopStatus"]
 
 FIRST_FRAME_NS = 10 * NS_PER_S
@@ -70,6 +74,11 @@ class EngineLoop:
         Where transitions are kept that a kill must not lose; by default nowhere.
     witness
         Hears what the engine's thread hears, and what came of it: a tape, or a replay of one.
+
+    Attributes
+    ----------
+    on_turn
+        Called in the engine's thread after each turn, and at the end: there is news. Must not wait, nor raise.
     """
 
     def __init__(
@@ -90,7 +99,9 @@ class EngineLoop:
         self._source, self._pipeline, self._beam = source, pipeline, beam
         self._witness, self._line = witness, WitnessedLine(beam, witness)
         self._limits, self._clock = limits, WitnessedClock(clock, witness)
-        self._mailbox = Mailbox(clock=clock, capacity=command_capacity)
+        self._mailbox = Mailbox(
+            clock=clock, capacity=command_capacity, longest_silence_ns=ns_from_ms(limits.max_service_silence_ms)
+        )
         self._outbox = Outbox(sample_capacity=sample_capacity, transition_capacity=transition_capacity, journal=journal)
         deadline_ns = ns_from_ms(limits.watchdog_ms)
         self._watchdog = watchdog or Watchdog(beam=beam, clock=clock, deadline_ns=deadline_ns)
@@ -103,6 +114,7 @@ class EngineLoop:
             watchdog=self._watchdog,
             witness=witness,
         )
+        self.on_turn: Callable[[], None] = _tell_nobody
         beam.on_trouble = self.report_fault  # a line with a thread of its own finds trouble between two frames
         self._watch = FrameWatch(limits)
         self._orders = Orders(
@@ -148,8 +160,12 @@ class EngineLoop:
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
-    def submit(self, command: Command) -> Future[None]:
+    def submit(
+        self, command: Command, *, answer: Future[None] | None = None, submitted_ns: int | None = None
+    ) -> Future[None]:
         """Ask for something, from any thread; answered between two frames.
+
+        ``answer`` and ``submitted_ns`` are those of a command that another process has asked for.
 
         Raises
         ------
@@ -157,7 +173,7 @@ class EngineLoop:
             Too many commands wait already, or the session is over. What the engine itself refuses comes through the
             future. A :class:`Disarm` or :class:`HoldBeam` is never refused while the engine runs.
         """
-        return self._mailbox.submit(command)
+        return self._mailbox.submit(command, answer=answer, submitted_ns=submitted_ns)
 
     def report_fault(self, reason: HoldReason, detail: str) -> None:
         """Let somebody outside (a recorder, a disk) fault the gate at its next decision; ``reason`` must latch.
@@ -166,6 +182,14 @@ class EngineLoop:
         acknowledgement.
         """
         self._mailbox.report(Interruption(reason=reason, detail=detail))
+
+    def hold_line(self, reason: HoldReason) -> None:
+        """Hold the line now, from any thread, as the watchdog does; a ``reason`` that is a fault latches it."""
+        self._beam.hold(reason)
+
+    def note_service(self, alive_ns: int) -> None:
+        """Hear that the process which asks was alive then; from the first time on its silence is a fault."""
+        self._mailbox.note_service(alive_ns)
 
     def note_presence(self, operator: str) -> None:
         """Hear that a person's page is still looked at, from any thread; never waits."""
@@ -230,6 +254,7 @@ class EngineLoop:
             while not self._is_stop_requested():
                 self._run_once()
                 self._witness.turn()
+                self.on_turn()
             way_out = _WayOut(status=LoopStatus.ENDED, event=Ending(reason=HoldReason.ENGINE_STOPPED))
         except Exception as error:  # noqa: BLE001 - whatever it was: the beam is held, and the session has failed
             way_out = _way_out_of(error)
@@ -252,6 +277,7 @@ class EngineLoop:
         finally:
             self._witness.end()
             self._mailbox.close("the session is over")
+            self.on_turn()
             for close in (self._beam.close, self._source.close, self._watchdog.stop):
                 with contextlib.suppress(Exception):
                     close()
@@ -344,6 +370,10 @@ class EngineLoop:
         else:
             if is_wanted:
                 letter.answer.set_result(None)
+
+
+def _tell_nobody() -> None:
+    """Tell of no turn: what an engine has whose news nobody waits for."""
 
 
 def _is_of(measurement: Measurement, frame: RgbdFrame) -> bool:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from engine.clock import NS_PER_MS, Clock
 from engine.commands import Arm, Command, Disarm, HoldBeam, ReleaseBeam
 from engine.errors import CommandRefusedError
+from engine.permits import HoldReason
 from engine.stages.gate import Interruption
 
 MAX_WAIT_NS = 1_000 * NS_PER_MS
@@ -40,18 +41,29 @@ class Letter:
 class Mailbox:
     """Commands and reports for one engine; any thread may submit, the engine takes."""
 
-    def __init__(self, *, clock: Clock, capacity: int) -> None:
+    def __init__(self, *, clock: Clock, capacity: int, longest_silence_ns: int = 0) -> None:
         self._clock = clock
         self._capacity = capacity
+        self._longest_silence_ns = longest_silence_ns
+        self._service_heard_ns: int | None = None
         self._lock = threading.Lock()
         self._letters: deque[Letter] = deque()
         self._urgent: list[Letter] = []
         self._report: Interruption | None = None
         self._closed_because: str | None = None
 
-    def submit(self, command: Command) -> Future[None]:
-        """Queue a command; raise CommandRefusedError at once if it cannot be."""
-        letter = Letter(command=command, answer=Future(), submitted_ns=self._clock.now_ns())
+    def submit(
+        self, command: Command, *, answer: Future[None] | None = None, submitted_ns: int | None = None
+    ) -> Future[None]:
+        """Queue a command; raise CommandRefusedError at once if it cannot be.
+
+        ``answer`` and ``submitted_ns`` are those of a command that was asked for elsewhere, and has travelled.
+        """
+        letter = Letter(
+            command=command,
+            answer=Future() if answer is None else answer,
+            submitted_ns=self._clock.now_ns() if submitted_ns is None else submitted_ns,
+        )
         with self._lock:
             if self._closed_because is not None:
                 raise CommandRefusedError(self._closed_because)
@@ -87,11 +99,29 @@ class Mailbox:
         with self._lock:
             self._report = self._report or fault
 
-    def take_report(self) -> Interruption | None:
-        """Take the fault that was left, if any."""
+    def take_report(self, *, is_armed: bool = False) -> Interruption | None:
+        """Take the fault that was left, if any; an armed gate's service that is silent is one for as long as it is."""
         with self._lock:
             report, self._report = self._report, None
-        return report
+        return report or (self._service_silence() if is_armed else None)
+
+    def note_service(self, alive_ns: int) -> None:
+        """Hear that the process which people reach the engine by was alive then; from the first time on it has to be.
+
+        Asked by the engine's own thread, at each decision: no other thread has to be alive for a silence to be found.
+        """
+        self._service_heard_ns = max(alive_ns, self._service_heard_ns or 0)
+
+    def _service_silence(self) -> Interruption | None:
+        heard_ns = self._service_heard_ns
+        if heard_ns is None:
+            return None
+        silent_ns = self._clock.now_ns() - heard_ns
+        if silent_ns <= self._longest_silence_ns:
+            return None
+        return Interruption(
+            HoldReason.SERVICE_SILENT, f"nothing heard of the service for {silent_ns / NS_PER_MS:.0f} ms"
+        )
 
     def take(self) -> list[Letter]:
         """Take all commands that wait, the urgent ones first; refuse those that are too old."""

@@ -63,6 +63,7 @@ class HoldReason(enum.StrEnum):
     AUDIT_BEHIND = "audit_behind"
     RECORDER_BEHIND = "recorder_behind"
     DISK_LOW = "disk_low"
+    SERVICE_SILENT = "service_silent"
     WATCHDOG = "watchdog"
     ENGINE_FAILED = "engine_failed"
     # Ways out.

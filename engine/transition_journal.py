@@ -8,6 +8,7 @@ in a hold's way. The audit confirms what it has committed; a ring about to overw
 import fcntl
 import mmap
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,7 +16,15 @@ from typing import Protocol
 
 from engine.clock import Clock
 from engine.errors import TidegateError
-from engine.journal_slots import JournalHeader, pack_slot, pack_void, place_of, size_of
+from engine.journal_slots import (
+    JournalHeader,
+    NotAJournalError,
+    pack_slot,
+    pack_void,
+    place_of,
+    read_header,
+    size_of,
+)
 from engine.live import GateTransition
 
 SLOTS = 2048
@@ -65,6 +74,33 @@ class NoJournal:
         """Keep nothing."""
 
 
+class LentJournal:
+    """A journal that another process writes, as the process sees it that made it and keeps the audit."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.confirmed = 0
+        self._newest_told: int | None = None
+
+    def confirm(self, number: int) -> None:
+        """Hear from the audit; the writer is told with the next word that it gets."""
+        self.confirmed = max(self.confirmed, number)
+
+    def returned(self, newest_told: int) -> None:
+        """Hear from its writer, at its end, the number of the last transition that it told."""
+        self._newest_told = newest_told
+
+    @property
+    def is_orphaned(self) -> bool:
+        """Whether its writer never said how far it came."""
+        return self._newest_told is None
+
+    def close(self) -> None:
+        """Remove the file where the audit has all of it; else it is read again."""
+        if self._newest_told is not None and self.confirmed >= self._newest_told:
+            self.path.unlink(missing_ok=True)
+
+
 class TransitionJournal:
     """One session's ring; its callers see to it that only one of them writes at a time."""
 
@@ -74,6 +110,7 @@ class TransitionJournal:
         self._number = 0
         self._newest_told = 0
         self._confirmed = 0
+        self._lent: LentJournal | None = None
         header = JournalHeader(
             session_id=session_id,
             boot_id=boot_id(),
@@ -92,6 +129,25 @@ class TransitionJournal:
             path.unlink(missing_ok=True)
             os.close(self._file)
             raise _unavailable(error) from error
+
+    def lend(self, hand_over: Callable[[int], None]) -> LentJournal:
+        """Let another process write: ``hand_over`` gives it the open file, and the lock stays where the file is."""
+        ring, self._ring = self._ring, None
+        if ring is None:
+            msg = "a journal that is closed cannot be handed over"
+            raise JournalError(msg)
+        ring.close()
+        self._lent = LentJournal(self.path)
+        try:
+            hand_over(self._file)
+        finally:
+            os.close(self._file)
+        return self._lent
+
+    @property
+    def newest_told(self) -> int:
+        """The number of the last transition that was told."""
+        return self._newest_told
 
     @property
     def is_behind(self) -> bool:
@@ -124,11 +180,20 @@ class TransitionJournal:
     def confirm(self, number: int) -> None:
         """Hear from the audit that it has everything up to this number."""
         self._confirmed = max(self._confirmed, number)
+        if self._lent is not None:
+            self._lent.confirm(number)
+
+    @property
+    def is_orphaned(self) -> bool:
+        """Whether another process wrote it, and ended without saying what: the file alone knows."""
+        return self._lent is not None and self._lent.is_orphaned
 
     def close(self) -> None:
         """Write no more; the file is removed when the audit has all of it, else the next start reads it."""
         ring, self._ring = self._ring, None
         if ring is None:
+            if self._lent is not None:
+                self._lent.close()
             return
         if self.is_confirmed:
             self.path.unlink(missing_ok=True)
@@ -142,6 +207,38 @@ class TransitionJournal:
             return
         at = place_of(number, self._slots)
         ring[at : at + len(slot)] = slot
+
+
+class BorrowedJournal(TransitionJournal):
+    """One that another process has made and nobody has written to; its lock has come with its open file.
+
+    It is for that process to remove the file.
+
+    Raises
+    ------
+    JournalError
+        The file is no journal.
+    """
+
+    def __init__(self, file: int) -> None:
+        self.path, self._file = Path(), file
+        self._number = self._newest_told = self._confirmed = 0
+        self._lent = None
+        try:
+            ring = mmap.mmap(file, 0)
+            self._slots = read_header(ring[:]).slots
+            for at in range(0, size_of(self._slots), mmap.PAGESIZE):
+                ring[at] = ring[at]  # as where it was made: no write of a transition may have to ask for a page
+        except (OSError, ValueError, IndexError, NotAJournalError) as error:
+            msg = "transitions cannot be kept safe from a kill: what was handed over is no journal"
+            raise JournalError(msg) from error
+        self._ring = ring
+
+    def close(self) -> None:
+        """Write no more, and leave the file and what it says to whoever made it."""
+        ring, self._ring = self._ring, None
+        if ring is not None:
+            os.close(self._file)
 
 
 def boot_id() -> str:

@@ -34,6 +34,7 @@ from service.db.base import utc_text
 from service.db.engine import Database
 from service.db.once import OnceWriter
 from service.figures import Figures
+from service.journal_recovery import recover_orphan
 from service.model_store import ModelStore
 from service.ports import RunningEngine
 from service.samples.recorder import SampleRecorder
@@ -279,6 +280,8 @@ class SessionWriter(threading.Thread):
         settled = self._settled
         samples = self._recorder.leave_open() if settled is None else settled.said
         evidence = self._engine.evidence()
+        if self._journal is not None and self._journal.is_orphaned:
+            recover_orphan(self._database, self._journal.path)
 
         def end(db: Session) -> None:
             row = repository.session_row(db, self._session_id)

@@ -7,6 +7,7 @@ import weakref
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
+from typing import TypeVar
 
 from engine.calibration import Calibration
 from engine.capture.oni_file import OniFileSource
@@ -16,7 +17,9 @@ from engine.capture.source import DepthSource
 from engine.clock import Clock, MonotonicClock
 from engine.commands import Command
 from engine.errors import CommandRefusedError, InvalidValueError, RuntimeMissingError, SourceLostError
+from engine.frames import ColorImage
 from engine.likeness import Likeness
+from engine.limits import GateLimits
 from engine.live import FrameRecord, GateTransition, LiveView, LoopStatus
 from engine.loop import EngineLoop
 from engine.model import MotionModel
@@ -37,6 +40,7 @@ from service.site_limits import check_window, gate_limits
 from service.uncalibrated import check_still_allowed
 
 STOP_TIMEOUT_S = 3.0
+EngineT = TypeVar("EngineT", bound=RunningEngine)
 RUNTIME_HINT = "the OpenNI2 runtime is missing: apt-get install libopenni2-0"
 
 
@@ -50,14 +54,22 @@ class EngineAdapter:
         self._clock: Clock = MonotonicClock()
         # Asking a camera about itself and starting a session on it do not mix: the runtime would share the device.
         self._camera_lock = threading.Lock()
-        self._newest: Callable[[], LoopEngine | None] = lambda: None
+        self._newest: Callable[[], RunningEngine | None] = lambda: None
 
     @property
     def is_simulated_beam(self) -> bool:
         """Whether any line is a simulation."""
         return self._settings.is_simulated_beam
 
-    def open(self, plan: SessionPlan) -> RunningEngine:
+    @property
+    def trouble(self) -> str | None:
+        """Nothing beforehand: an engine of this process is made when it is asked for."""
+        return None
+
+    def close(self) -> None:
+        """Keep nothing that would have to be closed."""
+
+    def open(self, plan: SessionPlan) -> "LoopEngine":
         """Start an engine on a session, disarmed; raise a TidegateError when source or window cannot be used.
 
         The site's rules are asked once more: a session may have been written down under others.
@@ -81,21 +93,30 @@ class EngineAdapter:
         )
         if plan.model is not None:
             pipeline.resume(plan.model)
+        return self.begin(lambda: self._begun(plan, pipeline, tape, limits, measuring))
+
+    def begin(self, start: Callable[[], EngineT]) -> EngineT:
+        """Start an engine while nobody asks a camera about itself, and nobody will while it runs."""
         with self._camera_lock:
-            loop = EngineLoop(
-                source=self._source(plan),
-                pipeline=pipeline,
-                beam=make_beam_line(self._settings, self._clock),
-                limits=limits,
-                clock=self._clock,
-                witness=tape.taping,
-                journal=plan.journal,
-            )
-            tape.start(limits, measuring)
-            loop.start()
-            engine = LoopEngine(loop, pipeline, tape)
+            engine = start()
             self._newest = weakref.ref(engine)
         return engine
+
+    def _begun(
+        self, plan: SessionPlan, pipeline: Pipeline, tape: SessionTape, limits: GateLimits, measuring: PipelineSettings
+    ) -> "LoopEngine":
+        loop = EngineLoop(
+            source=self._source(plan),
+            pipeline=pipeline,
+            beam=make_beam_line(self._settings, self._clock),
+            limits=limits,
+            clock=self._clock,
+            witness=tape.taping,
+            journal=plan.journal,
+        )
+        tape.start(limits, measuring)
+        loop.start()
+        return LoopEngine(loop, pipeline, tape)
 
     def registered_calibration(self, uri: str | None) -> Calibration:
         """Return the nominal calibration of a camera that registers depth to colour itself; refuse any other."""
@@ -224,9 +245,28 @@ class LoopEngine:
         """Why it failed."""
         return "the engine did not stop when told to; the beam is held" if self._is_hung else self._loop.error
 
-    def submit(self, command: Command) -> Future[None]:
-        """Ask."""
-        return self._loop.submit(command)
+    def picture(self) -> tuple[int, ColorImage] | None:
+        """Return the newest frame's index and colour picture."""
+        view = self._loop.latest
+        return None if view is None else (view.record.measurement.frame_index, view.color)
+
+    def submit(
+        self, command: Command, *, answer: Future[None] | None = None, submitted_ns: int | None = None
+    ) -> Future[None]:
+        """Ask; what another process has asked for comes with its answer and its time."""
+        return self._loop.submit(command, answer=answer, submitted_ns=submitted_ns)
+
+    def on_turn(self, tell: Callable[[], None]) -> None:
+        """Have somebody told, in the engine's thread, that there is news."""
+        self._loop.on_turn = tell
+
+    def note_service(self, alive_ns: int) -> None:
+        """Hear that the process which asks was alive then; from the first time on its silence is a fault."""
+        self._loop.note_service(alive_ns)
+
+    def hold_line(self, reason: HoldReason) -> None:
+        """Hold the line now, without waiting for a decision."""
+        self._loop.hold_line(reason)
 
     def note_presence(self, operator: str) -> None:
         """Hear that a person's page is still looked at."""

@@ -44,6 +44,7 @@ HOLD_TEXTS: dict[HoldReason, str] = {
     HoldReason.AUDIT_BEHIND: "The audit log cannot keep up",
     HoldReason.RECORDER_BEHIND: "The recording cannot keep up",
     HoldReason.DISK_LOW: "The disk is almost full",
+    HoldReason.SERVICE_SILENT: "The service does not answer",
     HoldReason.WATCHDOG: "No decision came in time",
     HoldReason.ENGINE_FAILED: "The engine failed",
     HoldReason.SOURCE_ENDED: "The recording is over",

@@ -1,8 +1,8 @@
 """What a start does first: it gives the audit the transitions that a killed process had kept and not written down.
 
-Each is appended once, in its order, at its own time, and says that it was recovered. A start that is killed in the
-middle leaves the file to the next one; a file goes only after its transitions are committed. What cannot be believed is
-kept aside, and said.
+So does whoever closes a session whose engine's process died alone. Each is appended once, in its order, at its own
+time, and says that it was recovered. A start that is killed in the middle leaves the file to the next one; a file goes
+only after its transitions are committed. What cannot be believed is kept aside, and said.
 """
 
 import json
@@ -39,6 +39,12 @@ def recover_transitions(database: Database, journals: Journals) -> None:
         for row in repository.running_sessions(db):
             if row.id not in found and not _has_event(db, row.id, MISSING):
                 audit.append(db, _missing(row.id))
+
+
+def recover_orphan(database: Database, path: Path) -> None:
+    """Give the audit what it lacks of a session whose engine's process died, while the service goes on."""
+    if path.exists():
+        _recover(database, path)
 
 
 def _recover(database: Database, path: Path) -> str | None:

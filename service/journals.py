@@ -8,9 +8,11 @@ import fcntl
 import hashlib
 import logging
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from engine.clock import Clock, MonotonicClock
 from engine.transition_journal import JournalError, TransitionJournal
@@ -21,6 +23,9 @@ MEMORY = Path("/dev/shm")  # noqa: S108 - made with O_EXCL, mode 0600, and read 
 FOLDER = "journal"
 SUFFIX = ".journal"
 DIGEST_CHARACTERS = 16
+PATIENCE_S = 5.0
+"""An engine without a service ends within a frame; one that hangs is given up by itself after three seconds."""
+LOOK_S = 0.05
 
 
 class Journals:
@@ -85,12 +90,24 @@ class Journals:
                     yield path
 
 
-def read_unless_in_use(path: Path) -> bytes | None:
-    """Read a journal that nobody writes to; None where another process does."""
+def read_unless_in_use(path: Path, *, patience_s: float = PATIENCE_S) -> bytes | None:
+    """Read a journal that nobody writes to; None where another process still does after a while.
+
+    The engine of a service that was killed has heard so, and is on its way out.
+    """
     file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
     with os.fdopen(file, "rb") as opened:
-        try:
-            fcntl.flock(opened, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except OSError:
-            return None
+        end_s = time.monotonic() + patience_s
+        while not _is_free(opened):
+            if time.monotonic() >= end_s:
+                return None
+            time.sleep(LOOK_S)
         return opened.read()
+
+
+def _is_free(opened: BinaryIO) -> bool:
+    try:
+        fcntl.flock(opened, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True

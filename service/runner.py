@@ -226,13 +226,15 @@ class SessionRunner:
 
     def picture(self, session_id: str) -> Picture:
         """Encode the newest colour frame."""
-        view = self._room.view(session_id)
-        if view is None:
+        running = self._room.of(session_id)
+        found = None if running is None else running.engine.picture()
+        if found is None:
             msg = "the session does not run, or no frame has come yet"
             raise PictureMissingError(msg)
-        picture = cv2.cvtColor(view.color, cv2.COLOR_RGB2BGR)
+        frame_index, color = found
+        picture = cv2.cvtColor(color, cv2.COLOR_RGB2BGR)
         _, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-        return Picture(frame_index=view.record.measurement.frame_index, jpeg=jpeg.tobytes())
+        return Picture(frame_index=frame_index, jpeg=jpeg.tobytes())
 
     def mesh(self, session_id: str) -> schemas.SurfaceMesh:
         """Tell the surface of the newest frame."""

@@ -24,6 +24,7 @@ LATCHING = frozenset(
         "audit_behind",
         "recorder_behind",
         "disk_low",
+        "service_silent",
         "watchdog",
         "engine_failed",
         "source_ended",

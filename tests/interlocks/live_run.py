@@ -109,7 +109,7 @@ class LiveRun:
         self.records: list[FrameRecord] = []
         self.transitions: list[GateTransition] = []
         self.learned_ns = 0
-        self.is_present = self.is_recording = self.is_auditing = True
+        self.is_present = self.is_recording = self.is_auditing = self.is_service_alive = True
         self._stop_requested = threading.Event()
         self._writer = threading.Thread(target=self._write, daemon=True)
 
@@ -166,6 +166,8 @@ class LiveRun:
 
     def _drain(self) -> None:
         drained(self.loop.notices)
+        if self.is_service_alive:
+            self.loop.note_service(self.clock.now_ns())
         if self.is_present:
             self.loop.note_presence("ann")
         if self.is_recording:

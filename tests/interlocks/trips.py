@@ -218,6 +218,12 @@ TRIPS: tuple[Trip, ...] = (
     Trip(code=R.WATCHDOG, how="the camera's driver hangs for 700 ms", act=_wrong(hang_ms=700.0)),
     Trip(code=R.OPERATOR_HOLD, how="somebody presses hold", act=_hold, undo=_release),
     Trip(code=R.OPERATOR_LOST, how="the page falls silent", act=_run(is_present=False), undo=_run(is_present=True)),
+    Trip(
+        code=R.SERVICE_SILENT,
+        how="the service's process falls silent",
+        act=_run(is_service_alive=False),
+        undo=_run(is_service_alive=True),
+    ),
     Trip(code=R.AUDIT_BEHIND, how="nobody takes the transitions", act=_fill_audit, undo=_run(is_auditing=True)),
     Trip(code=R.ENGINE_FAILED, how="measuring raises", act=_wrong(bug=ZeroDivisionError("oh")), ends_session=True),
     Trip(code=R.ENGINE_STOPPED, how="the session is stopped", act=_stop, ends_session=True),

@@ -125,6 +125,9 @@ class FakeRunning:
                 if self.latest is not None:
                     self.latest = replace(self.latest, window=self.window)
 
+    def picture(self):
+        return None if self.latest is None else (self.latest.record.measurement.frame_index, self.latest.color)
+
     def note_presence(self, operator: str) -> None:
         self.present.append(operator)
 
@@ -209,6 +212,7 @@ class FakeEngine:
     """Makes fake engines and keeps them for the test to drive."""
 
     is_simulated_beam = True
+    trouble = None
 
     def __init__(self) -> None:
         self.opened: list[FakeRunning] = []
@@ -236,6 +240,9 @@ class FakeEngine:
         if self.fail_with is not None:
             raise self.fail_with
         return nominal_calibration("Fake Xtion", size_px=(640, 480), field_of_view_rad=(1.02, 0.797))
+
+    def close(self) -> None:
+        pass
 
     def devices(self) -> schemas.DeviceList:
         device = schemas.Device(uri="1d27/0601@1/2", name="Fake Xtion")
