@@ -5,13 +5,11 @@ only what to do is written here.
 """
 
 import inspect
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from engine import errors as engine_errors
 from engine.errors import TidegateError
-from engine.transition_journal import JournalError
-from service import errors
 from service.errors import HTTP_CODES, PROBLEM_TYPE, STATUS_OF, STORAGE_CODE, code_of, status_of
 
 WHAT_TO_DO: Mapping[str, str] = {
@@ -51,17 +49,17 @@ WHAT_TO_DO: Mapping[str, str] = {
     "outside_user": "Change the person at the identity provider.",
     "password_change_due": "Change the password first.",
     "permission_missing": "Ask an administrator for the permission in `bound`.",
-    "picture_missing": "Ask again once the session runs and a frame has come.",
-    "precondition_failed": "Read it again, look at what changed, and send the new ETag; `bound` is the present one.",
-    "qa_active": "Wait until the QA run has ended, or cancel it.",
-    "qa_overdue": "Do the daily QA.",
-    "qa_state": "Read the run: its status says what it can still do.",
-    "recording_unreadable": "Take another recording; `detail` says what is wrong with this one.",
-    "request_timeout": "Send the whole request without pauses; the log of the service names the bound.",
-    "samples_removed": "The site removed them by age. Backups may have them.",
-    "service_stopping": "Wait until the service is there again.",
-    "session_active": "Stop the session that is named first.",
-    "session_state": "Read the session: its status says what it can still do.",
+    "fraction_done": "Choose the next fraction; a person may repeat one with `repeats_fraction` and the reason.",
+    "override_needs_person": "Have a person make this session: a machine does not go against a plan.",
+    "plan_busy": "Send it again after `Retry-After`.",
+    "plan_conflict": "Look at both plans: one of them was changed and kept its UID. Export it anew under a new one.",
+    "plan_gating": "Ask for a window of the plan's technique, or have a person say why not (`overrides_plan_gating`).",
+    "plan_invalid": "Correct the element that `field` names where the plan was made, and export it again.",
+    "plan_not_dicom": "Send the file as it was exported, with the type `application/dicom`.",
+    "plan_rejected": "Take the plan that was approved instead.",
+    "plan_too_complex": "Export the plan alone; `bound` says how much is read.",
+    "plan_truncated": "Export or send it again: its end is missing.",
+    "plan_wrong_kind": "Export the RT Plan or RT Ion Plan, not what belongs to it.",
     "source_lost": "Look at the camera and its cable.",
     "source_unusable": "Read `detail`; create another session with a source that works.",
     "storage_low": "Have the administrator make room; `bound` says how much.",
@@ -120,14 +118,15 @@ class Entry:
 
 
 def _entries() -> dict[str, Entry]:
-    kinds = [
+    modules = {sys.modules[kind.__module__] for kind in STATUS_OF if issubclass(kind, TidegateError)}
+    kinds = {
         kind
-        for module in (engine_errors, errors)
+        for module in modules
         for _, kind in inspect.getmembers(module, inspect.isclass)
         if issubclass(kind, TidegateError) and any(base in STATUS_OF for base in kind.__mro__)
-    ]
+    }
     entries: dict[str, Entry] = {}
-    for kind in sorted({*kinds, JournalError}, key=lambda kind: (len(kind.__mro__), kind.__name__)):
+    for kind in sorted(kinds, key=lambda kind: (len(kind.__mro__), kind.__name__)):
         code = code_of(kind)
         title = next(STATUS_OF[base][1] for base in kind.__mro__ if base in STATUS_OF)
         when = (inspect.getdoc(kind) or "").partition("\n")[0]

@@ -29,7 +29,9 @@ from service.errors import (
 
 router = APIRouter(tags=["access"])
 LOG_IN = problems(BoundError, LoginFailedError, LocalLoginRefusedError, LockedOutError, PasswordDeskFullError)
-PASSWORD = problems(BoundError, OutsideUserError, WrongPasswordError, LockedOutError, PasswordDeskFullError)
+PASSWORD = problems(
+    NotFoundError, BoundError, OutsideUserError, WrongPasswordError, LockedOutError, PasswordDeskFullError
+)
 ResultT = TypeVar("ResultT")
 
 
@@ -85,7 +87,7 @@ async def change_password(
     await _done(desk.passwords.submit(work))
 
 
-@router.get("/me/logins")
+@router.get("/me/logins", responses=problems(NotFoundError))
 def list_my_logins(caller: deps.Caller, desk: deps.Access) -> schemas.LoginList:
     """List where one is logged in."""
     return logins_view(desk, desk.person(caller.identity), caller.identity)

@@ -8,7 +8,14 @@ from service.access.people import Change, Issued
 from service.access.records import User
 from service.api import problems
 from service.api.login import logins_view
-from service.errors import BoundError, LastAdminError, NameTakenError, NotFoundError, OutsideUserError
+from service.errors import (
+    BoundError,
+    LastAdminError,
+    NameTakenError,
+    NotFoundError,
+    OutsideUserError,
+    PasswordDeskFullError,
+)
 
 router = APIRouter(prefix="/users", tags=["access"])
 
@@ -19,7 +26,9 @@ def list_users(desk: deps.Access) -> schemas.UserList:
     return schemas.UserList(items=[_view(user) for user in desk.people.all()])
 
 
-@router.post("", status_code=201, name="user.create", responses=problems(BoundError, NameTakenError))
+@router.post(
+    "", status_code=201, name="user.create", responses=problems(BoundError, NameTakenError, PasswordDeskFullError)
+)
 def add_user(body: schemas.UserRequest, caller: deps.Caller, desk: deps.Access) -> schemas.UserView:
     """Make a person; the answer has a password for the first log-in, which asks for another."""
     issued = desk.people.add(body.name, body.roles, by=caller.name, is_break_glass=body.is_break_glass)
@@ -27,7 +36,9 @@ def add_user(body: schemas.UserRequest, caller: deps.Caller, desk: deps.Access) 
 
 
 @router.patch(
-    "/{name}", name="user.change", responses=problems(NotFoundError, BoundError, LastAdminError, OutsideUserError)
+    "/{name}",
+    name="user.change",
+    responses=problems(NotFoundError, BoundError, LastAdminError, OutsideUserError, PasswordDeskFullError),
 )
 def change_user(
     name: schemas.PersonName, body: schemas.UserChange, caller: deps.Caller, desk: deps.Access

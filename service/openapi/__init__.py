@@ -45,11 +45,13 @@ def _complete(document: dict[str, Any]) -> None:
     components["headers"] = HEADERS
     components["examples"] = problem_examples()
     document["tags"] = TAGS
+    there_are = {operation["operationId"] for item in document["paths"].values() for operation in item.values()}
     for path, item in document["paths"].items():
         for method, operation in item.items():
             complete_operation(operation, method.upper(), path)
             add_examples(operation)
-            add_links(operation)
+            add_links(operation, there_are)
+    _drop_empty_operator(components["schemas"])
     for unused in ("HTTPValidationError", "ValidationError"):
         components["schemas"].pop(unused, None)
 
@@ -58,3 +60,11 @@ def _problem_schemas() -> dict[str, Any]:
     """Return the problem's schemas: routes refer to them, none returns them."""
     schema = schemas.Problem.model_json_schema(mode="serialization", ref_template="#/components/schemas/{model}")
     return {**schema.pop("$defs", {}), "Problem": schema}
+
+
+def _drop_empty_operator(schemas_: dict[str, Any]) -> None:
+    """Let nobody send what only stands for "left out": a default that the field itself would refuse."""
+    for schema in schemas_.values():
+        operator = schema.get("properties", {}).get("operator", {})
+        if operator.get("default") == "":
+            del operator["default"]

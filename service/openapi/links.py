@@ -1,5 +1,6 @@
 """How one call leads to another: an id in an answer is a parameter of these."""
 
+from collections.abc import Set
 from typing import Any
 
 SESSION, MODEL, CALIBRATION, RUN = "session_id", "model_id", "calibration_id", "run_id"
@@ -42,16 +43,17 @@ LINKS: dict[str, tuple[tuple[str, str, tuple[str, ...]], ...]] = {
     "add_user": (("name", "name", OF_PERSON),),
     "create_key": (("id", "key_id", OF_KEY),),
     "list_my_logins": (("items/0/id", "login_id", ("end_my_login",)),),
-    "import_plan": (("id", "plan_id", ("read_plan", "create_plan_session")),),
+    "prepare_session": (("id", SESSION, OF_SESSION),),
+    "import_plan": (("id", "plan_id", ("read_plan", "prepare_session")),),
 }
 """Operation -> (where in its answer, which parameter that is, of which operations)."""
 
 
-def add_links(operation: dict[str, Any]) -> None:
-    """Put an operation's links into its first good answer."""
+def add_links(operation: dict[str, Any], there_are: Set[str]) -> None:
+    """Put an operation's links into its first good answer, those to operations that there are."""
     made: dict[str, Any] = {}
     for place, parameter, targets in LINKS.get(operation["operationId"], ()):
-        for target in targets:
+        for target in sorted(there_are & set(targets)):
             made[target] = {"operationId": target, "parameters": {parameter: f"$response.body#/{place}"}}
     if made:
         status = min(status for status in operation["responses"] if status.startswith("2"))
