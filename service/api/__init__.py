@@ -13,6 +13,7 @@ MEANING = {
     403: "Whoever asks may not, or another page asks",
     404: "There is no such thing",
     406: "The answer has no such media type",
+    408: "It took too long to come",
     409: "Not in this state",
     412: "It was changed since",
     413: "The body is too large",

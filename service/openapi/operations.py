@@ -79,7 +79,7 @@ def _of_access(method: str, path: str, needs: Needs | None) -> Codes:
 def _of_body(operation: Operation, method: str) -> Codes:
     if method not in CHANGES:
         return {}
-    codes: Codes = {413: {"body_too_large"}, 415: {"media_type"}}
+    codes: Codes = {408: {"request_timeout"}, 413: {"body_too_large"}, 415: {"media_type"}}
     if "requestBody" in operation:
         codes[400] = {"bad_request"}
         codes[422] = {"invalid_value"}
