@@ -19,6 +19,7 @@ from service.api import (
     health,
     interlocks,
     keys,
+    live_events,
     login,
     login_oidc,
     metrics,
@@ -93,7 +94,20 @@ def create_app(
     app.include_router(health.router, dependencies=[is_guarded])
     app.include_router(metrics.router, dependencies=[is_guarded])
     api = APIRouter(prefix="/api/v1", dependencies=[is_guarded, *map(Depends, STRICT)])
-    for module in (login, login_oidc, users, keys, sessions, models, calibrations, devices, interlocks, audit, qa):
+    for module in (
+        login,
+        login_oidc,
+        users,
+        keys,
+        sessions,
+        models,
+        calibrations,
+        devices,
+        interlocks,
+        audit,
+        qa,
+        live_events,
+    ):
         api.include_router(module.router)
     app.include_router(api)
     app.include_router(live.router, prefix="/api/v1")

@@ -188,6 +188,16 @@ class LoginFailedError(ServiceError):
         self.headers = {"WWW-Authenticate": 'Bearer realm="tidegate"'}
 
 
+class StreamFullError(ServiceError):
+    """As many watch the live stream as the site lets."""
+
+    code = "stream_full"
+
+    def __init__(self) -> None:
+        super().__init__("every place at the live stream is taken")
+        self.headers = {"Retry-After": "5"}
+
+
 class LockedOutError(ServiceError):
     """Too many log-ins have failed for this name or from this address."""
 
@@ -295,6 +305,7 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     MediaTypeError: (415, "The body must be JSON"),
     NotLoggedInError: (401, "Nobody is logged in"),
     LoginFailedError: (401, "The log-in was refused"),
+    StreamFullError: (503, "Too many watch the live stream"),
     LockedOutError: (429, "Too many log-ins have failed"),
     PasswordDeskFullError: (503, "Too many log-ins at once"),
     WrongPasswordError: (422, "The old password is wrong"),

@@ -44,9 +44,9 @@ from service.samples.register import adopt
 from service.samples.shelf import SampleShelf
 from service.sessions import SessionBook
 from service.settings import Settings
+from service.stream.hub import LiveHub
 from service.tallies import Tallies
 from service.watching import Watched, Watching, make_watching
-from service.ws.live import LiveStream
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -111,7 +111,9 @@ def make_lifespan(
         app.state.oidc = house.oidc
         app.state.attendance = house.attendance
         app.state.hold_and_close_session = house.hold_and_close_session
-        app.state.live = LiveStream(max_clients=settings.max_live_clients)
+        app.state.live = LiveHub(
+            house.services.runner, max_clients=settings.max_live_clients, stall_s=settings.live_stall_s
+        )
         try:
             yield
         finally:

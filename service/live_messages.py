@@ -1,4 +1,4 @@
-"""The messages of the live stream, ``tidegate.live/1``; docs/architecture.md shows one of each.
+"""The messages of the live stream, ``tidegate.live/1``; docs/stream.md shows one of each.
 
 What could not be measured is null, never zero. They stand apart from the REST schemas because they are a contract of
 their own, with a JSON Schema of their own.
@@ -10,6 +10,9 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, TypeAdapter
 
 CalibrationKind = Literal["uploaded", "device registration"]
 SCHEMA: Literal["tidegate.live/1"] = "tidegate.live/1"
+SessionStatusName = Literal["running", "ended", "stopped", "failed"]
+StateName = Literal["training", "measuring", "lost"]
+GateName = Literal["disarmed", "hold", "dwell", "beam_on", "fault"]
 Point = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
@@ -20,11 +23,19 @@ class Message(BaseModel):
 
 
 class Hello(Message):
-    """First message of every connection."""
+    """First message of every connection; what does not apply is left out."""
 
     type: Literal["hello"] = "hello"
     schema_name: Literal["tidegate.live/1"] = Field(default=SCHEMA, alias="schema")
-    version: str
+    version: str = Field(description="Of the server")
+    sent_at: AwareDatetime
+    form: Literal["full", "thin"] = Field(description="Of the samples that follow, as asked")
+    encoding: Literal["json", "msgpack"] = Field(description="As asked; always `json` as server-sent events")
+    rate_hz: float | None = Field(default=None, description="As asked; left out: the camera's rate")
+    camera_fps: float | None = Field(default=None, description="Of the session that runs now, where it is known")
+    session_id: str | None = Field(default=None, description="Of the session that runs now")
+    resumes_after: int | None = Field(default=None, description="As asked: what was recorded after this frame follows")
+    ping_s: float = Field(description="Never silent for much longer: a `ping` comes where nothing else does")
     calibration: CalibrationKind | None = Field(
         default=None, description="Of the session that runs now; `device registration`: nothing was measured"
     )
@@ -36,6 +47,46 @@ class Idle(Message):
 
     type: Literal["idle"] = "idle"
     sent_at: AwareDatetime
+
+
+class Ping(Message):
+    """Where nothing else was said for a second: the connection is there, and nothing is known that is newer."""
+
+    type: Literal["ping"] = "ping"
+    sent_at: AwareDatetime
+
+
+class Dropped(Message):
+    """The client took too long: samples were left out before the one that comes next."""
+
+    type: Literal["dropped"] = "dropped"
+    sent_at: AwareDatetime
+    skipped: int = Field(ge=1, description="Samples left out since the last one")
+    gate_changes: int = Field(default=0, ge=0, description="How many of them were the first after a change of the gate")
+
+
+class Gap(Message):
+    """After a break: frames of the session that are not sent again."""
+
+    type: Literal["gap"] = "gap"
+    sent_at: AwareDatetime
+    session_id: str
+    from_frame: int = Field(description="The first frame that is missing")
+    to_frame: int | None = Field(description="The last one; null where that is not known")
+    reason: Literal["too_long_ago", "recorder_behind", "not_recorded", "busy"] = Field(
+        description="Further back than this site sends again; the recorder did not get there in time; there is no "
+        "such record; too many others were coming back"
+    )
+
+
+class Resumed(Message):
+    """After a break: from here on, what is sent is live."""
+
+    type: Literal["resumed"] = "resumed"
+    sent_at: AwareDatetime
+    session_id: str
+    frames: int = Field(ge=0, description="Samples sent from the record")
+    last_frame: int = Field(description="The last of them; what was asked for where there was none")
 
 
 class LiveLost(Message):
@@ -165,20 +216,23 @@ class Sample(Message):
     """The newest frame, as measured and decided."""
 
     type: Literal["sample"] = "sample"
-    sequence: int = Field(description="Counts the samples of this connection, from 0")
-    sent_at: AwareDatetime
-    age_ms: float = Field(description="Time since the frame was in our hands")
+    form: Literal["full"] = "full"
+    sequence: int = Field(description="Counts what the server saw, for all clients alike: a gap is what was left out")
+    captured_at: AwareDatetime | None = Field(default=None, description="The camera took the frame, where it tells")
+    received_at: AwareDatetime | None = Field(default=None, description="The frame was in our hands")
+    sent_at: AwareDatetime = Field(description="The message was made, once for all clients")
+    age_ms: float = Field(description="Time from the frame in our hands to `sent_at`")
     session_id: str
-    session_status: Literal["running", "ended", "stopped", "failed"]
+    session_status: SessionStatusName
     is_armed: bool
     is_simulated_beam: bool
     calibration: CalibrationKind = "uploaded"
     frame_index: int
     timestamp_us: int
-    state: Literal["training", "measuring", "lost"]
+    state: StateName
     lost: LiveLost | None
     training: LiveTraining | None
-    gate: Literal["disarmed", "hold", "dwell", "beam_on", "fault"]
+    gate: GateName
     hold_reason: str | None
     hold_text: str | None
     hold_detail: str = Field(default="", description="More about why, with figures")
@@ -211,5 +265,62 @@ class Sample(Message):
     latency_ms: LiveLatency
 
 
-LiveMessage = Annotated[Hello | Idle | Sample, Field(discriminator="type")]
-LIVE_MESSAGE: TypeAdapter[Hello | Idle | Sample] = TypeAdapter(LiveMessage)
+class ThinSample(Message):
+    """The newest frame, as a monitor of the gate needs it; every field means what it means in the full form."""
+
+    type: Literal["sample"] = "sample"
+    form: Literal["thin"] = "thin"
+    sequence: int
+    captured_at: AwareDatetime | None
+    received_at: AwareDatetime | None
+    sent_at: AwareDatetime
+    age_ms: float
+    session_id: str
+    session_status: SessionStatusName
+    is_armed: bool
+    is_simulated_beam: bool
+    frame_index: int
+    timestamp_us: int
+    state: StateName
+    gate: GateName
+    hold_reason: str | None
+    hold_text: str | None
+    line_on: bool
+    signal_mm: float | None
+    whole_mm: float | None
+    thorax_mm: float | None
+    abdomen_mm: float | None
+    volume_l: float | None
+    fps: float | None
+    latency_ms: float | None = Field(description="Of this frame: from the camera taking it to the beam line told")
+
+
+class RecordedSample(Message):
+    """A frame from the record, after a break: what was measured and decided then."""
+
+    type: Literal["sample"] = "sample"
+    form: Literal["recorded"] = "recorded"
+    captured_at: AwareDatetime | None
+    received_at: AwareDatetime | None
+    sent_at: AwareDatetime
+    session_id: str
+    frame_index: int
+    timestamp_us: int
+    state: StateName
+    gate: GateName
+    hold_reason: str | None
+    hold_text: str | None
+    line_on: bool
+    signal_mm: float | None
+    whole_mm: float | None
+    thorax_mm: float | None
+    abdomen_mm: float | None
+    volume_l: float | None
+    latency_ms: float | None
+
+
+AnySample = Annotated[Sample | ThinSample | RecordedSample, Field(discriminator="form")]
+LiveMessage = Annotated[Hello | Idle | Ping | Dropped | Gap | Resumed | AnySample, Field(discriminator="type")]
+LIVE_MESSAGE: TypeAdapter[Hello | Idle | Ping | Dropped | Gap | Resumed | Sample | ThinSample | RecordedSample] = (
+    TypeAdapter(LiveMessage)
+)

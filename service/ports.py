@@ -62,10 +62,11 @@ class Picture:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LiveFrame:
-    """The newest frame as a live message, and when it was in our hands (host monotonic)."""
+    """The newest frame as a live message; when it was in our hands, and taken where the camera tells (host monotonic)."""
 
     message: Sample
     received_ns: int
+    captured_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -77,6 +77,7 @@ WHAT_TO_DO: Mapping[str, str] = {
     "storage_low": "Have the administrator make room; `bound` says how much.",
     "storage_unavailable": "Nothing was changed; try again. With an `Idempotency-Key` that is safe.",
     "storage_unwritable": "Have the administrator look at the disk.",
+    "stream_full": "Come back after `Retry-After`, or have the site allow more.",
     "training_refused": "Read `detail`, let the patient breathe quietly, and learn again.",
     "url_too_long": "Shorten the path and the query.",
     "wrong_password": "Give the present password.",

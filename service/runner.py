@@ -254,7 +254,9 @@ class SessionRunner:
                 is_stopping=running.writer.is_stopping,
                 is_simulated_beam=self._engine.is_simulated_beam,
             )
-            kept = self._newest = (view, LiveFrame(message=message, received_ns=view.record.received_ns))
+            record = view.record
+            frame = LiveFrame(message=message, received_ns=record.received_ns, captured_ns=record.captured_ns)
+            kept = self._newest = (view, frame)
         return kept[1]
 
     def running_camera(self) -> str | None:

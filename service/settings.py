@@ -28,6 +28,7 @@ from service.oidc_settings import OidcSettings
 from service.qa_settings import QaSettings
 from service.replay_settings import ReplaySettings
 from service.storage_settings import StorageSettings
+from service.stream_settings import StreamSettings
 
 SETTING_OF = {"retrain_interval_s": "retrain_interval_min"}
 """Settings of the training that a site gives under another name, in another unit."""
@@ -73,6 +74,7 @@ class Settings(
     StorageSettings,
     OidcSettings,
     ReplaySettings,
+    StreamSettings,
     DoorSettings,
     MonitoringSettings,
 ):
@@ -98,7 +100,6 @@ class Settings(
     )
 
     max_body_bytes: int = Field(default=65_536, ge=16_384, le=1_048_576)
-    max_live_clients: int = Field(default=16, ge=1, le=256)
     command_timeout_s: float = Field(default=3.0, ge=0.1, le=30.0)
     min_free_disk_mb: float = Field(default=200.0, ge=0.0, le=1_000_000.0)
 

@@ -32,6 +32,7 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", f"{V1}/openapi.json"): Open.ANYONE_LOGGED_IN,
     ("HEAD", f"{V1}/openapi.json"): Open.ANYONE_LOGGED_IN,
     (SOCKET, f"{V1}/live"): Permission.SESSIONS_READ,
+    ("GET", f"{V1}/live/events"): Permission.SESSIONS_READ,
     # Log-ins, people, keys
     ("POST", f"{V1}/login"): Open.PUBLIC,
     ("GET", f"{V1}/login/ways"): Open.PUBLIC,

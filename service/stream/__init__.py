@@ -1,0 +1,1 @@
+"""The live stream: one hub makes every message once, and hands it to however many watch."""
