@@ -126,6 +126,12 @@ class EngineTimeoutError(ServiceError):
     code = "engine_timeout"
 
 
+class EngineProcessError(ServiceError):
+    """No session can begin: the engine's process does not start, or died."""
+
+    code = "engine_missing"
+
+
 class PictureMissingError(ServiceError):
     """There is no picture yet."""
 
@@ -296,6 +302,7 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     NotAcceptableError: (406, "No such media type"),
     StartError: (422, "The session's source cannot be used"),
     EngineTimeoutError: (503, "The engine did not answer in time"),
+    EngineProcessError: (503, "The engine's process is not there"),
     PictureMissingError: (404, "There is no picture yet"),
     MeshMissingError: (404, "There is no surface yet"),
     SamplesRemovedError: (404, "The samples are not there any more"),

@@ -77,6 +77,7 @@ class _House:
     def close(self) -> None:
         """Hold the beam first, then write down and close."""
         self.hold_and_close_session()
+        self.services.engine.close()
         self.attendance.close()
         self.caretaker.close()
         self.oidc.close()

@@ -20,6 +20,7 @@ from service import deps, schemas
 from service.api import problems
 from service.errors import (
     BoundError,
+    EngineProcessError,
     EngineTimeoutError,
     MeshMissingError,
     NotFoundError,
@@ -75,6 +76,7 @@ START = problems(
     RuntimeMissingError,
     SourceLostError,
     BeamLineError,
+    EngineProcessError,
     JournalError,
     StorageUnwritableError,
     ServiceStoppingError,

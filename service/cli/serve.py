@@ -54,6 +54,7 @@ def serve(
 
 def _run(settings: Settings, console: Console) -> None:
     from service.app import create_app
+    from service.engine_process.port import ProcessEngine
     from service.server import CertificateError, make_server
 
     install_private_log(settings.log_level, settings.log_format, handler=UnhurriedHandler())
@@ -61,7 +62,7 @@ def _run(settings: Settings, console: Console) -> None:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     _warn(settings, console)
     _take_all_connections()
-    app = create_app(settings, tell_first=lambda name, password: _tell_first(console, name, password))
+    app = create_app(settings, ProcessEngine, tell_first=lambda name, password: _tell_first(console, name, password))
     try:
         server = make_server(
             app,

@@ -43,7 +43,7 @@ from service.engine_process.messages import (
     Stop,
 )
 from service.engine_process.page import SLOTS
-from service.engine_process.standby import EngineProcessError
+from service.errors import EngineProcessError
 from service.ports import SessionPlan
 
 logger = logging.getLogger(__name__)

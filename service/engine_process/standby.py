@@ -7,10 +7,10 @@ import contextlib
 import logging
 import threading
 
-from engine.errors import TidegateError
 from service.engine_process.child import Child, start_child
 from service.engine_process.crossing import CrossingClosedError
 from service.engine_process.messages import Prepare, Ready
+from service.errors import EngineProcessError
 
 logger = logging.getLogger(__name__)
 
@@ -18,12 +18,6 @@ START_S = 30.0
 LOOK_S = 0.5
 AGAIN_S = 2.0
 NONE_YET = "the engine's process is being started"
-
-
-class EngineProcessError(TidegateError):
-    """The engine's process does not start, or ended; the message says which."""
-
-    code = "engine_missing"
 
 
 class StandBy:

@@ -1,0 +1,167 @@
+"""An engine's process that is killed, stopped or hangs, and a service's side that falls silent: the receiver judges."""
+
+import signal
+import time
+
+import pytest
+
+from engine.commands import Arm, Disarm, HoldBeam
+from engine.errors import CommandRefusedError
+from engine.live import LoopStatus
+from engine.permits import GateState, HoldReason
+from service.journals import read_unless_in_use
+from tests.engine_process.bench import MS, PATIENT, bench, eventually, is_there, line_at
+
+BUSY_NS = 150 * MS
+LEASE_NS = int(PATIENT["lease_ms"] * MS)
+
+
+@pytest.fixture
+def line(tmp_path):
+    with line_at(tmp_path / "line") as held:
+        yield held
+
+
+def test_a_session_in_a_process_of_its_own_turns_the_beam_on_obeys_and_ends(tmp_path, line):
+    with bench(tmp_path, line) as held:
+        held.turn_on()
+        assert held.engine.submit(HoldBeam(operator="ann")).result(5.0) is None
+        assert line.await_off()[0] == "held"
+        view = held.engine.latest
+        assert (view.record.hold_reason, view.operator_hold) == (HoldReason.OPERATOR_HOLD, "ann")
+        frame_index, picture = held.engine.picture()
+        assert (frame_index >= 0, picture.shape, picture.flags.writeable) == (True, (4, 6, 3), False)
+        pid = held.pid
+        held.engine.stop()
+        assert (held.engine.status, held.engine.error) == (LoopStatus.ENDED, None)
+        assert set(held.engine.evidence()) == {"tape_sha256", "tape_torn"}
+        eventually(lambda: not is_there(pid))
+        held.take()
+        indices = [record.measurement.frame_index for record in held.samples]
+        assert indices == list(range(len(indices)))
+        numbers = [one.number for one in held.transitions]
+        assert numbers == sorted(set(numbers))
+        assert held.transitions[-1].to_state is GateState.DISARMED
+        held.journal.close()
+        assert not held.journal.path.exists()
+        with pytest.raises(CommandRefusedError, match="over"):
+            held.engine.submit(Disarm(operator="ann"))
+
+
+def test_an_engine_s_process_that_is_killed_leaves_the_line_off_and_a_session_that_says_so(tmp_path, line):
+    with bench(tmp_path, line) as held:
+        held.turn_on()
+        pid = held.pid
+        killed_ns = held.send(signal.SIGKILL)
+        edge, *times_ns = line.await_off()
+        assert edge == "lapsed"
+        assert int(times_ns[-1]) <= killed_ns + LEASE_NS + BUSY_NS
+        eventually(lambda: held.engine.status is LoopStatus.FAILED)
+        assert "signal 9" in held.engine.error
+        view = held.engine.latest
+        assert (view.is_armed, view.record.gate_state) == (False, GateState.FAULT)
+        assert held.engine.evidence()["tape_torn"]
+        assert not is_there(pid), "it was buried"
+        assert held.journal.is_orphaned
+        assert read_unless_in_use(held.journal.path, patience_s=0.0) is not None, "nobody writes to it any more"
+        held.journal.close()
+        assert held.journal.path.exists(), "what it says is still to be written down"
+        assert held.port.processes_lost == 1
+
+
+def test_an_engine_s_process_that_was_stopped_goes_off_by_itself_shows_as_a_fault_and_goes_on(tmp_path, line):
+    with bench(tmp_path, line) as held:
+        held.turn_on()
+        stopped_ns = held.send(signal.SIGSTOP)
+        edge, *times_ns = line.await_off()
+        assert int(times_ns[-1]) <= stopped_ns + LEASE_NS + BUSY_NS
+        eventually(lambda: held.engine.latest.record.gate_state is GateState.FAULT)
+        shown = held.engine.latest
+        assert (shown.is_armed, shown.detail) == (False, "the engine's process does not answer")
+        assert held.engine.latest is shown, "readers tell news by identity"
+        held.send(signal.SIGCONT)
+        eventually(lambda: held.engine.latest.detail != shown.detail)
+        held.turn_on()
+
+
+def test_one_that_does_not_stop_when_told_to_is_ended_and_its_tape_is_torn(tmp_path, line):
+    with bench(tmp_path, line) as held:
+        held.turn_on()
+        pid = held.pid
+        held.send(signal.SIGSTOP)
+        held.engine.stop()
+        assert held.engine.status is LoopStatus.FAILED
+        assert "did not stop" in held.engine.error
+        assert "did not stop" in held.engine.evidence()["tape_torn"]
+        assert not is_there(pid)
+        assert not line.is_on
+
+
+def test_a_silent_service_faults_an_armed_gate_and_no_other(tmp_path, line):
+    with bench(tmp_path, line, max_service_silence_ms=300.0) as held:
+        beat = held.engine._child.whisper.send
+        eventually(lambda: held.engine.latest is not None)
+        held.engine._child.whisper.send = lambda _message: True  # not armed: nothing is held by it
+        time.sleep(0.5)
+        assert held.engine.latest.record.gate_state is GateState.DISARMED
+        held.engine._child.whisper.send = beat
+        held.turn_on()
+        held.engine._child.whisper.send = lambda _message: True
+        silent_ns = time.monotonic_ns()
+        edge, *times_ns = line.await_off()
+        assert edge == "held"
+        assert silent_ns + 200 * MS <= int(times_ns[0]) <= silent_ns + (300 + 60) * MS + BUSY_NS
+        eventually(lambda: held.engine.latest.record.hold_reason is HoldReason.SERVICE_SILENT)
+        held.engine._child.whisper.send = beat
+        held.turn_on()
+
+
+def test_an_arm_that_was_given_up_while_the_process_stood_still_is_not_carried_out_afterwards(tmp_path, line):
+    with bench(tmp_path, line, max_service_silence_ms=2_000.0) as held:
+        eventually(lambda: held.engine.latest is not None)
+        held.send(signal.SIGSTOP)
+        asked = held.engine.submit(Arm(operator="ann"))
+        with pytest.raises(TimeoutError):
+            asked.result(0.1)
+        asked.cancel()
+        held.send(signal.SIGCONT)
+        frames = held.engine.latest.frames
+        eventually(lambda: held.engine.latest.frames > frames + 5)
+        assert not held.engine.latest.is_armed
+        assert all(one.operator != "ann" for one in held.transitions)
+
+
+def test_an_arm_that_took_too_long_on_its_way_is_refused_though_nobody_gave_it_up(tmp_path, line):
+    with bench(tmp_path, line, max_service_silence_ms=2_000.0) as held:
+        eventually(lambda: held.engine.latest is not None)
+        held.send(signal.SIGSTOP)
+        asked = held.engine.submit(Arm(operator="ann"))
+        time.sleep(1.1)
+        held.send(signal.SIGCONT)
+        with pytest.raises(CommandRefusedError, match="busy for too long"):
+            asked.result(5.0)
+        assert not held.engine.latest.is_armed
+
+
+def test_a_hold_that_was_given_up_is_carried_out_all_the_same(tmp_path, line):
+    with bench(tmp_path, line, max_service_silence_ms=2_000.0) as held:
+        held.turn_on()
+        held.send(signal.SIGSTOP)
+        held.engine.submit(HoldBeam(operator="ann")).cancel()
+        held.send(signal.SIGCONT)
+        eventually(lambda: held.engine.latest.operator_hold == "ann")
+
+
+def test_a_writer_that_takes_nothing_holds_the_beam_as_if_it_were_in_the_engine_s_process(tmp_path, line):
+    with bench(tmp_path, line, max_unwritten_ms=600.0) as held:
+        held.turn_on()
+        held.writes.clear()
+        hung_ns = time.monotonic_ns()
+        edge, *times_ns = line.await_off()
+        assert edge == "held"
+        assert int(times_ns[0]) <= hung_ns + (600 + 60) * MS + 2 * BUSY_NS
+        eventually(lambda: held.engine.latest.record.hold_reason is not None)
+        assert held.engine.latest.record.hold_reason in {HoldReason.RECORDER_BEHIND, HoldReason.AUDIT_BEHIND}
+        assert not held.engine.samples.empty(), "all had come over, and counted as unwritten"
+        held.writes.set()
+        held.turn_on()
