@@ -49,6 +49,9 @@ class Precondition:
         raise PreconditionFailedError(msg, field=IF_MATCH, value=given, bound=etag)
 
 
+ANYTHING = Precondition()
+
+
 def precondition(header: str | None) -> Precondition:
     """Read ``If-Match``."""
     return Precondition(tags=None if header is None else _tags(header, IF_MATCH))

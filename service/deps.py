@@ -39,6 +39,7 @@ class Services:
     engine: ports.EnginePort
     qa_desk: QaDeskPort
     qa_book: QaBookPort
+    revisions: ports.RevisionsPort
 
 
 def services(connection: HTTPConnection) -> Services:
@@ -181,9 +182,9 @@ class Freshness:
         self._response = response
         self._if_none_match = if_none_match
 
-    def told(self, answer: AnswerT, etag: str) -> AnswerT:
+    def told(self, answer: AnswerT, etag: str, *, may_be_left_out: bool = True) -> AnswerT:
         """Return the answer with its ETag; or 304 without one, which FastAPI passes on as it is."""
-        if is_known(self._if_none_match, etag):
+        if may_be_left_out and is_known(self._if_none_match, etag):
             return cast("AnswerT", Response(status_code=304, headers={"ETag": etag}))
         self._response.headers["ETag"] = etag
         return answer

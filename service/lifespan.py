@@ -37,6 +37,7 @@ from service.qa.book import close_interrupted as close_interrupted_qa
 from service.qa.desk import QaDesk
 from service.qa.ports import QaRig
 from service.qa.under_way import UnderWay
+from service.revisions import SessionRevisions
 from service.room import Room
 from service.runner import SessionRunner
 from service.samples.desk import SampleDesk
@@ -189,6 +190,7 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFi
         engine=engine,
         qa_desk=qa_desk,
         qa_book=qa_book,
+        revisions=SessionRevisions(database),
     )
     attendance.start()
     care.start({**_start_detail(engine), "journal_folder": str(journals.folder)})

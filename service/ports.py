@@ -7,6 +7,7 @@ put fakes there.
 import queue
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Generic, Literal, Protocol, TypeVar
@@ -23,6 +24,7 @@ from engine.transition_journal import TransitionJournal
 from service import schemas
 from service.audit.export import ExportRequest
 from service.audit_schemas import AuditVerification
+from service.conditional import Precondition
 from service.gate_schemas import BaselineCorrectionRequest, InterlockList
 from service.idempotency import CallersKey
 from service.live_messages import Sample
@@ -288,6 +290,16 @@ class AuditPort(Protocol):
 
     def refused(self, *, actor: str, action: str, session_id: str | None, problem: schemas.Problem) -> None:
         """Write down a call that was refused before anyone acted on it."""
+
+
+class RevisionsPort(Protocol):
+    """ETags of sessions, and calls that depend on them."""
+
+    def etag(self, session_id: str) -> str:
+        """Return a session's ETag."""
+
+    def only_if(self, session_id: str, wanted: Precondition) -> AbstractContextManager[None]:
+        """Let a call look and act, where nothing was decided since."""
 
 
 class InterlocksPort(Protocol):

@@ -67,6 +67,14 @@ class KeyDesk:
             self._store.write(save=[key], event=Event(actor=by, action=CREATE, detail=detail))
         return MadeKey(key=key, secret=f"{TOKEN_PREFIX}{key.id}_{secret}")
 
+    def find_id(self, key_id: str) -> ApiKey:
+        """Find a key by its id, with when it was used last; or raise NotFoundError."""
+        key = self._store.keys.get(key_id)
+        if key is None:
+            msg = "there is no such key"
+            raise NotFoundError(msg, field="key_id", value=key_id)
+        return replace(key, last_used_at=self._store.seen.get(key.id, key.last_used_at))
+
     def revoke(self, key_id: str, *, by: str) -> ApiKey:
         """Take a key back, for good; again is no error."""
         with self._store.changing:

@@ -82,13 +82,19 @@ class PeopleDesk:
             self._store.write(save=[user], event=Event(actor=by, action=ADD, detail=detail))
         return Issued(user=user, one_time_password=one_time)
 
-    def change(self, name: str, change: Change, *, by: str) -> Issued:
-        """Change somebody; the audit keeps what was and what is. Disabling and a reset end all their log-ins."""
+    def change(
+        self, name: str, change: Change, *, by: str, check: Callable[[User], None] = lambda _user: None
+    ) -> Issued:
+        """Change somebody; the audit keeps what was and what is. Disabling and a reset end all their log-ins.
+
+        ``check`` may refuse the person as they are now.
+        """
         self._refuse_of_outside(self.get(name), change)
         one_time = secrets.token_urlsafe(ONE_TIME_BYTES) if change.reset_password else None
         made = None if one_time is None else self._hash(one_time)
         with self._store.changing:
             before = self.get(name)
+            check(before)
             after = replace(
                 before,
                 roles=before.roles if change.roles is None else _some(change.roles),

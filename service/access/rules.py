@@ -45,11 +45,13 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("POST", f"{V1}/me/logins/{{login_id}}/end"): Open.ANYONE_LOGGED_IN,
     ("GET", f"{V1}/users"): Permission.USERS_MANAGE,
     ("POST", f"{V1}/users"): Permission.USERS_MANAGE,
+    ("GET", f"{V1}/users/{{name}}"): Permission.USERS_MANAGE,
     ("PATCH", f"{V1}/users/{{name}}"): Permission.USERS_MANAGE,
     ("GET", f"{V1}/users/{{name}}/logins"): Permission.USERS_MANAGE,
     ("POST", f"{V1}/users/{{name}}/logins/{{login_id}}/end"): Permission.USERS_MANAGE,
     ("GET", f"{V1}/keys"): Permission.USERS_MANAGE,
     ("POST", f"{V1}/keys"): Permission.USERS_MANAGE,
+    ("GET", f"{V1}/keys/{{key_id}}"): Permission.USERS_MANAGE,
     ("POST", f"{V1}/keys/{{key_id}}/revoke"): Permission.USERS_MANAGE,
     # Sessions and the gate
     ("GET", f"{V1}/sessions"): Permission.SESSIONS_READ,

@@ -8,6 +8,7 @@ from engine.calibration_formats.convert import IMPORT_SCHEMA
 from engine.errors import CalibrationError
 from service import deps, schemas
 from service.api import problems
+from service.conditional import etag_of
 from service.errors import BoundError, NotFoundError, OperatorMismatchError
 
 router = APIRouter(prefix="/calibrations", tags=["calibrations"])
@@ -87,6 +88,9 @@ def list_calibrations(
 
 
 @router.get("/{calibration_id}", responses=problems(NotFoundError))
-def read_calibration(calibration_id: deps.CalibrationId, services: deps.Offered) -> schemas.CalibrationDetail:
-    """Read a calibration with its document."""
-    return services.calibrations.detail(calibration_id)
+def read_calibration(
+    calibration_id: deps.CalibrationId, services: deps.Offered, fresh: deps.IfNoneMatch
+) -> schemas.CalibrationDetail:
+    """Read a calibration with its document; it never changes."""
+    detail = services.calibrations.detail(calibration_id)
+    return fresh.told(detail, etag_of("calibration", detail.id, detail.sha256))

@@ -5,6 +5,7 @@ from fastapi import APIRouter
 from engine.errors import CommandRefusedError, ModelError, ModelMismatchError, TrainingRefusedError
 from service import deps, schemas
 from service.api import problems
+from service.conditional import etag_of
 from service.errors import EngineTimeoutError, NotFoundError, OperatorMismatchError, SessionStateError
 
 router = APIRouter(tags=["models"])
@@ -31,26 +32,37 @@ def list_session_models(
 
 @router.post("/sessions/{session_id}/models/retrain", status_code=202, name="model.retrain", responses=ACT)
 def retrain_model(
-    session_id: deps.SessionId, request: schemas.RetrainRequest, caller: deps.Caller, services: deps.Offered
+    session_id: deps.SessionId,
+    request: schemas.RetrainRequest,
+    caller: deps.Caller,
+    services: deps.Offered,
+    if_match: deps.IfMatch,
 ) -> schemas.SessionDetail:
     """Learn a new model in the background; it takes over between two frames, or waits while the session is armed."""
-    return services.runner.retrain(
-        session_id, caller.acts_as(request.operator), keeps_reference=request.keeps_reference
-    )
+    with services.revisions.only_if(session_id, if_match):
+        return services.runner.retrain(
+            session_id, caller.acts_as(request.operator), keeps_reference=request.keeps_reference
+        )
 
 
 @router.post("/sessions/{session_id}/models/apply", name="model.apply", responses=ACT)
 def apply_model(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
+    session_id: deps.SessionId,
+    request: schemas.OperatorRequest,
+    caller: deps.Caller,
+    services: deps.Offered,
+    if_match: deps.IfMatch,
 ) -> schemas.SessionDetail:
     """Let the new model that waits take over now; disarms. Refused when none waits."""
-    return services.runner.apply_model(session_id, caller.acts_as(request.operator))
+    with services.revisions.only_if(session_id, if_match):
+        return services.runner.apply_model(session_id, caller.acts_as(request.operator))
 
 
 @router.get("/models/{model_id}", responses=READ)
-def read_model(model_id: deps.ModelId, services: deps.Offered) -> schemas.Model:
+def read_model(model_id: deps.ModelId, services: deps.Offered, fresh: deps.IfNoneMatch) -> schemas.Model:
     """Read a model."""
-    return services.models.get(model_id)
+    model = services.models.get(model_id)
+    return fresh.told(model, etag_of("model", model.id, model.sha256, model.is_active))
 
 
 @router.get("/models/{model_id}/spectrum", responses=READ)
@@ -61,7 +73,15 @@ def read_spectrum(model_id: deps.ModelId, services: deps.Offered) -> schemas.Spe
 
 @router.post("/models/{model_id}/activate", name="model.activate", responses=ACT)
 def activate_model(
-    model_id: deps.ModelId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
+    model_id: deps.ModelId,
+    request: schemas.OperatorRequest,
+    caller: deps.Caller,
+    services: deps.Offered,
+    if_match: deps.IfMatch,
 ) -> schemas.SessionDetail:
     """Measure with this model of the running session once the zero is carried over to it; disarms."""
-    return services.runner.activate(model_id, caller.acts_as(request.operator))
+    operator = caller.acts_as(request.operator)
+    if not if_match.is_given:
+        return services.runner.activate(model_id, operator)
+    with services.revisions.only_if(services.models.get(model_id).session_id, if_match):
+        return services.runner.activate(model_id, operator)

@@ -7,6 +7,7 @@ from fastapi import APIRouter, Path, Query, Response
 from engine.errors import BeamLineError, CalibrationError, RecordingError, RuntimeMissingError, SourceLostError
 from service import deps, schemas
 from service.api import problems
+from service.conditional import etag_of
 from service.errors import (
     BoundError,
     NotFoundError,
@@ -17,6 +18,7 @@ from service.errors import (
     SessionActiveError,
 )
 from service.qa import schemas as qa
+from service.qa.views import baseline_etag
 from service.schema_base import Identifier
 
 router = APIRouter(prefix="/qa", tags=["qa"])
@@ -63,9 +65,10 @@ def list_qa_runs(services: deps.Offered, cursor: deps.Cursor = None, limit: deps
 
 
 @router.get("/runs/{run_id}", responses=READ)
-def read_qa_run(run_id: RunId, services: deps.Offered) -> qa.QaRunDetail:
+def read_qa_run(run_id: RunId, services: deps.Offered, fresh: deps.IfNoneMatch) -> qa.QaRunDetail:
     """Read a run with every check, or how far it has come."""
-    return services.qa_book.detail(run_id)
+    detail = services.qa_book.detail(run_id)
+    return fresh.told(detail, etag_of("qa run", detail.model_dump(mode="json")))
 
 
 @router.post("/runs/{run_id}/cancel", name="qa.cancel", responses=problems(NotFoundError, QaStateError))
@@ -111,12 +114,22 @@ def read_qa_status(services: deps.Offered) -> qa.QaStatus:
 
 
 @router.get("/baseline")
-def read_qa_baseline(services: deps.Offered) -> qa.QaBaselineHistory:
+def read_qa_baseline(services: deps.Offered, fresh: deps.IfNoneMatch) -> qa.QaBaselineHistory:
     """Tell what the camera's place should read, who fixed it, and what it was before."""
-    return services.qa_book.baseline()
+    history = services.qa_book.baseline()
+    return fresh.told(history, baseline_etag(history.number))
 
 
 @router.put("/baseline", name="qa.baseline", responses=FIX)
-def fix_qa_baseline(request: qa.QaBaselineRequest, caller: deps.Caller, services: deps.Offered) -> qa.QaBaseline:
+def fix_qa_baseline(
+    request: qa.QaBaselineRequest,
+    caller: deps.Caller,
+    services: deps.Offered,
+    if_match: deps.IfMatch,
+    response: Response,
+) -> qa.QaBaseline:
     """Fix what the camera's place should read; audited with what it was before."""
-    return services.qa_book.fix_baseline(request.model_copy(update={"operator": caller.acts_as(request.operator)}))
+    named = request.model_copy(update={"operator": caller.acts_as(request.operator)})
+    fixed = services.qa_book.fix_baseline(named, if_match)
+    response.headers["ETag"] = baseline_etag(fixed.number)
+    return fixed

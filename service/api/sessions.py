@@ -119,17 +119,27 @@ def list_sessions(services: deps.Offered, cursor: deps.Cursor = None, limit: dep
 
 
 @router.get("/{session_id}", responses=READ)
-def read_session(session_id: deps.SessionId, services: deps.Offered) -> schemas.SessionDetail:
-    """Read a session with its gate, its learning and its figures."""
-    return services.sessions.detail(session_id)
+def read_session(session_id: deps.SessionId, services: deps.Offered, fresh: deps.IfNoneMatch) -> schemas.SessionDetail:
+    """Read a session with its gate, its learning and its figures.
+
+    The ETag changes with every decision about the session, not with its figures: a running one is never 304.
+    """
+    etag = services.revisions.etag(session_id)  # before it is read: it may be older than what is told, never newer
+    detail = services.sessions.detail(session_id)
+    return fresh.told(detail, etag, may_be_left_out=detail.status != "running")
 
 
 @router.post("/{session_id}/start", name="session.start", responses=START)
 def start_session(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
+    session_id: deps.SessionId,
+    request: schemas.OperatorRequest,
+    caller: deps.Caller,
+    services: deps.Offered,
+    if_match: deps.IfMatch,
 ) -> schemas.Session:
     """Open the source and begin to learn, disarmed."""
-    return services.runner.start(session_id, caller.acts_as(request.operator))
+    with services.revisions.only_if(session_id, if_match):
+        return services.runner.start(session_id, caller.acts_as(request.operator))
 
 
 @router.post("/{session_id}/arm", name="session.arm", responses=ARM)
@@ -139,12 +149,14 @@ def arm_session(
     caller: deps.Caller,
     services: deps.Offered,
     attendance: deps.Attending,
+    if_match: deps.IfMatch,
 ) -> schemas.SessionDetail:
     """Let the gate decide from now on; refused without a model, a reference and a fresh frame."""
     operator = caller.acts_as(request.operator)
-    return services.runner.command(
-        session_id, "arm", operator, may_be_done=lambda: attendance.answers_for(session_id, caller.identity)
-    )
+    with services.revisions.only_if(session_id, if_match):
+        return services.runner.command(
+            session_id, "arm", operator, may_be_done=lambda: attendance.answers_for(session_id, caller.identity)
+        )
 
 
 @router.post("/{session_id}/disarm", name="session.disarm", responses=HOLD)
@@ -157,18 +169,28 @@ def disarm_session(
 
 @router.post("/{session_id}/reference", name="session.reference", responses=ASK)
 def set_reference(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
+    session_id: deps.SessionId,
+    request: schemas.OperatorRequest,
+    caller: deps.Caller,
+    services: deps.Offered,
+    if_match: deps.IfMatch,
 ) -> schemas.SessionDetail:
     """Make the patient's present position the zero of motion; disarms."""
-    return services.runner.command(session_id, "reference", caller.acts_as(request.operator))
+    with services.revisions.only_if(session_id, if_match):
+        return services.runner.command(session_id, "reference", caller.acts_as(request.operator))
 
 
 @router.post("/{session_id}/acknowledge", name="session.acknowledge", responses=ASK)
 def acknowledge_fault(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
+    session_id: deps.SessionId,
+    request: schemas.OperatorRequest,
+    caller: deps.Caller,
+    services: deps.Offered,
+    if_match: deps.IfMatch,
 ) -> schemas.SessionDetail:
     """Say that a person has seen the latched fault; the gate goes back to disarmed."""
-    return services.runner.command(session_id, "acknowledge", caller.acts_as(request.operator))
+    with services.revisions.only_if(session_id, if_match):
+        return services.runner.command(session_id, "acknowledge", caller.acts_as(request.operator))
 
 
 @router.post("/{session_id}/hold", name="session.hold", responses=HOLD)
@@ -186,12 +208,14 @@ def release_beam(
     caller: deps.Caller,
     services: deps.Offered,
     attendance: deps.Attending,
+    if_match: deps.IfMatch,
 ) -> schemas.SessionDetail:
     """Let the gate decide again, after a full dwell; refused when nobody holds."""
     operator = caller.acts_as(request.operator)
-    return services.runner.command(
-        session_id, "release", operator, may_be_done=lambda: attendance.answers_for(session_id, caller.identity)
-    )
+    with services.revisions.only_if(session_id, if_match):
+        return services.runner.command(
+            session_id, "release", operator, may_be_done=lambda: attendance.answers_for(session_id, caller.identity)
+        )
 
 
 @router.post(
@@ -208,12 +232,17 @@ def note_presence(
 
 @router.post("/{session_id}/baseline-correction", name="session.baseline_correction", responses=ASK)
 def correct_baseline(
-    session_id: deps.SessionId, request: BaselineCorrectionRequest, caller: deps.Caller, services: deps.Offered
+    session_id: deps.SessionId,
+    request: BaselineCorrectionRequest,
+    caller: deps.Caller,
+    services: deps.Offered,
+    if_match: deps.IfMatch,
 ) -> schemas.SessionDetail:
     """Move the window by a drift of the baseline that a person saw and confirms; disarms."""
-    return services.runner.correct_baseline(
-        session_id, request.model_copy(update={"operator": caller.acts_as(request.operator)})
-    )
+    with services.revisions.only_if(session_id, if_match):
+        return services.runner.correct_baseline(
+            session_id, request.model_copy(update={"operator": caller.acts_as(request.operator)})
+        )
 
 
 @router.post("/{session_id}/stop", name="session.stop", responses=problems(NotFoundError, SessionStateError))

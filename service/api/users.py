@@ -1,6 +1,6 @@
 """People: who may log in, as what. Nobody is deleted: the audit names them."""
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Response
 
 from service import access_schemas as schemas
 from service import deps
@@ -8,6 +8,7 @@ from service.access.people import Change, Issued
 from service.access.records import User
 from service.api import problems
 from service.api.login import logins_view
+from service.conditional import etag_of
 from service.errors import (
     BoundError,
     LastAdminError,
@@ -35,13 +36,25 @@ def add_user(body: schemas.UserRequest, caller: deps.Caller, desk: deps.Access) 
     return _issued(issued)
 
 
+@router.get("/{name}", responses=problems(NotFoundError))
+def read_user(name: schemas.PersonName, desk: deps.Access, fresh: deps.IfNoneMatch) -> schemas.UserView:
+    """Read a person; the ETag changes with what is decided about them, not with their log-ins."""
+    user = desk.people.get(name)
+    return fresh.told(_view(user), user_etag(user))
+
+
 @router.patch(
     "/{name}",
     name="user.change",
     responses=problems(NotFoundError, BoundError, LastAdminError, OutsideUserError, PasswordDeskFullError),
 )
 def change_user(
-    name: schemas.PersonName, body: schemas.UserChange, caller: deps.Caller, desk: deps.Access
+    name: schemas.PersonName,
+    body: schemas.UserChange,
+    caller: deps.Caller,
+    desk: deps.Access,
+    if_match: deps.IfMatch,
+    response: Response,
 ) -> schemas.UserView:
     """Change roles, disable, reset the password; disabling and a reset end the person's log-ins."""
     change = Change(
@@ -50,7 +63,9 @@ def change_user(
         is_break_glass=body.is_break_glass,
         reset_password=body.reset_password,
     )
-    return _issued(desk.people.change(name, change, by=caller.name))
+    issued = desk.people.change(name, change, by=caller.name, check=lambda user: if_match.require(user_etag(user)))
+    response.headers["ETag"] = user_etag(issued.user)
+    return _issued(issued)
 
 
 @router.get("/{name}/logins", responses=problems(NotFoundError))
@@ -63,6 +78,12 @@ def list_user_logins(name: schemas.PersonName, caller: deps.Caller, desk: deps.A
 def end_user_login(name: schemas.PersonName, login_id: schemas.LoginId, caller: deps.Caller, desk: deps.Access) -> None:
     """End a person's log-in; its live stream closes within seconds."""
     desk.logins.end(desk.logins.find(desk.people.get(name), login_id), by=caller.name)
+
+
+def user_etag(user: User) -> str:
+    """Return the ETag of what an administrator decides about a person."""
+    decided = (sorted(user.roles), user.is_disabled, user.is_break_glass, user.must_change_password, user.issuer)
+    return etag_of("user", user.key, user.created_at, *decided)
 
 
 def _issued(issued: Issued) -> schemas.UserView:

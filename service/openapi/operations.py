@@ -19,7 +19,7 @@ Codes = dict[int, set[str]]
 CHANGES = frozenset({"POST", "PUT", "PATCH", "DELETE"})
 V1 = "/api/v1/"
 SHOWN_TO_PEOPLE = "text/html"
-WITH_RETRY = frozenset({"idempotency_in_progress", "locked_out", "login_busy", "stream_full", "plan_busy"})
+WITH_RETRY = frozenset({"idempotency_in_progress", "locked_out", "login_busy", "plan_busy", "stream_full"})
 
 
 def complete_operation(operation: Operation, method: str, path: str) -> None:

@@ -7,6 +7,7 @@ from sqlalchemy.orm import Session
 from engine.qa.bounds import BASELINE_BOUNDS
 from engine.qa.checks import check_of
 from service.audit_log import AuditLog
+from service.conditional import ANYTHING, Precondition
 from service.db.engine import Database
 from service.errors import BoundError, QaActiveError, QaStateError
 from service.qa import records, schemas, views
@@ -79,12 +80,14 @@ class QaBook:
         with self._database.read() as db:
             return views.baseline_history(records.baseline_rows(db))
 
-    def fix_baseline(self, request: schemas.QaBaselineRequest) -> schemas.QaBaseline:
+    def fix_baseline(self, request: schemas.QaBaselineRequest, wanted: Precondition = ANYTHING) -> schemas.QaBaseline:
         """Fix another, as a named person says or as a run measured; refused while a run goes on."""
         with self._log.refusals(actor=request.operator, action=records.BASELINE), self._database.write() as db:
             if self._under_way.run_id is not None:
                 msg = "a QA run is under way: it is judged by the baseline it began with"
                 raise QaActiveError(msg, field="run_id", value=self._under_way.run_id, bound="no QA run under way")
+            newest = records.newest_baseline(db)
+            wanted.require(views.baseline_etag(0 if newest is None else newest.number))
             row = records.fix_baseline(db, _expected(db, request), operator=request.operator, reason=request.reason)
             return views.baseline_answer(row)
 

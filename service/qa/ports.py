@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Protocol
 
 from engine.calibration import Calibration
+from service.conditional import ANYTHING, Precondition
 from service.idempotency import CallersKey
 from service.ports import Kept
 from service.qa import schemas
@@ -61,5 +62,5 @@ class QaBookPort(Protocol):
     def baseline(self) -> schemas.QaBaselineHistory:
         """Tell the baseline that holds, and those before it."""
 
-    def fix_baseline(self, request: schemas.QaBaselineRequest) -> schemas.QaBaseline:
+    def fix_baseline(self, request: schemas.QaBaselineRequest, wanted: Precondition = ANYTHING) -> schemas.QaBaseline:
         """Fix another, as a named person says or as a run measured."""

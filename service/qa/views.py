@@ -8,6 +8,7 @@ from sqlalchemy.orm import Session
 from engine.qa.checks import CHECKS, check_of
 from engine.qa.results import QaCheck, QaNeed
 from service.beam_settings import PREFIX
+from service.conditional import etag_of
 from service.db.models import QaBaselineRow, QaResultRow, QaRunRow
 from service.qa import records, schemas
 from service.qa_settings import QaSettings, setting_of
@@ -36,6 +37,11 @@ def run_answer(db: Session, row: QaRunRow, *, is_under_way: bool, progress: Prog
             "progress": None if told is None else {"stage": told[0].value, "done": told[1], "total": told[2]},
         }
     )
+
+
+def baseline_etag(number: int) -> str:
+    """Return the ETag of the baseline that holds: each has a number of its own."""
+    return etag_of("qa baseline", number)
 
 
 def run_detail(

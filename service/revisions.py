@@ -1,0 +1,82 @@
+"""The ETags of sessions: which decision about a session was the newest, as the audit has it.
+
+A running session's figures change with every frame; what a person or a machine decided does not. Each decision is a row
+of the audit, written before it is done or with it, so that the newest row's number says whether anything was decided
+since somebody looked.
+"""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from service.conditional import Precondition, etag_of
+from service.db import repository
+from service.db.engine import Database
+from service.db.models import AuditRow
+from service.errors import EngineTimeoutError
+
+DECISIONS = (
+    "session.create",
+    "session.start",
+    "session.reference",
+    "session.arm",
+    "session.disarm",
+    "session.hold",
+    "session.release",
+    "session.acknowledge",
+    "session.baseline_correction",
+    "session.stop",
+    "session.close",
+    "model.retrain",
+    "model.apply",
+    "model.activate",
+)
+LONGEST_WAIT_S = 2.0
+
+
+class SessionRevisions:
+    """Tells ETags of sessions, and lets one conditional call at a time look and act."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._turn = threading.Lock()
+
+    def etag(self, session_id: str) -> str:
+        """Return a session's ETag; raise NotFoundError."""
+        with self._database.read() as db:
+            status = repository.session_row(db, session_id).status
+            return etag_of("session", session_id, status, _newest_decision(db, session_id))
+
+    def etag_of_models(self, model_id: str) -> str:
+        """Return the ETag of the session that a model is of; raise NotFoundError."""
+        with self._database.read() as db:
+            session_id = repository.model_row(db, model_id).session_id
+        return self.etag(session_id)
+
+    @contextmanager
+    def only_if(self, session_id: str, wanted: Precondition) -> Iterator[None]:
+        """Do it where nothing was decided since; raise PreconditionFailedError.
+
+        Whoever sends no ``If-Match`` waits for nobody. What takes the beam away never comes here.
+        """
+        if not wanted.is_given:
+            yield
+            return
+        if not self._turn.acquire(timeout=LONGEST_WAIT_S):
+            msg = f"another conditional call took longer than {LONGEST_WAIT_S:g} s"
+            raise EngineTimeoutError(msg)
+        try:
+            wanted.require(self.etag(session_id))
+            yield
+        finally:
+            self._turn.release()
+
+
+def _newest_decision(db: Session, session_id: str) -> int:
+    query = select(func.max(AuditRow.sequence)).where(
+        AuditRow.session_id == session_id, AuditRow.action.in_(DECISIONS), AuditRow.outcome != "refused"
+    )
+    return db.scalar(query) or 0
