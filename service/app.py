@@ -24,6 +24,7 @@ from service.api import (
     login_oidc,
     metrics,
     models,
+    plans,
     qa,
     sessions,
     users,
@@ -43,6 +44,7 @@ from service.strictness import require_acceptable, require_known_query
 from service.ws import live
 
 DASHBOARD = Path(str(files("service"))) / "dashboard"
+PLAN_IMPORT = ("POST", "/api/v1/plans")
 STRICT = (require_known_query, require_acceptable, require_json)
 DESCRIPTION = """Respiratory gating for research and commissioning; **not cleared for clinical use**.
 
@@ -78,7 +80,13 @@ def create_app(
         lifespan=make_lifespan(settings, make_engine, make_rig, tell_first),
         middleware=[
             Middleware(RequestWatch, page_files=_page_files()),
-            Middleware(Doorway, host_names=settings.host_names, max_body_bytes=settings.max_body_bytes),
+            Middleware(
+                Doorway,
+                host_names=settings.host_names,
+                max_body_bytes=settings.max_body_bytes,
+                max_body_s=settings.http_body_s,
+                larger_bodies={PLAN_IMPORT: settings.max_plan_bytes},
+            ),
             Middleware(
                 Guard,
                 callers=Callers(behind_proxy=settings.behind_proxy, trusted_proxies=settings.trusted_proxies),
@@ -100,6 +108,7 @@ def create_app(
         users,
         keys,
         sessions,
+        plans,
         models,
         calibrations,
         devices,

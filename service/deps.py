@@ -1,6 +1,7 @@
 """What routers are given: the ports, found on the application, and the parameters they share."""
 
 import re
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from typing import Annotated, TypeVar, cast
 
@@ -32,6 +33,8 @@ class Services:
     samples: ports.SamplesPort
     calibrations: ports.CalibrationsPort
     models: ports.ModelsPort
+    plans: ports.PlansPort
+    planned_sessions: ports.PlannedSessionsPort
     audit: ports.AuditPort
     health: ports.HealthPort
     interlocks: ports.InterlocksPort
@@ -101,7 +104,7 @@ async def json_body(request: Request) -> bytes:
 
 CALIBRATION_MEDIA = ("application/json", "application/yaml", "application/xml")
 """What a calibration may be uploaded as; no form of a foreign page can post any of them."""
-MEDIA_OF = {"calibration.upload": CALIBRATION_MEDIA}
+MEDIA_OF = {"calibration.upload": CALIBRATION_MEDIA, "plan.import": ("application/dicom",)}
 
 
 def require_json(request: Request) -> None:
@@ -116,14 +119,22 @@ def require_json(request: Request) -> None:
         raise MediaTypeError(msg, field="Content-Type", value=media_type, bound=bound)
 
 
+async def plan_file(request: Request) -> AsyncIterator[bytes]:
+    """Read a plan's file, once there is a place for one in memory; the place is free again after the answer."""
+    with services(request).plans.taking_one():
+        yield await request.body()
+
+
 Offered = Annotated[Services, Depends(services)]
 Access = Annotated[AccessDesk, Depends(access)]
 Caller = Annotated[Calling, Depends(caller)]
 Attending = Annotated[Attendance, Depends(attendance)]
 Address = Annotated[str, Depends(sender_address)]
 Body = Annotated[bytes, Depends(json_body)]
+PlanFile = Annotated[bytes, Depends(plan_file)]
 SessionId = Annotated[Identifier, Path(description="The session's id")]
 CalibrationId = Annotated[Identifier, Path(description="The calibration's id")]
+PlanId = Annotated[Identifier, Path(description="The plan's id")]
 ModelId = Annotated[Identifier, Path(description="The model's id")]
 Cursor = Annotated[str | None, Query(max_length=80, description="`next_cursor` of the page before")]
 Limit = Annotated[int, Query(ge=1, le=500, description="Most items on the page")]

@@ -12,6 +12,7 @@ from engine import errors as engine_errors
 from engine.errors import TidegateError
 from engine.transition_journal import JournalError
 from service import schemas
+from service.plans import errors as plan_errors
 
 PROBLEM_TYPE = "urn:tidegate:problem:"
 MEDIA_TYPE = "application/problem+json"
@@ -324,6 +325,13 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     LastAdminError: (409, "The last administrator stays"),
     LocalLoginRefusedError: (403, "This account logs in elsewhere"),
     OutsideUserError: (409, "The account is kept elsewhere"),
+    plan_errors.PlanError: (422, "The file is no plan that can be used"),
+    plan_errors.PlanConflictError: (409, "Another plan has this UID"),
+    plan_errors.PlanGatingError: (409, "The window is not of the plan's technique"),
+    plan_errors.PlanRejectedError: (409, "The plan was rejected"),
+    plan_errors.FractionDoneError: (409, "The fraction was begun before"),
+    plan_errors.OverrideNotPersonalError: (403, "A person has to decide that"),
+    plan_errors.PlanBusyError: (503, "Enough plans are being read"),
     SQLAlchemyError: (503, "The database does not answer"),
 }
 HTTP_CODES = {

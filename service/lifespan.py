@@ -31,6 +31,8 @@ from service.journal_recovery import recover_transitions
 from service.journals import Journals
 from service.model_store import MODELS_FOLDER, ModelStore
 from service.motion_models import ModelShelf
+from service.plans.preparing import PlannedSessions
+from service.plans.shelf import PlanShelf
 from service.ports import EnginePort
 from service.qa.book import QaBook
 from service.qa.book import close_interrupted as close_interrupted_qa
@@ -183,6 +185,8 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFi
         samples=SampleDesk(database, shelf),
         calibrations=CalibrationShelf(database, log),
         models=ModelShelf(database, room),
+        plans=PlanShelf(database, log, settings),
+        planned_sessions=PlannedSessions(database, log, book),
         audit=AuditDesk(database, log, AnchorFile(settings.anchor_file), site=settings.site_name),
         health=watching.health,
         interlocks=InterlockTable(settings),

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+import anyio
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -11,6 +12,7 @@ from service.access.identity import RULE
 from service.deprecation import DEPRECATED
 from service.errors import problem_of, problem_response
 
+MAX_BODY_S = 30.0
 SECURITY_HEADERS = {
     "Content-Security-Policy": (
         "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
@@ -19,6 +21,14 @@ SECURITY_HEADERS = {
     "X-Frame-Options": "DENY",
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Embedder-Policy": "require-corp",
+    "Origin-Agent-Cluster": "?1",
+    "Permissions-Policy": (
+        "accelerometer=(), camera=(), display-capture=(), geolocation=(), gyroscope=(), magnetometer=(), "
+        "microphone=(), midi=(), payment=(), serial=(), usb=()"
+    ),
+    "X-Permitted-Cross-Domain-Policies": "none",
 }
 
 
@@ -33,10 +43,19 @@ class RefusedError(HTTPException):
 class Doorway:
     """Checks the Host header, bounds the body as it is read, and adds the security headers to every answer."""
 
-    def __init__(self, app: ASGIApp, host_names: tuple[str, ...], max_body_bytes: int) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        host_names: tuple[str, ...],
+        max_body_bytes: int,
+        max_body_s: float = MAX_BODY_S,
+        larger_bodies: Mapping[tuple[str, str], int] | None = None,
+    ) -> None:
         self._app = app
         self._host_names = host_names
         self._max_body_bytes = max_body_bytes
+        self._max_body_s = max_body_s
+        self._larger_bodies = larger_bodies or {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let a request in, or refuse it."""
@@ -49,7 +68,12 @@ class Doorway:
         elif scope["type"] == "websocket":
             await self._app(scope, receive, send)
         else:
-            await self._app(scope, _bounded(scope, receive, self._max_body_bytes), _with_headers(send, scope))
+            most = self._larger_bodies.get((scope["method"], scope["path"]), self._max_body_bytes)
+            await self._app(
+                scope,
+                _in_time(_bounded(scope, receive, most), self._max_body_s),
+                _with_headers(send, scope),
+            )
 
     async def _refuse_host(self, host: str, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a name that is not ours: a foreign page's name may have been pointed at this machine."""
@@ -86,6 +110,7 @@ def _bounded(scope: Scope, receive: Receive, max_bytes: int) -> Receive:
 
     async def receive_bounded() -> Message:
         nonlocal seen_bytes
+        _refuse_packed(scope)
         if not declared.isdecimal() or int(declared[:20]) > max_bytes:
             raise _too_large(f"{declared[:20]} bytes", max_bytes)
         message = await receive()
@@ -95,6 +120,36 @@ def _bounded(scope: Scope, receive: Receive, max_bytes: int) -> Receive:
         return message
 
     return receive_bounded
+
+
+def _in_time(receive: Receive, max_s: float) -> Receive:
+    """Wait for the whole body only for so long; whoever waits for the client to leave may do so for ever."""
+    is_whole = False
+    ends_s: float | None = None
+
+    async def receive_in_time() -> Message:
+        nonlocal is_whole, ends_s
+        if is_whole:
+            return await receive()
+        ends_s = ends_s or anyio.current_time() + max_s
+        with anyio.move_on_after(ends_s - anyio.current_time()):
+            message = await receive()
+            is_whole = not message.get("more_body", False)
+            return message
+        bound = f"complete within {max_s:g} s"
+        raise RefusedError(408, "The body took too long", field="body", value="a part of it", bound=bound)
+
+    return receive_in_time
+
+
+def _refuse_packed(scope: Scope) -> None:
+    """Refuse a body that is packed: what it unpacks to has no bound that is known beforehand."""
+    encoding = Headers(scope=scope).get("content-encoding", "identity")
+    if encoding.lower() not in {"identity", ""}:
+        bound = "identity, or left out"
+        raise RefusedError(
+            415, "The body must not be packed", field="Content-Encoding", value=encoding[:80], bound=bound
+        )
 
 
 def _too_large(value: str, max_bytes: int) -> RefusedError:

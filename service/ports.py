@@ -22,12 +22,14 @@ from engine.notices import LearningNotice
 from engine.permits import HoldReason
 from engine.transition_journal import TransitionJournal
 from service import schemas
+from service.access.calling import Calling
 from service.audit.export import ExportRequest
 from service.audit_schemas import AuditVerification
 from service.conditional import Precondition
 from service.gate_schemas import BaselineCorrectionRequest, InterlockList
 from service.idempotency import CallersKey
 from service.live_messages import Sample
+from service.plan_schemas import Plan, PlanPage, PlanSessionRequest, PreparedSession
 from service.readiness_schemas import Readiness
 from service.window_schemas import Window
 
@@ -258,6 +260,31 @@ class CalibrationsPort(Protocol):
 
     def detail(self, calibration_id: str) -> schemas.CalibrationDetail:
         """Read one."""
+
+
+class PlansPort(Protocol):
+    """RT Plans."""
+
+    def taking_one(self) -> AbstractContextManager[None]:
+        """Take a place for a file; raise PlanBusyError at once where there is none."""
+
+    def keep(self, body: bytes, operator: str, key: CallersKey | None) -> Kept[Plan]:
+        """Read a file and keep what it says; the same plan again is the plan that is there."""
+
+    def page(self, cursor: str | None, limit: int, *, patient_reference: str | None, label: str | None) -> PlanPage:
+        """List them, newest first."""
+
+    def detail(self, plan_id: str) -> Plan:
+        """Read one."""
+
+
+class PlannedSessionsPort(Protocol):
+    """Sessions prepared from plans."""
+
+    def prepare(
+        self, plan_id: str, request: PlanSessionRequest, caller: Calling, key: CallersKey | None
+    ) -> Kept[PreparedSession]:
+        """Record a new session of a plan's fraction."""
 
 
 class ModelsPort(Protocol):

@@ -269,6 +269,7 @@ class Session(Answer):
     window: Window
     regions: Regions = Field(default=Regions())
     model_id: Identifier | None = Field(default=None, description="The stored model it begins with")
+    rt_plan_id: Identifier | None = Field(default=None, description="The RT Plan it was prepared from")
     is_simulated_beam: bool
     created_at: AwareDatetime
     started_at: AwareDatetime | None

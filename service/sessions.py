@@ -2,7 +2,8 @@
 
 import json
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from pydantic import TypeAdapter
@@ -38,6 +39,15 @@ ACTION = "session.create"
 SOURCE: TypeAdapter[schemas.RecordingSource | schemas.DeviceSource] = TypeAdapter(schemas.Source)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FromPlan:
+    """The plan a session is prepared from: what the audit keeps of it, and what has to hold of it."""
+
+    rt_plan_id: str
+    detail: Mapping[str, object]
+    check: Callable[[Session], None]
+
+
 class SessionBook:
     """The book of sessions."""
 
@@ -58,32 +68,41 @@ class SessionBook:
         self._make_room = make_room
         self._in_progress = InProgress()
 
-    def create(self, request: schemas.SessionRequest, key: CallersKey | None) -> Kept[schemas.Session]:
+    def create(
+        self, request: schemas.SessionRequest, key: CallersKey | None, plan: FromPlan | None = None
+    ) -> Kept[schemas.Session]:
         """Record a new session; one at a time."""
-        body = audit.canonical_json(request.model_dump(mode="json")).encode()
+        origin = {} if plan is None else dict(plan.detail)
+        body = audit.canonical_json({**request.model_dump(mode="json"), **origin}).encode()
         with self._log.refusals(actor=request.operator, action=ACTION), self._in_progress.only(key):
             with self._database.read() as db:
-                earlier = self._earlier_or_free(db, request, key, body)
+                earlier = self._earlier_or_free(db, request, key, body, plan)
             if earlier is not None:
                 return Kept(answer=earlier, is_replay=True)
             refuse_without_room(self._settings, self._make_room)
             # A camera may take its time to answer, or hang: never while the database is locked.
             nominal = self._nominal_calibration(request)
-            return self._write_down(request, key, body, nominal)
+            return self._write_down(request, key, body, nominal, plan)
 
     def _write_down(
-        self, request: schemas.SessionRequest, key: CallersKey | None, body: bytes, nominal: Calibration | None
+        self,
+        request: schemas.SessionRequest,
+        key: CallersKey | None,
+        body: bytes,
+        nominal: Calibration | None,
+        plan: FromPlan | None,
     ) -> Kept[schemas.Session]:
         with self._database.write() as db:
-            earlier = self._earlier_or_free(db, request, key, body)
+            earlier = self._earlier_or_free(db, request, key, body, plan)
             if earlier is not None:
                 return Kept(answer=earlier, is_replay=True)
             calibration = self._calibration(db, request, nominal)
             _refuse_other_model(db, request, calibration)
             row = _new_row(request, calibration.id, is_simulated_beam=self._engine.is_simulated_beam)
+            row.rt_plan_id = None if plan is None else plan.rt_plan_id
             db.add(row)
             db.flush()
-            audit.append(db, self._created(row.id, request, calibration))
+            audit.append(db, self._created(row.id, request, calibration, {} if plan is None else plan.detail))
             answer = session_answer(row)
             keep_answer(db, ACTION, key, body, answer)
         return Kept(answer=answer, is_replay=False)
@@ -131,13 +150,20 @@ class SessionBook:
             find_recording(request.source.path, self._settings.recording_folders)
 
     def _earlier_or_free(
-        self, db: Session, request: schemas.SessionRequest, key: CallersKey | None, body: bytes
+        self,
+        db: Session,
+        request: schemas.SessionRequest,
+        key: CallersKey | None,
+        body: bytes,
+        plan: FromPlan | None,
     ) -> schemas.Session | None:
         """Return what was answered to this key before; refuse a bad request, and any while a session is open."""
         earlier = earlier_answer(db, ACTION, key, body, schemas.Session)
         if earlier is not None:
             return earlier
         self._check(request)
+        if plan is not None:
+            plan.check(db)
         self._room.refuse_qa()
         open_id = repository.open_session_id(db)
         if open_id is not None:
@@ -163,8 +189,15 @@ class SessionBook:
             check_allowed(request, self._settings)
         return row
 
-    def _created(self, session_id: str, request: schemas.SessionRequest, calibration: CalibrationRow) -> Event:
+    def _created(
+        self,
+        session_id: str,
+        request: schemas.SessionRequest,
+        calibration: CalibrationRow,
+        origin: Mapping[str, object],
+    ) -> Event:
         detail = {**request.model_dump(mode="json"), "calibration_id": calibration.id, **described(calibration.camera)}
+        detail |= origin
         if self._engine.is_simulated_beam:
             detail["beam_line"] = "SIMULATED: no accelerator is gated by this session"
         detail |= described_source(request.source, self._settings)

@@ -25,6 +25,7 @@ from service.database_settings import DatabaseSettings
 from service.door_settings import DoorSettings
 from service.monitoring_settings import MonitoringSettings
 from service.oidc_settings import OidcSettings
+from service.plan_settings import PlanSettings
 from service.qa_settings import QaSettings
 from service.replay_settings import ReplaySettings
 from service.storage_settings import StorageSettings
@@ -75,6 +76,7 @@ class Settings(
     OidcSettings,
     ReplaySettings,
     StreamSettings,
+    PlanSettings,
     DoorSettings,
     MonitoringSettings,
 ):

@@ -17,6 +17,7 @@ class Permission(StrEnum):
     GATE_HOLD = "gate.hold"
     GATE_ACKNOWLEDGE = "gate.acknowledge"
     MODELS_WRITE = "models.write"
+    PLANS_WRITE = "plans.write"
     CALIBRATIONS_READ = "calibrations.read"
     CALIBRATIONS_WRITE = "calibrations.write"
     QA_READ = "qa.read"
@@ -28,12 +29,13 @@ class Permission(StrEnum):
 
 
 MEANING: Mapping[Permission, str] = {
-    Permission.SESSIONS_READ: "see sessions, samples, the live stream, pictures, models, devices and interlocks",
+    Permission.SESSIONS_READ: "see sessions, plans, samples, the live stream, pictures, models, devices and interlocks",
     Permission.SESSIONS_RUN: "create and start sessions, set the reference, say that the page is looked at",
     Permission.GATE_ARM: "arm, release a hold, correct the baseline: what lets the gate decide",
     Permission.GATE_HOLD: "hold, disarm, stop: what takes the beam away",
     Permission.GATE_ACKNOWLEDGE: "acknowledge a latched fault; for people only",
     Permission.MODELS_WRITE: "learn a model anew, let one take over",
+    Permission.PLANS_WRITE: "import RT Plans",
     Permission.CALIBRATIONS_READ: "see calibrations",
     Permission.CALIBRATIONS_WRITE: "upload calibrations",
     Permission.QA_READ: "see QA runs, reports and trends",
@@ -71,6 +73,7 @@ ROLE_PERMISSIONS: Mapping[Role, frozenset[Permission]] = {
     Role.PHYSICIST: _TREATS
     | {
         Permission.CALIBRATIONS_WRITE,
+        Permission.PLANS_WRITE,
         Permission.QA_BASELINE,
         Permission.AUDIT_READ,
         Permission.METRICS_READ,

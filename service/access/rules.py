@@ -79,6 +79,11 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", f"{V1}/models/{{model_id}}/spectrum"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/devices"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/interlocks"): Permission.SESSIONS_READ,
+    # What is prescribed
+    ("GET", f"{V1}/plans"): Permission.SESSIONS_READ,
+    ("POST", f"{V1}/plans"): Permission.PLANS_WRITE,
+    ("GET", f"{V1}/plans/{{plan_id}}"): Permission.SESSIONS_READ,
+    ("POST", f"{V1}/plans/{{plan_id}}/sessions"): Permission.SESSIONS_RUN,
     # What is measured with, and how well
     ("GET", f"{V1}/calibrations"): Permission.CALIBRATIONS_READ,
     ("POST", f"{V1}/calibrations"): Permission.CALIBRATIONS_WRITE,

@@ -78,6 +78,7 @@ MEANINGS: dict[str, Meaning] = {
     "tape.removed": Meaning(event=PROCEDURE, letter="D"),
     "qa.export": Meaning(event=EXPORT, letter="R"),
     "qa.baseline": Meaning(event=PROCEDURE, letter="C"),
+    "plan.import": Meaning(event=IMPORT, letter="C"),
     "calibration.upload": Meaning(event=IMPORT, letter="C"),
     "session.create": Meaning(event=PROCEDURE, letter="C"),
     "session.close": Meaning(event=PROCEDURE, letter="U"),

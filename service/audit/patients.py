@@ -12,7 +12,7 @@ from service.db.models import SessionRow
 
 FIELDS = frozenset({"patient_reference", "plan_id", "fraction_id", "fraction_number"})
 """What a session says about its patient."""
-BEFORE_A_SESSION = frozenset({"session.create"})
+BEFORE_A_SESSION = frozenset({"session.create", "plan.import"})
 OF_SESSIONS = ("session.", "model.")
 ABOUT = ("patient_reference", "plan_id", "fraction_id")
 

