@@ -9,6 +9,7 @@ from typing import Any
 from fastapi import Request
 from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute
+from pydantic import BaseModel
 
 from service.access.identity import RULE
 from service.access.permissions import Permission
@@ -56,7 +57,11 @@ def _query_names(route: APIRoute) -> frozenset[str]:
 def _walk(dependant: Dependant) -> Iterator[str]:
     """Walk the names of the parameters of a call, and of whatever it depends on."""
     for field in dependant.query_params:
-        yield field.alias
+        model = field.field_info.annotation
+        if isinstance(model, type) and issubclass(model, BaseModel):  # each of its fields is a parameter
+            yield from (told.alias or name for name, told in model.model_fields.items())
+        else:
+            yield field.alias
     for further in dependant.dependencies:
         yield from _walk(further)
 
