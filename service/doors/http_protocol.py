@@ -12,12 +12,19 @@ from uvicorn.config import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
+from service.doors.cutting import cut
 from service.doors.refusals import phrase_of, problem_answer
 from service.doors.visitors import VisitorBook
 from service.doors.wire import StrictConnection
 
 WIRE_FACTOR = 8
 """How many bytes a body may take on the wire for one of its own: chunks of one byte take six."""
+
+MOST_AHEAD_BYTES = 65_536
+"""Of further requests that are sent before the one under way is answered."""
+
+TRANSPORT = "tidegate.transport"
+"""Where the application finds the connection in a scope's state: the stream looks at what waits in it."""
 
 # What uvicorn warns of (bad requests, unknown upgrades) is counted here instead, without a line for each.
 _errors = logging.getLogger("uvicorn.error.doors")
@@ -53,6 +60,7 @@ class BoundedHttp(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin, if there is a place."""
         super().connection_made(transport)
+        self.app_state = {**self.app_state, TRANSPORT: transport}
         self._head_since_s = self.loop.time()
         if not self._book.enter(transport, self, self.client[0] if self.client else None):
             self._answer_and_close(503, "every connection is in use: try again")
@@ -74,8 +82,13 @@ class BoundedHttp(H11Protocol):
             self._refuse(400, "the body takes far more bytes on its way than it has")
             return
         super().data_received(data)
-        if not self._is_between_requests:
-            self._head_since_s = None
+        if self._is_between_requests:
+            return
+        self._head_since_s = None
+        # Uvicorn stops reading ahead of a request, and reads on whenever the application asks whether anybody left.
+        if not self.cycle.more_body and len(self.conn.trailing_data[0]) > MOST_AHEAD_BYTES:
+            self._book.refusals.add("too_far_ahead")
+            cut(self.transport)
 
     def pause_writing(self) -> None:
         """Note from when on the client reads nothing."""
@@ -115,7 +128,7 @@ class BoundedHttp(H11Protocol):
         if self.transport.is_closing():
             return self._look_at_closing(now_s)
         if self._is_over(self._unread_since_s, self._limits.write_s, now_s):
-            self.transport.abort()
+            cut(self.transport)
             return "not_read"
         if self._is_over(self._head_since_s, self._limits.header_s, now_s):
             self._answer_and_close(408, "the headers took too long")
@@ -124,7 +137,7 @@ class BoundedHttp(H11Protocol):
 
     def leave(self) -> None:
         """Close at once."""
-        self.transport.abort()
+        cut(self.transport)
 
     # Own
 
@@ -141,7 +154,7 @@ class BoundedHttp(H11Protocol):
         if self._closing_since_s is None:
             self._closing_since_s = now_s
         elif self._is_over(self._closing_since_s, self._limits.write_s, now_s):
-            self.transport.abort()
+            cut(self.transport)
         return None
 
     def _refuse(self, status: int, detail: str) -> None:
@@ -156,5 +169,8 @@ class BoundedHttp(H11Protocol):
             for event in (response, h11.Data(data=body), h11.EndOfMessage()):
                 self.transport.write(self.conn.send(event) or b"")
         self._head_since_s = None
+        if not self._is_between_requests:  # the application hears that nobody listens any more
+            self.cycle.disconnected = True
+            self.cycle.message_event.set()
         self.transport.close()
         return code

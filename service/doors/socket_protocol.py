@@ -11,12 +11,15 @@ from uvicorn.config import Config
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from uvicorn.server import ServerState
 
+from service.doors.cutting import cut
 from service.doors.visitors import VisitorBook
 
 POLICY_VIOLATION = 1008
 NOT_UTF8 = 1007
 MOST_WAITING = 32
 """Messages that wait for the application: nobody has so much to say to a stream that one listens to."""
+MOST_UNREAD_BYTES = 65_536
+"""Beyond them pings are not answered any more; whatever else waits is the stream's to drop."""
 
 _errors = logging.getLogger("uvicorn.error.doors")
 
@@ -66,11 +69,12 @@ class BoundedSocket(WebSocketsSansIOProtocol):
         super().resume_writing()
 
     def handle_ping(self) -> None:
-        """Answer a ping; not one more to a client that does not take the answers."""
-        if self._unread_since_s is None:
+        """Answer a ping; not one more to a client that has left many answers unread."""
+        if self.transport.get_write_buffer_size() <= MOST_UNREAD_BYTES:
             super().handle_ping()
         else:
-            self._end("not_read")
+            self._book.refusals.add("not_read")
+            cut(self.transport)
 
     def handle_parser_exception(self) -> None:
         """Close, as websockets has decided, and count it."""
@@ -97,13 +101,13 @@ class BoundedSocket(WebSocketsSansIOProtocol):
             self._closing_since_s = now_s
         for since_s in (self._unread_since_s, self._closing_since_s):
             if since_s is not None and now_s - since_s > self._limits.write_s:
-                self.transport.abort()
+                cut(self.transport)
                 return "not_read"
         return None
 
     def leave(self) -> None:
         """Close at once."""
-        self.transport.abort()
+        cut(self.transport)
 
     def _fail(self, code: int, reason: str, what: str) -> None:
         """Say why, and close; the application hears of it as a disconnect."""
@@ -116,10 +120,6 @@ class BoundedSocket(WebSocketsSansIOProtocol):
         self.transport.write(b"".join(self.conn.data_to_send()))
         self.close_sent = True
         self.transport.close()
-
-    def _end(self, what: str) -> None:
-        self._book.refusals.add(what)
-        self.transport.abort()
 
 
 def _is_utf8(content: bytes) -> bool:
