@@ -7,7 +7,7 @@ STAMP := $(VENV)/.stamp
 export PYTHONDONTWRITEBYTECODE ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup openni test-system test lint types contracts openapi demo bench faults kills mutants safety lock clean
+.PHONY: help setup openni test-system test lint types contracts openapi demo bench load faults kills mutants safety lock clean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -40,8 +40,12 @@ test: $(STAMP) test-system lint types contracts  ## everything that must hold: l
 demo: $(STAMP) openni  ## a 60 s volunteer through the whole of Tidegate; KEEP=1 stays up
 	$(BIN)/tidegate demo $(if $(KEEP),--keep)
 
-bench: $(STAMP)  ## how fast it is, against the marks; QUICK=1 is shorter, MINUTES=60 watches memory for an hour
+bench: $(STAMP)  ## how fast it is, against the marks, then two minutes of load; QUICK=1 is shorter, MINUTES=60 watches memory for an hour
 	$(BIN)/tidegate bench $(if $(QUICK),--quick) $(if $(MINUTES),--memory-minutes $(MINUTES)) $(if $(OUT),--out $(OUT))
+	$(BIN)/python -m tests.load --seconds $(if $(QUICK),30,120) $(if $(OUT),--out $(OUT)/load.json)
+
+load: $(STAMP)  ## 200 dashboards, 50 requests a second and an export beside a session; MINUTES=60 for an hour, DASHBOARDS=n
+	$(BIN)/python -m tests.load --minutes $(or $(MINUTES),2) --dashboards $(or $(DASHBOARDS),200) --out $(or $(OUT),build/load)/load.json
 
 faults: $(STAMP) test-system  ## break the running service in every way, and judge by what the receiver saw; goes on where it was stopped
 	$(BIN)/python -m tests.faults --seeds $(or $(SEEDS),40) --jobs $(or $(JOBS),2) --out $(or $(OUT),build/faults) $(if $(KINDS),--kinds $(KINDS)) $(if $(KEEP),--keep) $(if $(WRITE),--write)
