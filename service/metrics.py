@@ -17,9 +17,10 @@ class Metrics:
 
     def __init__(self, registry: CollectorRegistry, collectors: Iterable[Collector]) -> None:
         self._registry = registry
+        self.collectors = tuple(collectors)
         ProcessCollector(registry=registry)
         GCCollector(registry=registry)
-        for one in collectors:
+        for one in self.collectors:
             registry.register(one)
 
     def text(self, accept: str = "") -> tuple[bytes, str]:

@@ -1,6 +1,7 @@
 """The web server: one process, one worker, and a way out that holds the beam before it says goodbye to anyone."""
 
 import asyncio
+import signal
 import socket
 import ssl
 from collections.abc import Sequence
@@ -45,6 +46,9 @@ class BeamFirstServer(uvicorn.Server):
     def run(self, sockets: list[socket.socket] | None = None) -> None:
         """Serve until told to stop."""
         self._stop.watch()
+        # Uvicorn raises the signal again once it has shut down; asked to stop and stopped is success.
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, _already_obeyed)
         super().run(sockets)
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
@@ -79,6 +83,10 @@ class BeamFirstServer(uvicorn.Server):
         house = getattr(self._app.state, "hold_and_close_session", None)
         if house is not None:  # else nothing has begun yet
             house()
+
+
+def _already_obeyed(_number: int, _frame: FrameType | None) -> None:
+    """Take the signal that uvicorn passes on after its shutdown."""
 
 
 def make_server(

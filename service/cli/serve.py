@@ -3,11 +3,9 @@
 import gc
 import os
 import resource
-import signal
 import socket
 import sys
 from pathlib import Path
-from types import FrameType
 from typing import Annotated
 
 import typer
@@ -17,6 +15,7 @@ from service.access.addresses import LOOPBACK
 from service.folder_lock import FolderInUseError, alone_in
 from service.private_log import install_private_log
 from service.settings import Settings, SettingsError, load_settings
+from service.stopping import leave_at_once
 from service.unhurried_log import UnhurriedHandler
 
 SWITCH_INTERVAL_S = 0.001
@@ -50,6 +49,7 @@ def serve(
     except FolderInUseError as error:
         console.print(f"tidegate serve: {error}", style="red", soft_wrap=True, markup=False)
         raise typer.Exit(2) from error
+    leave_at_once()
 
 
 def _run(settings: Settings, console: Console) -> None:
@@ -71,6 +71,7 @@ def _run(settings: Settings, console: Console) -> None:
             tls_cert=settings.tls_cert,
             tls_key=settings.tls_key,
             doors=settings.doors,
+            max_body_bytes=max(settings.max_body_bytes, settings.max_plan_bytes),
             leave=os._exit,
             trusted_proxies=(settings.trusted_proxies or LOOPBACK) if settings.behind_proxy else (),
         )
@@ -83,9 +84,6 @@ def _run(settings: Settings, console: Console) -> None:
     console.print(
         f"Tidegate on {scheme}://{settings.host}:{settings.port}/ ({line}; {settings.mode} mode, not cleared)"
     )
-    # Uvicorn raises the signal again once it has shut down; asked to stop and stopped is success.
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, _already_obeyed)
     server.run()
 
 
@@ -131,10 +129,6 @@ def _set_memory_aside() -> None:
     """Keep the collector away from what lives as long as the process: walking it stops every thread for a frame."""
     gc.collect()
     gc.freeze()
-
-
-def _already_obeyed(_number: int, _frame: FrameType | None) -> None:
-    """Take the signal that uvicorn passes on after its shutdown."""
 
 
 def _refuse_taken_port(settings: Settings, console: Console) -> None:
