@@ -148,12 +148,40 @@ class DeviceList(TypedDict):
     items: list[Device]
 
 
+class Dropped(TypedDict):
+    """The client took too long: samples were left out before the one that comes next."""
+
+    gate_changes: NotRequired[int]
+    sent_at: str
+    skipped: int
+    type: NotRequired[Literal["dropped"]]
+
+
+class Gap(TypedDict):
+    """After a break: frames of the session that are not sent again."""
+
+    from_frame: int
+    reason: Literal["too_long_ago", "recorder_behind", "not_recorded", "busy"]
+    sent_at: str
+    session_id: str
+    to_frame: int | None
+    type: NotRequired[Literal["gap"]]
+
+
 class Hello(TypedDict):
-    """First message of every connection."""
+    """First message of every connection; what does not apply is left out."""
 
     calibration: NotRequired[Literal["uploaded", "device registration"] | None]
     calibration_warning: NotRequired[str | None]
+    camera_fps: NotRequired[float | None]
+    encoding: Literal["json", "msgpack"]
+    form: Literal["full", "thin"]
+    ping_s: float
+    rate_hz: NotRequired[float | None]
+    resumes_after: NotRequired[int | None]
     schema: NotRequired[Literal["tidegate.live/1"]]
+    sent_at: str
+    session_id: NotRequired[str | None]
     type: NotRequired[Literal["hello"]]
     version: str
 
@@ -207,6 +235,7 @@ Permission = Literal[
     "gate.hold",
     "gate.acknowledge",
     "models.write",
+    "plans.write",
     "calibrations.read",
     "calibrations.write",
     "qa.read",
@@ -284,6 +313,244 @@ class PasswordRequest(TypedDict):
 
     new_password: str
     old_password: str
+
+
+class Ping(TypedDict):
+    """Where nothing else was said for a second: the connection is there, and nothing is known that is newer."""
+
+    sent_at: str
+    type: NotRequired[Literal["ping"]]
+
+
+class PlanBeam(TypedDict):
+    """A beam."""
+
+    delivery: str | None
+    energies: list[float]
+    energy_unit: Literal["MV", "MeV", "MeV/u"] | None
+    machine: str | None
+    name: str | None
+    number: int
+    radiation: str | None
+    scan_mode: str | None
+    setup_number: int | None
+    type: str | None
+
+
+class PlanFractionBeam(TypedDict):
+    """What a beam gives in one fraction."""
+
+    beam_number: int
+    meterset: float | None
+
+
+class PlanFractionGroup(TypedDict):
+    """Fractions that are alike."""
+
+    beams: list[PlanFractionBeam]
+    fractions_planned: int | None
+    number: int
+
+
+class PlanMotion(TypedDict):
+    """One technique that a patient setup prescribes, in DICOM's own terms."""
+
+    description: str | None
+    signal_source: str | None
+    technique: str
+
+
+class PlanSetup(TypedDict):
+    """How the patient is set up, as far as breathing goes."""
+
+    label: str | None
+    motion: list[PlanMotion]
+    number: int
+
+
+class Plan(TypedDict):
+    """A plan as it is kept; it is never changed nor removed."""
+
+    approval: str | None
+    beams: list[PlanBeam]
+    created_at: str
+    date: str | None
+    fraction_groups: list[PlanFractionGroup]
+    gating: Literal["not_stated", "none", "breath_hold", "gating", "unknown", "mixed", "other"]
+    id: str
+    imported_by: str
+    intent: str | None
+    kind: Literal["RT Plan", "RT Ion Plan"]
+    label: str
+    name: str | None
+    notes: list[str]
+    patient_reference: str
+    setups: list[PlanSetup]
+    sha256: str
+    sop_instance_uid: str
+
+
+class PlanSummary(TypedDict):
+    """A plan in a list."""
+
+    created_at: str
+    gating: Literal["not_stated", "none", "breath_hold", "gating", "unknown", "mixed", "other"]
+    id: str
+    imported_by: str
+    kind: Literal["RT Plan", "RT Ion Plan"]
+    label: str
+    patient_reference: str
+    sop_instance_uid: str
+
+
+class PlanPage(TypedDict):
+    """Newest first; `next_cursor` is null on the last page."""
+
+    items: list[PlanSummary]
+    next_cursor: str | None
+
+
+class Region(TypedDict):
+    """A simple polygon on the region's grid of 350 rows by 200 columns, reported under its name."""
+
+    name: str
+    vertices: list[list[float]]
+
+
+class SplitLine(TypedDict):
+    """The line between thorax and abdomen: the rows where it crosses the patient's right and left edge of the grid."""
+
+    left_row: float
+    right_row: float
+
+
+class Regions(TypedDict):
+    """What motion is reported of, besides the whole and the cells of the grid."""
+
+    extra_markers: NotRequired[bool]
+    named: NotRequired[list[Region]]
+    split: NotRequired[SplitLine | None]
+
+
+class RecordingSource(TypedDict):
+    """A recording inside one of the folders that the site allows."""
+
+    kind: Literal["recording"]
+    path: str
+    player: NotRequired[Literal["openni", "reader", "auto"]]
+
+
+class DeviceSource(TypedDict):
+    """A live camera through the OpenNI2 runtime."""
+
+    kind: Literal["device"]
+    uri: NotRequired[str | None]
+
+
+class Condition(TypedDict):
+    """One thing the breath has to meet."""
+
+    column: NotRequired[int | None]
+    from_percent: NotRequired[float | None]
+    hold: NotRequired[Literal["inspiration", "expiration"] | None]
+    hysteresis_l: NotRequired[float | None]
+    hysteresis_mm: NotRequired[float | None]
+    hysteresis_percent: NotRequired[float | None]
+    kind: NotRequired[Literal["amplitude", "breath_hold", "phase"]]
+    lower_l: NotRequired[float | None]
+    lower_mm: NotRequired[float | None]
+    lower_percent: NotRequired[float | None]
+    max_drift_l: NotRequired[float | None]
+    max_drift_mm: NotRequired[float | None]
+    min_confidence: NotRequired[float | None]
+    name: NotRequired[str | None]
+    row: NotRequired[int | None]
+    settle_ms: NotRequired[float | None]
+    signal: NotRequired[Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]]
+    still_l: NotRequired[float | None]
+    still_mm: NotRequired[float | None]
+    timeout_s: NotRequired[float | None]
+    to_percent: NotRequired[float | None]
+    upper_l: NotRequired[float | None]
+    upper_mm: NotRequired[float | None]
+    upper_percent: NotRequired[float | None]
+
+
+class Window(TypedDict):
+    """The gating window; the beam may be on only while the patient stays inside it."""
+
+    column: NotRequired[int | None]
+    dwell_ms: NotRequired[float]
+    from_percent: NotRequired[float | None]
+    further: NotRequired[list[Condition]]
+    hold: NotRequired[Literal["inspiration", "expiration"] | None]
+    hysteresis_l: NotRequired[float | None]
+    hysteresis_mm: NotRequired[float | None]
+    hysteresis_percent: NotRequired[float | None]
+    join: NotRequired[Literal["and", "or"]]
+    kind: NotRequired[Literal["amplitude", "breath_hold", "phase"]]
+    lower_l: NotRequired[float | None]
+    lower_mm: NotRequired[float | None]
+    lower_percent: NotRequired[float | None]
+    max_cycles_per_min: NotRequired[int | None]
+    max_drift_l: NotRequired[float | None]
+    max_drift_mm: NotRequired[float | None]
+    min_confidence: NotRequired[float | None]
+    min_off_ms: NotRequired[float | None]
+    min_on_ms: NotRequired[float | None]
+    name: NotRequired[str | None]
+    row: NotRequired[int | None]
+    settle_ms: NotRequired[float | None]
+    signal: NotRequired[Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]]
+    still_l: NotRequired[float | None]
+    still_mm: NotRequired[float | None]
+    timeout_s: NotRequired[float | None]
+    to_percent: NotRequired[float | None]
+    upper_l: NotRequired[float | None]
+    upper_mm: NotRequired[float | None]
+    upper_percent: NotRequired[float | None]
+
+
+class PlanSessionRequest(TypedDict):
+    """What a plan cannot say of a session: the camera, the calibration, the edges of the window, which fraction."""
+
+    calibration_id: NotRequired[str | None]
+    fraction_group: NotRequired[int | None]
+    fraction_number: int
+    model_id: NotRequired[str | None]
+    operator: NotRequired[str]
+    overrides_plan_gating: NotRequired[str | None]
+    regions: NotRequired[Regions]
+    repeats_fraction: NotRequired[str | None]
+    source: RecordingSource | DeviceSource
+    window: Window
+
+
+class PreparedSession(TypedDict):
+    """A session made from a plan, and what whoever starts it should know."""
+
+    calibration: NotRequired[Literal["uploaded", "device registration"]]
+    calibration_id: str
+    calibration_warning: NotRequired[str | None]
+    created_at: str
+    ended_at: str | None
+    fraction_id: str
+    fraction_number: int | None
+    id: str
+    is_simulated_beam: bool
+    model_id: NotRequired[str | None]
+    operator: str
+    patient_reference: str
+    plan_id: str
+    regions: NotRequired[Regions]
+    rt_plan_id: NotRequired[str | None]
+    source: RecordingSource | DeviceSource
+    source_warning: NotRequired[str | None]
+    started_at: str | None
+    status: Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
+    status_detail: str
+    warnings: list[str]
+    window: Window
 
 
 class QaCheck(TypedDict):
@@ -474,6 +741,40 @@ class Readiness(TypedDict):
     warnings: list[ReadinessReason]
 
 
+class RecordedSample(TypedDict):
+    """A frame from the record, after a break: what was measured and decided then."""
+
+    abdomen_mm: float | None
+    captured_at: str | None
+    form: NotRequired[Literal["recorded"]]
+    frame_index: int
+    gate: Literal["disarmed", "hold", "dwell", "beam_on", "fault"]
+    hold_reason: str | None
+    hold_text: str | None
+    latency_ms: float | None
+    line_on: bool
+    received_at: str | None
+    sent_at: str
+    session_id: str
+    signal_mm: float | None
+    state: Literal["training", "measuring", "lost"]
+    thorax_mm: float | None
+    timestamp_us: int
+    type: NotRequired[Literal["sample"]]
+    volume_l: float | None
+    whole_mm: float | None
+
+
+class Resumed(TypedDict):
+    """After a break: from here on, what is sent is live."""
+
+    frames: int
+    last_frame: int
+    sent_at: str
+    session_id: str
+    type: NotRequired[Literal["resumed"]]
+
+
 class RetrainRequest(TypedDict):
     """Who asks for a new model, and whether its zero is the present one's."""
 
@@ -606,6 +907,8 @@ class Sample(TypedDict):
     breath: NotRequired[LiveBreath | None]
     breath_hold: NotRequired[LiveBreathHold | None]
     calibration: NotRequired[Literal["uploaded", "device registration"]]
+    captured_at: NotRequired[str | None]
+    form: NotRequired[Literal["full"]]
     fps: float | None
     frame_index: int
     frames: int
@@ -622,6 +925,7 @@ class Sample(TypedDict):
     missed_frames: int
     named_mm: dict[str, float | None] | None
     operator_hold: NotRequired[str | None]
+    received_at: NotRequired[str | None]
     regions_mm: list[list[float | None]] | None
     residual_mm: float | None
     roi_px: list[list[float]] | None
@@ -642,107 +946,6 @@ class Sample(TypedDict):
     window: LiveWindow
 
 
-class Region(TypedDict):
-    """A simple polygon on the region's grid of 350 rows by 200 columns, reported under its name."""
-
-    name: str
-    vertices: list[list[float]]
-
-
-class SplitLine(TypedDict):
-    """The line between thorax and abdomen: the rows where it crosses the patient's right and left edge of the grid."""
-
-    left_row: float
-    right_row: float
-
-
-class Regions(TypedDict):
-    """What motion is reported of, besides the whole and the cells of the grid."""
-
-    extra_markers: NotRequired[bool]
-    named: NotRequired[list[Region]]
-    split: NotRequired[SplitLine | None]
-
-
-class RecordingSource(TypedDict):
-    """A recording inside one of the folders that the site allows."""
-
-    kind: Literal["recording"]
-    path: str
-    player: NotRequired[Literal["openni", "reader", "auto"]]
-
-
-class DeviceSource(TypedDict):
-    """A live camera through the OpenNI2 runtime."""
-
-    kind: Literal["device"]
-    uri: NotRequired[str | None]
-
-
-class Condition(TypedDict):
-    """One thing the breath has to meet."""
-
-    column: NotRequired[int | None]
-    from_percent: NotRequired[float | None]
-    hold: NotRequired[Literal["inspiration", "expiration"] | None]
-    hysteresis_l: NotRequired[float | None]
-    hysteresis_mm: NotRequired[float | None]
-    hysteresis_percent: NotRequired[float | None]
-    kind: NotRequired[Literal["amplitude", "breath_hold", "phase"]]
-    lower_l: NotRequired[float | None]
-    lower_mm: NotRequired[float | None]
-    lower_percent: NotRequired[float | None]
-    max_drift_l: NotRequired[float | None]
-    max_drift_mm: NotRequired[float | None]
-    min_confidence: NotRequired[float | None]
-    name: NotRequired[str | None]
-    row: NotRequired[int | None]
-    settle_ms: NotRequired[float | None]
-    signal: NotRequired[Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]]
-    still_l: NotRequired[float | None]
-    still_mm: NotRequired[float | None]
-    timeout_s: NotRequired[float | None]
-    to_percent: NotRequired[float | None]
-    upper_l: NotRequired[float | None]
-    upper_mm: NotRequired[float | None]
-    upper_percent: NotRequired[float | None]
-
-
-class Window(TypedDict):
-    """The gating window; the beam may be on only while the patient stays inside it."""
-
-    column: NotRequired[int | None]
-    dwell_ms: NotRequired[float]
-    from_percent: NotRequired[float | None]
-    further: NotRequired[list[Condition]]
-    hold: NotRequired[Literal["inspiration", "expiration"] | None]
-    hysteresis_l: NotRequired[float | None]
-    hysteresis_mm: NotRequired[float | None]
-    hysteresis_percent: NotRequired[float | None]
-    join: NotRequired[Literal["and", "or"]]
-    kind: NotRequired[Literal["amplitude", "breath_hold", "phase"]]
-    lower_l: NotRequired[float | None]
-    lower_mm: NotRequired[float | None]
-    lower_percent: NotRequired[float | None]
-    max_cycles_per_min: NotRequired[int | None]
-    max_drift_l: NotRequired[float | None]
-    max_drift_mm: NotRequired[float | None]
-    min_confidence: NotRequired[float | None]
-    min_off_ms: NotRequired[float | None]
-    min_on_ms: NotRequired[float | None]
-    name: NotRequired[str | None]
-    row: NotRequired[int | None]
-    settle_ms: NotRequired[float | None]
-    signal: NotRequired[Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]]
-    still_l: NotRequired[float | None]
-    still_mm: NotRequired[float | None]
-    timeout_s: NotRequired[float | None]
-    to_percent: NotRequired[float | None]
-    upper_l: NotRequired[float | None]
-    upper_mm: NotRequired[float | None]
-    upper_percent: NotRequired[float | None]
-
-
 class Session(TypedDict):
     """A session, as it stands."""
 
@@ -760,6 +963,7 @@ class Session(TypedDict):
     patient_reference: str
     plan_id: str
     regions: NotRequired[Regions]
+    rt_plan_id: NotRequired[str | None]
     source: RecordingSource | DeviceSource
     source_warning: NotRequired[str | None]
     started_at: str | None
@@ -849,6 +1053,7 @@ class SessionDetail(TypedDict):
     patient_reference: str
     plan_id: str
     regions: NotRequired[Regions]
+    rt_plan_id: NotRequired[str | None]
     source: RecordingSource | DeviceSource
     source_warning: NotRequired[str | None]
     started_at: str | None
@@ -879,6 +1084,36 @@ class SessionRequest(TypedDict):
     regions: NotRequired[Regions]
     source: RecordingSource | DeviceSource
     window: Window
+
+
+class ThinSample(TypedDict):
+    """The newest frame, as a monitor of the gate needs it; every field means what it means in the full form."""
+
+    abdomen_mm: float | None
+    age_ms: float
+    captured_at: str | None
+    form: NotRequired[Literal["thin"]]
+    fps: float | None
+    frame_index: int
+    gate: Literal["disarmed", "hold", "dwell", "beam_on", "fault"]
+    hold_reason: str | None
+    hold_text: str | None
+    is_armed: bool
+    is_simulated_beam: bool
+    latency_ms: float | None
+    line_on: bool
+    received_at: str | None
+    sent_at: str
+    sequence: int
+    session_id: str
+    session_status: Literal["running", "ended", "stopped", "failed"]
+    signal_mm: float | None
+    state: Literal["training", "measuring", "lost"]
+    thorax_mm: float | None
+    timestamp_us: int
+    type: NotRequired[Literal["sample"]]
+    volume_l: float | None
+    whole_mm: float | None
 
 
 class Transition(TypedDict):
@@ -921,7 +1156,7 @@ class UploadedCalibration(TypedDict):
     uploaded_by: str
 
 
-LiveMessage = Hello | Idle | Sample
+LiveMessage = Hello | Idle | Ping | Dropped | Gap | Resumed | Sample | ThinSample | RecordedSample
 
 
 # </made: answers>
@@ -1012,7 +1247,7 @@ Query = Mapping[str, str | int | float | bool | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Call:
+class SentCall:
     """One request; ``is_repeatable`` says whether it may be sent again when nobody knows what became of it."""
 
     method: str
@@ -1026,12 +1261,15 @@ class _Call:
 
     @property
     def target(self) -> str:
+        """Path and query."""
         told = {name: _told(value) for name, value in self.query.items() if value is not None}
         return f"{self.path}?{urlencode(told)}" if told else self.path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Answer:
+class AnsweredCall:
+    """An answer, read whole."""
+
     status: int
     headers: Mapping[str, str]
     body: bytes
@@ -1106,7 +1344,7 @@ class TidegateClient:
 
     def log_out(self) -> None:
         """End the log-in."""
-        self._exchange(_Call(method="POST", path="/api/v1/logout", body=b"{}", is_repeatable=False))
+        self._exchange(SentCall(method="POST", path="/api/v1/logout", body=b"{}", is_repeatable=False))
         self._secrets.pop("Cookie", None)
 
     def change_password(self, old_password: str, new_password: str) -> None:
@@ -1147,6 +1385,31 @@ class TidegateClient:
         """Read a calibration with its document."""
         return self._read(f"/api/v1/calibrations/{_part(calibration_id)}", CalibrationDetail)
 
+    # -- plans
+
+    def import_plan(self, dicom: bytes, *, operator: str | None = None, idempotency_key: str | None = None) -> "Plan":
+        """Have an RT Plan or RT Ion Plan read and kept; the same plan again is the same plan."""
+        query = {"operator": operator or self._operator}
+        media_type = "application/dicom"
+        return self._make(
+            "/api/v1/plans", Plan, dicom, media_type=media_type, query=query, idempotency_key=idempotency_key
+        )
+
+    def plans(self, *, patient_reference: str | None = None, label: str | None = None) -> Iterator["PlanSummary"]:
+        """List the plans, newest first."""
+        return self._pages("/api/v1/plans", PlanPage, {"patient_reference": patient_reference, "label": label})
+
+    def read_plan(self, plan_id: str) -> "Plan":
+        """Read a plan: fractions, beams, and what it prescribes about breathing."""
+        return self._read(f"/api/v1/plans/{_part(plan_id)}", Plan)
+
+    def prepare_session(
+        self, plan_id: str, request: "PlanSessionRequest", *, idempotency_key: str | None = None
+    ) -> "PreparedSession":
+        """Prepare a session of a fraction of this plan; `warnings` are for the person who starts it."""
+        path = f"/api/v1/plans/{_part(plan_id)}/sessions"
+        return self._make(path, PreparedSession, self._for_somebody(request), idempotency_key=idempotency_key)
+
     # -- sessions
 
     def create_session(self, request: "SessionRequest", *, idempotency_key: str | None = None) -> "Session":
@@ -1163,7 +1426,7 @@ class TidegateClient:
 
     def read_session_tagged(self, session_id: str) -> TaggedSession:
         """Read a session with its version."""
-        answer = self._exchange(_Call(method="GET", path=_session(session_id), is_repeatable=True))
+        answer = self._exchange(SentCall(method="GET", path=_session(session_id), is_repeatable=True))
         return TaggedSession(session=_parsed(answer, SessionDetail), etag=answer.headers.get("etag"))
 
     def start(self, session_id: str, *, operator: str | None = None, if_match: str | None = None) -> "Session":
@@ -1316,17 +1579,18 @@ class TidegateClient:
     ) -> Iterator["LiveMessage"]:
         """Follow what happens, for ever; a stream that breaks is taken up where it was.
 
-        Ends with UnreachableError where ``reconnects`` attempts one after another brought nothing. ``session_id`` and
-        ``after_frame`` ask for what was missed before; ``silence_s`` is how long no message may come (one comes twice a
-        second even where nothing runs). Close the iterator, or leave its loop, to end it.
+        The two ask for what was recorded of a session behind a frame (-1: all of it), which comes first. Ends with
+        UnreachableError where ``reconnects`` attempts one after another brought nothing. ``silence_s`` is how long
+        nothing may come (the service says something every second or two, whatever runs). Close the iterator, or leave
+        its loop, to end it.
         """
         query = {"session_id": session_id, "after_frame": after_frame, "rate_hz": rate_hz, "form": form}
-        call = _Call(method="GET", path="/api/v1/live/events", query=query, is_repeatable=True)
+        call = SentCall(method="GET", path="/api/v1/live/events", query=query, is_repeatable=True)
         return self._live(call, silence_s=silence_s, reconnects=reconnects)
 
     # -- how it is done
 
-    def _live(self, call: _Call, *, silence_s: float, reconnects: int) -> Iterator["LiveMessage"]:
+    def _live(self, call: SentCall, *, silence_s: float, reconnects: int) -> Iterator["LiveMessage"]:
         last_id: str | None = None
         failures = 0
         while True:
@@ -1358,7 +1622,7 @@ class TidegateClient:
         *,
         accepted: frozenset[int] = frozenset(),
     ) -> AnswerT:
-        call = _Call(method="GET", path=path, query=query or {}, is_repeatable=True, accepted=accepted)
+        call = SentCall(method="GET", path=path, query=query or {}, is_repeatable=True, accepted=accepted)
         return _parsed(self._exchange(call), kind)
 
     def _pages(self, path: str, kind: type[Any], query: Query | None = None) -> Iterator[Any]:
@@ -1388,7 +1652,7 @@ class TidegateClient:
         """Create something: once, however often it is asked for with this key."""
         headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex, "Content-Type": media_type}
         sent = body if isinstance(body, bytes) else json.dumps(body, allow_nan=False).encode()
-        call = _Call(method="POST", path=path, query=query or {}, body=sent, headers=headers, is_repeatable=True)
+        call = SentCall(method="POST", path=path, query=query or {}, body=sent, headers=headers, is_repeatable=True)
         return _parsed(self._exchange(call), kind)
 
     def _do(
@@ -1409,7 +1673,7 @@ class TidegateClient:
         """Ask for what takes the beam away, until somebody answers."""
         path, body = f"{_session(session_id)}/{action}", json.dumps(self._for_whom(operator)).encode()
         timeout_s = None if kind is Session else min(self._timeout_s, HOLD_TIMEOUT_S)
-        call = _Call(method="POST", path=path, body=body, is_repeatable=True, timeout_s=timeout_s)
+        call = SentCall(method="POST", path=path, body=body, is_repeatable=True, timeout_s=timeout_s)
         return _parsed(self._exchange(call), kind)
 
     def _send(
@@ -1422,12 +1686,12 @@ class TidegateClient:
         headers: Mapping[str, str] | None = None,
     ) -> AnswerT:
         sent = json.dumps(body, allow_nan=False).encode()
-        call = _Call(method=method, path=path, body=sent, headers=headers or {}, is_repeatable=False)
+        call = SentCall(method=method, path=path, body=sent, headers=headers or {}, is_repeatable=False)
         return _parsed(self._exchange(call), kind)
 
     def _act(self, path: str, body: Mapping[str, object]) -> None:
         """Ask for something that is answered with nothing."""
-        self._exchange(_Call(method="POST", path=path, body=json.dumps(body).encode(), is_repeatable=False))
+        self._exchange(SentCall(method="POST", path=path, body=json.dumps(body).encode(), is_repeatable=False))
 
     def _for_whom(self, operator: str | None) -> dict[str, object]:
         named = operator or self._operator
@@ -1436,7 +1700,7 @@ class TidegateClient:
     def _for_somebody(self, request: Mapping[str, object]) -> dict[str, object]:
         return {**self._for_whom(None), **request}
 
-    def _exchange(self, call: _Call) -> _Answer:
+    def _exchange(self, call: SentCall) -> AnsweredCall:
         """Send a call, and again where that is safe and could help."""
         attempts = 0
         while True:
@@ -1458,7 +1722,7 @@ class TidegateClient:
                     raise problem
             self._sleep(wait_s)
 
-    def _once(self, call: _Call) -> _Answer:
+    def _once(self, call: SentCall) -> AnsweredCall:
         """Send a call once; what must not be repeated never goes over a connection that may be closed already."""
         if call.timeout_s is not None or not call.is_repeatable:
             connection = self._place.connection(call.timeout_s or self._timeout_s)
@@ -1476,22 +1740,22 @@ class TidegateClient:
             self._keep(connection)
         headers = _headers_of(response)
         self._take_cookie(headers)
-        return _Answer(status=response.status, headers=headers, body=body)
+        return AnsweredCall(status=response.status, headers=headers, body=body)
 
     @contextlib.contextmanager
-    def _opened(self, call: _Call, *, timeout_s: float | None = None) -> Iterator[http.client.HTTPResponse]:
+    def _opened(self, call: SentCall, *, timeout_s: float | None = None) -> Iterator[http.client.HTTPResponse]:
         """Open an answer that is read piece by piece, on a connection of its own."""
         connection = self._place.connection(timeout_s or self._timeout_s)
         try:
             with self._asked(connection, call) as response:
                 if response.status >= 300:
                     body = _bounded(response, MAX_ANSWER_BYTES, time.monotonic() + self._timeout_s)
-                    raise _problem(_Answer(status=response.status, headers=_headers_of(response), body=body))
+                    raise _problem(AnsweredCall(status=response.status, headers=_headers_of(response), body=body))
                 yield response
         finally:
             connection.close()
 
-    def _asked(self, connection: http.client.HTTPConnection, call: _Call) -> http.client.HTTPResponse:
+    def _asked(self, connection: http.client.HTTPConnection, call: SentCall) -> http.client.HTTPResponse:
         headers = {"Accept": "application/json, application/problem+json, */*;q=0.1", **self._secrets}
         headers["User-Agent"] = f"tidegate-client/{VERSION}"
         if call.body is not None:
@@ -1504,7 +1768,7 @@ class TidegateClient:
 
     def _download(self, path: str, query: Query, to: Path) -> Exported:
         """Write an answer to a file beside ``to``, and name it so only once it is whole."""
-        call = _Call(method="GET", path=path, query=query, is_repeatable=True)
+        call = SentCall(method="GET", path=path, query=query, is_repeatable=True)
         attempts = 0
         while True:
             attempts += 1
@@ -1661,7 +1925,7 @@ def _check_whole(response: http.client.HTTPResponse) -> None:
         raise http.client.IncompleteRead(b"", response.length)
 
 
-def _parsed(answer: _Answer, kind: type[AnswerT]) -> AnswerT:
+def _parsed(answer: AnsweredCall, kind: type[AnswerT]) -> AnswerT:
     """Read JSON, and see that it has what the contract says it has; what is new in it is let be."""
     found = _document(answer.body, "the answer")
     missing = sorted(getattr(kind, "__required_keys__", frozenset()) - found.keys())
@@ -1680,7 +1944,7 @@ def _document(text: bytes | str, what: str) -> dict[str, Any]:
     return found
 
 
-def _problem(answer: _Answer) -> ProblemError:
+def _problem(answer: AnsweredCall) -> ProblemError:
     """Read a problem; what a proxy says in other words is one too."""
     try:
         told = _document(answer.body, "the problem")
@@ -1704,8 +1968,8 @@ def _part(identifier: str) -> str:
     return quote(identifier, safe="")
 
 
-def _with(call: _Call, headers: Mapping[str, str]) -> _Call:
-    return _Call(method=call.method, path=call.path, query=call.query, headers=headers, is_repeatable=True)
+def _with(call: SentCall, headers: Mapping[str, str]) -> SentCall:
+    return SentCall(method=call.method, path=call.path, query=call.query, headers=headers, is_repeatable=True)
 
 
 def _told(value: object) -> str:

@@ -28,6 +28,7 @@ HOMES = {
     "backup": "backup",
     "restore": "backup",
     "replay": "replay",
+    "simulate-tps": "simulate_tps",
 }
 """Which module of this package holds which command; the function, or the group of commands, has the command's name with
 underscores for dashes."""

@@ -25,9 +25,9 @@ def made_part() -> str:
     document, live = contract(), live_contract()
     schemas = {**live["$defs"], **document["components"]["schemas"]}
     ordered: dict[str, None] = {}
-    for name in sorted(set(_roots(document)) | {_name(one["$ref"]) for one in live["oneOf"]}):
+    messages = _type(live)
+    for name in sorted({*_roots(document), *messages.split(" | ")}):
         _gather(name, schemas, ordered)
-    messages = " | ".join(_name(one["$ref"]) for one in live["oneOf"])
     written = [_declared(name, schemas[name]) for name in ordered]
     return "\n\n".join(["", *written, f"LiveMessage = {messages}", "", ""]).replace("\n\n\n\n", "\n\n\n")
 
