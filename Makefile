@@ -7,7 +7,7 @@ STAMP := $(VENV)/.stamp
 export PYTHONDONTWRITEBYTECODE ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup openni test-system test lint types contracts openapi demo bench load faults kills mutants safety lock clean
+.PHONY: help setup openni test-system test lint types contracts openapi demo bench load faults kills mutants fuzz sbom scan safety lock clean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -60,15 +60,25 @@ mutants: $(STAMP)  ## break gate, loop, watchdog and beam lines in every small w
 clean-mutants:
 	rm -rf mutants
 
+fuzz: $(STAMP)  ## feed every reader of strangers' bytes what it does not expect: MINUTES=60 in all, TARGET=oni only that one
+	nice -n 19 $(BIN)/python -m tests.fuzz --minutes $(or $(MINUTES),10) $(TARGET:%=--target %) $(if $(RECORD),--record)
+
+sbom: $(STAMP)  ## write what Tidegate is made of to docker/sbom.cdx.json (CycloneDX), held against the specification
+	$(BIN)/python -m tests.supply.sbom
+
+scan: $(STAMP)  ## bandit, ruff's security rules, known vulnerabilities of what is locked, licences
+	$(BIN)/python -m tests.supply.scan
+
 safety: $(STAMP)  ## write the tables that the code makes into docs/safety.md
 	$(BIN)/python -m tests.gate.safety_document --write
 
 openapi: $(STAMP)  ## write the contract to openapi/
 	$(BIN)/tidegate openapi --out openapi
 
-lint: $(STAMP)  ## ruff, rules and format
+lint: $(STAMP)  ## ruff, rules and format; bandit
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/bandit -q -c pyproject.toml -r engine service migrations 2>/dev/null
 
 types: $(STAMP)  ## mypy --strict
 	$(BIN)/mypy

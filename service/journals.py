@@ -19,7 +19,7 @@ from engine.transition_journal import JournalError, TransitionJournal
 
 logger = logging.getLogger(__name__)
 
-MEMORY = Path("/dev/shm")  # noqa: S108 - made with O_EXCL, mode 0600, and read only where the file is our own
+MEMORY = Path("/dev/shm")  # noqa: S108 - made with O_EXCL, 0600, read only where it is our own # nosec B108
 FOLDER = "journal"
 SUFFIX = ".journal"
 DIGEST_CHARACTERS = 16

@@ -59,7 +59,7 @@ def _triggers() -> dict[str, tuple[str, str, str | None, str]]:
 
 
 def _new_only(table: str, same: str) -> tuple[str, str, str | None, str]:
-    there = f"EXISTS (SELECT 1 FROM {table} WHERE {same})"  # noqa: S608 - names of this file alone
+    there = f"EXISTS (SELECT 1 FROM {table} WHERE {same})"  # noqa: S608 - names of this file alone # nosec B608
     return table, "INSERT", there, f"{table} is append-only"
 
 

@@ -57,7 +57,7 @@ def _triggers() -> dict[str, tuple[str, str, str | None, str]]:
     if op.get_bind().dialect.name == "sqlite":
         same["plans_only_new_rowid"] = "rowid = NEW.rowid"
     for name, condition in same.items():
-        there = f"EXISTS (SELECT 1 FROM plans WHERE {condition})"  # noqa: S608 - words of this file alone
+        there = f"EXISTS (SELECT 1 FROM plans WHERE {condition})"  # noqa: S608 - words of this file alone # nosec B608
         made[name] = ("plans", "INSERT", there, words)
     return made
 

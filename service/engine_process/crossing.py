@@ -57,7 +57,7 @@ class Speech:
         if size + sum(sizes) > MOST_BYTES:
             raise CrossingClosedError
         body = self._read(size)
-        return pickle.loads(body, buffers=[self._read(one) for one in sizes])  # noqa: S301 - see the module
+        return pickle.loads(body, buffers=[self._read(one) for one in sizes])  # noqa: S301 - see the module # nosec B301
 
     def patience(self, seconds: float | None) -> None:
         """Wait no longer than so for each piece; the other process then counts as gone. None waits for ever."""
@@ -103,7 +103,7 @@ class Whisper:
             raise CrossingClosedError from error
         if not found:
             raise CrossingClosedError
-        return pickle.loads(found)  # noqa: S301 - see the module
+        return pickle.loads(found)  # noqa: S301 - see the module # nosec B301
 
     def send_file(self, file: int) -> None:
         """Hand over an open file, whose locks go along."""

@@ -27,11 +27,11 @@ SESSIONS = text(
     "WHERE EXISTS (SELECT 1 FROM samples WHERE session_id = s.id) ORDER BY s.id"
 )
 PIECE = text(
-    f"SELECT {', '.join((*PLAIN, *LISTS))} FROM samples "  # noqa: S608 - names of this file alone
+    f"SELECT {', '.join((*PLAIN, *LISTS))} FROM samples "  # noqa: S608 - names of this file alone # nosec B608
     "WHERE session_id = :session_id AND frame_index > :after ORDER BY frame_index LIMIT :most"
 )
 INSERT = text(
-    f"INSERT INTO samples (session_id, {', '.join((*PLAIN, *LISTS))}) "  # noqa: S608 - likewise
+    f"INSERT INTO samples (session_id, {', '.join((*PLAIN, *LISTS))}) "  # noqa: S608 - likewise # nosec B608
     f"VALUES (:session_id, {', '.join(f':{name}' for name in (*PLAIN, *LISTS))})"
 )
 
