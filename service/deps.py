@@ -55,7 +55,7 @@ def access(connection: HTTPConnection) -> AccessDesk:
     return cast("AccessDesk", connection.app.state.access)
 
 
-def attendance(connection: HTTPConnection) -> Attendance:
+async def attendance(connection: HTTPConnection) -> Attendance:
     """Find who looks whether whoever armed is still there."""
     return cast("Attendance", connection.app.state.attendance)
 
@@ -68,7 +68,7 @@ def caller(connection: HTTPConnection) -> Calling:
     return Calling(identity=identity)
 
 
-def sender_address(connection: HTTPConnection) -> str:
+async def sender_address(connection: HTTPConnection) -> str:
     """Return where the request comes from, as the guard found it."""
     return str(connection.scope[ADDRESS])
 
@@ -107,7 +107,7 @@ CALIBRATION_MEDIA = ("application/json", "application/yaml", "application/xml")
 MEDIA_OF = {"calibration.upload": CALIBRATION_MEDIA, "plan.import": ("application/dicom",)}
 
 
-def require_json(request: Request) -> None:
+async def require_json(request: Request) -> None:
     """Refuse a body that is not JSON by its Content-Type: a form of a foreign page could post it otherwise."""
     if request.method not in {"POST", "PUT", "PATCH"}:
         return
@@ -125,9 +125,22 @@ async def plan_file(request: Request) -> AsyncIterator[bytes]:
         yield await request.body()
 
 
-Offered = Annotated[Services, Depends(services)]
-Access = Annotated[AccessDesk, Depends(access)]
-Caller = Annotated[Calling, Depends(caller)]
+# On the event loop: no request waits for a worker thread, of which hold and stop need one, because of these.
+async def _offered(connection: HTTPConnection) -> Services:
+    return services(connection)
+
+
+async def _access(connection: HTTPConnection) -> AccessDesk:
+    return access(connection)
+
+
+async def _calling(connection: HTTPConnection) -> Calling:
+    return caller(connection)
+
+
+Offered = Annotated[Services, Depends(_offered)]
+Access = Annotated[AccessDesk, Depends(_access)]
+Caller = Annotated[Calling, Depends(_calling)]
 Attending = Annotated[Attendance, Depends(attendance)]
 Address = Annotated[str, Depends(sender_address)]
 Body = Annotated[bytes, Depends(json_body)]
@@ -147,7 +160,7 @@ OperatorName = Annotated[
 ]
 
 
-def callers_key(
+async def callers_key(
     caller: Caller,
     idempotency_key: Annotated[
         str | None,
@@ -167,7 +180,7 @@ def callers_key(
     return CallersKey(caller=f"{caller.identity.kind}:{caller.name}", key=idempotency_key)
 
 
-def if_match(
+async def if_match(
     if_match: Annotated[
         str | None,
         Header(
@@ -186,9 +199,7 @@ class Freshness:
     def __init__(
         self,
         response: Response,
-        if_none_match: Annotated[
-            str | None, Header(max_length=LONGEST, description="Answer 304 where the ETag is still this one")
-        ] = None,
+        if_none_match: str | None,
     ) -> None:
         self._response = response
         self._if_none_match = if_none_match
@@ -201,6 +212,16 @@ class Freshness:
         return answer
 
 
+async def freshness(
+    response: Response,
+    if_none_match: Annotated[
+        str | None, Header(max_length=LONGEST, description="Answer 304 where the ETag is still this one")
+    ] = None,
+) -> Freshness:
+    """Return what the client has already."""
+    return Freshness(response, if_none_match)
+
+
 IdempotencyKey = Annotated[CallersKey | None, Depends(callers_key)]
 IfMatch = Annotated[Precondition, Depends(if_match)]
-IfNoneMatch = Annotated[Freshness, Depends()]
+IfNoneMatch = Annotated[Freshness, Depends(freshness)]

@@ -29,7 +29,7 @@ DOCUMENT = {
         "content": {
             "application/json": {
                 "schema": {
-                    "oneOf": [
+                    "anyOf": [
                         {
                             "type": "object",
                             "title": "tidegate.calibration/1",

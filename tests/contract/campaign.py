@@ -41,6 +41,8 @@ CHECKS = [
 MODES = {True: GenerationMode.POSITIVE, False: GenerationMode.NEGATIVE}
 MAY_BE_UNAVAILABLE = frozenset({503, 507})
 PROBLEM = "application/problem+json"
+STREAM = "stream_events"
+"""Has a schema of its own for each event: tests/stream holds them against it."""
 TURNS = (ADMIN, ADMIN, KEY, ADMIN, VIEWER, ADMIN, ADMIN, NOBODY)
 """Who calls next: mostly somebody who may, so that more than the guard is tried."""
 LEAST_GOOD = 3
@@ -174,12 +176,14 @@ class Campaign:
     def _judge(self, kind: str, case: Any, response: Any, caller: str) -> None:
         name = str(case.operation.definition.raw["operationId"])
         summary, status = self.summary, response.status_code
+        self._world.client.cookies.clear()  # of whoever logged in: the next caller is somebody else
         summary.cases[kind] += 1
         summary.statuses[status] += 1
         summary.by_caller[caller] += 1
         if 200 <= status < 400 and caller in {ADMIN, KEY}:
             summary.good[name] += 1
-        checks = CHECKS if caller != NOBODY else CHECKS[:4]
+        checks = [one for one in CHECKS if name != STREAM or one is not openapi_checks.response_schema_conformance]
+        checks = checks if caller != NOBODY else checks[:4]
         try:
             case.validate_response(response, checks=checks, headers=self._world.headers(NOBODY))
         except FailureGroup as group:
@@ -236,7 +240,7 @@ def _without_security(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _config(number: int) -> SchemathesisConfig:
-    return SchemathesisConfig.from_dict({"seed": number})
+    return SchemathesisConfig.from_dict({"seed": number, "max-stream-events": 2})
 
 
 def _settings(examples: int, **more: Any) -> settings:
