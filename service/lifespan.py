@@ -45,9 +45,11 @@ from service.runner import SessionRunner
 from service.samples.desk import SampleDesk
 from service.samples.register import adopt
 from service.samples.shelf import SampleShelf
+from service.samples.tail import SampleTails
 from service.sessions import SessionBook
 from service.settings import Settings
 from service.stream.hub import LiveHub
+from service.stream.resuming import Resumption
 from service.tallies import Tallies
 from service.watching import Watched, Watching, make_watching
 
@@ -118,6 +120,8 @@ def make_lifespan(
         app.state.live = LiveHub(
             house.services.runner, max_clients=settings.max_live_clients, stall_s=settings.live_stall_s
         )
+        tails = SampleTails(SampleShelf(settings.data_dir / SAMPLES_FOLDER))
+        app.state.resumption = Resumption(tails, longest_s=settings.live_resume_s)
         try:
             yield
         finally:

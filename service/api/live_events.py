@@ -11,8 +11,9 @@ from service.deps import access, caller, services
 from service.errors import StreamFullError, problem_of, problem_response
 from service.ports import RunnerPort
 from service.stream.asking import Encoding, EventsQuery
-from service.stream.feeding import hello_of, serve
+from service.stream.feeding import Resume, hello_of, serve
 from service.stream.hub import LiveHub, MayStay
+from service.stream.resuming import Resumption
 from service.stream.spoken import Shape
 from service.stream.wires import EventsWire
 
@@ -32,8 +33,11 @@ class EventStream(Response):
 
     media_type = "text/event-stream"
 
-    def __init__(self, hub: LiveHub, runner: RunnerPort, query: EventsQuery, may_stay: MayStay) -> None:
+    def __init__(
+        self, hub: LiveHub, runner: RunnerPort, query: EventsQuery, may_stay: MayStay, resume: Resume | None
+    ) -> None:
         super().__init__()
+        self._resume = resume
         self._hub = hub
         self._runner = runner
         self._query = query
@@ -42,14 +46,16 @@ class EventStream(Response):
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Feed the client, where there is a place."""
         shape = Shape("sse", self._query.form, Encoding.JSON)
-        with self._hub.enter(shape, rate_hz=self._query.rate_hz, may_stay=self._may_stay) as client:
+        with self._hub.enter(
+            shape, rate_hz=self._query.rate_hz, may_stay=self._may_stay, holds=self._resume is not None
+        ) as client:
             if client is None:
                 error = StreamFullError()
                 await problem_response(problem_of(error), error.headers)(scope, receive, send)
                 return
             wire = EventsWire(scope, receive, send, self._query.form)
             await wire.begin()
-            await serve(self._hub, client, wire, hello_of(self._hub, self._runner, self._query, shape), None)
+            await serve(self._hub, client, wire, hello_of(self._hub, self._runner, self._query, shape), self._resume)
 
 
 @router.get(
@@ -74,4 +80,5 @@ async def stream_events(
         query = query.model_copy(update={"session_id": session_id, "after_frame": int(index)})
     identity, doorkeeper = caller(request).identity, access(request).doorkeeper
     hub = cast("LiveHub", request.app.state.live)
-    return EventStream(hub, services(request).runner, query, lambda: doorkeeper.is_valid(identity))
+    resume = cast("Resumption", request.app.state.resumption).asked(query)
+    return EventStream(hub, services(request).runner, query, lambda: doorkeeper.is_valid(identity), resume)

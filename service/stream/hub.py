@@ -68,24 +68,32 @@ class LiveHub:
         self._task: asyncio.Task[None] | None = None
         self._is_leaving = False
         self._last: LiveFrame | None = None
-        self._sequence = 0
+        self._sequence = -1
         self._idle_s = self._tended_s = 0.0
         self.newest: Frame | None = None
 
     @contextmanager
-    def enter(self, shape: Shape, *, rate_hz: float | None, may_stay: MayStay) -> Iterator[Client | None]:
-        """Take a place for as long as the block lasts; None where all are taken. For the event loop's thread."""
+    def enter(
+        self, shape: Shape, *, rate_hz: float | None, may_stay: MayStay, holds: bool = False
+    ) -> Iterator[Client | None]:
+        """Take a place for as long as the block lasts; None where all are taken. For the event loop's thread.
+
+        With ``holds`` frames are kept until the client has been told what it missed.
+        """
         if len(self._clients) >= self._max_clients or self._is_leaving:
             self._counts.closed["full"] += 1
             yield None
             return
         now_s = self._now_s()
         place = Place(shape, rate_hz=rate_hz, now_s=now_s)
+        if holds:
+            place.hold()
         client = Client(place=place, may_stay=may_stay, scope=anyio.CancelScope(), checked_s=now_s)
         self._look(now_s)  # what was seen last may be from when somebody last watched
         self._clients.add(client)
         if self.newest is not None:
             place.offer(self.newest, now_s)
+            place.forget_skipped()  # of the time before it was there
         self._ensure_running()
         try:
             yield client
@@ -167,16 +175,17 @@ class LiveHub:
 
     def _frame(self, live: LiveFrame, before: Sample | None) -> Frame:
         now = live.message
-        is_same_session = before is not None and before.session_id == now.session_id
-        frame = Frame(
+        step = 1 if before is None or before.session_id != now.session_id else now.frame_index - before.frame_index
+        missed = max(step - 1, 0) if self._task is not None and not self._task.done() else 0
+        self._sequence += 1 + missed
+        return Frame(
             live,
             sequence=self._sequence,
             is_change=before is None or _gate(before) != _gate(now),
-            is_repeat=is_same_session and before is not None and before.frame_index == now.frame_index,
+            is_repeat=step == 0,
+            missed=missed,
             press=self._press,
         )
-        self._sequence += 1
-        return frame
 
     def _say(self, spoken: Plain) -> None:
         for client in self._clients:

@@ -40,8 +40,10 @@ class Place:
     def offer(self, frame: Frame, now_s: float) -> None:
         """Take the newest frame; what it replaces is not sent any more."""
         if self._held is not None:
-            self._hold(self._held, frame)
+            self._held.append(frame)
             return
+        if self.period_s is None:
+            self._skip(frame.missed)
         if self._newest is not None:
             self._replace(now_s)
         if frame.is_change:
@@ -84,16 +86,15 @@ class Place:
         self.skipped = self.skipped_changes = 0
         return found
 
+    def forget_skipped(self) -> None:
+        """Begin to count anew."""
+        self.skipped = self.skipped_changes = self.left_out = 0
+
     # While the client is told what it missed
 
-    def hold(self, newest: Frame | None) -> None:
+    def hold(self) -> None:
         """Keep every frame from now on, up to a bound, instead of the newest alone."""
-        self._held = deque(() if newest is None else (newest,))
-
-    @property
-    def is_holding(self) -> bool:
-        """Whether frames are kept."""
-        return self._held is not None
+        self._held = deque(maxlen=MOST_HELD)
 
     @property
     def first_held(self) -> Frame | None:
@@ -104,12 +105,6 @@ class Place:
         """Return what was kept, and go on with the newest alone."""
         held, self._held = self._held or deque(), None
         return list(held)
-
-    @staticmethod
-    def _hold(held: deque[Frame], frame: Frame) -> None:
-        if len(held) == MOST_HELD:
-            held.popleft()
-        held.append(frame)
 
     def _is_due(self, now_s: float) -> bool:
         return self.period_s is None or now_s >= self._due_s
@@ -129,6 +124,6 @@ class Place:
             self._skip()
             self._go_on(now_s)
 
-    def _skip(self) -> None:
-        self.skipped += 1
-        self.left_out += 1
+    def _skip(self, count: int = 1) -> None:
+        self.skipped += count
+        self.left_out += count

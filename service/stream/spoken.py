@@ -84,10 +84,15 @@ class Frame:
         Whether the gate, the reason to hold or the line is another than in the frame before.
     is_repeat
         Whether it shows the same depth frame as the one before: something changed between two.
+    missed
+        Frames between the one before and this one that the hub did not get to see.
     """
 
-    def __init__(self, live: LiveFrame, *, sequence: int, is_change: bool, is_repeat: bool, press: Press) -> None:
+    def __init__(
+        self, live: LiveFrame, *, sequence: int, is_change: bool, is_repeat: bool, missed: int, press: Press
+    ) -> None:
         self.live = live
+        self.missed = missed
         self.sequence = sequence
         self.is_change = is_change
         self.is_repeat = is_repeat

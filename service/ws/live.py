@@ -12,6 +12,7 @@ from service.errors import problem_of, problem_response
 from service.stream.asking import LiveQuery
 from service.stream.feeding import hello_of, serve
 from service.stream.hub import LiveHub
+from service.stream.resuming import Resumption
 from service.stream.spoken import Shape
 from service.stream.wires import CLOSE_CODES, POLICY_VIOLATION, SocketWire
 
@@ -32,13 +33,19 @@ async def live(websocket: WebSocket) -> None:
     hub = cast("LiveHub", websocket.app.state.live)
     identity, doorkeeper = caller(websocket).identity, access(websocket).doorkeeper
     shape = Shape("websocket", query.form, query.encoding)
-    with hub.enter(shape, rate_hz=query.rate_hz, may_stay=lambda: doorkeeper.is_valid(identity)) as client:
+    resume = cast("Resumption", websocket.app.state.resumption).asked(query)
+    with hub.enter(
+        shape,
+        rate_hz=query.rate_hz,
+        may_stay=lambda: doorkeeper.is_valid(identity),
+        holds=resume is not None,
+    ) as client:
         await websocket.accept()
         if client is None:
             await websocket.close(CLOSE_CODES["full"], "full")
             return
         wire = SocketWire(websocket, shape)
-        await serve(hub, client, wire, hello_of(hub, services(websocket).runner, query, shape), None)
+        await serve(hub, client, wire, hello_of(hub, services(websocket).runner, query, shape), resume)
 
 
 def read_query(parameters: QueryParams) -> LiveQuery:
