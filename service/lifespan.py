@@ -50,6 +50,7 @@ from service.sessions import SessionBook
 from service.settings import Settings
 from service.stream.hub import LiveHub
 from service.stream.resuming import Resumption
+from service.stream_metrics import StreamMetrics
 from service.tallies import Tallies
 from service.watching import Watched, Watching, make_watching
 
@@ -120,13 +121,15 @@ def make_lifespan(
         app.state.live = LiveHub(
             house.services.runner, max_clients=settings.max_live_clients, stall_s=settings.live_stall_s
         )
+        house.watching.metrics.add(StreamMetrics(app.state.live.reading))
         tails = SampleTails(SampleShelf(settings.data_dir / SAMPLES_FOLDER))
         app.state.resumption = Resumption(tails, longest_s=settings.live_resume_s)
         try:
             yield
         finally:
             with anyio.CancelScope(shield=True):
-                await anyio.to_thread.run_sync(house.close)
+                # A thread of its own: calls that hang in all the others keep the house from being closed by none.
+                await anyio.to_thread.run_sync(house.close, limiter=anyio.CapacityLimiter(1))
 
     return lifespan
 

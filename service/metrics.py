@@ -17,11 +17,16 @@ class Metrics:
 
     def __init__(self, registry: CollectorRegistry, collectors: Iterable[Collector]) -> None:
         self._registry = registry
-        self.collectors = tuple(collectors)
+        self.collectors: list[Collector] = []
         ProcessCollector(registry=registry)
         GCCollector(registry=registry)
-        for one in self.collectors:
-            registry.register(one)
+        for one in collectors:
+            self.add(one)
+
+    def add(self, collector: Collector) -> None:
+        """Ask one more."""
+        self.collectors.append(collector)
+        self._registry.register(collector)
 
     def text(self, accept: str = "") -> tuple[bytes, str]:
         """Write them all, as OpenMetrics where that is accepted; return the text and its media type."""

@@ -77,6 +77,9 @@ class BeamFirstServer(uvicorn.Server):
         self._stop.ask()
         # A thread of its own: however many requests wait for theirs, this waits for none of them.
         await anyio.to_thread.run_sync(self._stop.wait, limiter=anyio.CapacityLimiter(1))
+        live = getattr(self._app.state, "live", None)
+        if live is not None:
+            live.leave()  # streams end by themselves instead of being waited for
         await super().shutdown(sockets)
 
     def _hold_and_close(self) -> None:
