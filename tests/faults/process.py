@@ -1,8 +1,9 @@
-"""Faults of the process: killed, stopped, a thread that dies or hangs, the interpreter held, memory and files gone."""
+"""Faults of the service's process and its engine's: killed, stopped, a thread dies or hangs, an interpreter is held."""
 
 import random
 import signal
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from tests.faults.beside import beside
@@ -29,10 +30,14 @@ RECEIVER = "a process that is dead or frozen: the receiver's 200 ms"
 LEASE = "the engine does not decide: the lease of 80 ms, and one exchange"
 ONE_EXCHANGE_MS = 20.0
 STOPPED = told(
-    "frame_stale", "frame_late", "frame_missing", "watchdog", "frame_timeout", "beam_line_failed", "latency_high"
+    *("frame_stale", "frame_late", "frame_missing", "watchdog", "frame_timeout", "beam_line_failed", "latency_high"),
+    "service_silent",  # what it told meanwhile is read a moment after the engine goes on
 )
+SILENT = told("service_silent")
 ENDED = told("engine_failed", "session failed")
 WRITING_MS = 1000.0
+SILENCE = "the service may be silent for 500 ms, and beats every 30; then 100 ms"
+SILENCE_MS = 500.0 + 30.0
 SERVER_TICK_MS = 100.0
 """Uvicorn looks so often whether it was told to go."""
 
@@ -41,13 +46,22 @@ def killed(rig: "Rig", _random: random.Random) -> Fault:
     return Fault(cause_ns=rig.signal(signal.SIGKILL))
 
 
-def stopped(rig: "Rig", chance: random.Random) -> Fault:
-    cause_ns = rig.signal(signal.SIGSTOP)
+def engine_killed(rig: "Rig", _random: random.Random) -> Fault:
+    return Fault(cause_ns=rig.signal(signal.SIGKILL, rig.engine_pid))
 
-    def go_on() -> int:
-        return rig.signal(signal.SIGCONT)
 
-    return Fault(cause_ns=cause_ns, undo=go_on, lasts_s=chance.uniform(0.05, 1.2))
+def stopped(which: Callable[["Rig"], tuple[int, ...]]) -> Inject:
+    """Let the scheduler give these processes nothing for a while."""
+
+    def inject(rig: "Rig", chance: random.Random) -> Fault:
+        pids = which(rig)
+
+        def go_on() -> int:
+            return rig.signal(signal.SIGCONT, *pids)
+
+        return Fault(cause_ns=rig.signal(signal.SIGSTOP, *pids), undo=go_on, lasts_s=chance.uniform(0.05, 1.2))
+
+    return inject
 
 
 def told_to_go(rig: "Rig", _random: random.Random) -> Fault:
@@ -59,26 +73,30 @@ def _wait_for_end(rig: "Rig") -> None:
     rig.process.wait(30.0)
 
 
-def thread_dies(*where: str) -> Inject:
+def thread_dies(*where: str, in_engine: bool = True) -> Inject:
     def inject(rig: "Rig", _random: random.Random) -> Fault:
-        return Fault(cause_ns=rig.sabotage("kill", *where))
+        return Fault(cause_ns=rig.sabotage("kill", *where, in_engine=in_engine))
 
     return inject
 
 
-def interpreter_held(rig: "Rig", chance: random.Random) -> Fault:
-    return Fault(cause_ns=rig.sabotage("hold", round(chance.uniform(300.0, 700.0))))
+def interpreter_held(shortest_ms: float, longest_ms: float, *, in_engine: bool) -> Inject:
+    def inject(rig: "Rig", chance: random.Random) -> Fault:
+        ms = round(chance.uniform(shortest_ms, longest_ms))
+        return Fault(cause_ns=rig.sabotage("hold", ms, in_engine=in_engine))
+
+    return inject
 
 
 def engine_hangs(shortest_ms: float, longest_ms: float) -> Inject:
     def inject(rig: "Rig", chance: random.Random) -> Fault:
-        return Fault(cause_ns=rig.sabotage("hang", round(chance.uniform(shortest_ms, longest_ms))))
+        return Fault(cause_ns=rig.sabotage("hang", round(chance.uniform(shortest_ms, longest_ms)), in_engine=True))
 
     return inject
 
 
 def engine_fails(rig: "Rig", _random: random.Random) -> Fault:
-    return Fault(cause_ns=rig.sabotage("fail", "sabotaged"))
+    return Fault(cause_ns=rig.sabotage("fail", "sabotaged", in_engine=True))
 
 
 def loop_blocked(rig: "Rig", chance: random.Random) -> Fault:
@@ -87,16 +105,20 @@ def loop_blocked(rig: "Rig", chance: random.Random) -> Fault:
     return _for_a_while(began_ns, ms)
 
 
-def files_gone(rig: "Rig", chance: random.Random) -> Fault:
-    ms = round(chance.uniform(500.0, 1500.0))
-    began_ns = rig.sabotage("files", ms)
-    return _for_a_while(began_ns, ms)
+def files_gone(*, in_engine: bool) -> Inject:
+    def inject(rig: "Rig", chance: random.Random) -> Fault:
+        ms = round(chance.uniform(500.0, 1500.0))
+        return _for_a_while(rig.sabotage("files", ms, in_engine=in_engine), ms)
+
+    return inject
 
 
-def memory_gone(rig: "Rig", chance: random.Random) -> Fault:
-    ms = round(chance.uniform(500.0, 1500.0))
-    began_ns = rig.sabotage("memory", chance.choice((0, 2, 8)), ms)
-    return _for_a_while(began_ns, ms)
+def memory_gone(*, in_engine: bool) -> Inject:
+    def inject(rig: "Rig", chance: random.Random) -> Fault:
+        ms = round(chance.uniform(500.0, 1500.0))
+        return _for_a_while(rig.sabotage("memory", chance.choice((0, 2, 8)), ms, in_engine=in_engine), ms)
+
+    return inject
 
 
 def _for_a_while(began_ns: int, ms: float) -> Fault:
@@ -119,12 +141,28 @@ def _kind(code: str, what: str, inject: Inject, names: frozenset[str], recoverie
 
 KINDS = (
     _kind(
-        *("killed", "kill -9 of the process", killed, told("session interrupted"), RESTARTED),
+        *("killed", "kill -9 of the service", killed, told("session interrupted"), RESTARTED),
+        bound="its engine hears it at once: 100 ms",
+    ),
+    _kind(
+        *("engine-killed", "kill -9 of the engine's process", engine_killed, ENDED, NEW_SESSION),
         bound=RECEIVER,
         bound_ms=RECEIVER_MS,
     ),
     _kind(
-        *("stopped", "SIGSTOP of the process, SIGCONT later", stopped, STOPPED, BY_ITSELF),
+        *("stopped", "SIGSTOP of the service, SIGCONT later", stopped(lambda rig: (rig.pid,)), SILENT, LATCHED),
+        bound=SILENCE,
+        bound_ms=SILENCE_MS + FRAME_MS,
+    ),
+    _kind(
+        *("engine-stopped", "SIGSTOP of the engine's process, SIGCONT later"),
+        *(stopped(lambda rig: (rig.engine_pid,)), STOPPED, BY_ITSELF),
+        bound=RECEIVER,
+        bound_ms=RECEIVER_MS,
+    ),
+    _kind(
+        *("frozen", "SIGSTOP of both processes, SIGCONT later"),
+        *(stopped(lambda rig: (rig.pid, rig.engine_pid)), STOPPED, BY_ITSELF),
         bound=RECEIVER,
         bound_ms=RECEIVER_MS,
     ),
@@ -175,7 +213,7 @@ KINDS = (
         bound="found at the next decision: 100 ms",
     ),
     _kind(
-        *("writer-dies", "the thread that writes the audit dies", thread_dies("tidegate-writer")),
+        *("writer-dies", "the thread that writes the audit dies", thread_dies("tidegate-writer", in_engine=False)),
         told("audit_behind", "engine_stopped", "session failed"),
         NEW_SESSION,
     ),
@@ -202,13 +240,37 @@ KINDS = (
     _kind(
         *(
             "interpreter-held",
-            "one thread holds the interpreter for 300 to 700 ms",
-            interpreter_held,
+            "one thread holds the engine's interpreter for 300 to 700 ms",
+            interpreter_held(300.0, 700.0, in_engine=True),
             STOPPED,
             BY_ITSELF,
         ),
         bound=RECEIVER,
         bound_ms=RECEIVER_MS,
+    ),
+    _kind(
+        *("service-held", "one thread holds the service's interpreter for 0.8 to 1.5 s"),
+        *(interpreter_held(800.0, 1500.0, in_engine=False), SILENT, LATCHED),
+        bound=SILENCE,
+        bound_ms=SILENCE_MS + FRAME_MS,
+    ),
+    _kind(
+        *("beat-dies", "the thread that tells the engine of the service dies"),
+        *(thread_dies("tidegate-engine-beat", in_engine=False), SILENT, NEW_SESSION),
+        bound=SILENCE,
+        bound_ms=SILENCE_MS + FRAME_MS,
+    ),
+    _kind(
+        *("news-dies", "the thread that hears the engine's process dies"),
+        *(thread_dies("tidegate-engine-news", in_engine=False), SILENT | ENDED, NEW_SESSION),
+    ),
+    _kind(
+        *("teller-dies", "the thread that tells the service dies"),
+        *(thread_dies("tidegate-teller"), SILENT | ENDED | told("recorder_behind", "audit_behind"), NEW_SESSION),
+    ),
+    _kind(
+        *("hearer-dies", "the thread that hears the service dies"),
+        *(thread_dies("MainThread"), SILENT | ENDED, NEW_SESSION),
     ),
     beside(
         _kind(
@@ -219,11 +281,32 @@ KINDS = (
             BY_ITSELF,
         )
     ),
-    beside(_kind("files-gone", "no file descriptor is left, then a marker is covered", files_gone, told(), BY_ITSELF)),
     beside(
         _kind(
-            *("memory-gone", "no memory is left, then a marker is covered", memory_gone),
-            ENDED | STOPPED | told("source_lost", "audit_behind", "session interrupted"),
+            *("files-gone", "the service has no file descriptor left, then a marker is covered"),
+            *(files_gone(in_engine=False), told(), BY_ITSELF),
+        )
+    ),
+    beside(
+        _kind(
+            *("engine-files-gone", "its engine has no file descriptor left, then a marker is covered"),
+            *(files_gone(in_engine=True), told(), BY_ITSELF),
+        )
+    ),
+    beside(
+        _kind(
+            *("memory-gone", "the service has no memory left, then a marker is covered", memory_gone(in_engine=False)),
+            ENDED | STOPPED | told("source_lost", "audit_behind", "recorder_behind", "session interrupted"),
+            frozenset(Recovery),
+            bound=SILENCE,
+            bound_ms=SILENCE_MS + FRAME_MS,
+        )
+    ),
+    beside(
+        _kind(
+            *("engine-memory-gone", "its engine has no memory left, then a marker is covered"),
+            memory_gone(in_engine=True),
+            ENDED | STOPPED | told("source_lost", "audit_behind", "recorder_behind", "session interrupted"),
             frozenset(Recovery),
             bound=RECEIVER,
             bound_ms=RECEIVER_MS,

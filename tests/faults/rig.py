@@ -21,6 +21,8 @@ from service.journals import Journals
 from service.settings import Settings
 from tests.beam.modbus_server import COIL, INPUT, REGISTER, UNIT
 from tests.beam.receivers import Receiver
+from tests.engine_process.processes import engine_pid, engine_pids
+from tests.faults import engine
 from tests.faults.ledger import Ledger
 from tests.faults.person import NAME, Person, PersonGaveUpError
 from tests.faults.plan import Plan
@@ -171,7 +173,8 @@ class Rig:
     def begin_service(self) -> None:
         """Start it, and do not wait for it."""
         self._log_number += 1
-        (self.folder / "saboteur").unlink(missing_ok=True)
+        for left in self.folder.glob("saboteur*"):
+            left.unlink()
         command = ["tests.faults.service", str(self.folder / "saboteur"), "serve", "--data", str(self.data)]
         with (self.folder / f"service-{self._log_number}.log").open("wb") as log:
             self.process = subprocess.Popen(
@@ -182,17 +185,25 @@ class Rig:
                 env=self._environment(),
             )
 
-    def signal(self, number: int) -> int:
-        """Send the service a signal; returns when."""
+    @property
+    def engine_pid(self) -> int:
+        """The process of the session's engine."""
+        return engine_pid(self.pid, engine.MARK)
+
+    def signal(self, number: int, *pids: int) -> int:
+        """Send the service a signal, or these of its processes; returns when."""
         at_ns = time.monotonic_ns()
-        os.kill(self.pid, number)
+        for pid in pids or (self.pid,):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, number)
         return at_ns
 
-    def sabotage(self, *words: object) -> int:
-        """Let the saboteur in the service's process act; returns when it did."""
+    def sabotage(self, *words: object, in_engine: bool = False) -> int:
+        """Let the saboteur in the service's process, or in the engine's, act; returns when it did."""
+        path = str(self.folder / "saboteur")
         with socket.socket(socket.AF_UNIX) as client:
             client.settimeout(20.0)
-            client.connect(str(self.folder / "saboteur"))
+            client.connect(engine.path_of(path, self.engine_pid) if in_engine else path)
             client.sendall((" ".join(map(str, words)) + "\n").encode())
             with client.makefile() as lines:
                 answer = lines.readline().split(maxsplit=1)
@@ -214,10 +225,11 @@ class Rig:
 
     def _kill_service(self) -> None:
         if self.process is not None:
-            with contextlib.suppress(ProcessLookupError):
-                self.process.send_signal(signal.SIGCONT)
+            engines = engine_pids(self.pid, engine.MARK)
+            self.signal(signal.SIGCONT, self.pid, *engines)
             self.process.kill()
             self.process.wait()
+            self.signal(signal.SIGKILL, *engines)
 
     # The camera.
 

@@ -17,19 +17,19 @@ from pathlib import Path
 from tests.faults.plan import ANYBODY
 from tests.faults.rig import Rig
 with Rig(Path(sys.argv[1]), ANYBODY, None) as rig:
-    print(rig.pid, rig.receiver.process.pid, rig.watchman.pid, flush=True)
+    print(rig.pid, rig.engine_pid, rig.receiver.process.pid, rig.watchman.pid, flush=True)
     time.sleep(600)
 """
 
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="a small file system is mounted, which takes root")
 
 
-def test_whoever_kills_a_rig_ends_its_service_its_receiver_and_its_watchman(tmp_path):
+def test_whoever_kills_a_rig_ends_its_service_its_engine_its_receiver_and_its_watchman(tmp_path):
     rig = subprocess.Popen([sys.executable, "-c", HELD, str(tmp_path)], cwd=ROOT, stdout=subprocess.PIPE, text=True)
     with rig:
         try:
             pids = [int(word) for word in rig.stdout.readline().split()]
-            assert len(pids) == 3
+            assert len(pids) == 4
             rig.send_signal(signal.SIGKILL)
             rig.wait()
             end_s = time.monotonic() + PATIENCE_S
