@@ -16,13 +16,16 @@ from tests.load.recording import FPS, write_long
 from tests.load.run import Load, run
 from tests.load.table import text_of
 
-SMALL = Load(dashboards=5, stalled=1, requests_per_s=20.0, rounds=1, quiet_s=1.0, loaded_s=5.0)
+SMALL = Load(dashboards=5, events=1, stalled=1, requests_per_s=20.0, rounds=1, quiet_s=1.0, loaded_s=4.0)
+LEAST_TO_LEARN_FROM = {"MIN_FRAMES": "60", "MIN_CYCLES": "1", "MIN_SECONDS": "4"}
 MS = 1_000_000
 
 
 @pytest.fixture(scope="module")
 def found(regular_volunteer: Path, monkeypatch_module: pytest.MonkeyPatch) -> dict:
     monkeypatch_module.setattr("tests.load.run.base_folder", lambda: regular_volunteer)
+    for name, least in LEAST_TO_LEARN_FROM.items():
+        monkeypatch_module.setenv(f"TIDEGATE_TRAINING_{name}", least)
     return figures_of(run(SMALL))
 
 
@@ -125,4 +128,4 @@ def session(
 
 
 def test_a_load_says_how_long_its_recording_has_to_be():
-    assert replace(SMALL, rounds=3).seconds - SMALL.seconds == pytest.approx(2 * (6.0 + 20.0))
+    assert replace(SMALL, rounds=3).seconds - SMALL.seconds == pytest.approx(2 * (5.0 + 20.0))
