@@ -64,14 +64,16 @@ def _states(view: LiveView) -> Iterator[Metric]:
     yield _gauge("tidegate_fps", "Frames a second over the last second", view.fps)
     yield _gauge("tidegate_dropped_records", "Records the session's recorder could not take", view.dropped_records)
     times = GaugeMetricFamily(
-        "tidegate_latency_recent_seconds", "Of the last few hundred frames; 1 is the whole session", labels=["quantile"]
+        "tidegate_latency_recent_seconds",
+        "From capture to the line told: so many of the last few hundred frames took no longer; 1 is the whole session",
+        labels=["share"],
     )
-    for quantile, time_ms in (
+    for share, time_ms in (
         ("0.5", view.latency.p50_ms),
         ("0.99", view.latency.p99_ms),
         ("1", view.latency.max_ms),
     ):
-        times.add_metric([quantile], time_ms / MS_PER_S)
+        times.add_metric([share], time_ms / MS_PER_S)
     yield times
 
 

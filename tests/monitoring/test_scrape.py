@@ -41,6 +41,7 @@ def test_names_are_lower_case_in_base_units_and_counters_end_in_total():
         assert not family.name.endswith(("_count", "_sum", "_bucket")), family.name
         for one in family.samples:
             assert all(re.fullmatch(r"[a-z_]+", label) for label in one.labels), one
+            assert "quantile" not in one.labels, "a summary's word"
 
 
 def test_times_and_sizes_say_their_unit():
