@@ -45,10 +45,10 @@ class Ready:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Order:
-    """A command; ``slot`` is where the page says that its asker has given up."""
+    """A command; ``slot`` is where the page says that its asker has given up, if that is to matter."""
 
     number: int
-    slot: int
+    slot: int | None
     command: Command
     submitted_ns: int
 

@@ -22,6 +22,7 @@ from engine.errors import CommandRefusedError
 from engine.frames import ColorImage
 from engine.likeness import Likeness
 from engine.live import FrameRecord, GateTransition, LiveView, LoopStatus
+from engine.mailbox import URGENT
 from engine.model import MotionModel
 from engine.notices import LearningNotice
 from engine.permits import GateState, HoldReason
@@ -56,7 +57,8 @@ FAREWELL_S = 20.0
 SILENT_NS = 1_000 * NS_PER_MS
 """The other process tells something every 50 ms; whoever watches is told when it has been so long."""
 LOOKS = 3
-DOES_NOT_TAKE = "the engine's process takes no commands: stop the session"
+DOES_NOT_TAKE = "the engine's process takes no commands, and the beam line lapses by itself: stop the session"
+"""It has not read for seconds, nor heard a beat for as long: it stands still, or its gate has faulted."""
 OVER = "the session is over"
 SILENT = "the engine's process does not answer"
 T = TypeVar("T")
@@ -85,7 +87,7 @@ class Taken(queue.Queue[T], Generic[T]):
 class Asking(Future[None]):
     """The answer to an order; who gives it up says so where the engine looks before it obeys."""
 
-    def __init__(self, slot: int, give_up: Callable[[], None]) -> None:
+    def __init__(self, slot: int | None, give_up: Callable[[], None]) -> None:
         super().__init__()
         self.slot, self._give_up = slot, give_up
 
@@ -180,12 +182,9 @@ class RemoteEngine:
         with self._lock:
             if self._is_over.is_set():
                 raise CommandRefusedError(OVER)
-            if not self._free_slots:
-                msg = f"{SLOTS} commands wait already: try again in a moment"
-                raise CommandRefusedError(msg)
+            slot = None if isinstance(command, URGENT) else self._free_slot()
             number = self._orders = self._orders + 1
-            asking = self._asked[number] = Asking(self._free_slots.popleft(), lambda: self._give_up(number))
-            self._child.page.begin(asking.slot)
+            asking = self._asked[number] = Asking(slot, lambda: self._give_up(number))
             order = Order(number=number, slot=asking.slot, command=command, submitted_ns=time.monotonic_ns())
             if isinstance(command, ActivateModel):
                 self._large.put(order)
@@ -194,10 +193,18 @@ class RemoteEngine:
                 raise CommandRefusedError(DOES_NOT_TAKE)
         return asking
 
+    def _free_slot(self) -> int:
+        if not self._free_slots:
+            msg = f"{SLOTS} commands wait already: try again in a moment"
+            raise CommandRefusedError(msg)
+        slot = self._free_slots.popleft()
+        self._child.page.begin(slot)
+        return slot
+
     def _give_up(self, number: int) -> None:
         with self._lock:  # else its slot might be another order's by now
             asking = self._asked.get(number)
-            if asking is not None:
+            if asking is not None and asking.slot is not None:
                 self._child.page.give_up(asking.slot)
 
     def note_presence(self, operator: str) -> None:
@@ -288,7 +295,8 @@ class RemoteEngine:
 
     def _forget(self, number: int) -> Asking:
         asking = self._asked.pop(number)
-        self._free_slots.append(asking.slot)
+        if asking.slot is not None:
+            self._free_slots.append(asking.slot)
         return asking
 
     def _end(self) -> None:

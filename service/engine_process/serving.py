@@ -55,7 +55,8 @@ PULSE_S = 0.05
 """Told so often at least: what happens between two frames, and that this process lives."""
 SWITCH_INTERVAL_S = 0.001
 NO_PICTURE: ColorImage = frozen(np.empty((0, 0, 3), np.uint8))
-SERVICE_GONE = "the service's process has ended"
+SERVICE_GONE = (HoldReason.SERVICE_SILENT, "the service's process has ended")
+FAILED = (HoldReason.ENGINE_FAILED, "the engine's process failed")
 T = TypeVar("T")
 
 
@@ -91,13 +92,13 @@ class Departing(Generic[T]):
 class Asked(Future[None]):
     """An order's answer; whether it is still wanted is looked up on the page at the moment it is carried out."""
 
-    def __init__(self, page: Page, slot: int) -> None:
+    def __init__(self, page: Page, slot: int | None) -> None:
         super().__init__()
         self._page, self._slot = page, slot
 
     def set_running_or_notify_cancel(self) -> bool:
         """Whether to carry it out."""
-        if self._page.is_given_up(self._slot):
+        if self._slot is not None and self._page.is_given_up(self._slot):
             self.cancel()
         return super().set_running_or_notify_cancel()
 
@@ -181,7 +182,7 @@ class Teller:
 
 
 class EngineServer:
-    """Serves one session's engine until it is over, or nobody asks any more."""
+    """Serves one session's engine until it is over, or nobody asks any more; no way out of it leaves a line on."""
 
     def __init__(
         self, engine: LoopEngine, journal: BorrowedJournal | None, *, speech: Speech, whisper: Whisper, page: Page
@@ -190,47 +191,62 @@ class EngineServer:
         self._speech, self._whisper, self._page = speech, whisper, page
         self._teller = Teller(engine, speech, page)
         self._is_over = False
+        self._ending = SERVICE_GONE
 
-    def serve(self) -> None:
-        """Serve; returns when this process may end."""
-        threading.Thread(target=self._tell, name="tidegate-teller", daemon=True).start()
-        threading.Thread(target=self._hear_orders, name="tidegate-orders", daemon=True).start()
-        while True:
-            try:
-                self._hear(self._whisper.receive())
-            except CrossingClosedError:
-                break
-        if not self._is_over:
-            self._end_alone()
+    def serve(self, asked_ns: int) -> None:
+        """Say that the session has begun, and serve it; returns when this process may end."""
+        try:
+            self._engine.note_service(asked_ns)
+            self._speech.send(Opened())
+            for work, name in ((self._tell, "tidegate-teller"), (self._hear_orders, "tidegate-orders")):
+                threading.Thread(target=self._lasting, args=(work,), name=name, daemon=True).start()
+            self._until_hung_up(lambda: self._hear(self._whisper.receive()))
+        finally:
+            if not self._is_over:
+                self._end_alone(*self._ending)
+        if self._ending is FAILED:
+            sys.exit(1)
 
-    def _end_alone(self) -> None:
+    def _until_hung_up(self, work: Callable[[], None]) -> None:
+        """Work again and again; a bug is an end like any other, and told apart in the log and the journal alone."""
+        try:
+            while True:
+                work()
+        except CrossingClosedError:
+            return
+        except Exception:
+            self._ending = FAILED
+            logger.exception("the engine's process failed")
+
+    def _lasting(self, work: Callable[[], None]) -> None:
+        """Do the work of a thread without which this process must not go on."""
+        try:
+            self._until_hung_up(work)
+        finally:
+            self._whisper.close()  # wakes the thread that hears
+
+    def _end_alone(self, reason: HoldReason, why: str) -> None:
         """Hold first: nobody could any more. What is left to write is written, for the next start to find."""
-        self._engine.report_fault(HoldReason.SERVICE_SILENT, SERVICE_GONE)
-        self._engine.hold_line(HoldReason.SERVICE_SILENT)
-        logger.critical("%s: the beam is held, and the session ends", SERVICE_GONE)
+        self._engine.report_fault(reason, why)
+        self._engine.hold_line(reason)
+        self._speech.close()  # what the teller would say now is that the session came to its end
+        logger.critical("%s: the beam is held, and the session ends", why)
         self._engine.stop()
         if self._journal is not None:
             self._journal.close()
         self._engine.evidence()
 
     def _tell(self) -> None:
-        try:
-            self._teller.tell()
-            evidence = self._engine.evidence()
-            newest_told = 0 if self._journal is None else self._journal.newest_told
-            self._is_over = True  # before the farewell: the service hangs up when it has heard that
-            self._teller.say_farewell(newest_told, evidence)
-        except CrossingClosedError:
-            return  # heard by the thread that hears, too
-        self._whisper.close()
+        self._teller.tell()
+        evidence = self._engine.evidence()
+        newest_told = 0 if self._journal is None else self._journal.newest_told
+        self._is_over = True  # before the farewell: the service hangs up when it has heard that
+        self._teller.say_farewell(newest_told, evidence)
+        raise CrossingClosedError
 
     def _hear_orders(self) -> None:
         """Take what is too large to be whispered."""
-        while True:
-            try:
-                self._hear(self._speech.receive())
-            except CrossingClosedError:
-                return
+        self._hear(self._speech.receive())
 
     def _hear(self, message: object) -> None:
         match message:
@@ -249,6 +265,9 @@ class EngineServer:
                 self._engine.report_fault(message.reason, message.detail)
             case Stop():  # beside this thread, which has to go on hearing a hold
                 threading.Thread(target=self._engine.stop, name="tidegate-stopping", daemon=True).start()
+            case _:
+                msg = f"the service says what this process does not know: {type(message).__name__}"
+                raise TypeError(msg)
 
     def _obey(self, order: Order) -> None:
         asked = Asked(self._page, order.slot)
@@ -287,9 +306,7 @@ def serve_one_session(speech: Speech, whisper: Whisper, page: Page) -> None:
             logger.exception("a session could not be opened")
         speech.send(Opened(error=refusal))
         return
-    engine.note_service(asked.sent_ns)
-    speech.send(Opened())
-    EngineServer(engine, journal, speech=speech, whisper=whisper, page=page).serve()
+    EngineServer(engine, journal, speech=speech, whisper=whisper, page=page).serve(asked.sent_ns)
 
 
 def ends_of(files: list[int]) -> tuple[Speech, Whisper, Page]:

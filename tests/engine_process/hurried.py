@@ -1,4 +1,4 @@
-"""An engine's process that plays recordings as fast as frames can be measured: ``python -m tests.engine_process.hurried``."""
+"""An engine's process that plays recordings as fast as it can: ``python -m tests.engine_process.hurried``."""
 
 from engine.capture.oni_file import OniFileSource
 from service.engine_adapter import EngineAdapter

@@ -22,7 +22,7 @@ class PacedPipeline(ToldPipeline):
 
     likeness = None
 
-    def activate(self, model):
+    def activate(self, _model):
         self.calls.append("activate")
 
 

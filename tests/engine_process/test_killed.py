@@ -1,18 +1,25 @@
 """An engine's process that is killed, stopped or hangs, and a service's side that falls silent: the receiver judges."""
 
 import signal
+import threading
 import time
 
+import numpy as np
 import pytest
 
-from engine.commands import Arm, Disarm, HoldBeam
+from engine.commands import ActivateModel, Arm, Disarm, HoldBeam, ReleaseBeam, SetReference
 from engine.errors import CommandRefusedError
+from engine.journal_slots import read_kept
 from engine.live import LoopStatus
 from engine.permits import GateState, HoldReason
-from service.journals import read_unless_in_use
-from tests.engine_process.bench import MS, PATIENT, bench, eventually, is_there, line_at
+from service.engine_process.page import SLOTS
+from service.errors import BoundError
+from service.journals import Journals, read_unless_in_use
+from service.window_schemas import Window
+from tests.engine_process.bench import MS, PATIENT, WINDOW, bench, eventually, is_there, line_at, make_plan
 
 BUSY_NS = 150 * MS
+LARGE_MODEL = np.zeros((100, 350, 200), np.float32)
 LEASE_NS = int(PATIENT["lease_ms"] * MS)
 
 
@@ -73,7 +80,7 @@ def test_an_engine_s_process_that_was_stopped_goes_off_by_itself_shows_as_a_faul
     with bench(tmp_path, line) as held:
         held.turn_on()
         stopped_ns = held.send(signal.SIGSTOP)
-        edge, *times_ns = line.await_off()
+        _edge, *times_ns = line.await_off()
         assert int(times_ns[-1]) <= stopped_ns + LEASE_NS + BUSY_NS
         eventually(lambda: held.engine.latest.record.gate_state is GateState.FAULT)
         shown = held.engine.latest
@@ -165,3 +172,82 @@ def test_a_writer_that_takes_nothing_holds_the_beam_as_if_it_were_in_the_engine_
         assert not held.engine.samples.empty(), "all had come over, and counted as unwritten"
         held.writes.set()
         held.turn_on()
+
+
+def test_a_hold_waits_behind_no_model_that_is_on_its_way(tmp_path, line):
+    with bench(tmp_path, line) as held:
+        held.turn_on()
+        is_free = threading.Event()
+        send = held.engine._child.speech.send
+        held.engine._child.speech.send = lambda message: (is_free.wait(20.0), send(message))
+        large = held.engine.submit(ActivateModel(operator="bob", model=LARGE_MODEL))
+        assert held.engine.submit(HoldBeam(operator="ann")).result(5.0) is None
+        assert line.await_off()[0] == "held"
+        assert not large.done()
+        is_free.set()
+        assert large.result(10.0) is None
+        assert not held.engine.latest.is_armed, "another model disarms"
+
+
+def test_an_answer_comes_after_what_it_is_about_can_be_read(tmp_path, line):
+    with bench(tmp_path, line) as held:
+        held.turn_on()
+        for _ in range(10):
+            held.engine.submit(HoldBeam(operator="ann")).result(5.0)
+            assert held.engine.latest.operator_hold == "ann"
+            held.engine.submit(ReleaseBeam(operator="ann")).result(5.0)
+            assert held.engine.latest.operator_hold is None
+
+
+def test_more_orders_than_there_are_places_are_refused_at_once(tmp_path, line):
+    with bench(tmp_path, line) as held:
+        eventually(lambda: held.engine.latest is not None)
+        held.send(signal.SIGSTOP)
+        asked = [held.engine.submit(SetReference(operator="ann")) for _ in range(SLOTS)]
+        with pytest.raises(CommandRefusedError, match="wait already"):
+            held.engine.submit(SetReference(operator="ann"))
+        for one in asked:
+            one.cancel()
+        hold = held.engine.submit(HoldBeam(operator="ann"))
+        held.send(signal.SIGCONT)
+        assert hold.result(5.0) is None
+        eventually(lambda: len(held.engine._free_slots) == SLOTS)
+        assert not [one for one in held.transitions if "reference" in one.detail], "none was wanted any more"
+
+
+def test_who_waits_for_an_answer_of_a_process_that_dies_is_told_so(tmp_path, line):
+    with bench(tmp_path, line) as held:
+        eventually(lambda: held.engine.latest is not None)
+        held.send(signal.SIGSTOP)
+        asked = [held.engine.submit(SetReference(operator="ann")) for _ in range(3)]
+        held.send(signal.SIGKILL)
+        for one in asked:
+            with pytest.raises(CommandRefusedError, match="over"):
+                one.result(5.0)
+
+
+def test_a_session_that_cannot_begin_says_why_in_the_engine_s_own_words_and_the_next_can(tmp_path, line):
+    with bench(tmp_path, line, window_upper_mm=5.0) as held:
+        wide = Window.model_validate({**WINDOW, "upper_mm": 6.0})
+        port = held.port
+        journal = Journals(tmp_path, tmp_path / "journals").begin("1" * 32)
+        with pytest.raises(BoundError, match="at most 5") as refused:
+            port.open(make_plan(journal, session_id="1" * 32, window=wide))
+        assert (refused.value.field, refused.value.code) == ("window.upper_mm", "invalid_value")
+        journal.close()
+        assert not journal.path.exists()
+        assert port.processes_lost == 0
+
+
+@pytest.mark.parametrize("way", ["whisper", "speech"])
+def test_a_process_that_does_not_understand_the_service_holds_before_it_ends(tmp_path, line, way):
+    with bench(tmp_path, line) as held:
+        held.turn_on()
+        getattr(held.engine._child, way).send(("what", "is this"))
+        said_ns = time.monotonic_ns()
+        edge, *times_ns = line.await_off()
+        assert edge == "held", "by the process itself, not by its lease"
+        assert int(times_ns[0]) <= said_ns + BUSY_NS
+        eventually(lambda: held.engine.status is LoopStatus.FAILED)
+        kept = read_kept(held.journal.path.read_bytes())
+        assert HoldReason.ENGINE_FAILED in [one.transition.reason for one in kept.entries]
