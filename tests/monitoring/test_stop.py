@@ -7,6 +7,7 @@ import signal
 import sqlite3
 import threading
 import time
+from pathlib import Path
 
 import pytest
 from fastapi import FastAPI
@@ -15,7 +16,7 @@ from service.samples.shelf import SampleShelf
 from service.server import make_server
 from service.stopping import Stop
 from tests.monitoring.stopping import LONGEST_STOP_S, Case, end
-from tests.service.conftest import eventually
+from tests.service.conftest import act, eventually, make_session_body, upload
 from tests.service.processes import free_port, service_process
 
 WORKER_THREADS = 40
@@ -192,3 +193,46 @@ def test_the_time_runs_from_the_first_signal():
         assert time.monotonic() - began_s < 5.0
         go_on.wait(0.02)
     go_on.set()
+
+
+def test_the_engine_s_own_process_ends_with_the_service(tmp_path, regular_volunteer):
+    port, data = free_port(), tmp_path / "data"
+    arguments = (
+        "service.cli",
+        "serve",
+        "--port",
+        str(port),
+        "--data",
+        str(data),
+        "--recordings",
+        str(regular_volunteer),
+    )
+    log = {"TIDEGATE_LOG_FORMAT": "json", "TIDEGATE_LOG_LEVEL": "info"}
+    with service_process(*arguments, port=port, log=tmp_path / "log", data=data, environment=log) as (process, client):
+        eventually(lambda: client.get("/readyz").json()["is_ready"], within_s=60.0)
+        calibration = (regular_volunteer / "calibration.json").read_bytes()
+        calibration_id = upload(client, calibration).json()["id"]
+        body = make_session_body(calibration_id) | {"source": {"kind": "recording", "path": "recording.oni"}}
+        session_id = client.post("/api/v1/sessions", json=body).json()["id"]
+        assert act(client, session_id, "start").status_code == 200
+        eventually(lambda: "tidegate_fps" in client.get("/metrics").text, within_s=30.0)
+        assert "tidegate_engine_process_resident_memory_bytes" in client.get("/metrics").text
+        engines = children_of(process.pid)
+        assert engines
+        process.send_signal(signal.SIGTERM)
+        began_s = time.monotonic()
+        assert process.wait(30.0) == 0
+        assert time.monotonic() - began_s < LONGEST_STOP_S
+        eventually(lambda: not any(Path(f"/proc/{engine}").exists() for engine in engines))
+    with contextlib.closing(sqlite3.connect(data / "tidegate.db")) as raw:
+        rows = [row for (row,) in raw.execute("SELECT action FROM audit ORDER BY sequence")]
+        assert raw.execute("SELECT status FROM sessions").fetchone() == ("stopped",)
+    assert rows[-2:] == ["session.close", "service.stop"]
+    lines = [line for line in (tmp_path / "log").read_text().splitlines() if line.startswith("{")]
+    assert {json.loads(line).get("level") for line in lines} <= {"info", "warning"}
+
+
+def children_of(process_id):
+    """The processes that were begun by this one."""
+    tasks = Path(f"/proc/{process_id}/task").glob("*/children")
+    return [int(child) for task in tasks for child in task.read_text().split()]
