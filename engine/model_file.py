@@ -21,6 +21,7 @@ from engine.frames import FloatArray
 from engine.model import USUAL_NOISE_MM, MotionModel
 from engine.provenance import MAX_SETTINGS, QUALITY_BOUNDS, ModelOrigin, Provenance, TrainingQuality, check_text
 from engine.strict_json import ROOT, StrictJson
+from engine.whole_files import open_plain
 
 SCHEMA = "tidegate.model/2"
 FIRST_SCHEMA = "tidegate.model/1"
@@ -102,7 +103,7 @@ def header_text(model: MotionModel) -> str:
 
 
 def _arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
-    with zipfile.ZipFile(path) as archive:
+    with open_plain(path) as file, zipfile.ZipFile(file) as archive:
         if sum(item.file_size for item in archive.infolist()) > MAX_MODEL_BYTES:
             msg = f"it unpacks to more than {MAX_MODEL_BYTES} bytes"
             raise ModelError(msg)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from engine.errors import InvalidValueError
+from engine.whole_files import open_plain
 
 ROOT = "file"
 """The field's name of the document itself."""
@@ -35,10 +36,10 @@ class StrictJson:
     def read_bytes(self, path: Path) -> bytes:
         """Read a file, one byte more than is allowed at most, so that :meth:`parse` can refuse it."""
         try:
-            with path.open("rb") as file:
+            with open_plain(path) as file:
                 return file.read(self.max_bytes + 1)
-        except OSError as error:
-            raise self.error(ROOT, path.name, f"readable ({error.strerror})") from error
+        except (OSError, ValueError) as error:  # a name with a NUL is a ValueError
+            raise self.error(ROOT, path.name, f"readable ({getattr(error, 'strerror', None) or error})") from error
 
     def parse(self, text: bytes) -> object:
         """Parse a document; no key twice, no NaN, no infinity, no half characters, not deep."""

@@ -17,17 +17,26 @@ def find_recording(path: str, folders: tuple[Path, ...], field: str = FIELD) -> 
     NotFoundError
         No such file.
     """
-    for folder in folders:
-        root = folder.resolve()
-        found = (root / path).resolve()
-        if found.is_relative_to(root) and _is_file(found):
+    inside = [found for found in (_inside(folder, path) for folder in folders) if found is not None]
+    for found in inside:
+        if _is_file(found):
             return found
-    if any((folder.resolve() / path).resolve().is_relative_to(folder.resolve()) for folder in folders):
+    if inside:
         msg = "there is no such recording"
         raise NotFoundError(msg, field=field, value=path, bound="a file in an allowed folder")
     bound = f"inside one of the allowed folders ({', '.join(str(folder) for folder in folders)})"
     msg = f"{field} must be {bound}"
     raise BoundError(msg, field=field, value=path, bound=bound)
+
+
+def _inside(folder: Path, path: str) -> Path | None:
+    """Follow a path from a folder, links and all; None where it leads out, in a circle, or nowhere that has a name."""
+    try:
+        root = folder.resolve()
+        found = (root / path).resolve()
+    except (OSError, RuntimeError, ValueError):  # a name that is too long, links in a circle, a NUL
+        return None
+    return found if found.is_relative_to(root) else None
 
 
 def _is_file(path: Path) -> bool:

@@ -12,6 +12,7 @@ import numpy as np
 
 from engine.errors import InvalidValueError
 from engine.frames import FloatArray, frozen
+from engine.whole_files import open_plain
 
 MAX_BYTES = 64 * 1024 * 1024
 MIN_SAMPLES = 20
@@ -72,7 +73,7 @@ def read_flow(path: Path) -> Spirometry:
 
 def _lines(path: Path) -> list[str]:
     try:
-        with path.open("rb") as file:
+        with open_plain(path) as file:
             content = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise FlowFileError("file", str(path), f"readable ({error.strerror})") from error

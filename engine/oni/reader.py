@@ -18,6 +18,7 @@ from engine.oni.description import RecordingDescription, Tally
 from engine.oni.layout import NodeType, RecordType
 from engine.oni.records import FileHeader, Record, read_file_header, walk_records
 from engine.oni.streams import NodeTable, StreamDescription
+from engine.whole_files import open_plain
 
 _US_PER_S = 1_000_000
 _MAX_TIMESTAMP_US = 2**62
@@ -72,9 +73,9 @@ class OniReader:
     def __init__(self, path: Path) -> None:
         self._path = Path(path)
         try:
-            self._file = self._path.open("rb")
-        except OSError as error:
-            msg = f"{self.name}: cannot be opened ({error.strerror})"
+            self._file = open_plain(self._path)
+        except (OSError, ValueError) as error:  # a name with a NUL is a ValueError
+            msg = f"{self.name}: cannot be opened ({getattr(error, 'strerror', None) or error})"
             raise RecordingError(msg) from error
         try:
             self.header = read_file_header(self._file)

@@ -22,6 +22,7 @@ from scipy.interpolate import PchipInterpolator
 
 from engine.errors import InvalidValueError, RecordingError
 from engine.frames import FloatArray
+from engine.whole_files import open_plain
 
 Grid = npt.NDArray[np.float64]
 MAX_BYTES = 16 * 1024 * 1024
@@ -121,10 +122,10 @@ def read_trace(path: Path, *, axis: str = "auto") -> Trace:
 
 def _read_lines(path: Path) -> tuple[str, list[str]]:
     try:
-        with path.open("rb") as file:
+        with open_plain(path) as file:
             content = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise RecordingError(f"{path.name}: cannot be read ({error.strerror})") from error
+    except (OSError, ValueError) as error:  # a name with a NUL is a ValueError
+        raise RecordingError(f"{path.name}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
     if len(content) > MAX_BYTES:
         raise RecordingError(f"{path.name}: is larger than {MAX_BYTES} bytes: too long for a breathing trace")
     try:

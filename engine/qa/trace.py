@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 from engine.errors import InvalidValueError, RecordingError
 from engine.frames import FloatArray, frozen
 from engine.phantom.traces import read_trace
+from engine.whole_files import open_plain
 
 Grid = npt.NDArray[np.float64]
 COLUMNS = ["time_s", "position_mm"]
@@ -68,11 +69,14 @@ def read_commanded(path: Path) -> CommandedTrace:
         Numbers no phantom can have been told.
     """
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise RecordingError(f"{path.name}: is larger than {MAX_BYTES} bytes: too long for a trace")
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise RecordingError(f"{path.name}: cannot be read ({error.strerror or error})") from error
+        with open_plain(path) as file:
+            content = file.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:  # a name with a NUL is a ValueError
+        raise RecordingError(f"{path.name}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
+    if len(content) > MAX_BYTES:
+        raise RecordingError(f"{path.name}: is larger than {MAX_BYTES} bytes: too long for a trace")
+    try:
+        text = content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise RecordingError(f"{path.name}: is no text (byte {error.start})") from error
     if text.lstrip().startswith(COLUMNS[0]):
