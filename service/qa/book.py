@@ -11,7 +11,6 @@ from service.conditional import ANYTHING, Precondition
 from service.db.engine import Database
 from service.errors import BoundError, QaActiveError, QaStateError
 from service.qa import records, schemas, views
-from service.qa.report import report_pdf
 from service.qa.requirement import refusal
 from service.qa.under_way import UnderWay
 from service.settings import Settings
@@ -51,6 +50,9 @@ class QaBook:
                 raise QaStateError(msg, field="status", value=detail.status, bound="finished")
             row = records.run_row(db, run_id)
             trends = [views.trend_answer(db, one.code, TREND_RUNS, before=row) for one in detail.results]
+        # Imported when somebody prints: what draws is a fifth of the time that a service takes to start.
+        from service.qa.report import report_pdf
+
         return report_pdf(detail, trends)
 
     def trend(self, check: str, limit: int) -> schemas.QaTrend:
