@@ -38,7 +38,16 @@ START = problems(
 )
 FIX = problems(NotFoundError, BoundError, OperatorMismatchError, QaActiveError, QaStateError)
 RunId = Annotated[Identifier, Path(description="The QA run's id")]
-Check = Annotated[str, Query(min_length=1, max_length=48, pattern=r"^[a-z0-9_]+$", examples=["camera_distance_mm"])]
+Check = Annotated[
+    str,
+    Query(
+        min_length=1,
+        max_length=48,
+        pattern=r"^[a-z0-9_]+$",
+        examples=["camera_distance_mm"],
+        description="One of the codes that /qa/checks lists",
+    ),
+]
 TrendLimit = Annotated[int, Query(ge=1, le=500, description="Most runs")]
 
 

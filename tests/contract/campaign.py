@@ -14,7 +14,7 @@ from typing import Any
 
 import schemathesis
 from hypothesis import HealthCheck, Phase, given, seed, settings
-from hypothesis.errors import Unsatisfiable
+from hypothesis.errors import Flaky, Unsatisfiable
 from schemathesis import GenerationMode
 from schemathesis.config import SchemathesisConfig
 from schemathesis.core.failures import Failure, FailureGroup
@@ -115,7 +115,8 @@ class Campaign:
         for number in range(walks):
             # Each on its own: where a walk can go depends on what the service answered before.
             Walker._hypothesis_internal_use_seed = self._seed * 1_000 + number
-            Walker.run(settings=_settings(1, stateful_step_count=steps))
+            with contextlib.suppress(Flaky):  # it is judged as it goes
+                Walker.run(settings=_settings(1, stateful_step_count=steps))
 
     def _coverage(self, operation: Any, mode: GenerationMode) -> Iterator[Any]:
         config = self.schema.config.generation_for(operation=operation)

@@ -57,9 +57,7 @@ def test_a_present_precondition_is_done_and_makes_the_next_one_stale(client, ses
 
 
 @pytest.mark.parametrize("action", ["hold", "disarm", "stop"])
-def test_what_takes_the_beam_away_is_done_whatever_is_asked_for(
-    client, session_id, running, action
-):
+def test_what_takes_the_beam_away_is_done_whatever_is_asked_for(client, session_id, running, action):
     headers = {"If-Match": STALE, "Accept": "image/png"}
     answer = client.post(f"{V1}/sessions/{session_id}/{action}", json={}, headers=headers)
     assert answer.status_code == 200, answer.text

@@ -7,7 +7,7 @@ sees before a call that it is there.
 import contextlib
 import itertools
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -38,6 +38,7 @@ from tests.service.qa_samples import BASELINE, report
 ADMIN, VIEWER, KEY, NOBODY = CALLERS = ("admin", "viewer", "key", "nobody")
 ROLES = {ADMIN: EVERY_ROLE, VIEWER: frozenset({Role.VIEWER})}
 V1 = "/api/v1"
+PLAN_ROOT = "1.2.826.0.1.3680043.8.498"
 ENDS_LOG_INS = frozenset(
     {"log_out", "change_password", "end_my_login", "end_user_login", "change_user", "revoke_key", "log_in"}
 )
@@ -64,6 +65,7 @@ class World:
         self.app = create_app(self.settings, lambda _settings: self.engine, lambda _settings: self.rig)
         self.client: Any = None
         self._numbers = itertools.count(1)
+        self._bodies = self._ways()
         self._there_and_back = itertools.cycle((0.5, -0.5))
         self._people: dict[str, dict[str, str]] = {}
         self.key: dict[str, str] = {}
@@ -140,36 +142,26 @@ class World:
     def body(self, operation: str, body: object) -> object:
         """Return a body that can be, as near to a made-up one as that may be."""
         given = dict(body) if isinstance(body, dict) else {}
-        match operation:
-            case "create_session":
-                kept = {name: given[name] for name in ("fraction_number", "plan_id", "fraction_id") if name in given}
-                return self._session_body() | kept
-            case "start_qa_run":
-                return self._qa_body()
-            case "fix_qa_baseline":
-                return {"reason": "camera mounted anew", "expected": {"camera_distance_mm": 850.0}}
-            case "upload_calibration":
-                return json.loads(make_calibration(f"camera {next(self._numbers)}").to_json())
-            case "add_user":
-                return {**given, "name": f"New {next(self._numbers)}"}
-            case "create_key":
-                until = datetime.now(UTC) + timedelta(days=3)
-                return {**self._key_body(), "expires_at": until.isoformat()}
-            case "log_in":
-                open_login(self.desk.store, "Somebody who logs in", {Role.VIEWER})
-                return {"name": "Somebody who logs in", "password": PASSWORD}
-            case "change_password":
-                return {"old_password": PASSWORD, "new_password": "another password for the tests"}
-            case "correct_baseline":
-                return {"by_mm": next(self._there_and_back), "drift_mm": 0.5}
-            case "import_plan":
-                return written(photon_plan(SOPInstanceUID=f"1.2.826.0.1.3680043.8.498.{next(self._numbers)}"))
-            case "prepare_session":
-                return self._planned_body()
-            case "change_user":
-                return {"is_break_glass": True}
-            case _:
-                return {name: value for name, value in given.items() if name != "operator"}
+        if operation in self._bodies:
+            return self._bodies[operation](given)
+        return {name: value for name, value in given.items() if name != "operator"}
+
+    def _ways(self) -> dict[str, Callable[[dict[str, Any]], object]]:
+        """Return how the body of each call is made that needs more than its schema says."""
+        return {
+            "create_session": lambda given: self._session_body() | _of(given, "fraction_number", "plan_id"),
+            "start_qa_run": lambda _: self._qa_body(),
+            "fix_qa_baseline": lambda _: {"reason": "mounted anew", "expected": {"camera_distance_mm": 850.0}},
+            "upload_calibration": lambda _: json.loads(make_calibration(f"camera {next(self._numbers)}").to_json()),
+            "add_user": lambda given: {"roles": ["viewer"], **given, "name": f"New {next(self._numbers)}"},
+            "create_key": lambda _: {**self._key_body(), "expires_at": _in_days(3)},
+            "log_in": lambda _: self._log_in_body(),
+            "change_password": lambda _: {"old_password": PASSWORD, "new_password": "another password for the tests"},
+            "correct_baseline": lambda _: {"by_mm": next(self._there_and_back), "drift_mm": 0.5},
+            "import_plan": lambda _: written(photon_plan(SOPInstanceUID=f"{PLAN_ROOT}.{next(self._numbers)}")),
+            "prepare_session": lambda _: self._planned_body(),
+            "change_user": lambda _: {"is_break_glass": True},
+        }
 
     # -- what is there ----------------------------------------------------------------------------------------------
 
@@ -267,12 +259,15 @@ class World:
             "plate": {"source": {"kind": "recording", "path": "plate.oni"}},
         }
 
+    def _log_in_body(self) -> dict[str, Any]:
+        open_login(self.desk.store, "Somebody who logs in", {Role.VIEWER})
+        return {"name": "Somebody who logs in", "password": PASSWORD}
+
     def _key_body(self) -> dict[str, Any]:
         return {"name": f"key {next(self._numbers)}", "scopes": ["sessions.read"]}
 
     def _make_key(self) -> dict[str, Any]:
-        until = (datetime.now(UTC) + timedelta(days=3)).isoformat()
-        answer = self.send("POST", f"{V1}/keys", {**self._key_body(), "expires_at": until})
+        answer = self.send("POST", f"{V1}/keys", {**self._key_body(), "expires_at": _in_days(3)})
         assert answer.status_code == 201, answer.text
         return dict(answer.json())
 
@@ -283,6 +278,14 @@ class World:
         answer = self.client.get(f"http://{asgi.HOST}{V1}/me/logins", headers=dict(headers))
         items = answer.json().get("items", [])
         return str(items[0]["id"]) if items else "0" * 32
+
+
+def _in_days(days: int) -> str:
+    return (datetime.now(UTC) + timedelta(days=days)).isoformat()
+
+
+def _of(given: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    return {name: given[name] for name in names if name in given}
 
 
 def _with_surface(view: LiveView) -> LiveView:
