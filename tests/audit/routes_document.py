@@ -8,6 +8,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from fastapi.routing import APIRoute, iter_route_contexts
+
 from service.app import create_app
 from service.settings import Settings
 from tests.made_parts import ROOT, write_parts
@@ -30,9 +32,17 @@ def operations() -> dict[tuple[str, str], dict[str, Any]]:
     return {(method.upper(), path): one for path, methods in paths.items() for method, one in methods.items()}
 
 
+@cache
+def route_names() -> dict[str, str]:
+    """The name of each route, by the operation's id, which is its function's name."""
+    app = create_app(Settings(data_dir=Path("not made")))
+    routes = [context.route for context in iter_route_contexts(app.routes)]
+    return {route.endpoint.__name__: route.name for route in routes if isinstance(route, APIRoute)}
+
+
 def action_of(operation: dict[str, Any]) -> str:
     """The name of a route that changes something is its action."""
-    return operation["operationId"].partition("_api_v1")[0].replace("_", ".", 1)
+    return route_names()[operation["operationId"]]
 
 
 def audited() -> dict[tuple[str, str], str]:

@@ -14,7 +14,9 @@ from tests.made_parts import ROOT, part_of
 from tests.service.conftest import audit_rows
 from tests.service.people import PeopleClient
 
-PLACES = dict.fromkeys(("session_id", "model_id", "run_id", "key_id", "login_id"), "0" * 32) | {"name": "nobody"}
+PLACES = dict.fromkeys(("session_id", "plan_id", "model_id", "run_id", "key_id", "login_id"), "0" * 32) | {
+    "name": "nobody"
+}
 BEFORE_ANYBODY_IS_KNOWN = ("POST", "/api/v1/login")
 
 

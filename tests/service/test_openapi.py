@@ -30,6 +30,8 @@ POSTS = {
     "/api/v1/sessions/{session_id}/models/retrain",
     "/api/v1/sessions/{session_id}/models/apply",
     "/api/v1/models/{model_id}/activate",
+    "/api/v1/plans",
+    "/api/v1/plans/{plan_id}/sessions",
     "/api/v1/qa/runs",
     "/api/v1/qa/runs/{run_id}/cancel",
     "/api/v1/login",
