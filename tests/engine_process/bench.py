@@ -32,7 +32,7 @@ from tests.service.processes import ROOT
 MS = 1_000_000
 PACED = "tests.engine_process.paced"
 SESSION_ID = "0" * 32
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 PATIENT = {
     "lease_ms": 200.0,
     "max_frame_age_ms": 200.0,
