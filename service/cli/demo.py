@@ -7,21 +7,17 @@ what the service stored with the truth.
 
 import contextlib
 import csv
-import io
-import json
 import os
 import secrets
 import socket
 import subprocess
 import sys
 import time
-import urllib.error
 import urllib.request
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from http.cookiejar import CookieJar
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Literal
 
 import numpy as np
 import typer
@@ -29,8 +25,6 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
-from websockets.exceptions import WebSocketException
-from websockets.sync.client import connect
 
 from engine.capture.openni import runtime_available
 from engine.errors import TidegateError
@@ -38,16 +32,17 @@ from engine.frames import FloatArray
 from engine.phantom.truth import load_truth
 from service.cli.demo_person import put_person
 from service.cli.terminal import refused
+from service.client import ClientError, ProblemError, Sample, TidegateClient, Window
+from service.tps.delivery import EndExhale
 
 OPERATOR = "Demo"
 PASSWORD_BYTES = 12
-WINDOW = {"signal": "whole", "lower_mm": -1.5, "upper_mm": 2.0, "hysteresis_mm": 0.2, "dwell_ms": 200.0}
-LATENCIES = {"p50": "p50", "p99": "p99", "longest": "max"}
+WINDOW: Window = {"signal": "whole", "lower_mm": -1.5, "upper_mm": 2.0, "hysteresis_mm": 0.2, "dwell_ms": 200.0}
 START_TIMEOUT_S = 30.0
 SILENCE_S = 15.0
 EXHALE_WATCH_S = 4.0
 REFERENCE_WITHIN_US = 500_000
-Message = dict[str, Any]
+OPEN = frozenset({"created", "running"})
 
 
 class DemoError(TidegateError):
@@ -68,16 +63,16 @@ def demo(
     try:
         recording = _volunteer(folder, volunteer, seconds, console)
         one_time_password = put_person(_data(folder), OPERATOR, by="tidegate demo")
-        with _service(folder, _free_port(port), console) as api:
+        with _service(folder, _free_port(port), console) as (address, api):
             password = _log_in(api, one_time_password)
             _summarise(api, _gate(api, recording, console), recording, console)
             if keep:
                 console.print(
-                    f"Still up: {api.address}/  Log in as {OPERATOR} with the password {password}  (Ctrl-C ends)",
+                    f"Still up: {address}/  Log in as {OPERATOR} with the password {password}  (Ctrl-C ends)",
                     markup=False,
                 )
                 _wait_for_ctrl_c()
-    except TidegateError as error:
+    except (TidegateError, ClientError) as error:
         raise refused("demo", error) from error
 
 
@@ -94,64 +89,16 @@ def _volunteer(folder: Path, volunteer: int, seconds: float, console: Console) -
     return out
 
 
-def _log_in(api: "_Api", one_time_password: str) -> str:
+def _log_in(api: TidegateClient, one_time_password: str) -> str:
     """Log in as everybody does the first time: with a password for once, and one of one's own chosen at once."""
     password = secrets.token_urlsafe(PASSWORD_BYTES)
-    api.post("/api/v1/login", {"name": OPERATOR, "password": one_time_password})
-    api.post("/api/v1/me/password", {"old_password": one_time_password, "new_password": password})
+    api.log_in(OPERATOR, one_time_password)
+    api.change_password(one_time_password, password)
     return password
 
 
 def _data(folder: Path) -> Path:
     return (folder / "data").resolve()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Api:
-    """A few calls of the service's API, by whoever has logged in with it."""
-
-    address: str
-    cookies: CookieJar = field(default_factory=CookieJar)
-
-    def get(self, path: str) -> Any:  # noqa: ANN401 - JSON
-        return json.loads(self._call("GET", path, None))
-
-    def text(self, path: str) -> str:
-        return self._call("GET", path, None).decode()
-
-    def post(self, path: str, body: bytes | Message) -> Any:  # noqa: ANN401 - JSON
-        return json.loads(
-            self._call("POST", path, body if isinstance(body, bytes) else json.dumps(body).encode()) or b"null"
-        )
-
-    def live(self) -> Iterator[Message]:
-        """Follow the live stream."""
-        url = self.address.replace("http://", "ws://") + "/api/v1/live"
-        try:
-            cookie = "; ".join(f"{one.name}={one.value}" for one in self.cookies)
-            with connect(url, compression=None, additional_headers={"Cookie": cookie}) as socket_:
-                while True:
-                    yield json.loads(socket_.recv(timeout=SILENCE_S))
-        except (WebSocketException, OSError) as error:
-            message = f"the live stream ended: {error}"
-            raise DemoError(message) from error
-
-    def _call(self, method: str, path: str, body: bytes | None) -> bytes:
-        headers = {"Content-Type": "application/json", "Origin": self.address}
-        request = urllib.request.Request(  # noqa: S310 - the address is our own loopback
-            f"{self.address}{path}", data=body, method=method, headers=headers
-        )
-        opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor(self.cookies))
-        try:
-            with opener.open(request, timeout=30.0) as answer:
-                content: bytes = answer.read()
-                return content
-        except urllib.error.HTTPError as error:
-            message = f"{method} {path} answered {error.code}: {error.read().decode(errors='replace')[:400]}"
-            raise DemoError(message) from error
-        except OSError as error:
-            message = f"{method} {path}: {error}"
-            raise DemoError(message) from error
 
 
 def _free_port(wanted: int) -> int:
@@ -164,21 +111,21 @@ def _free_port(wanted: int) -> int:
 
 
 @contextlib.contextmanager
-def _service(folder: Path, port: int, console: Console) -> Iterator[_Api]:
+def _service(folder: Path, port: int, console: Console) -> Iterator[tuple[str, TidegateClient]]:
     command = [sys.executable, "-m", "service.cli", "serve", "--port", str(port), "--data", str(_data(folder))]
     environment = {key: value for key, value in os.environ.items() if not key.startswith("TIDEGATE_")}
-    log_path = folder / "service.log"
+    log_path, address = folder / "service.log", f"http://127.0.0.1:{port}"
     with (
         log_path.open("wb") as log,
         subprocess.Popen(
             [*command, "--recordings", str(folder.resolve())], stdout=log, stderr=log, env=environment
         ) as process,
+        TidegateClient(address, retries=0, timeout_s=30.0) as api,
     ):
-        api = _Api(address=f"http://127.0.0.1:{port}")
         try:
-            _wait_until_ready(api, process, log_path)
-            console.print(f"2 Service up: watch it on [bold]{api.address}/[/bold]")
-            yield api
+            _wait_until_ready(address, process, log_path)
+            console.print(f"2 Service up: watch it on [bold]{address}/[/bold]")
+            yield address, api
         finally:
             process.terminate()
             try:
@@ -187,14 +134,13 @@ def _service(folder: Path, port: int, console: Console) -> Iterator[_Api]:
                 process.kill()
 
 
-def _wait_until_ready(api: _Api, process: "subprocess.Popen[bytes]", log_path: Path) -> None:
+def _wait_until_ready(address: str, process: "subprocess.Popen[bytes]", log_path: Path) -> None:
     deadline = time.monotonic() + START_TIMEOUT_S
     while time.monotonic() < deadline:
         if process.poll() is not None:
             message = f"the service ended at once: {log_path.read_text(errors='replace')[-400:].strip()}"
             raise DemoError(message)
-        with contextlib.suppress(DemoError):
-            api.get("/healthz")
+        with contextlib.suppress(OSError), urllib.request.urlopen(f"{address}/healthz", timeout=1.0):  # noqa: S310 - loopback
             return
         time.sleep(0.1)
     message = f"the service did not answer within {START_TIMEOUT_S:g} s"
@@ -209,76 +155,74 @@ class _Ran:
     asked_us: int | None
 
 
-def _gate(api: _Api, recording: Path, console: Console) -> _Ran:
+def _gate(api: TidegateClient, recording: Path, console: Console) -> _Ran:
     """Run one session from its creation to the recording's end."""
-    player = "openni" if runtime_available() else "reader"
+    player: Literal["openni", "reader"] = "openni" if runtime_available() else "reader"
     if player == "reader":
         console.print(
             "  The OpenNI2 runtime is not here (apt-get install libopenni2-0): playing through Tidegate's own reader.",
             style="yellow",
         )
-    calibration = api.post(f"/api/v1/calibrations?operator={OPERATOR}", (recording / "calibration.json").read_bytes())
-    session = api.post(
-        "/api/v1/sessions",
+    calibration = api.upload_calibration((recording / "calibration.json").read_bytes())
+    session = api.create_session(
         {
             "patient_reference": "PHANTOM-1",
             "plan_id": "DEMO",
             "fraction_id": "FX-1",
-            "operator": OPERATOR,
             "source": {"kind": "recording", "path": str((recording / "recording.oni").resolve()), "player": player},
             "calibration_id": calibration["id"],
             "window": WINDOW,
-        },
+        }
     )
-    path = f"/api/v1/sessions/{session['id']}"
-    api.post(f"{path}/start", {"operator": OPERATOR})
+    api.start(session["id"])
     console.print(f"3 Session {session['id'][:8]}: playing through {player}, learning the patient's breathing")
-    asked_us = _follow(api, path, console)
-    _close(api, path)
-    return _Ran(session_id=str(session["id"]), asked_us=asked_us)
+    asked_us = _follow(api, session["id"], console)
+    _close(api, session["id"])
+    return _Ran(session_id=session["id"], asked_us=asked_us)
 
 
-def _close(api: _Api, path: str) -> None:
+def _close(api: TidegateClient, session_id: str) -> None:
     """Stop the session, unless its recording's end has closed it already; wait until its samples are stored."""
-    with contextlib.suppress(DemoError):
-        api.post(f"{path}/stop", {"operator": OPERATOR})
+    with contextlib.suppress(ProblemError):
+        api.stop(session_id)
     deadline = time.monotonic() + START_TIMEOUT_S
-    while api.get(path)["status"] in {"created", "running"} and time.monotonic() < deadline:
+    while api.read_session(session_id)["status"] in OPEN and time.monotonic() < deadline:
         time.sleep(0.1)
 
 
-def _follow(api: _Api, path: str, console: Console) -> int | None:
+def _follow(api: TidegateClient, session_id: str, console: Console) -> int | None:
     """Show a live line; set the reference at end-exhale, arm, and watch until the recording is over."""
     began = time.monotonic()
-    exhale = _EndExhale()
+    exhale = EndExhale(watch_s=EXHALE_WATCH_S)
     asked_us = None
     with Live(console=console, refresh_per_second=8, transient=True) as live:
-        for message in api.live():
+        for message in api.live(form="full", silence_s=SILENCE_S):
             if message["type"] == "idle":
-                if api.get(path)["status"] in {"created", "running"}:
+                if api.read_session(session_id)["status"] in OPEN:
                     continue
                 return asked_us
-            if message["type"] != "sample":
+            if message["type"] != "sample" or message["form"] != "full":
                 continue
             live.update(_line(message))
             if message["session_status"] != "running":
                 return asked_us
-            if asked_us is None and exhale.is_reached(message):
-                api.post(f"{path}/reference", {"operator": OPERATOR})
-                _arm(api, path)
-                asked_us = int(message["timestamp_us"])
+            is_measured = message["state"] == "measuring"
+            if asked_us is None and is_measured and exhale.is_reached(message["timestamp_us"], message["whole_mm"]):
+                api.set_reference(session_id)
+                _arm(api, session_id)
+                asked_us = message["timestamp_us"]
                 console.print(
                     f"4 Reference set at end-exhale; armed after {time.monotonic() - began:.0f} s of the session."
                 )
     return asked_us
 
 
-def _arm(api: _Api, path: str) -> None:
+def _arm(api: TidegateClient, session_id: str) -> None:
     """Arm as soon as the next frame has become the reference."""
     for attempt in range(10):
         try:
-            api.post(f"{path}/arm", {"operator": OPERATOR})
-        except DemoError:
+            api.arm(session_id)
+        except ProblemError:
             if attempt == 9:
                 raise
             time.sleep(0.1)
@@ -286,29 +230,10 @@ def _arm(api: _Api, path: str) -> None:
             return
 
 
-class _EndExhale:
-    """Watches some breaths, then tells when the patient is back near the deepest exhale."""
-
-    def __init__(self) -> None:
-        self._since: float | None = None
-        self._lowest_mm = float("inf")
-        self._highest_mm = float("-inf")
-
-    def is_reached(self, message: Message) -> bool:
-        motion_mm = message["whole_mm"]
-        if message["state"] != "measuring" or motion_mm is None:
-            return False
-        now = time.monotonic()
-        self._since = now if self._since is None else self._since
-        self._lowest_mm, self._highest_mm = min(self._lowest_mm, motion_mm), max(self._highest_mm, motion_mm)
-        near_mm = self._lowest_mm + 0.05 * (self._highest_mm - self._lowest_mm)
-        return now - self._since > EXHALE_WATCH_S and motion_mm <= near_mm
-
-
 _STYLES = {"beam_on": "bold black on green", "fault": "bold white on red", "hold": "black on yellow"}
 
 
-def _line(message: Message) -> Text:
+def _line(message: Sample) -> Text:
     line = Text()
     line.append(f" {message['gate'].replace('_', ' ').upper():9}", _STYLES.get(message["gate"], "reverse"))
     if message["training"] is not None:
@@ -322,9 +247,11 @@ def _line(message: Message) -> Text:
     return line
 
 
-def _summarise(api: _Api, ran: _Ran, recording: Path, console: Console) -> None:
-    session = api.get(f"/api/v1/sessions/{ran.session_id}")
-    rows = list(csv.DictReader(io.StringIO(api.text(f"/api/v1/sessions/{ran.session_id}/samples"))))
+def _summarise(api: TidegateClient, ran: _Ran, recording: Path, console: Console) -> None:
+    session = api.read_session(ran.session_id)
+    samples = api.export_samples(ran.session_id, recording / "samples.csv").path
+    with samples.open(newline="") as file:
+        rows = list(csv.DictReader(file))
     summary = session["summary"]
     error_mm = np.empty(0) if ran.asked_us is None else _errors_mm(rows, ran.asked_us, recording)
     table = Table("what", "value", title="Summary", show_header=False, title_justify="left")
@@ -340,7 +267,8 @@ def _summarise(api: _Api, ran: _Ran, recording: Path, console: Console) -> None:
     table.add_row("duty cycle while armed", "never armed" if duty is None else f"{duty:.0%}")
     table.add_row("gate transitions", str(summary["transitions"]))
     latency = summary["latency"]
-    times = ", ".join(f"{name} {latency[f'{key}_ms']:.1f} ms" for name, key in LATENCIES.items())
+    told = {"p50": latency["p50_ms"], "p99": latency["p99_ms"], "longest": latency.get("max_ms")}
+    times = ", ".join(f"{name} {value or 0.0:.1f} ms" for name, value in told.items())
     table.add_row("latency, camera to beam line", times)
     console.print(table)
 
