@@ -101,7 +101,14 @@ def test_the_beam_is_held_although_the_event_loop_serves_nobody(held):
 
 
 def test_the_beam_is_held_although_every_worker_thread_waits_for_something(held):
-    app, let_go, waiting = FastAPI(), threading.Event(), []
+    let_go, waiting, closed = threading.Event(), [], threading.Event()
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_app):
+        yield
+        closed.set()
+
+    app = FastAPI(lifespan=lifespan)
     app.state.hold_and_close_session = held.set
 
     @app.get("/wait")
@@ -120,6 +127,7 @@ def test_the_beam_is_held_although_every_worker_thread_waits_for_something(held)
     server.should_exit = True
     try:
         assert held.wait(5.0)
+        assert closed.wait(10.0), "the house waits for calls that hang"
     finally:
         let_go.set()
         for one in asked:
