@@ -175,13 +175,14 @@ def test_a_bomb_is_refused_before_it_is_large():
         (SEQUENCE_HEAD + struct.pack("<I", 8) + element(0x00080060, b"CS", b""), "plan_not_dicom"),
         (SEQUENCE_HEAD + struct.pack("<I", 4) + b"\0" * 4, "plan_truncated"),
         (SEQUENCE_HEAD + struct.pack("<I", OPEN), "plan_truncated"),
+        (SEQUENCE_HEAD + struct.pack("<I", 8) + ITEM_HEAD + struct.pack("<I", OPEN), "plan_truncated"),
         (SEQUENCE_HEAD + struct.pack("<I", OPEN) + ITEM_HEAD + struct.pack("<I", OPEN), "plan_truncated"),
         (b"\x0a\x30\x10\x00SQ\0\0" + struct.pack("<I", OPEN), "plan_truncated"),
     ],
     ids=[
         "twice", "out of order", "no such representation", "another representation", "no end", "longer than the file",
         "picture", "stray delimiter", "item longer than its sequence", "element for an item", "half an item",
-        "open sequence", "open item", "open sequence that is not wanted",
+        "open sequence", "open item in a sequence that ends", "open item", "open sequence that is not wanted",
     ],
 )  # fmt: skip
 def test_what_is_not_written_as_dicom_is_refused(content, code):

@@ -179,6 +179,13 @@ def test_the_audit_says_what_came_and_who_sent_it(client, plan):
     assert first["detail"]["sha256"] == plan["sha256"]
 
 
+def test_an_export_without_patients_says_nothing_of_whose_plan_came(client, plan):
+    send(client, written(photon_plan(FractionGroupSequence=[group(fractions=1)])))  # refused: a row of its own
+    without = client.get("/api/v1/audit/export", params={"format": "fhir"}).text
+    assert without.count("plan.import") >= 2
+    assert not any(word in without for word in ("P-0001", "LUNG_DIBH", UID))
+
+
 def test_no_more_files_are_in_memory_than_there_are_places(client):
     """One of two is held in the middle of its body, both places are taken, and a third is told to come again."""
     shelf = client.app.state.services.plans
