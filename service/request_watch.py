@@ -48,11 +48,11 @@ class _Answer:
     def note(self, message: Message) -> None:
         """Look at what is sent, and put the id on its head."""
         match message["type"]:
-            case "http.response.start" | "websocket.accept":
+            case "http.response.start" | "websocket.accept" | "websocket.http.response.start":
                 self.status = message.get("status", SWITCHED)
                 message.setdefault("headers", [])
                 MutableHeaders(scope=message)[HEADER] = self.request_id
-            case "http.response.body":
+            case "http.response.body" | "websocket.http.response.body":
                 self.sent_bytes += len(message.get("body", b""))
             case "websocket.close" if self.status == 0:
                 self.status = REFUSED_SOCKET

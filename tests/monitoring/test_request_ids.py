@@ -5,6 +5,7 @@ import re
 from contextvars import copy_context
 
 import pytest
+from starlette.testclient import WebSocketDenialResponse
 
 from service.request_ids import begin_request, current_request_id, current_session_id, request_id_of
 
@@ -124,3 +125,15 @@ def test_nobody_is_called_by_name(client, caplog):
             client.speaks_as = "A. Therapist"
     assert [line["caller"] for line in access_lines(caplog)] == ["person", "nobody"]
     assert "Therapist" not in caplog.text
+
+
+def test_a_socket_that_is_refused_with_a_problem_counts_with_its_status(client, caplog):
+    with (
+        caplog.at_level(logging.INFO, "service.request_watch"),
+        pytest.raises(WebSocketDenialResponse) as refused,
+        client.websocket_connect("/api/v1/live?rate_hz=nonsense", headers={"X-Request-ID": "mine"}),
+    ):
+        pass
+    assert (refused.value.status_code, refused.value.headers["X-Request-ID"]) == (422, "mine")
+    (line,) = access_lines(caplog)
+    assert (line["method"], line["status"], line["bytes"] > 0) == ("WEBSOCKET", 422, True)
