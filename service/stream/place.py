@@ -70,6 +70,8 @@ class Place:
     def take(self, now_s: float) -> Spoken | None:
         """Return what is to be sent next; None where nothing is due."""
         if self._changes:
+            if self._is_due(now_s):
+                self._go_on(now_s)  # it is the one that was due
             return self._changes.popleft()
         if self._newest is not None and self._is_due(now_s):
             frame, self._newest = self._newest, None

@@ -97,7 +97,7 @@ class Frame:
         self.is_change = is_change
         self.is_repeat = is_repeat
         self._press = press
-        self._samples: dict[Form, tuple[float, Message]] = {}
+        self._full: tuple[float, Sample] | None = None
         self._made: dict[Shape, tuple[float, str | bytes]] = {}
 
     @property
@@ -120,11 +120,10 @@ class Frame:
         return made[1]
 
     def _sample(self, form: Form, now_s: float) -> Message:
-        kept = self._samples.get(form)
-        if kept is None or now_s > kept[0] + FRESH_S:
-            full = self._stamped()
-            kept = self._samples[form] = (now_s, full if form is Form.FULL else thin_of(full))
-        return kept[1]
+        """Return the sample with the times that all forms share."""
+        if self._full is None or now_s > self._full[0] + FRESH_S:
+            self._full = (now_s, self._stamped())
+        return self._full[1] if form is Form.FULL else thin_of(self._full[1])
 
     def _stamped(self) -> Sample:
         """Put in what only whoever sends can know."""
