@@ -36,7 +36,8 @@ test-system:
 ALONE := tests/capture tests/xtion tests/phantom/test_played_by_the_runtime.py tests/interlocks/test_live_run.py \
 	tests/loop/test_wired_line.py $(addprefix tests/service/test_,real_engine.py uncalibrated.py)
 WAITING := tests/faults tests/kills tests/engine_process tests/load tests/stream/test_slow_clients.py \
-	tests/monitoring/test_stop.py tests/tps/test_real_service.py $(addprefix tests/service/test_,process.py folder_lock.py) \
+	tests/monitoring/test_stop.py tests/client/test_samples_of_clients.py \
+	$(addprefix tests/tps/test_,real_service.py whole_fractions.py) $(addprefix tests/service/test_,process.py folder_lock.py) \
 	$(addprefix tests/beam/test_,killed_processes.py real_receivers.py service_line.py)
 test: $(STAMP) test-system lint types contracts  ## everything that must hold: lint, types, contracts, all tests
 	$(BIN)/pytest -n 2 --dist loadfile $(addprefix --ignore=,$(ALONE) $(WAITING))
