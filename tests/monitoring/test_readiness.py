@@ -2,6 +2,7 @@
 
 import shutil
 import threading
+import time
 from collections import namedtuple
 from datetime import UTC, datetime, timedelta
 
@@ -184,10 +185,12 @@ def test_who_asks_while_a_look_hangs_is_told_what_was_found_before_and_then_that
     hanging = threading.Thread(target=probe.readiness)
     hanging.start()
     eventually(probe._looking.locked)
+    asked_s = time.monotonic()
     assert probe.readiness() is first
     clock.go_on(ms=LONGEST_AGE_MS)
     found = probe.readiness()
     assert codes(found.reasons) == [ReadinessCode.NOT_KNOWN]
+    assert time.monotonic() - asked_s < 2.0, "who asks waits for the look that hangs"
     go_on.set()
     hanging.join()
     assert probe.readiness().is_ready
