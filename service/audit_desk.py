@@ -14,6 +14,7 @@ from service.audit_log import AuditLog
 from service.audit_schemas import AuditVerification
 from service.db.engine import Database
 from service.errors import AuditBusyError, NotFoundError
+from service.list_filters import ALL_ROWS, AuditFilter
 
 PAUSE_S = 0.01
 """Between two pieces of a walk: whoever else wants the interpreter, or the database, gets it."""
@@ -40,9 +41,11 @@ class AuditDesk:
         self._pause = threading.Event()
         self._looked: _Looked | None = None
 
-    def page(self, cursor: str | None, limit: int, session_id: str | None) -> schemas.AuditPage:
+    def page(
+        self, cursor: str | None, limit: int, session_id: str | None, wanted: AuditFilter = ALL_ROWS
+    ) -> schemas.AuditPage:
         """List rows, newest first."""
-        return self._log.page(cursor, limit, session_id)
+        return self._log.page(cursor, limit, session_id, wanted)
 
     def refused(self, *, actor: str, action: str, session_id: str | None, problem: schemas.Problem) -> None:
         """Write down a call that was refused before anyone acted on it."""

@@ -11,6 +11,7 @@ from service.audit import Event
 from service.db import repository
 from service.db.engine import Database
 from service.db.models import AuditRow
+from service.list_filters import ALL_ROWS, AuditFilter
 
 
 class AuditLog:
@@ -42,10 +43,12 @@ class AuditLog:
         detail = problem.model_dump(include={"code", "detail", "field", "value", "bound"})
         self.write(Event(actor=actor, action=action, outcome="refused", session_id=session_id, detail=detail))
 
-    def page(self, cursor: str | None, limit: int, session_id: str | None) -> schemas.AuditPage:
+    def page(
+        self, cursor: str | None, limit: int, session_id: str | None, wanted: AuditFilter = ALL_ROWS
+    ) -> schemas.AuditPage:
         """List rows, newest first."""
         with self._database.read() as db:
-            rows, next_cursor = repository.audit_page(db, cursor, limit, session_id)
+            rows, next_cursor = repository.audit_page(db, cursor, limit, session_id, wanted)
             return schemas.AuditPage(items=[_entry(row) for row in rows], next_cursor=next_cursor)
 
 

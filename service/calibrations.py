@@ -51,10 +51,10 @@ class CalibrationShelf:
                 keep_answer(db, ACTION, key, body, answer)
             return Kept(answer=answer, is_replay=is_known)
 
-    def page(self, cursor: str | None, limit: int) -> schemas.CalibrationPage:
+    def page(self, cursor: str | None, limit: int, camera: str | None = None) -> schemas.CalibrationPage:
         """List them, newest first."""
         with self._database.read() as db:
-            rows, next_cursor = repository.calibration_page(db, cursor, limit)
+            rows, next_cursor = repository.calibration_page(db, cursor, limit, camera)
             return schemas.CalibrationPage(items=[_calibration(row) for row in rows], next_cursor=next_cursor)
 
     def detail(self, calibration_id: str) -> schemas.CalibrationDetail:

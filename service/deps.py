@@ -1,11 +1,12 @@
 """What routers are given: the ports, found on the application, and the parameters they share."""
 
 import re
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
 from typing import Annotated, TypeVar, cast
 
 from fastapi import Depends, Header, Path, Query, Request, Response
+from pydantic import AwareDatetime
 from starlette.requests import HTTPConnection
 
 from service import ports
@@ -17,6 +18,8 @@ from service.access.identity import RULE, identity_in
 from service.conditional import LONGEST, Precondition, is_known, precondition
 from service.errors import MediaTypeError, NotLoggedInError
 from service.idempotency import CallersKey
+from service.paging import LONGEST as LONGEST_CURSOR
+from service.paging import Paging
 from service.qa.ports import QaBookPort, QaDeskPort
 from service.schema_base import Identifier, Name
 
@@ -149,8 +152,22 @@ SessionId = Annotated[Identifier, Path(description="The session's id")]
 CalibrationId = Annotated[Identifier, Path(description="The calibration's id")]
 PlanId = Annotated[Identifier, Path(description="The plan's id")]
 ModelId = Annotated[Identifier, Path(description="The model's id")]
-Cursor = Annotated[str | None, Query(max_length=80, description="`next_cursor` of the page before")]
+Cursor = Annotated[str | None, Query(max_length=LONGEST_CURSOR, description="`next_cursor` of the page before")]
 Limit = Annotated[int, Query(ge=1, le=500, description="Most items on the page")]
+Since = Annotated[AwareDatetime | None, Query(description="From this time on")]
+Until = Annotated[AwareDatetime | None, Query(description="Before this time")]
+
+
+def _paged(usual: int) -> Callable[..., Awaitable[Paging]]:
+    async def paged(request: Request, response: Response, cursor: Cursor = None, limit: Limit = usual) -> Paging:
+        return Paging(request, response, cursor, limit)
+
+    return paged
+
+
+Pages50 = Annotated[Paging, Depends(_paged(50))]
+Pages100 = Annotated[Paging, Depends(_paged(100))]
+Pages200 = Annotated[Paging, Depends(_paged(200))]
 OperatorName = Annotated[
     Name,
     Query(

@@ -28,6 +28,14 @@ from service.audit_schemas import AuditVerification
 from service.conditional import Precondition
 from service.gate_schemas import BaselineCorrectionRequest, InterlockList
 from service.idempotency import CallersKey
+from service.list_filters import (
+    ALL_ROWS,
+    ALL_SESSIONS,
+    ALL_TRANSITIONS,
+    AuditFilter,
+    SessionFilter,
+    TransitionFilter,
+)
 from service.live_messages import Sample
 from service.plan_schemas import Plan, PlanPage, PlanSessionRequest, PreparedSession
 from service.readiness_schemas import Readiness
@@ -172,13 +180,15 @@ class SessionsPort(Protocol):
     def create(self, request: schemas.SessionRequest, key: CallersKey | None) -> Kept[schemas.Session]:
         """Record a new session; one at a time."""
 
-    def page(self, cursor: str | None, limit: int) -> schemas.SessionPage:
+    def page(self, cursor: str | None, limit: int, wanted: SessionFilter = ALL_SESSIONS) -> schemas.SessionPage:
         """List sessions, newest first."""
 
     def detail(self, session_id: str) -> schemas.SessionDetail:
         """Read one, as it stands now."""
 
-    def transitions(self, session_id: str, cursor: str | None, limit: int) -> schemas.TransitionPage:
+    def transitions(
+        self, session_id: str, cursor: str | None, limit: int, wanted: TransitionFilter = ALL_TRANSITIONS
+    ) -> schemas.TransitionPage:
         """List its gate's transitions, oldest first."""
 
 
@@ -255,7 +265,7 @@ class CalibrationsPort(Protocol):
     def upload(self, body: bytes, operator: str, key: CallersKey | None) -> Kept[schemas.UploadedCalibration]:
         """Check and keep one; the same content again is the same calibration."""
 
-    def page(self, cursor: str | None, limit: int) -> schemas.CalibrationPage:
+    def page(self, cursor: str | None, limit: int, camera: str | None = None) -> schemas.CalibrationPage:
         """List them, newest first."""
 
     def detail(self, calibration_id: str) -> schemas.CalibrationDetail:
@@ -303,7 +313,9 @@ class ModelsPort(Protocol):
 class AuditPort(Protocol):
     """The audit log."""
 
-    def page(self, cursor: str | None, limit: int, session_id: str | None) -> schemas.AuditPage:
+    def page(
+        self, cursor: str | None, limit: int, session_id: str | None, wanted: AuditFilter = ALL_ROWS
+    ) -> schemas.AuditPage:
         """List its rows, newest first."""
 
     def verify(self, after: int, limit: int) -> AuditVerification:

@@ -23,6 +23,7 @@ from service.db.models import AuditRow, CalibrationRow, SessionRow
 from service.errors import SessionActiveError
 from service.figures import Figures
 from service.idempotency import CallersKey, InProgress, earlier_answer, keep_answer
+from service.list_filters import ALL_SESSIONS, ALL_TRANSITIONS, SessionFilter, TransitionFilter
 from service.live_view import gate_view, known, likeness_view, training_view
 from service.played_beam import check_source, described_source, warning_of_source
 from service.ports import EnginePort, Kept
@@ -107,10 +108,10 @@ class SessionBook:
             keep_answer(db, ACTION, key, body, answer)
         return Kept(answer=answer, is_replay=False)
 
-    def page(self, cursor: str | None, limit: int) -> schemas.SessionPage:
+    def page(self, cursor: str | None, limit: int, wanted: SessionFilter = ALL_SESSIONS) -> schemas.SessionPage:
         """List sessions, newest first."""
         with self._database.read() as db:
-            rows, next_cursor = repository.session_page(db, cursor, limit)
+            rows, next_cursor = repository.session_page(db, cursor, limit, wanted)
             return schemas.SessionPage(items=[session_answer(row) for row in rows], next_cursor=next_cursor)
 
     def detail(self, session_id: str) -> schemas.SessionDetail:
@@ -135,11 +136,13 @@ class SessionBook:
             summary=_summary(running, view, stored),
         )
 
-    def transitions(self, session_id: str, cursor: str | None, limit: int) -> schemas.TransitionPage:
+    def transitions(
+        self, session_id: str, cursor: str | None, limit: int, wanted: TransitionFilter = ALL_TRANSITIONS
+    ) -> schemas.TransitionPage:
         """List its gate's transitions, oldest first."""
         with self._database.read() as db:
             repository.session_row(db, session_id)
-            rows, next_cursor = repository.transition_page(db, session_id, cursor, limit)
+            rows, next_cursor = repository.transition_page(db, session_id, cursor, limit, wanted)
             return schemas.TransitionPage(items=[_transition(row) for row in rows], next_cursor=next_cursor)
 
     def _check(self, request: schemas.SessionRequest) -> None:

@@ -8,11 +8,14 @@ from pydantic import AwareDatetime
 
 from service import deps, schemas
 from service.api import problems
+from service.audit import Outcome
 from service.audit.export import MEDIA, ExportFormat, ExportRequest
 from service.audit_schemas import AuditVerification
 from service.errors import AuditBusyError, NotFoundError
-from service.schema_base import Identifier
+from service.list_filters import AuditFilter
+from service.schema_base import Identifier, Name
 
+ACTION = r"^[a-z_]+\.[a-z_]+$"
 router = APIRouter(prefix="/audit", tags=["audit"])
 NDJSON = {media: {"schema": {"type": "string"}} for media in MEDIA.values()}
 
@@ -20,12 +23,17 @@ NDJSON = {media: {"schema": {"type": "string"}} for media in MEDIA.values()}
 @router.get("")
 def list_audit(
     services: deps.Offered,
-    cursor: deps.Cursor = None,
-    limit: deps.Limit = 100,
+    pages: deps.Pages100,
     session_id: Annotated[Identifier | None, Query(description="Only what belongs to this session")] = None,
+    action: Annotated[str | None, Query(pattern=ACTION, max_length=40, description="Only this action")] = None,
+    actor: Annotated[Name | None, Query(description="Only what this person or key did, or asked for")] = None,
+    outcome: Annotated[Outcome | None, Query(description="Only what ended so")] = None,
+    since: deps.Since = None,
+    until: deps.Until = None,
 ) -> schemas.AuditPage:
     """List audit rows, newest first."""
-    return services.audit.page(cursor, limit, session_id)
+    wanted = AuditFilter(action=action, actor=actor, outcome=outcome, since=since, until=until)
+    return pages.told(services.audit.page(pages.cursor, pages.limit, session_id, wanted))
 
 
 @router.get("/verify", responses=problems(NotFoundError, AuditBusyError))

@@ -1,8 +1,8 @@
 """Camera calibrations: upload, list, read."""
 
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Query, Response
 
 from engine.calibration_formats.convert import IMPORT_SCHEMA
 from engine.errors import CalibrationError
@@ -10,6 +10,7 @@ from service import deps, schemas
 from service.api import problems
 from service.conditional import etag_of
 from service.errors import BoundError, NotFoundError, OperatorMismatchError
+from service.schema_base import Name
 
 router = APIRouter(prefix="/calibrations", tags=["calibrations"])
 UPLOAD: dict[int | str, dict[str, Any]] = {
@@ -81,10 +82,12 @@ def upload_calibration(
 
 @router.get("")
 def list_calibrations(
-    services: deps.Offered, cursor: deps.Cursor = None, limit: deps.Limit = 50
+    services: deps.Offered,
+    pages: deps.Pages50,
+    camera: Annotated[Name | None, Query(description="Only those of this camera")] = None,
 ) -> schemas.CalibrationPage:
     """List calibrations, newest first."""
-    return services.calibrations.page(cursor, limit)
+    return pages.told(services.calibrations.page(pages.cursor, pages.limit, camera))
 
 
 @router.get("/{calibration_id}", responses=problems(NotFoundError))

@@ -23,11 +23,9 @@ ACT = problems(
 
 
 @router.get("/sessions/{session_id}/models", responses=READ)
-def list_session_models(
-    session_id: deps.SessionId, services: deps.Offered, cursor: deps.Cursor = None, limit: deps.Limit = 50
-) -> schemas.ModelPage:
+def list_session_models(session_id: deps.SessionId, services: deps.Offered, pages: deps.Pages50) -> schemas.ModelPage:
     """List a session's models, newest first."""
-    return services.models.page(session_id, cursor, limit)
+    return pages.told(services.models.page(session_id, pages.cursor, pages.limit))
 
 
 @router.post("/sessions/{session_id}/models/retrain", status_code=202, name="model.retrain", responses=ACT)

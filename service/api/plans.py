@@ -86,13 +86,13 @@ def import_plan(
 @router.get("", responses=problems(BoundError))
 def list_plans(
     services: deps.Offered,
-    cursor: deps.Cursor = None,
-    limit: deps.Limit = 50,
+    pages: deps.Pages50,
     patient_reference: PatientFilter = None,
     label: LabelFilter = None,
 ) -> PlanPage:
     """List plans, newest first."""
-    return services.plans.page(cursor, limit, patient_reference=patient_reference, label=label)
+    page = services.plans.page(pages.cursor, pages.limit, patient_reference=patient_reference, label=label)
+    return pages.told(page)
 
 
 @router.get("/{plan_id}", responses=problems(NotFoundError))

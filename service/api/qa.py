@@ -17,6 +17,7 @@ from service.errors import (
     ServiceStoppingError,
     SessionActiveError,
 )
+from service.list_filters import QaRunFilter
 from service.qa import schemas as qa
 from service.qa.views import baseline_etag
 from service.schema_base import Identifier
@@ -68,9 +69,14 @@ def start_qa_run(
 
 
 @router.get("/runs")
-def list_qa_runs(services: deps.Offered, cursor: deps.Cursor = None, limit: deps.Limit = 50) -> qa.QaRunPage:
+def list_qa_runs(
+    services: deps.Offered,
+    pages: deps.Pages50,
+    kind: Annotated[qa.Kind | None, Query(description="Only those of this kind")] = None,
+    verdict: Annotated[qa.Verdict | None, Query(description="Only those that were judged so")] = None,
+) -> qa.QaRunPage:
     """List runs, newest first."""
-    return services.qa_book.page(cursor, limit)
+    return pages.told(services.qa_book.page(pages.cursor, pages.limit, QaRunFilter(kind=kind, verdict=verdict)))
 
 
 @router.get("/runs/{run_id}", responses=READ)

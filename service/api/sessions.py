@@ -15,6 +15,7 @@ from engine.errors import (
     RuntimeMissingError,
     SourceLostError,
 )
+from engine.permits import GateState, HoldReason
 from engine.transition_journal import JournalError
 from service import deps, schemas
 from service.api import problems
@@ -37,7 +38,9 @@ from service.errors import (
     StorageUnwritableError,
 )
 from service.gate_schemas import BaselineCorrectionRequest
+from service.list_filters import SessionFilter, TransitionFilter
 from service.ports import SampleFormat
+from service.schema_base import Name
 
 router = APIRouter(prefix="/sessions", tags=["sessions"])
 READ = problems(NotFoundError)
@@ -113,9 +116,20 @@ def create_session(
 
 
 @router.get("")
-def list_sessions(services: deps.Offered, cursor: deps.Cursor = None, limit: deps.Limit = 50) -> schemas.SessionPage:
-    """List sessions, newest first."""
-    return services.sessions.page(cursor, limit)
+def list_sessions(
+    services: deps.Offered,
+    pages: deps.Pages50,
+    status: Annotated[schemas.SessionStatus | None, Query(description="Only those in this state")] = None,
+    patient_reference: Annotated[Name | None, Query(description="Only those of this patient")] = None,
+    plan_id: Annotated[Name | None, Query(description="Only those of this plan, by the id they were made with")] = None,
+    since: deps.Since = None,
+    until: deps.Until = None,
+) -> schemas.SessionPage:
+    """List sessions, newest first; since and until are of their creation."""
+    wanted = SessionFilter(
+        status=status, patient_reference=patient_reference, plan_id=plan_id, since=since, until=until
+    )
+    return pages.told(services.sessions.page(pages.cursor, pages.limit, wanted))
 
 
 @router.get("/{session_id}", responses=READ)
@@ -297,7 +311,14 @@ def read_mesh(session_id: deps.SessionId, services: deps.Offered) -> schemas.Sur
 
 @router.get("/{session_id}/transitions", responses=READ)
 def list_transitions(
-    session_id: deps.SessionId, services: deps.Offered, cursor: deps.Cursor = None, limit: deps.Limit = 200
+    session_id: deps.SessionId,
+    services: deps.Offered,
+    pages: deps.Pages200,
+    to_state: Annotated[GateState | None, Query(description="Only those into this state")] = None,
+    reason: Annotated[HoldReason | None, Query(description="Only those for this reason, see /interlocks")] = None,
 ) -> schemas.TransitionPage:
     """List the gate's transitions, oldest first."""
-    return services.sessions.transitions(session_id, cursor, limit)
+    wanted = TransitionFilter(
+        to_state=None if to_state is None else to_state.value, reason=None if reason is None else reason.value
+    )
+    return pages.told(services.sessions.transitions(session_id, pages.cursor, pages.limit, wanted))

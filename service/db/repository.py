@@ -10,6 +10,14 @@ from sqlalchemy.orm import Session
 from service.db.base import UtcTime, utc_text
 from service.db.models import AuditRow, CalibrationRow, ModelRow, PlanRow, QaRunRow, SessionRow
 from service.errors import BoundError, NotFoundError
+from service.list_filters import (
+    ALL_ROWS,
+    ALL_SESSIONS,
+    ALL_TRANSITIONS,
+    AuditFilter,
+    SessionFilter,
+    TransitionFilter,
+)
 
 OPEN_STATUSES = ("created", "running")
 TRANSITION = "gate.transition"
@@ -54,14 +62,23 @@ def running_sessions(db: Session) -> Sequence[SessionRow]:
     return db.scalars(select(SessionRow).where(SessionRow.status == "running")).all()
 
 
-def session_page(db: Session, cursor: str | None, limit: int) -> tuple[Sequence[SessionRow], str | None]:
+def session_page(
+    db: Session, cursor: str | None, limit: int, wanted: SessionFilter = ALL_SESSIONS
+) -> tuple[Sequence[SessionRow], str | None]:
     """List sessions, newest first."""
-    return newest_first(db, SessionRow, cursor, limit)
+    named = {name: getattr(wanted, name) for name in ("status", "patient_reference", "plan_id")}
+    conditions = [getattr(SessionRow, name) == value for name, value in named.items() if value is not None]
+    conditions += [] if wanted.since is None else [SessionRow.created_at >= wanted.since]
+    conditions += [] if wanted.until is None else [SessionRow.created_at < wanted.until]
+    return newest_first(db, SessionRow, cursor, limit, conditions)
 
 
-def calibration_page(db: Session, cursor: str | None, limit: int) -> tuple[Sequence[CalibrationRow], str | None]:
+def calibration_page(
+    db: Session, cursor: str | None, limit: int, camera: str | None = None
+) -> tuple[Sequence[CalibrationRow], str | None]:
     """List calibrations, newest first."""
-    return newest_first(db, CalibrationRow, cursor, limit)
+    conditions = [] if camera is None else [CalibrationRow.camera == camera]
+    return newest_first(db, CalibrationRow, cursor, limit, conditions)
 
 
 def model_page(db: Session, session_id: str, cursor: str | None, limit: int) -> tuple[Sequence[ModelRow], str | None]:
@@ -73,10 +90,14 @@ def model_page(db: Session, session_id: str, cursor: str | None, limit: int) -> 
 
 
 def audit_page(
-    db: Session, cursor: str | None, limit: int, session_id: str | None
+    db: Session, cursor: str | None, limit: int, session_id: str | None, wanted: AuditFilter = ALL_ROWS
 ) -> tuple[Sequence[AuditRow], str | None]:
     """List audit rows, newest first."""
-    query = select(AuditRow).order_by(AuditRow.sequence.desc())
+    named = {name: getattr(wanted, name) for name in ("action", "actor", "outcome")}
+    conditions = [getattr(AuditRow, name) == value for name, value in named.items() if value is not None]
+    conditions += [] if wanted.since is None else [AuditRow.at >= utc_text(wanted.since)]
+    conditions += [] if wanted.until is None else [AuditRow.at < utc_text(wanted.until)]
+    query = select(AuditRow).where(*conditions).order_by(AuditRow.sequence.desc())
     if session_id is not None:
         query = query.where(AuditRow.session_id == session_id)
     if cursor is not None:
@@ -85,10 +106,13 @@ def audit_page(
 
 
 def transition_page(
-    db: Session, session_id: str, cursor: str | None, limit: int
+    db: Session, session_id: str, cursor: str | None, limit: int, wanted: TransitionFilter = ALL_TRANSITIONS
 ) -> tuple[Sequence[AuditRow], str | None]:
     """List a session's gate transitions, oldest first."""
     query = select(AuditRow).where(AuditRow.session_id == session_id, AuditRow.action == TRANSITION)
+    named = {name: getattr(wanted, name) for name in ("to_state", "reason")}
+    told = [f'"{name}":"{value}"' for name, value in named.items() if value is not None]
+    query = query.where(*(AuditRow.detail.contains(text, autoescape=True) for text in told))
     query = query.order_by(AuditRow.sequence)
     if cursor is not None:
         query = query.where(AuditRow.sequence > _number(cursor))

@@ -10,6 +10,7 @@ from service.audit_log import AuditLog
 from service.conditional import ANYTHING, Precondition
 from service.db.engine import Database
 from service.errors import BoundError, QaActiveError, QaStateError
+from service.list_filters import ALL_RUNS, QaRunFilter
 from service.qa import records, schemas, views
 from service.qa.requirement import refusal
 from service.qa.under_way import UnderWay
@@ -28,10 +29,10 @@ class QaBook:
         self._settings = settings
         self._under_way = under_way
 
-    def page(self, cursor: str | None, limit: int) -> schemas.QaRunPage:
+    def page(self, cursor: str | None, limit: int, wanted: QaRunFilter = ALL_RUNS) -> schemas.QaRunPage:
         """List runs, newest first."""
         with self._database.read() as db:
-            rows, next_cursor = records.run_page(db, cursor, limit)
+            rows, next_cursor = records.run_page(db, cursor, limit, wanted)
             return schemas.QaRunPage(
                 items=[self._under_way.run_answer(db, row) for row in rows], next_cursor=next_cursor
             )

@@ -7,6 +7,7 @@ from typing import Protocol
 from engine.calibration import Calibration
 from service.conditional import ANYTHING, Precondition
 from service.idempotency import CallersKey
+from service.list_filters import ALL_RUNS, QaRunFilter
 from service.ports import Kept
 from service.qa import schemas
 from service.qa.jobs import QaJob
@@ -41,7 +42,7 @@ class QaDeskPort(Protocol):
 class QaBookPort(Protocol):
     """What is kept of QA."""
 
-    def page(self, cursor: str | None, limit: int) -> schemas.QaRunPage:
+    def page(self, cursor: str | None, limit: int, wanted: QaRunFilter = ALL_RUNS) -> schemas.QaRunPage:
         """List runs, newest first."""
 
     def detail(self, run_id: str) -> schemas.QaRunDetail:

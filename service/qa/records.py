@@ -24,6 +24,7 @@ from service.db import repository
 from service.db.base import UtcTime
 from service.db.models import QaBaselineRow, QaOutcomeRow, QaResultRow, QaRunRow
 from service.errors import NotFoundError
+from service.list_filters import ALL_RUNS, QaRunFilter
 
 START, END, BASELINE = "qa.start", "qa.end", "qa.baseline"
 
@@ -149,9 +150,15 @@ def result_rows(db: Session, run_id: str) -> Sequence[QaResultRow]:
     return db.scalars(query.order_by(QaResultRow.position)).all()
 
 
-def run_page(db: Session, cursor: str | None, limit: int) -> tuple[Sequence[QaRunRow], str | None]:
+def run_page(
+    db: Session, cursor: str | None, limit: int, wanted: QaRunFilter = ALL_RUNS
+) -> tuple[Sequence[QaRunRow], str | None]:
     """List runs, newest first."""
-    return repository.newest_first(db, QaRunRow, cursor, limit)
+    conditions = [] if wanted.kind is None else [QaRunRow.kind == wanted.kind]
+    if wanted.verdict is not None:
+        judged = select(QaOutcomeRow.run_id).where(QaOutcomeRow.verdict == wanted.verdict)
+        conditions.append(QaRunRow.id.in_(judged))
+    return repository.newest_first(db, QaRunRow, cursor, limit, conditions)
 
 
 def unended_runs(db: Session) -> Sequence[QaRunRow]:

@@ -14,8 +14,8 @@ HEAD = """# Problems
 Everything that is refused is answered as a problem (RFC 9457, `application/problem+json`): `type` is
 `urn:tidegate:problem:<code>`, and `code` is what a program looks at. Codes are stable: none changes its meaning, and
 none goes without the notice that docs/api.md promises; `title` and `detail` are for people and may change. Where one
-value broke a bound, `field`, `value` and `bound` name it, and `errors` all of them, up to 20. A problem never tells what is
-inside: no path of the server, no stack, no query, no secret; what was sent as a password is never shown again.
+value broke a bound, `field`, `value` and `bound` name it, and `errors` all of them, up to 20. A problem never tells
+what is inside: no path of the server, no stack, no query, no secret; what was sent as a password is never shown again.
 
 `408`, `414`, `431` and `501` may come of any request: they are answered before anything looks at what is asked for.
 
