@@ -6,8 +6,10 @@ from typing import Annotated
 import typer
 
 
-def openapi(out: Annotated[Path, typer.Option(help="Folder for openapi.json and live.schema.json.")]) -> None:
-    """Write the OpenAPI document and the JSON Schema of the live stream."""
+def openapi(
+    out: Annotated[Path, typer.Option(help="Folder for openapi.json, live.schema.json and asyncapi.json.")],
+) -> None:
+    """Write the OpenAPI document, and the live stream's JSON Schema and AsyncAPI document."""
     from service.app import create_app
     from service.openapi import write_contracts
     from service.settings import Settings

@@ -1,4 +1,4 @@
-"""The two contracts that are kept in the repository: the OpenAPI document and the JSON Schema of the live stream."""
+"""The contracts that are kept in the repository: the OpenAPI document, and the stream as JSON Schema and AsyncAPI."""
 
 import json
 from pathlib import Path
@@ -6,16 +6,22 @@ from pathlib import Path
 from fastapi import FastAPI
 
 from service.live_messages import LIVE_MESSAGE, SCHEMA
+from service.openapi.asyncapi import asyncapi_document
 
 OPENAPI_NAME = "openapi.json"
 LIVE_NAME = "live.schema.json"
+ASYNCAPI_NAME = "asyncapi.json"
 
 
 def contract_files(app: FastAPI) -> dict[str, str]:
     """Return name and text of each contract file."""
     live = LIVE_MESSAGE.json_schema(mode="serialization")
     live = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": SCHEMA, **live}
-    return {OPENAPI_NAME: _text(app.openapi()), LIVE_NAME: _text(live)}
+    return {
+        OPENAPI_NAME: _text(app.openapi()),
+        LIVE_NAME: _text(live),
+        ASYNCAPI_NAME: _text(asyncapi_document()),
+    }
 
 
 def write_contracts(app: FastAPI, folder: Path) -> list[Path]:

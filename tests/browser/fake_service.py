@@ -158,6 +158,7 @@ def sample(**changes: Any) -> dict[str, Any]:
     """Return a sample of a running, armed session in hold; `changes` say what is different."""
     return {
         "type": "sample",
+        "form": "full",
         "sequence": 0,
         "sent_at": "",
         "age_ms": 4.1,

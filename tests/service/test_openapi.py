@@ -49,7 +49,7 @@ PATCHES = {"/api/v1/users/{name}"}
 PUTS = {"/api/v1/qa/baseline"}
 
 
-@pytest.mark.parametrize("name", ["openapi.json", "live.schema.json"])
+@pytest.mark.parametrize("name", ["openapi.json", "live.schema.json", "asyncapi.json"])
 def test_the_committed_contract_is_the_application_s(name):
     committed = (ROOT / "openapi" / name).read_text(encoding="utf-8")
     assert contract_files(APP)[name] == committed, "run `tidegate openapi --out openapi/` and look at what changed"
