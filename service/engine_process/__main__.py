@@ -16,7 +16,8 @@ def main() -> None:
     # before its session is closed.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    # Hearing that the service is gone takes a process that runs: one that was stopped goes on when its parent ends.
+    # Hearing that the service is gone takes a process that runs: one that was stopped goes on when its parent ends. The
+    # kernel wakes what is left of a group without a parent, too; that depends on how the groups lie.
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGCONT)
     from service.engine_process.crossing import CrossingClosedError
     from service.engine_process.serving import ends_of, serve_one_session

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from engine.clock import MonotonicClock
-from engine.commands import Acknowledge, Arm
+from engine.commands import Acknowledge, Arm, Disarm
 from engine.errors import BeamLineError, CommandRefusedError
 from engine.live import FrameRecord, GateTransition
 from engine.permits import GateState
@@ -33,6 +33,7 @@ MS = 1_000_000
 PACED = "tests.engine_process.paced"
 SESSION_ID = "0" * 32
 PATIENCE_S = 60.0
+SILENCE_MS = 400.0
 PATIENT = {
     "lease_ms": 200.0,
     "max_frame_age_ms": 200.0,
@@ -40,7 +41,7 @@ PATIENT = {
     "max_lag_ms": 500.0,
     "max_silence_ms": 2_000.0,
     "watchdog_ms": 400.0,
-    "max_service_silence_ms": 400.0,
+    "max_service_silence_ms": SILENCE_MS,
 }
 """For a busy test machine, as those of tests.loop.paced."""
 
@@ -127,6 +128,7 @@ class Bench:
         running = self.port.open(make_plan(self.journal))
         assert isinstance(running, RemoteEngine)
         self.engine = running
+        self._whisper = running._child.whisper.send
         self._writer = threading.Thread(target=self._write, daemon=True)
         self._writer.start()
 
@@ -150,6 +152,26 @@ class Bench:
                     self.engine.submit(Acknowledge(operator="ann")).result(5.0)
                 self.engine.submit(Arm(operator="ann")).result(5.0)
         return self.line.is_on
+
+    def calm(self) -> None:
+        """Bring it back to where nobody is armed, whatever a test has left."""
+        self.send(signal.SIGCONT)
+        self.engine._child.whisper.send = self._whisper
+        self.writes.set()
+        self.engine.submit(Disarm(operator="ann")).result(PATIENCE_S)
+        eventually(self._is_calm)
+        self.transitions.clear()
+
+    def silence(self) -> None:
+        """Let nothing of the service come through any more, not even that it lives."""
+        self.engine._child.whisper.send = lambda _message: True
+
+    def _is_calm(self) -> bool:
+        view = self.engine.latest
+        if view.record.gate_state is GateState.FAULT:
+            with contextlib.suppress(CommandRefusedError):
+                self.engine.submit(Acknowledge(operator="ann")).result(PATIENCE_S)
+        return view.record.gate_state is GateState.DISARMED and not self.line.is_on
 
     def _write(self) -> None:
         while not self._is_over.is_set():

@@ -1,15 +1,22 @@
 """What the two sides are made of, each for itself: queues that wait for a reader far away, and a service's silence."""
 
+import os
 import queue
+import socket
 
 import pytest
 
 from engine.clock import ManualClock
+from engine.commands import SetReference
+from engine.live import LoopStatus
 from engine.mailbox import Mailbox
 from engine.permits import HoldReason
 from engine.stages.gate import Interruption
-from service.engine_process.remote import Taken
-from service.engine_process.serving import Departing
+from service.engine_process.crossing import CrossingClosedError, Speech, Whisper
+from service.engine_process.messages import Answer, Beat, Fault, News, Opened, Presence, Standing
+from service.engine_process.page import Page
+from service.engine_process.remote import RemoteEngine, Taken
+from service.engine_process.serving import Departing, EngineServer, Teller
 
 MS = 1_000_000
 
@@ -103,3 +110,168 @@ def test_a_fault_that_was_left_is_told_first(mailbox):
     box.report(Interruption(HoldReason.DISK_LOW, "20 MB"))
     assert box.take_report(is_armed=True).reason is HoldReason.DISK_LOW
     assert box.take_report(is_armed=True).reason is HoldReason.SERVICE_SILENT
+
+
+class Recording:
+    """Stands for an engine, a journal, whatever is called: notes what is asked of it, in order."""
+
+    def __init__(self, calls=None, name="") -> None:
+        self.calls = [] if calls is None else calls
+        self._name = name
+        self.samples, self.transitions, self.notices = queue.Queue(), queue.Queue(), queue.Queue()
+        self.status, self.error = LoopStatus.RUNNING, None
+        self.latest = self.model = self.likeness = None
+        self.has_reference = False
+
+    def on_turn(self, _tell) -> None:
+        """Nothing is told in between."""
+
+    def evidence(self):
+        self.calls.append("evidence")
+        return {}
+
+    def __getattr__(self, called):
+        if called.startswith("__"):
+            raise AttributeError(called)
+        if called in {"page", "whisper"}:
+            return self
+        return lambda *said, **_more: self.calls.append((f"{self._name}{called}", *said)) or True
+
+
+@pytest.fixture
+def served():
+    """A server on a recording engine, and the service's two ends."""
+    speech, its_speech = socket.socketpair()
+    whisper, its_whisper = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    file = Page.make()
+    engine = Recording()
+    server = EngineServer(
+        engine,
+        Recording(engine.calls, "journal "),
+        speech=Speech(its_speech),
+        whisper=Whisper(its_whisper),
+        page=Page(file),
+    )
+    os.close(file)
+    ends = Speech(speech), Whisper(whisper)
+    yield engine, server, *ends
+    for end in (*ends, server._speech, server._whisper):
+        end.close()
+
+
+def test_an_answer_that_comes_while_the_rest_is_read_waits_for_the_next_news(served):
+    _, server, _, _ = served
+    teller = server._teller
+
+    class Racing(Recording):
+        @property
+        def latest(self):
+            teller.answer(1, None)
+
+        @latest.setter
+        def latest(self, _view):
+            """There is none."""
+
+    teller._engine = Racing()
+    assert teller._all_news(LoopStatus.RUNNING).answers == (), "what it is about may be newer than what was read"
+    assert [one.number for one in teller._all_news(LoopStatus.RUNNING).answers] == [1]
+
+
+def test_the_end_is_told_once_even_what_had_found_its_queue_full_was_told(served):
+    _, server, _, _ = served
+    kept = ["three", "two"]
+
+    class Over(Recording):
+        @property
+        def transitions(self):
+            if self.full.empty() and kept:
+                self.full.put_nowait(kept.pop())
+            return self.full
+
+        @transitions.setter
+        def transitions(self, _queue):
+            self.full = queue.Queue(1)
+            self.full.put_nowait("one")
+
+    engine, sent = Over(), []
+    engine.status = LoopStatus.ENDED
+    teller = Teller(engine, Recording(), server._page)
+    teller._speech.send = sent.append
+    teller.tell()
+    assert [news.transitions for news in sent] == [("one",), ("two",), ("three",), ()]
+    assert [news.standing.status.is_over for news in sent] == [False, False, False, True]
+
+
+def test_who_has_an_answer_finds_all_that_came_with_it():
+    engine = RemoteEngine(Recording(), None, on_gone=lambda **_: None)
+    asked = engine.submit(SetReference(operator="ann"))
+    found = []
+    asked.add_done_callback(lambda _: found.append((engine.status, engine.has_reference, engine.transitions.qsize())))
+    standing = Standing(status=LoopStatus.RUNNING, has_reference=True)
+    engine._take(News(standing=standing, transitions=("one",), answers=(Answer(number=1, error=None),)))
+    assert found == [(LoopStatus.RUNNING, True, 1)]
+    assert asked.result(0.0) is None
+
+
+def test_who_sees_the_end_finds_everything_there():
+    engine = RemoteEngine(Recording(), None, on_gone=lambda **_: None)
+    seen = []
+
+    class Watched(Taken):
+        def put(self, item):
+            seen.append(engine.status.is_over)
+            super().put(item)
+
+    engine.samples, engine.transitions, engine.notices = Watched(), Watched(), Watched()
+    over = Standing(status=LoopStatus.ENDED)
+    engine._take(News(standing=over, samples=("a",), transitions=("b",), notices=("c",)))
+    assert (seen, engine.status) == ([False] * 3, LoopStatus.ENDED)
+
+
+def test_what_the_service_whispers_reaches_the_engine_as_it_was_said(served):
+    engine, server, _, whisper = served
+    whisper.send(Beat(alive_ns=7, samples=0, transitions=0, notices=0, confirmed=3))
+    whisper.send(Presence(operator="ann"))
+    whisper.send(Fault(reason=HoldReason.DISK_LOW, detail="20 MB"))
+    whisper.close()
+    server.serve(5)
+    assert engine.calls[:5] == [
+        ("note_service", 5),
+        ("note_service", 7),
+        ("journal confirm", 3),
+        ("note_presence", "ann"),
+        ("report_fault", HoldReason.DISK_LOW, "20 MB"),
+    ]
+
+
+def test_a_service_that_is_gone_has_the_line_held_before_anything_that_may_take_time(served):
+    engine, server, speech, whisper = served
+    whisper.close()
+    server.serve(5)
+    assert engine.calls == [
+        ("note_service", 5),
+        ("report_fault", HoldReason.SERVICE_SILENT, "the service's process has ended"),
+        ("hold_line", HoldReason.SERVICE_SILENT),
+        ("stop",),
+        ("journal close",),
+        "evidence",
+    ]
+    assert isinstance(speech.receive(), Opened)
+
+
+def test_a_service_that_is_gone_before_it_heard_of_the_beginning_leaves_no_engine_behind(served):
+    engine, server, speech, whisper = served
+    speech.close()
+    whisper.close()
+    with pytest.raises(CrossingClosedError):
+        server.serve(5)
+    assert ("hold_line", HoldReason.SERVICE_SILENT) in engine.calls
+    assert ("stop",) in engine.calls
+
+
+def test_a_teller_that_breaks_ends_the_process_with_the_line_held(served, monkeypatch):
+    engine, server, _, _ = served
+    monkeypatch.setattr(server._teller, "tell", lambda: 1 / 0)
+    with pytest.raises(SystemExit):
+        server.serve(5)
+    assert ("hold_line", HoldReason.ENGINE_FAILED) in engine.calls

@@ -6,15 +6,15 @@ import time
 
 import pytest
 
-from tests.engine_process.bench import MS, PATIENT, WINDOW, Line, eventually, is_there, line_at
+from tests.beam.receivers import Lateness
+from tests.engine_process.bench import MS, PATIENT, SILENCE_MS, WINDOW, Line, eventually, is_there, line_at
 from tests.engine_process.paced import LINE
 from tests.engine_process.processes import engine_pid, engine_pids
 from tests.service.conftest import act, audit_rows, make_calibration, make_session_body, upload
 from tests.service.processes import free_port, service_process
 
-BUSY_NS = 150 * MS
 LEASE_NS = int(PATIENT["lease_ms"] * MS)
-SILENCE_NS = int(PATIENT["max_service_silence_ms"] * MS)
+SILENCE_NS = int(SILENCE_MS * MS)
 PACED = "paced"
 
 
@@ -47,6 +47,12 @@ class Running:
         return [row["detail"] for row in audit_rows(self.client, "gate.transition")]
 
 
+@pytest.fixture(scope="module")
+def lateness():
+    with Lateness() as held:
+        yield held
+
+
 @pytest.fixture
 def line(tmp_path):
     with line_at(tmp_path / "line") as held:
@@ -69,7 +75,7 @@ def started(tmp_path, line):
     return start
 
 
-def test_a_service_that_is_killed_has_its_beam_held_at_once_and_its_last_transitions_found(started, line):
+def test_a_service_that_is_killed_has_its_beam_held_at_once_and_its_last_transitions_found(started, line, lateness):
     with started() as (process, client):
         running = Running(process, client, line)
         running.turn_on()
@@ -78,7 +84,7 @@ def test_a_service_that_is_killed_has_its_beam_held_at_once_and_its_last_transit
         process.wait()
         edge, *times_ns = line.await_off()
         assert edge == "held", "by the engine's process, not by its lease"
-        assert int(times_ns[0]) <= killed_ns + BUSY_NS
+        assert int(times_ns[0]) <= killed_ns + lateness.allowed_ns
         eventually(lambda: not is_there(running.engine))
     with started() as (_, client):
         assert client.get(f"/api/v1/sessions/{running.session_id}").json()["status"] == "interrupted"
@@ -109,7 +115,7 @@ def test_an_engine_that_is_killed_closes_its_session_as_failed_and_another_begin
         assert engine_pids(process.pid) == []
 
 
-def test_a_service_that_is_stopped_has_its_beam_held_and_goes_on_later(started, line):
+def test_a_service_that_is_stopped_has_its_beam_held_and_goes_on_later(started, line, lateness):
     with started() as (process, client):
         running = Running(process, client, line)
         running.turn_on()
@@ -118,7 +124,7 @@ def test_a_service_that_is_stopped_has_its_beam_held_and_goes_on_later(started, 
         edge, *times_ns = line.await_off()
         process.send_signal(signal.SIGCONT)
         assert edge == "held"
-        assert int(times_ns[0]) <= stopped_ns + SILENCE_NS + LEASE_NS + BUSY_NS
+        assert int(times_ns[0]) <= stopped_ns + SILENCE_NS + LEASE_NS + lateness.allowed_ns
         running.turn_on()
         assert "service_silent" in [one["reason"] for one in running.transitions()]
 
