@@ -67,7 +67,7 @@ def _fuzz(targets: Sequence[Target], seconds: int, work: Path, *, is_recorded: b
         if until is not None and until.exists():
             break
         begin_s = time.monotonic()
-        done = run(target, seconds=share_s, work=work)
+        (done,) = run([target], seconds=share_s, work=work)
         if is_recorded:
             record.add(done, round(time.monotonic() - begin_s))
         words = f"{done.executions:,} executions, {done.coverage} edges, {done.peak_mb} MB at most"

@@ -1,5 +1,6 @@
 """Targets: files of our own that may come back damaged or forged: models, tapes, journals, samples, backups."""
 
+import hashlib
 import io
 import json
 import struct
@@ -41,6 +42,7 @@ from tests.service.fakes import make_model
 
 HEADER_FIELDS = 4 + 8 + 4 + 4 + 64 + 48 + 16
 JOURNAL_SLOTS = 2
+ROWS, FILE = b"[]\n", b"model"
 
 
 def read_model(content: bytes) -> None:
@@ -150,8 +152,8 @@ def read_backup(content: bytes) -> None:
     if content[:1] == b"m":
         out = io.BytesIO()
         with zipfile.ZipFile(out, "w") as archive:
-            archive.writestr("tables/users.jsonl", b"[]\n")
-            archive.writestr("models/a.npz", b"model")
+            archive.writestr("tables/users.jsonl", ROWS)
+            archive.writestr("models/a.npz", FILE)
             archive.writestr("manifest.json", content[1:])
         content = b"f" + out.getvalue()
     with opened(as_file(content[1:], "fuzz.backup")) as backup:
@@ -163,7 +165,8 @@ def read_backup(content: bytes) -> None:
 
 
 def backups() -> Iterator[bytes]:
-    part = {"name": "users", "columns": ["id"], "rows": 1, "sha256": "0" * 64}
+    rows, file = (hashlib.sha256(content).hexdigest() for content in (ROWS, FILE))
+    part = {"name": "users", "columns": ["id"], "rows": 1, "sha256": rows}
     manifest = {
         "schema": "tidegate.backup/1",
         "made_at": "2026-11-22T00:00:00Z",
@@ -173,7 +176,7 @@ def backups() -> Iterator[bytes]:
         "audit_rows": 0,
         "audit_head": "0" * 64,
         "tables": [part],
-        "files": [{"path": "models/a.npz", "bytes": 5, "sha256": "0" * 64}],
+        "files": [{"path": "models/a.npz", "bytes": len(FILE), "sha256": file}],
         "left_out": [],
     }
     yield b"m" + json.dumps(manifest).encode()

@@ -73,8 +73,10 @@ def _database() -> Database:
 def read_cursor(content: bytes) -> None:
     cursor = content.decode(errors="replace")
     with _database().read() as db:
-        repository.session_page(db, cursor, 10)
-        repository.audit_page(db, cursor, 10, None)
+        try:
+            repository.session_page(db, cursor, 10)
+        except BoundError:
+            repository.audit_page(db, cursor, 10, None)
 
 
 def cursors() -> Iterator[bytes]:

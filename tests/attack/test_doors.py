@@ -1,0 +1,119 @@
+"""Places are given and taken as said, whoever comes from where; and what is counted is told now and then."""
+
+import logging
+
+import pytest
+
+from service.door_settings import DoorSettings
+from service.doors.limits import DOOR_BOUNDS, LIMIT_NAMES, DoorLimits
+from service.doors.refusals import TELL_EVERY_S, RefusalCount
+from service.doors.visitors import VisitorBook
+from service.settings import Settings
+
+
+class Guest:
+    """A connection that waits for a request, or has one under way."""
+
+    def __init__(self, *, waits: bool = True) -> None:
+        self.waits = waits
+        self.is_gone = False
+
+    def look(self, _now_s):
+        return None
+
+    def leave(self):
+        self.is_gone = True
+
+
+@pytest.fixture
+def anyio_backend():
+    return "asyncio"
+
+
+def book(most: int = 6, each: int = 3, proxies=()) -> VisitorBook:
+    return VisitorBook(DoorLimits(max_connections=most, max_connections_per_address=each), trusted_proxies=proxies)
+
+
+def enter(visitors: VisitorBook, address: str, *, waits: bool = True) -> tuple[Guest, bool]:
+    guest = Guest(waits=waits)
+    return guest, visitors.enter(guest, guest, address)
+
+
+@pytest.mark.anyio
+async def test_beyond_its_places_an_address_s_longest_waiting_goes_for_its_newest():
+    visitors = book()
+    guests = [enter(visitors, "192.0.2.1")[0] for _ in range(5)]
+    assert [guest.is_gone for guest in guests] == [True, True, False, False, False]
+    assert len(visitors) == 3
+
+
+@pytest.mark.anyio
+async def test_one_that_is_in_use_is_never_closed_for_another():
+    visitors = book()
+    busy = [enter(visitors, "192.0.2.1", waits=False)[0] for _ in range(3)]
+    assert enter(visitors, "192.0.2.1")[1] is False
+    assert not any(guest.is_gone for guest in busy)
+    assert enter(visitors, "192.0.2.2")[1] is True
+
+
+@pytest.mark.anyio
+async def test_when_all_places_are_taken_the_address_with_most_gives_one_up():
+    visitors = book()
+    crowd = [enter(visitors, "192.0.2.1")[0] for _ in range(3)]
+    few = [enter(visitors, f"192.0.2.{i}")[0] for i in (2, 3, 4)]
+    guest, is_in = enter(visitors, "192.0.2.9")
+    assert is_in
+    assert not guest.is_gone
+    assert [one.is_gone for one in crowd] == [True, False, False]
+    assert not any(one.is_gone for one in few)
+    assert len(visitors) == 6
+
+
+@pytest.mark.anyio
+async def test_a_proxy_that_is_trusted_may_have_as_many_as_there_are():
+    visitors = book(proxies=("10.0.0.0/8",))
+    proxied = [enter(visitors, "10.1.2.3")[0] for _ in range(6)]
+    assert not any(guest.is_gone for guest in proxied)
+
+
+@pytest.mark.anyio
+async def test_a_network_of_ipv6_counts_as_one_address():
+    visitors = book()
+    guests = [enter(visitors, f"2001:db8::{i}")[0] for i in range(1, 5)]
+    assert [guest.is_gone for guest in guests] == [True, False, False, False]
+
+
+@pytest.mark.anyio
+async def test_who_left_makes_room_and_may_leave_twice():
+    visitors = book()
+    guests = [enter(visitors, "192.0.2.1")[0] for _ in range(3)]
+    for guest in guests[:1] * 2:
+        visitors.leave(guest)
+    enter(visitors, "192.0.2.1")
+    assert not any(guest.is_gone for guest in guests[1:])
+    assert len(visitors) == 3
+
+
+def test_refusals_are_told_at_once_and_then_together(caplog):
+    now_s = 100.0
+    count = RefusalCount(lambda: now_s)
+    with caplog.at_level(logging.WARNING):
+        for _ in range(50):
+            count.add("bad_request")
+        assert len(caplog.messages) == 1
+        now_s += TELL_EVERY_S
+        count.tell()
+        count.tell()
+    assert caplog.messages == ["refused at the door: 1 bad_request", "refused at the door: 49 bad_request"]
+    assert count.total["bad_request"] == 50
+
+
+@pytest.mark.parametrize("name", LIMIT_NAMES)
+def test_every_limit_is_a_setting_within_its_bounds(name, tmp_path):
+    low, high = DOOR_BOUNDS[name]
+    assert low <= getattr(DoorLimits(), name) <= high
+    assert getattr(Settings(data_dir=tmp_path, **{f"http_{name}": low}).doors, name) == low
+    for beyond in (low - 1, high + 1):
+        with pytest.raises(ValueError, match=f"http_{name}"):
+            Settings(data_dir=tmp_path, **{f"http_{name}": beyond})
+    assert f"http_{name}" in DoorSettings.model_fields
