@@ -66,6 +66,11 @@ def test_a_stream_that_brings_nothing_any_more_is_given_up(client, house, waits)
     assert waits == [0.2, 0.4, 0.8]
 
 
+def test_a_stream_that_breaks_often_and_brings_something_each_time_is_not_given_up(client, house):
+    house.steps = [writes(HEAD + event(number)) for number in range(1, 6)]
+    assert frames(client.live(reconnects=1), 5) == [1, 2, 3, 4, 5]
+
+
 def test_who_may_not_watch_is_told_and_does_not_ask_again(client, house):
     house.steps = [refuses(403, "permission_missing")]
     with pytest.raises(ProblemError, match="permission_missing"):
