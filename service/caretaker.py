@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.db.engine import Database
+from service.idempotency import forget_answers
 from service.retention import Holding, remove_old
 from service.settings import Settings
 
@@ -62,6 +63,7 @@ class Caretaker(threading.Thread):
     def tidy(self) -> list[Holding]:
         """Remove what may go, now; from any thread."""
         with self._one_at_a_time:
+            forget_answers(self._database, days=self._settings.idempotency_days, now=self._now())
             return remove_old(self._database, self._settings.data_dir, self._settings, self._now())
 
     def close(self) -> None:

@@ -21,6 +21,7 @@ from engine.windows import HOLD_BOUNDS, amplitude_window
 from service.access_settings import AccessSettings
 from service.audit_settings import AuditSettings
 from service.beam_settings import PREFIX, BeamSettings
+from service.contract_settings import ContractSettings
 from service.database_settings import DatabaseSettings
 from service.door_settings import DoorSettings
 from service.monitoring_settings import MonitoringSettings
@@ -74,6 +75,7 @@ class Settings(
     AccessSettings,
     StorageSettings,
     OidcSettings,
+    ContractSettings,
     ReplaySettings,
     StreamSettings,
     PlanSettings,

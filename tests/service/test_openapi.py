@@ -43,8 +43,6 @@ POSTS = {
     "/api/v1/keys",
     "/api/v1/keys/{key_id}/revoke",
 }
-SHOWN_TO_PEOPLE = {"/api/v1/login/oidc", "/api/v1/login/oidc/return"}
-"""Where a browser goes, not a program."""
 PATCHES = {"/api/v1/users/{name}"}
 PUTS = {"/api/v1/qa/baseline"}
 
@@ -62,21 +60,6 @@ def test_these_are_all_the_calls_that_change_something():
     assert {method for method, _, _ in OPERATIONS} == {"get", "post", "put", "patch"}
 
 
-@pytest.mark.parametrize(("method", "path", "operation"), OPERATIONS, ids=lambda part: str(part)[:50])
-def test_every_route_is_described_with_its_problems(method, path, operation):
-    assert operation["summary"]
-    assert operation["description"]
-    statuses = set(operation["responses"])
-    if method != "get":
-        assert statuses >= {"409", "413", "415", "422", "503"}
-    if "{" in path:
-        assert statuses >= {"404", "422"}
-    for status, response in operation["responses"].items():
-        if status.startswith("4"):
-            kind = "text/html" if path in SHOWN_TO_PEOPLE and status != "422" else "application/problem+json"
-            assert set(response["content"]) == {kind}
-
-
 def test_every_reference_leads_somewhere():
     def references(value):
         if isinstance(value, dict):
@@ -89,36 +72,5 @@ def test_every_reference_leads_somewhere():
             for part in value:
                 yield from references(part)
 
-    known = {f"#/components/schemas/{name}" for name in DOCUMENT["components"]["schemas"]}
+    known = {f"#/components/{kind}/{name}" for kind, parts in DOCUMENT["components"].items() for name in parts}
     assert set(references(DOCUMENT)) <= known
-
-
-def test_every_request_body_refuses_what_it_does_not_know_and_bounds_its_numbers():
-    names = {
-        "SessionRequest",
-        "OperatorRequest",
-        "RetrainRequest",
-        "RecordingSource",
-        "DeviceSource",
-        "Condition",
-        "BaselineCorrectionRequest",
-        "Window",
-        "Region",
-        "SplitLine",
-        "Regions",
-        "LoginRequest",
-        "PasswordRequest",
-        "UserRequest",
-        "UserChange",
-        "KeyRequest",
-    }
-    for name in names:
-        schema = DOCUMENT["components"]["schemas"][name]
-        assert schema["additionalProperties"] is False
-        for field, rule in schema["properties"].items():
-            for kind in rule.get("anyOf", [rule]):
-                if kind.get("type") in {"number", "integer"}:
-                    assert {"minimum", "maximum"} <= kind.keys(), f"{name}.{field}"
-                is_free = kind.get("type") == "string" and not {"enum", "const", "format"} & kind.keys()
-                if is_free or kind.get("format") == "password":
-                    assert "maxLength" in kind or "pattern" in kind, f"{name}.{field}"
