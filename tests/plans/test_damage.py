@@ -146,6 +146,12 @@ def test_beams_of_more_energies_than_any_are_refused():
     assert "512 energies" in str(refused(written(plan)).bound)
 
 
+@pytest.mark.parametrize("lost", [2, 3, 10, 60])
+def test_a_deflated_plan_that_is_cut_off_is_refused_as_cut_off(lost):
+    error = refused(written(photon_plan(), "deflated")[:-lost])
+    assert (error.code, error.field) == ("plan_truncated", "body")
+
+
 def test_a_bomb_is_refused_before_it_is_large():
     deflating = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
     bomb = b"".join(deflating.compress(b"\0" * 2**20) for _ in range(96)) + deflating.flush()

@@ -257,6 +257,25 @@ def test_characters_that_are_not_told_of_are_refused_and_never_guessed():
         assert refused(content).field == "(0008,0005) Specific Character Set"
 
 
+def test_characters_are_those_that_were_told_and_no_others():
+    told = photon_plan(SpecificCharacterSet="ISO_IR 6")
+    assert "Specific" in str(refused(patched(written(told), b"LUNG_DIBH", b"LUNG_D\xd6BH")).bound)
+    japanese = photon_plan(SpecificCharacterSet=["", "ISO 2022 IR 87"], RTPlanLabel="肺")
+    other = patched(written(japanese), b"ISO 2022 IR 87", b"ISO 2022 IR 13")
+    assert "Specific" in str(refused(other).bound)
+
+
+def test_one_value_is_asked_for_and_one_is_taken():
+    assert "one value" in str(refused(patched(written(photon_plan()), b"P-0001", b"P-\\001")).bound)
+
+
+@pytest.mark.filterwarnings("ignore:The value length")
+def test_a_text_longer_than_its_representation_allows_is_refused():
+    assert read_plan(written(photon_plan(RTPlanLabel="x" * 16))).label == "x" * 16
+    for changes in ({"RTPlanLabel": "x" * 17}, {"PatientID": "x" * 65}):
+        assert "characters" in str(refused(written(photon_plan(**changes))).bound)
+
+
 def test_a_refusal_never_says_what_a_text_says():
     label = refused(patched(written(photon_plan()), b"LUNG_DIBH", b"ANNA\x07MUST"))
     patient = refused(patched(written(photon_plan()), b"P-0001", b"AN\\NA\x07"))
