@@ -90,14 +90,14 @@ class Journals:
                     yield path
 
 
-def read_unless_in_use(path: Path, *, patience_s: float = PATIENCE_S) -> bytes | None:
+def read_unless_in_use(path: Path, *, patience_s: float | None = None) -> bytes | None:
     """Read a journal that nobody writes to; None where another process still does after a while.
 
     The engine of a service that was killed has heard so, and is on its way out.
     """
     file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
     with os.fdopen(file, "rb") as opened:
-        end_s = time.monotonic() + patience_s
+        end_s = time.monotonic() + (PATIENCE_S if patience_s is None else patience_s)
         while not _is_free(opened):
             if time.monotonic() >= end_s:
                 return None

@@ -56,6 +56,12 @@ def test_it_is_in_use_until_the_other_process_is_done_with_it_and_no_longer(lent
     assert read_unless_in_use(journal.path, patience_s=0.0) is not None
 
 
+def test_a_start_waits_a_while_for_an_engine_that_is_on_its_way_out(lent, monkeypatch):
+    journal, _, gone = lent
+    monkeypatch.setattr("service.journals.time.sleep", lambda _s: gone.close())
+    assert read_unless_in_use(journal.path, patience_s=60.0) is not None
+
+
 @pytest.mark.parametrize("confirmed", [0, 1, 2])
 def test_the_file_goes_once_all_that_was_told_is_confirmed(lent, confirmed):
     journal, stays, gone = lent

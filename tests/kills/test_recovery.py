@@ -180,7 +180,8 @@ def test_a_journal_of_a_session_that_this_database_does_not_know_is_left_alone(d
     assert path(database) == []
 
 
-def test_a_journal_that_another_process_writes_to_is_left_alone(database, journals):
+def test_a_journal_that_another_process_writes_to_is_left_alone(database, journals, monkeypatch):
+    monkeypatch.setattr("service.journals.PATIENCE_S", 0.0)
     add_session(database)
     journal = journals.begin("s1", ManualClock(BEGAN_NS))
     journal.write(STEPS[0])
