@@ -1377,9 +1377,9 @@ class TidegateClient:
         query = {"operator": operator or self._operator}
         return self._make("/api/v1/calibrations", UploadedCalibration, document, media_type=media_type, query=query)
 
-    def calibrations(self) -> Iterator["Calibration"]:
+    def calibrations(self, *, camera: str | None = None) -> Iterator["Calibration"]:
         """List the calibrations, newest first."""
-        return self._pages("/api/v1/calibrations", CalibrationPage)
+        return self._pages("/api/v1/calibrations", CalibrationPage, {"camera": camera})
 
     def read_calibration(self, calibration_id: str) -> "CalibrationDetail":
         """Read a calibration with its document."""
@@ -1416,9 +1416,18 @@ class TidegateClient:
         """Prepare a session. Give a key of your own if you may have to ask again after your program has died."""
         return self._make("/api/v1/sessions", Session, self._for_somebody(request), idempotency_key=idempotency_key)
 
-    def sessions(self) -> Iterator["Session"]:
-        """List the sessions, newest first."""
-        return self._pages("/api/v1/sessions", SessionPage)
+    def sessions(
+        self,
+        *,
+        status: str | None = None,
+        patient_reference: str | None = None,
+        plan_id: str | None = None,
+        since: str | None = None,
+        until: str | None = None,
+    ) -> Iterator["Session"]:
+        """List the sessions, newest first; times are RFC 3339."""
+        query = {"status": status, "patient_reference": patient_reference, "plan_id": plan_id}
+        return self._pages("/api/v1/sessions", SessionPage, {**query, "since": since, "until": until})
 
     def read_session(self, session_id: str) -> "SessionDetail":
         """Read a session with its gate, its learning and its figures."""
@@ -1487,9 +1496,12 @@ class TidegateClient:
                 raise
             return self.read_session(session_id)
 
-    def transitions(self, session_id: str) -> Iterator["Transition"]:
+    def transitions(
+        self, session_id: str, *, to_state: str | None = None, reason: str | None = None
+    ) -> Iterator["Transition"]:
         """List the gate's transitions, oldest first."""
-        return self._pages(f"{_session(session_id)}/transitions", TransitionPage)
+        query = {"to_state": to_state, "reason": reason}
+        return self._pages(f"{_session(session_id)}/transitions", TransitionPage, query)
 
     # -- motion models
 
@@ -1518,9 +1530,19 @@ class TidegateClient:
         """Write every frame's row to a file: the whole of it, or no file at all."""
         return self._download(f"{_session(session_id)}/samples", {"format": form}, Path(to))
 
-    def audit(self, *, session_id: str | None = None) -> Iterator["AuditEntry"]:
-        """List the audit, newest first."""
-        return self._pages("/api/v1/audit", AuditPage, {"session_id": session_id})
+    def audit(
+        self,
+        *,
+        session_id: str | None = None,
+        action: str | None = None,
+        actor: str | None = None,
+        outcome: str | None = None,
+        since: str | None = None,
+        until: str | None = None,
+    ) -> Iterator["AuditEntry"]:
+        """List the audit, newest first; times are RFC 3339."""
+        query = {"session_id": session_id, "action": action, "actor": actor, "outcome": outcome}
+        return self._pages("/api/v1/audit", AuditPage, {**query, "since": since, "until": until})
 
     def verify_audit(self, *, after: int = 0, limit: int = 100_000) -> "AuditVerification":
         """Have the chain of hashes walked."""
@@ -1549,9 +1571,9 @@ class TidegateClient:
         """List what QA checks, by which bounds."""
         return self._read("/api/v1/qa/checks", QaCheckList)
 
-    def qa_runs(self) -> Iterator["QaRun"]:
+    def qa_runs(self, *, kind: str | None = None, verdict: str | None = None) -> Iterator["QaRun"]:
         """List the QA runs, newest first."""
-        return self._pages("/api/v1/qa/runs", QaRunPage)
+        return self._pages("/api/v1/qa/runs", QaRunPage, {"kind": kind, "verdict": verdict})
 
     def read_qa_run(self, run_id: str) -> "QaRunDetail":
         """Read a QA run with every check."""

@@ -102,6 +102,25 @@ def test_a_method_makes_the_call_of_its_operation(name, client, house, tmp_path)
         assert name in {"log_in"}, "a call that can have a key has one"
 
 
+IN_OTHER_WORDS = {"cursor", "limit", "format", "with_patients"}
+"""What paging and `form` are for; and who exports patients' references is a person's matter."""
+
+
+@pytest.mark.parametrize("name", sorted(OPERATIONS))
+def test_every_parameter_of_a_call_can_be_given(name):
+    told = CALLS[OPERATIONS[name]].get("parameters", ())
+    wanted = {one["name"].lower().replace("-", "_"): one for one in told if one["in"] in {"query", "path", "header"}}
+    left_out = {name for name, one in wanted.items() if one["in"] == "header"} - {"if_match", "idempotency_key"}
+    given = set(inspect.signature(METHODS[name]).parameters)
+    if name in WITHOUT_A_WORD:
+        given |= WITHOUT_A_WORD[name]
+    assert wanted.keys() - IN_OTHER_WORDS - left_out <= given
+
+
+WITHOUT_A_WORD = {"upload_calibration": {"idempotency_key"}, "retrain": {"if_match"}, "apply_model": {"if_match"}}
+"""The same calibration is the same by its content; a model's calls are refused by state, and never repeated."""
+
+
 def _argument(name, folder):
     if name == "to":
         return folder / "file"
