@@ -13,6 +13,8 @@ DAWDLES_A_MESSAGE = 1 / 300
 DAWDLE_S = (0.3, 1.5)
 TROUBLES = ("answer lost", "never sent", "sent twice")
 TROUBLE_SHARE = 0.3
+RETRIES = 8
+"""One in five attempts fails: so many one after another that only a bad day without end is given up."""
 
 
 class UnrulyClient(TidegateClient):
@@ -28,7 +30,7 @@ class UnrulyClient(TidegateClient):
         ca_file: str | None = None,
         dawdle: Callable[[float], None] = time.sleep,
     ) -> None:
-        super().__init__(base_url, key=key, operator=operator, ca_file=ca_file)
+        super().__init__(base_url, key=key, operator=operator, ca_file=ca_file, retries=RETRIES)
         self._random = random.Random(seed)  # noqa: S311 - trouble, not secrets
         self._dawdle = dawdle
         self.counts: Counter[str] = Counter()

@@ -12,6 +12,7 @@ from service.client import (
     ProblemError,
     RecordingSource,
     TidegateClient,
+    UnreachableError,
     Window,
 )
 from service.tps.checks import checked
@@ -65,7 +66,7 @@ class FractionRun:
         began_s = time.monotonic()
         try:
             outcome = self._deliver()
-        except (TpsError, ProblemError) as error:
+        except (TpsError, ProblemError, UnreachableError) as error:
             outcome = f"ended: {error}"
         reports = [
             checked(one.session_id, one.clock, one.told_missing, self._tps, self._folder) for one in self._stretches

@@ -80,7 +80,7 @@ def test_the_client_works_alone_in_an_interpreter_that_sees_nothing_else(served,
 
 def test_a_whole_fraction_of_a_volunteer_is_delivered_with_holds_on_the_way(served, tmp_path):
     plan = tmp_path / "plan.dcm"
-    plan.write_bytes(built_in_plan(uid="1.2.826.0.1.3680043.8.498.1.8", beams=(("AP", 15.0), ("LAT", 15.0))))
+    plan.write_bytes(built_in_plan(uid="1.2.826.0.1.3680043.8.498.1.8", beams=(("AP", 8.0), ("LAT", 8.0))))
     given = {
         "--url": served.url,
         "--plan": str(plan),
@@ -104,5 +104,5 @@ def test_a_whole_fraction_of_a_volunteer_is_delivered_with_holds_on_the_way(serv
     assert "everything fits" in ran.stdout
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     (fraction,) = report["fractions"]
-    assert [beam["planned_s"] for beam in fraction["beams"]] == [1.5, 1.5], "15 MU at 600 MU/min"
+    assert [beam["planned_s"] for beam in fraction["beams"]] == [0.8, 0.8], "8 MU at 600 MU/min"
     assert all(beam["delivered_s"] >= beam["planned_s"] for beam in fraction["beams"])
