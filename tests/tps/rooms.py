@@ -33,7 +33,7 @@ SCOPES = (
 THERAPIST = "A. Therapist"
 PASSWORD = "a long enough password"
 WINDOW = {"signal": "whole", "lower_mm": -2.5, "upper_mm": 2.0, "dwell_ms": 0.0}
-BRISK = Manner(exhale_watch_s=2.0, between_s=0.2, patience_s=20.0, restart_wait_s=30.0)
+BRISK = Manner(exhale_watch_s=2.0, between_s=0.2, patience_s=60.0, restart_wait_s=30.0)
 
 
 @dataclass(slots=True, kw_only=True)

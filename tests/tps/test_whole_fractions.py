@@ -18,7 +18,7 @@ def test_a_whole_fraction_is_delivered_and_what_was_seen_live_was_recorded(tmp_p
         actors = {row["actor"] for row in tps.audit(session_id=report.stretches[0].session_id)}
     assert report.is_good, report
     assert [beam.delivered_s >= beam.planned_s for beam in report.beams] == [True, True]
-    assert sum(beam.delivered_s - beam.planned_s for beam in report.beams) < 0.5
+    assert sum(beam.delivered_s - beam.planned_s for beam in report.beams) < 1.0
     (stretch,) = report.stretches
     assert stretch.status == "stopped"
     assert stretch.beam_edges >= 2
