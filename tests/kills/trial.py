@@ -31,6 +31,8 @@ from tests.kills.verdict import (
 STAYS_OFF_S = 0.35
 TRIES = 4
 PAGE = 200
+READY_S = 20.0
+"""A start answers before its engine's process stands by."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,12 +85,21 @@ def _look(rig: KillRig, strike: Strike, edges_before: int) -> Evidence:
         is_audit_intact=rig.person.is_chain_intact(),
         database_trouble=rig.database_trouble,
         leftovers=rig.leftovers,
-        is_ready=rig.person.get_top("/readyz").status_code == httpx2.codes.OK,
+        is_ready=_is_ready(rig),
         has_new_session=_has_new_session(rig),
         edges=rig.edges[edges_before:],  # last: an on that comes while we look is seen
         stall_before_ms=rig.watchman.stalled_ms(max(before, default=strike.killed_ns), strike.killed_ns),
         stall_ms=rig.watchman.stalled_ms(strike.killed_ns, min(off, default=strike.killed_ns + NS_PER_S)),
     )
+
+
+def _is_ready(rig: KillRig) -> bool:
+    end_s = time.monotonic() + READY_S
+    while time.monotonic() < end_s:
+        if rig.person.get_top("/readyz").status_code == httpx2.codes.OK:
+            return True
+        time.sleep(0.1)
+    return False
 
 
 def _fresh(rig: KillRig, strike: Strike) -> Evidence:
