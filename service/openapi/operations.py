@@ -8,14 +8,19 @@ from typing import Any
 
 from service.access.rules import BEFORE_THE_PASSWORD_IS_CHANGED, RULES, Needs, Open
 from service.api import CODES, problem_answer
-from service.conditional import IF_MATCH, IF_NONE_MATCH
+from service.conditional import IF_MATCH as IF_MATCH_HEADER
+from service.conditional import IF_NONE_MATCH as IF_NONE_MATCH_HEADER
 from service.deprecation import DEPRECATED
-from service.idempotency import HEADER as IDEMPOTENCY_KEY
+from service.idempotency import HEADER as IDEMPOTENCY_HEADER
 from service.openapi.components import SECURITY_SCHEMES, header
 from service.problem_catalogue import CATALOGUE
 
 Operation = dict[str, Any]
 Codes = dict[int, set[str]]
+IF_MATCH, IF_NONE_MATCH, IDEMPOTENCY_KEY = (
+    name.lower() for name in (IF_MATCH_HEADER, IF_NONE_MATCH_HEADER, IDEMPOTENCY_HEADER)
+)
+"""Names of headers are the same in any case, and FastAPI writes small letters."""
 CHANGES = frozenset({"POST", "PUT", "PATCH", "DELETE"})
 V1 = "/api/v1/"
 SHOWN_TO_PEOPLE = "text/html"
@@ -143,7 +148,7 @@ def _deprecate(operation: Operation, call: tuple[str, str]) -> None:
 
 
 def _parameters(operation: Operation) -> set[str]:
-    return {parameter["name"] for parameter in operation.get("parameters", ())}
+    return {parameter["name"].lower() for parameter in operation.get("parameters", ())}
 
 
 def _is_made_by_fastapi(answer: Operation | None) -> bool:

@@ -132,6 +132,19 @@ def test_everything_that_is_sent_is_bounded(method, path, operation):
             assert unbounded(part["schema"], media_type) == []
 
 
+def test_headers_that_are_taken_bring_their_problems_and_their_headers():
+    """By name, so that nothing is worked out from a spelling that no parameter has."""
+    paths = DOCUMENT["paths"]
+    create = paths["/api/v1/sessions"]["post"]["responses"]
+    assert {"idempotency_key_reused", "idempotency_in_progress"} <= set(create["409"]["x-problem-codes"])
+    assert {"Idempotency-Replayed"} <= create["201"]["headers"].keys()
+    session = paths["/api/v1/sessions/{session_id}"]["get"]["responses"]
+    assert {"ETag"} <= session["200"]["headers"].keys() & session["304"]["headers"].keys()
+    assert paths["/api/v1/sessions/{session_id}/arm"]["post"]["responses"]["412"]
+    assert "412" not in paths["/api/v1/sessions/{session_id}/hold"]["post"]["responses"]
+    assert "Link" in paths["/api/v1/sessions"]["get"]["responses"]["200"]["headers"]
+
+
 def test_an_unbounded_field_is_noticed():
     assert unbounded({"type": "object", "properties": {"a": {"type": "string"}}}, "x") == ["x", "x.a"]
     assert unbounded({"type": "array", "items": {"type": "integer"}}, "x") == ["x", "x[]"]
