@@ -74,7 +74,7 @@ class Picture:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LiveFrame:
-    """The newest frame as a live message; when it was in our hands, and taken where the camera tells (host monotonic)."""
+    """The newest frame as a live message; when it was in our hands, and taken where the camera tells (monotonic)."""
 
     message: Sample
     received_ns: int
