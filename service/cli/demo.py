@@ -140,7 +140,7 @@ def _wait_until_ready(address: str, process: "subprocess.Popen[bytes]", log_path
         if process.poll() is not None:
             message = f"the service ended at once: {log_path.read_text(errors='replace')[-400:].strip()}"
             raise DemoError(message)
-        with contextlib.suppress(OSError), urllib.request.urlopen(f"{address}/healthz", timeout=1.0):  # noqa: S310 - loopback
+        with contextlib.suppress(OSError), urllib.request.urlopen(f"{address}/healthz", timeout=1.0):  # noqa: S310 - loopback # nosec B310
             return
         time.sleep(0.1)
     message = f"the service did not answer within {START_TIMEOUT_S:g} s"
