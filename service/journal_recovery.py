@@ -2,7 +2,8 @@
 
 So does whoever closes a session whose engine's process died alone. Each is appended once, in its order, at its own
 time, and says that it was recovered. A start that is killed in the middle leaves the file to the next one; a file goes
-only after its transitions are committed. What cannot be believed is kept aside, and said.
+only after its transitions are committed. What cannot be believed is kept aside, and said. An engine that still writes
+after a start's patience is killed; where that does not help, the service does not start: two could tell one line.
 """
 
 import json
@@ -10,10 +11,12 @@ import logging
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import NoReturn
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from engine.errors import TidegateError
 from engine.journal_slots import Entry, JournalHeader, Kept, NotAJournalError, read_kept
 from engine.transition_journal import boot_id
 from service import audit
@@ -21,24 +24,79 @@ from service.audit import SYSTEM, Event
 from service.db import repository
 from service.db.engine import Database
 from service.db.models import AuditRow, SessionRow
-from service.journals import Journals, read_unless_in_use
+from service.journals import Journals, is_let_go, read_unless_in_use
+from service.left_behind import end_engines_holding
 from service.session_events import transition_event
 from service.time_anchor import TimeAnchor
 
 logger = logging.getLogger(__name__)
 
 RECOVERED, DAMAGED, MISSING = "journal.recovered", "journal.damaged", "journal.missing"
+LEFT_BEHIND, IN_USE = "engine.left_behind", "journal.in_use"
 FORESEEN = "kept before the line was to be told; whether it was told is not known"
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
+class JournalInUseError(TidegateError):
+    """An engine of before may still tell the line, and cannot be ended."""
+
+    code = "journal_in_use"
+
+
 def recover_transitions(database: Database, journals: Journals) -> None:
-    """Give the audit what it lacks, from every journal that was left; called at start, before sessions are closed."""
-    found = {session_id for path in journals.left_behind() if (session_id := _recover(database, path))}
+    """Give the audit what it lacks, from every journal that was left; called at start, before sessions are closed.
+
+    Raises
+    ------
+    JournalInUseError
+        A process still holds one: its engine may live, and no session may begin beside it.
+    """
+    left = list(journals.left_behind())
+    held = [path for path in left if not _is_let_go(database, journals.session_of(path), path)]
+    if held:
+        _refuse(database, [(path, journals.session_of(path)) for path in held])
+    found = {session_id for path in left if (session_id := _recover(database, path))}
     with database.write() as db:
         for row in repository.running_sessions(db):
             if row.id not in found and not _has_event(db, row.id, MISSING):
                 audit.append(db, _missing(row.id))
+
+
+def _is_let_go(database: Database, session_id: str, path: Path) -> bool:
+    """Wait until nobody writes to a journal; end the engines that still do after a while."""
+    if is_let_go(path):
+        return True
+    ended = end_engines_holding(path)
+    if not ended:
+        return False
+    text = f"an engine of a service before this one still ran and was killed (process {ended})"
+    logger.critical("session %s: %s", session_id, text)
+    is_free = is_let_go(path)
+    event = Event(
+        actor=SYSTEM,
+        action=LEFT_BEHIND,
+        outcome="done" if is_free else "failed",
+        session_id=session_id,
+        detail={"processes": ended, "journal": path.name, "detail": text},
+    )
+    with database.write() as db:
+        audit.append(db, event)
+    return is_free
+
+
+def _refuse(database: Database, held: list[tuple[Path, str]]) -> NoReturn:
+    """Say once of each session that its journal is held, and begin nothing."""
+    names = ", ".join(path.name for path, _ in held)
+    text = f"another process still holds {names}: an engine may run, and no other may begin beside it; end it first"
+    logger.critical("%s", text)
+    with database.write() as db:
+        for path, session_id in held:
+            if not _has_event(db, session_id, IN_USE):
+                detail = {"journal": path.name, "detail": text}
+                audit.append(
+                    db, Event(actor=SYSTEM, action=IN_USE, outcome="failed", session_id=session_id, detail=detail)
+                )
+    raise JournalInUseError(text)
 
 
 def recover_orphan(database: Database, path: Path) -> None:

@@ -89,6 +89,15 @@ class Journals:
                 if path.is_file() and not path.is_symlink() and path.stat().st_uid == os.geteuid():
                     yield path
 
+    def session_of(self, path: Path) -> str:
+        """Say which session a file is of, by its name."""
+        return path.name.removeprefix(self._prefix).removesuffix(SUFFIX)
+
+
+def is_let_go(path: Path) -> bool:
+    """Whether nobody writes to a journal, within the patience."""
+    return read_unless_in_use(path) is not None
+
 
 def read_unless_in_use(path: Path, *, patience_s: float | None = None) -> bytes | None:
     """Read a journal that nobody writes to; None where another process still does after a while.

@@ -1,7 +1,7 @@
 """What happens at start and at the end; on the way out the beam is held before anything is closed."""
 
 from collections.abc import AsyncIterator, Callable
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from contextlib import AbstractAsyncContextManager, ExitStack, asynccontextmanager
 from dataclasses import dataclass
 
 import anyio
@@ -205,7 +205,11 @@ def _open(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: TellFi
     )
     attendance.start()
     care.start({**_start_detail(engine), "journal_folder": str(journals.folder)})
-    recover_transitions(database, journals)
+    with ExitStack() as undone:  # a start that is refused leaves nothing open
+        for close in (database.close, care.close, engine.close, attendance.close):
+            undone.callback(close)
+        recover_transitions(database, journals)
+        undone.pop_all()
     close_interrupted(database, shelf)
     close_interrupted_qa(database)
     caretaker.start()

@@ -9,6 +9,7 @@ call. What takes the beam away is done whatever the frame's age.
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
@@ -144,11 +145,10 @@ class Stretch:
                 self._begin()
 
     def _leave(self) -> None:
-        try:
-            self._tps.hold(self.session_id)
-            self._tps.stop(self.session_id)
-        except (ProblemError, UnreachableError):
-            return  # nothing more can be done from here: an armed gate whose service is gone is off
+        """Hold, and stop whatever became of the hold; no more can be done from here."""
+        for leave in (self._tps.hold, self._tps.stop):
+            with suppress(ProblemError, UnreachableError):
+                leave(self.session_id)
 
     def _messages(self) -> Iterator[LiveMessage]:
         """Follow the stream; where it is broken for long, wait for the service and go on behind the last frame."""

@@ -1,9 +1,13 @@
 """The next start gives the audit what a killed process had kept: once, in order, at its own time."""
 
+import contextlib
 import itertools
 import json
 import logging
 import os
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -17,8 +21,9 @@ from engine.permits import GateState, HoldReason
 from engine.transition_journal import SLOTS, JournalError
 from service import audit, journal_recovery
 from service.db.models import AuditRow, CalibrationRow, SessionRow
-from service.journal_recovery import recover_transitions
+from service.journal_recovery import JournalInUseError, recover_transitions
 from service.journals import Journals
+from service.left_behind import end_engines_holding
 from service.session_events import transition_event
 from tests.loop.test_journal import transition
 
@@ -180,16 +185,65 @@ def test_a_journal_of_a_session_that_this_database_does_not_know_is_left_alone(d
     assert path(database) == []
 
 
-def test_a_journal_that_another_process_writes_to_is_left_alone(database, journals, monkeypatch):
+HOLDS = """
+import fcntl, sys, time
+file = open(sys.argv[2], "rb")
+fcntl.flock(file, fcntl.LOCK_EX)
+print("held", flush=True)
+time.sleep(600)
+"""
+
+
+@contextlib.contextmanager
+def held_by(name: str, path: Path):
+    """Hold a journal in a process that is called so, and that hears nothing any more."""
+    command = [sys.executable, "-c", HOLDS, name, str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout.readline() == "held\n"
+            process.send_signal(signal.SIGSTOP)
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.mark.both_databases
+def test_an_engine_left_behind_is_killed_said_and_recovered(database, journals, left, monkeypatch, caplog):
+    monkeypatch.setattr("service.journals.PATIENCE_S", 0.5)
+    with held_by("service.engine_process", left) as engine:
+        recover_transitions(database, journals)
+        assert engine.wait(5.0) == -signal.SIGKILL
+    ((_, said),) = rows(database, "engine.left_behind")
+    assert said["processes"] == [engine.pid]
+    assert [one.levelname for one in caplog.records if "was killed" in one.getMessage()] == ["CRITICAL"]
+    assert path(database) == ["hold", "dwell", "beam_on", "hold"]
+    assert rows(database, "journal.missing") == []
+    assert not left.exists()
+
+
+@pytest.mark.both_databases
+def test_a_journal_that_stays_in_use_refuses_the_start_and_is_not_called_missing(database, journals, left, monkeypatch):
     monkeypatch.setattr("service.journals.PATIENCE_S", 0.0)
-    add_session(database)
-    journal = journals.begin("s1", ManualClock(BEGAN_NS))
-    journal.write(STEPS[0])
+    with held_by("somebody.else", left) as other:
+        for _ in range(2):
+            with pytest.raises(JournalInUseError, match="end it first"):
+                recover_transitions(database, journals)
+        assert other.poll() is None, "not ours to end"
+        assert left.exists()
+    ((_, said),) = rows(database, "journal.in_use")
+    assert said["journal"] == left.name
+    assert rows(database, "journal.missing") == []
     recover_transitions(database, journals)
-    assert path(database) == []
-    assert journal.path.exists()
-    journal.confirm(1)
-    journal.close()
+    assert path(database) == ["hold", "dwell", "beam_on", "hold"]
+
+
+def test_an_engine_that_holds_another_file_is_let_be(database, journals, left, tmp_path):
+    (tmp_path / "another").write_text("")
+    with held_by("service.engine_process", tmp_path / "another") as engine:
+        assert end_engines_holding(left) == []
+        assert engine.poll() is None
+    recover_transitions(database, journals)
+    assert rows(database, "engine.left_behind") == []
 
 
 def test_another_data_folder_s_journals_are_not_ours(database, journals, tmp_path, left):

@@ -147,6 +147,15 @@ def test_a_fraction_is_started_armed_delivered_beam_by_beam_and_stopped():
     assert stretch.clock.on_s == pytest.approx(1.5, abs=0.41)
 
 
+@pytest.mark.parametrize("becomes", [UnreachableError("lost"), REFUSED], ids=["lost", "refused"])
+def test_who_leaves_stops_the_session_although_the_hold_failed(becomes):
+    room = Room()
+    room.becomes = {"arm": RuntimeError("broken"), "hold": becomes}
+    with pytest.raises(RuntimeError):
+        treat(room)
+    assert (room.done()[-2:], room.status) == (["hold", "stop"], "stopped")
+
+
 def test_between_beams_the_beam_is_held_for_as_long_as_the_gantry_takes():
     room = Room()
     treat(room)
