@@ -60,7 +60,7 @@ FILE = {
             "One DICOM file (PS3.10) of RT Plan Storage or RT Ion Plan Storage, in implicit or explicit little endian, "
             "explicit big endian, or deflated. Nothing of it is kept but what the answer tells."
         ),
-        "content": {"application/dicom": {"schema": {"type": "string", "format": "binary"}}},
+        "content": {"application/dicom": {"schema": {}}},
     }
 }
 PatientFilter = Annotated[Name | None, Query(description="Plans of this patient only")]

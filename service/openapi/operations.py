@@ -22,6 +22,11 @@ IF_MATCH, IF_NONE_MATCH, IDEMPOTENCY_KEY = (
 )
 """Names of headers are the same in any case, and FastAPI writes small letters."""
 CHANGES = frozenset({"POST", "PUT", "PATCH", "DELETE"})
+NOTHING_TO_SAY = {
+    "required": True,
+    "description": "Nothing of it is read; that its type is JSON keeps foreign pages' forms out",
+    "content": {"application/json": {"schema": {}, "example": {}}},
+}
 V1 = "/api/v1/"
 SHOWN_TO_PEOPLE = "text/html"
 WITH_RETRY = frozenset({"idempotency_in_progress", "locked_out", "login_busy", "plan_busy", "stream_full"})
@@ -30,6 +35,8 @@ WITH_RETRY = frozenset({"idempotency_in_progress", "locked_out", "login_busy", "
 def complete_operation(operation: Operation, method: str, path: str) -> None:
     """Add what the call takes, all its problems, and the headers of its answers."""
     needs = RULES.get((method, path))
+    if method in CHANGES:
+        operation.setdefault("requestBody", NOTHING_TO_SAY)
     _describe_access(operation, needs)
     responses = operation["responses"]
     if _is_made_by_fastapi(responses.get("422")):

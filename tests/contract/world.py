@@ -26,6 +26,7 @@ from service.access.passwords import PasswordDesk
 from service.access.people import PeopleDesk
 from service.access.permissions import KEY_PERMISSIONS, Role
 from service.app import create_app
+from service.deps import Services
 from service.settings import Settings
 from service.surface_view import NODE_COLUMNS, NODE_ROWS
 from tests.plans.made import photon_plan, written
@@ -87,6 +88,10 @@ class World:
     @property
     def desk(self) -> AccessDesk:
         return self.app.state.access
+
+    @property
+    def _services(self) -> Services:
+        return self.app.state.services
 
     def headers(self, caller: str, operation: str = "") -> dict[str, str]:
         """Return what a caller sends; for what ends a log-in, that of somebody nobody misses."""
@@ -214,13 +219,12 @@ class World:
         return str(answer.json()["id"])
 
     def _end_session(self) -> None:
-        for session in self.send("GET", f"{V1}/sessions?limit=5").json()["items"]:
-            if session["status"] in {"created", "running"}:
-                self._post(f"{V1}/sessions/{session['id']}/stop")
+        for session in self._services.sessions.page(None, 5).items:
+            if session.status in {"created", "running"}:
+                self._services.runner.stop(session.id, "tests")
 
     def _status(self, session_id: str) -> str:
-        answer = self.send("GET", f"{V1}/sessions/{session_id}")
-        return str(answer.json().get("status"))
+        return str(self._services.sessions.detail(session_id).status)
 
     def _begin_qa_run(self) -> str:
         self.rig.go_on.clear()
@@ -239,8 +243,8 @@ class World:
         eventually(lambda: not self._is_qa_under_way())
 
     def _is_qa_under_way(self) -> bool:
-        items = self.send("GET", f"{V1}/qa/runs?limit=1").json()["items"]
-        return bool(items) and items[0]["status"] == "running"
+        items = self._services.qa_book.page(None, 1).items
+        return bool(items) and items[0].status == "running"
 
     def _session_body(self) -> dict[str, Any]:
         body = make_session_body(self.known["calibration_id"])
