@@ -337,6 +337,15 @@ class PlanBeam(TypedDict):
     type: str | None
 
 
+class PlanContradiction(TypedDict):
+    """A later file with the plan's UID that says something else; the plan stays as it was read first."""
+
+    approval: str | None
+    created_at: str
+    differing: list[str]
+    imported_by: str
+
+
 class PlanFractionBeam(TypedDict):
     """What a beam gives in one fraction."""
 
@@ -373,6 +382,7 @@ class Plan(TypedDict):
 
     approval: str | None
     beams: list[PlanBeam]
+    contradicted: PlanContradiction | None
     created_at: str
     date: str | None
     fraction_groups: list[PlanFractionGroup]
@@ -519,6 +529,7 @@ class PlanSessionRequest(TypedDict):
     fraction_number: int
     model_id: NotRequired[str | None]
     operator: NotRequired[str]
+    overrides_contradiction: NotRequired[str | None]
     overrides_plan_gating: NotRequired[str | None]
     regions: NotRequired[Regions]
     repeats_fraction: NotRequired[str | None]

@@ -329,6 +329,7 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     plan_errors.PlanConflictError: (409, "Another plan has this UID"),
     plan_errors.PlanGatingError: (409, "The window is not of the plan's technique"),
     plan_errors.PlanRejectedError: (409, "The plan was rejected"),
+    plan_errors.PlanContradictedError: (409, "A later file contradicts the plan"),
     plan_errors.FractionDoneError: (409, "The fraction was begun before"),
     plan_errors.OverrideNotPersonalError: (403, "A person has to decide that"),
     plan_errors.PlanBusyError: (503, "Enough plans are being read"),

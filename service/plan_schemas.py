@@ -83,6 +83,15 @@ class RtPlan(Answer):
     notes: list[str] = Field(description="To be read by the person who imports")
 
 
+class PlanContradiction(Answer):
+    """A later file with the plan's UID that says something else; the plan stays as it was read first."""
+
+    approval: str | None = Field(description="The later file's approval", examples=["REJECTED"])
+    differing: list[str] = Field(description="What of the plan it says otherwise", examples=[["approval", "notes"]])
+    imported_by: str
+    created_at: AwareDatetime
+
+
 class Plan(RtPlan):
     """A plan as it is kept; it is never changed nor removed."""
 
@@ -90,6 +99,9 @@ class Plan(RtPlan):
     sha256: str = Field(description="Of the file as it came first; the file itself is not kept")
     imported_by: str
     created_at: AwareDatetime
+    contradicted: PlanContradiction | None = Field(
+        description="The newest file that said something else under this UID: no session comes of it without a person"
+    )
 
 
 class PlanSummary(Answer):
@@ -130,6 +142,9 @@ class PlanSessionRequest(Request):
     )
     repeats_fraction: Name | None = Field(
         default=None, description="Why a fraction that was begun before is treated again; persons only, in the audit"
+    )
+    overrides_contradiction: Name | None = Field(
+        default=None, description="Why a plan that a later file contradicts is treated; persons only, in the audit"
     )
 
     model_config = ConfigDict(

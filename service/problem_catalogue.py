@@ -54,6 +54,9 @@ WHAT_TO_DO: Mapping[str, str] = {
     "override_needs_person": "Have a person make this session: a machine does not go against a plan.",
     "plan_busy": "Send it again after `Retry-After`.",
     "plan_conflict": "Look at both plans: one of them was changed and kept its UID. Export it anew under a new one.",
+    "plan_contradicted": (
+        "Export the right one of both under a new UID, or have a person say why (`overrides_contradiction`)."
+    ),
     "plan_gating": "Ask for a window of the plan's technique, or have a person say why not (`overrides_plan_gating`).",
     "plan_invalid": "Correct the element that `field` names where the plan was made, and export it again.",
     "plan_not_dicom": "Send the file as it was exported, with the type `application/dicom`.",

@@ -10,6 +10,7 @@ down_revision = "0008"
 branch_labels = None
 depends_on = None
 
+CONTRADICTIONS = "plan_contradictions"
 SAME = "id = NEW.id OR sha256 = NEW.sha256 OR sop_instance_uid = NEW.sop_instance_uid"
 
 
@@ -29,6 +30,17 @@ def upgrade() -> None:
     )
     op.create_index("ix_plans_created", "plans", ["created_at", "id"])
     op.create_index("ix_plans_patient_reference", "plans", ["patient_reference"])
+    op.create_table(
+        CONTRADICTIONS,
+        sa.Column("id", sa.String(32), primary_key=True),
+        sa.Column("plan_id", sa.String(32), sa.ForeignKey("plans.id"), nullable=False),
+        sa.Column("sha256", sa.String(64), nullable=False),
+        sa.Column("approval", sa.String(16)),
+        sa.Column("differing", sa.Text, nullable=False),
+        sa.Column("imported_by", sa.String(80), nullable=False),
+        sa.Column("created_at", sa.String(27), nullable=False),
+        sa.UniqueConstraint("plan_id", "sha256"),
+    )
     for name, trigger in _triggers().items():
         refuse(name, *trigger)
     if op.get_bind().dialect.name == "postgresql":
@@ -41,36 +53,38 @@ def downgrade() -> None:
     op.drop_index("ix_sessions_rt_plan_id", "sessions")
     op.drop_column("sessions", "rt_plan_id")
     if op.get_bind().dialect.name == "postgresql":
-        allow("plans_no_truncate", "plans")
+        for table in ("plans", CONTRADICTIONS):
+            allow(f"{table}_no_truncate", table)
     for name, (table, *_) in _triggers().items():
         allow(name, table)
+    op.drop_table(CONTRADICTIONS)
     op.drop_table("plans")
 
 
 def _triggers() -> dict[str, tuple[str, str, str | None, str]]:
     """Name each trigger: its table, its verb, when it refuses (None is always), and what it says. See 0006."""
-    words = "plans is append-only"
-    made: dict[str, tuple[str, str, str | None, str]] = {
-        f"plans_no_{verb.lower()}": ("plans", verb, None, words) for verb in ("UPDATE", "DELETE")
-    }
-    same = {"plans_only_new": SAME}
-    if op.get_bind().dialect.name == "sqlite":
-        same["plans_only_new_rowid"] = "rowid = NEW.rowid"
-    for name, condition in same.items():
-        there = f"EXISTS (SELECT 1 FROM plans WHERE {condition})"  # noqa: S608 - words of this file alone # nosec B608
-        made[name] = ("plans", "INSERT", there, words)
+    made: dict[str, tuple[str, str, str | None, str]] = {}
+    for table, same in (("plans", SAME), (CONTRADICTIONS, "id = NEW.id")):
+        words = f"{table} is append-only"
+        made |= {f"{table}_no_{verb.lower()}": (table, verb, None, words) for verb in ("UPDATE", "DELETE")}
+        known = {f"{table}_only_new": same}
+        if op.get_bind().dialect.name == "sqlite":
+            known[f"{table}_only_new_rowid"] = "rowid = NEW.rowid"
+        for name, condition in known.items():
+            there = f"EXISTS (SELECT 1 FROM {table} WHERE {condition})"  # noqa: S608 - this file's own words # nosec B608
+            made[name] = (table, "INSERT", there, words)
     return made
 
 
 def _refuse_truncate() -> None:
     """Refuse what fires no row's trigger, and let all triggers fire for whoever replicates, too."""
-    op.execute(
-        "CREATE FUNCTION plans_no_truncate() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN "
-        "RAISE EXCEPTION 'plans is append-only' USING ERRCODE = 'integrity_constraint_violation'; END $$"
-    )
-    op.execute(
-        "CREATE TRIGGER plans_no_truncate BEFORE TRUNCATE ON plans FOR EACH STATEMENT "
-        "EXECUTE FUNCTION plans_no_truncate()"
-    )
-    for name in (*_triggers(), "plans_no_truncate"):
-        op.execute(f'ALTER TABLE plans ENABLE ALWAYS TRIGGER "{name}"')
+    for table in ("plans", CONTRADICTIONS):
+        name = f"{table}_no_truncate"
+        op.execute(
+            f"CREATE FUNCTION {name}() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN "
+            f"RAISE EXCEPTION '{table} is append-only' USING ERRCODE = 'integrity_constraint_violation'; END $$"
+        )
+        op.execute(f"CREATE TRIGGER {name} BEFORE TRUNCATE ON {table} FOR EACH STATEMENT EXECUTE FUNCTION {name}()")
+        op.execute(f'ALTER TABLE {table} ENABLE ALWAYS TRIGGER "{name}"')
+    for name, (table, *_) in _triggers().items():
+        op.execute(f'ALTER TABLE {table} ENABLE ALWAYS TRIGGER "{name}"')

@@ -50,6 +50,7 @@ PREPARE = problems(
     ServiceStoppingError,
     errors.PlanGatingError,
     errors.PlanRejectedError,
+    errors.PlanContradictedError,
     errors.FractionDoneError,
     errors.OverrideNotPersonalError,
 )
@@ -97,8 +98,10 @@ def list_plans(
 
 @router.get("/{plan_id}", responses=problems(NotFoundError))
 def read_plan(plan_id: deps.PlanId, services: deps.Offered, fresh: deps.IfNoneMatch) -> Plan:
-    """Read a plan: fractions, beams, and what it prescribes about breathing. It never changes."""
-    return fresh.told(services.plans.detail(plan_id), etag_of("plan", plan_id))
+    """Read a plan: fractions, beams, what it prescribes about breathing, and whether a later file contradicts it."""
+    plan = services.plans.detail(plan_id)
+    contradicted = "" if plan.contradicted is None else plan.contradicted.created_at.isoformat()
+    return fresh.told(plan, etag_of("plan", plan_id, contradicted))
 
 
 @router.post("/{plan_id}/sessions", status_code=201, name="session.create", responses=PREPARE)

@@ -67,6 +67,21 @@ class PlanRow(Base):
     created_at: Mapped[datetime] = mapped_column(UtcTime)
 
 
+class PlanContradictionRow(Base):
+    """A file with a stored plan's UID that says something else. Never changed nor removed."""
+
+    __tablename__ = "plan_contradictions"
+    __table_args__ = (UniqueConstraint("plan_id", "sha256"),)
+
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    plan_id: Mapped[str] = mapped_column(ForeignKey("plans.id"))
+    sha256: Mapped[str] = mapped_column(String(64))
+    approval: Mapped[str | None] = mapped_column(String(16))
+    differing: Mapped[str] = mapped_column(Text)
+    imported_by: Mapped[str] = mapped_column(String(80))
+    created_at: Mapped[datetime] = mapped_column(UtcTime)
+
+
 class ModelRow(Base):
     """A learned motion model; the file itself lies in the data folder, under its hash."""
 

@@ -64,6 +64,12 @@ class PlanRejectedError(PlanError):
     code = "plan_rejected"
 
 
+class PlanContradictedError(PlanError):
+    """A later file with the plan's UID says something else."""
+
+    code = "plan_contradicted"
+
+
 class FractionDoneError(PlanError):
     """A session of this fraction has been started already."""
 

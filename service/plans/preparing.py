@@ -21,6 +21,7 @@ from service.plans import records
 from service.plans.errors import (
     FractionDoneError,
     OverrideNotPersonalError,
+    PlanContradictedError,
     PlanGatingError,
     PlanRejectedError,
 )
@@ -29,7 +30,7 @@ from service.plans.tags import Tag, named
 from service.ports import Kept
 from service.sessions import ACTION, FromPlan
 
-OVERRIDES = ("overrides_plan_gating", "repeats_fraction")
+OVERRIDES = ("overrides_plan_gating", "repeats_fraction", "overrides_contradiction")
 
 
 class SessionsFromPlans(Protocol):
@@ -118,6 +119,7 @@ class _Fraction:
         if self.plan.approval == "REJECTED":
             msg = f"the plan was rejected: {named(Tag.APPROVAL)} is REJECTED"
             raise PlanRejectedError(msg, field="plan_id", value="REJECTED", bound="a plan that was not rejected")
+        self._refuse_contradicted(db)
         wanted = mismatch(self.gating, self.request.window)
         if wanted is not None and self.request.overrides_plan_gating is None:
             msg = f"the window must be {wanted}; a person may override that, with a reason"
@@ -125,6 +127,21 @@ class _Fraction:
             raise PlanGatingError(msg, field="window.kind", value=value, bound=wanted)
         if self.request.repeats_fraction is None:
             self._refuse_again(db)
+
+    def _refuse_contradicted(self, db: DbSession) -> None:
+        """Refuse a plan of which a later file says something else; one that was rejected, whoever asks."""
+        said = records.contradictions(db, self.plan_id)
+        if any(one.approval == "REJECTED" for one in said):
+            msg = "the plan was rejected after it was imported: a later file with its UID says so"
+            raise PlanRejectedError(msg, field="plan_id", value="REJECTED", bound="a plan that was not rejected")
+        if said and self.request.overrides_contradiction is None:
+            msg = (
+                f"a later file with the plan's UID says something else ({', '.join(said[0].differing)}); "
+                "a person may treat as the plan says, with a reason"
+            )
+            raise PlanContradictedError(
+                msg, field="plan_id", value=self.plan_id, bound="a plan that no later file contradicts"
+            )
 
     def _refuse_again(self, db: DbSession) -> None:
         """Refuse a fraction that was begun before: what it gave, only the treatment machine knows."""
@@ -142,6 +159,8 @@ class _Fraction:
         told = [said] if said is not None else []
         if mismatch(self.gating, self.request.window) is not None:
             told.append("the window is not of the technique that the plan prescribes: overridden")
+        if self.request.overrides_contradiction is not None:
+            told.append("a later file with the plan's UID may say something else: overridden")
         return [*told, *notes]
 
 

@@ -6,9 +6,9 @@ from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session
 
 from service.db import repository
-from service.db.models import PlanRow
+from service.db.models import PlanContradictionRow, PlanRow
 from service.errors import NotFoundError
-from service.plan_schemas import Plan, PlanPage, PlanSummary, RtPlan
+from service.plan_schemas import Plan, PlanContradiction, PlanPage, PlanSummary, RtPlan
 
 COLUMNS = ("id", "kind", "sop_instance_uid", "patient_reference", "label", "gating", "imported_by", "created_at")
 
@@ -27,14 +27,30 @@ def row_of_uid(db: Session, uid: str) -> PlanRow | None:
     return db.scalar(select(PlanRow).where(PlanRow.sop_instance_uid == uid))
 
 
-def told(row: PlanRow) -> Plan:
-    """Tell a plan as it was read."""
+def contradictions(db: Session, plan_id: str) -> list[PlanContradiction]:
+    """Tell which later files contradict a plan, newest first."""
+    mine = select(PlanContradictionRow).where(PlanContradictionRow.plan_id == plan_id)
+    rows = db.scalars(mine.order_by(PlanContradictionRow.created_at.desc(), PlanContradictionRow.id.desc()))
+    return [
+        PlanContradiction(
+            approval=row.approval,
+            differing=row.differing.split(),
+            imported_by=row.imported_by,
+            created_at=row.created_at,
+        )
+        for row in rows
+    ]
+
+
+def told(db: Session, row: PlanRow) -> Plan:
+    """Tell a plan as it was read, and what contradicts it."""
     return Plan(
         **dict(content(row)),
         id=row.id,
         sha256=row.sha256,
         imported_by=row.imported_by,
         created_at=row.created_at,
+        contradicted=next(iter(contradictions(db, row.id)), None),
     )
 
 

@@ -12,13 +12,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from service import audit
 from service.audit import Event
 from service.audit_log import AuditLog
 from service.db.engine import Database
-from service.db.models import PlanRow
+from service.db.models import PlanContradictionRow, PlanRow
 from service.idempotency import CallersKey, InProgress, earlier_answer, keep_answer
 from service.plan_schemas import Plan, PlanPage, RtPlan
 from service.plans import records
@@ -28,7 +29,8 @@ from service.plans.tags import Tag, named
 from service.ports import Kept
 from service.settings import Settings
 
-ACTION = "plan.import"
+ACTION, CONTRADICTED = "plan.import", "plan.contradicted"
+REJECTED = "REJECTED"
 AT_ONCE = 2
 """Files that are in memory at a time: each may be as large as the site lets it, and is read beside the gate."""
 
@@ -66,9 +68,16 @@ class PlanShelf:
                 if earlier is not None:
                     return Kept(answer=earlier, is_replay=True)
                 row, is_known = _kept_row(db, plan, sha256, operator)
-                audit.append(db, Event(actor=operator, action=ACTION, detail=_detail(row, sha256, is_known=is_known)))
-                answer = records.told(row)
-                keep_answer(db, ACTION, key, body, answer)
+                differing = _differing(records.content(row), plan)
+                if not differing:
+                    detail = _detail(row, sha256, is_known=is_known)
+                    audit.append(db, Event(actor=operator, action=ACTION, detail=detail))
+                    answer = records.told(db, row)
+                    keep_answer(db, ACTION, key, body, answer)
+                elif not _is_only_approved(records.content(row), plan, differing):
+                    _contradict(db, row, plan, sha256, operator, differing)
+            if differing:  # behind the transaction: what was said is kept
+                raise _conflict(plan, differing)
             return Kept(answer=answer, is_replay=is_known)
 
     def page(self, cursor: str | None, limit: int, *, patient_reference: str | None, label: str | None) -> PlanPage:
@@ -79,7 +88,7 @@ class PlanShelf:
     def detail(self, plan_id: str) -> Plan:
         """Read one."""
         with self._database.read() as db:
-            return records.told(records.plan_row(db, plan_id))
+            return records.told(db, records.plan_row(db, plan_id))
 
     def _renamed(self, plan: RtPlan) -> RtPlan:
         """Call the patient as the site does."""
@@ -90,10 +99,9 @@ class PlanShelf:
 
 
 def _kept_row(db: Session, plan: RtPlan, sha256: str, operator: str) -> tuple[PlanRow, bool]:
-    """Find or make the row of a plan; refuse another plan of the same UID."""
+    """Find or make the row of a plan; the one that is there may say something else."""
     row = records.row_of_uid(db, plan.sop_instance_uid)
     if row is not None:
-        _refuse_another(records.content(row), plan)
         return row, True
     row = PlanRow(
         id=uuid.uuid4().hex,
@@ -108,13 +116,42 @@ def _kept_row(db: Session, plan: RtPlan, sha256: str, operator: str) -> tuple[Pl
     return row, False
 
 
-def _refuse_another(there: RtPlan, plan: RtPlan) -> None:
-    """Let the same plan in another file pass: an archive may write it anew; what it says must be the same."""
-    differing = [name for name in RtPlan.model_fields if getattr(there, name) != getattr(plan, name)]
-    if differing:
-        msg = f"another plan has this SOP Instance UID: they differ in {', '.join(differing)}"
-        bound = "of one content: a changed plan needs a UID of its own"
-        raise PlanConflictError(msg, field=named(Tag.SOP_INSTANCE), value=plan.sop_instance_uid, bound=bound)
+def _differing(there: RtPlan, plan: RtPlan) -> list[str]:
+    """Say in what they differ; an archive may write a file anew, and what it says must be the same."""
+    return [name for name in RtPlan.model_fields if getattr(there, name) != getattr(plan, name)]
+
+
+def _is_only_approved(there: RtPlan, plan: RtPlan, differing: list[str]) -> bool:
+    """Whether a plan was approved meanwhile, and nothing else: no reason to keep it from being treated."""
+    return set(differing) <= {"approval", "notes"} and there.approval != REJECTED and plan.approval == "APPROVED"
+
+
+def _contradict(db: Session, row: PlanRow, plan: RtPlan, sha256: str, operator: str, differing: list[str]) -> None:
+    """Remember a file that says something else of a plan; each file once."""
+    known = select(PlanContradictionRow.id).where(
+        PlanContradictionRow.plan_id == row.id, PlanContradictionRow.sha256 == sha256
+    )
+    if db.scalar(known) is not None:
+        return
+    db.add(
+        PlanContradictionRow(
+            id=uuid.uuid4().hex,
+            plan_id=row.id,
+            sha256=sha256,
+            approval=plan.approval,
+            differing=" ".join(differing),
+            imported_by=operator,
+            created_at=datetime.now(UTC),
+        )
+    )
+    detail = {"rt_plan_id": row.id, "sha256": sha256, "approval": plan.approval, "differing": differing}
+    audit.append(db, Event(actor=operator, action=CONTRADICTED, detail=detail))
+
+
+def _conflict(plan: RtPlan, differing: list[str]) -> PlanConflictError:
+    msg = f"another plan has this SOP Instance UID: they differ in {', '.join(differing)}"
+    bound = "of one content: a changed plan needs a UID of its own"
+    return PlanConflictError(msg, field=named(Tag.SOP_INSTANCE), value=plan.sop_instance_uid, bound=bound)
 
 
 def _detail(row: PlanRow, sha256: str, *, is_known: bool) -> dict[str, object]:

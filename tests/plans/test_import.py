@@ -51,7 +51,9 @@ def test_another_plan_of_the_same_uid_is_refused_and_nothing_changes(client, pla
     problem = answer.json()
     assert (answer.status_code, problem["code"], problem["value"]) == (409, "plan_conflict", UID)
     assert "fraction_groups" in problem["detail"]
-    assert client.get(f"{URL}/{plan['id']}").json() == plan
+    there = client.get(f"{URL}/{plan['id']}").json()
+    assert there["contradicted"]["differing"] == ["fraction_groups"]
+    assert there | {"contradicted": None} == plan
 
 
 @pytest.mark.both_databases

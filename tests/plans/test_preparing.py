@@ -8,7 +8,7 @@ from service.access.permissions import KEY_PERMISSIONS
 from service.plans.gating import mismatch
 from service.plans.reading import read_plan
 from service.window_schemas import Window
-from tests.plans.conftest import AMPLITUDE, BREATH_HOLD, URL, kept, prepare
+from tests.plans.conftest import AMPLITUDE, BREATH_HOLD, URL, kept, prepare, send
 from tests.plans.made import beam, group, motion, photon_plan, setup, written
 from tests.service.conftest import act, audit_rows, make_session_body
 
@@ -109,7 +109,7 @@ def test_a_person_may_override_with_a_reason_that_is_kept_and_told(client, plan,
 
 
 def test_an_override_needs_a_reason(client, plan, asked):
-    for name in ("overrides_plan_gating", "repeats_fraction"):
+    for name in ("overrides_plan_gating", "repeats_fraction", "overrides_contradiction"):
         for reason in ("", "   ", "x" * 81, 1):
             assert prepare(client, plan, asked | {name: reason}).status_code == 422
 
@@ -119,7 +119,7 @@ def test_a_machine_does_not_go_against_a_plan_whoever_it_says_that_it_acts_for(c
     key = client.desk.keys.create("planning", KEY_PERMISSIONS, until, by="A. Therapist")
     headers = {"Authorization": f"Bearer {key.secret}"}
     client.speaks_as = None
-    for name in ("overrides_plan_gating", "repeats_fraction"):
+    for name in ("overrides_plan_gating", "repeats_fraction", "overrides_contradiction"):
         body = asked | {"window": AMPLITUDE, name: "because"}
         answer = client.post(f"{URL}/{plan['id']}/sessions", json=body, headers=headers)
         assert (answer.status_code, answer.json()["code"]) == (403, "override_needs_person")
@@ -181,6 +181,49 @@ def test_a_rejected_plan_gives_no_session_whoever_asks(client, asked):
     plan = kept(client, ApprovalStatus="REJECTED")
     answer = prepare(client, plan, asked | {"overrides_plan_gating": "because"})
     assert (answer.status_code, answer.json()["code"]) == (409, "plan_rejected")
+
+
+def say_otherwise(client, **changes):
+    """Send a file of the same UID that says something else."""
+    answer = send(client, written(photon_plan(**changes)))
+    assert (answer.status_code, answer.json()["code"]) == (409, "plan_conflict")
+
+
+@pytest.mark.both_databases
+def test_a_plan_that_was_rejected_after_its_import_gives_no_session_whoever_asks(client, plan, asked):
+    say_otherwise(client, ApprovalStatus="REJECTED")
+    say_otherwise(client, RTPlanName="another")
+    for reason in ({}, {"overrides_contradiction": "because"}):
+        answer = prepare(client, plan, asked | reason)
+        assert (answer.status_code, answer.json()["code"]) == (409, "plan_rejected")
+
+
+@pytest.mark.both_databases
+def test_a_plan_that_a_later_file_contradicts_says_so_and_needs_a_person_with_a_reason(client, plan, asked):
+    etag = client.get(f"{URL}/{plan['id']}").headers["ETag"]
+    for _ in range(2):
+        say_otherwise(client, FractionGroupSequence=[group(fractions=29)], ApprovalStatus="UNAPPROVED")
+    read = client.get(f"{URL}/{plan['id']}", headers={"If-None-Match": etag})
+    told = read.json()["contradicted"]
+    assert (read.status_code, told["approval"], told["imported_by"]) == (200, "UNAPPROVED", "A. Therapist")
+    assert {"approval", "fraction_groups"} <= set(told["differing"])
+    (row,) = audit_rows(client, "plan.contradicted")
+    assert row["detail"]["rt_plan_id"] == plan["id"]
+    answer = prepare(client, plan, asked)
+    assert (answer.status_code, answer.json()["code"]) == (409, "plan_contradicted")
+    answer = prepare(client, plan, asked | {"overrides_contradiction": "physicist A compared both"})
+    assert answer.status_code == 201
+    assert any("later file" in warning for warning in answer.json()["warnings"])
+    assert audit_rows(client, "session.create")[-1]["detail"]["overrides_contradiction"] == "physicist A compared both"
+
+
+def test_an_approval_that_comes_later_is_no_contradiction(client, asked):
+    plan = kept(client, ApprovalStatus="UNAPPROVED")
+    say_otherwise(client)
+    assert client.get(f"{URL}/{plan['id']}").json()["contradicted"] is None
+    answer = prepare(client, plan, asked)
+    assert answer.status_code == 201
+    assert any("UNAPPROVED" in warning for warning in answer.json()["warnings"])
 
 
 def test_what_the_plan_does_not_settle_is_told_with_the_session(client, asked):
