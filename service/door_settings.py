@@ -22,7 +22,7 @@ class DoorSettings(BaseSettings):
     http_write_s: float = _limit("write_s", "Who reads nothing of what is sent for this time is cut off")
     http_handshake_s: float = _limit("handshake_s", "TLS has to be agreed on within this time")
     http_max_connections: int = _limit(
-        "max_connections", "Beyond, the connection goes that waits longest for a request"
+        "max_connections", "Beyond, the connection goes whose client has been waited for longest; strangers first"
     )
     http_max_connections_per_address: int = _limit(
         "max_connections_per_address", "The same for one sender; proxies that are trusted are not counted"

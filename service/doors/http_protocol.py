@@ -12,6 +12,7 @@ from uvicorn.config import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
+from service.access.identity import STATE
 from service.doors.cutting import cut
 from service.doors.refusals import phrase_of, problem_answer
 from service.doors.visitors import VisitorBook
@@ -84,7 +85,9 @@ class BoundedHttp(H11Protocol):
         super().data_received(data)
         if self._is_between_requests:
             return
-        self._head_since_s = None
+        if self._head_since_s is not None:  # a call's body comes with its head or within moments
+            self._head_since_s = None
+            self._book.stirs(self.transport)
         # Uvicorn stops reading ahead of a request, and reads on whenever the application asks whether anybody left.
         if not self.cycle.more_body and len(self.conn.trailing_data[0]) > MOST_AHEAD_BYTES:
             self._book.refusals.add("too_far_ahead")
@@ -93,6 +96,7 @@ class BoundedHttp(H11Protocol):
     def pause_writing(self) -> None:
         """Note from when on the client reads nothing."""
         self._unread_since_s = self.loop.time()
+        self._book.stirs(self.transport)
         super().pause_writing()
 
     def resume_writing(self) -> None:
@@ -103,6 +107,7 @@ class BoundedHttp(H11Protocol):
     def on_response_complete(self) -> None:
         """Wait for the next request, from its first byte on not for long."""
         self._wire_bytes = 0
+        self._book.stirs(self.transport)
         super().on_response_complete()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
@@ -120,8 +125,15 @@ class BoundedHttp(H11Protocol):
 
     @property
     def waits(self) -> bool:
-        """Whether no request is under way."""
-        return self._is_between_requests
+        """Whether no request is under way, or its body is not here and nothing was answered, or nothing is read."""
+        if self._is_between_requests or self._unread_since_s is not None:
+            return True
+        return self.cycle.more_body and not self.cycle.response_started
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the guard knows whose request is under way: it says so before anything of the body is read."""
+        return not self._is_between_requests and self.cycle.scope.get(STATE) is not None
 
     def look(self, now_s: float) -> str | None:
         """End what is overdue."""

@@ -33,7 +33,8 @@ class DoorLimits:
     handshake_s
         For TLS.
     max_connections, max_connections_per_address
-        Beyond them the connection goes that waits longest for a request; one in use is never closed for another.
+        Beyond them the connection goes that has been waited for longest: for a request, the rest of one, or for its
+        client to read; strangers first. One whose request is worked on is never closed for another.
     """
 
     header_s: float = 10.0

@@ -95,6 +95,11 @@ class BoundedSocket(WebSocketsSansIOProtocol):
         """Whether it may be closed for another; a socket is in use for as long as it is open."""
         return False
 
+    @property
+    def is_known(self) -> bool:
+        """Whether the guard knows who it is: it lets nobody else open one."""
+        return True
+
     def look(self, now_s: float) -> str | None:
         """Cut off whoever reads nothing, and whoever does not take the rest of what was said to the end."""
         if self.transport.is_closing() and self._closing_since_s is None:

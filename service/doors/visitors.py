@@ -1,7 +1,8 @@
 """Who is connected: counted in all and by address, looked at once a second, and sent away in the order of who waits.
 
-Places are bounded, and a newcomer gets one all the same: whoever has waited longest without a request goes for it, of
-the address that has most. So a thousand strangers who only keep connections open keep no call to hold the beam out.
+Places are bounded, and a newcomer gets one all the same: whoever has been waited for longest goes for it, of the
+address that has most; a caller whom the guard knows goes only where no stranger does. So thousands who only keep
+connections open, or begin requests and do not end them, or leave answers unread, keep no call to hold the beam out.
 """
 
 from __future__ import annotations
@@ -24,7 +25,11 @@ class Visitor(Protocol):
 
     @property
     def waits(self) -> bool:
-        """Whether no request is under way: this one may be closed for another."""
+        """Whether it is the client's turn, and nothing of its own is worked on: this one may be closed for another."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the guard knows whose request is under way."""
 
     def look(self, now_s: float) -> str | None:
         """End it if it is overdue; returns how, for the count."""
@@ -49,7 +54,7 @@ class VisitorBook:
         return len(self._address_of)
 
     def enter(self, key: object, visitor: Visitor, address: str | None) -> bool:
-        """Give a newcomer a place; False where every connection there is has a request under way."""
+        """Give a newcomer a place; False where for every connection there is something is worked on."""
         where = self._where(address)
         if not self._makes_room(where):
             self.refusals.add("connections_full")
@@ -64,6 +69,12 @@ class VisitorBook:
         where = self._address_of.get(key)
         if where is not None:
             self._by_address[where][key] = visitor
+
+    def stirs(self, key: object) -> None:
+        """Note that a connection's turn begins: of those who are waited for it is the last to go."""
+        where = self._address_of.get(key)
+        if where is not None:
+            self._by_address[where][key] = self._by_address[where].pop(key)
 
     def leave(self, key: object) -> None:
         """Forget a connection that is closed; safe to call twice."""
@@ -84,16 +95,19 @@ class VisitorBook:
         if len(self) >= self.limits.max_connections:
             # Addresses in the order of how many places they take: there are few that take many.
             crowded = sorted(self._by_address, key=lambda one: len(self._by_address[one]), reverse=True)
-            return any(self._send_one_away(one) for one in crowded)
+            return self._send_one_away(*crowded)
         return True
 
-    def _send_one_away(self, where: str) -> bool:
-        for key, visitor in self._by_address[where].items():
-            if visitor.waits:
-                self.refusals.add("closed_for_another")
-                self.leave(key)
-                visitor.leave()
-                return True
+    def _send_one_away(self, *addresses: str) -> bool:
+        """Close who was waited for longest, of the first address that has one; those who are known last."""
+        for is_known in (False, True):
+            for where in addresses:
+                for key, visitor in self._by_address[where].items():
+                    if visitor.waits and visitor.is_known is is_known:
+                        self.refusals.add("closed_for_another")
+                        self.leave(key)
+                        visitor.leave()
+                        return True
         return False
 
     def _is_proxy(self, where: str) -> bool:

@@ -14,8 +14,9 @@ from service.settings import Settings
 class Guest:
     """A connection that waits for a request, or has one under way."""
 
-    def __init__(self, *, waits: bool = True) -> None:
+    def __init__(self, *, waits: bool = True, is_known: bool = False) -> None:
         self.waits = waits
+        self.is_known = is_known
         self.is_gone = False
 
     def look(self, _now_s):
@@ -34,8 +35,8 @@ def book(most: int = 6, each: int = 3, proxies=()) -> VisitorBook:
     return VisitorBook(DoorLimits(max_connections=most, max_connections_per_address=each), trusted_proxies=proxies)
 
 
-def enter(visitors: VisitorBook, address: str, *, waits: bool = True) -> tuple[Guest, bool]:
-    guest = Guest(waits=waits)
+def enter(visitors: VisitorBook, address: str, *, waits: bool = True, is_known: bool = False) -> tuple[Guest, bool]:
+    guest = Guest(waits=waits, is_known=is_known)
     return guest, visitors.enter(guest, guest, address)
 
 
@@ -67,6 +68,30 @@ async def test_when_all_places_are_taken_the_address_with_most_gives_one_up():
     assert [one.is_gone for one in crowd] == [True, False, False]
     assert not any(one.is_gone for one in few)
     assert len(visitors) == 6
+
+
+@pytest.mark.anyio
+async def test_a_known_caller_goes_only_where_no_stranger_waits_anywhere():
+    visitors = book()
+    known = [enter(visitors, "192.0.2.1", is_known=True)[0] for _ in range(3)]
+    strangers = [enter(visitors, f"192.0.2.{i}")[0] for i in (2, 3, 4)]
+    for i in (5, 6, 7):
+        enter(visitors, f"192.0.2.{i}", waits=False)
+    assert [one.is_gone for one in strangers] == [True] * 3
+    assert not any(one.is_gone for one in known)
+    assert enter(visitors, "192.0.2.8", waits=False)[1]
+    assert [one.is_gone for one in known] == [True, False, False]
+
+
+@pytest.mark.anyio
+async def test_who_stirs_is_the_last_to_go():
+    visitors = book()
+    guests = [enter(visitors, "192.0.2.1")[0] for _ in range(3)]
+    visitors.stirs(guests[0])
+    enter(visitors, "192.0.2.1")
+    assert [guest.is_gone for guest in guests] == [False, True, False]
+    visitors.stirs(guests[1])  # who is gone stirs no more
+    assert len(visitors) == 3
 
 
 @pytest.mark.anyio
