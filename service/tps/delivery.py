@@ -29,7 +29,7 @@ class BeamClock:
     on_s
         So far.
     unseen_s
-        The part of it in which frames were missed, so that nobody saw the beam.
+        How long frames were missed, so that nobody saw the beam; between two frames without it, it may have been on.
     frames
         Every frame that was seen, and whether the line was on.
     """
@@ -51,12 +51,12 @@ class BeamClock:
         if last is None:
             return 0.0
         is_gap = seen.frame_index - last.frame_index > 1
+        passed_s = max(0.0, (seen.timestamp_us - last.timestamp_us) / US_PER_S)
+        self.unseen_s += passed_s if is_gap else 0.0
         if not (last.is_on or (is_gap and seen.is_on)):
             return 0.0
-        grown_s = max(0.0, (seen.timestamp_us - last.timestamp_us) / US_PER_S)
-        self.on_s += grown_s
-        self.unseen_s += grown_s if is_gap else 0.0
-        return grown_s
+        self.on_s += passed_s
+        return passed_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

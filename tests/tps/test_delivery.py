@@ -32,6 +32,13 @@ def test_what_nobody_saw_counts_as_on_where_either_end_of_it_was(before, behind)
     assert clock.unseen_s == clock.on_s
 
 
+def test_frames_that_were_missed_between_two_without_beam_may_have_had_it():
+    clock = BeamClock()
+    clock.note(Seen(frame_index=0, timestamp_us=0, is_on=False))
+    clock.note(Seen(frame_index=30, timestamp_us=1_000_000, is_on=False))
+    assert (clock.on_s, clock.unseen_s) == (0.0, 1.0)
+
+
 def test_a_gap_between_two_frames_with_the_beam_off_counts_nothing():
     assert counted((0, False), (10, False)).on_s == 0.0
 
