@@ -1,8 +1,8 @@
 """How other threads reach the engine: commands with futures, and faults that somebody else has seen.
 
 Bounded, and never waited for. A disarming or a hold by hand is never refused, overtakes everything, and takes back
-every arming or release asked for before it; any other command that had to wait too long is refused rather than carried
-out as a surprise.
+every arming or release asked for before it, also one that comes here only afterwards; any other command that had to
+wait too long is refused rather than carried out as a surprise.
 """
 
 import threading
@@ -22,6 +22,7 @@ URGENT = (Disarm, HoldBeam)
 """What overtakes everything, and is carried out even if its asker has given up."""
 
 _TAKES_BACK: dict[type, type] = {Disarm: Arm, HoldBeam: ReleaseBeam}
+_TAKEN_BACK_BY: dict[type, type] = {undone: by for by, undone in _TAKES_BACK.items()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -49,6 +50,7 @@ class Mailbox:
         self._lock = threading.Lock()
         self._letters: deque[Letter] = deque()
         self._urgent: list[Letter] = []
+        self._newest_asked_ns: dict[type, int] = {}
         self._report: Interruption | None = None
         self._closed_because: str | None = None
 
@@ -68,8 +70,11 @@ class Mailbox:
             if self._closed_because is not None:
                 raise CommandRefusedError(self._closed_because)
             if not isinstance(command, URGENT):
+                self._refuse_overtaken(letter)
                 self._put(letter)
                 return letter.answer
+            kind = type(command)
+            self._newest_asked_ns[kind] = max(letter.submitted_ns, self._newest_asked_ns.get(kind, letter.submitted_ns))
             taken_back = self._take_back(_TAKES_BACK[type(command)])
             urgent = self._put_urgent(letter)
         sentence = "disarmed" if isinstance(command, Disarm) else "the beam was held"
@@ -149,6 +154,15 @@ class Mailbox:
         for letter in urgent:
             if letter.answer.set_running_or_notify_cancel():
                 letter.answer.set_result(None)
+
+    def _refuse_overtaken(self, letter: Letter) -> None:
+        """Refuse what was asked for before that which undoes it, however late it comes."""
+        by = _TAKEN_BACK_BY.get(type(letter.command))
+        undone_ns = None if by is None else self._newest_asked_ns.get(by)
+        if undone_ns is not None and letter.submitted_ns < undone_ns:
+            what = "disarmed" if by is Disarm else "the beam was held"
+            msg = f"{what} after this was asked for: look, and ask again"
+            raise CommandRefusedError(msg)
 
     def _put(self, letter: Letter) -> None:
         if len(self._letters) >= self._capacity:

@@ -29,6 +29,7 @@ from service.api import (
     sessions,
     users,
 )
+from service.arrival import Arrival
 from service.deps import guarded, require_json
 from service.engine_adapter import EngineAdapter
 from service.lifespan import make_lifespan
@@ -79,6 +80,7 @@ def create_app(
         redoc_url=None,
         lifespan=make_lifespan(settings, make_engine, make_rig, tell_first),
         middleware=[
+            Middleware(Arrival),
             Middleware(RequestWatch, page_files=_page_files()),
             Middleware(
                 Doorway,

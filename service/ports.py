@@ -131,8 +131,11 @@ class RunningEngine(Protocol):
     def error(self) -> str | None:
         """Why it failed, for a person."""
 
-    def submit(self, command: Command) -> "Future[None]":
-        """Ask; raise CommandRefusedError at once when too much is being asked already."""
+    def submit(self, command: Command, *, submitted_ns: int | None = None) -> "Future[None]":
+        """Ask; raise CommandRefusedError at once when too much is being asked already.
+
+        ``submitted_ns`` is when it was asked for, host monotonic time; now, if left out.
+        """
 
     def note_presence(self, operator: str) -> None:
         """Hear that a person's page is still looked at; never waits."""

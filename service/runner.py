@@ -32,10 +32,12 @@ from engine.commands import (
 )
 from engine.errors import CommandRefusedError, TidegateError
 from engine.live import LiveView, LoopStatus
+from engine.mailbox import MAX_WAIT_NS
 from engine.model import MotionModel
 from engine.provenance import check_patient
 from service import audit, schemas
 from service.access.identity import Identity
+from service.arrival import asked_ns
 from service.audit import Event
 from service.audit_log import AuditLog
 from service.baseline import check_correction, correction_detail, moved_window, told_in
@@ -78,6 +80,8 @@ COMMANDS: dict[CommandName, Callable[[str], Command]] = {
     "hold": lambda operator: HoldBeam(operator=operator),
     "release": lambda operator: ReleaseBeam(operator=operator),
 }
+AGES_FROM_ARRIVAL = (Arm, ReleaseBeam, SetReference, Acknowledge, Disarm, HoldBeam)
+"""As old as the call that asks: what has to wait for a thread or the audit grows old there, too."""
 TAKES_PERMISSION_AWAY = (Disarm, HoldBeam)
 """Done first and written down after; all else is written down first."""
 
@@ -385,6 +389,7 @@ class SessionRunner:
         with self._log.refusals(actor=operator, action=action, session_id=session_id, detail=detail):
             running = self._running(session_id)
             if not isinstance(command, TAKES_PERMISSION_AWAY):
+                _refuse_late(command)
                 self._log.write(replace(done, outcome="requested"))
             with _unless_refused(may_be_done):
                 self._await(running, command)
@@ -392,7 +397,8 @@ class SessionRunner:
         self._log.write(replace(done, detail={**done.detail, **found}))
 
     def _await(self, running: Running, command: Command) -> None:
-        future = running.engine.submit(command)
+        asked = asked_ns() if isinstance(command, AGES_FROM_ARRIVAL) else None
+        future = running.engine.submit(command, submitted_ns=asked)
         try:
             future.result(self._settings.command_timeout_s)
         except (FutureTimeoutError, CancelledError) as error:
@@ -424,6 +430,13 @@ def _unless_refused(may_be_done: Callable[[], None]) -> Iterator[None]:
         may_be_done()
         raise
     may_be_done()
+
+
+def _refuse_late(command: Command) -> None:
+    """Refuse what waited so long for its turn that whoever asked may have gone."""
+    if isinstance(command, AGES_FROM_ARRIVAL) and time.monotonic_ns() - asked_ns() > MAX_WAIT_NS:
+        msg = "the service was busy for too long: look, and ask again"
+        raise CommandRefusedError(msg)
 
 
 def _model_detail(model_id: str | None) -> dict[str, object]:

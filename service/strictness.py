@@ -22,9 +22,9 @@ PROBLEM = "application/problem+json"
 
 
 async def require_known_query(request: Request) -> None:
-    """Refuse a parameter that the call does not have, and one that is given twice."""
+    """Refuse a parameter that the call does not have, or has twice; what takes the beam away is done all the same."""
     route = request.scope.get("route")
-    if not isinstance(route, APIRoute) or route.path_format in MAY_HAVE_MORE:
+    if not isinstance(route, APIRoute) or route.path_format in MAY_HAVE_MORE or _takes_beam_away(request):
         return
     known = _query_names(route)
     given = [name for name, _ in request.query_params.multi_items()]

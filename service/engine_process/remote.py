@@ -177,7 +177,7 @@ class RemoteEngine:
         """Why it failed."""
         return self._standing.error
 
-    def submit(self, command: Command) -> Future[None]:
+    def submit(self, command: Command, *, submitted_ns: int | None = None) -> Future[None]:
         """Ask; in the order of asking, but for what is large, which nothing waits behind."""
         with self._lock:
             if self._is_over.is_set():
@@ -185,7 +185,8 @@ class RemoteEngine:
             slot = None if isinstance(command, URGENT) else self._free_slot()
             number = self._orders = self._orders + 1
             asking = self._asked[number] = Asking(slot, lambda: self._give_up(number))
-            order = Order(number=number, slot=asking.slot, command=command, submitted_ns=time.monotonic_ns())
+            asked_ns = time.monotonic_ns() if submitted_ns is None else submitted_ns
+            order = Order(number=number, slot=asking.slot, command=command, submitted_ns=asked_ns)
             if isinstance(command, ActivateModel):
                 self._large.put(order)
             elif not self._child.whisper.send(order):

@@ -40,7 +40,7 @@ class BreathingRun(FakeRunning):
         self.reason = HoldReason.DISARMED
         self.number = 0
 
-    def submit(self, command: Command):
+    def submit(self, command: Command, *, submitted_ns: int | None = None):
         with self.lock:
             return super().submit(command)
 

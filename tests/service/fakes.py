@@ -87,6 +87,7 @@ class FakeRunning:
         self.status = LoopStatus.RUNNING
         self.error: str | None = None
         self.commands: list[Command] = []
+        self.asked_ns: list[int | None] = []
         self.faults: list[HoldReason] = []
         self.refuse_with: TidegateError | None = None
         self.is_silent = False
@@ -99,8 +100,9 @@ class FakeRunning:
         self.gate = GateState.DISARMED
         self._index = count()
 
-    def submit(self, command: Command) -> Future[None]:
+    def submit(self, command: Command, *, submitted_ns: int | None = None) -> Future[None]:
         self.commands.append(command)
+        self.asked_ns.append(submitted_ns)
         answer: Future[None] = Future()
         if self.is_silent:
             return answer

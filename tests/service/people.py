@@ -8,6 +8,7 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from service.access.logins import LoginDesk, OpenedLogin
 from service.access.names import name_key
 from service.access.permissions import KEY_PERMISSIONS, Permission, Role
 from service.access.records import User
+from service.access.rules import RuleTable
 from service.access.store import AccessStore
 from service.db.engine import Database
 from service.settings import Settings
@@ -28,6 +30,8 @@ from service.settings import Settings
 SOMEBODY = "A. Therapist"
 PASSWORD = "a password for the tests"
 EVERY_ROLE = frozenset(Role)
+CONTRACT = Path(__file__).parents[2] / "openapi" / "openapi.json"
+PROBLEM = "application/problem+json"
 
 
 class QuickHashing:
@@ -98,7 +102,9 @@ class PeopleClient(TestClient):
         name = _named(options) or self.speaks_as
         if name is not None:
             options["headers"] = {**self.headers_as(name), **dict(options.get("headers") or {})}
-        return super().request(method, url, **options)
+        answer = super().request(method, url, **options)
+        check_documented(method, answer)
+        return answer
 
     def websocket_connect(self, url: str, subprotocols: Any = None, **options: Any) -> Any:
         if self.speaks_as is not None:
@@ -106,6 +112,27 @@ class PeopleClient(TestClient):
             mine.pop("Origin")
             options["headers"] = {**mine, **dict(options.get("headers") or {})}
         return super().websocket_connect(url, subprotocols, **options)
+
+
+@cache
+def contract() -> dict[str, Any]:
+    """Return the contract that is kept in the repository."""
+    read: dict[str, Any] = json.loads(CONTRACT.read_text(encoding="utf-8"))
+    return read
+
+
+def check_documented(method: str, answer: Any) -> None:
+    """Fail a test that got a problem of which the contract says nothing: whatever is refused is told beforehand."""
+    if answer.headers.get("content-type") != PROBLEM or answer.status_code == 405:
+        return
+    templates = RuleTable().templates(answer.request.url.path)
+    operations = [contract()["paths"].get(template, {}).get(method.lower()) for template in templates]
+    told = next((operation for operation in operations if operation is not None), None)
+    if told is None:
+        return
+    codes = told["responses"].get(str(answer.status_code), {}).get("x-problem-codes", [])
+    code = answer.json()["code"]
+    assert code in codes, f"{told['operationId']} answered {answer.status_code} {code}: the contract has {codes}"
 
 
 def _named(options: Mapping[str, Any]) -> str | None:

@@ -1,14 +1,18 @@
 """The running session: started, asked, watched, stopped."""
 
+import time
+
 import cv2
 import numpy as np
 import pytest
 
 from engine.commands import Acknowledge, ActivateModel, Arm, Disarm, Retrain, SetReference
 from engine.errors import RuntimeMissingError, SourceLostError
+from engine.mailbox import MAX_WAIT_NS
 from engine.model_file import save_model
 from engine.permits import GateState, HoldReason
 from service.app import create_app
+from service.audit_log import AuditLog
 from tests.service.conftest import act, audit_rows, eventually, make_session_body, upload
 from tests.service.fakes import REFUSED, make_model
 from tests.service.people import PeopleClient
@@ -52,10 +56,40 @@ def test_a_silent_engine_gives_a_time_out_and_the_arming_is_withdrawn(client, se
     running.is_silent = True
     futures = []
     submit = running.submit
-    running.submit = lambda command: futures.append(submit(command)) or futures[-1]
+    running.submit = lambda command, **when: futures.append(submit(command, **when)) or futures[-1]
     answer = act(client, session_id, "arm")
     assert (answer.status_code, answer.json()["code"]) == (503, "engine_timeout")
     assert futures[0].cancelled()
+
+
+@pytest.mark.parametrize("action", ["arm", "release", "reference", "acknowledge"])
+def test_what_waited_too_long_since_its_call_arrived_is_refused_before_it_is_written_down(
+    client, session_id, running, monkeypatch, action
+):
+    monkeypatch.setattr("service.runner.asked_ns", lambda: time.monotonic_ns() - 2 * MAX_WAIT_NS)
+    answer = act(client, session_id, action)
+    assert (answer.status_code, answer.json()["code"]) == (409, "command_refused")
+    assert running.commands == []
+    assert [row["outcome"] for row in audit_rows(client, f"session.{action}")] == ["refused"]
+
+
+@pytest.mark.parametrize("action", ["disarm", "hold"])
+def test_what_takes_the_beam_away_is_never_too_late_and_minds_no_query(
+    client, session_id, running, monkeypatch, action
+):
+    monkeypatch.setattr("service.runner.asked_ns", lambda: time.monotonic_ns() - 60 * MAX_WAIT_NS)
+    answer = client.post(f"/api/v1/sessions/{session_id}/{action}?_=1", json={"operator": "A. Therapist"})
+    assert answer.status_code == 200
+    assert len(running.commands) == 1
+
+
+def test_an_arming_is_as_old_as_its_call_not_as_its_row_in_the_audit(client, session_id, running, monkeypatch):
+    seen = []
+    write = AuditLog.write
+    monkeypatch.setattr(AuditLog, "write", lambda *a, **k: (seen.append(time.monotonic_ns()), write(*a, **k))[1])
+    before_ns = time.monotonic_ns()
+    assert act(client, session_id, "arm").status_code == 200
+    assert before_ns <= running.asked_ns[0] < seen[0]
 
 
 @pytest.mark.parametrize("body", [{"operator": ""}, {"operator": 3}, {"operator": "x", "force": True}, [], "x"])
