@@ -42,7 +42,7 @@ class BreathingRun(FakeRunning):
 
     def submit(self, command: Command, *, submitted_ns: int | None = None):
         with self.lock:
-            return super().submit(command)
+            return super().submit(command, submitted_ns=submitted_ns)
 
     def _obey(self, command: Command) -> None:
         super()._obey(command)

@@ -401,7 +401,7 @@ def test_a_break_glass_account_gets_in_with_a_reason_and_everything_says_so(clie
 
 
 def broken_glass(client: TestClient) -> float:
-    text = client.app.state.services.metrics.text().decode()
+    text = client.app.state.services.metrics.text()[0].decode()
     [line] = [line for line in text.splitlines() if line.startswith("tidegate_break_glass_logins_total ")]
     return float(line.split()[1])
 

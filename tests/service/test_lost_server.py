@@ -70,14 +70,14 @@ def test_a_server_that_goes_is_heard_of_while_it_is_away_and_nothing_is_lost(
     running.frame()
     hears(running)
     assert act(client, session_id, "arm").status_code == 503
-    assert client.get("/readyz").status_code == 503
+    eventually(lambda: client.get("/readyz").status_code == 503)
     server.start()
     eventually(lambda: len(audit_rows(client, "gate.transition")) == 2, within_s=10.0)
     running.faults.clear()
     running.transition(GateState.HOLD, HoldReason.DWELL)
     eventually(lambda: len(audit_rows(client, "gate.transition")) == 3)
     assert running.faults == []
-    assert client.get("/readyz").status_code == 200
+    eventually(lambda: client.get("/readyz").status_code == 200)
     assert is_whole(place)
 
 

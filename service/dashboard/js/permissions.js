@@ -24,7 +24,7 @@ export const ROLES = ["viewer", "therapist", "physicist", "admin"];
 /** What an API key can be allowed; never to acknowledge a fault or to manage people. */
 export const KEY_SCOPES = [
   "sessions.read", "sessions.run", "gate.arm", "gate.hold", "models.write", "calibrations.read", "calibrations.write",
-  "qa.read", "qa.run", "qa.baseline", "audit.read", "metrics.read",
+  "plans.write", "qa.read", "qa.run", "qa.baseline", "audit.read", "metrics.read",
 ];
 
 /** @returns {boolean} whether this person may do this; nobody may do anything */
