@@ -98,20 +98,20 @@ class Campaign:
         """Try what the bounds of each schema suggest, up to so many of each operation and kind."""
         for operation in self.operations():
             for is_positive, mode in MODES.items():
-                for case in islice(self._coverage(operation, mode), most):
+                for case in islice(self._coverage(operation, mode), 1 if _never_ends(operation) else most):
                     self._try("coverage", case, is_positive=is_positive)
 
     def fuzz(self, examples: int) -> None:
         """Try what hypothesis makes up, so many of each operation and kind."""
         for operation in self.operations():
             for is_positive, mode in MODES.items():
-                self._fuzz_one(operation, mode, examples, is_positive=is_positive)
+                self._fuzz_one(operation, mode, 1 if _never_ends(operation) else examples, is_positive=is_positive)
 
     def walk(self, walks: int, steps: int) -> None:
         """Walk along the links."""
         campaign = self
 
-        class Walker(self.schema.as_state_machine()):  # type: ignore[misc]
+        class Walker(self.schema.exclude(operation_id=STREAM).as_state_machine()):  # type: ignore[misc]
             def get_call_kwargs(self, case: Any) -> dict[str, Any]:
                 self.caller = campaign._next_caller()
                 name = campaign._prepare(case, is_kept=input_has_link(case))
@@ -245,6 +245,11 @@ def input_has_link(case: Any) -> bool:
     return any(value is not None for value in (case.path_parameters or {}).values()) and bool(
         getattr(case, "meta", None) and getattr(case.meta, "phase", None) and case.meta.phase.name.value == "stateful"
     )
+
+
+def _never_ends(operation: Any) -> bool:
+    """Whether an answer goes on until somebody leaves: each such call takes its seconds."""
+    return bool(operation.definition.raw["operationId"] == STREAM)
 
 
 def _without_security(document: dict[str, Any]) -> dict[str, Any]:
