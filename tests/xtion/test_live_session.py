@@ -86,8 +86,8 @@ def see_off(live, cause):
 
 OF_ONE_PROCESS = pytest.mark.xfail(
     strict=True,
-    reason="the virtual camera belongs to the first process that loads its driver, and the service asks it about itself "
-    "in a process other than the engine's: the asking has to move there",
+    reason="the virtual camera belongs to the first process that loads its driver, and the service asks it about "
+    "itself in a process other than the engine's: the asking has to move there",
 )
 
 
