@@ -10,6 +10,7 @@ from service.api import problems
 from service.conditional import etag_of
 from service.errors import (
     BoundError,
+    EngineProcessError,
     NotFoundError,
     OperatorMismatchError,
     QaActiveError,
@@ -48,6 +49,7 @@ PREPARE = problems(
     SourceLostError,
     StorageLowError,
     ServiceStoppingError,
+    EngineProcessError,
     errors.PlanGatingError,
     errors.PlanRejectedError,
     errors.PlanContradictedError,

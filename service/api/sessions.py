@@ -62,6 +62,7 @@ CREATE = problems(
     SourceLostError,
     StorageLowError,
     ServiceStoppingError,
+    EngineProcessError,
 )
 START = problems(
     NotFoundError,

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from engine.calibration import Calibration
 from engine.commands import Command
 from engine.errors import TidegateError
 from engine.likeness import Likeness
@@ -10,6 +11,7 @@ from engine.model import MotionModel
 from engine.notices import LearningNotice
 from engine.permits import HoldReason
 from engine.pipeline import PipelineSettings
+from service import schemas
 from service.ports import SessionPlan
 from service.settings import Settings
 
@@ -20,6 +22,26 @@ class Prepare:
 
     settings: Settings
     measuring: PipelineSettings | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AskDevices:
+    """Which cameras are there? Only before a session."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AskRegistered:
+    """What does this camera, or the first, say of its own registration? Only before a session."""
+
+    uri: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Told:
+    """What a question was answered with: a list of cameras, a calibration, or why there is none."""
+
+    answer: schemas.DeviceList | Calibration | None = None
+    error: BaseException | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

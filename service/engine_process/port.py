@@ -1,33 +1,42 @@
-"""Makes engines in processes of their own: what `tidegate serve` runs sessions with."""
+"""Makes engines in processes of their own: what `tidegate serve` runs sessions with.
+
+A camera belongs to one process at a time, so the one that would open it is asked about it: the one that stands by.
+"""
+
+import threading
 
 from engine.calibration import Calibration
+from engine.capture.openni import runtime_installed
+from engine.errors import CommandRefusedError
 from engine.pipeline import PipelineSettings
 from service import schemas
-from service.engine_adapter import EngineAdapter
 from service.engine_process.child import Child
-from service.engine_process.messages import Prepare
-from service.engine_process.remote import RemoteEngine, begin_session
+from service.engine_process.crossing import CrossingClosedError
+from service.engine_process.messages import AskDevices, AskRegistered, Prepare, Told
+from service.engine_process.remote import RemoteEngine, begin_session, cause_of
 from service.engine_process.standby import StandBy
+from service.errors import EngineProcessError
 from service.ports import RunningEngine, SessionPlan
 from service.settings import Settings
 
-CAMERA_IN_USE = "a session has the camera: this is what was there before it"
+ASK_S = 10.0
+"""A driver that takes longer hangs: its process is ended, and the next one asked."""
+GONE_S = 5.0
+LISTED_BEFORE = "a session runs: this is what was there before it"
+NOT_LOOKED = "a session runs: cameras are looked for when it is over"
 
 
 class ProcessEngine:
-    """See the module; cameras are asked about themselves from this process, and never while a session has one."""
+    """See the module."""
 
     def __init__(self, settings: Settings, *, measuring: PipelineSettings | None = None) -> None:
-        self._adapter = EngineAdapter(settings)
+        self.is_simulated_beam = settings.is_simulated_beam
         self._standby = StandBy(Prepare(settings=settings, measuring=measuring))
-        self._has_camera = False
+        # A question and a session's beginning do not mix: both have the one process that stands by.
+        self._lock = threading.Lock()
+        self._newest: RemoteEngine | None = None
         self._listed: schemas.DeviceList | None = None
         self._lost = 0
-
-    @property
-    def is_simulated_beam(self) -> bool:
-        """Whether any line is a simulation."""
-        return self._adapter.is_simulated_beam
 
     @property
     def trouble(self) -> str | None:
@@ -41,29 +50,75 @@ class ProcessEngine:
 
     def open(self, plan: SessionPlan) -> RunningEngine:
         """Start a session's engine, disarmed, in the process that stands by; raise what it raises."""
-        child = self._standby.take()
-        return self._adapter.begin(lambda: self._begun(plan, child))
-
-    def _begun(self, plan: SessionPlan, child: Child) -> RemoteEngine:
-        self._has_camera = isinstance(plan.source, schemas.DeviceSource)
-        return begin_session(child, plan, on_gone=self._gone)
-
-    def _gone(self, *, is_lost: bool) -> None:
-        self._has_camera = False
-        self._lost += is_lost
-        self._standby.want()
+        with self._lock:
+            if isinstance(plan.source, schemas.DeviceSource):
+                self._remember(self._ask(AskDevices()))
+            self._newest = begin_session(self._next(), plan, on_gone=self._gone)
+            return self._newest
 
     def registered_calibration(self, uri: str | None) -> Calibration:
         """Return the nominal calibration of a camera that registers depth to colour itself; refuse any other."""
-        return self._adapter.registered_calibration(uri)
+        with self._lock:
+            if self._is_running:
+                msg = "a session runs: its camera is not asked about itself"
+                raise CommandRefusedError(msg)
+            told = self._ask(AskRegistered(uri=uri))
+        assert isinstance(told.answer, Calibration)
+        return told.answer
 
     def devices(self) -> schemas.DeviceList:
-        """List the cameras that could be used; while a session has one, those of before."""
-        if self._has_camera:
-            listed = self._listed or schemas.DeviceList(is_runtime_available=True, detail="", items=[])
-            return listed.model_copy(update={"detail": CAMERA_IN_USE})
-        self._listed = self._adapter.devices()
+        """List the cameras that could be used; while a session runs, those of before."""
+        with self._lock:
+            if self._is_running:
+                return self._listed_before
+            return self._remember(self._ask(AskDevices()))
+
+    @property
+    def _is_running(self) -> bool:
+        return self._newest is not None and not self._newest.status.is_over
+
+    @property
+    def _listed_before(self) -> schemas.DeviceList:
+        if self._listed is None:
+            return schemas.DeviceList(is_runtime_available=runtime_installed(), detail=NOT_LOOKED, items=[])
+        return self._listed.model_copy(update={"detail": LISTED_BEFORE})
+
+    def _remember(self, told: Told) -> schemas.DeviceList:
+        assert isinstance(told.answer, schemas.DeviceList)
+        self._listed = told.answer
         return self._listed
+
+    def _next(self) -> Child:
+        """Take the one that stands by, once the one before it has ended and left its camera."""
+        if self._newest is not None:
+            self._newest.await_gone(GONE_S)
+        return self._standby.take()
+
+    def _ask(self, question: AskDevices | AskRegistered) -> Told:
+        child = self._next()
+        try:
+            return self._told_by(child, question)
+        finally:
+            self._standby.give_back(child)
+
+    def _told_by(self, child: Child, question: AskDevices | AskRegistered) -> Told:
+        """Ask one that stood by; raise what it raises, and end it where it does not answer."""
+        try:
+            child.speech.patience(ASK_S)
+            child.speech.send(question)
+            told: Told = child.speech.receive()
+            child.speech.patience(None)
+        except CrossingClosedError as error:
+            child.kill()
+            msg = f"the engine's process did not answer about cameras, and was ended ({cause_of(child.bury())})"
+            raise EngineProcessError(msg) from error
+        if told.error is not None:
+            raise told.error
+        return told
+
+    def _gone(self, *, is_lost: bool) -> None:
+        self._lost += is_lost
+        self._standby.want()
 
     def close(self) -> None:
         """End the process that stands by."""

@@ -134,6 +134,10 @@ class RemoteEngine:
         """The engine's process."""
         return self._child.process.pid
 
+    def await_gone(self, seconds: float) -> None:
+        """Wait for its process to end, and no longer than so."""
+        self._is_gone.wait(seconds)
+
     @property
     def latest(self) -> LiveView | None:
         """The newest view; one that a silent process left behind is shown as a fault, for it is none of now."""
@@ -305,7 +309,7 @@ class RemoteEngine:
         status = self._child.bury()
         is_lost = not self._is_over.is_set()
         if is_lost:
-            self._fail(self._killed_because or f"the engine's process died ({_cause(status)}); the beam line lapses")
+            self._fail(self._killed_because or f"the engine's process died ({cause_of(status)}); the beam line lapses")
         self._is_over.set()
         self._has_evidence.set()
         self._is_gone.set()
@@ -335,7 +339,7 @@ def begin_session(child: Child, plan: SessionPlan, *, on_gone: Gone) -> RemoteEn
         on_gone(is_lost=True)
         if not isinstance(error, CrossingClosedError):
             raise
-        msg = f"the session's engine could not begin: its process died ({_cause(status)})"
+        msg = f"the session's engine could not begin: its process died ({cause_of(status)})"
         raise EngineProcessError(msg) from error
     if opened.error is not None:
         if lent is not None:
@@ -370,5 +374,6 @@ def _as_fault(view: LiveView, reason: HoldReason, detail: str) -> LiveView:
     return replace(view, record=record, is_armed=False, detail=detail)
 
 
-def _cause(status: int) -> str:
+def cause_of(status: int) -> str:
+    """Say how a process ended."""
     return f"signal {-status}" if status < 0 else f"status {status}"

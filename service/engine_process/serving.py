@@ -20,16 +20,20 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from engine.calibration import Calibration
 from engine.errors import CommandRefusedError
 from engine.frames import ColorImage, frozen
 from engine.live import LiveView, LoopStatus
 from engine.model import MotionModel
 from engine.permits import HoldReason
 from engine.transition_journal import BorrowedJournal
+from service import schemas
 from service.engine_adapter import EngineAdapter, LoopEngine
 from service.engine_process.crossing import CrossingClosedError, Speech, Whisper
 from service.engine_process.messages import (
     Answer,
+    AskDevices,
+    AskRegistered,
     Beat,
     Farewell,
     Fault,
@@ -43,6 +47,7 @@ from service.engine_process.messages import (
     Shown,
     Standing,
     Stop,
+    Told,
     portable,
 )
 from service.engine_process.page import Page
@@ -283,6 +288,31 @@ def _outcome(done: Future[None]) -> BaseException | None:
     return CommandRefusedError("given up before it was carried out") if done.cancelled() else done.exception()
 
 
+def _asked_to_open(adapter: EngineAdapter, speech: Speech) -> Open:
+    """Answer what is asked about cameras until a session is to begin."""
+    while not isinstance(asked := speech.receive(), Open):
+        speech.send(_told(adapter, asked))
+    return asked
+
+
+def _told(adapter: EngineAdapter, asked: AskDevices | AskRegistered) -> Told:
+    try:
+        return Told(answer=_answered(adapter, asked))
+    except Exception as error:
+        refusal = portable(error)
+        if refusal is not error:
+            logger.exception("a camera could not be asked about itself")
+        return Told(error=refusal)
+
+
+def _answered(adapter: EngineAdapter, asked: AskDevices | AskRegistered) -> schemas.DeviceList | Calibration:
+    match asked:
+        case AskDevices():
+            return adapter.devices()
+        case AskRegistered():
+            return adapter.registered_calibration(asked.uri)
+
+
 def serve_one_session(speech: Speech, whisper: Whisper, page: Page) -> None:
     """Be an engine's process: prepare, wait for a session, run it, end."""
     prepare: Prepare = speech.receive()
@@ -293,7 +323,7 @@ def serve_one_session(speech: Speech, whisper: Whisper, page: Page) -> None:
     gc.collect()
     gc.freeze()
     speech.send(Ready())
-    asked: Open = speech.receive()
+    asked = _asked_to_open(adapter, speech)
     install_private_log(
         settings.log_level, settings.log_format, session_id=asked.plan.session_id, handler=UnhurriedHandler()
     )

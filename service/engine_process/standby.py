@@ -59,6 +59,16 @@ class StandBy:
             self._is_wanted = False
         return child
 
+    def give_back(self, child: Child) -> None:
+        """Have one that was only asked something stand by again; or another, where it did not live through that."""
+        with self._change:
+            self._is_wanted = True
+            if child.is_alive:
+                self._offer(child)
+            else:
+                self.lost += 1
+                self._change.notify_all()
+
     def close(self) -> None:
         """End the one that stands by."""
         with self._change:
@@ -120,7 +130,7 @@ class StandBy:
 
     def _offer(self, child: Child) -> None:
         with self._change:
-            if not self._is_closed:
+            if not self._is_closed and self._ready is None:
                 self._ready, self._trouble = child, None
                 self._change.notify_all()
                 return

@@ -2,11 +2,17 @@
 
 import pytest
 
+from engine.capture import _openni_c
+from engine.errors import CommandRefusedError, InvalidValueError, SourceLostError
+from service import schemas
 from service.engine_process import child, standby
-from service.engine_process.port import CAMERA_IN_USE, ProcessEngine
+from service.engine_process import port as port_module
+from service.engine_process.port import LISTED_BEFORE, NOT_LOOKED, ProcessEngine
 from service.errors import EngineProcessError
 from service.settings import Settings
-from tests.engine_process.bench import eventually, is_there, make_plan
+from tests.engine_process import cameras
+from tests.engine_process.bench import PATIENCE_S, eventually, is_there, line_at, make_plan
+from tests.engine_process.paced import LINE
 
 
 @pytest.fixture
@@ -46,9 +52,86 @@ def test_one_that_cannot_be_started_is_said_and_tried_again(tmp_path, monkeypatc
     port.close()
 
 
-def test_a_camera_is_not_asked_about_itself_while_a_session_has_one(port, monkeypatch):
-    before = port.devices()
-    port._has_camera = True
-    monkeypatch.setattr(port, "_adapter", None)  # whoever asked it now would fail
-    during = port.devices()
-    assert (during.items, during.detail) == (before.items, CAMERA_IN_USE)
+@pytest.fixture
+def line(tmp_path):
+    with line_at(tmp_path / "line") as held:
+        yield held
+
+
+@pytest.fixture
+def asked(tmp_path, line, monkeypatch):
+    """A port whose processes see cameras; this one must not even look."""
+    monkeypatch.setattr(child, "MODULE", "tests.engine_process.cameras")
+    monkeypatch.setenv(LINE, str(line.path))
+    monkeypatch.setattr(_openni_c, "runtime", lambda: pytest.fail("the service's process asks the runtime"))
+    held = ProcessEngine(Settings(data_dir=tmp_path / "data"))
+    yield held
+    held.close()
+
+
+def answering(listed):
+    """The process that listed them: the cameras are called by its number."""
+    return {one.name for one in listed.items}
+
+
+def test_who_would_open_a_camera_is_asked_about_it_and_stands_by_again(asked):
+    listed = asked.devices()
+    assert [one.uri for one in listed.items] == list(cameras.ALL)
+    pid = asked._standby._ready.process.pid
+    assert answering(listed) == {f"Virtual {pid}"}
+    assert asked.registered_calibration(cameras.REGISTERED).is_device_registration
+    assert answering(asked.devices()) == {f"Virtual {pid}"}
+    assert (asked.trouble, asked.processes_lost) == (None, 0)
+
+
+@pytest.mark.parametrize(
+    ("uri", "error", "words"),
+    [(cameras.PLAIN, InvalidValueError, "calibration_id"), ("virtual/away", SourceLostError, "no such camera")],
+)
+def test_what_a_camera_is_refused_for_crosses_and_the_process_stands_by_again(asked, uri, error, words):
+    with pytest.raises(error, match=words):
+        asked.registered_calibration(uri)
+    assert (asked.trouble, asked.processes_lost) == (None, 0)
+
+
+@pytest.mark.parametrize(
+    ("uri", "cause"), [(cameras.DYING, f"status {cameras.DEATH}"), (cameras.HUNG, "signal 9")], ids=["dies", "hangs"]
+)
+def test_one_that_does_not_answer_about_a_camera_is_ended_and_another_stands_by(asked, monkeypatch, uri, cause):
+    eventually(lambda: asked.trouble is None)
+    monkeypatch.setattr(port_module, "ASK_S", 0.5)
+    with pytest.raises(EngineProcessError, match=cause):
+        asked.registered_calibration(uri)
+    monkeypatch.setattr(port_module, "ASK_S", PATIENCE_S)
+    assert asked.processes_lost == 1
+    assert [one.uri for one in asked.devices().items] == list(cameras.ALL)
+
+
+def test_a_session_s_camera_is_listed_before_it_begins_and_not_asked_about_while_it_runs(asked):
+    source = schemas.DeviceSource(kind="device", uri=cameras.PLAIN)
+    engine = asked.open(make_plan(source=source, recording=None))
+    during = asked.devices()
+    assert (answering(during), during.detail) == ({f"Virtual {engine.process_id}"}, LISTED_BEFORE)
+    with pytest.raises(CommandRefusedError, match="a session runs"):
+        asked.registered_calibration(cameras.REGISTERED)
+    assert asked._standby._ready is None, "none is started beside a session, whatever is asked"
+    engine.stop()
+    assert asked.registered_calibration(cameras.REGISTERED).is_device_registration
+    assert answering(asked.devices()) != answering(during)
+
+
+def test_beside_a_session_without_a_camera_nobody_looks_for_any(asked):
+    engine = asked.open(make_plan())
+    during = asked.devices()
+    assert (during.items, during.detail) == ([], NOT_LOOKED)
+    engine.stop()
+    assert [one.uri for one in asked.devices().items] == list(cameras.ALL)
+
+
+def test_one_stands_by_where_two_are_offered(port):
+    eventually(lambda: port.trouble is None)
+    first, second = port._standby.take(), child.start_child()
+    port._standby.give_back(first)
+    port._standby.give_back(second)
+    assert port._standby._ready is first
+    assert not second.is_alive

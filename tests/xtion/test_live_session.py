@@ -84,14 +84,6 @@ def see_off(live, cause):
     pytest.fail("the beam never stayed on until the fault")
 
 
-OF_ONE_PROCESS = pytest.mark.xfail(
-    strict=True,
-    reason="the virtual camera belongs to the first process that loads its driver, and the service asks it about "
-    "itself in a process other than the engine's: the asking has to move there",
-)
-
-
-@OF_ONE_PROCESS
 def test_the_camera_is_found_by_the_service(live):
     listed = live.client.get("/api/v1/devices").json()
     assert listed["is_runtime_available"]
@@ -202,7 +194,6 @@ def test_a_driver_that_hangs_for_long_is_waited_for_and_the_camera_comes_back(li
     live.turn_on()
 
 
-@OF_ONE_PROCESS
 def test_without_a_calibration_the_camera_s_own_registration_is_on_again_when_it_is_back(live):
     live.stop()
     assert live.begin(calibration_id=None, model_id=None)
