@@ -3,10 +3,13 @@
 ``<!-- made: NAME -->`` and ``<!-- end: NAME -->``, each on a line of its own: what is between is the command's.
 """
 
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+
+CAMPAIGN = "campaign"
 
 
 class PartMissingError(ValueError):
@@ -37,6 +40,34 @@ def write_parts(document: Path, makers: Mapping[str, Callable[[], str]]) -> bool
     if text != before:
         document.write_text(text, encoding="utf-8")
     return text != before
+
+
+def write_campaign(document: Path, *, said: str, table: str, picture: str, draw: Callable[[Path], None]) -> None:
+    """Write what a campaign came to, and a picture of the document's name beside it; ``picture`` says what it shows."""
+    drawn = Path("pictures") / f"{document.stem}.png"
+    (document.parent / drawn).parent.mkdir(exist_ok=True)
+    draw(document.parent / drawn)
+    write_parts(document, {CAMPAIGN: lambda: f"{said}\n\n{table}\n![{picture}]({drawn.as_posix()})"})
+
+
+def are_as_made(document: Path, makers: Mapping[str, Callable[[], str]]) -> bool:
+    """Whether the document holds what would be written now."""
+    text = document.read_text(encoding="utf-8")
+    return all(part_of(text, name) == make() for name, make in makers.items())
+
+
+def print_or_write(
+    document: Path, makers: Mapping[str, Callable[[], str]], arguments: Sequence[str] | None = None
+) -> None:
+    """Print every part, or put them into the document with ``--write``: a document's whole command."""
+    asked = list(sys.argv[1:] if arguments is None else arguments)
+    if asked == ["--write"]:
+        changed = write_parts(document, makers)
+        sys.stdout.write(f"{document.name} {'is written anew' if changed else 'says so already'}\n")
+    elif asked:
+        sys.exit(f"usage: nothing to print the parts of {document.name}, or --write")
+    else:
+        sys.stdout.write("\n\n".join(make() for make in makers.values()) + "\n")
 
 
 def _markers(name: str) -> tuple[str, str]:

@@ -1,14 +1,12 @@
 """Who may call what, as a table made from the table of rules: ``python -m tests.access.matrix --write``."""
 
-import argparse
-import sys
-from pathlib import Path
+from functools import partial
 
 from service.access.permissions import KEY_PERMISSIONS, MEANING, ROLE_PERMISSIONS, Permission, Role
 from service.access.rules import RULES, Needs, Open
+from tests.made_parts import ROOT, print_or_write
 
-PAGE = Path(__file__).parents[2] / "docs" / "access.md"
-MARKS = {name: (f"<!-- made: {name} -->", f"<!-- end: {name} -->") for name in ("permissions", "matrix")}
+DOCUMENT = ROOT / "docs" / "access.md"
 
 
 def permissions_table() -> str:
@@ -32,24 +30,10 @@ def _words(needs: Needs) -> str:
     return needs.value if isinstance(needs, Open) else f"`{needs}`"
 
 
-def with_tables(text: str) -> str:
-    """Put the tables into the page's text."""
-    for name, table in (("permissions", permissions_table()), ("matrix", matrix_table())):
-        first, last = MARKS[name]
-        before, _, rest = text.partition(first)
-        _, _, after = rest.partition(last)
-        text = f"{before}{first}\n\n{table}\n\n{last}{after}"
-    return text
+MADE = {"permissions": permissions_table, "matrix": matrix_table}
+"""Every part of the document that the code makes, by its name there."""
 
-
-def main() -> None:
-    """Print the tables, or write them into the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="into docs/access.md")
-    if parser.parse_args().write:
-        PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
-    else:
-        sys.stdout.write(f"{permissions_table()}\n\n{matrix_table()}\n")
+main = partial(print_or_write, DOCUMENT, MADE)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Every path and method of the OpenAPI document, and every socket, called for real as everybody there is."""
 
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import pytest
 from starlette.websockets import WebSocketDisconnect
@@ -11,6 +12,7 @@ from service.access.rules import BEFORE_THE_PASSWORD_IS_CHANGED, RULES, SOCKET, 
 from service.app import create_app
 from service.settings import Settings
 from tests.access import matrix
+from tests.made_parts import are_as_made
 from tests.service.fakes import FakeEngine
 from tests.service.people import PeopleClient, headers_of, open_login
 
@@ -31,7 +33,7 @@ FILL = {"login_id": "0" * 32, "key_id": "0" * 12, "name": "nobody"}
 
 
 def url(path):
-    for part in matrix.Path(path).parts:
+    for part in Path(path).parts:
         if part.startswith("{"):
             path = path.replace(part, FILL.get(part[1:-1], "0" * 32))
     return path
@@ -170,5 +172,4 @@ def test_whoever_administers_does_not_arm_and_nobody_but_people_who_treat_do():
 
 
 def test_the_page_of_the_handbook_has_the_table():
-    text = matrix.PAGE.read_text(encoding="utf-8")
-    assert matrix.with_tables(text) == text, "run `python -m tests.access.matrix --write`"
+    assert are_as_made(matrix.DOCUMENT, matrix.MADE), "run `python -m tests.access.matrix --write`"

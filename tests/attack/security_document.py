@@ -1,14 +1,14 @@
 """The generated parts of docs/security.md: ``python -m tests.attack.security_document --write``."""
 
-import sys
-from pathlib import Path
+from functools import partial
 
 from service.door_settings import DoorSettings
 from service.middleware import SECURITY_HEADERS
 from service.settings import PREFIX
 from tests.fuzz import record
+from tests.made_parts import ROOT, print_or_write
 
-PAGE = Path(__file__).parents[2] / "docs/security.md"
+DOCUMENT = ROOT / "docs" / "security.md"
 
 
 def limits() -> str:
@@ -26,17 +26,9 @@ def headers() -> str:
     return "\n".join(["| header | value |", "|---|---|", *rows])
 
 
-PARTS = {"limits": limits, "headers": headers, "fuzz": record.table}
+MADE = {"limits": limits, "headers": headers, "fuzz": record.table}
+main = partial(print_or_write, DOCUMENT, MADE)
 
 
-def written(page: str) -> str:
-    """Put the generated parts into the page."""
-    for name, make in PARTS.items():
-        begin, end = f"<!-- made: {name} -->\n\n", f"\n\n<!-- end: {name} -->"
-        head, _, rest = page.partition(begin)
-        page = head + begin + make() + end + rest.partition(end)[2]
-    return page
-
-
-if __name__ == "__main__" and "--write" in sys.argv:
-    PAGE.write_text(written(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+if __name__ == "__main__":
+    main()

@@ -3,8 +3,7 @@
 With ``--write`` it is put into the document instead.
 """
 
-import sys
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from fastapi.routing import APIRoute, iter_route_contexts
 
 from service.app import create_app
 from service.settings import Settings
-from tests.made_parts import ROOT, write_parts
+from tests.made_parts import ROOT, print_or_write
 
 DOCUMENT = ROOT / "docs" / "audit.md"
 UNSAFE = ("post", "put", "patch", "delete")
@@ -68,18 +67,8 @@ def _by_path(item: tuple[tuple[str, str], str]) -> tuple[str, str]:
 
 
 MADE = {"routes": route_table}
-
-
-def main(arguments: list[str]) -> None:
-    """Print the table, or write it."""
-    if arguments == ["--write"]:
-        changed = write_parts(DOCUMENT, MADE)
-        sys.stdout.write(f"{DOCUMENT.name} {'is written anew' if changed else 'says so already'}\n")
-        return
-    if arguments:
-        sys.exit("usage: python -m tests.audit.routes_document [--write]")
-    sys.stdout.write(f"{route_table()}\n")
+main = partial(print_or_write, DOCUMENT, MADE)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

@@ -7,12 +7,14 @@ import pytest
 from rich.console import Console
 
 from tests.faults.campaign import Turn, turns
-from tests.faults.document import BEGIN, DOCUMENT, END, write_document
+from tests.faults.document import DOCUMENT, write_document
 from tests.faults.kinds import all_kinds, chosen
 from tests.faults.outcomes import OtherRevisionError, OutcomeFile, refuse_other_revision
 from tests.faults.picture import draw
 from tests.faults.table import exit_code, markdown, rows, terminal_table, troubles
 from tests.faults.verdict import Outcome, Trouble
+from tests.kills.document import DOCUMENT as KILLS
+from tests.made_parts import CAMPAIGN, part_of
 
 KINDS = chosen(["marker-covered", "killed"])
 SEEDS = range(1, 4)
@@ -74,19 +76,20 @@ def test_a_picture_is_drawn_with_and_without_times(tmp_path):
 
 def test_the_document_gets_the_newest_table_between_its_marks_and_keeps_the_rest(tmp_path):
     document = tmp_path / "faults.md"
-    document.write_text(f"before\n{BEGIN}\nyesterday\n{END}\nafter\n")
+    document.write_text("before\n<!-- made: campaign -->\nyesterday\n<!-- end: campaign -->\nafter\n")
     for _ in range(2):
         write_document(rows(KINDS, GOOD, wanted=3), told="a test", document=document)
     text = document.read_text()
-    assert text.startswith(f"before\n{BEGIN}\na test: 6 faults of 2 kinds, 0 unsafe.\n")
-    assert text.endswith(f"{END}\nafter\n")
+    assert text.startswith("before\n<!-- made: campaign -->\n\na test: 6 faults of 2 kinds, 0 unsafe.\n")
+    assert text.endswith("<!-- end: campaign -->\nafter\n")
     assert "yesterday" not in text
     assert text.count("| killed |") == 1
     assert (tmp_path / "pictures" / "faults.png").is_file()
 
 
-def test_the_document_of_this_repository_has_its_marks():
-    assert DOCUMENT.read_text().count(BEGIN) == DOCUMENT.read_text().count(END) == 1
+@pytest.mark.parametrize(("document", "said"), [(DOCUMENT, " faults of "), (KILLS, " kills, ")])
+def test_the_documents_of_this_repository_have_their_marks_around_what_is_written(document, said):
+    assert said in part_of(document.read_text(), CAMPAIGN)
 
 
 def test_outcomes_are_read_as_they_were_written(tmp_path):

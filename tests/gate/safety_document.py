@@ -3,14 +3,14 @@
 With ``--write`` it puts them into the document instead.
 """
 
-import sys
+from functools import partial
 
 from engine.interlocks import INTERLOCKS, Interlock
 from engine.permits import GateState, HoldReason
 from engine.stages.gate import EventKind, next_state
 from service.hold_texts import HOLD_TEXTS
 from service.settings import PREFIX, Settings
-from tests.made_parts import ROOT, write_parts
+from tests.made_parts import ROOT, print_or_write
 
 DOCUMENT = ROOT / "docs" / "safety.md"
 
@@ -56,19 +56,8 @@ def _bound(name: str) -> str:
 
 MADE = {"transitions": transition_table, "reasons": reason_lists, "interlocks": interlock_table}
 """Every part of the document that the code makes, by its name there."""
-
-
-def main(arguments: list[str]) -> None:
-    """Print every part, or write it."""
-    if arguments == ["--write"]:
-        changed = write_parts(DOCUMENT, MADE)
-        sys.stdout.write(f"{DOCUMENT.name} {'is written anew' if changed else 'says so already'}\n")
-        return
-    if arguments:
-        sys.exit("usage: python -m tests.gate.safety_document [--write]")
-    parts = "\n\n".join(make() for make in MADE.values())
-    sys.stdout.write(f"{parts}\n")
+main = partial(print_or_write, DOCUMENT, MADE)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

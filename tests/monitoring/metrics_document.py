@@ -5,11 +5,10 @@ that only some sites have: TLS, a server that the audit is passed on to, an iden
 """
 
 import os
-import sys
 import tempfile
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 from prometheus_client.core import Metric
@@ -19,7 +18,7 @@ from engine.permits import GateState
 from service.app import create_app
 from service.machine_metrics import MachineMetrics
 from service.settings import Settings
-from tests.made_parts import ROOT, write_parts
+from tests.made_parts import ROOT, print_or_write
 from tests.service.conftest import act, eventually, make_calibration, make_session_body, upload
 from tests.service.fakes import FakeEngine
 from tests.service.people import PeopleClient
@@ -121,18 +120,8 @@ def metric_table() -> str:
 
 MADE = {"metrics": metric_table}
 """Every part of the document that the code makes, by its name there."""
-
-
-def main(arguments: list[str]) -> None:
-    """Print the table, or write it."""
-    if arguments == ["--write"]:
-        changed = write_parts(DOCUMENT, MADE)
-        sys.stdout.write(f"{DOCUMENT.name} {'is written anew' if changed else 'says so already'}\n")
-        return
-    if arguments:
-        sys.exit("usage: python -m tests.monitoring.metrics_document [--write]")
-    sys.stdout.write(f"{metric_table()}\n")
+main = partial(print_or_write, DOCUMENT, MADE)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

@@ -3,11 +3,11 @@
 With ``--write`` it puts it into the document instead.
 """
 
-import sys
+from functools import partial
 
 from engine.qa.checks import CHECKS
 from engine.qa.results import QaCheck, Sidedness
-from tests.made_parts import ROOT, write_parts
+from tests.made_parts import ROOT, print_or_write
 
 DOCUMENT = ROOT / "docs" / "qa.md"
 
@@ -29,18 +29,8 @@ def _row(check: QaCheck) -> str:
 
 MADE = {"checks": check_table}
 """Every part of the document that the code makes, by its name there."""
-
-
-def main(arguments: list[str]) -> None:
-    """Print the table, or write it."""
-    if arguments == ["--write"]:
-        changed = write_parts(DOCUMENT, MADE)
-        sys.stdout.write(f"{DOCUMENT.name} {'is written anew' if changed else 'says so already'}\n")
-        return
-    if arguments:
-        sys.exit("usage: python -m tests.service.qa_document [--write]")
-    sys.stdout.write(f"{check_table()}\n")
+main = partial(print_or_write, DOCUMENT, MADE)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()
