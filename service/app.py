@@ -35,6 +35,7 @@ from service.engine_adapter import EngineAdapter
 from service.lifespan import make_lifespan
 from service.middleware import Doorway
 from service.openapi import describe_contract, operation_id
+from service.own_threads import OwnThreads
 from service.ports import EnginePort
 from service.problem_handlers import install_problem_handlers
 from service.qa.ports import QaRig
@@ -98,6 +99,7 @@ def create_app(
             ),
         ],
     )
+    app.state.own_threads = OwnThreads()
     install_problem_handlers(app)
     describe_contract(app)
     is_guarded = Depends(guarded)

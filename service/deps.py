@@ -18,6 +18,7 @@ from service.access.identity import RULE, identity_in
 from service.conditional import LONGEST, Precondition, is_known, precondition
 from service.errors import MediaTypeError, NotLoggedInError
 from service.idempotency import CallersKey
+from service.own_threads import OwnThreads
 from service.paging import LONGEST as LONGEST_CURSOR
 from service.paging import Paging
 from service.qa.ports import QaBookPort, QaDeskPort
@@ -137,6 +138,10 @@ async def _access(connection: HTTPConnection) -> AccessDesk:
     return access(connection)
 
 
+async def _own_threads(connection: HTTPConnection) -> OwnThreads:
+    return cast("OwnThreads", connection.app.state.own_threads)
+
+
 async def _calling(connection: HTTPConnection) -> Calling:
     return caller(connection)
 
@@ -144,6 +149,7 @@ async def _calling(connection: HTTPConnection) -> Calling:
 Offered = Annotated[Services, Depends(_offered)]
 Access = Annotated[AccessDesk, Depends(_access)]
 Caller = Annotated[Calling, Depends(_calling)]
+Undelayed = Annotated[OwnThreads, Depends(_own_threads)]
 Attending = Annotated[Attendance, Depends(attendance)]
 Address = Annotated[str, Depends(sender_address)]
 Body = Annotated[bytes, Depends(json_body)]

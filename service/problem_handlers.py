@@ -41,14 +41,15 @@ def install_problem_handlers(app: FastAPI) -> None:
     app.add_exception_handler(Exception, _answer)
 
 
-# Plain functions: Starlette runs them in a worker thread, where they may write to the audit.
-def _answer(_request: Request, error: Exception) -> JSONResponse:
+async def _answer(_request: Request, error: Exception) -> JSONResponse:
+    """Answer on the event loop: what becomes of a hold waits for no worker thread either."""
     problem = problem_of(error)
     if problem.status >= 500:
         logger.warning("answered %d %s (%s)", problem.status, problem.code, type(error).__name__)
     return problem_response(problem, getattr(error, "headers", None))
 
 
+# A plain function: Starlette runs it in a worker thread, where it may write to the audit.
 def _answer_refused(request: Request, error: Exception) -> JSONResponse:
     """Answer what was refused before any service was asked, so that none has audited it."""
     problem = problem_of(error)

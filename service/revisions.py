@@ -1,8 +1,8 @@
 """The ETags of sessions: which decision about a session was the newest, as the audit has it.
 
 A running session's figures change with every frame; what a person or a machine decided does not. Each decision is a row
-of the audit, written before it is done or with it, so that the newest row's number says whether anything was decided
-since somebody looked.
+of the audit, so that the newest row's number says whether anything was decided since somebody looked. What takes
+permission away is done first and written down after: it is counted besides (`service.withdrawals`), before it is done.
 """
 
 import threading
@@ -17,6 +17,7 @@ from service.db import repository
 from service.db.engine import Database
 from service.db.models import AuditRow
 from service.errors import EngineTimeoutError
+from service.withdrawals import Withdrawals
 
 DECISIONS = (
     "session.create",
@@ -40,15 +41,17 @@ LONGEST_WAIT_S = 2.0
 class SessionRevisions:
     """Tells ETags of sessions, and lets one conditional call at a time look and act."""
 
-    def __init__(self, database: Database) -> None:
+    def __init__(self, database: Database, withdrawals: Withdrawals) -> None:
         self._database = database
+        self._withdrawals = withdrawals
         self._turn = threading.Lock()
 
     def etag(self, session_id: str) -> str:
         """Return a session's ETag; raise NotFoundError."""
         with self._database.read() as db:
             status = repository.session_row(db, session_id).status
-            return etag_of("session", session_id, status, _newest_decision(db, session_id))
+            newest = _newest_decision(db, session_id)
+        return etag_of("session", session_id, status, newest, self._withdrawals.count(session_id))
 
     def etag_of_models(self, model_id: str) -> str:
         """Return the ETag of the session that a model is of; raise NotFoundError."""
@@ -60,7 +63,8 @@ class SessionRevisions:
     def only_if(self, session_id: str, wanted: Precondition) -> Iterator[None]:
         """Do it where nothing was decided since; raise PreconditionFailedError.
 
-        Whoever sends no ``If-Match`` waits for nobody. What takes the beam away never comes here.
+        Whoever sends no ``If-Match`` waits for nobody. What takes the beam away never comes here. Where it comes
+        between look and act the engine refuses the act, which was asked for before it was told (`engine.mailbox`).
         """
         if not wanted.is_given:
             yield

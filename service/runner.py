@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from concurrent.futures import TimeoutError as FutureTimeoutError
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -43,7 +43,7 @@ from service.audit_log import AuditLog
 from service.baseline import check_correction, correction_detail, moved_window, told_in
 from service.bridge import SessionWriter, WriterSettings
 from service.db import repository
-from service.db.engine import Database
+from service.db.engine import ANSWER_TIMEOUT_S, BUSY_TIMEOUT_S, Database
 from service.errors import (
     EngineTimeoutError,
     PictureMissingError,
@@ -71,6 +71,7 @@ from service.tallies import Tallies
 from service.time_anchor import TimeAnchor
 from service.uncalibrated import described
 from service.window_schemas import Window
+from service.withdrawals import Withdrawals
 
 COMMANDS: dict[CommandName, Callable[[str], Command]] = {
     "arm": lambda operator: Arm(operator=operator),
@@ -80,8 +81,9 @@ COMMANDS: dict[CommandName, Callable[[str], Command]] = {
     "hold": lambda operator: HoldBeam(operator=operator),
     "release": lambda operator: ReleaseBeam(operator=operator),
 }
-AGES_FROM_ARRIVAL = (Arm, ReleaseBeam, SetReference, Acknowledge, Disarm, HoldBeam)
-"""As old as the call that asks: what has to wait for a thread or the audit grows old there, too."""
+AGES_FROM_ARRIVAL = (Arm, ReleaseBeam, SetReference, Acknowledge)
+"""As old as the call that asks: what has to wait for a thread or the audit grows old there, too. What takes permission
+away never grows old: it takes back all that came in before the engine is told."""
 TAKES_PERMISSION_AWAY = (Disarm, HoldBeam)
 """Done first and written down after; all else is written down first."""
 
@@ -117,6 +119,9 @@ class SessionRunner:
         self._writer_database = database.twin(
             busy_timeout_s=WRITER_BUSY_TIMEOUT_S, answer_timeout_s=WRITER_ANSWER_TIMEOUT_S
         )
+        # By connections that no read has: what takes permission away is written down, and answered, beside any number.
+        self._own_database = database.twin(busy_timeout_s=BUSY_TIMEOUT_S, answer_timeout_s=ANSWER_TIMEOUT_S)
+        self._own_log = AuditLog(self._own_database)
         self._log = log
         self._book = book
         self._models = models
@@ -128,6 +133,7 @@ class SessionRunner:
         # A stop that comes while a session starts waits for it, and then finds it.
         self._coming_and_going = room.coming_and_going
         self._newest: tuple[LiveView, LiveFrame] | None = None
+        self.withdrawals = Withdrawals()
 
     def start(self, session_id: str, operator: str) -> schemas.Session:
         """Start its engine, disarmed."""
@@ -145,8 +151,9 @@ class SessionRunner:
         if name == "arm":
             with self._log.refusals(actor=operator, action="session.arm", session_id=session_id):
                 refuse_without_qa(self._database, self._settings)
-        self._ask(session_id, COMMANDS[name](operator), operator, f"session.{name}", may_be_done=may_be_done)
-        return self._book.detail(session_id)
+        command = COMMANDS[name](operator)
+        self._ask(session_id, command, operator, f"session.{name}", may_be_done=may_be_done)
+        return self._book.detail(session_id, self._own_database if _takes_permission_away(command) else None)
 
     def hold_unattended(self, session_id: str, armed_by: Identity) -> None:
         """Hold, as by hand, because whoever armed has no log-in or key any more."""
@@ -203,15 +210,19 @@ class SessionRunner:
     def stop(self, session_id: str, operator: str) -> schemas.Session:
         """Hold the beam, end the engine, close the session; never refused while there is something to stop."""
         action = "session.stop"
-        with self._coming_and_going:
-            running = self._room.of(session_id)
+        log, database = self._own_log, self._own_database
+        running = self._room.of(session_id)
+        if running is None:
+            with self._coming_and_going:  # one that starts is waited for; whoever runs already waits for no other's
+                running = self._room.of(session_id)
         if running is not None:
             running.writer.stopping(operator)
-            running.engine.stop()
-            self._log.write(Event(actor=operator, action=action, session_id=session_id))
-            running.writer.join(WRITER_JOIN_S)
-            return self._book.detail(session_id)
-        with self._log.refusals(actor=operator, action=action, session_id=session_id), self._database.write() as db:
+            with self.withdrawals.one(session_id):
+                running.engine.stop()
+            log.write(Event(actor=operator, action=action, session_id=session_id))
+            self._await_end(running)
+            return self._book.detail(session_id, database)
+        with log.refusals(actor=operator, action=action, session_id=session_id), database.write() as db:
             row = repository.session_row(db, session_id)
             if row.status != "created":
                 raise _state_error(row.status, "created or running")
@@ -225,8 +236,16 @@ class SessionRunner:
         if running is not None:
             running.writer.stopping(audit.SYSTEM, is_hurried=True)
             running.engine.stop()
-            running.writer.join(WRITER_JOIN_S)
+            self._await_end(running)
         self._writer_database.close()
+        self._own_database.close()
+
+    def _await_end(self, running: Running) -> None:
+        """Wait until a session that was stopped is closed; its writer may be about to begin."""
+        if running.writer.ident is None:
+            with self._coming_and_going:
+                pass
+        running.writer.join(WRITER_JOIN_S)
 
     def picture(self, session_id: str) -> Picture:
         """Encode the newest colour frame."""
@@ -386,17 +405,22 @@ class SessionRunner:
     ) -> None:
         """Put a command to the engine and write down who asked, before and after; ``after`` finds what came of it."""
         done = Event(actor=operator, action=action, session_id=session_id, detail=detail or {})
-        with self._log.refusals(actor=operator, action=action, session_id=session_id, detail=detail):
+        log = self._own_log if _takes_permission_away(command) else self._log
+        with log.refusals(actor=operator, action=action, session_id=session_id, detail=detail):
             running = self._running(session_id)
-            if not isinstance(command, TAKES_PERMISSION_AWAY):
+            if not _takes_permission_away(command):
                 _refuse_late(command)
-                self._log.write(replace(done, outcome="requested"))
+                log.write(replace(done, outcome="requested"))
             with _unless_refused(may_be_done):
                 self._await(running, command)
         found = {} if after is None else after(running.engine)
-        self._log.write(replace(done, detail={**done.detail, **found}))
+        log.write(replace(done, detail={**done.detail, **found}))
 
     def _await(self, running: Running, command: Command) -> None:
+        with self.withdrawals.one(running.plan.session_id) if _takes_permission_away(command) else nullcontext():
+            self._submit(running, command)
+
+    def _submit(self, running: Running, command: Command) -> None:
         asked = asked_ns() if isinstance(command, AGES_FROM_ARRIVAL) else None
         future = running.engine.submit(command, submitted_ns=asked)
         try:
@@ -409,7 +433,7 @@ class SessionRunner:
     def _running(self, session_id: str) -> Running:
         running = self._room.of(session_id)
         if running is None:
-            with self._database.read() as db:
+            with self._own_database.read() as db:
                 raise _state_error(repository.session_row(db, session_id).status, "running")
         return running
 
@@ -430,6 +454,10 @@ def _unless_refused(may_be_done: Callable[[], None]) -> Iterator[None]:
         may_be_done()
         raise
     may_be_done()
+
+
+def _takes_permission_away(command: Command) -> bool:
+    return isinstance(command, TAKES_PERMISSION_AWAY)
 
 
 def _refuse_late(command: Command) -> None:

@@ -114,9 +114,9 @@ class SessionBook:
             rows, next_cursor = repository.session_page(db, cursor, limit, wanted)
             return schemas.SessionPage(items=[session_answer(row) for row in rows], next_cursor=next_cursor)
 
-    def detail(self, session_id: str) -> schemas.SessionDetail:
-        """Read one, as it stands now."""
-        with self._database.read() as db:
+    def detail(self, session_id: str, by: Database | None = None) -> schemas.SessionDetail:
+        """Read one, as it stands now; ``by`` other connections where these may all be taken."""
+        with (by or self._database).read() as db:
             row = repository.session_row(db, session_id)
             record = session_answer(row)
             stored = row.summary

@@ -1,5 +1,6 @@
 """QA: runs, reports, trends, the checks, the baseline. Runs permit the beam: only on the word that it is safe."""
 
+from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Response
@@ -87,11 +88,16 @@ def read_qa_run(run_id: RunId, services: deps.Offered, fresh: deps.IfNoneMatch) 
 
 
 @router.post("/runs/{run_id}/cancel", name="qa.cancel", responses=problems(NotFoundError, QaStateError))
-def cancel_qa_run(
-    run_id: RunId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
+async def cancel_qa_run(
+    run_id: RunId,
+    request: schemas.OperatorRequest,
+    caller: deps.Caller,
+    services: deps.Offered,
+    threads: deps.Undelayed,
 ) -> qa.QaRun:
     """Hold the beam line, then end the run."""
-    return services.qa_desk.cancel(run_id, caller.whatever_is_claimed(request.operator))
+    operator = caller.whatever_is_claimed(request.operator)
+    return await threads.run(partial(services.qa_desk.cancel, run_id, operator))
 
 
 @router.get(

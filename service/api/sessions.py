@@ -1,5 +1,6 @@
 """Sessions: create, start, arm, watch, stop. Nothing here turns a beam on: arming lets the gate decide."""
 
+from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
@@ -175,11 +176,16 @@ def arm_session(
 
 
 @router.post("/{session_id}/disarm", name="session.disarm", responses=HOLD)
-def disarm_session(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
+async def disarm_session(
+    session_id: deps.SessionId,
+    request: schemas.OperatorRequest,
+    caller: deps.Caller,
+    services: deps.Offered,
+    threads: deps.Undelayed,
 ) -> schemas.SessionDetail:
     """Hold the beam until somebody arms again."""
-    return services.runner.command(session_id, "disarm", caller.whatever_is_claimed(request.operator))
+    operator = caller.whatever_is_claimed(request.operator)
+    return await threads.run(partial(services.runner.command, session_id, "disarm", operator))
 
 
 @router.post("/{session_id}/reference", name="session.reference", responses=ASK)
@@ -209,11 +215,16 @@ def acknowledge_fault(
 
 
 @router.post("/{session_id}/hold", name="session.hold", responses=HOLD)
-def hold_beam(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
+async def hold_beam(
+    session_id: deps.SessionId,
+    request: schemas.OperatorRequest,
+    caller: deps.Caller,
+    services: deps.Offered,
+    threads: deps.Undelayed,
 ) -> schemas.SessionDetail:
     """Hold the beam until somebody releases it; the session stays armed. Never refused while it runs."""
-    return services.runner.command(session_id, "hold", caller.whatever_is_claimed(request.operator))
+    operator = caller.whatever_is_claimed(request.operator)
+    return await threads.run(partial(services.runner.command, session_id, "hold", operator))
 
 
 @router.post("/{session_id}/release", name="session.release", responses=ASK)
@@ -261,11 +272,16 @@ def correct_baseline(
 
 
 @router.post("/{session_id}/stop", name="session.stop", responses=problems(NotFoundError, SessionStateError))
-def stop_session(
-    session_id: deps.SessionId, request: schemas.OperatorRequest, caller: deps.Caller, services: deps.Offered
+async def stop_session(
+    session_id: deps.SessionId,
+    request: schemas.OperatorRequest,
+    caller: deps.Caller,
+    services: deps.Offered,
+    threads: deps.Undelayed,
 ) -> schemas.Session:
     """Hold the beam, end the engine, close the session."""
-    return services.runner.stop(session_id, caller.whatever_is_claimed(request.operator))
+    operator = caller.whatever_is_claimed(request.operator)
+    return await threads.run(partial(services.runner.stop, session_id, operator))
 
 
 @router.get(

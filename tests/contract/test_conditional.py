@@ -2,16 +2,19 @@
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 
 import pytest
 
 from engine.breath import Breath
 from service.api import models, sessions
+from service.audit_log import AuditLog
 from service.conditional import etag_of, is_known, precondition
 from service.errors import BoundError, PreconditionFailedError
 from service.revisions import DECISIONS
 from tests.service.conftest import act, audit_rows
+from tests.service.fakes import REFUSED
 
 STALE = '"00000000000000000000000000000000"'
 V1 = "/api/v1"
@@ -61,6 +64,40 @@ def test_what_takes_the_beam_away_is_done_whatever_is_asked_for(client, session_
     headers = {"If-Match": STALE, "Accept": "image/png"}
     answer = client.post(f"{V1}/sessions/{session_id}/{action}", json={}, headers=headers)
     assert answer.status_code == 200, answer.text
+
+
+@pytest.mark.parametrize("action", ["hold", "disarm", "stop"])
+def test_a_look_from_before_it_is_worth_nothing_from_when_the_engine_is_told_on(
+    client, session_id, running, monkeypatch, action
+):
+    revisions, met = client.app.state.services.revisions, []
+    before = revisions.etag(session_id)
+
+    def looking(call):
+        def look_and_call(*arguments, **named):
+            with suppress(PreconditionFailedError), revisions.only_if(session_id, precondition(before)):
+                met.append("a look from before was let through")
+            met.append(revisions.etag(session_id))
+            return call(*arguments, **named)
+
+        return look_and_call
+
+    monkeypatch.setattr(running, "submit", looking(running.submit))
+    monkeypatch.setattr(running, "stop", looking(running.stop))
+    monkeypatch.setattr(AuditLog, "write", looking(AuditLog.write))
+    assert act(client, session_id, action).status_code == 200
+    told, written = met
+    after = revisions.etag(session_id)
+    assert len({before, told, written, after}) == 4, "before, told, done, written down"
+    assert revisions.etag(session_id) == after
+
+
+def test_what_a_hold_that_came_to_nothing_leaves_is_another_etag_at_most(client, session_id, running):
+    before = etag(client, f"/sessions/{session_id}")
+    running.refuse_with = REFUSED
+    assert act(client, session_id, "hold").status_code == 409
+    after = etag(client, f"/sessions/{session_id}")
+    assert (after != before, after) == (True, etag(client, f"/sessions/{session_id}"))
 
 
 def test_frames_change_no_etag_and_a_running_session_is_never_left_out(client, session_id, running):

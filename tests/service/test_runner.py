@@ -83,6 +83,15 @@ def test_what_takes_the_beam_away_is_never_too_late_and_minds_no_query(
     assert len(running.commands) == 1
 
 
+@pytest.mark.parametrize("action", ["disarm", "hold"])
+def test_what_takes_the_beam_away_takes_back_all_that_came_in_before_the_engine_is_told(
+    client, session_id, running, action
+):
+    """As young as the telling: an arming that arrived after this call, and looked before it was told, is older."""
+    assert act(client, session_id, action).status_code == 200
+    assert running.asked_ns == [None]
+
+
 def test_an_arming_is_as_old_as_its_call_not_as_its_row_in_the_audit(client, session_id, running, monkeypatch):
     seen = []
     write = AuditLog.write

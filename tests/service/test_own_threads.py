@@ -1,0 +1,155 @@
+"""What takes permission away waits behind no read: neither for a thread, nor for a connection, nor for a lock."""
+
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import anyio.to_thread
+import pytest
+from sqlalchemy.orm import Session
+
+from engine.commands import Disarm, HoldBeam
+from service.db import repository
+from service.db.models import SessionRow
+from service.schemas import SessionPage
+from tests.service.conftest import act, audit_rows, eventually
+
+JSON = {"Content-Type": "application/json"}
+AWAY = ["hold", "disarm", "stop"]
+THREADS = 40
+"""What anyio gives an event loop for all calls together."""
+CONNECTIONS = 15
+"""What SQLAlchemy's pool gives out at most."""
+LONGEST_S = 30.0
+"""Until a test that would hang is given up; what blocks it blocks for twice as long."""
+
+
+class Jam:
+    """Blocks whatever enters until it is over."""
+
+    def __init__(self) -> None:
+        self._over = threading.Event()
+        self._lock = threading.Lock()
+        self.inside = 0
+
+    def page(self, *_asked: object) -> SessionPage:
+        self._block()
+        return SessionPage(items=[], next_cursor=None)
+
+    def rows(self, db: Session, *_asked: object) -> tuple[list[SessionRow], None]:
+        db.connection()
+        self._block()
+        return [], None
+
+    def _block(self) -> None:
+        with self._lock:
+            self.inside += 1
+        assert self._over.wait(2 * LONGEST_S)
+
+    def end(self) -> None:
+        self._over.set()
+
+
+@contextmanager
+def reads(client, count: int) -> Iterator[tuple[Jam, ThreadPoolExecutor]]:
+    """Let so many lists of sessions be asked for, once the block has put a jam in their way."""
+    client.headers_as("A. Therapist")
+    jam = Jam()
+    with ThreadPoolExecutor(count + 1) as pool:
+        try:
+            yield jam, pool
+        finally:
+            jam.end()
+
+
+def ask_for_lists(client, pool: ThreadPoolExecutor, count: int) -> list[Future]:
+    return [pool.submit(client.get, "/api/v1/sessions") for _ in range(count)]
+
+
+def waiting_for_a_thread(client) -> int:
+    async def look() -> int:
+        return anyio.to_thread.current_default_thread_limiter().statistics().tasks_waiting
+
+    return client.portal.call(look)
+
+
+@pytest.fixture
+def no_thread_is_left(client, running):
+    """Every thread of the event loop is in a read that does not end, and others wait behind them."""
+    with reads(client, THREADS + 5) as (jam, pool):
+        state = client.app.state
+        usual = state.services
+        state.services = replace(usual, sessions=jam)
+        ask_for_lists(client, pool, THREADS + 5)
+        eventually(lambda: jam.inside == THREADS and waiting_for_a_thread(client) == 5, within_s=LONGEST_S)
+        yield pool
+        assert jam.inside == THREADS, "they were blocked all the time"
+        state.services = usual
+
+
+@pytest.fixture
+def no_connection_is_left(client, running, monkeypatch):
+    """Every connection of the pool is in a read that does not end."""
+    with reads(client, CONNECTIONS) as (jam, pool):
+        monkeypatch.setattr(repository, "session_page", jam.rows)
+        ask_for_lists(client, pool, CONNECTIONS)
+        eventually(lambda: jam.inside == CONNECTIONS, within_s=LONGEST_S)
+        yield pool
+        assert jam.inside == CONNECTIONS, "they were blocked all the time"
+
+
+def was_told(running, action: str) -> bool:
+    if action == "stop":
+        return running.status.is_over
+    return [type(command) for command in running.commands] == [{"hold": HoldBeam, "disarm": Disarm}[action]]
+
+
+@pytest.mark.parametrize("action", AWAY)
+@pytest.mark.usefixtures("no_thread_is_left")
+def test_it_is_answered_while_reads_have_every_thread(client, session_id, running, no_thread_is_left, action):
+    answer = no_thread_is_left.submit(act, client, session_id, action).result(LONGEST_S)
+    assert answer.status_code == 200, answer.text
+    assert was_told(running, action)
+
+
+@pytest.mark.parametrize("action", AWAY)
+def test_it_is_answered_while_reads_have_every_connection(client, session_id, running, no_connection_is_left, action):
+    answer = no_connection_is_left.submit(act, client, session_id, action).result(LONGEST_S)
+    assert answer.status_code == 200, answer.text
+    assert was_told(running, action)
+
+
+@pytest.mark.parametrize("action", ["hold", "disarm"])
+def test_its_refusal_too_is_answered_while_reads_have_every_thread(
+    client, session_id, running, no_thread_is_left, action
+):
+    running.is_silent = True
+    answer = no_thread_is_left.submit(act, client, session_id, action).result(LONGEST_S)
+    assert (answer.status_code, answer.json()["code"]) == (503, "engine_timeout")
+    assert was_told(running, action)
+
+
+def test_a_qa_run_s_cancelling_is_answered_while_reads_have_every_thread(client, no_thread_is_left):
+    cancel = f"/api/v1/qa/runs/{'0' * 32}/cancel"
+    answer = no_thread_is_left.submit(client.post, cancel, json={}).result(LONGEST_S)
+    assert (answer.status_code, answer.json()["code"]) == (404, "not_found")
+
+
+def test_a_stop_waits_for_no_start_once_its_session_runs(client, session_id, running):
+    starting = client.app.state.services.runner._coming_and_going
+    with ThreadPoolExecutor(1) as pool, starting:
+        assert pool.submit(act, client, session_id, "stop").result(LONGEST_S).status_code == 200
+
+
+@pytest.mark.parametrize("action", AWAY)
+def test_for_whom_a_machine_acts_is_known_in_its_thread_too(client, session_id, running, action):
+    key = client.desk.keys.create("tps", ["gate.hold"], datetime.now(UTC) + timedelta(days=1), by="test")
+    client.speaks_as = None
+    url, headers = f"/api/v1/sessions/{session_id}/{action}", {"Authorization": f"Bearer {key.secret}"}
+    assert client.post(url, content=b'{"operator": "C. Nurse"}', headers=headers | JSON).status_code == 200
+    client.speaks_as = "A. Therapist"
+    row = audit_rows(client, f"session.{action}")[-1]
+    assert (row["actor"], row["detail"]["on_behalf_of"]) == ("key:tps", "C. Nurse")
