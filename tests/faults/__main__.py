@@ -5,17 +5,16 @@ that is none. A campaign that was stopped goes on where it was, with the same fo
 """
 
 import argparse
-import hashlib
 import os
 import platform
-import subprocess
 import sys
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from tests.faults.campaign import run, stamped, turns
+from tests.faults.asking import MOST_JOBS, WRONG_USAGE, bounded, revision_of_the_code
+from tests.faults.campaign import kept_in, run, stamped, turns
 from tests.faults.document import write_document
 from tests.faults.kinds import FaultKind, all_kinds, chosen
 from tests.faults.outcomes import OtherRevisionError, OutcomeFile, refuse_other_revision
@@ -23,10 +22,7 @@ from tests.faults.picture import draw
 from tests.faults.table import exit_code, markdown, rows, terminal_table, troubles
 from tests.faults.verdict import Outcome
 
-ROOT = Path(__file__).parents[2]
-WRONG_USAGE = 2
-RUN_FOLDERS = ("engine", "service", "migrations", "tests/faults", "tests/xtion", "tests/beam")
-MOST_SEEDS, MOST_JOBS = 10_000, 16
+MOST_SEEDS = 10_000
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -34,8 +30,8 @@ def main(arguments: list[str] | None = None) -> int:
     console = Console(width=None if sys.stdout.isatty() else 220, highlight=False)
     try:
         kinds = chosen(asked.kinds.split(",")) if asked.kinds else all_kinds()
-        revision = _revision()
-        file = OutcomeFile(asked.out)
+        revision = revision_of_the_code()
+        file = kept_in(asked.out)
         if not asked.keep:
             refuse_other_revision(file.read(), revision)
     except (ValueError, OtherRevisionError) as error:
@@ -50,7 +46,13 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(
-    console: Console, file: OutcomeFile, kinds: tuple[FaultKind, ...], seeds: range, *, jobs: int, revision: str
+    console: Console,
+    file: OutcomeFile[Outcome],
+    kinds: tuple[FaultKind, ...],
+    seeds: range,
+    *,
+    jobs: int,
+    revision: str,
 ) -> None:
     done = {(outcome.kind, outcome.seed) for outcome in file.read()}
     work = turns(kinds, seeds, done)
@@ -75,7 +77,7 @@ def _run(
 
 
 def _report(
-    console: Console, file: OutcomeFile, kinds: tuple[FaultKind, ...], seeds: range, out: Path, *, writes: bool
+    console: Console, file: OutcomeFile[Outcome], kinds: tuple[FaultKind, ...], seeds: range, out: Path, *, writes: bool
 ) -> int:
     outcomes = [outcome for outcome in file.read() if outcome.seed in seeds]
     table = rows(kinds, outcomes, wanted=len(seeds))
@@ -102,38 +104,14 @@ def _how(outcomes: list[Outcome], seeds: range) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
-    parser.add_argument("--seeds", type=_bounded(1, MOST_SEEDS), default=40)
-    parser.add_argument("--first-seed", type=_bounded(0, MOST_SEEDS), default=1)
-    parser.add_argument("--jobs", type=_bounded(1, MOST_JOBS), default=2)
+    parser.add_argument("--seeds", type=bounded(1, MOST_SEEDS), default=40)
+    parser.add_argument("--first-seed", type=bounded(0, MOST_SEEDS), default=1)
+    parser.add_argument("--jobs", type=bounded(1, MOST_JOBS), default=2)
     parser.add_argument("--out", type=Path, required=True, help="folder for outcomes, table and picture")
     parser.add_argument("--kinds", default="", help="codes, comma-separated; all when left out")
     parser.add_argument("--keep", action="store_true", help="go on with outcomes of another state of the code")
     parser.add_argument("--write", action="store_true", help="put the table and the picture into docs/faults.md")
     return parser
-
-
-def _bounded(low: int, high: int):
-    def number(text: str) -> int:
-        value = int(text)
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"{value} must be from {low} to {high}")
-        return value
-
-    return number
-
-
-def _revision() -> str:
-    """Name the state of the code: the commit, and whether anything that is run differs from it."""
-
-    def git(*words: str) -> str:
-        return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
-
-    try:
-        changed = git("diff", "HEAD", "--", *RUN_FOLDERS)
-        digest = hashlib.sha256(changed.encode()).hexdigest()[:8]
-        return git("rev-parse", "--short=12", "HEAD") + (f"+{digest}" if changed else "")
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
 
 
 if __name__ == "__main__":

@@ -13,15 +13,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tests.faults.kinds import FaultKind, all_kinds
+from tests.faults.outcomes import OutcomeFile
 from tests.faults.plan import Plan
 from tests.faults.rig import WORN_MB, Rig, Template
 from tests.faults.template import learned
 from tests.faults.trial import run_trial
 from tests.faults.verdict import Outcome, Recovery, Trouble
 
+FILE_NAME = "outcomes.jsonl"
 TRIALS_A_TURN = 10
 ATTEMPTS = 2
 """A rig that broke in a way nobody foresaw is replaced, and the trial done once more."""
+
+
+def kept_in(folder: Path) -> OutcomeFile[Outcome]:
+    """Return the campaign's memory."""
+    return OutcomeFile(folder / FILE_NAME, Outcome, lambda outcome: (outcome.kind, outcome.seed))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,10 +6,10 @@ import json
 import pytest
 from rich.console import Console
 
-from tests.faults.campaign import Turn, turns
+from tests.faults.campaign import Turn, kept_in, turns
 from tests.faults.document import DOCUMENT, write_document
 from tests.faults.kinds import all_kinds, chosen
-from tests.faults.outcomes import OtherRevisionError, OutcomeFile, refuse_other_revision
+from tests.faults.outcomes import OtherRevisionError, refuse_other_revision
 from tests.faults.picture import draw
 from tests.faults.table import exit_code, markdown, rows, terminal_table, troubles
 from tests.faults.verdict import Outcome, Trouble
@@ -93,14 +93,14 @@ def test_the_documents_of_this_repository_have_their_marks_around_what_is_writte
 
 
 def test_outcomes_are_read_as_they_were_written(tmp_path):
-    file = OutcomeFile(tmp_path)
+    file = kept_in(tmp_path)
     for one in GOOD:
         file.append(one)
     assert file.read() == GOOD
 
 
 def test_a_line_that_was_cut_short_is_done_again_and_nothing_else_lost(tmp_path):
-    file = OutcomeFile(tmp_path)
+    file = kept_in(tmp_path)
     file.append(GOOD[0])
     with file.path.open("a") as half:
         half.write(json.dumps(GOOD[1].to_json())[:40])
@@ -110,7 +110,7 @@ def test_a_line_that_was_cut_short_is_done_again_and_nothing_else_lost(tmp_path)
 
 
 def test_a_trial_done_again_counts_once_as_it_came_last(tmp_path):
-    file = OutcomeFile(tmp_path)
+    file = kept_in(tmp_path)
     file.append(outcome("killed", 1, Trouble.NO_RESULT))
     file.append(outcome("killed", 1))
     assert file.read() == [outcome("killed", 1)]

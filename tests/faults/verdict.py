@@ -5,11 +5,11 @@ All times are host monotonic [ns], which every process of this machine shares.
 
 import enum
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 from engine.clock import NS_PER_MS
 from engine.permits import HoldReason
+from tests.faults.outcomes import TrialOutcome
 
 REASONS = {reason.value for reason in HoldReason} - {HoldReason.DWELL.value}
 FAULTS = {reason.value for reason in HoldReason if reason.is_fault}
@@ -120,39 +120,22 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class Outcome(TrialOutcome):
     """One trial's result, as it is kept: one line of JSON."""
 
     kind: str
     seed: int
     off_ms: float | None
-    troubles: tuple[str, ...]
     told: tuple[str, ...]
     recovery: str
     stall_ms: float = 0.0
     disturbed_ms: tuple[float, ...] = ()
     missed: int = 0
-    note: str = ""
-    revision: str = ""
-    seconds: float = field(default=0.0)
 
     @property
     def is_unsafe(self) -> bool:
         """Whether the line was on when it must not be."""
         return any(Trouble(one).is_unsafe for one in self.troubles)
-
-    @property
-    def is_red(self) -> bool:
-        """Whether anything at all was not as promised."""
-        return bool(self.troubles)
-
-    def to_json(self) -> dict[str, Any]:
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, document: dict[str, Any]) -> "Outcome":
-        lists = {name: tuple(document[name]) for name in ("troubles", "told", "disturbed_ms")}
-        return cls(**{**document, **lists})
 
 
 def is_on_at(edges: Iterable[LineEdge], at_ns: int) -> bool:

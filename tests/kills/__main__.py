@@ -16,10 +16,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from tests.faults.__main__ import MOST_JOBS, WRONG_USAGE, _bounded, _revision
+from tests.faults.asking import MOST_JOBS, WRONG_USAGE, bounded, revision_of_the_code
 from tests.faults.campaign import stamped
-from tests.faults.outcomes import OtherRevisionError, refuse_other_revision
-from tests.kills.campaign import OutcomeFile, run
+from tests.faults.outcomes import OtherRevisionError, OutcomeFile, refuse_other_revision
+from tests.kills.campaign import kept_in, run
 from tests.kills.document import write_document
 from tests.kills.moments import MOMENTS
 from tests.kills.table import draw, markdown, summary, terminal_table
@@ -32,7 +32,7 @@ MOST_KILLS, MOST_SEED = 100_000, 10**9
 def main(arguments: list[str] | None = None) -> int:
     asked = _parser().parse_args(arguments)
     console = Console(width=None if sys.stdout.isatty() else 200, highlight=False)
-    file, revision = OutcomeFile(asked.out), _revision()
+    file, revision = kept_in(asked.out), revision_of_the_code()
     try:
         if not asked.keep:
             refuse_other_revision(file.read(), revision)
@@ -48,7 +48,7 @@ def main(arguments: list[str] | None = None) -> int:
     return _report(console, file, asked)
 
 
-def _run(console: Console, file: OutcomeFile, asked: argparse.Namespace, revision: str) -> None:
+def _run(console: Console, file: OutcomeFile[Outcome], asked: argparse.Namespace, revision: str) -> None:
     done = {outcome.number for outcome in file.read() if outcome.troubles != (Trouble.NO_RESULT,)}
     numbers = [number for number in range(asked.moments) if number not in done]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
@@ -66,8 +66,9 @@ def _run(console: Console, file: OutcomeFile, asked: argparse.Namespace, revisio
                     return
 
 
-def _report(console: Console, file: OutcomeFile, asked: argparse.Namespace) -> int:
-    outcomes = [outcome for outcome in file.read() if outcome.number < asked.moments]
+def _report(console: Console, file: OutcomeFile[Outcome], asked: argparse.Namespace) -> int:
+    kept = sorted(file.read(), key=lambda outcome: outcome.number)
+    outcomes = [outcome for outcome in kept if outcome.number < asked.moments]
     if not outcomes:
         return 1
     console.print(terminal_table(outcomes))
@@ -93,9 +94,9 @@ def _how(outcomes: Sequence[Outcome], asked: argparse.Namespace) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.kills", description=__doc__)
-    parser.add_argument("--moments", type=_bounded(1, MOST_KILLS), default=200, help="how many kills")
-    parser.add_argument("--seed", type=_bounded(0, MOST_SEED), default=1)
-    parser.add_argument("--jobs", type=_bounded(1, MOST_JOBS), default=2)
+    parser.add_argument("--moments", type=bounded(1, MOST_KILLS), default=200, help="how many kills")
+    parser.add_argument("--seed", type=bounded(0, MOST_SEED), default=1)
+    parser.add_argument("--jobs", type=bounded(1, MOST_JOBS), default=2)
     parser.add_argument("--out", type=Path, required=True, help="folder for outcomes, table and picture")
     parser.add_argument("--database", choices=["sqlite", POSTGRESQL], default="sqlite")
     parser.add_argument("--moment", choices=[moment.code for moment in MOMENTS], help="this one alone")

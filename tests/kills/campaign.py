@@ -2,7 +2,6 @@
 
 import contextlib
 import ctypes
-import json
 import multiprocessing
 import os
 import signal
@@ -18,6 +17,7 @@ from pathlib import Path
 from sqlalchemy import URL
 
 from tests.db.postgres import PostgresServer
+from tests.faults.outcomes import OutcomeFile
 from tests.faults.rig import WORN_MB, Template
 from tests.faults.service import DIES_WITH_ITS_PARENT
 from tests.faults.template import learned
@@ -32,30 +32,9 @@ ATTEMPTS = 2
 """A rig that broke in a way nobody foresaw is replaced, and the kill done once more; the first's story is kept."""
 
 
-class OutcomeFile:
-    """Outcomes in a folder; a line that a kill cut short is dropped, and its kill done again."""
-
-    def __init__(self, folder: Path) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        self._path = folder / FILE_NAME
-
-    def read(self) -> list[Outcome]:
-        """Return what is there, the newest of each number, in order."""
-        found: dict[int, Outcome] = {}
-        for line in self._path.read_text().splitlines() if self._path.exists() else ():
-            with contextlib.suppress(ValueError, KeyError, TypeError):
-                outcome = Outcome.from_json(json.loads(line))
-                found[outcome.number] = outcome
-        return [found[number] for number in sorted(found)]
-
-    def append(self, outcome: Outcome) -> None:
-        """Add one; behind a cut line a new one is begun."""
-        with self._path.open("a+b") as file:
-            is_cut = False
-            if file.tell() > 0:
-                file.seek(-1, 2)
-                is_cut = file.read(1) != b"\n"
-            file.write((b"\n" if is_cut else b"") + json.dumps(outcome.to_json()).encode() + b"\n")
+def kept_in(folder: Path) -> OutcomeFile[Outcome]:
+    """Return the campaign's memory."""
+    return OutcomeFile(folder / FILE_NAME, Outcome, lambda outcome: outcome.number)
 
 
 class Bench:

@@ -6,7 +6,8 @@ import pytest
 
 from engine.clock import NS_PER_MS
 from tests.faults.verdict import LineEdge
-from tests.kills.verdict import Evidence, Step, Trouble, edge_ms, is_last_instant, judge, lost_ms, off_ms
+from tests.kills.campaign import kept_in
+from tests.kills.verdict import Evidence, Outcome, Step, Trouble, edge_ms, is_last_instant, judge, lost_ms, off_ms
 
 MS = NS_PER_MS
 KILLED = 10_000 * MS
@@ -149,3 +150,11 @@ def test_a_session_that_was_never_measured_has_no_samples_to_lose():
 def test_what_hurts_is_told_apart_from_what_is_only_wrong():
     assert Trouble.ON_UNASKED.is_unsafe
     assert not Trouble.SAMPLES_LOST.is_unsafe
+
+
+def test_kills_are_read_as_they_were_written_and_what_is_no_kill_is_passed_over(tmp_path):
+    file, kill = kept_in(tmp_path), Outcome(number=3, moment="ready", troubles=("the line never went off",), off_ms=2.0)
+    file.append(kill)
+    with file.path.open("a") as other:
+        other.write('12\n[]\n{"number": 4}\n{"number": 5, "mom')
+    assert file.read() == [kill]

@@ -3,11 +3,11 @@
 import enum
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 from engine.clock import NS_PER_MS, NS_PER_S
 from tests.faults.kinds import RECEIVER_MS
+from tests.faults.outcomes import TrialOutcome
 from tests.faults.verdict import LineEdge, is_on_at
 
 TOLD_WITHIN_NS = 300 * NS_PER_MS
@@ -97,12 +97,11 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class Outcome(TrialOutcome):
     """One kill's result, as it is kept: one line of JSON."""
 
     number: int
     moment: str
-    troubles: tuple[str, ...] = ()
     off_ms: float | None = None
     lost_ms: float | None = None
     edge_ms: float | None = None
@@ -110,21 +109,6 @@ class Outcome:
     recovered: int = 0
     is_last_instant: bool = False
     restart_s: float = 0.0
-    seconds: float = 0.0
-    note: str = ""
-    revision: str = ""
-
-    @property
-    def is_red(self) -> bool:
-        """Whether anything was not as promised."""
-        return bool(self.troubles)
-
-    def to_json(self) -> dict[str, Any]:
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, document: dict[str, Any]) -> "Outcome":
-        return cls(**{**document, "troubles": tuple(document["troubles"])})
 
 
 def judge(evidence: Evidence) -> tuple[Trouble, ...]:
