@@ -6,9 +6,9 @@ import sys
 
 import pytest
 
-from service.tps.chaos import UnrulyClient
 from tests.service.conftest import eventually
 from tests.service.processes import ROOT
+from tests.tps.bad_day import EVERY_TROUBLE, ClientOnABadDay
 from tests.tps.rooms import Elsewhere, clocked, fraction_of, quick_room
 
 
@@ -27,11 +27,11 @@ def test_a_whole_fraction_is_delivered_and_what_was_seen_live_was_recorded(tmp_p
 
 def test_a_bad_day_changes_nothing_but_the_time_it_takes(tmp_path):
     with quick_room(tmp_path) as room:
-        unruly = UnrulyClient(room.url, key=room.key, operator="Simulated therapist", seed=7)
+        unruly = ClientOnABadDay(room.url, key=room.key, operator="Simulated therapist")
         report = fraction_of(room, unruly, tmp_path).run()
         unruly.close()
     assert report.is_good, report
-    assert unruly.counts.total() >= 5, "that was no bad day"
+    assert unruly.counts.keys() == EVERY_TROUBLE, f"that was no bad day: {unruly.counts}"
 
 
 def test_a_killed_service_is_waited_for_and_a_person_has_the_rest_of_the_fraction_delivered(tmp_path):
