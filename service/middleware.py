@@ -10,7 +10,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.access.identity import RULE
 from service.deprecation import DEPRECATED
-from service.errors import problem_of, problem_response
+from service.problems import problem_of, problem_response
 
 MAX_BODY_S = 30.0
 SECURITY_HEADERS = {

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from engine.errors import TidegateError
-from service.errors import HTTP_CODES, PROBLEM_TYPE, STATUS_OF, STORAGE_CODE, code_of, status_of
+from service.problems import HTTP_CODES, PROBLEM_TYPE, STATUS_OF, STORAGE_CODE, code_of, status_of
 
 WHAT_TO_DO: Mapping[str, str] = {
     "audit_busy": "Wait until the other walk has ended, or go on from `checked_to` later.",

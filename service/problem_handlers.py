@@ -12,14 +12,8 @@ from starlette.exceptions import HTTPException
 from engine.errors import TidegateError
 from service.access.identity import identity_in
 from service.deps import services
-from service.errors import (
-    MediaTypeError,
-    NotAcceptableError,
-    OperatorMismatchError,
-    PreconditionFailedError,
-    problem_of,
-    problem_response,
-)
+from service.errors import MediaTypeError, NotAcceptableError, OperatorMismatchError, PreconditionFailedError
+from service.problems import problem_of, problem_response
 from service.schema_base import Identifier
 
 logger = logging.getLogger(__name__)

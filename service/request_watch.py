@@ -13,10 +13,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.access.identity import identity_in
 from service.access.rules import SOCKET
-from service.errors import problem_of, problem_response
 from service.http_tallies import HttpTallies, RouteNames, method_of
 from service.middleware import SECURITY_HEADERS
 from service.private_log import FIELDS
+from service.problems import problem_of, problem_response
 from service.request_ids import HEADER, begin_request, request_id_of
 
 logger = logging.getLogger(__name__)

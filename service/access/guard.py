@@ -19,9 +19,8 @@ from service.errors import (
     PasswordChangeDueError,
     PermissionMissingError,
     ServiceError,
-    problem_of,
-    problem_response,
 )
+from service.problems import problem_of, problem_response
 
 POLICY_VIOLATION = 1008
 REFUSED = "access.refused"

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from service.errors import HTTP_CODES, code_of, status_of
+from service.problems import HTTP_CODES, code_of, status_of
 
 PROBLEM_CONTENT = {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}}
 CODES = "x-problem-codes"

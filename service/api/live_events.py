@@ -8,8 +8,9 @@ from starlette.types import Receive, Scope, Send
 
 from service.api import problems
 from service.deps import access, caller, services
-from service.errors import StreamFullError, problem_of, problem_response
+from service.errors import StreamFullError
 from service.ports import RunnerPort
+from service.problems import problem_of, problem_response
 from service.stream.asking import Encoding, EventsQuery
 from service.stream.feeding import Resume, hello_of, serve
 from service.stream.hub import LiveHub, MayStay

@@ -25,8 +25,9 @@ from service.cli.terminal import frame_bar, refused, say
 from service.cli.written import write_whole
 from service.db.engine import Database
 from service.db.preparing import prepare
-from service.errors import BoundError, problem_of
+from service.errors import BoundError
 from service.folder_lock import alone_in
+from service.problems import problem_of
 from service.qa import records, schemas, views
 from service.qa.book import TREND_RUNS, close_interrupted
 from service.qa.desk import check_word, qa_begin

@@ -10,8 +10,8 @@ from http import HTTPStatus
 
 from starlette.exceptions import HTTPException
 
-from service.errors import MEDIA_TYPE, problem_of
 from service.middleware import SECURITY_HEADERS
+from service.problems import MEDIA_TYPE, problem_of
 
 logger = logging.getLogger(__name__)
 TELL_EVERY_S = 10.0

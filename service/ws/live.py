@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from starlette.datastructures import QueryParams
 
 from service.deps import access, caller, require_guarded, services
-from service.errors import problem_of, problem_response
+from service.problems import problem_of, problem_response
 from service.stream.asking import LiveQuery
 from service.stream.feeding import hello_of, serve
 from service.stream.hub import LiveHub

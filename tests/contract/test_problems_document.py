@@ -2,8 +2,8 @@
 
 import pytest
 
-from service.errors import STATUS_OF, code_of
 from service.problem_catalogue import CATALOGUE, WHAT_TO_DO
+from service.problems import STATUS_OF, code_of
 from tests.contract.problems_document import PAGE, page
 
 

@@ -14,7 +14,8 @@ from service.access.addresses import UNKNOWN, Callers
 from service.db import repository
 from service.db.base import Base
 from service.db.engine import Database
-from service.errors import BoundError, problem_of
+from service.errors import BoundError
+from service.problems import problem_of
 from service.qa.schemas import QaRunRequest
 from tests.fuzz.target import Target, as_file
 

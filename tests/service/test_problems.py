@@ -8,7 +8,7 @@ import engine.errors
 import service.errors
 from engine.errors import TidegateError
 from service.app import create_app
-from service.errors import STATUS_OF, problem_of
+from service.problems import STATUS_OF, problem_of
 from tests.service.conftest import audit_rows, make_calibration, upload
 from tests.service.people import PeopleClient
 
