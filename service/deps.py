@@ -5,13 +5,15 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
 from typing import Annotated, TypeVar, cast
 
-from fastapi import Depends, Header, Path, Query, Request, Response
+from fastapi import Depends, Header, HTTPException, Path, Query, Request, Response
 from pydantic import AwareDatetime
-from starlette.requests import HTTPConnection
+from starlette.requests import ClientDisconnect, HTTPConnection
 
 from service import ports
+from service.access import behalf
 from service.access.attendance import Attendance
 from service.access.calling import Calling
+from service.access.claims import read_claim
 from service.access.desk import AccessDesk
 from service.access.guard import ADDRESS
 from service.access.identity import RULE, identity_in
@@ -23,6 +25,7 @@ from service.paging import LONGEST as LONGEST_CURSOR
 from service.paging import Paging
 from service.qa.ports import QaBookPort, QaDeskPort
 from service.schema_base import Identifier, Name
+from service.strictness import takes_beam_away
 
 AnswerT = TypeVar("AnswerT")
 PARAMETER = re.compile(r"\{(\w+)\}")
@@ -112,8 +115,11 @@ MEDIA_OF = {"calibration.upload": CALIBRATION_MEDIA, "plan.import": ("applicatio
 
 
 async def require_json(request: Request) -> None:
-    """Refuse a body that is not JSON by its Content-Type: a form of a foreign page could post it otherwise."""
-    if request.method not in {"POST", "PUT", "PATCH"}:
+    """Refuse a body that is not JSON by its Content-Type: a form of a foreign page could post it otherwise.
+
+    What takes permission away is done whatever its type; the guard has refused foreign pages by their Origin.
+    """
+    if request.method not in {"POST", "PUT", "PATCH"} or takes_beam_away(request):
         return
     allowed = MEDIA_OF.get(getattr(request.scope.get("route"), "name", ""), ("application/json",))
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
@@ -146,9 +152,21 @@ async def _calling(connection: HTTPConnection) -> Calling:
     return caller(connection)
 
 
+async def _obeyed(request: Request, caller: Annotated[Calling, Depends(_calling)]) -> str:
+    """Return in whose name permission is taken away, whatever the body says."""
+    try:
+        claim = read_claim(await request.body())
+    except ClientDisconnect as error:
+        raise HTTPException(400) from error
+    if claim.unread is not None:
+        behalf.leave_unread(claim.unread)
+    return caller.whatever_is_claimed(claim.operator)
+
+
 Offered = Annotated[Services, Depends(_offered)]
 Access = Annotated[AccessDesk, Depends(_access)]
 Caller = Annotated[Calling, Depends(_calling)]
+Obeyed = Annotated[str, Depends(_obeyed)]
 Undelayed = Annotated[OwnThreads, Depends(_own_threads)]
 Attending = Annotated[Attendance, Depends(attendance)]
 Address = Annotated[str, Depends(sender_address)]

@@ -12,8 +12,7 @@ from fastapi.routing import APIRoute
 from pydantic import BaseModel
 
 from service.access.identity import RULE
-from service.access.permissions import Permission
-from service.access.rules import RULES
+from service.access.rules import TAKES_PERMISSION_AWAY
 from service.errors import BoundError, NotAcceptableError
 
 MAY_HAVE_MORE = frozenset({"/login/oidc", "/login/oidc/return"})
@@ -24,7 +23,7 @@ PROBLEM = "application/problem+json"
 async def require_known_query(request: Request) -> None:
     """Refuse a parameter that the call does not have, or has twice; what takes the beam away is done all the same."""
     route = request.scope.get("route")
-    if not isinstance(route, APIRoute) or route.path_format in MAY_HAVE_MORE or _takes_beam_away(request):
+    if not isinstance(route, APIRoute) or route.path_format in MAY_HAVE_MORE or takes_beam_away(request):
         return
     known = _query_names(route)
     given = [name for name, _ in request.query_params.multi_items()]
@@ -41,7 +40,7 @@ async def require_known_query(request: Request) -> None:
 async def require_acceptable(request: Request) -> None:
     """Refuse to answer with what is not wanted; what takes the beam away is done whatever is wanted."""
     accept = request.headers.get("accept")
-    if accept is None or _takes_beam_away(request):
+    if accept is None or takes_beam_away(request):
         return
     offered = _offered(request.scope.get("route"))
     if offered and not any(_matches(wanted, offered) for wanted in accept.split(",")):
@@ -82,8 +81,9 @@ def _is_good(status: int | str) -> bool:
     return str(status).startswith("2")
 
 
-def _takes_beam_away(request: Request) -> bool:
-    return RULES.get(request.scope.get(RULE, ("", ""))) is Permission.GATE_HOLD
+def takes_beam_away(request: Request) -> bool:
+    """Whether this call takes permission away, by the rule that let it in."""
+    return request.scope.get(RULE) in TAKES_PERMISSION_AWAY
 
 
 def _matches(wanted: str, offered: Iterable[str]) -> bool:

@@ -104,6 +104,12 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", f"{V1}/audit/export"): Permission.AUDIT_READ,
 }
 
+TAKES_PERMISSION_AWAY = frozenset(
+    {call for call, needs in RULES.items() if needs is Permission.GATE_HOLD}
+    | {("POST", f"{V1}/qa/runs/{{run_id}}/cancel")}
+)
+"""Never refused over a header, a parameter or what the body says: whoever may, is obeyed."""
+
 BEFORE_THE_PASSWORD_IS_CHANGED = frozenset(
     {("GET", f"{V1}/me"), ("POST", f"{V1}/me/password"), ("POST", f"{V1}/logout")}
 )

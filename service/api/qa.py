@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query, Response
 
 from engine.errors import BeamLineError, CalibrationError, RecordingError, RuntimeMissingError, SourceLostError
-from service import deps, schemas
+from service import deps
 from service.api import problems
 from service.conditional import etag_of
 from service.errors import (
@@ -89,14 +89,9 @@ def read_qa_run(run_id: RunId, services: deps.Offered, fresh: deps.IfNoneMatch) 
 
 @router.post("/runs/{run_id}/cancel", name="qa.cancel", responses=problems(NotFoundError, QaStateError))
 async def cancel_qa_run(
-    run_id: RunId,
-    request: schemas.OperatorRequest,
-    caller: deps.Caller,
-    services: deps.Offered,
-    threads: deps.Undelayed,
+    run_id: RunId, operator: deps.Obeyed, services: deps.Offered, threads: deps.Undelayed
 ) -> qa.QaRun:
     """Hold the beam line, then end the run."""
-    operator = caller.whatever_is_claimed(request.operator)
     return await threads.run(partial(services.qa_desk.cancel, run_id, operator))
 
 

@@ -177,14 +177,9 @@ def arm_session(
 
 @router.post("/{session_id}/disarm", name="session.disarm", responses=HOLD)
 async def disarm_session(
-    session_id: deps.SessionId,
-    request: schemas.OperatorRequest,
-    caller: deps.Caller,
-    services: deps.Offered,
-    threads: deps.Undelayed,
+    session_id: deps.SessionId, operator: deps.Obeyed, services: deps.Offered, threads: deps.Undelayed
 ) -> schemas.SessionDetail:
     """Hold the beam until somebody arms again."""
-    operator = caller.whatever_is_claimed(request.operator)
     return await threads.run(partial(services.runner.command, session_id, "disarm", operator))
 
 
@@ -216,14 +211,9 @@ def acknowledge_fault(
 
 @router.post("/{session_id}/hold", name="session.hold", responses=HOLD)
 async def hold_beam(
-    session_id: deps.SessionId,
-    request: schemas.OperatorRequest,
-    caller: deps.Caller,
-    services: deps.Offered,
-    threads: deps.Undelayed,
+    session_id: deps.SessionId, operator: deps.Obeyed, services: deps.Offered, threads: deps.Undelayed
 ) -> schemas.SessionDetail:
     """Hold the beam until somebody releases it; the session stays armed. Never refused while it runs."""
-    operator = caller.whatever_is_claimed(request.operator)
     return await threads.run(partial(services.runner.command, session_id, "hold", operator))
 
 
@@ -273,14 +263,9 @@ def correct_baseline(
 
 @router.post("/{session_id}/stop", name="session.stop", responses=problems(NotFoundError, SessionStateError))
 async def stop_session(
-    session_id: deps.SessionId,
-    request: schemas.OperatorRequest,
-    caller: deps.Caller,
-    services: deps.Offered,
-    threads: deps.Undelayed,
+    session_id: deps.SessionId, operator: deps.Obeyed, services: deps.Offered, threads: deps.Undelayed
 ) -> schemas.Session:
     """Hold the beam, end the engine, close the session."""
-    operator = caller.whatever_is_claimed(request.operator)
     return await threads.run(partial(services.runner.stop, session_id, operator))
 
 

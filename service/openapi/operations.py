@@ -6,7 +6,7 @@ All of it is worked out from the operation itself and the table of rules; a rout
 from copy import deepcopy
 from typing import Any
 
-from service.access.rules import BEFORE_THE_PASSWORD_IS_CHANGED, RULES, Needs, Open
+from service.access.rules import BEFORE_THE_PASSWORD_IS_CHANGED, RULES, TAKES_PERMISSION_AWAY, Needs, Open
 from service.api import CODES, problem_answer
 from service.conditional import IF_MATCH as IF_MATCH_HEADER
 from service.conditional import IF_NONE_MATCH as IF_NONE_MATCH_HEADER
@@ -27,6 +27,13 @@ NOTHING_TO_SAY = {
     "description": "Nothing of it is read; that its type is JSON keeps foreign pages' forms out",
     "content": {"application/json": {"schema": {}, "example": {}}},
 }
+WHO_ASKS = {
+    "required": False,
+    "description": "`operator` as in other calls: whoever is logged in, and may be left out; from a machine, for whom "
+    "it acts. What takes permission away is not refused for what it is sent: without a body, with one that has other "
+    "fields, is of another type or is no JSON, it is done all the same, and the audit says what was not read",
+    "content": {"application/json": {"schema": {}, "example": {"operator": "A. Therapist"}}},
+}
 V1 = "/api/v1/"
 SHOWN_TO_PEOPLE = "text/html"
 WITH_RETRY = frozenset({"idempotency_in_progress", "locked_out", "login_busy", "plan_busy", "stream_full"})
@@ -36,7 +43,8 @@ def complete_operation(operation: Operation, method: str, path: str) -> None:
     """Add what the call takes, all its problems, and the headers of its answers."""
     needs = RULES.get((method, path))
     if method in CHANGES:
-        operation.setdefault("requestBody", NOTHING_TO_SAY)
+        is_obeyed = (method, path) in TAKES_PERMISSION_AWAY
+        operation.setdefault("requestBody", WHO_ASKS if is_obeyed else NOTHING_TO_SAY)
     _describe_access(operation, needs)
     responses = operation["responses"]
     if _is_made_by_fastapi(responses.get("422")):
@@ -69,7 +77,7 @@ def _codes(operation: Operation, method: str, path: str, needs: Needs | None) ->
     if path.startswith(V1) and not _is_page(operation):
         found.setdefault(422, set()).add("invalid_value")  # an unknown parameter
         found[503] = {"storage_unavailable"}
-        if needs is None or str(needs) != "gate.hold":
+        if (method, path) not in TAKES_PERMISSION_AWAY:
             found[406] = {"not_acceptable"}
     return found
 

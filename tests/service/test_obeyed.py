@@ -1,0 +1,91 @@
+"""What takes permission away is done whatever its body says, by whoever may; what was not read is written down."""
+
+import json
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from service.access.claims import Claim, read_claim
+from tests.service.conftest import audit_rows
+
+AWAY = ["hold", "disarm", "stop"]
+JSON = "application/json"
+UNREAD = {
+    "no body": (b"", JSON, None),
+    "nothing at all": (b"", None, None),
+    "an empty object": (b"{}", JSON, None),
+    "the type of a form": (b"{}", "application/x-www-form-urlencoded", None),
+    "a form": (b"operator=me", "application/x-www-form-urlencoded", "it is no JSON"),
+    "an unknown field": (b'{"operator": "A. Therapist", "force": true}', JSON, "it has other fields"),
+    "an unknown field alone": (b'{"reason": "cough"}', JSON, "it has other fields"),
+    "half of an object": (b'{"operator": ', JSON, "it is no JSON"),
+    "no text": (b"\xff\xfe\xfd", JSON, "it is no JSON"),
+    "without end": (b"[" * 30_000, JSON, "it is no JSON"),
+    "a list": (b"[]", JSON, "it is no object"),
+    "a number for a name": (b'{"operator": 3}', JSON, "its operator is no name"),
+    "no name": (b'{"operator": ""}', JSON, "its operator is no name"),
+    "a name without end": (json.dumps({"operator": "x" * 81}).encode(), JSON, "its operator is no name"),
+    "half a character": (b'{"operator": "\\ud800"}', JSON, "its operator is no name"),
+    "a field that is half a character": (b'{"\\ud800": 1}', JSON, "it has other fields"),
+}
+FOR_WHOM = {b"": None, b'{"operator": "C. Nurse", "force": 1}': "C. Nurse", b'{"operator": 3}': None}
+
+
+def send(client, session_id, action, body, media_type, **headers):
+    typed = {} if media_type is None else {"Content-Type": media_type}
+    return client.post(f"/api/v1/sessions/{session_id}/{action}", content=body, headers={**typed, **headers})
+
+
+@pytest.mark.parametrize("name", UNREAD)
+@pytest.mark.parametrize("action", AWAY)
+def test_it_is_done_whatever_its_body_is_and_the_audit_says_what_was_not_read(
+    client, session_id, running, action, name
+):
+    body, media_type, unread = UNREAD[name]
+    answer = send(client, session_id, action, body, media_type)
+    assert answer.status_code == 200, answer.text
+    assert running.status.is_over if action == "stop" else len(running.commands) == 1
+    row = audit_rows(client, f"session.{action}")[-1]
+    assert (row["actor"], row["outcome"]) == ("A. Therapist", "done")
+    assert row["detail"].get("body_not_read") == unread
+
+
+@pytest.mark.parametrize("action", AWAY)
+@pytest.mark.parametrize("body", FOR_WHOM)
+def test_a_machine_that_may_is_obeyed_and_acts_for_whom_it_legibly_says(client, session_id, running, action, body):
+    key = client.desk.keys.create("tps", ["gate.hold"], datetime.now(UTC) + timedelta(days=1), by="test")
+    client.speaks_as = None
+    url, headers = f"/api/v1/sessions/{session_id}/{action}", {"Authorization": f"Bearer {key.secret}"}
+    answer = client.post(url, content=body, headers=headers)
+    assert answer.status_code == 200, answer.text
+    client.speaks_as = "A. Therapist"
+    row = audit_rows(client, f"session.{action}")[-1]
+    assert (row["actor"], row["detail"].get("on_behalf_of")) == ("key:tps", FOR_WHOM[body])
+
+
+@pytest.mark.parametrize("action", AWAY)
+def test_whoever_may_not_is_refused_whatever_the_body(client, session_id, running, action):
+    client.headers_as("B. Viewer", {"viewer"})
+    client.speaks_as = "B. Viewer"
+    assert send(client, session_id, action, b"", None).status_code == 403
+    foreign = send(client, session_id, action, b"", None, Origin="http://evil.example")
+    assert (foreign.status_code, foreign.json()["code"]) == (403, "origin_refused")
+    assert running.commands == []
+    assert not running.status.is_over
+
+
+@pytest.mark.parametrize("action", ["arm", "release", "acknowledge", "reference"])
+@pytest.mark.parametrize("name", ["no body", "the type of a form", "an unknown field", "a list"])
+def test_what_may_lead_to_a_permit_is_as_strict_as_ever(client, session_id, running, action, name):
+    body, media_type, _ = UNREAD[name]
+    assert send(client, session_id, action, body, media_type).status_code in {415, 422}
+    assert running.commands == []
+
+
+def test_cancelling_a_qa_run_minds_neither_body_nor_accept(client):
+    url = f"/api/v1/qa/runs/{'0' * 32}/cancel?_=1"
+    assert client.post(url, content=b"[", headers={"Accept": "image/png"}).json()["code"] == "not_found"
+
+
+def test_a_claim_that_is_whole_leaves_nothing_unread():
+    assert read_claim(b'{"operator": "C. Nurse"}') == Claim(operator="C. Nurse", unread=None)
