@@ -39,9 +39,11 @@ WAITING := tests/faults tests/kills tests/engine_process tests/load tests/stream
 	tests/monitoring/test_stop.py tests/client/test_samples_of_clients.py \
 	$(addprefix tests/tps/test_,real_service.py whole_fractions.py) $(addprefix tests/service/test_,process.py folder_lock.py) \
 	$(addprefix tests/beam/test_,killed_processes.py real_receivers.py service_line.py)
+# In the order of tests/conftest.py, the longest files first: by itself xdist begins with those of most tests.
+BY_TWO := -n 2 --dist loadfile --no-loadscope-reorder
 test: $(STAMP) test-system lint types contracts  ## everything that must hold: lint, types, contracts, all tests
-	$(BIN)/pytest -n 2 --dist loadfile $(addprefix --ignore=,$(ALONE) $(WAITING))
-	$(BIN)/pytest -n 2 --dist loadfile $(WAITING)
+	$(BIN)/pytest $(BY_TWO) $(addprefix --ignore=,$(ALONE) $(WAITING))
+	$(BIN)/pytest $(BY_TWO) $(WAITING)
 	$(BIN)/pytest $(ALONE)
 
 demo: $(STAMP) openni  ## a 60 s volunteer through the whole of Tidegate; KEEP=1 stays up

@@ -13,6 +13,7 @@ from service.access.store import AccessStore
 from service.app import create_app
 from service.db.engine import Database
 from service.settings import Settings
+from tests.service.conftest import with_tables
 from tests.service.fakes import FakeEngine
 from tests.service.people import PeopleClient, QuickHashing
 
@@ -70,8 +71,8 @@ def site(tmp_path: Path) -> Settings:
 
 
 @pytest.fixture
-def nobody(site: Settings) -> Iterator[PeopleClient]:
+def nobody(site: Settings, migrated_file: Path) -> Iterator[PeopleClient]:
     """A client that is nobody until it says who."""
-    with PeopleClient(create_app(site, lambda _settings: FakeEngine())) as client:
+    with PeopleClient(create_app(with_tables(site, migrated_file), lambda _settings: FakeEngine())) as client:
         client.speaks_as = None
         yield client

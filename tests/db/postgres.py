@@ -258,9 +258,20 @@ def database_url(place: Path | URL) -> str | None:
     return None if isinstance(place, Path) else place.render_as_string(hide_password=False)
 
 
+@pytest.fixture(scope="session")
+def migrated_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Make an SQLite file with the newest tables, to be copied: what PostgreSQL has its template for."""
+    path = tmp_path_factory.mktemp("migrated") / "tidegate.db"
+    with contextlib.closing(Database(path)) as database:
+        database.migrate()
+    return path
+
+
 @pytest.fixture
-def database(place: Path | URL) -> Iterator[Database]:
+def database(place: Path | URL, migrated_file: Path) -> Iterator[Database]:
     """Open a database with the newest tables."""
+    if isinstance(place, Path):
+        shutil.copy(migrated_file, place)
     database = Database(place)
     database.migrate()
     yield database

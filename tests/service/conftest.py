@@ -1,6 +1,7 @@
 """A service on a fake engine, with a calibration and a recording to make sessions from."""
 
 import json
+import shutil
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -55,8 +56,8 @@ def engine() -> FakeEngine:
 
 
 @pytest.fixture
-def client(settings: Settings, engine: FakeEngine) -> Iterator[PeopleClient]:
-    with PeopleClient(create_app(settings, lambda _settings: engine)) as client:
+def client(settings: Settings, engine: FakeEngine, migrated_file: Path) -> Iterator[PeopleClient]:
+    with PeopleClient(create_app(with_tables(settings, migrated_file), lambda _settings: engine)) as client:
         yield client
 
 
@@ -84,6 +85,14 @@ def session_id(client: PeopleClient, session_body: dict[str, Any]) -> str:
 def running(client: PeopleClient, session_id: str, engine: FakeEngine) -> FakeRunning:
     assert act(client, session_id, "start").status_code == 200
     return engine.running
+
+
+def with_tables(settings: Settings, migrated_file: Path) -> Settings:
+    """Let a service find the newest tables; on PostgreSQL they are there anyway. Others try a first start."""
+    if settings.database_url is None:
+        settings.data_dir.mkdir(mode=0o700, exist_ok=True)
+        shutil.copy(migrated_file, settings.database_place)
+    return settings
 
 
 def make_session_body(calibration_id: str) -> dict[str, Any]:

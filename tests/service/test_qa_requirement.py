@@ -17,7 +17,7 @@ from service.db.models import QaOutcomeRow, QaResultRow, QaRunRow
 from service.qa import records
 from service.qa.requirement import refusal
 from service.settings import Settings
-from tests.service.conftest import act, audit_rows
+from tests.service.conftest import act, audit_rows, with_tables
 from tests.service.people import PeopleClient
 from tests.service.qa_rig import FakeRig
 from tests.service.qa_samples import report
@@ -181,8 +181,10 @@ def strict(settings) -> Settings:
 
 
 @pytest.fixture
-def client(strict, engine) -> Iterator[PeopleClient]:
-    with PeopleClient(create_app(strict, lambda _settings: engine, lambda _settings: FakeRig())) as client:
+def client(strict, engine, migrated_file) -> Iterator[PeopleClient]:
+    with PeopleClient(
+        create_app(with_tables(strict, migrated_file), lambda _settings: engine, lambda _settings: FakeRig())
+    ) as client:
         yield client
 
 

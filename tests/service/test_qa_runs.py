@@ -15,7 +15,7 @@ from engine.qa.results import QaKind
 from service.app import create_app
 from service.qa import records
 from service.qa.schemas import QaExpected
-from tests.service.conftest import OPERATOR, act, audit_rows, eventually, make_session_body
+from tests.service.conftest import OPERATOR, act, audit_rows, eventually, make_session_body, with_tables
 from tests.service.people import PeopleClient
 from tests.service.qa_rig import FakeRig, qa_files
 from tests.service.qa_samples import report, sample_series
@@ -34,8 +34,9 @@ def rig() -> Iterator[FakeRig]:
 
 
 @pytest.fixture
-def client(settings, engine, rig: FakeRig) -> Iterator[PeopleClient]:
+def client(settings, engine, rig: FakeRig, migrated_file) -> Iterator[PeopleClient]:
     qa_files(settings.recordings_dirs[0])
+    with_tables(settings, migrated_file)
     with PeopleClient(create_app(settings, lambda _settings: engine, lambda _settings: rig)) as client:
         yield client
 
