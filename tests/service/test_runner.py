@@ -66,7 +66,7 @@ def test_a_silent_engine_gives_a_time_out_and_the_arming_is_withdrawn(client, se
 def test_what_waited_too_long_since_its_call_arrived_is_refused_before_it_is_written_down(
     client, session_id, running, monkeypatch, action
 ):
-    monkeypatch.setattr("service.runner.asked_ns", lambda: time.monotonic_ns() - 2 * MAX_WAIT_NS)
+    monkeypatch.setattr("service.asking.asked_ns", lambda: time.monotonic_ns() - 2 * MAX_WAIT_NS)
     answer = act(client, session_id, action)
     assert (answer.status_code, answer.json()["code"]) == (409, "command_refused")
     assert running.commands == []
@@ -77,7 +77,7 @@ def test_what_waited_too_long_since_its_call_arrived_is_refused_before_it_is_wri
 def test_what_takes_the_beam_away_is_never_too_late_and_minds_no_query(
     client, session_id, running, monkeypatch, action
 ):
-    monkeypatch.setattr("service.runner.asked_ns", lambda: time.monotonic_ns() - 60 * MAX_WAIT_NS)
+    monkeypatch.setattr("service.asking.asked_ns", lambda: time.monotonic_ns() - 60 * MAX_WAIT_NS)
     answer = client.post(f"/api/v1/sessions/{session_id}/{action}?_=1", json={"operator": "A. Therapist"})
     assert answer.status_code == 200
     assert len(running.commands) == 1
