@@ -1,7 +1,8 @@
 """Load on a real service: ``python -m tests.load [--dashboards 200] [--requests-per-s 50] [--seconds 120]``.
 
 Quiet and loaded blocks alternate within one session, so that a run compares itself with itself. Exit code 0 when every
-mark is met or ``--strict`` was not given, 1 when one is not, 2 for a usage that is none.
+mark is met or ``--strict`` was not given, 1 when one is not, 2 for a usage that is none. Ctrl-C or SIGTERM ends it
+early: it tells what it has measured, and the exit code is 130; once more, and it leaves everything at once.
 """
 
 import argparse
@@ -10,6 +11,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+from tests.load.ending import Ending
 from tests.load.figures import figures_of
 from tests.load.run import Load, run
 from tests.load.service import LoadError
@@ -17,13 +19,20 @@ from tests.load.table import text_of
 
 LOADED_SHARE = 2.0 / 3.0
 LONGEST_ROUND_S = 300.0
+INTERRUPTED = 130
+"""As a shell says it of whoever Ctrl-C ended."""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run, and print."""
     asked = _parser().parse_args(arguments)
+    ending = Ending()
     try:
-        found = figures_of(run(_load(asked), lambda step: print(step, file=sys.stderr, flush=True)))  # noqa: T201
+        with ending.heard():
+            found = figures_of(run(_load(asked), _tell, ending))
+    except KeyboardInterrupt:
+        sys.stderr.write(f"tests.load: ended {'without' if ending.is_asked else 'before there were'} figures\n")
+        return INTERRUPTED
     except LoadError as error:
         sys.stderr.write(f"tests.load: {error}\n")
         return 2
@@ -32,7 +41,14 @@ def main(arguments: list[str] | None = None) -> int:
     if asked.out:
         asked.out.parent.mkdir(parents=True, exist_ok=True)
         asked.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    if ending.is_asked:
+        return INTERRUPTED
     return int(asked.strict and not all(mark["is_met"] for mark in found["marks"]))
+
+
+def _tell(step: str) -> None:
+    sys.stderr.write(f"{step}\n")
+    sys.stderr.flush()
 
 
 def _load(asked: argparse.Namespace) -> Load:

@@ -1,4 +1,4 @@
-"""Software that calls: a program of its own, ``python -m tests.load.callers``, spoken to as ``tests.load.watchers`` is.
+"""Software that calls: a program of its own, ``python -m tests.load.callers`` (see ``tests.load.speaking``).
 
 Requests are sent at fixed moments whatever became of those before, over connections that are kept; a latency counts
 from the moment at which the request was due. One client beside them exports the session's samples over and over.
@@ -6,15 +6,11 @@ from the moment at which the request was due. One client beside them exports the
 
 import asyncio
 import itertools
-import json
-import os
-import resource
-import sys
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 
-from tests.load.watchers import NICENESS
+from tests.load.speaking import processor_s, say, work_as_asked
 
 SESSION = "/api/v1/sessions/{id}"
 MIX = (
@@ -156,10 +152,10 @@ async def _run(asked: dict[str, object], lines: asyncio.StreamReader) -> dict[st
     tasks = [asyncio.create_task(callers.send_the_mix(float(str(asked["per_s"]))))] if asked["per_s"] else []
     if asked["export"]:
         tasks.append(asyncio.create_task(callers.export_over_and_over()))
-    _say("ready")
+    say("ready")
     await lines.readline()
     callers.forget()
-    before_s = _processor_s()
+    before_s = processor_s()
     await lines.readline()
     for task in tasks:
         task.cancel()
@@ -170,27 +166,9 @@ async def _run(asked: dict[str, object], lines: asyncio.StreamReader) -> dict[st
         "exports": callers.exports,
         "unsent": callers.unsent,
         "failures": [repr(one) for one in ended if isinstance(one, Exception)],
-        "processor_s": _processor_s() - before_s,
+        "processor_s": processor_s() - before_s,
     }
 
 
-def _processor_s() -> float:
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    return used.ru_utime + used.ru_stime
-
-
-def _say(line: str) -> None:
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
-
-
-async def _main() -> None:
-    reader = asyncio.StreamReader()
-    await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
-    asked = json.loads(await reader.readline())
-    _say(json.dumps(await _run(asked, reader)))
-
-
 if __name__ == "__main__":
-    os.nice(NICENESS)
-    asyncio.run(_main())
+    work_as_asked(_run)

@@ -41,6 +41,7 @@ def figures_of(outcome: Outcome) -> dict[str, Any]:
         },
         "load_average": list(outcome.load_averages),
         "log_lines": outcome.log.count("\n"),
+        "is_cut_short": outcome.is_cut_short,
     }
     found["marks"] = marks_of(found)
     return found

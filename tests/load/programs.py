@@ -18,7 +18,12 @@ class LoadProgram:
     def __init__(self, module: str, asked: dict[str, object]) -> None:
         self._module = module
         self._process = subprocess.Popen(
-            [sys.executable, "-m", module], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            [sys.executable, "-m", module],
+            cwd=ROOT,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,  # Ctrl-C is for whoever started it, who still wants to hear the result
         )
         self._say(json.dumps(asked))
 

@@ -5,12 +5,14 @@ import os
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from tests.access.flood import Flood
+from tests.load.ending import Ending
 from tests.load.frames import Block, read_frames
 from tests.load.programs import LoadProgram
 from tests.load.recording import base_folder, write_long
@@ -96,6 +98,7 @@ class Outcome:
     answers: dict[str, int]
     load_averages: tuple[float, float]
     log: str
+    is_cut_short: bool = False
 
 
 class MemoryWatch:
@@ -123,8 +126,9 @@ class MemoryWatch:
                 return
 
 
-def run(load: Load, on_step: Callable[[str], None] = lambda _step: None) -> Outcome:
-    """Do everything, and tell what it came to."""
+def run(load: Load, on_step: Callable[[str], None] = lambda _step: None, ending: Ending | None = None) -> Outcome:
+    """Do everything, and tell what it came to; once asked for the end, what it has come to so far."""
+    ending = ending or Ending()
     before = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="tidegate-load-") as made:
         place = Path(made)
@@ -139,7 +143,8 @@ def run(load: Load, on_step: Callable[[str], None] = lambda _step: None) -> Outc
             begun_s = time.monotonic()
             quiet, loaded = Counted(), Counted()
             with MemoryWatch(service.process.pid) as memory:
-                answers = _rounds(load, service, session_id, quiet, loaded, on_step)
+                ending.measuring()
+                answers = _rounds(load, service, session_id, quiet, loaded, on_step, ending)
             on_step("closing the session")
             ended_s = time.monotonic()
             session = stop_session(service, session_id)
@@ -159,6 +164,7 @@ def run(load: Load, on_step: Callable[[str], None] = lambda _step: None) -> Outc
         answers=answers,
         load_averages=(before, os.getloadavg()[0]),
         log=log,
+        is_cut_short=ending.is_asked,
     )
 
 
@@ -169,32 +175,48 @@ def _environment(load: Load) -> dict[str, str]:
 
 
 def _rounds(
-    load: Load, service: Service, session_id: str, quiet: Counted, loaded: Counted, on_step: Callable[[str], None]
+    load: Load,
+    service: Service,
+    session_id: str,
+    quiet: Counted,
+    loaded: Counted,
+    on_step: Callable[[str], None],
+    ending: Ending,
 ) -> dict[str, int]:
-    answers: dict[str, int] = {}
+    answers: Counter[str] = Counter()
     for number in range(load.rounds):
         on_step(f"round {number + 1} of {load.rounds}: quiet")
         time.sleep(SETTLE_S)
         with _counting(quiet, "quiet", service):
-            time.sleep(load.quiet_s)
+            ending.sleep(load.quiet_s)
         service.require_alive()
+        if ending.is_asked:
+            break
         on_step(f"round {number + 1} of {load.rounds}: loaded")
-        with _programs(load, service, session_id) as programs, _flood(load, service) as flood:
-            for program in programs:
-                program.wait_until_ready()
-            time.sleep(SETTLE_S)
-            for program in programs:
-                program.begin()
-            with _counting(loaded, "loaded", service):
-                time.sleep(load.loaded_s)
-            watchers, callers = (program.result() for program in programs)
-        loaded.watchers.append(watchers)
-        loaded.callers.append(callers)
-        loaded.own_s += watchers["processor_s"] + callers["processor_s"]
-        for name, count in {**callers["answers"], **flood}.items():
-            answers[name] = answers.get(name, 0) + count
+        answers.update(_loaded_block(load, service, session_id, loaded, ending))
         service.require_alive()
-    return answers
+        if ending.is_asked:
+            break
+    return dict(answers)
+
+
+def _loaded_block(load: Load, service: Service, session_id: str, loaded: Counted, ending: Ending) -> Mapping[str, int]:
+    """Let everybody watch and call; what they open is not counted, nor anything of whoever was asked to end before."""
+    with _programs(load, service, session_id) as programs, _flood(load, service) as flood:
+        for program in programs:
+            program.wait_until_ready()
+        ending.sleep(SETTLE_S)
+        if ending.is_asked:
+            return {}
+        for program in programs:
+            program.begin()
+        with _counting(loaded, "loaded", service):
+            ending.sleep(load.loaded_s)
+        watchers, callers = (program.result() for program in programs)
+    loaded.watchers.append(watchers)
+    loaded.callers.append(callers)
+    loaded.own_s += watchers["processor_s"] + callers["processor_s"]
+    return Counter(callers["answers"]) + Counter(flood)
 
 
 @contextlib.contextmanager

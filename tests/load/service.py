@@ -84,6 +84,7 @@ def served(
             env=known,
             stdout=output,
             stderr=subprocess.STDOUT,
+            start_new_session=True,  # Ctrl-C is for the run, which closes the session and reads its samples first
         )
     service = Service(process=process, port=port, secret=secret[0], data=data, log=log)
     try:

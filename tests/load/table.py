@@ -7,9 +7,15 @@ LOSSES = ("absent", "missed", "over_33_ms", "late_33_ms")
 
 def text_of(found: dict[str, Any]) -> str:
     """Write all tables."""
-    return "\n".join(
-        [*_frames(found), "", *_clients(found), "", *_requests(found), "", *_machine(found), "", *_marks(found)]
-    )
+    parts = (_cut_short(found), _frames(found), _clients(found), _requests(found), _machine(found), _marks(found))
+    return "\n\n".join("\n".join(part) for part in parts if part)
+
+
+def _cut_short(found: dict[str, Any]) -> list[str]:
+    if not found["is_cut_short"]:
+        return []
+    quiet_s, loaded_s = (found["processor"][kind]["seconds"] for kind in ("quiet", "loaded"))
+    return [f"Ended early, as asked: what {quiet_s:.0f} s of quiet and {loaded_s:.0f} s of load came to."]
 
 
 def _frames(found: dict[str, Any]) -> list[str]:

@@ -1,5 +1,6 @@
 """The load on a real service, small: what is counted, never how long anything took."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,12 +10,14 @@ import pytest
 
 from engine.oni.reader import OniReader
 from tests.load.callers import MIX
+from tests.load.ending import Ending
 from tests.load.figures import figures_of, marks_of
 from tests.load.frames import Block, times_in
 from tests.load.heads import read_head
 from tests.load.recording import FPS, write_long
-from tests.load.run import Load, run
+from tests.load.run import Counted, Load, Outcome, run
 from tests.load.table import text_of
+from tests.load.usage import usage_of
 
 SMALL = Load(dashboards=5, events=1, stalled=1, requests_per_s=20.0, rounds=1, quiet_s=1.0, loaded_s=4.0)
 LEAST_TO_LEARN_FROM = {"MIN_FRAMES": "60", "MIN_CYCLES": "1", "MIN_SECONDS": "4"}
@@ -22,10 +25,14 @@ MS = 1_000_000
 
 
 @pytest.fixture(scope="module")
-def found(regular_volunteer: Path, monkeypatch_module: pytest.MonkeyPatch) -> dict:
+def quickly_learned(regular_volunteer: Path, monkeypatch_module: pytest.MonkeyPatch) -> None:
     monkeypatch_module.setattr("tests.load.run.base_folder", lambda: regular_volunteer)
     for name, least in LEAST_TO_LEARN_FROM.items():
         monkeypatch_module.setenv(f"TIDEGATE_TRAINING_{name}", least)
+
+
+@pytest.fixture(scope="module")
+def found(quickly_learned: None) -> dict:
     return figures_of(run(SMALL))
 
 
@@ -56,6 +63,23 @@ def test_every_kind_of_request_is_answered(found):
     assert "export" in answered
     assert not found["requests"]["failures"]
     assert not [name for name in found["answers"] if not name.endswith((" 200", " 204"))]
+
+
+def test_a_run_that_is_asked_to_end_tells_what_it_has(quickly_learned):
+    ending, steps, last = Ending(), [], "round 2 of 2: quiet"
+
+    def on_step(step: str) -> None:
+        steps.append(step)
+        if step == last:
+            ending.hear()
+
+    outcome = run(replace(SMALL, rounds=2, loaded_s=2.0), on_step, ending)
+    assert steps[-2:] == [last, "closing the session"]
+    assert (len(outcome.quiet.blocks), len(outcome.loaded.blocks)) == (2, 1)
+    figures = figures_of(outcome)
+    assert figures["session"]["status"] == "stopped"
+    assert figures["requests"]["all"]
+    assert text_of(figures).startswith("Ended early, as asked")
 
 
 def test_what_was_found_is_told_as_text(found):
@@ -96,6 +120,31 @@ def test_a_frame_lost_at_the_edge_of_a_block_is_counted():
 def test_a_frame_that_is_read_late_is_counted():
     table = session(received_ms=[0, 33, 120], decided_after_ms=[1, 1, 1], index=[0, 1, 2], due_ms=[10, 43, 76])
     assert times_in(table, [Block(kind="all", begin_s=0.0, end_s=1.0)]).come_late == 1
+
+
+def test_a_run_that_was_ended_before_any_load_has_figures_without_it():
+    frames = session(received_ms=[0, 33, 66], decided_after_ms=[1, 1, 2], index=[0, 1, 2])
+    frames = frames.append_column("gate", pa.array(["hold"] * 3)).append_column("hold_reason", pa.array([None] * 3))
+    quiet = Counted(blocks=[Block(kind="quiet", begin_s=0.0, end_s=0.1)])
+    outcome = Outcome(
+        load=SMALL,
+        frames=frames,
+        session={"status": "stopped"},
+        transitions=0,
+        quiet=quiet,
+        loaded=Counted(),
+        begun_s=0.0,
+        ended_s=0.1,
+        memory=[usage_of(os.getpid())],
+        answers={},
+        load_averages=(0.0, 0.0),
+        log="",
+        is_cut_short=True,
+    )
+    found = figures_of(outcome)
+    assert found["frames"]["quiet"]["decision_max_ms"] == 2.0
+    assert "0 s of load" in text_of(found)
+    assert not any(mark["is_met"] for mark in found["marks"] if mark["name"].startswith("received to decided"))
 
 
 @pytest.mark.parametrize("blank", ["", " "])

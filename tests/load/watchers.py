@@ -1,27 +1,22 @@
 """Dashboards that only watch: a program of its own with many light clients, ``python -m tests.load.watchers``.
 
-It reads one line of JSON, what to do; opens its clients and says ``ready``; counts from the line ``begin`` to the line
-``end``, and then writes what each client saw. It runs with little priority: it must not take the cores from what is
-measured, and says how late its own loop was, which is part of every age that it tells.
+Spoken to as ``tests.load.speaking`` says. It tells what each client saw, and how late its own loop was, which is part
+of every age that it tells.
 """
 
 import asyncio
 import base64
-import json
-import os
-import resource
 import secrets
 import socket
 import struct
-import sys
 import time
 from bisect import bisect_right
 from collections import Counter
 from dataclasses import dataclass, field
 
 from tests.load.heads import Head, read_head
+from tests.load.speaking import processor_s, say, work_as_asked
 
-NICENESS = 10
 OPENED_PER_S = 100
 TICK_S = 0.01
 TEXT, BINARY, CLOSE, PING, PONG = 1, 2, 8, 9, 10
@@ -200,20 +195,20 @@ async def _run(asked: dict[str, object], lines: asyncio.StreamReader) -> dict[st
         watchers.append(watcher)
         await asyncio.sleep(1.0 / OPENED_PER_S)
     await asyncio.wait_for(asyncio.gather(*(watcher.ready for watcher in watchers)), 60.0)
-    _say("ready")
+    say("ready")
     lateness: list[float] = []
     ticking = asyncio.create_task(_tick(lateness))
     await lines.readline()
     for watcher in watchers:
         watcher.begin()
     lateness.clear()
-    before_s = _processor_s()
+    before_s = processor_s()
     await lines.readline()
     ticking.cancel()
     return {
         "clients": [_told(watcher, number < stalled) for number, watcher in enumerate(watchers)],
         "edges_ms": EDGES_MS,
-        "processor_s": _processor_s() - before_s,
+        "processor_s": processor_s() - before_s,
         "late_ms": sorted(lateness)[-max(1, len(lateness) // 1000) :][0] if lateness else 0.0,
         "latest_ms": max(lateness, default=0.0),
     }
@@ -232,23 +227,5 @@ async def _tick(lateness: list[float]) -> None:
         lateness.append(1e3 * (time.monotonic() - due_s))
 
 
-def _processor_s() -> float:
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    return used.ru_utime + used.ru_stime
-
-
-def _say(line: str) -> None:
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
-
-
-async def _main() -> None:
-    reader = asyncio.StreamReader()
-    await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
-    asked = json.loads(await reader.readline())
-    _say(json.dumps(await _run(asked, reader)))
-
-
 if __name__ == "__main__":
-    os.nice(NICENESS)
-    asyncio.run(_main())
+    work_as_asked(_run)
