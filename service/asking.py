@@ -44,6 +44,7 @@ class Asker:
 
     room: Room
     log: AuditLog
+    database: Database
     undelayed_log: AuditLog
     undelayed_database: Database
     answer_timeout_s: float
@@ -64,7 +65,7 @@ class Asker:
         done = Event(actor=operator, action=action, session_id=session_id, detail=detail or {})
         log = self.undelayed_log if takes_permission_away(command) else self.log
         with log.refusals(actor=operator, action=action, session_id=session_id, detail=detail):
-            running = self.running(session_id)
+            running = self.running(session_id, self.undelayed_database if takes_permission_away(command) else None)
             if not takes_permission_away(command):
                 _refuse_late(command)
                 log.write(replace(done, outcome="requested"))
@@ -73,11 +74,14 @@ class Asker:
         found = {} if after is None else after(running.engine)
         log.write(replace(done, detail={**done.detail, **found}))
 
-    def running(self, session_id: str) -> Running:
-        """Return the session as it runs; raise SessionStateError where it does not, and NotFoundError."""
+    def running(self, session_id: str, by: Database | None = None) -> Running:
+        """Return the session as it runs; raise SessionStateError where it does not, and NotFoundError.
+
+        ``by`` are other connections, where it may be that all of these are taken.
+        """
         running = self.room.of(session_id)
         if running is None:
-            with self.undelayed_database.read() as db:
+            with (by or self.database).read() as db:
                 raise state_error(repository.session_row(db, session_id).status, "running")
         return running
 

@@ -84,6 +84,7 @@ class SessionRunner:
         self._asker = Asker(
             room=room,
             log=log,
+            database=database,
             undelayed_log=self._undelayed_log,
             undelayed_database=self._undelayed_database,
             answer_timeout_s=settings.command_timeout_s,

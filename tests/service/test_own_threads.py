@@ -138,6 +138,13 @@ def test_a_qa_run_s_cancelling_is_answered_while_reads_have_every_thread(client,
     assert (answer.status_code, answer.json()["code"]) == (404, "not_found")
 
 
+@pytest.mark.parametrize("action", ["presence", "arm", "start"])
+def test_nothing_else_takes_a_connection_that_is_theirs(client, session_id, running, monkeypatch, action):
+    act(client, session_id, "stop")
+    monkeypatch.setattr(client.app.state.services.runner._undelayed_database, "read", None)
+    assert act(client, session_id, action).json()["code"] == "session_state"
+
+
 def test_a_stop_waits_for_no_start_once_its_session_runs(client, session_id, running):
     starting = client.app.state.services.runner._coming_and_going
     with ThreadPoolExecutor(1) as pool, starting:
