@@ -4,17 +4,17 @@ import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from service import schemas
 from service.audit import Event
 from service.audit.anchors import AnchorFile, AnchorReport
 from service.audit.check import lost_lines, reader, row_at, with_report
 from service.audit.export import ExportRequest, write_export
 from service.audit.walk import Verification, Walk, head_sequence, pieces
 from service.audit_log import AuditLog
-from service.audit_schemas import AuditVerification
+from service.audit_schemas import AuditPage, AuditVerification
 from service.db.engine import Database
 from service.errors import AuditBusyError, NotFoundError
 from service.list_filters import ALL_ROWS, AuditFilter
+from service.problem_schemas import Problem
 
 PAUSE_S = 0.01
 """Between two pieces of a walk: whoever else wants the interpreter, or the database, gets it."""
@@ -41,13 +41,11 @@ class AuditDesk:
         self._pause = threading.Event()
         self._looked: _Looked | None = None
 
-    def page(
-        self, cursor: str | None, limit: int, session_id: str | None, wanted: AuditFilter = ALL_ROWS
-    ) -> schemas.AuditPage:
+    def page(self, cursor: str | None, limit: int, session_id: str | None, wanted: AuditFilter = ALL_ROWS) -> AuditPage:
         """List rows, newest first."""
         return self._log.page(cursor, limit, session_id, wanted)
 
-    def refused(self, *, actor: str, action: str, session_id: str | None, problem: schemas.Problem) -> None:
+    def refused(self, *, actor: str, action: str, session_id: str | None, problem: Problem) -> None:
         """Write down a call that was refused before anyone acted on it."""
         self._log.refused(actor=actor, action=action, session_id=session_id, problem=problem)
 

@@ -6,12 +6,14 @@ from contextlib import contextmanager
 from datetime import datetime
 
 from engine.errors import TidegateError
-from service import audit, schemas
+from service import audit
 from service.audit import Event
+from service.audit_schemas import AuditEntry, AuditPage
 from service.db import repository
 from service.db.engine import Database
 from service.db.models import AuditRow
 from service.list_filters import ALL_ROWS, AuditFilter
+from service.problem_schemas import Problem
 
 
 class AuditLog:
@@ -38,22 +40,20 @@ class AuditLog:
             self.write(Event(actor=actor, action=action, outcome="refused", session_id=session_id, detail=content))
             raise
 
-    def refused(self, *, actor: str, action: str, session_id: str | None, problem: schemas.Problem) -> None:
+    def refused(self, *, actor: str, action: str, session_id: str | None, problem: Problem) -> None:
         """Write down a call that was refused before anyone acted on it."""
         detail = problem.model_dump(include={"code", "detail", "field", "value", "bound"})
         self.write(Event(actor=actor, action=action, outcome="refused", session_id=session_id, detail=detail))
 
-    def page(
-        self, cursor: str | None, limit: int, session_id: str | None, wanted: AuditFilter = ALL_ROWS
-    ) -> schemas.AuditPage:
+    def page(self, cursor: str | None, limit: int, session_id: str | None, wanted: AuditFilter = ALL_ROWS) -> AuditPage:
         """List rows, newest first."""
         with self._database.read() as db:
             rows, next_cursor = repository.audit_page(db, cursor, limit, session_id, wanted)
-            return schemas.AuditPage(items=[_entry(row) for row in rows], next_cursor=next_cursor)
+            return AuditPage(items=[_entry(row) for row in rows], next_cursor=next_cursor)
 
 
-def _entry(row: AuditRow) -> schemas.AuditEntry:
-    return schemas.AuditEntry(
+def _entry(row: AuditRow) -> AuditEntry:
+    return AuditEntry(
         sequence=row.sequence,
         at=datetime.fromisoformat(row.at),
         actor=row.actor,

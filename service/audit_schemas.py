@@ -1,9 +1,32 @@
-"""What is told of the audit's chain."""
+"""What is told of the audit: its rows, and whether their chain holds."""
 
-from pydantic import Field
+from typing import Literal
+
+from pydantic import AwareDatetime, Field
 
 from service.audit.walk import Breakage
 from service.schema_base import Answer
+
+
+class AuditEntry(Answer):
+    """One row of the append-only log."""
+
+    sequence: int
+    at: AwareDatetime
+    actor: str
+    action: str
+    outcome: Literal["done", "requested", "refused", "failed"]
+    session_id: str | None
+    detail: dict[str, object]
+    previous_hash: str
+    hash: str
+
+
+class AuditPage(Answer):
+    """Newest first."""
+
+    items: list[AuditEntry]
+    next_cursor: str | None
 
 
 class AuditVerification(Answer):

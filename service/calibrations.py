@@ -9,7 +9,8 @@ from sqlalchemy.orm import Session
 
 from engine.calibration import Calibration
 from engine.calibration_formats.convert import read_upload
-from service import audit, schemas
+from service import audit
+from service import calibration_schemas as schemas
 from service.audit import Event
 from service.audit_log import AuditLog
 from service.db import repository

@@ -2,10 +2,10 @@
 
 import json
 
-from service import schemas
 from service.db import repository
 from service.db.engine import Database
 from service.db.models import ModelRow, SessionRow
+from service.model_schemas import Model, ModelPage, Spectrum
 from service.room import Room
 
 
@@ -16,30 +16,30 @@ class ModelShelf:
         self._database = database
         self._room = room
 
-    def page(self, session_id: str, cursor: str | None, limit: int) -> schemas.ModelPage:
+    def page(self, session_id: str, cursor: str | None, limit: int) -> ModelPage:
         """List a session's models, newest first."""
         with self._database.read() as db:
             session = repository.session_row(db, session_id)
             rows, next_cursor = repository.model_page(db, session_id, cursor, limit)
-            return schemas.ModelPage(items=[self._model(row, session) for row in rows], next_cursor=next_cursor)
+            return ModelPage(items=[self._model(row, session) for row in rows], next_cursor=next_cursor)
 
-    def get(self, model_id: str) -> schemas.Model:
+    def get(self, model_id: str) -> Model:
         """Read one."""
         with self._database.read() as db:
             row = repository.model_row(db, model_id)
             return self._model(row, repository.session_row(db, row.session_id))
 
-    def spectrum(self, model_id: str) -> schemas.Spectrum:
+    def spectrum(self, model_id: str) -> Spectrum:
         """Tell how much each component explains."""
         with self._database.read() as db:
             row = repository.model_row(db, model_id)
-            return schemas.Spectrum(model_id=row.id, share=json.loads(row.spectrum))
+            return Spectrum(model_id=row.id, share=json.loads(row.spectrum))
 
-    def _model(self, row: ModelRow, session: SessionRow) -> schemas.Model:
+    def _model(self, row: ModelRow, session: SessionRow) -> Model:
         made = json.loads(row.provenance)
         origin = made.get("origin") or {}
         running = self._room.of(row.session_id)
-        return schemas.Model(
+        return Model(
             id=row.id,
             session_id=row.session_id,
             number=row.number,

@@ -24,7 +24,8 @@ from engine.transition_journal import TransitionJournal
 from service import schemas
 from service.access.calling import Calling
 from service.audit.export import ExportRequest
-from service.audit_schemas import AuditVerification
+from service.audit_schemas import AuditPage, AuditVerification
+from service.calibration_schemas import CalibrationDetail, CalibrationPage, UploadedCalibration
 from service.conditional import Precondition
 from service.gate_schemas import BaselineCorrectionRequest, InterlockList
 from service.idempotency import CallersKey
@@ -37,7 +38,9 @@ from service.list_filters import (
     TransitionFilter,
 )
 from service.live_messages import Sample
+from service.model_schemas import Model, ModelPage, Spectrum
 from service.plan_schemas import Plan, PlanPage, PlanSessionRequest, PreparedSession
+from service.problem_schemas import Problem
 from service.readiness_schemas import Readiness
 from service.window_schemas import Window
 
@@ -265,13 +268,13 @@ class RunnerPort(Protocol):
 class CalibrationsPort(Protocol):
     """Stored camera calibrations."""
 
-    def upload(self, body: bytes, operator: str, key: CallersKey | None) -> Kept[schemas.UploadedCalibration]:
+    def upload(self, body: bytes, operator: str, key: CallersKey | None) -> Kept[UploadedCalibration]:
         """Check and keep one; the same content again is the same calibration."""
 
-    def page(self, cursor: str | None, limit: int, camera: str | None = None) -> schemas.CalibrationPage:
+    def page(self, cursor: str | None, limit: int, camera: str | None = None) -> CalibrationPage:
         """List them, newest first."""
 
-    def detail(self, calibration_id: str) -> schemas.CalibrationDetail:
+    def detail(self, calibration_id: str) -> CalibrationDetail:
         """Read one."""
 
 
@@ -303,22 +306,20 @@ class PlannedSessionsPort(Protocol):
 class ModelsPort(Protocol):
     """Learned motion models."""
 
-    def page(self, session_id: str, cursor: str | None, limit: int) -> schemas.ModelPage:
+    def page(self, session_id: str, cursor: str | None, limit: int) -> ModelPage:
         """List a session's models, newest first."""
 
-    def get(self, model_id: str) -> schemas.Model:
+    def get(self, model_id: str) -> Model:
         """Read one."""
 
-    def spectrum(self, model_id: str) -> schemas.Spectrum:
+    def spectrum(self, model_id: str) -> Spectrum:
         """Tell how much each component explains."""
 
 
 class AuditPort(Protocol):
     """The audit log."""
 
-    def page(
-        self, cursor: str | None, limit: int, session_id: str | None, wanted: AuditFilter = ALL_ROWS
-    ) -> schemas.AuditPage:
+    def page(self, cursor: str | None, limit: int, session_id: str | None, wanted: AuditFilter = ALL_ROWS) -> AuditPage:
         """List its rows, newest first."""
 
     def verify(self, after: int, limit: int) -> AuditVerification:
@@ -330,7 +331,7 @@ class AuditPort(Protocol):
     def exported(self, *, actor: str, action: str, session_id: str | None, detail: dict[str, object]) -> None:
         """Write down that something leaves the house; before it does."""
 
-    def refused(self, *, actor: str, action: str, session_id: str | None, problem: schemas.Problem) -> None:
+    def refused(self, *, actor: str, action: str, session_id: str | None, problem: Problem) -> None:
         """Write down a call that was refused before anyone acted on it."""
 
 

@@ -11,9 +11,10 @@ from starlette.exceptions import HTTPException
 from engine import errors as engine_errors
 from engine.errors import TidegateError
 from engine.transition_journal import JournalError
-from service import errors, schemas
+from service import errors
 from service.errors import SHOWN_CHARACTERS, shown
 from service.plans import errors as plan_errors
+from service.problem_schemas import BrokenBound, Problem
 
 PROBLEM_TYPE = "urn:tidegate:problem:"
 MEDIA_TYPE = "application/problem+json"
@@ -109,7 +110,7 @@ def code_of(kind: type[Exception]) -> str:
     return kind.code if issubclass(kind, TidegateError) else "internal_error"
 
 
-def problem_of(error: Exception) -> schemas.Problem:
+def problem_of(error: Exception) -> Problem:
     """Turn any error into a problem; what is not in the table says nothing about its inside."""
     if isinstance(error, RequestValidationError):
         return _validation_problem(error)
@@ -121,7 +122,7 @@ def problem_of(error: Exception) -> schemas.Problem:
     return _problem(500, "internal_error", "Tidegate failed", "an unexpected error; it is in the service's log")
 
 
-def problem_response(problem: schemas.Problem, headers: Mapping[str, str] | None = None) -> JSONResponse:
+def problem_response(problem: Problem, headers: Mapping[str, str] | None = None) -> JSONResponse:
     """Answer with a problem."""
     return JSONResponse(
         problem.model_dump(exclude_none=True),
@@ -131,21 +132,21 @@ def problem_response(problem: schemas.Problem, headers: Mapping[str, str] | None
     )
 
 
-def _table_problem(error: Exception, status: int, title: str) -> schemas.Problem:
+def _table_problem(error: Exception, status: int, title: str) -> Problem:
     if isinstance(error, SQLAlchemyError):
-        return _problem(status, STORAGE_CODE, title, "nothing was changed; try again")
+        return _problem(status, STORAGE_CODE, title, "it may have been done all the same: look, and ask again")
     code = error.code if isinstance(error, TidegateError) else "error"
     found = {name: getattr(error, name, None) for name in ("field", "value", "bound")}
     return _problem(status, code, title, str(error), **found)
 
 
-def _http_problem(error: HTTPException) -> schemas.Problem:
+def _http_problem(error: HTTPException) -> Problem:
     code = HTTP_CODES.get(error.status_code, "http_error")
     extra = getattr(error, "problem_fields", {})
     return _problem(error.status_code, code, str(error.detail), str(error.detail), **extra)
 
 
-def _validation_problem(error: RequestValidationError) -> schemas.Problem:
+def _validation_problem(error: RequestValidationError) -> Problem:
     """Name every field that is wrong, up to a bound; the first as `field`, `value` and `bound`, too."""
     broken = [_broken(one) for one in error.errors()[:MOST_ERRORS]]
     first = broken[0]
@@ -161,7 +162,7 @@ def _validation_problem(error: RequestValidationError) -> schemas.Problem:
     return problem.model_copy(update={"errors": broken})
 
 
-def _broken(error: Mapping[str, Any]) -> schemas.BrokenBound:
+def _broken(error: Mapping[str, Any]) -> BrokenBound:
     context = error.get("ctx", {})
     place, *rest = error["loc"]
     parts = [str(part)[:SHOWN_CHARACTERS] for part in rest if place != "body" or part not in SOURCE_TAGS]
@@ -171,7 +172,7 @@ def _broken(error: Mapping[str, Any]) -> schemas.BrokenBound:
         field, value, bound = [*parts, str(context["field"])], str(context["value"]), str(context["bound"])
     else:
         field, value, bound = parts, _offered(error), _bound(str(error["msg"]))
-    return schemas.BrokenBound(field=".".join(field) or "body", value=value, bound=bound)
+    return BrokenBound(field=".".join(field) or "body", value=value, bound=bound)
 
 
 def _offered(error: Mapping[str, object]) -> str:
@@ -194,8 +195,8 @@ def _problem(
     field: str | None = None,
     value: str | None = None,
     bound: str | None = None,
-) -> schemas.Problem:
-    return schemas.Problem(
+) -> Problem:
+    return Problem(
         type=f"{PROBLEM_TYPE}{code}",
         title=title,
         status=status,

@@ -1,6 +1,7 @@
-"""What `/readyz` says: stable codes for machines, sentences for people."""
+"""What `/healthz` and `/readyz` say: stable codes for machines, sentences for people."""
 
 import enum
+from typing import Literal
 
 from pydantic import AwareDatetime, Field
 
@@ -41,3 +42,9 @@ class Readiness(Answer):
     reasons: list[ReadinessReason] = Field(description="What keeps a session from running")
     warnings: list[ReadinessReason] = Field(description="What keeps none from running yet")
     checked_at: AwareDatetime = Field(description="When it was looked; at most some seconds ago")
+
+
+class Health(Answer):
+    """The process answers; to anybody, so that it says no more."""
+
+    status: Literal["ok"]

@@ -7,7 +7,7 @@ from pydantic_core import PydanticCustomError
 
 
 def broken(field: str, value: object, bound: str) -> PydanticCustomError:
-    """Make the error of a rule between fields; `service.errors` reads field, value and bound from its context."""
+    """Make the error of a rule between fields; `service.problems` reads field, value and bound from its context."""
     context = {"field": field, "value": value if isinstance(value, str) else repr(value), "bound": bound}
     return PydanticCustomError("inconsistent", "{field} must be {bound}", context)
 

@@ -17,7 +17,6 @@ from service.window_schemas import Window
 
 SessionStatus = Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
 CalibrationKind = Literal["uploaded", "device registration"]
-CalibrationFormat = Literal["tidegate.calibration/1", "opencv-filestorage", "ros-camera-info"]
 
 
 class RecordingSource(Request):
@@ -168,30 +167,6 @@ class SurfaceMesh(Answer):
     )
 
 
-class BrokenBound(Answer):
-    """One value of a request that is out of its bound."""
-
-    field: str = Field(examples=["window.lower_mm"])
-    value: str = Field(examples=["-400.0"])
-    bound: str = Field(examples=["at least -100"])
-
-
-class Problem(Answer):
-    """RFC 9457, with a stable code, and the field, the value and the bound where one was broken."""
-
-    type: str = Field(examples=["urn:tidegate:problem:invalid_value"])
-    title: str
-    status: int
-    detail: str
-    code: str = Field(examples=["invalid_value"])
-    field: str | None = Field(default=None, examples=["window.lower_mm"])
-    value: str | None = Field(default=None, examples=["-400.0"])
-    bound: str | None = Field(default=None, examples=["at least -100"])
-    errors: list[BrokenBound] | None = Field(
-        default=None, description="Every value that is out of its bound, the one above first; at most 20"
-    )
-
-
 class GateView(Answer):
     """Where the gate of a running session stands."""
 
@@ -304,82 +279,6 @@ class SessionPage(Answer):
     next_cursor: str | None
 
 
-class Calibration(Answer):
-    """A stored camera calibration; the same content has the same id."""
-
-    id: Identifier
-    sha256: str
-    camera: str
-    uploaded_by: str
-    created_at: AwareDatetime
-
-
-class UploadedCalibration(Calibration):
-    """A calibration as just uploaded: which format it came in, and what was assumed on the way."""
-
-    format: CalibrationFormat = "tidegate.calibration/1"
-    notes: list[str] = Field(default=[], description="To be read by the person who uploads")
-
-
-class CalibrationDetail(Calibration):
-    """A calibration with its canonical document."""
-
-    document: dict[str, object]
-
-
-class CalibrationPage(Answer):
-    """Newest first."""
-
-    items: list[Calibration]
-    next_cursor: str | None
-
-
-class ModelQuality(Answer):
-    """What a model's training frames were worth."""
-
-    amplitude_mm: float = Field(description="Breathing excursion, 5th to 95th percentile")
-    noise_mm: float
-    explained_share: float = Field(description="Share of the variance that the kept components explain")
-    shift_mm: float = Field(description="How far the patient moved between the first and the last third")
-    tilt_deg: float
-    outlier_share: float = Field(description="Share of frames with a cough or a hand, left out of the model")
-    residual_mm: float
-
-
-class Model(Answer):
-    """A learned motion model of a session."""
-
-    id: Identifier
-    session_id: Identifier
-    number: int = Field(description="1 for the session's first model")
-    sha256: str
-    components: int
-    is_active: bool
-    created_at: AwareDatetime
-    patient_reference: str
-    calibration_id: Identifier
-    training_frames: int | None = None
-    cycles: int | None = None
-    source: str | None = Field(default=None, description="The recording or camera it was learned from")
-    software: str | None = None
-    quality: ModelQuality | None = None
-    settings: dict[str, float] = Field(default={}, description="How it was learned")
-
-
-class ModelPage(Answer):
-    """Newest first."""
-
-    items: list[Model]
-    next_cursor: str | None
-
-
-class Spectrum(Answer):
-    """How much of the motion each component explains, largest first (article, figure 5)."""
-
-    model_id: Identifier
-    share: list[float] = Field(description="Share of the variance, each from 0 to 1")
-
-
 class Transition(Answer):
     """One change of the gate, as audited; the `_ns` are host monotonic time."""
 
@@ -412,27 +311,6 @@ class TransitionPage(Answer):
     next_cursor: str | None
 
 
-class AuditEntry(Answer):
-    """One row of the append-only log."""
-
-    sequence: int
-    at: AwareDatetime
-    actor: str
-    action: str
-    outcome: Literal["done", "requested", "refused", "failed"]
-    session_id: str | None
-    detail: dict[str, object]
-    previous_hash: str
-    hash: str
-
-
-class AuditPage(Answer):
-    """Newest first."""
-
-    items: list[AuditEntry]
-    next_cursor: str | None
-
-
 class Device(Answer):
     """A camera the OpenNI2 runtime sees."""
 
@@ -446,9 +324,3 @@ class DeviceList(Answer):
     is_runtime_available: bool
     detail: str
     items: list[Device]
-
-
-class Health(Answer):
-    """The process answers; to anybody, so that it says no more."""
-
-    status: Literal["ok"]

@@ -6,11 +6,11 @@ from fastapi import APIRouter, Query, Response
 from fastapi.responses import StreamingResponse
 from pydantic import AwareDatetime
 
-from service import deps, schemas
+from service import deps
 from service.api import problems
 from service.audit import Outcome
 from service.audit.export import MEDIA, ExportFormat, ExportRequest
-from service.audit_schemas import AuditVerification
+from service.audit_schemas import AuditPage, AuditVerification
 from service.errors import AuditBusyError, NotFoundError
 from service.list_filters import AuditFilter
 from service.schema_base import Identifier, Name
@@ -30,7 +30,7 @@ def list_audit(
     outcome: Annotated[Outcome | None, Query(description="Only what ended so")] = None,
     since: deps.Since = None,
     until: deps.Until = None,
-) -> schemas.AuditPage:
+) -> AuditPage:
     """List audit rows, newest first."""
     wanted = AuditFilter(action=action, actor=actor, outcome=outcome, since=since, until=until)
     return pages.told(services.audit.page(pages.cursor, pages.limit, session_id, wanted))

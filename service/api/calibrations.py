@@ -6,15 +6,16 @@ from fastapi import APIRouter, Query, Response
 
 from engine.calibration_formats.convert import IMPORT_SCHEMA
 from engine.errors import CalibrationError
-from service import deps, schemas
+from service import deps
 from service.api import problems
+from service.calibration_schemas import CalibrationDetail, CalibrationPage, UploadedCalibration
 from service.conditional import etag_of
 from service.errors import BoundError, NotFoundError, OperatorMismatchError
 from service.schema_base import Name
 
 router = APIRouter(prefix="/calibrations", tags=["calibrations"])
 UPLOAD: dict[int | str, dict[str, Any]] = {
-    200: {"model": schemas.UploadedCalibration, "description": "It was there already, with the same content"},
+    200: {"model": UploadedCalibration, "description": "It was there already, with the same content"},
     **problems(BoundError, CalibrationError, OperatorMismatchError),
 }
 TEXT = {"schema": {"type": "string"}}
@@ -72,7 +73,7 @@ def upload_calibration(
     response: Response,
     operator: deps.OperatorName = "",
     idempotency_key: deps.IdempotencyKey = None,
-) -> schemas.UploadedCalibration:
+) -> UploadedCalibration:
     """Check and keep a calibration; the same content again answers with the same one, and 200."""
     kept = services.calibrations.upload(body, caller.acts_as(operator), idempotency_key)
     if kept.is_replay:
@@ -85,7 +86,7 @@ def list_calibrations(
     services: deps.Offered,
     pages: deps.Pages50,
     camera: Annotated[Name | None, Query(description="Only those of this camera")] = None,
-) -> schemas.CalibrationPage:
+) -> CalibrationPage:
     """List calibrations, newest first."""
     return pages.told(services.calibrations.page(pages.cursor, pages.limit, camera))
 
@@ -93,7 +94,7 @@ def list_calibrations(
 @router.get("/{calibration_id}", responses=problems(NotFoundError))
 def read_calibration(
     calibration_id: deps.CalibrationId, services: deps.Offered, fresh: deps.IfNoneMatch
-) -> schemas.CalibrationDetail:
+) -> CalibrationDetail:
     """Read a calibration with its document; it never changes."""
     detail = services.calibrations.detail(calibration_id)
     return fresh.told(detail, etag_of("calibration", detail.id, detail.sha256))

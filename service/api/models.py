@@ -7,6 +7,7 @@ from service import deps, schemas
 from service.api import problems
 from service.conditional import etag_of
 from service.errors import EngineTimeoutError, NotFoundError, OperatorMismatchError, SessionStateError
+from service.model_schemas import Model, ModelPage, Spectrum
 
 router = APIRouter(tags=["models"])
 READ = problems(NotFoundError)
@@ -23,7 +24,7 @@ ACT = problems(
 
 
 @router.get("/sessions/{session_id}/models", responses=READ)
-def list_session_models(session_id: deps.SessionId, services: deps.Offered, pages: deps.Pages50) -> schemas.ModelPage:
+def list_session_models(session_id: deps.SessionId, services: deps.Offered, pages: deps.Pages50) -> ModelPage:
     """List a session's models, newest first."""
     return pages.told(services.models.page(session_id, pages.cursor, pages.limit))
 
@@ -57,14 +58,14 @@ def apply_model(
 
 
 @router.get("/models/{model_id}", responses=READ)
-def read_model(model_id: deps.ModelId, services: deps.Offered, fresh: deps.IfNoneMatch) -> schemas.Model:
+def read_model(model_id: deps.ModelId, services: deps.Offered, fresh: deps.IfNoneMatch) -> Model:
     """Read a model."""
     model = services.models.get(model_id)
     return fresh.told(model, etag_of("model", model.id, model.sha256, model.is_active))
 
 
 @router.get("/models/{model_id}/spectrum", responses=READ)
-def read_spectrum(model_id: deps.ModelId, services: deps.Offered) -> schemas.Spectrum:
+def read_spectrum(model_id: deps.ModelId, services: deps.Offered) -> Spectrum:
     """Tell how much of the motion each component explains."""
     return services.models.spectrum(model_id)
 

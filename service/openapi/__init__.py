@@ -9,12 +9,12 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
-from service import schemas
 from service.openapi.components import HEADERS, SECURITY_SCHEMES, TAGS, problem_examples
 from service.openapi.contract_files import contract_files, write_contracts
 from service.openapi.examples import add_examples
 from service.openapi.links import add_links
 from service.openapi.operations import complete_operation
+from service.problem_schemas import Problem
 
 __all__ = ["contract_files", "describe_contract", "operation_id", "write_contracts"]
 
@@ -58,7 +58,7 @@ def _complete(document: dict[str, Any]) -> None:
 
 def _problem_schemas() -> dict[str, Any]:
     """Return the problem's schemas: routes refer to them, none returns them."""
-    schema = schemas.Problem.model_json_schema(mode="serialization", ref_template="#/components/schemas/{model}")
+    schema = Problem.model_json_schema(mode="serialization", ref_template="#/components/schemas/{model}")
     return {**schema.pop("$defs", {}), "Problem": schema}
 
 
