@@ -78,7 +78,7 @@ WHAT_TO_DO: Mapping[str, str] = {
     "source_lost": "Look at the camera and its cable.",
     "source_unusable": "Read `detail`; create another session with a source that works.",
     "storage_low": "Have the administrator make room; `bound` says how much.",
-    "storage_unavailable": "Nothing was changed; try again. With an `Idempotency-Key` that is safe.",
+    "storage_unavailable": "It may have been done all the same: look, then try again; safe with an `Idempotency-Key`.",
     "storage_unwritable": "Have the administrator look at the disk.",
     "stream_full": "Come back after `Retry-After`, or have the site allow more.",
     "training_refused": "Read `detail`, let the patient breathe quietly, and learn again.",

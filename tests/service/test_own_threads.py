@@ -9,9 +9,11 @@ from datetime import UTC, datetime, timedelta
 
 import anyio.to_thread
 import pytest
+from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
 
 from engine.commands import Disarm, HoldBeam
+from service.audit_log import AuditLog
 from service.db import repository
 from service.db.models import SessionRow
 from service.schemas import SessionPage
@@ -143,6 +145,20 @@ def test_nothing_else_takes_a_connection_that_is_theirs(client, session_id, runn
     act(client, session_id, "stop")
     monkeypatch.setattr(client.app.state.services.runner._undelayed_database, "read", None)
     assert act(client, session_id, action).json()["code"] == "session_state"
+
+
+@pytest.mark.parametrize("action", ["hold", "disarm"])
+def test_nobody_is_told_that_nothing_was_changed_where_it_was_done_and_no_row_could_say_so(
+    client, session_id, running, monkeypatch, action
+):
+    def gone(*_arguments: object) -> None:
+        raise OperationalError("", None, Exception())
+
+    monkeypatch.setattr(AuditLog, "write", gone)
+    answer = act(client, session_id, action)
+    assert (answer.status_code, answer.json()["code"]) == (503, "storage_unavailable")
+    assert "may have been done" in answer.json()["detail"]
+    assert was_told(running, action)
 
 
 def test_a_stop_waits_for_no_start_once_its_session_runs(client, session_id, running):
