@@ -20,9 +20,9 @@ def campaign(tmp_path_factory):
     with World(tmp_path_factory.mktemp("contract")).open() as world:
         campaign = Campaign(world, number=7)
         campaign.succeed(LEAST_GOOD)
-        campaign.cover(12)
-        campaign.fuzz(10)
-        campaign.walk(25, 20)
+        campaign.cover(10)
+        campaign.fuzz(7)
+        campaign.walk(20, 20)
         yield campaign
 
 
