@@ -14,6 +14,7 @@ TWO_FRAMES_MS = 67.0
 P99_MARK_MS, P999_MARK_MS = 10.0, 33.0
 GROWTH_MARK_SHARE = 0.05
 LEAST_TO_JUDGE_MEMORY_S = 600.0
+COURSE = 12
 WARM_S = 60.0
 
 
@@ -186,7 +187,7 @@ def _latencies(values: list[float]) -> dict[str, float]:
     return {"count": len(values), "p50_ms": round(p50, 1), "p99_ms": round(p99, 1), "max_ms": round(max(values), 1)}
 
 
-def _memory(seen: list[Usage]) -> dict[str, float]:
+def _memory(seen: list[Usage]) -> dict[str, Any]:
     begun_s = seen[0].at_s
     warm = next((one for one in seen if one.at_s - begun_s >= WARM_S), seen[-1])
     return {
@@ -199,6 +200,15 @@ def _memory(seen: list[Usage]) -> dict[str, float]:
         "files_most": max(one.files for one in seen),
         "files_end": seen[-1].files,
         "processes": seen[-1].processes,
+        "course": [_moment(one, begun_s) for one in (*seen[:: max(1, len(seen) // COURSE)], seen[-1])],
+    }
+
+
+def _moment(one: Usage, begun_s: float) -> dict[str, float]:
+    return {
+        "minute": round((one.at_s - begun_s) / 60.0, 1),
+        "resident_mb": round(one.resident_mb, 1),
+        "own_mb": round(one.own_mb, 1),
     }
 
 

@@ -106,6 +106,9 @@ def _machine(found: dict[str, Any]) -> list[str]:
         f"{memory['end_mb']} after "
         f"{memory['seconds'] / 60.0:.1f} min, at most {memory['most_mb']}; {memory['processes']} processes, at most "
         f"{memory['threads_most']} threads and {memory['files_most']} open files ({memory['files_end']} at the end).",
+        "Its course, in minutes: resident (of it no file's, and not shared): "
+        + ", ".join(f"{one['minute']}: {one['resident_mb']} ({one['own_mb']})" for one in memory["course"])
+        + ".",
         f"Session: {session['status']}, {session['frames']} frames, {session['transitions']} transitions; "
         f"frames by gate {session['gate']}; holds {session['hold_reasons']}; {found['log_lines']} log lines.",
         f"Load average of the machine: {found['load_average'][0]:.1f} before, {found['load_average'][1]:.1f} after.",

@@ -16,12 +16,16 @@ BUSY = (0, 1, 2, 5, 6, 7)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Usage:
-    """A process and all that it started, at one moment; ``waited_s`` is how long its threads wanted a core in vain."""
+    """A process and all that it started, at one moment; ``waited_s`` is how long its threads wanted a core in vain.
+
+    ``own_mb`` is the part of the resident memory that is no file's, and not shared.
+    """
 
     at_s: float
     processor_s: float
     waited_s: float
     resident_mb: float
+    own_mb: float
     threads: int
     files: int
     processes: int
@@ -30,11 +34,13 @@ class Usage:
 def usage_of(process_id: int) -> Usage:
     """Sum up a process and its descendants."""
     family = list(_family(process_id))
+    memory = [_memory_mb(one) for one in family]
     return Usage(
         at_s=time.monotonic(),
         processor_s=sum(_processor_s(one) for one in family),
         waited_s=sum(_waited_s(one) for one in family),
-        resident_mb=sum(_resident_mb(one) for one in family),
+        resident_mb=sum(resident for resident, _ in memory),
+        own_mb=sum(own for _, own in memory),
         threads=sum(_count(PROC / str(one) / "task") for one in family),
         files=sum(_count(PROC / str(one) / "fd") for one in family),
         processes=len(family),
@@ -78,11 +84,13 @@ def _waited_s(process_id: int) -> float:
     return waited
 
 
-def _resident_mb(process_id: int) -> float:
+def _memory_mb(process_id: int) -> tuple[float, float]:
+    """Return what is resident, and what of it is the process's own."""
     with contextlib.suppress(OSError):
-        pages = int((PROC / str(process_id) / "statm").read_text().split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-    return 0.0
+        resident, shared = (int(pages) for pages in (PROC / str(process_id) / "statm").read_text().split()[1:3])
+        mb_a_page = os.sysconf("SC_PAGE_SIZE") / 1e6
+        return resident * mb_a_page, (resident - shared) * mb_a_page
+    return 0.0, 0.0
 
 
 def _count(folder: Path) -> int:
