@@ -1,13 +1,11 @@
 """``python -m service.engine_process SPEECH WHISPER PAGE``: an engine's process, started by the service alone."""
 
-import ctypes
 import logging
 import os
 import signal
 import sys
 
-_PR_SET_PDEATHSIG = 1
-# <sys/prctl.h>
+from service.engine_process.parting import end_with_the_service
 
 
 def main() -> None:
@@ -16,9 +14,7 @@ def main() -> None:
     # before its session is closed.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    # Hearing that the service is gone takes a process that runs: one that was stopped goes on when its parent ends. The
-    # kernel wakes what is left of a group without a parent, too; that depends on how the groups lie.
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGCONT)
+    end_with_the_service()
     from service.engine_process.crossing import CrossingClosedError
     from service.engine_process.serving import ends_of, serve_one_session
 

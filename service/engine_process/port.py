@@ -4,10 +4,13 @@ A camera belongs to one process at a time, so the one that would open it is aske
 """
 
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
 
 from engine.calibration import Calibration
 from engine.capture.openni import runtime_installed
-from engine.errors import CommandRefusedError
+from engine.errors import CommandRefusedError, TidegateError
 from engine.pipeline import PipelineSettings
 from service import schemas
 from service.engine_process.child import Child
@@ -22,8 +25,14 @@ from service.settings import Settings
 ASK_S = 10.0
 """A driver that takes longer hangs: its process is ended, and the next one asked."""
 GONE_S = 5.0
-LISTED_BEFORE = "a session runs: this is what was there before it"
-NOT_LOOKED = "a session runs: cameras are looked for when it is over"
+OPEN_TURN_S = 30.0
+LIST_TURN_S = 1.0
+LISTED_BEFORE = "a session has the cameras, or somebody asks for them: this is what was there before"
+NOT_LOOKED = "a session has the cameras, or somebody asks for them: they were not looked for before"
+
+
+class TurnError(EngineProcessError):
+    """Others ask, or begin a session."""
 
 
 class ProcessEngine:
@@ -35,6 +44,7 @@ class ProcessEngine:
         # A question and a session's beginning do not mix: both have the one process that stands by.
         self._lock = threading.Lock()
         self._newest: RemoteEngine | None = None
+        self._begun = 0
         self._listed: schemas.DeviceList | None = None
         self._lost = 0
 
@@ -50,15 +60,18 @@ class ProcessEngine:
 
     def open(self, plan: SessionPlan) -> RunningEngine:
         """Start a session's engine, disarmed, in the process that stands by; raise what it raises."""
-        with self._lock:
+        with self._turn(OPEN_TURN_S):
             if isinstance(plan.source, schemas.DeviceSource):
-                self._remember(self._ask(AskDevices()))
-            self._newest = begin_session(self._next(), plan, on_gone=self._gone)
+                with suppress(TidegateError):  # a list is for people: the camera opens, or says why not
+                    self._remember(self._ask(AskDevices()))
+            self._await_the_last()
+            self._begun += 1
+            self._newest = begin_session(self._standby.take(), plan, on_gone=partial(self._gone, self._begun))
             return self._newest
 
     def registered_calibration(self, uri: str | None) -> Calibration:
         """Return the nominal calibration of a camera that registers depth to colour itself; refuse any other."""
-        with self._lock:
+        with self._turn(OPEN_TURN_S):
             if self._is_running:
                 msg = "a session runs: its camera is not asked about itself"
                 raise CommandRefusedError(msg)
@@ -67,11 +80,14 @@ class ProcessEngine:
         return told.answer
 
     def devices(self) -> schemas.DeviceList:
-        """List the cameras that could be used; while a session runs, those of before."""
-        with self._lock:
-            if self._is_running:
-                return self._listed_before
-            return self._remember(self._ask(AskDevices()))
+        """List the cameras that could be used; those of before while a session runs, begins, or somebody asks."""
+        if self._is_running:
+            return self._listed_before
+        try:
+            with self._turn(LIST_TURN_S):
+                return self._listed_before if self._is_running else self._remember(self._ask(AskDevices()))
+        except TurnError:
+            return self._listed_before
 
     @property
     def _is_running(self) -> bool:
@@ -88,14 +104,25 @@ class ProcessEngine:
         self._listed = told.answer
         return self._listed
 
-    def _next(self) -> Child:
-        """Take the one that stands by, once the one before it has ended and left its camera."""
+    @contextmanager
+    def _turn(self, seconds: float) -> Iterator[None]:
+        """Be the only one to ask or to begin; raise TurnError where others are at it for so long."""
+        if not self._lock.acquire(timeout=seconds):
+            msg = "a camera is being asked about itself, or a session begins: try again in a moment"
+            raise TurnError(msg)
+        try:
+            yield
+        finally:
+            self._lock.release()
+
+    def _await_the_last(self) -> None:
+        """Wait until the process before has ended and left its camera."""
         if self._newest is not None:
             self._newest.await_gone(GONE_S)
-        return self._standby.take()
 
     def _ask(self, question: AskDevices | AskRegistered) -> Told:
-        child = self._next()
+        self._await_the_last()
+        child = self._standby.take()
         try:
             return self._told_by(child, question)
         finally:
@@ -116,9 +143,10 @@ class ProcessEngine:
             raise told.error
         return told
 
-    def _gone(self, *, is_lost: bool) -> None:
+    def _gone(self, number: int, *, is_lost: bool) -> None:
         self._lost += is_lost
-        self._standby.want()
+        if number == self._begun:  # else one runs, and none is started beside it
+            self._standby.want()
 
     def close(self) -> None:
         """End the process that stands by."""

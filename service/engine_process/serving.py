@@ -51,6 +51,7 @@ from service.engine_process.messages import (
     portable,
 )
 from service.engine_process.page import Page
+from service.engine_process.parting import wake_without_the_service
 from service.private_log import install_private_log
 from service.unhurried_log import UnhurriedHandler
 
@@ -292,6 +293,7 @@ def _asked_to_open(adapter: EngineAdapter, speech: Speech) -> Open:
     """Answer what is asked about cameras until a session is to begin."""
     while not isinstance(asked := speech.receive(), Open):
         speech.send(_told(adapter, asked))
+    wake_without_the_service()
     return asked
 
 

@@ -63,14 +63,16 @@ class StandBy:
         """Have one that was only asked something stand by again; or another, where it did not live through that."""
         with self._change:
             self._is_wanted = True
-            if child.is_alive:
-                self._offer(child)
-            else:
+            if not child.is_alive:
                 self.lost += 1
                 self._change.notify_all()
+                return
+            is_kept = self._keeps(child)
+        if not is_kept:
+            _bury(child)
 
     def close(self) -> None:
-        """End the one that stands by."""
+        """End the one that stands by; one that is just being asked something the kernel ends, with the thread here."""
         with self._change:
             self._is_closed = True
             child, self._ready = self._ready, None
@@ -125,14 +127,21 @@ class StandBy:
                 logger.error("%s", self._trouble)  # noqa: TRY400 - the sentence says it
             return False
         self._starting = None
-        self._offer(child)
+        with self._change:
+            is_kept = self._keeps(child)
+        if not is_kept:
+            _bury(child)
         return True
 
-    def _offer(self, child: Child) -> None:
-        with self._change:
-            if not self._is_closed and self._ready is None:
-                self._ready, self._trouble = child, None
-                self._change.notify_all()
-                return
-        with contextlib.suppress(OSError):
-            child.bury()
+    def _keeps(self, child: Child) -> bool:
+        """Let it stand by, unless one does, or none is to any more; for whoever has the lock."""
+        is_kept = not self._is_closed and self._ready is None
+        if is_kept:
+            self._ready, self._trouble = child, None
+        self._change.notify_all()
+        return is_kept
+
+
+def _bury(child: Child) -> None:
+    with contextlib.suppress(OSError):
+        child.bury()

@@ -1,6 +1,7 @@
 """An engine's process that sees two cameras: ``python -m tests.engine_process.cameras``.
 
-Its frames and its line are those of ``paced``. Asked about a camera called ``DYING`` it dies, about ``HUNG`` it hangs.
+Its frames and its line are those of ``paced``. Asked about a camera called ``DYING`` it dies, about ``HUNG`` it hangs;
+with ``ENGINE_TEST_LIST_FAILS`` it cannot list any.
 """
 
 import os
@@ -15,9 +16,12 @@ from tests.engine_process import paced
 REGISTERED, PLAIN, DYING, HUNG = "virtual/registered", "virtual/plain", "virtual/dying", "virtual/hung"
 ALL = (REGISTERED, PLAIN, DYING, HUNG)
 DEATH = 3
+LIST_FAILS = "ENGINE_TEST_LIST_FAILS"
 
 
 def _listed():
+    if LIST_FAILS in os.environ:
+        raise OSError
     return [ListedDevice(uri=uri, vendor="Virtual", name=str(os.getpid())) for uri in ALL]
 
 

@@ -1,4 +1,8 @@
-"""The process that stands by: there when it is wanted, replaced when it dies, gone with the service."""
+"""The process that stands by: there when it is wanted, asked about cameras, replaced when it dies, gone in the end."""
+
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -13,6 +17,7 @@ from service.settings import Settings
 from tests.engine_process import cameras
 from tests.engine_process.bench import PATIENCE_S, eventually, is_there, line_at, make_plan
 from tests.engine_process.paced import LINE
+from tests.service.processes import ROOT
 
 
 @pytest.fixture
@@ -126,6 +131,75 @@ def test_beside_a_session_without_a_camera_nobody_looks_for_any(asked):
     assert (during.items, during.detail) == ([], NOT_LOOKED)
     engine.stop()
     assert [one.uri for one in asked.devices().items] == list(cameras.ALL)
+
+
+def test_whoever_lists_cameras_does_not_wait_behind_a_question_that_hangs(asked, monkeypatch):
+    before = asked.devices()
+    monkeypatch.setattr(port_module, "LIST_TURN_S", 0.0)
+    monkeypatch.setattr(port_module, "OPEN_TURN_S", 0.0)
+    with asked._turn(PATIENCE_S):
+        assert asked.devices() == before.model_copy(update={"detail": LISTED_BEFORE})
+        with pytest.raises(EngineProcessError, match="try again in a moment"):
+            asked.registered_calibration(cameras.REGISTERED)
+        with pytest.raises(EngineProcessError, match="try again in a moment"):
+            asked.open(make_plan())
+
+
+@pytest.fixture
+def no_list(monkeypatch):
+    monkeypatch.setenv(cameras.LIST_FAILS, "1")
+
+
+def test_a_session_begins_though_no_camera_could_be_listed(no_list, asked):
+    engine = asked.open(make_plan(source=schemas.DeviceSource(kind="device", uri=cameras.PLAIN), recording=None))
+    assert asked.devices().detail == NOT_LOOKED
+    engine.stop()
+
+
+def test_none_is_started_beside_a_session_because_the_one_before_it_ends_late(asked):
+    engine = asked.open(make_plan())
+    asked._gone(0, is_lost=False)
+    assert not asked._standby._is_wanted
+    engine.stop()
+    eventually(lambda: asked.trouble is None)
+
+
+def hung_in_a_question(asked):
+    """Ask what is not answered, in a thread; returns that and the process that was asked."""
+    eventually(lambda: asked.trouble is None)
+    pid = asked._standby._ready.process.pid
+    pool = ThreadPoolExecutor(1)
+    answer = pool.submit(asked.registered_calibration, cameras.HUNG)
+    pool.shutdown(wait=False)
+    eventually(lambda: asked._standby._ready is None)
+    return answer, pid
+
+
+def test_one_that_hangs_in_a_question_ends_with_the_service(asked, monkeypatch):
+    monkeypatch.setattr(port_module, "ASK_S", 10 * PATIENCE_S)
+    answer, pid = hung_in_a_question(asked)
+    asked.close()
+    with pytest.raises(EngineProcessError, match="signal 9"):
+        answer.result(PATIENCE_S)
+    assert not is_there(pid)
+
+
+ASKING = """
+import sys, tests.engine_process.test_standby as these
+from service.engine_process import child
+child.MODULE = "tests.engine_process.cameras"
+print(these.hung_in_a_question(these.ProcessEngine(these.Settings(data_dir=sys.argv[1])))[1], flush=True)
+"""
+
+
+def test_one_that_hangs_in_a_question_ends_with_a_service_that_is_killed(tmp_path, line, monkeypatch):
+    monkeypatch.setenv(LINE, str(line.path))
+    command = [sys.executable, "-c", ASKING, str(tmp_path / "data")]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as service:
+        pid = int(service.stdout.readline())
+        assert is_there(pid)
+        service.kill()
+    eventually(lambda: not is_there(pid))
 
 
 def test_one_stands_by_where_two_are_offered(port):
