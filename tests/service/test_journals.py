@@ -14,11 +14,14 @@ from tests.service.conftest import act, audit_rows, eventually
 
 
 @pytest.fixture
-def journals(settings, client, monkeypatch):
+def settings(settings):
+    return settings.model_copy(update={"journal_dir": settings.data_dir / "kept"})
+
+
+@pytest.fixture
+def journals(settings):
     """The service's, in a folder of the test's."""
-    made = Journals(settings.data_dir, settings.data_dir / "kept")
-    monkeypatch.setattr(client.app.state.services.runner, "_journals", made)
-    return made
+    return Journals(settings.data_dir, settings.journal_dir)
 
 
 def test_a_session_has_a_journal_while_it_runs_and_none_once_it_is_closed(client, journals, session_id, engine):
