@@ -2,10 +2,12 @@
 
 import re
 from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, TypeVar, cast
 
-from fastapi import Depends, Header, HTTPException, Path, Query, Request, Response
+import anyio
+from fastapi import Depends, Header, Path, Query, Request, Response
 from pydantic import AwareDatetime
 from starlette.requests import ClientDisconnect, HTTPConnection
 
@@ -13,13 +15,14 @@ from service import ports
 from service.access import behalf
 from service.access.attendance import Attendance
 from service.access.calling import Calling
-from service.access.claims import read_claim
+from service.access.claims import Claim, read_claim
 from service.access.desk import AccessDesk
 from service.access.guard import ADDRESS
 from service.access.identity import RULE, identity_in
 from service.conditional import LONGEST, Precondition, is_known, precondition
 from service.errors import MediaTypeError, NotLoggedInError
 from service.idempotency import CallersKey
+from service.middleware import RefusedError
 from service.own_threads import OwnThreads
 from service.paging import LONGEST as LONGEST_CURSOR
 from service.paging import Paging
@@ -152,15 +155,29 @@ async def _calling(connection: HTTPConnection) -> Calling:
     return caller(connection)
 
 
+A_MOMENT_S = 0.25
+"""How long the body of a call that takes permission away is waited for: it tells for whom a machine acts, no more."""
+NOT_WHOLE = "it did not come whole"
+
+
 async def _obeyed(request: Request, caller: Annotated[Calling, Depends(_calling)]) -> str:
-    """Return in whose name permission is taken away, whatever the body says."""
-    try:
-        claim = read_claim(await request.body())
-    except ClientDisconnect as error:
-        raise HTTPException(400) from error
+    """Return in whose name permission is taken away, whatever the body says, and whether or not it comes.
+
+    A person's name is the log-in's: that body is not even read.
+    """
+    if caller.identity.is_person:
+        return caller.name
+    claim = await _claim(request)
     if claim.unread is not None:
         behalf.leave_unread(claim.unread)
     return caller.whatever_is_claimed(claim.operator)
+
+
+async def _claim(request: Request) -> Claim:
+    """Read for whom a machine acts, where that is said at once, in a body that any other call could have."""
+    with suppress(ClientDisconnect, RefusedError), anyio.move_on_after(A_MOMENT_S):
+        return read_claim(await request.body())
+    return Claim(unread=NOT_WHOLE)
 
 
 Offered = Annotated[Services, Depends(_offered)]

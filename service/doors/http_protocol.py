@@ -84,6 +84,7 @@ class BoundedHttp(H11Protocol):
             return
         super().data_received(data)
         if self._is_between_requests:
+            self._wait_anew_behind_late_body()
             return
         if self._head_since_s is not None:  # a call's body comes with its head or within moments
             self._head_since_s = None
@@ -160,6 +161,17 @@ class BoundedHttp(H11Protocol):
     @staticmethod
     def _is_over(since_s: float | None, limit_s: float, now_s: float) -> bool:
         return since_s is not None and now_s - since_s > limit_s
+
+    def _wait_anew_behind_late_body(self) -> None:
+        """Wait as after any answer where its request's body came behind it, and nothing of a further head.
+
+        The further head's time would run from that body on, and its end would be told as the answer to who asks next.
+        """
+        if self.cycle is None or self.conn.their_state is not h11.IDLE or self.conn.trailing_data[0]:
+            return
+        self._head_since_s = None
+        self._unset_keepalive_if_required()
+        self.timeout_keep_alive_task = self.loop.call_later(self.timeout_keep_alive, self.timeout_keep_alive_handler)
 
     def _look_at_closing(self, now_s: float) -> str | None:
         """Cut off whoever does not take the rest: a closed connection stays until it has."""

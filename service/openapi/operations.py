@@ -31,7 +31,8 @@ WHO_ASKS = {
     "required": False,
     "description": "`operator` as in other calls: whoever is logged in, and may be left out; from a machine, for whom "
     "it acts. What takes permission away is not refused for what it is sent: without a body, with one that has other "
-    "fields, is of another type or is no JSON, it is done all the same, and the audit says what was not read",
+    "fields, is of another type, is no JSON or does not come whole, it is done all the same. Of a "
+    "machine's call the audit says what was not read; a person's name is the log-in's, and the body is not waited for",
     "content": {"application/json": {"schema": {}, "example": {"operator": "A. Therapist"}}},
 }
 V1 = "/api/v1/"
@@ -71,7 +72,7 @@ def _describe_access(operation: Operation, needs: Needs | None) -> None:
 def _codes(operation: Operation, method: str, path: str, needs: Needs | None) -> Codes:
     """Work out the problems that this call may meet whatever it does."""
     found: Codes = {421: {"host_refused"}, 500: {"internal_error"}}
-    for codes in (_of_access(method, path, needs), _of_body(operation, method), _of_parameters(operation)):
+    for codes in (_of_access(method, path, needs), _of_body(operation, method, path), _of_parameters(operation)):
         for status, more in codes.items():
             found.setdefault(status, set()).update(more)
     if path.startswith(V1) and not _is_page(operation):
@@ -96,9 +97,11 @@ def _of_access(method: str, path: str, needs: Needs | None) -> Codes:
     return codes
 
 
-def _of_body(operation: Operation, method: str) -> Codes:
+def _of_body(operation: Operation, method: str, path: str) -> Codes:
     if method not in CHANGES:
         return {}
+    if (method, path) in TAKES_PERMISSION_AWAY:  # done whatever becomes of its body, unless it is no HTTP
+        return {400: {"bad_request"}}
     codes: Codes = {408: {"request_timeout"}, 413: {"body_too_large"}, 415: {"media_type"}}
     if "requestBody" in operation:
         codes[400] = {"bad_request"}

@@ -96,7 +96,7 @@ BODIES = {
 @pytest.mark.parametrize("name", BODIES)
 def test_a_body_that_is_none_is_refused(attacked, name):
     more, status, code = BODIES[name]
-    path = f"/api/v1/sessions/{attacked.session_id}/hold"
+    path = f"/api/v1/sessions/{attacked.session_id}/arm"
     reply = ask(attacked.port, _keyed(attacked, path, more), within_s=3.0)
     assert (reply.statuses, reply.problem["code"]) == ([status], code), reply
     assert reply.is_closed
@@ -104,7 +104,7 @@ def test_a_body_that_is_none_is_refused(attacked, name):
 
 def test_a_body_of_chunks_that_are_all_extension_is_cut_off(attacked):
     chunk = b"1;" + b"x" * 8_000 + b"\r\na\r\n"
-    path = f"/api/v1/sessions/{attacked.session_id}/hold"
+    path = f"/api/v1/sessions/{attacked.session_id}/arm"
     reply = ask(attacked.port, _keyed(attacked, path, CHUNKED + chunk * 2_000))
     assert reply.is_closed
     assert reply.status in {400, None}  # none, where the answer met what was still on its way

@@ -47,7 +47,7 @@ def _is_ended(raw) -> bool:
 
 def _post(attacked) -> bytes:
     key = "".join(f"{name}: {value}\r\n" for name, value in attacked.key.items())
-    path = f"/api/v1/sessions/{attacked.session_id}/hold"
+    path = f"/api/v1/sessions/{attacked.session_id}/arm"
     head = f"POST {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n{key}Content-Type: application/json\r\nContent-Length: 500\r\n"
     return head.encode() + b"\r\n{"
 
