@@ -63,9 +63,10 @@ class Asker:
     ) -> None:
         """Put a command to the engine and write down who asked, before and after; ``after`` finds what came of it."""
         done = Event(actor=operator, action=action, session_id=session_id, detail=detail or {})
-        log = self.undelayed_log if takes_permission_away(command) else self.log
+        is_undelayed = takes_permission_away(command) and self.room.of(session_id) is not None
+        log = self.undelayed_log if is_undelayed else self.log
         with log.refusals(actor=operator, action=action, session_id=session_id, detail=detail):
-            running = self.running(session_id, self.undelayed_database if takes_permission_away(command) else None)
+            running = self.running(session_id, self.undelayed_database if is_undelayed else None)
             if not takes_permission_away(command):
                 _refuse_late(command)
                 log.write(replace(done, outcome="requested"))

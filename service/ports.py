@@ -231,6 +231,9 @@ class RunnerPort(Protocol):
         ``may_be_done`` is called, before anything waits for a database, unless the engine refused.
         """
 
+    def is_running(self, session_id: str) -> bool:
+        """Whether this session has an engine now, from memory."""
+
     def stop(self, session_id: str, operator: str) -> schemas.Session:
         """Hold the beam, end the engine, close the session; never refused while there is something to stop."""
 

@@ -64,7 +64,8 @@ class SessionRevisions:
         """Do it where nothing was decided since; raise PreconditionFailedError.
 
         Whoever sends no ``If-Match`` waits for nobody. What takes the beam away never comes here. Where it comes
-        between look and act the engine refuses the act, which was asked for before it was told (`engine.mailbox`).
+        between look and act, the engine refuses what it takes back: an arm that was asked for before a disarming, a
+        release before a hold (`engine.mailbox`). An arm beside a hold is done, and the beam stays held.
         """
         if not wanted.is_given:
             yield

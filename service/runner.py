@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime
 
 import cv2
@@ -35,6 +36,7 @@ from service.withdrawals import Withdrawals
 WRITER_BUSY_TIMEOUT_S = 0.5
 WRITER_ANSWER_TIMEOUT_S = 1.0
 JPEG_QUALITY = 80
+STOP = "session.stop"
 
 
 class SessionRunner:
@@ -167,27 +169,34 @@ class SessionRunner:
         """Hear that a person's page is still looked at; every second, so it is not audited."""
         self._asker.running(session_id).engine.note_presence(operator)
 
+    def is_running(self, session_id: str) -> bool:
+        """Whether this session has an engine now, from memory."""
+        return self._room.of(session_id) is not None
+
     def stop(self, session_id: str, operator: str) -> schemas.Session:
         """Hold the beam, end the engine, close the session; never refused while there is something to stop."""
-        action = "session.stop"
-        log, database = self._undelayed_log, self._undelayed_database
         running = self._room.of(session_id)
         if running is None:
-            with self._coming_and_going:  # one that starts is waited for; whoever runs already waits for no other's
+            refusals = self._log.refusals(actor=operator, action=STOP, session_id=session_id)
+            # One that starts is waited for, and none starts before this is done: it is in the room, or never was.
+            with refusals, self._coming_and_going:
                 running = self._room.of(session_id)
-        if running is not None:
-            running.writer.stopping(operator)
-            with self.withdrawals.one(session_id):
-                running.engine.stop()
-            log.write(Event(actor=operator, action=action, session_id=session_id))
-            self._await_end(running)
-            return self._book.detail(session_id, database)
-        with log.refusals(actor=operator, action=action, session_id=session_id), database.write() as db:
+                if running is None:
+                    return self._close_unstarted(session_id, operator)
+        running.writer.stopping(operator)
+        with self.withdrawals.one(session_id):
+            running.engine.stop()
+        self._undelayed_log.write(Event(actor=operator, action=STOP, session_id=session_id))
+        self._await_end(running)
+        return self._book.detail(session_id, self._undelayed_database)
+
+    def _close_unstarted(self, session_id: str, operator: str) -> schemas.Session:
+        with self._database.write() as db:
             row = repository.session_row(db, session_id)
             if row.status != "created":
                 raise state_error(row.status, "created or running")
             row.status, row.status_detail, row.ended_at = "stopped", f"stopped by {operator}", datetime.now(UTC)
-            audit.append(db, Event(actor=operator, action=action, session_id=session_id))
+            audit.append(db, Event(actor=operator, action=STOP, session_id=session_id))
             return session_answer(row)
 
     def shut_down(self) -> None:
@@ -201,11 +210,14 @@ class SessionRunner:
         self._undelayed_database.close()
 
     def _await_end(self, running: Running) -> None:
-        """Wait until a session that was stopped is closed; its writer may be about to begin."""
-        if running.writer.ident is None:
-            with self._coming_and_going:
-                pass
-        running.writer.join(WRITER_JOIN_S)
+        """Wait until a session that was stopped is closed; its writer may be about to begin, or could not."""
+        with suppress(RuntimeError):  # not begun yet; who has begun and ended waits for nobody else's start
+            running.writer.join(WRITER_JOIN_S)
+            return
+        with self._coming_and_going:
+            pass
+        with suppress(RuntimeError):  # never begun
+            running.writer.join(WRITER_JOIN_S)
 
     def picture(self, session_id: str) -> Picture:
         """Encode the newest colour frame."""

@@ -61,10 +61,10 @@ class SessionStarter:
             plan = replace(self._begin(session_id, operator, action), journal=journal)
             try:
                 running = self._open(plan)
-            except TidegateError as error:
-                self._mark_failed(session_id, str(error))
+                self._begin_writing(running)
+            except Exception as error:
+                self._mark_failed(session_id, _reason(error))
                 raise
-        running.writer.start()
         return running
 
     def _refuse_unless_created(self, session_id: str) -> None:
@@ -141,6 +141,15 @@ class SessionStarter:
             raise SessionActiveError(msg, field="session_id", bound="one running session at a time")
         return running
 
+    def _begin_writing(self, running: Running) -> None:
+        """Begin the writer's thread; an engine whose decisions nobody would write down is not left to itself."""
+        try:
+            running.writer.start()
+        except BaseException:
+            running.engine.stop()
+            self.room.leave(running.plan.session_id)
+            raise
+
     def _recorder(self, plan: SessionPlan, anchor: TimeAnchor) -> SampleRecorder:
         """Begin the sample file: before the engine, so that nothing of it is done beside frames that are measured."""
         head = sample_head(plan, self.settings, anchor)
@@ -159,6 +168,13 @@ class SessionStarter:
         if not self.engine.is_simulated_beam:
             return {"is_simulated_beam": False, **described_source(source, self.settings)}
         return {"is_simulated_beam": True, "beam_line": "SIMULATED: no accelerator is gated by this session"}
+
+
+def _reason(error: Exception) -> str:
+    """Say why a session failed: what is wrong inside is the log's, not the patient's record's."""
+    return (
+        str(error) if isinstance(error, TidegateError) else f"the engine could not be opened ({type(error).__name__})"
+    )
 
 
 def _model_detail(model_id: str | None) -> dict[str, object]:

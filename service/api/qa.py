@@ -92,7 +92,8 @@ async def cancel_qa_run(
     run_id: RunId, operator: deps.Obeyed, services: deps.Offered, threads: deps.Undelayed
 ) -> qa.QaRun:
     """Hold the beam line, then end the run."""
-    return await threads.run(partial(services.qa_desk.cancel, run_id, operator))
+    call = partial(services.qa_desk.cancel, run_id, operator)
+    return await threads.run(call, takes=services.qa_desk.is_under_way(run_id))
 
 
 @router.get(

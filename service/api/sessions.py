@@ -180,7 +180,8 @@ async def disarm_session(
     session_id: deps.SessionId, operator: deps.Obeyed, services: deps.Offered, threads: deps.Undelayed
 ) -> schemas.SessionDetail:
     """Hold the beam until somebody arms again."""
-    return await threads.run(partial(services.runner.command, session_id, "disarm", operator))
+    call = partial(services.runner.command, session_id, "disarm", operator)
+    return await threads.run(call, takes=services.runner.is_running(session_id))
 
 
 @router.post("/{session_id}/reference", name="session.reference", responses=ASK)
@@ -214,7 +215,8 @@ async def hold_beam(
     session_id: deps.SessionId, operator: deps.Obeyed, services: deps.Offered, threads: deps.Undelayed
 ) -> schemas.SessionDetail:
     """Hold the beam until somebody releases it; the session stays armed. Never refused while it runs."""
-    return await threads.run(partial(services.runner.command, session_id, "hold", operator))
+    call = partial(services.runner.command, session_id, "hold", operator)
+    return await threads.run(call, takes=services.runner.is_running(session_id))
 
 
 @router.post("/{session_id}/release", name="session.release", responses=ASK)
@@ -266,7 +268,8 @@ async def stop_session(
     session_id: deps.SessionId, operator: deps.Obeyed, services: deps.Offered, threads: deps.Undelayed
 ) -> schemas.Session:
     """Hold the beam, end the engine, close the session."""
-    return await threads.run(partial(services.runner.stop, session_id, operator))
+    call = partial(services.runner.stop, session_id, operator)
+    return await threads.run(call, takes=services.runner.is_running(session_id))
 
 
 @router.get(

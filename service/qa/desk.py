@@ -14,7 +14,7 @@ from service import audit
 from service.audit import Event
 from service.audit_log import AuditLog
 from service.db import repository
-from service.db.engine import Database
+from service.db.engine import ANSWER_TIMEOUT_S, BUSY_TIMEOUT_S, Database
 from service.errors import BoundError, QaStateError
 from service.idempotency import CallersKey, InProgress, earlier_answer, keep_answer
 from service.ports import Kept
@@ -47,6 +47,9 @@ class QaDesk:
     ) -> None:
         self._database = database
         self._log = log
+        # By connections that no read has, as what takes a session's permission away.
+        self._undelayed_database = database.twin(busy_timeout_s=BUSY_TIMEOUT_S, answer_timeout_s=ANSWER_TIMEOUT_S)
+        self._undelayed_log = AuditLog(self._undelayed_database)
         self._settings = settings
         self._room = room
         self._rig = rig
@@ -76,18 +79,23 @@ class QaDesk:
                 raise
         return Kept(answer=answer, is_replay=False)
 
+    def is_under_way(self, run_id: str) -> bool:
+        """Whether this run goes on now, from memory."""
+        return self._under_way.run_id == run_id
+
     def cancel(self, run_id: str, operator: str) -> schemas.QaRun:
         """Hold the line, then end the run."""
         current = self._under_way.current
-        if current is not None and current.run_id == run_id:
-            current.handle.cancel(operator)  # before anything is looked up or written
-        with self._log.refusals(actor=operator, action=CANCEL, detail={"run_id": run_id}):
-            if current is None or current.run_id != run_id:
-                with self._database.read() as db:
-                    raise _over(self._under_way.run_answer(db, records.run_row(db, run_id)).status)
-        self._log.write(Event(actor=operator, action=CANCEL, detail={"run_id": run_id}))
+        if current is None or current.run_id != run_id:
+            with self._log.refusals(actor=operator, action=CANCEL, detail={"run_id": run_id}):
+                raise _over(self._answer(run_id, self._database).status)
+        current.handle.cancel(operator)  # before anything is looked up or written
+        self._undelayed_log.write(Event(actor=operator, action=CANCEL, detail={"run_id": run_id}))
         self._join()
-        with self._database.read() as db:
+        return self._answer(run_id, self._undelayed_database)
+
+    def _answer(self, run_id: str, database: Database) -> schemas.QaRun:
+        with database.read() as db:
             return self._under_way.run_answer(db, records.run_row(db, run_id))
 
     def shut_down(self) -> None:
@@ -96,6 +104,7 @@ class QaDesk:
         if current is not None:
             current.handle.cancel(audit.SYSTEM)
             self._join()
+        self._undelayed_database.close()
 
     def _begin(
         self,
@@ -130,7 +139,7 @@ class QaDesk:
 
     def _end(self, run_id: str, outcome: QaOutcome) -> None:
         try:
-            with self._database.write() as db:
+            with self._undelayed_database.write() as db:  # whoever cancels waits for it
                 records.end(db, run_id, outcome)
         finally:
             self._under_way.current = None

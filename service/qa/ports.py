@@ -35,6 +35,9 @@ class QaDeskPort(Protocol):
     def start(self, request: schemas.QaRunRequest, key: CallersKey | None) -> Kept[schemas.QaRun]:
         """Begin a run on a thread of its own."""
 
+    def is_under_way(self, run_id: str) -> bool:
+        """Whether this run goes on now, from memory."""
+
     def cancel(self, run_id: str, operator: str) -> schemas.QaRun:
         """Hold the line, then end the run."""
 

@@ -1,7 +1,7 @@
 """What takes permission away waits behind no read: neither for a thread, nor for a connection, nor for a lock."""
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,6 +16,7 @@ from engine.commands import Disarm, HoldBeam
 from service.audit_log import AuditLog
 from service.db import repository
 from service.db.models import SessionRow
+from service.qa import records
 from service.schemas import SessionPage
 from tests.service.conftest import act, audit_rows, eventually
 
@@ -45,6 +46,13 @@ class Jam:
         db.connection()
         self._block()
         return [], None
+
+    def then(self, find: Callable) -> Callable:
+        def find_at_last(db: Session, *asked: object) -> object:
+            self.rows(db)
+            return find(db, *asked)
+
+        return find_at_last
 
     def _block(self) -> None:
         with self._lock:
@@ -134,12 +142,6 @@ def test_its_refusal_too_is_answered_while_reads_have_every_thread(
     assert was_told(running, action)
 
 
-def test_a_qa_run_s_cancelling_is_answered_while_reads_have_every_thread(client, no_thread_is_left):
-    cancel = f"/api/v1/qa/runs/{'0' * 32}/cancel"
-    answer = no_thread_is_left.submit(client.post, cancel, json={}).result(LONGEST_S)
-    assert (answer.status_code, answer.json()["code"]) == (404, "not_found")
-
-
 @pytest.mark.parametrize("action", ["presence", "arm", "start"])
 def test_nothing_else_takes_a_connection_that_is_theirs(client, session_id, running, monkeypatch, action):
     act(client, session_id, "stop")
@@ -165,6 +167,51 @@ def test_a_stop_waits_for_no_start_once_its_session_runs(client, session_id, run
     starting = client.app.state.services.runner._coming_and_going
     with ThreadPoolExecutor(1) as pool, starting:
         assert pool.submit(act, client, session_id, "stop").result(LONGEST_S).status_code == 200
+
+
+def in_a_thread_of_all(client) -> int:
+    async def look() -> int:
+        return anyio.to_thread.current_default_thread_limiter().statistics().borrowed_tokens
+
+    return client.portal.call(look)
+
+
+@contextmanager
+def nothing_to_take(client, jam: Jam, path: str) -> Iterator[ThreadPoolExecutor]:
+    """Let more such calls than there are own threads, or own connections, wait for what has nothing to take away."""
+    client.headers_as("A. Therapist")
+    with ThreadPoolExecutor(CONNECTIONS + 2) as pool, client.app.state.services.runner._coming_and_going:
+        try:
+            asked = [pool.submit(client.post, path.format(f"{n:032x}"), json={}) for n in range(CONNECTIONS + 1)]
+            eventually(lambda: in_a_thread_of_all(client) == CONNECTIONS + 1, within_s=5.0)
+            yield pool
+            assert not any(one.done() for one in asked), "they were blocked all the time"
+        finally:
+            jam.end()
+
+
+@pytest.mark.parametrize(("action", "idle"), [("hold", "stop"), ("disarm", "hold"), ("stop", "disarm")])
+def test_it_is_answered_while_such_calls_for_sessions_that_do_not_run_wait(
+    client, session_id, running, monkeypatch, action, idle
+):
+    jam, found = Jam(), repository.session_row
+
+    def row(db: Session, wanted: str) -> SessionRow:
+        return found(db, wanted) if wanted == session_id else jam.then(found)(db, wanted)
+
+    monkeypatch.setattr(repository, "session_row", row)
+    with nothing_to_take(client, jam, f"/api/v1/sessions/{{}}/{idle}") as pool:
+        answer = pool.submit(act, client, session_id, action).result(LONGEST_S)
+        assert answer.status_code == 200, answer.text
+        assert was_told(running, action)
+
+
+def test_it_is_answered_while_cancellings_of_qa_runs_that_are_over_wait(client, session_id, running, monkeypatch):
+    jam = Jam()
+    monkeypatch.setattr(records, "run_row", jam.then(records.run_row))
+    with nothing_to_take(client, jam, "/api/v1/qa/runs/{}/cancel") as pool:
+        assert pool.submit(act, client, session_id, "hold").result(LONGEST_S).status_code == 200
+        assert was_told(running, "hold")
 
 
 @pytest.mark.parametrize("action", AWAY)

@@ -13,12 +13,21 @@ from engine.qa.bounds import BASELINE_BOUNDS
 from engine.qa.checks import CHECKS, checks_of
 from engine.qa.results import QaKind
 from service.app import create_app
+from service.db import repository
 from service.qa import records
 from service.qa.schemas import QaExpected
 from tests.service.conftest import OPERATOR, act, audit_rows, eventually, make_session_body, with_tables
 from tests.service.people import PeopleClient
 from tests.service.qa_rig import FakeRig, qa_files
 from tests.service.qa_samples import report, sample_series
+from tests.service.test_own_threads import (
+    CONNECTIONS,
+    LONGEST_S,
+    THREADS,
+    ask_for_lists,
+    reads,
+    waiting_for_a_thread,
+)
 
 pytestmark = pytest.mark.both_databases
 
@@ -525,3 +534,16 @@ def test_nothing_begins_any_more_once_the_service_is_on_its_way_out(client, rig,
     client.app.state.hold_and_close_session()
     for answer in (client.post(f"{URL}/runs", json=body), act(client, session_id, "start")):
         assert (answer.status_code, answer.json()["code"]) == (503, "service_stopping")
+
+
+def test_its_cancelling_is_answered_while_reads_have_every_thread_and_connection(client, rig, body, monkeypatch):
+    run_id = begin(client, body)
+    eventually(rig.job_now.is_on.is_set)
+    with reads(client, THREADS + 5) as (jam, pool):
+        monkeypatch.setattr(repository, "session_page", jam.rows)
+        ask_for_lists(client, pool, THREADS + 5)
+        eventually(lambda: jam.inside == CONNECTIONS and waiting_for_a_thread(client) == 5, within_s=LONGEST_S)
+        answer = pool.submit(client.post, f"{URL}/runs/{run_id}/cancel", json=ME).result(LONGEST_S)
+        assert (answer.status_code, answer.json()["status"]) == (200, "cancelled"), answer.text
+        assert not rig.job_now.far.is_on()
+        assert jam.inside == CONNECTIONS, "they were blocked all the time"

@@ -1,6 +1,10 @@
 """The running session: started, asked, watched, stopped."""
 
 import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from threading import Thread
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -13,6 +17,8 @@ from engine.model_file import save_model
 from engine.permits import GateState, HoldReason
 from service.app import create_app
 from service.audit_log import AuditLog
+from service.bridge import SessionWriter
+from service.errors import SessionStateError
 from tests.service.conftest import act, audit_rows, eventually, make_session_body, upload
 from tests.service.fakes import REFUSED, make_model
 from tests.service.people import PeopleClient
@@ -307,3 +313,79 @@ def test_the_service_stops_the_engine_on_its_way_out_and_closes_the_session(sett
         detail = detail_of(client, session_id)
         assert (detail["status"], detail["summary"]["frames"]) == ("stopped", 1)
         assert client.get("/api/v1/audit/verify").json()["is_intact"]
+
+
+class StartsOnceLetGo:
+    """The lock of coming and going, whose first leaving lets a start in before anything else."""
+
+    def __init__(self, lock, start) -> None:
+        self._lock, self._start = lock, start
+
+    def __enter__(self):
+        self._lock.acquire()
+
+    def __exit__(self, *exception):
+        self._lock.release()
+        start, self._start = self._start, lambda: None
+        start()
+
+
+def test_a_stop_that_races_a_start_leaves_no_session_running(client, session_id, engine):
+    runner, started = client.app.state.services.runner, []
+
+    def start():
+        with suppress(SessionStateError):
+            started.append(runner.start(session_id, "A. Therapist").status)
+
+    runner._coming_and_going = StartsOnceLetGo(runner._coming_and_going, start)
+    assert runner.stop(session_id, "A. Therapist").status == "stopped"
+    assert started == [], "it came first, or not at all"
+    assert detail_of(client, session_id)["status"] == "stopped"
+
+
+class Beginning(Thread):
+    """A writer that looks begun before it is: a thread has its number before it may be waited for."""
+
+    ident = 1
+
+
+@pytest.mark.parametrize("is_begun", [True, False], ids=["begun at last", "never begun"])
+def test_a_stop_waits_for_a_writer_that_is_about_to_begin(client, is_begun):
+    runner, written = client.app.state.services.runner, []
+    writer = Beginning(target=lambda: written.append("the end"))
+    with ThreadPoolExecutor(1) as pool:
+        with runner._coming_and_going:
+            awaited = pool.submit(runner._await_end, SimpleNamespace(writer=writer))
+            if is_begun:
+                writer.start()
+        awaited.result(5.0)
+    assert written == ["the end"] * is_begun
+
+
+@pytest.mark.parametrize("error", [AssertionError("inside"), EOFError()], ids=repr)
+def test_a_start_that_breaks_on_the_way_leaves_a_failed_session_and_room_for_another(
+    client, session_id, session_body, engine, error
+):
+    engine.fail_with = error
+    with pytest.raises(type(error)):
+        act(client, session_id, "start")
+    told = detail_of(client, session_id)
+    assert (told["status"], told["status_detail"]) == (
+        "failed",
+        f"the engine could not be opened ({type(error).__name__})",
+    )
+    engine.fail_with = None
+    another = client.post("/api/v1/sessions", json=session_body).json()["id"]
+    assert act(client, another, "start").status_code == 200
+
+
+def test_a_session_whose_writer_cannot_begin_is_stopped_and_leaves_the_room(client, session_id, engine, monkeypatch):
+    def start(_writer):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(SessionWriter, "start", start)
+    with pytest.raises(RuntimeError):
+        act(client, session_id, "start")
+    assert engine.running.status.is_over
+    assert detail_of(client, session_id)["status"] == "failed"
+    assert client.app.state.services.runner.running_camera() is None
