@@ -31,20 +31,22 @@ test-system:
 
 # Three parts. What computes, two at a time. What starts services, kills them and waits, two at a time among its own kind, for the
 # times in it are judged and the first part takes all of both cores. What plays through the OpenNI2 runtime in the tests' own
-# process, or trips an engine that runs there in real time, has the machine to itself: the runtime's own threads race where they
-# are not run in time, and crash.
-ALONE := tests/capture tests/xtion tests/phantom/test_played_by_the_runtime.py tests/interlocks/test_live_run.py \
-	tests/loop/test_wired_line.py $(addprefix tests/service/test_,real_engine.py uncalibrated.py)
+# process has a core to itself: the runtime's own threads race where they are not run in time, and crash. Beside it goes what
+# trips an engine that runs in real time and needs little.
+ALONE := tests/capture tests/xtion tests/phantom/test_played_by_the_runtime.py $(addprefix tests/service/test_,real_engine.py uncalibrated.py)
+BESIDE := tests/interlocks/test_live_run.py tests/loop/test_wired_line.py
 WAITING := tests/faults tests/kills tests/engine_process tests/load tests/stream/test_slow_clients.py \
 	tests/monitoring/test_stop.py tests/client/test_samples_of_clients.py \
 	$(addprefix tests/tps/test_,real_service.py whole_fractions.py) $(addprefix tests/service/test_,process.py folder_lock.py) \
 	$(addprefix tests/beam/test_,killed_processes.py real_receivers.py service_line.py)
 # In the order of tests/conftest.py, the longest files first: by itself xdist begins with those of most tests.
 BY_TWO := -n 2 --dist loadfile --no-loadscope-reorder
+# Hundreds of services and engines are started here: each would compile the whole program anew.
+test: export PYTHONDONTWRITEBYTECODE :=
 test: $(STAMP) test-system lint types contracts  ## everything that must hold: lint, types, contracts, all tests
-	$(BIN)/pytest $(BY_TWO) $(addprefix --ignore=,$(ALONE) $(WAITING))
+	$(BIN)/pytest $(BY_TWO) $(addprefix --ignore=,$(ALONE) $(BESIDE) $(WAITING))
 	$(BIN)/pytest $(BY_TWO) $(WAITING)
-	$(BIN)/pytest $(ALONE)
+	@mkdir -p build; $(BIN)/pytest $(BESIDE) >build/beside.log 2>&1 & $(BIN)/pytest $(ALONE); alone=$$?; wait $$!; beside=$$?; cat build/beside.log; exit $$((alone + beside))
 
 demo: $(STAMP) openni  ## a 60 s volunteer through the whole of Tidegate; KEEP=1 stays up
 	$(BIN)/tidegate demo $(if $(KEEP),--keep)
