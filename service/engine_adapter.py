@@ -7,7 +7,6 @@ import weakref
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
-from typing import TypeVar
 
 from engine.calibration import Calibration
 from engine.capture.oni_file import OniFileSource
@@ -40,7 +39,6 @@ from service.site_limits import check_window, gate_limits
 from service.uncalibrated import check_still_allowed
 
 STOP_TIMEOUT_S = 3.0
-EngineT = TypeVar("EngineT", bound=RunningEngine)
 RUNTIME_HINT = "the OpenNI2 runtime is missing: apt-get install libopenni2-0"
 
 
@@ -93,12 +91,8 @@ class EngineAdapter:
         )
         if plan.model is not None:
             pipeline.resume(plan.model)
-        return self.begin(lambda: self._begun(plan, pipeline, tape, limits, measuring))
-
-    def begin(self, start: Callable[[], EngineT]) -> EngineT:
-        """Start an engine while nobody asks a camera about itself, and nobody will while it runs."""
         with self._camera_lock:
-            engine = start()
+            engine = self._begun(plan, pipeline, tape, limits, measuring)
             self._newest = weakref.ref(engine)
         return engine
 
