@@ -1,4 +1,5 @@
-# make demo: see it work. make test: prove it works. Both set themselves up on a bare Debian/Ubuntu with Python 3.11+.
+# make check: the first command for a change. make test: everything. make demo: see it work.
+# Each sets itself up on a bare Debian/Ubuntu with Python 3.11+; check installs no system package.
 SHELL := /bin/bash
 PYTHON ?= python3
 VENV := .venv
@@ -7,7 +8,7 @@ STAMP := $(VENV)/.stamp
 export PYTHONDONTWRITEBYTECODE ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup openni test-system test lint types contracts openapi demo bench load faults kills mutants fuzz sbom scan safety lock clean
+.PHONY: help setup openni test-system check check-tests test tests-computing tests-waiting tests-alone processors lint types contracts openapi demo bench load faults kills mutants fuzz sbom scan safety lock clean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -33,55 +34,94 @@ test-system:
 # times in it are judged and the first part takes all of both cores. What plays through the OpenNI2 runtime in the tests' own
 # process has a core to itself: the runtime's own threads race where they are not run in time, and crash. Beside it goes what
 # trips an engine that runs in real time and needs little.
-ALONE := tests/capture tests/xtion tests/phantom/test_played_by_the_runtime.py $(addprefix tests/service/test_,real_engine.py uncalibrated.py)
-BESIDE := tests/interlocks/test_live_run.py tests/loop/test_wired_line.py
-WAITING := tests/faults tests/kills tests/engine_process tests/load tests/stream/test_slow_clients.py \
-	tests/monitoring/test_stop.py tests/client/test_samples_of_clients.py \
-	$(addprefix tests/tps/test_,real_service.py whole_fractions.py) $(addprefix tests/service/test_,process.py folder_lock.py) \
-	$(addprefix tests/beam/test_,killed_processes.py real_receivers.py service_line.py)
-# In the order of tests/conftest.py, the longest files first: by itself xdist begins with those of most tests.
+ALONE := tests/engine/capture/openni tests/system/virtual_camera tests/system/service/test_real_engine.py \
+	tests/service/engine_host/site_rules/test_uncalibrated.py tests/service/cli/test_recordings.py
+BESIDE := tests/campaigns/interlocks/test_live_run.py tests/system/beam_line/test_engine_on_wired_line.py
+WAITING := tests/campaigns/faults tests/campaigns/kills tests/campaigns/load tests/system/engine_process \
+	tests/service/engine_host/process tests/service/web/stream/test_slow_clients.py tests/service/web/stream/test_over_tls.py \
+	tests/system/service/test_shutdown.py tests/system/service/test_process.py tests/system/service/test_folder_lock.py \
+	tests/system/client/test_example_programs.py tests/system/client/test_real_service.py tests/system/client/test_whole_fractions.py \
+	tests/system/beam_line/test_killed_processes.py tests/system/beam_line/test_real_receivers.py tests/system/beam_line/test_service_line.py
+# In the order of tests/support/selection.py, the longest files first: by itself xdist begins with those of most tests.
 BY_TWO := -n 2 --dist loadfile --no-loadscope-reorder
+# Three processes on two cores, where no time is judged: one of them often waits for a browser, a database or a service.
+BY_THREE := -n 3 --dist loadfile --no-loadscope-reorder
+TIMINGS := build/timings
+TEST_PARTS := tests-computing tests-waiting tests-alone
 # Hundreds of services and engines are started here: each would compile the whole program anew.
-test: export PYTHONDONTWRITEBYTECODE :=
-test: $(STAMP) test-system lint types contracts  ## everything that must hold: lint, types, contracts, all tests
-	$(BIN)/pytest $(BY_TWO) $(addprefix --ignore=,$(ALONE) $(BESIDE) $(WAITING))
-	$(BIN)/pytest $(BY_TWO) $(WAITING)
-	@mkdir -p build; $(BIN)/pytest $(BESIDE) >build/beside.log 2>&1 & $(BIN)/pytest $(ALONE); alone=$$?; wait $$!; beside=$$?; cat build/beside.log; exit $$((alone + beside))
+check check-tests test $(TEST_PARTS): export PYTHONDONTWRITEBYTECODE :=
+
+# Lint, types and contracts run beside the tests. tests/support/selection.py says which tests are fast.
+check: $(STAMP)  ## two minutes, no system packages: lint, types, contracts and the fast tests of every package
+	@mkdir -p build; trap 'exit 130' INT; outcomes=; failed=0; \
+	$(MAKE) --no-print-directory --keep-going lint types contracts >build/check.log 2>&1 & others=$$!; \
+	$(MAKE) --no-print-directory check-tests && outcome=passed || { outcome=FAILED; failed=1; }; outcomes="fast tests: $$outcome"; \
+	wait $$others && outcome=passed || { outcome=FAILED; failed=1; }; outcomes+=$$'\n'"lint, types, contracts: $$outcome"; \
+	cat build/check.log; printf '\n%s\n' "$$outcomes"; exit $$failed
+
+check-tests:
+	$(BIN)/pytest --fast -q -n 2 --dist loadfile --durations=10
+
+# Every part runs, whatever came of those before it; the slowest tests of all parts and a line per part come last.
+# Lint, types and contracts run beside the first part.
+test: $(STAMP) test-system  ## everything that must hold: lint, types, contracts, all tests
+	@trap 'exit 130' INT; outcomes=; failed=0; rm -rf $(TIMINGS); mkdir -p build; \
+	$(MAKE) --no-print-directory --keep-going lint types contracts >build/check.log 2>&1 & others=$$!; \
+	for part in $(TEST_PARTS); do \
+		if $(MAKE) --no-print-directory $$part; then outcome=passed; else outcome=FAILED; failed=1; fi; \
+		outcomes+="$$part: $$outcome"$$'\n'; \
+	done; \
+	wait $$others && outcome=passed || { outcome=FAILED; failed=1; }; \
+	cat build/check.log; $(BIN)/python -m tests.support.timings $(TIMINGS)/*.tsv; \
+	printf '\nlint, types, contracts: %s\n%s' "$$outcome" "$$outcomes"; exit $$failed
+
+tests-computing:
+	$(BIN)/pytest $(BY_THREE) --timings $(TIMINGS)/computing.tsv $(addprefix --ignore=,$(ALONE) $(BESIDE) $(WAITING))
+
+tests-waiting:
+	$(BIN)/pytest $(BY_TWO) --timings $(TIMINGS)/waiting.tsv $(WAITING)
+
+tests-alone:
+	@mkdir -p build; $(BIN)/pytest --timings $(TIMINGS)/beside.tsv $(BESIDE) >build/beside.log 2>&1 & \
+	$(BIN)/pytest --timings $(TIMINGS)/alone.tsv $(ALONE); alone=$$?; wait $$!; beside=$$?; cat build/beside.log; exit $$((alone + beside))
+
+processors: $(STAMP)  ## the numeric tests under other processor features (x86): no AVX-512, no AVX at all
+	nice $(BIN)/python -m tests.support.processor_features $(BY_TWO)
 
 demo: $(STAMP) openni  ## a 60 s volunteer through the whole of Tidegate; KEEP=1 stays up
 	$(BIN)/tidegate demo $(if $(KEEP),--keep)
 
 bench: $(STAMP)  ## how fast it is, against the marks, then two minutes of load; QUICK=1 is shorter, MINUTES=60 watches memory for an hour
 	$(BIN)/tidegate bench $(if $(QUICK),--quick) $(if $(MINUTES),--memory-minutes $(MINUTES)) $(if $(OUT),--out $(OUT))
-	$(BIN)/python -m tests.load --seconds $(if $(QUICK),30,120) $(if $(OUT),--out $(OUT)/load.json)
+	$(BIN)/python -m tests.campaigns.load --seconds $(if $(QUICK),30,120) $(if $(OUT),--out $(OUT)/load.json)
 
 load: $(STAMP)  ## 200 dashboards, 50 requests a second and an export beside a session; MINUTES=60 for an hour, DASHBOARDS=n
-	$(BIN)/python -m tests.load --minutes $(or $(MINUTES),2) --dashboards $(or $(DASHBOARDS),200) --out $(or $(OUT),build/load)/load.json
+	$(BIN)/python -m tests.campaigns.load --minutes $(or $(MINUTES),2) --dashboards $(or $(DASHBOARDS),200) --out $(or $(OUT),build/load)/load.json
 
 faults: $(STAMP) test-system  ## break the running service in every way, and judge by what the receiver saw; goes on where it was stopped
-	$(BIN)/python -m tests.faults --seeds $(or $(SEEDS),40) --jobs $(or $(JOBS),2) --out $(or $(OUT),build/faults) $(if $(KINDS),--kinds $(KINDS)) $(if $(KEEP),--keep) $(if $(WRITE),--write)
+	$(BIN)/python -m tests.campaigns.faults --seeds $(or $(SEEDS),40) --jobs $(or $(JOBS),2) --out $(or $(OUT),build/faults) $(if $(KINDS),--kinds $(KINDS)) $(if $(KEEP),--keep) $(if $(WRITE),--write)
 
 kills: $(STAMP) test-system  ## kill -9 the running service at 200 random moments of its life, and look at what it left; goes on where it was stopped
-	$(BIN)/python -m tests.kills --moments $(or $(MOMENTS),200) --jobs $(or $(JOBS),2) --seed $(or $(SEED),1) --out $(or $(OUT),build/kills) $(if $(DATABASE),--database $(DATABASE)) $(if $(KEEP),--keep) $(if $(WRITE),--write)
+	$(BIN)/python -m tests.campaigns.kills --moments $(or $(MOMENTS),200) --jobs $(or $(JOBS),2) --seed $(or $(SEED),1) --out $(or $(OUT),build/kills) $(if $(DATABASE),--database $(DATABASE)) $(if $(KEEP),--keep) $(if $(WRITE),--write)
 
 mutants: $(STAMP)  ## break gate, loop, watchdog and beam lines in every small way: a test must notice; goes on where it stopped
 	PATH="$(CURDIR)/$(BIN):$$PATH" nice -n 10 mutmut run --max-children $(or $(CHILDREN),1)
-	$(BIN)/python -m tests.mutants --write
+	$(BIN)/python -m tests.campaigns.mutants.summary --write
 
 clean-mutants:
 	rm -rf mutants
 
 fuzz: $(STAMP)  ## feed every reader of strangers' bytes what it does not expect: MINUTES=60 in all, TARGET=oni only that one
-	nice -n 19 $(BIN)/python -m tests.fuzz --minutes $(or $(MINUTES),10) $(TARGET:%=--target %) $(if $(RECORD),--record)
+	nice -n 19 $(BIN)/python -m tests.campaigns.fuzz --minutes $(or $(MINUTES),10) $(TARGET:%=--target %) $(if $(RECORD),--record)
 
 sbom: $(STAMP)  ## write what Tidegate is made of to docker/sbom.cdx.json (CycloneDX), held against the specification
-	$(BIN)/python -m tests.supply.sbom
+	$(BIN)/python -m tests.campaigns.supply.sbom
 
 scan: $(STAMP)  ## bandit, ruff's security rules, known vulnerabilities of what is locked, licences
-	$(BIN)/python -m tests.supply.scan
+	$(BIN)/python -m tests.campaigns.supply.scan
 
-safety: $(STAMP)  ## write the tables that the code makes into docs/safety.md
-	$(BIN)/python -m tests.gate.safety_document --write
+safety: $(STAMP)  ## write the tables that the code makes into docs/2-clinical/safety.md
+	$(BIN)/python -m tests.support.documents.safety --write
 
 openapi: $(STAMP)  ## write the contract to openapi/
 	$(BIN)/tidegate openapi --out openapi

@@ -12,7 +12,7 @@ to a beam (start, reference, arm, release, acknowledge, correct) is ever sent tw
 the session. No call turns a beam on; arming lets the gate decide.
 
 It stands in one file, whatever its length, so that it can be taken along. The part between the marks is made from the
-contract by ``python -m tests.client.answers --write``.
+contract by ``python -m tests.support.documents.client_models --write``.
 """
 
 import contextlib
@@ -96,7 +96,7 @@ class AuditVerification(TypedDict):
 
 
 class BaselineCorrectionRequest(TypedDict):
-    """A person confirms that the window follows the drift that they saw; in l for a window on the volume."""
+    """A shift of the window by a baseline drift that a person confirms: in mm, or in l for signal volume."""
 
     by_l: NotRequired[float | None]
     by_mm: NotRequired[float | None]
@@ -106,7 +106,7 @@ class BaselineCorrectionRequest(TypedDict):
 
 
 class CalibrationDetail(TypedDict):
-    """A calibration with its canonical document."""
+    """A calibration with its document in the canonical format."""
 
     camera: str
     created_at: str
@@ -127,21 +127,21 @@ class Calibration(TypedDict):
 
 
 class CalibrationPage(TypedDict):
-    """Newest first."""
+    """Calibrations, newest first; `next_cursor` is null on the last page."""
 
     items: list[Calibration]
     next_cursor: str | None
 
 
 class Device(TypedDict):
-    """A camera the OpenNI2 runtime sees."""
+    """A camera that the OpenNI2 runtime lists."""
 
     name: str
     uri: str
 
 
 class DeviceList(TypedDict):
-    """Cameras, and why there are none when the runtime is missing."""
+    """Cameras; `detail` says why the list is empty."""
 
     detail: str
     is_runtime_available: bool
@@ -149,7 +149,7 @@ class DeviceList(TypedDict):
 
 
 class Dropped(TypedDict):
-    """The client took too long: samples were left out before the one that comes next."""
+    """The client was too slow: samples before the next one were dropped."""
 
     gate_changes: NotRequired[int]
     sent_at: str
@@ -158,7 +158,7 @@ class Dropped(TypedDict):
 
 
 class Gap(TypedDict):
-    """After a break: frames of the session that are not sent again."""
+    """After a reconnection: frames of the session that are not resent."""
 
     from_frame: int
     reason: Literal["too_long_ago", "recorder_behind", "not_recorded", "busy"]
@@ -169,7 +169,7 @@ class Gap(TypedDict):
 
 
 class Hello(TypedDict):
-    """First message of every connection; what does not apply is left out."""
+    """First message of every connection; fields that do not apply are left out."""
 
     calibration: NotRequired[Literal["uploaded", "device registration"] | None]
     calibration_warning: NotRequired[str | None]
@@ -187,14 +187,14 @@ class Hello(TypedDict):
 
 
 class Idle(TypedDict):
-    """Twice a second while no session runs."""
+    """Sent twice a second while no session runs."""
 
     sent_at: str
     type: NotRequired[Literal["idle"]]
 
 
 class InterlockSetting(TypedDict):
-    """One of the site's settings that bounds an interlock."""
+    """A site setting that sets the limit of an interlock."""
 
     high: float | None
     low: float | None
@@ -204,7 +204,7 @@ class InterlockSetting(TypedDict):
 
 
 class Interlock(TypedDict):
-    """One reason to hold the beam."""
+    """A check that holds the beam when it trips."""
 
     code: str
     latches: bool
@@ -215,7 +215,7 @@ class Interlock(TypedDict):
 
 
 class InterlockList(TypedDict):
-    """Every reason there is."""
+    """All interlocks."""
 
     items: list[Interlock]
 
@@ -264,7 +264,7 @@ class Me(TypedDict):
 
 
 class ModelQuality(TypedDict):
-    """What a model's training frames were worth."""
+    """Quality of a model's training frames."""
 
     amplitude_mm: float
     explained_share: float
@@ -276,7 +276,7 @@ class ModelQuality(TypedDict):
 
 
 class Model(TypedDict):
-    """A learned motion model of a session."""
+    """A motion model of a session."""
 
     calibration_id: str
     components: int
@@ -296,14 +296,14 @@ class Model(TypedDict):
 
 
 class ModelPage(TypedDict):
-    """Newest first."""
+    """Models, newest first; `next_cursor` is null on the last page."""
 
     items: list[Model]
     next_cursor: str | None
 
 
 class OperatorRequest(TypedDict):
-    """Who asks."""
+    """The body of a call that names only the operator."""
 
     operator: NotRequired[str]
 
@@ -316,14 +316,14 @@ class PasswordRequest(TypedDict):
 
 
 class Ping(TypedDict):
-    """Where nothing else was said for a second: the connection is there, and nothing is known that is newer."""
+    """Sent when no other message was sent for a second: the connection works, and there is no newer frame."""
 
     sent_at: str
     type: NotRequired[Literal["ping"]]
 
 
 class PlanBeam(TypedDict):
-    """A beam."""
+    """A beam of the plan."""
 
     delivery: str | None
     energies: list[float]
@@ -338,7 +338,7 @@ class PlanBeam(TypedDict):
 
 
 class PlanContradiction(TypedDict):
-    """A later file with the plan's UID that says something else; the plan stays as it was read first."""
+    """A later file with the same UID and different content; the plan keeps the content of the first file."""
 
     approval: str | None
     created_at: str
@@ -347,14 +347,14 @@ class PlanContradiction(TypedDict):
 
 
 class PlanFractionBeam(TypedDict):
-    """What a beam gives in one fraction."""
+    """Meterset of a beam in one fraction."""
 
     beam_number: int
     meterset: float | None
 
 
 class PlanFractionGroup(TypedDict):
-    """Fractions that are alike."""
+    """A group of identical fractions."""
 
     beams: list[PlanFractionBeam]
     fractions_planned: int | None
@@ -362,7 +362,7 @@ class PlanFractionGroup(TypedDict):
 
 
 class PlanMotion(TypedDict):
-    """One technique that a patient setup prescribes, in DICOM's own terms."""
+    """A motion compensation technique of a patient setup, in DICOM terms."""
 
     description: str | None
     signal_source: str | None
@@ -370,7 +370,7 @@ class PlanMotion(TypedDict):
 
 
 class PlanSetup(TypedDict):
-    """How the patient is set up, as far as breathing goes."""
+    """A patient setup, with its respiratory techniques."""
 
     label: str | None
     motion: list[PlanMotion]
@@ -378,7 +378,7 @@ class PlanSetup(TypedDict):
 
 
 class Plan(TypedDict):
-    """A plan as it is kept; it is never changed nor removed."""
+    """A stored plan; plans are never changed or removed."""
 
     approval: str | None
     beams: list[PlanBeam]
@@ -435,7 +435,7 @@ class SplitLine(TypedDict):
 
 
 class Regions(TypedDict):
-    """What motion is reported of, besides the whole and the cells of the grid."""
+    """The regions for which motion is reported, in addition to the whole and the cells of the grid."""
 
     extra_markers: NotRequired[bool]
     named: NotRequired[list[Region]]
@@ -443,7 +443,7 @@ class Regions(TypedDict):
 
 
 class RecordingSource(TypedDict):
-    """A recording inside one of the folders that the site allows."""
+    """A recording in one of the site's allowed folders."""
 
     kind: Literal["recording"]
     path: str
@@ -458,7 +458,7 @@ class DeviceSource(TypedDict):
 
 
 class Condition(TypedDict):
-    """One thing the breath has to meet."""
+    """A condition that the breathing must meet."""
 
     column: NotRequired[int | None]
     from_percent: NotRequired[float | None]
@@ -522,7 +522,7 @@ class Window(TypedDict):
 
 
 class PlanSessionRequest(TypedDict):
-    """What a plan cannot say of a session: the camera, the calibration, the edges of the window, which fraction."""
+    """The part of a session that the plan does not define: camera, calibration, edges of the window, fraction."""
 
     calibration_id: NotRequired[str | None]
     fraction_group: NotRequired[int | None]
@@ -538,7 +538,7 @@ class PlanSessionRequest(TypedDict):
 
 
 class PreparedSession(TypedDict):
-    """A session made from a plan, and what whoever starts it should know."""
+    """A session created from a plan, with notes for the operator."""
 
     calibration: NotRequired[Literal["uploaded", "device registration"]]
     calibration_id: str
@@ -565,7 +565,7 @@ class PreparedSession(TypedDict):
 
 
 class QaCheck(TypedDict):
-    """One thing that is checked, with this site's bounds."""
+    """A check with this site's bounds."""
 
     code: str
     expected: float | None
@@ -585,13 +585,13 @@ class QaCheck(TypedDict):
 
 
 class QaCheckList(TypedDict):
-    """Every check there is."""
+    """All checks."""
 
     items: list[QaCheck]
 
 
 class QaProgress(TypedDict):
-    """How far a run has come."""
+    """Progress of a run: completed and total steps of a stage; `total` is null if unknown."""
 
     done: int
     stage: str
@@ -599,7 +599,7 @@ class QaProgress(TypedDict):
 
 
 class QaResult(TypedDict):
-    """One check of a run, judged; `value` is null where it could not be measured, which is a fail."""
+    """The result of one check; `value` is null if it could not be measured, which is a fail."""
 
     code: str
     detail: str
@@ -624,7 +624,7 @@ class QaCurve(TypedDict):
 
 
 class QaSeries(TypedDict):
-    """What a plot of a report shows."""
+    """Data of a report's plot."""
 
     code: str
     curves: list[QaCurve]
@@ -634,7 +634,7 @@ class QaSeries(TypedDict):
 
 
 class QaRunDetail(TypedDict):
-    """A QA run with every check and what its plots show."""
+    """A QA run with its checks and plot data."""
 
     baseline_number: int | None
     calibration_sha256: str | None
@@ -659,7 +659,7 @@ class QaRunDetail(TypedDict):
 
 
 class QaRun(TypedDict):
-    """A QA run, as it stands."""
+    """A QA run with its current status."""
 
     created_at: str
     ended_at: str | None
@@ -685,7 +685,7 @@ class QaRunPage(TypedDict):
 
 
 class QaStatus(TypedDict):
-    """The newest run of each kind that counts, and whether the site's QA lets anybody arm."""
+    """The newest run of each kind, simulated runs excluded, and whether the QA requirement permits arming."""
 
     is_arming_allowed: bool
     newest: dict[str, QaRun | None]
@@ -708,7 +708,7 @@ class QaTrendPoint(TypedDict):
 
 
 class QaTrend(TypedDict):
-    """A check over the newest runs, oldest first; simulated runs are left out."""
+    """Values of a check in the newest runs, oldest first, without simulated runs."""
 
     check: str
     items: list[QaTrendPoint]
@@ -736,14 +736,14 @@ ReadinessCode = Literal[
 
 
 class ReadinessReason(TypedDict):
-    """One thing that is missing, or will be."""
+    """One problem or warning."""
 
     code: ReadinessCode
     detail: str
 
 
 class Readiness(TypedDict):
-    """Whether a session could run, and what is missing."""
+    """Whether a session can run, and what prevents it."""
 
     checked_at: str
     is_ready: bool
@@ -753,7 +753,7 @@ class Readiness(TypedDict):
 
 
 class RecordedSample(TypedDict):
-    """A frame from the record, after a break: what was measured and decided then."""
+    """A recorded frame, resent after a reconnection."""
 
     abdomen_mm: float | None
     captured_at: str | None
@@ -777,7 +777,7 @@ class RecordedSample(TypedDict):
 
 
 class Resumed(TypedDict):
-    """After a break: from here on, what is sent is live."""
+    """After a reconnection: all following samples are live."""
 
     frames: int
     last_frame: int
@@ -787,14 +787,14 @@ class Resumed(TypedDict):
 
 
 class RetrainRequest(TypedDict):
-    """Who asks for a new model, and whether its zero is the present one's."""
+    """The operator who requests a new model, and whether the reference is transferred to it."""
 
     keeps_reference: NotRequired[bool]
     operator: NotRequired[str]
 
 
 class LiveBreathEvent(TypedDict):
-    """Something in the breathing that is no quiet breath, and is under way."""
+    """An ongoing breathing event that is not quiet breathing."""
 
     confidence: float
     detail: str
@@ -803,7 +803,7 @@ class LiveBreathEvent(TypedDict):
 
 
 class LiveBreath(TypedDict):
-    """Where the first gated signal stands in the breath; what cannot be told is null."""
+    """Breathing of the first gated signal; unknown values are null."""
 
     amplitude: float | None
     baseline: float | None
@@ -821,7 +821,7 @@ class LiveBreath(TypedDict):
 
 
 class LiveBreathHold(TypedDict):
-    """Where the breath hold of the window stands."""
+    """Progress of the window's breath hold."""
 
     count: int
     hold: Literal["inspiration", "expiration"]
@@ -832,7 +832,7 @@ class LiveBreathHold(TypedDict):
 
 
 class LiveLag(TypedDict):
-    """How much later the first region moves than the second; a note says why it cannot be told."""
+    """Delay of the first region's motion behind the second's; if it is unknown, `note` says why."""
 
     confidence: float | None
     first: str
@@ -844,7 +844,7 @@ class LiveLag(TypedDict):
 
 
 class LiveLatency(TypedDict):
-    """From the camera taking the frame to the beam line told [ms]."""
+    """Latency from frame capture to the command at the beam line [ms]."""
 
     last: float | None
     max: NotRequired[float | None]
@@ -854,14 +854,14 @@ class LiveLatency(TypedDict):
 
 
 class LiveLost(TypedDict):
-    """Why this frame could not be measured."""
+    """Reason why this frame could not be measured."""
 
     detail: str
     reason: str
 
 
 class LiveTraining(TypedDict):
-    """How far the learning has come; share runs from 0 to 1."""
+    """Progress of the training; `share` runs from 0 to 1."""
 
     amplitude_mm: NotRequired[float | None]
     cycles: int
@@ -873,7 +873,7 @@ class LiveTraining(TypedDict):
 
 
 class LiveCondition(TypedDict):
-    """One condition of the window, as the gate judges by it; what its kind does not have is null."""
+    """One condition of the window as the gate applies it; fields that its kind does not have are null."""
 
     column: int | None
     from_percent: NotRequired[float | None]
@@ -898,7 +898,7 @@ class LiveCondition(TypedDict):
 
 
 class LiveWindow(TypedDict):
-    """The gating window; the edges beside the list are the first condition's, null where it has none in mm."""
+    """The gating window; the edges outside the list are those of the first condition, null if it has none in mm."""
 
     column: int | None
     conditions: NotRequired[list[LiveCondition]]
@@ -911,7 +911,7 @@ class LiveWindow(TypedDict):
 
 
 class Sample(TypedDict):
-    """The newest frame, as measured and decided."""
+    """The newest frame with its measurement and gate decision."""
 
     abdomen_mm: float | None
     age_ms: float
@@ -958,7 +958,7 @@ class Sample(TypedDict):
 
 
 class Session(TypedDict):
-    """A session, as it stands."""
+    """A session."""
 
     calibration: NotRequired[Literal["uploaded", "device registration"]]
     calibration_id: str
@@ -984,7 +984,7 @@ class Session(TypedDict):
 
 
 class GateView(TypedDict):
-    """Where the gate of a running session stands."""
+    """State of the gate of a running session."""
 
     hold_detail: NotRequired[str]
     hold_reason: str | None
@@ -996,7 +996,7 @@ class GateView(TypedDict):
 
 
 class LikenessView(TypedDict):
-    """How far the patient of today is from the stored model that the session began with."""
+    """Result of comparing today's patient with the stored model that the session started with."""
 
     explained_share: float
     frames: int
@@ -1009,7 +1009,7 @@ class LikenessView(TypedDict):
 
 
 class LatencyView(TypedDict):
-    """From the camera taking a frame to the beam line told [ms]."""
+    """Latency from frame capture to the command at the beam line [ms]."""
 
     max_ms: NotRequired[float | None]
     p50_ms: float | None
@@ -1017,7 +1017,7 @@ class LatencyView(TypedDict):
 
 
 class Summary(TypedDict):
-    """Figures of a session so far, from what is in the database."""
+    """Statistics of a session so far, from the database."""
 
     duty_cycle: float | None
     frames: int
@@ -1028,7 +1028,7 @@ class Summary(TypedDict):
 
 
 class TrainingView(TypedDict):
-    """How far the learning of the patient's motion has come; share runs from 0 to 1."""
+    """Progress of the training; `share` runs from 0 to 1."""
 
     amplitude_mm: NotRequired[float | None]
     cycles: int
@@ -1040,7 +1040,7 @@ class TrainingView(TypedDict):
 
 
 class SessionDetail(TypedDict):
-    """A session with its gate, its learning and its figures."""
+    """A session with gate, training and statistics."""
 
     active_model_id: str | None
     breath: NotRequired[LiveBreath | None]
@@ -1083,7 +1083,7 @@ class SessionPage(TypedDict):
 
 
 class SessionRequest(TypedDict):
-    """A new session: who is treated, by which plan, watched by which camera, gated by which window."""
+    """A new session: patient, plan, camera or recording, and gating window."""
 
     calibration_id: NotRequired[str | None]
     fraction_id: str
@@ -1098,7 +1098,7 @@ class SessionRequest(TypedDict):
 
 
 class ThinSample(TypedDict):
-    """The newest frame, as a monitor of the gate needs it; every field means what it means in the full form."""
+    """The newest frame, reduced to what monitors of the gate need; the fields are those of the full form."""
 
     abdomen_mm: float | None
     age_ms: float
@@ -1128,7 +1128,7 @@ class ThinSample(TypedDict):
 
 
 class Transition(TypedDict):
-    """One change of the gate, as audited; the `_ns` are host monotonic time."""
+    """One change of the gate, from the audit log; fields ending in `_ns` are host monotonic time."""
 
     asserted_ns: int | None
     at: str
@@ -1149,14 +1149,14 @@ class Transition(TypedDict):
 
 
 class TransitionPage(TypedDict):
-    """Oldest first."""
+    """Transitions, oldest first; `next_cursor` is null on the last page."""
 
     items: list[Transition]
     next_cursor: str | None
 
 
 class UploadedCalibration(TypedDict):
-    """A calibration as just uploaded: which format it came in, and what was assumed on the way."""
+    """An uploaded calibration with its source format and the assumptions of the conversion."""
 
     camera: str
     created_at: str
@@ -1206,7 +1206,7 @@ class ProblemError(ClientError):
     Attributes
     ----------
     code
-        Stable; what a program decides by. The catalogue is docs/problems.md.
+        Stable; what a program decides by. The catalogue is docs/4-integrate/problems.md.
     status
         Of HTTP.
     field, value, bound

@@ -1,1 +1,1 @@
-"""The lines that carry the permit to the accelerator, behind one protocol."""
+"""Beam lines: what transmits the permit to the accelerator, behind one protocol."""

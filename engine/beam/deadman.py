@@ -1,24 +1,24 @@
-"""The rule every line obeys, without any hardware: on is a function of the lease, the newest hold and the clock.
+"""The dead-man rule of every line, without hardware: on is a function of the lease, the newest hold and the clock.
 
-Two clocks may be at work. ``decided_ns`` and ``at_ns`` are the teller's, and are only compared with each other: they
-order permits and holds however late they arrive. ``expires_ns`` and ``now_ns`` are the line's own.
+Two clocks may be involved. ``decided_ns`` and ``at_ns`` are the sender's and are only compared with each other: they
+order permits and holds, however late these arrive. ``expires_ns`` and ``now_ns`` are the line's own.
 
-No lock: each attribute is written in one step and read once, and whether the line is on is computed from all of them,
-so a hold never waits for anybody and whoever comes second cannot undo it.
+No lock: each attribute is written in one step and read once, and whether the line is on is computed from all of them.
+So a hold never waits for another thread, and a permit that races with it cannot undo it.
 """
 
 from dataclasses import dataclass
 
-from engine.clock import NS_PER_MS
-from engine.errors import BeamLineError
+from engine.core.clock import NS_PER_MS
+from engine.core.errors import BeamLineError
 
 MAX_LEASE_NS = 250 * NS_PER_MS
-"""A longer lease is refused, whoever grants it."""
+"""Longest lease that is accepted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grant:
-    """A permit as the line keeps it."""
+    """A permit as stored in the line."""
 
     decided_ns: int
     expires_ns: int
@@ -26,7 +26,7 @@ class Grant:
 
 
 class DeadMan:
-    """Keeps the newest permit and the newest hold; off from the start, and latched until :meth:`rearm`."""
+    """Stores the newest permit and the newest hold; off at the start, and latched until :meth:`rearm`."""
 
     def __init__(self) -> None:
         self._grant: Grant | None = None
@@ -35,18 +35,18 @@ class DeadMan:
         self._is_latched = True
 
     def rearm(self) -> None:
-        """Accept permits again, counted anew; the line stays off, for what was granted before is forgotten first."""
+        """Accept permits again, with a new sequence; the line stays off because earlier permits are deleted first."""
         self._grant = None
         self._last_sequence = -1
         self._is_latched = False
 
     def grant(self, grant: Grant, *, now_ns: int) -> None:
-        """Take a permit.
+        """Store a permit.
 
         Raises
         ------
         BeamLineError
-            It is refused: latched, older than a hold or a permit, lapsed already, or too long.
+            The permit is refused: latched, older than a hold or a permit, lapsed, or too long.
         """
         refusal = self._refusal(grant, now_ns)
         if refusal is not None:
@@ -55,7 +55,7 @@ class DeadMan:
         self._grant = grant
 
     def hold(self, *, at_ns: int, is_latching: bool) -> None:
-        """Take the permit back; with ``is_latching`` refuse all to come."""
+        """Withdraw the permit; with ``is_latching`` refuse permits until :meth:`rearm`."""
         if is_latching:
             self._is_latched = True
         self._held_at_ns = at_ns
@@ -68,12 +68,12 @@ class DeadMan:
 
     @property
     def held_at_ns(self) -> int | None:
-        """When it was last held, by the teller's clock; None if never."""
+        """Time of the last hold, by the sender's clock [ns]; None if there was none."""
         return self._held_at_ns
 
     @property
     def expires_ns(self) -> int | None:
-        """When the present permit lapses by itself; None without one."""
+        """When the present permit lapses by itself [ns]; None without one."""
         grant = self._grant
         return None if grant is None else grant.expires_ns
 
@@ -83,7 +83,7 @@ class DeadMan:
 
     def _refusal(self, grant: Grant, now_ns: int) -> str | None:
         if self._is_latched:
-            return "the line is latched off until somebody arms again"
+            return "the line is latched off until it is armed again"
         if grant.sequence <= self._last_sequence:
             return f"permit {grant.sequence} came after permit {self._last_sequence}"
         if not self._is_newer(grant):

@@ -1,21 +1,21 @@
-"""Two lines that both have to agree: on only when both read on, held when either says no."""
+"""Two lines as one: on only while both read on; a hold or fault of either holds both."""
 
 import contextlib
 
-from engine.beam.line import BeamLine, TroubleListener, tell_nobody
-from engine.errors import BeamLineMismatchError
-from engine.permits import HoldReason, Lease
+from engine.beam.line import BeamLine, TroubleListener, ignore_trouble
+from engine.core.errors import BeamLineMismatchError
+from engine.core.gate_state import HoldReason, Lease
 
 
 class PairedBeamLine:
-    """Acts as `BeamLine` for two; what one of them finds out by itself holds and latches the other at once."""
+    """`BeamLine` over two lines; a fault that one of them detects holds and latches the other at once."""
 
     def __init__(self, first: BeamLine, second: BeamLine) -> None:
-        self.on_trouble: TroubleListener = tell_nobody
+        self.on_trouble: TroubleListener = ignore_trouble
         self._first, self._second = first, second
         self._is_permitted = False
-        first.on_trouble = lambda reason, detail: self._pass_on(second, reason, detail)
-        second.on_trouble = lambda reason, detail: self._pass_on(first, reason, detail)
+        first.on_trouble = lambda reason, detail: self._forward_trouble(second, reason, detail)
+        second.on_trouble = lambda reason, detail: self._forward_trouble(first, reason, detail)
 
     def open(self) -> None:
         """Connect both; raise BeamLineError if either does not answer, with neither left open."""
@@ -27,7 +27,7 @@ class PairedBeamLine:
             raise
 
     def rearm(self) -> None:
-        """Accept permits again; raise BeamLineError if either will not, with both latched."""
+        """Accept permits again; raise BeamLineError if either refuses, with both latched."""
         try:
             self._first.rearm()
             self._second.rearm()
@@ -36,7 +36,7 @@ class PairedBeamLine:
             raise
 
     def permit(self, lease: Lease) -> None:
-        """Permit both; where either refuses, hold and latch both and raise what it raised."""
+        """Permit both; where either refuses, hold and latch both and raise its error."""
         self._is_permitted = True
         try:
             self._first.permit(lease)
@@ -46,17 +46,17 @@ class PairedBeamLine:
             raise
 
     def hold(self, reason: HoldReason) -> None:
-        """Hold both; what goes wrong with the first does not spare the second."""
+        """Hold both; an error of the first does not prevent the hold of the second."""
         self._is_permitted = False
         for line in (self._first, self._second):
             with contextlib.suppress(Exception):
                 line.hold(reason)
 
     def is_on(self) -> bool:
-        """Say what both read back.
+        """Return what both read back.
 
-        While they settle and differ: not yet on after a permit, still on after a hold. Where they differ beyond that,
-        or either raises, both are held and latched.
+        While they settle and differ, the pair is not yet on after a permit and still on after a hold. Where they differ
+        for longer, or either raises, both are held and latched.
         """
         try:
             is_settling = self.is_settling
@@ -86,7 +86,7 @@ class PairedBeamLine:
         finally:
             self._second.close()
 
-    def _pass_on(self, other: BeamLine, reason: HoldReason, detail: str) -> None:
+    def _forward_trouble(self, other: BeamLine, reason: HoldReason, detail: str) -> None:
         with contextlib.suppress(Exception):
             other.hold(reason)
         self.on_trouble(reason, detail)

@@ -1,13 +1,13 @@
-"""A beam line in memory, for simulation and tests: the dead-man's rule, and a log of what the line did."""
+"""A beam line in memory, for simulation and tests: the dead-man rule and a log of edges."""
 
 from collections import deque
 from dataclasses import dataclass
 
 from engine.beam.deadman import DeadMan, Grant
-from engine.beam.line import TroubleListener, tell_nobody
-from engine.clock import Clock
-from engine.errors import BeamLineError
-from engine.permits import HoldReason, Lease
+from engine.beam.line import TroubleListener, ignore_trouble
+from engine.core.clock import Clock
+from engine.core.errors import BeamLineError
+from engine.core.gate_state import HoldReason, Lease
 
 HISTORY = 4096
 
@@ -22,14 +22,14 @@ class BeamEdge:
 
 
 class SimulatedBeamLine:
-    """Acts as a real line would, and can be looked at; ``clock`` decides when a lease lapses."""
+    """`BeamLine` with a record of its edges; leases lapse by ``clock``."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._deadman = DeadMan()
-        self.on_trouble: TroubleListener = tell_nobody
+        self.on_trouble: TroubleListener = ignore_trouble
         self._is_open = False
-        self._happened: deque[tuple[int, Lease | HoldReason]] = deque(maxlen=HISTORY)
+        self._events: deque[tuple[int, Lease | HoldReason]] = deque(maxlen=HISTORY)
 
     def open(self) -> None:
         """Connect; the line is off."""
@@ -47,13 +47,13 @@ class SimulatedBeamLine:
         now_ns = self._clock.now_ns()
         grant = Grant(decided_ns=lease.granted_ns, expires_ns=lease.expires_ns, sequence=lease.sequence)
         self._deadman.grant(grant, now_ns=now_ns)
-        self._happened.append((now_ns, lease))
+        self._events.append((now_ns, lease))
 
     def hold(self, reason: HoldReason) -> None:
         """Be off now; any thread, any time."""
         now_ns = self._clock.now_ns()
         self._deadman.hold(at_ns=now_ns, is_latching=reason.is_fault)
-        self._happened.append((now_ns, reason))
+        self._events.append((now_ns, reason))
 
     def is_on(self) -> bool:
         """Whether the line is on."""
@@ -61,7 +61,7 @@ class SimulatedBeamLine:
 
     @property
     def is_settling(self) -> bool:
-        """Never: what is told is so at once."""
+        """Never: the line switches at once."""
         return False
 
     def close(self) -> None:
@@ -71,8 +71,8 @@ class SimulatedBeamLine:
 
     @property
     def edges(self) -> tuple[BeamEdge, ...]:
-        """What the line did, oldest first, as far as the bounded history reaches back."""
-        return _edges(list(self._happened), self._clock.now_ns())
+        """Edges, oldest first, as far as the bounded history reaches back."""
+        return _edges(list(self._events), self._clock.now_ns())
 
 
 def _edges(happened: list[tuple[int, Lease | HoldReason]], now_ns: int) -> tuple[BeamEdge, ...]:

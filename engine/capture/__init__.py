@@ -1,1 +1,1 @@
-"""Where frames come from: one adapter a file, each the only importer of its SDK."""
+"""Frame sources and recorders: the source role, OpenNI2 devices, ``.oni`` recordings."""

@@ -1,11 +1,10 @@
-"""Writes the frames an engine sees to an ``.oni`` file while it sees them, to the last bit, in a thread of its own.
+"""Record a session's frames bit by bit to an ``.oni`` file, in a thread of its own.
 
-Pictures are written as they are: to code depth costs a fifth of a core at 30 frames a second, which the engine needs,
-and no code for colour that the runtime plays keeps every bit. A colour picture lies in the file before the first depth
-picture it was paired with.
+Pictures are not compressed: coding depth costs a fifth of a core at 30 frames a second, which the engine needs, and no
+colour code that the runtime plays is lossless. A colour picture precedes the first depth picture it was paired with.
 
-The gate's way never waits for it. Where the disk is too slow, too full or gone, the recording ends there and says why;
-the beam is not held for it, since a raw recording is for looking back, and no record of what the gate did hangs on it.
+The engine thread never waits for the recorder. Where the disk is too slow, full or missing, the recording ends with a
+reason; the beam is not held, because a raw recording is for later analysis and no record of the gate depends on it.
 """
 
 import queue
@@ -14,11 +13,11 @@ import threading
 from contextlib import suppress
 from pathlib import Path
 
-from engine.frames import ColorImage, RgbdFrame
-from engine.oni.writer import OniWriter
+from engine.capture.oni.writer import OniWriter
+from engine.core.frames import ColorImage, RgbdFrame
 
 FRAMES_KEPT = 30
-"""A second of frames, some 46 MB: a disk that takes longer to come back is too slow."""
+"""Frames of one second, about 46 MB: a disk that pauses for longer is too slow."""
 
 CHECK_EVERY_FRAMES = 30
 TOO_SLOW = "the disk is too slow for the raw recording"
@@ -26,7 +25,7 @@ PART_SUFFIX = ".part"
 
 
 def part_of(path: Path) -> Path:
-    """Return the name a raw recording has until it is whole, and keeps where the process was killed."""
+    """Return the name of an incomplete raw recording; it remains where the process was killed."""
     return path.with_name(path.name + PART_SUFFIX)
 
 
@@ -36,14 +35,14 @@ class RawRecorder(threading.Thread):
     Parameters
     ----------
     path
-        The recording to make; it has the name of :func:`part_of` until it is whole.
+        The recording to write; its name is that of :func:`part_of` until it is complete.
     min_free_bytes
-        How much of the disk has to stay free; the recording ends before.
+        Free disk space at which the recording ends [bytes].
 
     Attributes
     ----------
     error
-        Why the recording ended early; None as long as it did not.
+        Why the recording ended early; None otherwise.
     """
 
     def __init__(self, path: Path, *, min_free_bytes: float, frames_kept: int = FRAMES_KEPT) -> None:
@@ -55,7 +54,7 @@ class RawRecorder(threading.Thread):
         self.error: str | None = None
 
     def offer(self, frame: RgbdFrame) -> str | None:
-        """Leave a frame, from the engine's thread; return why the recording has ended, if it has."""
+        """Queue a frame, from the engine thread; return why the recording has ended, if it has."""
         if self.error is None:
             try:
                 self._frames.put_nowait(frame)
@@ -64,7 +63,7 @@ class RawRecorder(threading.Thread):
         return self.error
 
     def finish(self, timeout_s: float) -> str | None:
-        """Let what waits be written, and the file get its name; return why that is not all of it, if it is not."""
+        """Write the queued frames and rename the file; return why it is incomplete, if it is."""
         deadline = threading.Timer(timeout_s, self._give_up)
         deadline.daemon = True
         deadline.start()
@@ -78,10 +77,10 @@ class RawRecorder(threading.Thread):
         self.error = self.error or TOO_SLOW
 
     def run(self) -> None:
-        """Write what comes; keeps what was written whatever ends it."""
+        """Write queued frames until the end; what was written is kept."""
         try:
             self._record()
-        except Exception as error:  # noqa: BLE001 - whatever it was: there is no raw recording from here on, and no more
+        except Exception as error:  # noqa: BLE001 - any error ends the raw recording, and nothing else
             self.error = self.error or f"the raw recording cannot be written: {type(error).__name__}"
 
     def _record(self) -> None:

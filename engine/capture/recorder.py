@@ -1,20 +1,20 @@
-"""Records a device, or a file played in real time, with the OpenNI2 runtime's own recorder.
+"""Record a device, or a file played in real time, with the OpenNI2 runtime's own recorder.
 
-The recording has another name until it is whole: the runtime writes its seek tables and frame counts last, and a file
-without them is cut. It also starts each stream's time at zero, so the offset between depth and colour, up to a period,
-is lost in what it writes.
+The recording has a temporary name until it is complete: the runtime writes its seek tables and frame counts last, and a
+file without them is cut. It also starts each stream's time at zero, so the offset between depth and colour, up to a
+period, is lost in the recording.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from engine.capture.openni import OpenNiSource
-from engine.clock import Clock
-from engine.errors import FrameTimeoutError, RecordingError, SourceEndedError, SourceLostError
-from engine.oni.description import RecordingDescription
-from engine.oni.reader import describe
-from engine.oni.records import trim
+from engine.capture.oni.description import RecordingDescription
+from engine.capture.oni.reader import describe
+from engine.capture.oni.records import trim
+from engine.capture.openni.source import OpenNiSource
+from engine.core.clock import Clock
+from engine.core.errors import FrameTimeoutError, RecordingError, SourceEndedError, SourceLostError
 
 _READ_TIMEOUT_S = 1.0
 _MAX_SILENCE_S = 5.0
@@ -23,7 +23,7 @@ _US_PER_S = 1_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingProgress:
-    """How far a recording has come, by the device's clock."""
+    """Progress of a recording, by the device's clock."""
 
     seconds: float
     frames: int
@@ -39,19 +39,19 @@ def record(
     on_progress: Callable[[RecordingProgress], None] = lambda _progress: None,
     is_stop_requested: Callable[[], bool] = lambda: False,
 ) -> RecordingDescription:
-    """Record ``seconds`` of ``source`` to ``out``; less if a file ends before or a stop is asked for.
+    """Record ``seconds`` of ``source`` to ``out``; less if a file ends before or a stop is requested.
 
     Parameters
     ----------
     source
         A device's address, an ``.oni`` file, or None for the first device.
     out
-        The recording to make; replaced only by a whole one.
+        The recording to make; replaced only by a complete one.
 
     Raises
     ------
     RuntimeMissingError, SourceLostError, RecordingError
-        Nothing could be recorded. A device lost on the way leaves what came before.
+        Nothing could be recorded. If the device is lost, the frames before that are kept.
     """
     out = Path(out)
     part = out.with_name(f".{out.stem}.part.oni")
@@ -84,7 +84,7 @@ def _follow(
     on_progress: Callable[[RecordingProgress], None],
     is_stop_requested: Callable[[], bool],
 ) -> SourceLostError | None:
-    """Read along until enough is recorded; return what ended it too early, if anything did."""
+    """Read until enough is recorded; return the error that ended it early, if any."""
     first_us: int | None = None
     missed_frames, silence_s, elapsed_s = 0, 0.0, 0.0
     while elapsed_s < seconds and not is_stop_requested():

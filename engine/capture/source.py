@@ -1,14 +1,14 @@
-"""The role of everything that delivers frames."""
+"""The role of a frame source."""
 
 from dataclasses import dataclass
 from typing import Protocol
 
-from engine.frames import RgbdFrame
+from engine.core.frames import RgbdFrame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourceDescription:
-    """What a source is, for the audit and the page; ``serial`` is empty where a device tells none."""
+    """Description of a source, for the audit and the page; ``serial`` is empty for a device without one."""
 
     kind: str
     name: str
@@ -23,7 +23,7 @@ class DepthSource(Protocol):
     """A camera, a recording or a simulator; owned by one thread.
 
     A source converts device units to millimetres and stamps frames with the engine's clock; no caller ever sees raw
-    counts. It delivers every frame exactly once, in order, and says in ``missed_frames`` what the device lost.
+    counts. It delivers every frame exactly once, in order; ``missed_frames`` counts what the device lost.
     """
 
     def open(self) -> SourceDescription:
@@ -35,11 +35,11 @@ class DepthSource(Protocol):
         Raises
         ------
         FrameTimeoutError
-            Nothing came in time; the source is still usable. A SourceAwayError says that the camera is gone meanwhile.
+            No frame came in time; the source is still usable. A SourceAwayError means that the camera is disconnected.
         SourceEndedError
-            A recording is over.
+            The recording has ended.
         SourceLostError
-            The device is gone.
+            The device is disconnected.
         RecordingError
             The recording is damaged from here on.
         """

@@ -4,7 +4,7 @@ import sqlalchemy as sa
 from alembic import context, op
 
 from migrations.refusals import allow, refuse
-from service.samples.moving import move_back, move_out
+from service.storage.samples.legacy_rows import move_back, move_out
 
 revision = "0008"
 down_revision = "0007"

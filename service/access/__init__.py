@@ -1,4 +1,5 @@
-"""Who may do what: people, their log-ins, API keys, and the guard that every request passes.
+"""Authentication and authorisation: accounts, log-ins, API keys, and the rules that each request is checked against.
 
-Answered from memory (`store` writes through to the database): who holds a beam does not wait for a disk.
+Requests are authenticated from memory (`accounts.store` writes through to the database), so that a hold never waits for
+the disk.
 """

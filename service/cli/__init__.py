@@ -1,72 +1,86 @@
-"""The command line: one module a command, imported when it runs, so that the others cost nothing."""
+"""The command line: one module a command, imported when the command runs, so that ``--help`` is quick."""
 
 import importlib
-import importlib.util
-from typing import Any
+from typing import Any, NamedTuple
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand
 
-HOMES = {
-    "serve": "serve",
-    "users": "users",
-    "keys": "keys",
-    "measure": "measure",
-    "phantom": "phantom",
-    "info": "recordings",
-    "record": "recordings",
-    "openapi": "openapi",
-    "demo": "demo",
-    "evaluate": "evaluate",
-    "calibrate": "calibrate",
-    "bench": "bench",
-    "beam-line": "beam_line",
-    "qa": "qa",
-    "samples": "samples",
-    "database": "database",
-    "audit": "audit",
-    "backup": "backup",
-    "restore": "backup",
-    "replay": "replay",
-    "simulate-tps": "simulate_tps",
+from service.cli.command_group import CommandGroup, command_group
+
+
+class Command(NamedTuple):
+    """A command: its module in this package and its line in ``tidegate --help``."""
+
+    module: str
+    summary: str
+
+
+COMMANDS = {
+    "serve": Command("serve", "Run the service: sessions, gate, web page, HTTP API and audit log."),
+    "users": Command("access.users", "Manage the accounts of people, while no service uses the data folder."),
+    "keys": Command("access.keys", "Manage the API keys of machines, while no service uses the data folder."),
+    "measure": Command("measure.command", "Measure the breathing motion in every frame of one or more recordings."),
+    "phantom": Command("phantom", "Generate a recording of a virtual volunteer, with its calibration and true motion."),
+    "info": Command("recordings", "Print what an .oni recording contains and check it for damage."),
+    "record": Command("recordings", "Record depth and colour from an OpenNI2 camera to an .oni file."),
+    "openapi": Command("openapi", "Write the OpenAPI document and the schemas of the live stream."),
+    "demo": Command("demo.command", "Run a gated session on a virtual volunteer and compare it with the true motion."),
+    "evaluate": Command(
+        "evaluate.command", "Measure the accuracy of the motion on virtual volunteers and against instruments."
+    ),
+    "calibrate": Command("calibrate.command", "Calibrate a camera, or convert a calibration, and report its accuracy."),
+    "bench": Command("bench", "Measure the speed of every processing stage and the memory use on this machine."),
+    "beam-line": Command("beam_line", "Check the beam line that TIDEGATE_BEAM_LINE configures."),
+    "qa": Command("qa.command", "Run QA of camera, motion, gate timing and beam line, and print its results."),
+    "samples": Command("samples", "List the stored samples of every session with their sizes, or verify them."),
+    "database": Command("database", "Print, upgrade or downgrade the schema revision of the database."),
+    "audit": Command("audit", "Verify or export the audit log; the service may be running."),
+    "backup": Command("backup", "Back up database, models, samples and tapes to one file; the service may be running."),
+    "restore": Command("backup", "Restore a backup into an empty database and data folder, SQLite or PostgreSQL."),
+    "replay": Command(
+        "replay", "Replay a stored session and compare every gate decision and sample with the original."
+    ),
+    "simulate-tps": Command(
+        "simulate_tps", "Simulate a treatment planning system: run whole fractions against a running service."
+    ),
 }
-"""Which module of this package holds which command; the function, or the group of commands, has the command's name with
-underscores for dashes."""
+"""Every command, in the order of the help. The function or group in the module has the command's name with underscores;
+its docstring or help begins with the summary."""
 
 
-class LazyCommands(TyperGroup):
-    """Imports a command's module when the command is asked for."""
+class LazyCommands(CommandGroup):
+    """Imports a command's module when the command runs; the list in the help needs no import."""
 
-    # `Any`: the types of the base's signatures are private to typer.
-    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ANN401, ARG002
-        """List the commands that are installed."""
-        return [name for name, home in HOMES.items() if importlib.util.find_spec(f"{__name__}.{home}") is not None]
+    def __init__(self, **attributes: Any) -> None:  # noqa: ANN401 - the base's, private to typer
+        super().__init__(**attributes)
+        self.commands = {name: TyperCommand(name, help=command.summary) for name, command in COMMANDS.items()}
 
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401
-        """Import one command."""
-        if cmd_name not in self.list_commands(ctx):
+    def summaries(self, ctx: Any) -> list[tuple[str, str]]:  # noqa: ANN401, ARG002
+        """Return the name and the summary of every command."""
+        return [(name, command.summary) for name, command in COMMANDS.items()]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401, ARG002
+        """Import one command; None for an unknown name."""
+        if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"{__name__}.{HOMES[cmd_name]}")
-        held = getattr(module, cmd_name.replace("-", "_"))
-        if isinstance(held, typer.Typer):
-            return typer.main.get_command(held)
-        single = typer.Typer(add_completion=False, pretty_exceptions_show_locals=False)
-        single.command(cmd_name)(held)
-        return typer.main.get_command(single)
+        module = importlib.import_module(f"{__name__}.{COMMANDS[cmd_name].module}")
+        found = getattr(module, cmd_name.replace("-", "_"))
+        if isinstance(found, typer.Typer):
+            return typer.main.get_command(found)
+        program = command_group(cmd_name, COMMANDS[cmd_name].summary)
+        program.command(cmd_name)(found)
+        return typer.main.get_command(program)
 
 
-app = typer.Typer(
-    name="tidegate",
-    cls=LazyCommands,
-    add_completion=False,
-    no_args_is_help=True,
-    pretty_exceptions_show_locals=False,
+app = command_group(
+    "tidegate", "Respiratory gating for research and commissioning; not cleared for clinical use.", cls=LazyCommands
 )
 
 
 @app.callback()
 def tidegate() -> None:
-    """Respiratory gating for research and commissioning; not cleared for clinical use."""
+    """Make the program a group, although its commands are not registered with typer."""
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""``tidegate audit``: prove that nobody changed the audit log, and take it along; both beside a running service."""
+"""``tidegate audit``: verify and export the audit log; the service may be running."""
 
 import getpass
 import sys
@@ -11,33 +11,44 @@ from typing import Annotated, TextIO
 import typer
 from sqlalchemy.exc import SQLAlchemyError
 
-from engine.errors import TidegateError
-from service.audit import SYSTEM, Event, Verification
-from service.audit.anchors import AnchorFile
-from service.audit.check import check_whole
-from service.audit.export import MAX_LINE_CHARACTERS, ExportFormat, ExportRequest, verify_export, write_export
-from service.audit.walk import head_sequence
-from service.audit_log import AuditLog
+from engine.core.errors import TidegateError
+from service.cli.command_group import command_group
+from service.cli.data_folder import settings_of_database
 from service.cli.terminal import advance, frame_bar, refused, say
-from service.db.engine import Database
-from service.errors import BoundError, NotFoundError
-from service.settings import Settings, SettingsError, load_settings
+from service.core.errors import BoundError
+from service.core.settings.settings import Settings, SettingsError
+from service.storage.audit import SYSTEM, Event, Verification
+from service.storage.audit.anchors import AnchorFile
+from service.storage.audit.check import check_whole
+from service.storage.audit.formats.export import (
+    MAX_LINE_CHARACTERS,
+    ExportFormat,
+    ExportRequest,
+    verify_export,
+    write_export,
+)
+from service.storage.audit.log import AuditLog
+from service.storage.audit.verification import head_sequence
+from service.storage.database.engine import Database
 
 BROKEN = 1
 STANDARD_OUTPUT = Path("-")
-DataOption = Annotated[Path | None, typer.Option(help="Folder of the database; TIDEGATE_DATA_DIR when left out.")]
+DataOption = Annotated[Path | None, typer.Option(help="Data folder; TIDEGATE_DATA_DIR by default.")]
 
-audit = typer.Typer(no_args_is_help=True, help="Prove that nobody changed the audit log, and take it along.")
+audit = command_group("audit", "Verify or export the audit log; the service may be running.")
 
 
 @audit.command()
 def verify(
     data: DataOption = None,
     export: Annotated[
-        Path | None, typer.Option(help="Check this export by itself, instead of a database; - reads standard input.")
+        Path | None, typer.Option(help="Verify this exported file instead of a database; - reads standard input.")
     ] = None,
 ) -> None:
-    """Walk the whole chain and hold it against the heads kept outside; exit code 1 names the first broken row."""
+    """Verify the hash chain of the audit log and compare it with the anchor file.
+
+    Exit code 0 when it is intact; 1 when it is broken, with the first broken row.
+    """
     if export is not None:
         found = _verified_file(export)
     else:
@@ -49,23 +60,25 @@ def verify(
         typer.echo(f"intact: {found.rows} rows, head {found.head_hash or '(none)'}")
         return
     where = "" if found.first_broken_sequence is None else f" at row {found.first_broken_sequence}"
-    typer.echo(f"BROKEN{where} ({found.breakage}): {found.detail}; {found.rows} rows before it hold")
+    typer.echo(f"BROKEN{where} ({found.breakage}): {found.detail}; {found.rows} rows before it are intact")
     raise typer.Exit(BROKEN)
 
 
 @audit.command(name="export")
 def export_rows(
-    out: Annotated[Path, typer.Option(help="File to write, which must not be there yet; - is standard output.")],
-    form: Annotated[ExportFormat, typer.Option("--format", help="JSON lines, or FHIR R4 AuditEvents.")] = (
-        ExportFormat.JSONL
-    ),
-    since: Annotated[str | None, typer.Option("--from", help="From this time on, such as 2026-11-21T00:00Z.")] = None,
-    until: Annotated[str | None, typer.Option("--to", help="Before this time.")] = None,
-    session: Annotated[str | None, typer.Option(help="Only what belongs to this session.")] = None,
-    with_patients: Annotated[bool, typer.Option(help="FHIR resources name the patient's reference.")] = False,
+    out: Annotated[Path, typer.Option(help="File to write, which must not exist; - is standard output.")],
+    form: Annotated[
+        ExportFormat, typer.Option("--format", help="jsonl: JSON lines; fhir: FHIR R4 AuditEvent resources.")
+    ] = (ExportFormat.JSONL),
+    since: Annotated[str | None, typer.Option("--from", help="First time, e.g. 2026-11-21T00:00Z.")] = None,
+    until: Annotated[
+        str | None, typer.Option("--to", help="End of the period; rows at this time are left out.")
+    ] = None,
+    session: Annotated[str | None, typer.Option(help="Only rows of this session.")] = None,
+    with_patients: Annotated[bool, typer.Option(help="Include patient references in FHIR resources.")] = False,
     data: DataOption = None,
 ) -> None:
-    """Export the audit; that it was exported is written into it first."""
+    """Export the audit log; the export itself is recorded in it first."""
     with _database("audit export", data) as (settings, database):
         request = ExportRequest(
             format=form,
@@ -74,7 +87,7 @@ def export_rows(
             session_id=session,
             with_patients=with_patients,
         )
-        detail = {**request.told(), "via": "the command line", "account": _account()}
+        detail = {**request.audit_detail(), "via": "the command line", "account": _account()}
         AuditLog(database).write(Event(actor=SYSTEM, action="audit.export", session_id=session, detail=detail))
         lines = _write(write_export(database, request, site=settings.site_name), out)
     say(f"{lines} lines written{'' if out == STANDARD_OUTPUT else f' to {out}'}")
@@ -124,13 +137,10 @@ def _write_lines(pieces: Iterator[str], file: TextIO) -> int:
 
 @contextmanager
 def _database(command: str, data: Path | None) -> Iterator[tuple[Settings, Database]]:
-    """Open a data folder's database; nothing is made where there is none."""
+    """Open the database of a data folder; a failure ends the command with one line."""
     try:
-        settings = load_settings(data_dir=data)
-        place = settings.database_place
-        if isinstance(place, Path) and not place.is_file():
-            raise NotFoundError(f"there is no audit log in {settings.data_dir}: no database", field="data")
-        with closing(Database(place)) as database:
+        settings = settings_of_database(data)
+        with closing(Database(settings.database_place)) as database:
             yield settings, database
     except (SettingsError, TidegateError) as error:
         raise refused(command, error) from error

@@ -1,4 +1,4 @@
-"""``tidegate beam-line check``: is the configured line there, and how long does it take."""
+"""``tidegate beam-line check``: open the configured beam line and measure its response times."""
 
 import threading
 from collections.abc import Sequence
@@ -8,28 +8,27 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.command_group import command_group
 from service.cli.terminal import frame_bar, refused, say
 
 if TYPE_CHECKING:
     from engine.beam.line import BeamLine
     from engine.beam.simulated import SimulatedBeamLine
-    from engine.beam.wired import WiredBeamLine
-    from engine.clock import Clock
-    from service.settings import Settings
+    from engine.beam.wire.supervised_line import WiredBeamLine
+    from engine.core.clock import Clock
+    from service.core.settings.settings import Settings
 
 COMMAND = "beam-line check"
 WATCHED_S = 2.0
 MAX_REPEATS = 1_000
 Rows = list[tuple[str, Sequence[float]]]
 
-beam_line = typer.Typer(
-    help="The beam line that TIDEGATE_BEAM_LINE names.", no_args_is_help=True, pretty_exceptions_show_locals=False
-)
+beam_line = command_group("beam-line", "Check the beam line that TIDEGATE_BEAM_LINE configures.")
 
 
 @beam_line.callback()
 def _beam_line() -> None:
-    """Keep `check` a command of its own: a group with one command would be that command."""
+    """Keep ``check`` a subcommand: typer turns a group of one command into that command."""
 
 
 @beam_line.command()
@@ -37,32 +36,36 @@ def check(
     *,
     pulse: Annotated[
         float | None,
-        typer.Option(help="Also permit the beam for leases of this length [ms], 20 to 200.", show_default=False),
+        typer.Option(help="Also permit the beam with leases of this length, 20 to 200 [ms].", show_default=False),
     ] = None,
-    repeats: Annotated[int, typer.Option(help="How often.", min=1, max=MAX_REPEATS)] = 20,
+    repeats: Annotated[int, typer.Option(help="Number of pulses.", min=1, max=MAX_REPEATS)] = 20,
     is_safe: Annotated[
-        bool, typer.Option("--yes-the-beam-is-safe", help="Nobody is in the room and the accelerator is made safe.")
+        bool,
+        typer.Option(
+            "--yes-the-beam-is-safe", help="Confirm that the room is empty and the accelerator is in a safe state."
+        ),
     ] = False,
-    data: Annotated[Path | None, typer.Option(help="The service's data folder, as given to `tidegate serve`.")] = None,
+    data: Annotated[Path | None, typer.Option(help="Data folder of the service; it must not be running.")] = None,
 ) -> None:
-    """Open the line, read it back, and say how long its answers take; with --pulse, how long its edges take.
+    """Open the beam line, read it back and measure its response times; with --pulse, also its switching times.
 
-    Refused while a service runs with the data folder: two programs that tell one line contradict each other. It tells
-    the line off, and with --pulse it PERMITS THE BEAM, outside of any gating.
+    Refused while a service uses the data folder: two programs must not control one beam line. The check switches the
+    line off; with --pulse it PERMITS THE BEAM without any gating.
     """
     if pulse is not None and not is_safe:
-        raise refused(COMMAND, "--pulse permits the beam: give --yes-the-beam-is-safe too, when it is")
-    from engine.beam.pulse import PULSE_BOUNDS_MS
-    from engine.errors import TidegateError
-    from service.folder_lock import alone_in
-    from service.settings import SettingsError, load_settings
+        raise refused(COMMAND, "--pulse permits the beam: it needs --yes-the-beam-is-safe")
+    from engine.beam.commissioning import PULSE_BOUNDS_MS
+    from engine.core.errors import TidegateError
+    from service.cli.data_folder import settings_of_folder
+    from service.core.settings.settings import SettingsError, load_settings
+    from service.storage.files.folder_lock import alone_in
 
     low, high = PULSE_BOUNDS_MS
     if pulse is not None and not low <= pulse <= high:
         raise refused(COMMAND, f"--pulse is {pulse:g}: must be a number from {low:g} to {high:g} ms")
     try:
-        settings = load_settings(data_dir=data)
-        # A folder that is not there is nobody's, and is not made for a check.
+        settings = load_settings() if data is None else settings_of_folder(data)
+        # No service can use a folder that does not exist; the check does not create it.
         with alone_in(settings.data_dir) if settings.data_dir.exists() else nullcontext():
             _check(settings, pulse, repeats)
     except (SettingsError, TidegateError) as error:
@@ -70,8 +73,8 @@ def check(
 
 
 def _check(settings: "Settings", pulse_ms: float | None, repeats: int) -> None:
-    from engine.clock import MonotonicClock
-    from service.beam_lines import beam_line_parts, joined
+    from engine.core.clock import MonotonicClock
+    from service.engine_host.beam_lines import beam_line_parts, joined
 
     clock = MonotonicClock()
     parts = beam_line_parts(settings, clock)
@@ -81,7 +84,7 @@ def _check(settings: "Settings", pulse_ms: float | None, repeats: int) -> None:
         line.open()
         say(f"{' and '.join(settings.beam_lines)}: open, reads {'on' if line.is_on() else 'off'}")
         threading.Event().wait(WATCHED_S)
-        line.is_on()  # raises where the line has found a trouble meanwhile
+        line.is_on()  # raises if the line has reported a fault since
         if pulse_ms is not None:
             rows += _pulsed(line, clock, pulse_ms, repeats)
     finally:
@@ -90,17 +93,17 @@ def _check(settings: "Settings", pulse_ms: float | None, repeats: int) -> None:
 
 
 def _answers(settings: "Settings", parts: "Sequence[SimulatedBeamLine | WiredBeamLine]") -> Rows:
-    from engine.beam.wired import WiredBeamLine
+    from engine.beam.wire.supervised_line import WiredBeamLine
 
     return [
-        (f"{kind}: asked -> answered", part.answers_ms if isinstance(part, WiredBeamLine) else ())
+        (f"{kind}: request -> answer", part.answers_ms if isinstance(part, WiredBeamLine) else ())
         for kind, part in zip(settings.beam_lines, parts, strict=True)
     ]
 
 
 def _pulsed(line: "BeamLine", clock: "Clock", pulse_ms: float, repeats: int) -> Rows:
-    from engine.beam.pulse import Pulser
-    from engine.clock import NS_PER_S
+    from engine.beam.commissioning import Pulser
+    from engine.core.clock import NS_PER_S
 
     def wait_ns(span_ns: int) -> None:
         threading.Event().wait(span_ns / NS_PER_S)

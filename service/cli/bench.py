@@ -1,4 +1,4 @@
-"""``tidegate bench``: how fast it is on this machine, against its marks."""
+"""``tidegate bench``: speed and memory on this machine, compared with the required values."""
 
 import resource
 import signal
@@ -17,20 +17,21 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as RichTable
 
-from engine.errors import InvalidValueError, TidegateError
-from engine.evaluation.speed.bench import SpeedBench, SpeedFigures, full_sizes, quick_sizes, write_figures
-from engine.evaluation.speed.machine import BUSY_LOAD, Machine, SpeedBenchError, pinned
-from engine.evaluation.speed.marks import SpeedMark, reach
-from engine.evaluation.speed.recording import make_recording
-from engine.evaluation.speed.session import Recording
-from engine.evaluation.speed.tables import speed_tables
-from engine.evaluation.speed.throughput import CommandRun
-from engine.training import TrainingSettings
+from engine.core.errors import InvalidValueError, TidegateError
+from engine.motion.learning.trainer import TrainingSettings
+from engine.verification.performance.bench import SpeedBench, full_sizes, quick_sizes, write_figures
+from engine.verification.performance.machine import BUSY_LOAD, Machine, SpeedBenchError, pinned
+from engine.verification.performance.marks import SpeedMark, reach
+from engine.verification.performance.recording import make_recording
+from engine.verification.performance.results import SpeedFigures
+from engine.verification.performance.session import Recording
+from engine.verification.performance.tables import speed_tables
+from engine.verification.performance.throughput import CommandRun
 from service.cli.serve import SWITCH_INTERVAL_S
 from service.cli.terminal import frame_bar, refused, say
 
 if TYPE_CHECKING:
-    from engine.evaluation.tables import Table
+    from engine.verification.evaluation.table import Table
 
 STOPPED = 130
 PIPED_WIDTH = 160
@@ -40,23 +41,23 @@ VERDICT_STYLES = {True: "green", False: "red"}
 
 
 def bench(
-    out: Annotated[Path | None, typer.Option(help="Folder for bench.json.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for bench.json; nothing is written by default.")] = None,
     *,
     is_quick: Annotated[
-        bool, typer.Option("--quick", help="Fewer frames, fits and runs, on a shorter recording.")
+        bool, typer.Option("--quick", help="Fewer frames, fits and runs on a shorter recording.")
     ] = False,
     memory_minutes: Annotated[
-        float, typer.Option(help="Length of the session whose memory is watched, played as fast as it goes [min].")
+        float, typer.Option(help="Length of the session for the memory measurement, played at full speed [min].")
     ] = 2.0,
     work: Annotated[
-        Path | None, typer.Option(help="Folder for the recording, kept and used again; a temporary one by default.")
+        Path | None, typer.Option(help="Folder that keeps the recording for the next run; a temporary one by default.")
     ] = None,
-    is_strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 when a mark is not met.")] = False,
+    is_strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 when a required value is not met.")] = False,
 ) -> None:
-    """Time every stage of a frame's way, the plain reading, decoding, learning and batch runs, and watch the memory.
+    """Measure the speed of every processing stage and the memory use on this machine.
 
-    It makes its own recording. Let nothing else run meanwhile: other programs' load is named beside the figures, but
-    cannot be taken out of them.
+    Generates its own recording. Run nothing else meanwhile: the load of other programs is printed beside the results
+    but cannot be subtracted from them.
     """
     before = signal.signal(signal.SIGTERM, _interrupt)
     try:
@@ -75,7 +76,7 @@ def bench(
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:
-    """Stop as for Ctrl-C: in order, with no process and no temporary folder left."""
+    """Handle SIGTERM like Ctrl-C: child processes end and the temporary folder is removed."""
     raise KeyboardInterrupt
 
 
@@ -126,7 +127,7 @@ def _folder(work: Path | None) -> Iterator[Path]:
 
 
 def run_measure(recordings: list[Path], out: Path, cores: tuple[int, ...], jobs: int) -> CommandRun:
-    """Run ``tidegate measure`` as a user would, on these cores."""
+    """Run ``tidegate measure`` as a separate process on these cores."""
     measure = [sys.executable, "-m", "service.cli", "measure", *map(str, recordings)]
     before_s = _children_s()
     with pinned(cores):
@@ -136,8 +137,8 @@ def run_measure(recordings: list[Path], out: Path, cores: tuple[int, ...], jobs:
         )
         seconds = time.perf_counter() - started
     if done.returncode != 0:
-        said = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
-        raise SpeedBenchError(f"tidegate measure failed: {said[-1]}")
+        lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+        raise SpeedBenchError(f"tidegate measure failed: {lines[-1]}")
     return CommandRun(seconds=seconds, processor_s=_children_s() - before_s)
 
 
@@ -147,7 +148,7 @@ def _children_s() -> float:
 
 
 def show(figures: SpeedFigures, marks: list[SpeedMark]) -> None:
-    """Print every table, with the machine before and the marks last."""
+    """Print the machine, then every table, the required values last."""
     console = Console() if sys.stdout.isatty() else Console(width=PIPED_WIDTH)
     console.print(_described(figures.machine), "", highlight=False, markup=False)
     for table in speed_tables(figures, marks):
@@ -157,15 +158,15 @@ def show(figures: SpeedFigures, marks: list[SpeedMark]) -> None:
     console.print(f"Load average before each part and at the end: {loads}", highlight=False)
     if figures.machine.is_busy:
         say(
-            f"Mind: the load average was {figures.machine.load_average:.1f} before anything was measured, above "
-            f"{BUSY_LOAD:g}: others were at work, and times are longer than they are on a quiet machine",
+            f"Note: the load average was {figures.machine.load_average:.1f} before the measurement, above "
+            f"{BUSY_LOAD:g}: other programs were running, and times are longer than on an idle machine",
             "yellow",
         )
     missed = [mark.name for mark in marks if not mark.is_met]
     if missed:
-        say(f"{len(missed)} of {len(marks)} marks not met: {'; '.join(missed)}", "red")
+        say(f"{len(missed)} of {len(marks)} required values not met: {'; '.join(missed)}", "red")
     else:
-        say(f"All {len(marks)} marks met", "green")
+        say(f"All {len(marks)} required values met", "green")
 
 
 def _described(machine: Machine) -> str:

@@ -1,4 +1,4 @@
-"""``tidegate database``: where the tables stand, their way up, and their way down, which may lose something."""
+"""``tidegate database``: the schema revision of the database, its upgrade and its downgrade, which may lose data."""
 
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, nullcontext
@@ -8,78 +8,79 @@ from typing import Annotated
 import typer
 from sqlalchemy.exc import SQLAlchemyError
 
-from engine.errors import TidegateError
+from engine.core.errors import TidegateError
+from service.cli.command_group import command_group
+from service.cli.data_folder import settings_of_database
 from service.cli.terminal import refused, say
-from service.db.engine import Database
-from service.db.migrating import BASE, losses, standing, titles
-from service.db.place import shown_place
-from service.db.preparing import SAMPLES_FOLDER, prepare
-from service.folder_lock import alone_in
-from service.settings import Settings, SettingsError, load_settings
+from service.core.settings.database_place import shown_place
+from service.core.settings.settings import Settings, SettingsError, load_settings
+from service.storage.database.engine import Database
+from service.storage.database.migrations import BASE, losses, schema_status, titles
+from service.storage.database.startup import SAMPLES_FOLDER, prepare
+from service.storage.files.folder_lock import alone_in
 
-database = typer.Typer(
-    help="The tables: where they stand, up to this version's, down to an older one's.", no_args_is_help=True
-)
-Data = Annotated[Path | None, typer.Option(help="Folder of the database; TIDEGATE_DATA_DIR where left out.")]
+database = command_group("database", "Print, upgrade or downgrade the schema revision of the database.")
+Data = Annotated[Path | None, typer.Option(help="Data folder; TIDEGATE_DATA_DIR by default.")]
 
 
 @database.command()
 def status(data: Data = None) -> None:
-    """Print which revision the tables are at, and what is still to come."""
+    """Print the current schema revision and the revisions that an upgrade would apply."""
     with _opened("status", data, is_alone=False) as (_, there):
         with there.connect() as connection:
-            found = standing(connection)
+            found = schema_status(connection)
         words = titles()
         typer.echo(f"{shown_place(there.place)}: {_named(found.revision)}")
         for revision in found.ahead:
-            typer.echo(f"  to come: {revision} {words[revision]}")
+            typer.echo(f"  pending: {revision} {words[revision]}")
 
 
 @database.command()
 def upgrade(data: Data = None) -> None:
-    """Bring the tables to this version's; a service does so by itself when it starts."""
+    """Upgrade the schema to this version; a service does this when it starts."""
     import logging
 
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     with _opened("upgrade", data, is_alone=True) as (settings, there):
         prepare(there, data_dir=settings.data_dir, min_free_disk_mb=settings.min_free_disk_mb)
         with there.connect() as connection:
-            say(f"The tables are at {_named(standing(connection).revision)}", "green")
+            say(f"The schema is at {_named(schema_status(connection).revision)}", "green")
 
 
 @database.command()
 def downgrade(
-    revision: Annotated[str, typer.Argument(help="Revision to go down to; `tidegate database status` lists them.")],
+    revision: Annotated[
+        str, typer.Argument(help="An older revision; an unknown one is refused with the list of revisions.")
+    ],
     data: Data = None,
-    is_forced: Annotated[bool, typer.Option("--force", help="Lose what has no place in the older tables.")] = False,
+    is_forced: Annotated[bool, typer.Option("--force", help="Delete data that the older schema cannot store.")] = False,
 ) -> None:
-    """Bring the tables back to an older version's; refused where that would lose something."""
+    """Downgrade the schema to an older revision; refused if data would be lost."""
     with _opened("downgrade", data, is_alone=True) as (settings, there):
         known = [BASE, *titles()]
         with there.connect() as connection:
-            now = standing(connection).revision or BASE
+            now = schema_status(connection).revision or BASE
             if revision not in known or known.index(revision) >= known.index(now):
                 older = ", ".join(known[: known.index(now)]) or "none"
-                raise refused("database downgrade", f"{revision} is no revision older than {now}: {older}")
+                raise refused(
+                    "database downgrade", f"{revision} is not a revision older than {now}; those are: {older}"
+                )
             lost = losses(connection, revision)
         if lost and not is_forced:
             text = "\n  ".join(lost)
-            raise refused("database downgrade", f"this would be lost; --force does it all the same:\n  {text}")
+            raise refused("database downgrade", f"the older schema cannot store this; --force deletes it:\n  {text}")
         there.downgrade(revision, samples_dir=settings.data_dir / SAMPLES_FOLDER)
-        say(f"The tables are at {_named(None if revision == BASE else revision)}", "yellow" if lost else "green")
+        say(f"The schema is at {_named(None if revision == BASE else revision)}", "yellow" if lost else "green")
 
 
 @contextmanager
 def _opened(command: str, data: Path | None, *, is_alone: bool) -> Iterator[tuple[Settings, Database]]:
-    """Open the database; beside a running service only to look."""
+    """Open the database, without a service (``is_alone``) or beside one; only `upgrade` creates it."""
     try:
-        settings = load_settings(data_dir=data)
-        with alone_in(settings.data_dir) if is_alone else nullcontext():
-            place = settings.database_place
-            if isinstance(place, Path) and not is_alone and not place.is_file():
-                raise refused(f"database {command}", f"there is no database in {settings.data_dir}")
-            with closing(Database(place)) as there:
-                yield settings, there
+        settings = load_settings(data_dir=data) if command == "upgrade" else settings_of_database(data)
+        lock = alone_in(settings.data_dir) if is_alone else nullcontext()
+        with lock, closing(Database(settings.database_place)) as there:
+            yield settings, there
     except (SettingsError, TidegateError) as error:
         raise refused(f"database {command}", error) from error
     except SQLAlchemyError as error:
@@ -87,4 +88,4 @@ def _opened(command: str, data: Path | None, *, is_alone: bool) -> Iterator[tupl
 
 
 def _named(revision: str | None) -> str:
-    return "no revision yet: no tables" if revision is None else f"revision {revision} ({titles()[revision]})"
+    return "no tables yet" if revision is None else f"revision {revision} ({titles()[revision]})"

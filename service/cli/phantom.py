@@ -1,13 +1,13 @@
-"""``tidegate phantom``: make a virtual volunteer's recording, with its calibration and the truth."""
+"""``tidegate phantom``: generate the recording of a virtual volunteer, its calibration and its true motion."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from engine.errors import TidegateError
-from engine.phantom.builds import Departure
-from engine.phantom.recording import make_volunteer
+from engine.core.errors import TidegateError
+from engine.verification.phantom.builds import Departure
+from engine.verification.phantom.recording import make_volunteer
 from service.cli.terminal import frame_bar, refused, say
 
 
@@ -19,23 +19,33 @@ def phantom(
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for recording.oni, calibration.json, truth.npz and flow.csv.")],
-    volunteer: Annotated[int, typer.Option(help="Which of the ten volunteers, 1 to 10.")] = 1,
+    volunteer: Annotated[int, typer.Option(help="Number of the volunteer, 1 to 10.")] = 1,
     seconds: Annotated[float, typer.Option(help="Length of the recording [s].")] = 60.0,
-    fps: Annotated[float, typer.Option(help="Nominal frame rate [1/s]; the true one is a thousandth lower.")] = 30.0,
-    seed: Annotated[int, typer.Option(help="Same seed, same bytes.")] = 1,
+    fps: Annotated[float, typer.Option(help="Nominal frame rate; the actual one is 0.1 % lower [1/s].")] = 30.0,
+    seed: Annotated[
+        int, typer.Option(help="Seed of the random noise; the same seed gives the same file on the same processor.")
+    ] = 1,
     trace: Annotated[
-        Path | None, typer.Option(help="Recorded breathing to follow: a marker CSV, an RPM .vxp or a QA text.")
+        Path | None, typer.Option(help="Breathing trace to reproduce: a marker CSV, an RPM .vxp or a QA text file.")
     ] = None,
-    camera_mm: Annotated[float | None, typer.Option(help="Height of the camera over the chest [mm].")] = None,
+    camera_mm: Annotated[float | None, typer.Option(help="Distance from the camera to the chest [mm].")] = None,
     amplitude_mm: Annotated[float | None, typer.Option(help="Amplitude of the abdomen in free breathing [mm].")] = None,
-    hole_share: Annotated[float | None, typer.Option(help="Share of the body, 0 to 1, that is not read.")] = None,
+    hole_share: Annotated[float | None, typer.Option(help="Share of the body without depth values, 0 to 1.")] = None,
     extra_markers: Annotated[
-        bool, typer.Option("--extra-markers", help="Two more stickers at the costal margin part thorax from abdomen.")
+        bool,
+        typer.Option(
+            "--extra-markers", help="Add two stickers at the costal margin, which separate thorax from abdomen."
+        ),
     ] = False,
-    laser: Annotated[bool, typer.Option("--laser", help="Throw a laser's line across it; writes plane.json.")] = False,
-    workers: Annotated[int | None, typer.Option(help="Processes; one a processor when not given.")] = None,
+    laser: Annotated[
+        bool, typer.Option("--laser", help="Project a laser line onto the body; also writes plane.json.")
+    ] = False,
+    workers: Annotated[int | None, typer.Option(help="Number of processes; one per core by default.")] = None,
 ) -> None:
-    """Make a virtual volunteer: a breathing person on a couch, seen by a camera with every fault of the real one."""
+    """Generate a recording of a virtual volunteer, with its calibration and true motion.
+
+    A breathing person on a couch, recorded by a simulated camera with the noise, quantisation and gaps of the real one.
+    """
     try:
         with frame_bar() as progress:
             task = progress.add_task(f"volunteer {volunteer}, {scenario}", total=None)

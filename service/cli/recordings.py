@@ -1,4 +1,4 @@
-"""``tidegate info`` and ``tidegate record``: what a recording holds, and how to make one."""
+"""``tidegate info`` and ``tidegate record``: print what a recording contains, and make one."""
 
 import json
 import signal
@@ -11,9 +11,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from engine.errors import TidegateError
-from engine.oni.description import RecordingDescription, StreamSummary
-from engine.oni.reader import describe
+from engine.capture.oni.description import RecordingDescription, StreamSummary
+from engine.capture.oni.reader import describe
+from engine.core.errors import TidegateError
 
 _EXIT_BAD_INPUT = 2
 
@@ -22,9 +22,12 @@ def info(
     file: Annotated[Path, typer.Argument(help="An .oni recording.", show_default=False)],
     *,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
-    is_quick: Annotated[bool, typer.Option("--quick", help="Do not decode the pictures to check them.")] = False,
+    is_quick: Annotated[bool, typer.Option("--quick", help="Read the index only; do not decode the pictures.")] = False,
 ) -> None:
-    """Print what an .oni recording holds; exit code 2 and one line when it is damaged."""
+    """Print what an .oni recording contains and check it for damage.
+
+    Exit code 0 when it is intact, 2 when it is damaged or cannot be read.
+    """
     try:
         with _bar("checking" if not is_quick else "reading") as bar:
             task = bar.add_task(file.name, total=None)
@@ -47,15 +50,20 @@ def info(
 def record(
     *,
     out: Annotated[Path, typer.Option("--out", help="The .oni file to write.", show_default=False)],
-    seconds: Annotated[float, typer.Option("--seconds", help="How long to record [s].", min=0.1, max=86_400.0)] = 60.0,
+    seconds: Annotated[
+        float, typer.Option("--seconds", help="Length of the recording [s].", min=0.1, max=86_400.0)
+    ] = 60.0,
     source: Annotated[
         str | None,
-        typer.Option("--source", help="A device's address or an .oni file; the first device if not given."),
+        typer.Option("--source", help="Address of a device, or an .oni file; the first device by default."),
     ] = None,
 ) -> None:
-    """Record depth and colour to an .oni file with OpenNI2; Ctrl-C ends early and keeps what came."""
+    """Record depth and colour from an OpenNI2 camera to an .oni file.
+
+    Ctrl-C stops early and keeps the frames recorded so far.
+    """
     from engine.capture import recorder
-    from engine.clock import MonotonicClock
+    from engine.core.clock import MonotonicClock
 
     stop_signals: list[int] = []
     previous = signal.signal(signal.SIGINT, lambda number, _frame: stop_signals.append(number))
@@ -118,8 +126,8 @@ def _print_table(description: RecordingDescription) -> None:
 
 def _verdict(description: RecordingDescription) -> str:
     if description.damage is not None:
-        return "damaged: the frames above can be read"
-    return "every picture decodes" if description.is_checked else "whole; pictures not checked"
+        return "damaged: only the frames above can be read"
+    return "all pictures decode" if description.is_checked else "index intact; pictures not checked"
 
 
 def _column(stream: StreamSummary) -> dict[str, str]:
@@ -131,7 +139,7 @@ def _column(stream: StreamSummary) -> dict[str, str]:
         "coded as": stream.codec,
         "frames": f"{stream.frames}{claimed}",
         "missing": f"{stream.missed_frames}" + (f" in {gaps} gap{'s' * (gaps > 1)}" if gaps else ""),
-        "frames a second": f"{rate} (nominal {stream.nominal_fps})",
+        "frames/s": f"{rate} (nominal {stream.nominal_fps})",
         "MB": f"{stream.coded_bytes / 1e6:.1f}",
         "shift table": "yes" if stream.has_shift_table else "no",
     }

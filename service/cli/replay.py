@@ -1,4 +1,4 @@
-"""``tidegate replay``: a stored session once more, from what its engine heard and saw."""
+"""``tidegate replay``: run a stored session again from the recorded inputs of its engine."""
 
 import csv
 from collections.abc import Iterable
@@ -7,13 +7,16 @@ from typing import Annotated, Any
 
 import typer
 
-from engine.errors import TidegateError
-from service.audit import Event
+from engine.core.errors import TidegateError
+from engine.offline.replay.comparison import MOTION_MM
+from service.cli.data_folder import settings_of_database, settings_of_folder
 from service.cli.terminal import advance, frame_bar, refused, say
-from service.db.engine import Database
-from service.db.place import DATABASE_NAME
-from service.session_replay import StoredSession, Verdict
-from service.settings import SettingsError, load_settings
+from service.core.errors import NotFoundError
+from service.core.settings.database_place import DATABASE_NAME
+from service.core.settings.settings import SettingsError
+from service.sessions.recovery.replay import StoredSession, Verdict
+from service.storage.audit import Event
+from service.storage.database.engine import Database
 
 DIFFERENT = 1
 ACTION = "session.replayed"
@@ -25,22 +28,26 @@ def replay(
     data: Annotated[
         Path | None,
         typer.Option(
-            help="A data folder to read, such as a copy or a restored backup: nothing is written into its audit. "
-            "When left out, the service's own, whose audit is told of the replay."
+            help="Data folder to read, e.g. a copy or a restored backup; its audit log is not written. By default the "
+            "service's own folder, whose audit log records the replay."
         ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for motion.csv and transitions.csv.")] = None,
     recording: Annotated[
-        Path | None, typer.Option(help="Where the recording lies now, if not where it was played from.")
+        Path | None, typer.Option(help="Path of the recording, if it was moved since the session.")
     ] = None,
     *,
     any_version: Annotated[
-        bool, typer.Option("--any-version", help="Replay a session that ran as another version of the software.")
+        bool, typer.Option("--any-version", help="Replay a session of another version of the software.")
     ] = False,
 ) -> None:
-    """Run a stored session again and compare every gate edge and every sample with what was recorded, to the last bit.
+    """Replay a stored session and compare every gate decision and sample with the original.
 
-    Exit code 0 where all is identical, 1 where something differs, 2 where the session cannot be replayed.
+    On a processor with the same features and with the same library versions the results must be equal to the last bit.
+    Elsewhere the gate decisions must be equal and motion must agree within 0.001 mm; the output states which comparison
+    was made.
+
+    Exit code 0 when everything agrees, 1 when something differs, 2 when the session cannot be replayed.
     """
     try:
         database, data_dir, is_own = _opened(data)
@@ -49,7 +56,7 @@ def replay(
             if not any_version:
                 stored.refuse_other_version()
             verdict = _run(stored, recording)
-            _tell(verdict)
+            _print_verdict(verdict)
             if out is not None:
                 _write(verdict, out)
             if is_own:
@@ -60,20 +67,20 @@ def replay(
         raise refused("replay", error) from error
     except OSError as error:
         raise refused("replay", f"{error.filename or data} cannot be used ({error.strerror or error})") from error
-    if not verdict.is_identical:
+    if not verdict.agrees:
         raise typer.Exit(DIFFERENT)
 
 
 def _opened(data: Path | None) -> tuple[Database, Path, bool]:
-    """Open a folder's database, never making one."""
+    """Open the database of a copy in ``data``, else the service's own; the last value is whether it is the latter."""
     if data is None:
-        settings = load_settings()
-        place, data_dir = settings.database_place, settings.data_dir
-    else:
-        place, data_dir = data / DATABASE_NAME, data
-    if isinstance(place, Path) and not place.is_file():
-        raise refused("replay", f"{place}: there is no database")
-    return Database(place), data_dir, data is None
+        settings = settings_of_database(None)
+        return Database(settings.database_place), settings.data_dir, True
+    settings_of_folder(data)
+    if not (data / DATABASE_NAME).is_file():
+        msg = f"there is no database in the data folder {data}"
+        raise NotFoundError(msg, field="data")
+    return Database(data / DATABASE_NAME), data, False
 
 
 def _run(stored: StoredSession, recording: Path | None) -> Verdict:
@@ -82,28 +89,43 @@ def _run(stored: StoredSession, recording: Path | None) -> Verdict:
         return stored.run_again(recording, lambda frames: advance(bar, shown, frames))
 
 
-def _tell(verdict: Verdict) -> None:
+def _print_verdict(verdict: Verdict) -> None:
     for note in verdict.notes:
-        say(f"Mind: {note}", "yellow")
-    if verdict.is_identical:
-        told = verdict.replay
-        typer.echo(
-            f"identical: {told.frames} frames, {len(told.transitions) + len(told.elsewhere)} transitions "
-            f"({verdict.audited} in the audit), {verdict.samples} samples"
+        say(f"Note: {note}", "yellow")
+    replayed, comparison = verdict.replay, verdict.comparison
+    if not comparison.is_exact:
+        say(
+            f"Note: motion is compared within {MOTION_MM} mm, not to the last bit; gate decisions must be equal",
+            "yellow",
         )
+    counted = (
+        f"{replayed.frames} frames, {len(replayed.transitions) + len(replayed.elsewhere)} transitions "
+        f"({verdict.audited} in the audit), {verdict.samples} samples"
+    )
+    if verdict.agrees and comparison.is_exact:
+        typer.echo(f"identical: {counted}")
+        return
+    if verdict.agrees:
+        typer.echo(f"agrees within {MOTION_MM} mm, gate decisions are equal: {counted}")
+        typer.echo(f"  identical to the last bit: {replayed.identical_frames} of {replayed.frames} frames")
         return
     for difference in verdict.differences:
         place = "before the first frame" if difference.frame is None else f"at frame {difference.frame}"
-        typer.echo(f"DIFFERENT {place}, after {verdict.replay.frames} identical frames")
+        if comparison.is_exact:
+            typer.echo(f"DIFFERENT {place}, after {replayed.frames} identical frames")
+        else:
+            what = f"numbers differ by more than {MOTION_MM} mm" if difference.is_of_numbers else "different decision"
+            typer.echo(f"DIFFERENT {place}, after {replayed.frames} frames that agree within {MOTION_MM} mm: {what}")
         typer.echo(f"  recorded: {difference.recorded}")
         typer.echo(f"  replayed: {difference.replayed}")
 
 
 def _audit(database: Database, session: str, verdict: Verdict) -> None:
-    from service import audit
+    from service.storage import audit
 
     detail: dict[str, object] = {
         "is_identical": verdict.is_identical,
+        "within_mm": 0.0 if verdict.comparison.is_exact else MOTION_MM,
         "frames": verdict.replay.frames,
         "transitions": len(verdict.replay.transitions),
         "samples": verdict.samples,
@@ -112,7 +134,7 @@ def _audit(database: Database, session: str, verdict: Verdict) -> None:
     event = Event(
         actor=ACTOR,
         action=ACTION,
-        outcome="done" if verdict.is_identical else "failed",
+        outcome="done" if verdict.agrees else "failed",
         session_id=session,
         detail=detail,
     )

@@ -1,8 +1,8 @@
-"""``tidegate samples``: how much every session's samples take, and whether they are what the audit says."""
+"""``tidegate samples``: sizes of the stored samples, and their check against the audit log."""
 
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -11,30 +11,37 @@ from rich.table import Table
 from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.db.engine import Database
-from service.db.models import SessionRow
-from service.db.preparing import SAMPLES_FOLDER
-from service.db.repository import OPEN_STATUSES
-from service.samples.check import Finding, check
-from service.samples.register import registered
-from service.samples.shelf import SampleShelf
-from service.settings import Settings, SettingsError, load_settings
-from service.storage_room import MIB, folder_bytes
+from service.cli.command_group import command_group
+from service.cli.data_folder import settings_of_database, settings_of_folder
+from service.cli.terminal import refused
+from service.core.errors import NotFoundError
+from service.core.settings.settings import SettingsError
+from service.storage.database.engine import Database
+from service.storage.database.queries import OPEN_STATUSES
+from service.storage.database.startup import SAMPLES_FOLDER
+from service.storage.database.tables import SessionRow
+from service.storage.files.capacity import MIB, folder_bytes
+from service.storage.samples.check import Finding, check
+from service.storage.samples.register import registered
+from service.storage.samples.store import SampleStore
 
-samples = typer.Typer(invoke_without_command=True, add_completion=False, pretty_exceptions_show_locals=False)
-Data = Annotated[Path | None, typer.Option(help="Data folder; TIDEGATE_DATA_DIR where left out.")]
+samples = command_group("samples", "List the stored samples of every session with their sizes, or verify them.")
+Data = Annotated[Path | None, typer.Option(help="Data folder; TIDEGATE_DATA_DIR by default.")]
 QUOTA_OFF = "none"
 
 
-@samples.callback()
+@samples.callback(invoke_without_command=True, no_args_is_help=False)
 def list_samples(context: typer.Context, data: Data = None) -> None:
-    """List every session's sample files with their sizes; see `verify` for whether they are whole."""
+    """List the sample files of every session with their sizes."""
     if context.invoked_subcommand is not None:
         return
-    settings = _settings(data)
-    shelf = SampleShelf(settings.data_dir / SAMPLES_FOLDER)
+    try:
+        settings = settings_of_folder(data)
+    except (SettingsError, NotFoundError) as error:
+        raise refused("samples", error) from error
+    store = SampleStore(settings.data_dir / SAMPLES_FOLDER)
     table = Table("session", "file", "MiB", box=None)
-    paths = sorted(shelf.folder.glob("*")) if shelf.folder.is_dir() else []
+    paths = sorted(store.folder.glob("*")) if store.folder.is_dir() else []
     for path in paths:
         table.add_row(path.name.partition(".")[0], path.name.partition(".")[2], f"{path.stat().st_size / MIB:.2f}")
     console = Console(highlight=False)
@@ -47,50 +54,52 @@ def list_samples(context: typer.Context, data: Data = None) -> None:
 
 @samples.command()
 def verify(
-    session: Annotated[str | None, typer.Argument(help="The session's id.")] = None,
-    is_all: Annotated[bool, typer.Option("--all", help="Every session there is.")] = False,
+    session: Annotated[str | None, typer.Argument(help="Id of the session.")] = None,
+    is_all: Annotated[bool, typer.Option("--all", help="Verify all sessions.")] = False,
     data: Data = None,
 ) -> None:
-    """Read samples through and hold them against the audit; 0 is good, 1 is not, 2 could not be done."""
+    """Read samples and compare them with the digests in the audit log.
+
+    Exit code 0 when all are intact, 1 when not, 2 when the check could not run.
+    """
     if (session is None) is not is_all:
-        _refuse("name one SESSION, or --all")
-    settings = _settings(data)
-    place = settings.database_place
-    if isinstance(place, Path) and not place.is_file():
-        _refuse(f"there is no database in {settings.data_dir}")
+        raise refused("samples verify", "give one SESSION, or --all")
     try:
-        with closing(Database(place)) as database:
-            findings = _findings(database, SampleShelf(settings.data_dir / SAMPLES_FOLDER), session)
+        settings = settings_of_database(data)
+        with closing(Database(settings.database_place)) as database:
+            findings = _findings(database, SampleStore(settings.data_dir / SAMPLES_FOLDER), session)
+    except (SettingsError, NotFoundError) as error:
+        raise refused("samples verify", error) from error
     except SQLAlchemyError as error:
-        _refuse(f"the database cannot be read ({type(error).__name__})")
-    _tell(findings)
+        raise refused("samples verify", f"the database cannot be read ({type(error).__name__})") from error
+    _print_findings(findings)
     raise typer.Exit(0 if all(finding.is_good for finding in findings) else 1)
 
 
-def _findings(database: Database, shelf: SampleShelf, session: str | None) -> list[Finding]:
-    """Check one session, or all, and files that no session is known of."""
+def _findings(database: Database, store: SampleStore, session: str | None) -> list[Finding]:
+    """Check one session, or all of them and the files that belong to no session."""
     with database.read() as db:
         rows = db.execute(select(SessionRow.id, SessionRow.status).order_by(SessionRow.created_at)).all()
     statuses = {session_id: status for session_id, status in rows if session in {None, session_id}}
     if session is not None and not statuses:
-        _refuse(f"there is no session {session}")
+        raise refused("samples verify", f"there is no session {session}")
     found = []
     for session_id in track(list(statuses), "reading", console=Console(stderr=True), transient=True):
         with database.read() as db:
             known = registered(db, session_id)
-        found.append(check(shelf, session_id, known, is_open=statuses[session_id] in OPEN_STATUSES))
+        found.append(check(store, session_id, known, is_open=statuses[session_id] in OPEN_STATUSES))
     if session is None:
-        strays = {*shelf.stored(), *shelf.left_streams()} - statuses.keys()
-        found += [_stray(session_id) for session_id in sorted(strays)]
+        orphans = {*store.stored(), *store.left_streams()} - statuses.keys()
+        found += [_orphan(session_id) for session_id in sorted(orphans)]
     return found
 
 
-def _stray(session_id: str) -> Finding:
+def _orphan(session_id: str) -> Finding:
     detail = "there is no such session"
     return Finding(session_id=session_id, form="none", rows=0, size=0, is_good=False, detail=detail)
 
 
-def _tell(findings: list[Finding]) -> None:
+def _print_findings(findings: list[Finding]) -> None:
     table = Table("session", "form", "rows", "MiB", "", box=None)
     for finding in findings:
         style = None if finding.is_good else "bold red"
@@ -99,16 +108,4 @@ def _tell(findings: list[Finding]) -> None:
     console = Console(highlight=False, soft_wrap=True)
     console.print(table)
     bad = sum(not finding.is_good for finding in findings)
-    console.print(f"{len(findings)} sessions, {bad} not as they should be")
-
-
-def _settings(data: Path | None) -> Settings:
-    try:
-        return load_settings(data_dir=data)
-    except SettingsError as error:
-        _refuse(str(error))
-
-
-def _refuse(why: str) -> NoReturn:
-    Console(stderr=True, highlight=False).print(f"tidegate samples: {why}", style="red", soft_wrap=True, markup=False)
-    raise typer.Exit(2)
+    console.print(f"{len(findings)} sessions, {bad} not intact")

@@ -1,68 +1,91 @@
-"""``tidegate serve``: the service on this machine."""
+"""``tidegate serve``: run the service in this process."""
 
 import gc
+import logging
 import os
 import resource
 import socket
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
-from service.access.addresses import LOOPBACK
-from service.folder_lock import FolderInUseError, alone_in
-from service.private_log import install_private_log
-from service.settings import Settings, SettingsError, load_settings
-from service.stopping import leave_at_once
-from service.unhurried_log import UnhurriedHandler
+from engine import __version__
+from service.cli.terminal import refused, say
+
+if TYPE_CHECKING:
+    from service.core.settings.settings import Settings
 
 SWITCH_INTERVAL_S = 0.001
+"""The engine thread gets the interpreter back from an API thread within this time; Python's default is 5 ms."""
 MOST_FILES = 65_536
-OTHERS_MAY_NOTHING = 0o077
-"""Of every file that the service makes: models, samples, tapes, heads."""
+UMASK = 0o077
+"""Models, samples, tapes and audit anchors are readable by the service's own account only."""
+
+start_log = logging.getLogger("tidegate.start")
+"""Steps of the start, in the log's format and at any log level."""
 
 
 def serve(
     host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
     port: Annotated[int | None, typer.Option(help="Port to listen on.")] = None,
-    data: Annotated[Path | None, typer.Option(help="Folder of the database and the models.")] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Data folder: database, models, samples, tapes; created if it does not exist.")
+    ] = None,
     recordings: Annotated[
-        list[Path] | None, typer.Option(help="Folder that recordings may be opened from; repeatable.")
+        list[Path] | None, typer.Option(help="Folder with recordings that sessions may play; repeatable.")
     ] = None,
 ) -> None:
-    """Run the service: sessions, gate, live page and audit log. Everything else is set with TIDEGATE_* variables."""
-    console = Console(stderr=True, highlight=False)
+    """Run the service: sessions, gate, web page, HTTP API and audit log.
+
+    Every other setting is a TIDEGATE_* environment variable.
+    """
+    if os.environ.get("TIDEGATE_LOG_FORMAT") != "json":  # the next line, after a second of imports, is in any format
+        say(f"Tidegate {__version__} starting")
+    from engine.core.errors import TidegateError
+    from service.core.logging.nonblocking import flush_log
+    from service.core.settings.settings import SettingsError, load_settings
+    from service.engine_host.site_rules.recording_folders import refuse_same_names
+    from service.storage.files.folder_lock import alone_in
+    from service.web.shutdown import leave_at_once
+
+    for folder in recordings or ():
+        if not folder.is_dir():
+            raise refused("serve", f"--recordings {folder}: there is no such folder")
     try:
         settings = load_settings(
             host=host, port=port, data_dir=data, recordings_dirs=tuple(recordings) if recordings else None
         )
-    except SettingsError as error:
-        console.print(f"tidegate serve: {error}", style="red", soft_wrap=True, markup=False)
-        raise typer.Exit(2) from error
-    _refuse_taken_port(settings, console)
-    try:
-        os.umask(OTHERS_MAY_NOTHING)
+        refuse_same_names(settings.recording_folders)
+        _refuse_taken_port(settings)
+        os.umask(UMASK)
         with alone_in(settings.data_dir):
-            _run(settings, console)
-    except FolderInUseError as error:
-        console.print(f"tidegate serve: {error}", style="red", soft_wrap=True, markup=False)
-        raise typer.Exit(2) from error
+            _run(settings)
+    except (SettingsError, TidegateError) as error:
+        flush_log()
+        raise refused("serve", error) from error
     leave_at_once()
 
 
-def _run(settings: Settings, console: Console) -> None:
-    from service.app import create_app
-    from service.engine_process.port import ProcessEngine
-    from service.server import CertificateError, make_server
+def _run(settings: "Settings") -> None:
+    from service.access.request.addresses import LOOPBACK
+    from service.core.logging.nonblocking import NonblockingHandler, flush_log
+    from service.core.logging.redaction import install_private_log
+    from service.core.settings.database_place import shown_place
 
-    install_private_log(settings.log_level, settings.log_format, handler=UnhurriedHandler())
-    # The engine thread gets the interpreter back from an API thread within this time, not within the default 5 ms.
+    install_private_log(settings.log_level, settings.log_format, handler=NonblockingHandler())
+    start_log.setLevel(logging.INFO)
+    database = shown_place(settings.database_place)
+    start_log.info("Tidegate %s: data folder %s, database %s", __version__, settings.data_dir.absolute(), database)
+    _warn(settings)
+    from service.engine_host.process.process_engine import ProcessEngine
+    from service.web.app import create_app
+    from service.web.server import CertificateError, make_server
+
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    _warn(settings, console)
-    _take_all_connections()
-    app = create_app(settings, ProcessEngine, tell_first=lambda name, password: _tell_first(console, name, password))
+    _raise_file_limit()
+    app = create_app(settings, ProcessEngine, tell_first=_print_first_password)
     try:
         server = make_server(
             app,
@@ -70,76 +93,69 @@ def _run(settings: Settings, console: Console) -> None:
             port=settings.port,
             tls_cert=settings.tls_cert,
             tls_key=settings.tls_key,
-            doors=settings.doors,
+            connection_limits=settings.connection_limits,
             max_body_bytes=max(settings.max_body_bytes, settings.max_plan_bytes),
             leave=os._exit,
             trusted_proxies=(settings.trusted_proxies or LOOPBACK) if settings.behind_proxy else (),
+            on_listening=lambda: start_log.info("%s", _listening(settings)),
         )
     except CertificateError as error:
-        console.print(f"tidegate serve: {error}", style="red", soft_wrap=True, markup=False)
-        raise typer.Exit(2) from error
-    _set_memory_aside()
-    line = "SIMULATED beam line" if settings.is_simulated_beam else f"beam line {' and '.join(settings.beam_lines)}"
-    scheme = "https" if settings.has_tls else "http"
-    console.print(
-        f"Tidegate on {scheme}://{settings.host}:{settings.port}/ ({line}; {settings.mode} mode, not cleared)"
-    )
+        flush_log()
+        raise refused("serve", error) from error
+    _exclude_from_garbage_collection()
+    start_log.info("opening the database, the audit log and the engine's process")
     server.run()
 
 
-def _warn(settings: Settings, console: Console) -> None:
-    """Say aloud what a site has set that somebody has to answer for."""
+def _listening(settings: "Settings") -> str:
+    line = "SIMULATED beam line" if settings.is_simulated_beam else f"beam line {' and '.join(settings.beam_lines)}"
+    address = f"{'https' if settings.has_tls else 'http'}://{settings.host}:{settings.port}/"
+    return f"listening on {address} ({line}; {settings.mode} mode; not cleared for clinical use)"
+
+
+def _warn(settings: "Settings") -> None:
+    """Log the settings that remove a protection."""
     if settings.behind_proxy and not settings.trusted_proxies:
-        console.print(
-            "TIDEGATE_BEHIND_PROXY: nobody on the way to this port may read it but the proxy; name its address in "
-            "TIDEGATE_TRUSTED_PROXIES, or all log-ins count as coming from one place.",
-            style="yellow",
-            soft_wrap=True,
-            markup=False,
+        start_log.warning(
+            "TIDEGATE_BEHIND_PROXY: only the proxy may be able to reach this port; set TIDEGATE_TRUSTED_PROXIES to its "
+            "address, or all log-in attempts count as coming from one address"
         )
     if settings.recordings_may_gate and settings.has_real_beam:
-        console.print(
-            f"TIDEGATE_RECORDINGS_MAY_GATE: a played recording may turn on a REAL beam line "
-            f"({' and '.join(settings.beam_lines)}). Nobody may be in that beam.",
-            style="bold red",
-            soft_wrap=True,
-            markup=False,
+        start_log.warning(
+            "TIDEGATE_RECORDINGS_MAY_GATE: a played recording may turn on a REAL beam line (%s). Keep everybody out of "
+            "that beam",
+            " and ".join(settings.beam_lines),
         )
 
 
-def _tell_first(console: Console, name: str, password: str) -> None:
-    """Tell the person at this terminal, once; it stands in no log and in no file."""
-    console.print(
-        f"Nobody can log in yet. The first person is {name!r}, with this password, told once and to be changed at the "
-        f"first log-in:\n\n    {password}\n",
-        style="bold",
-        soft_wrap=True,
-        markup=False,
+def _print_first_password(name: str, password: str) -> None:
+    """Print the first account's password on the terminal only: it is in no log and in no file."""
+    say(
+        f"No account exists yet. The first account is {name!r} with this one-time password, shown only now, to be "
+        f"changed at the first log-in:\n\n    {password}\n"
     )
 
 
-def _take_all_connections() -> None:
-    """Open as many connections as the system lets: strangers who only keep some open must not keep a hold out."""
+def _raise_file_limit() -> None:
+    """Raise the limit of open files, so that many idle connections do not keep a hold request out."""
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     enough = MOST_FILES if most == resource.RLIM_INFINITY else min(most, MOST_FILES)
     resource.setrlimit(resource.RLIMIT_NOFILE, (enough, most))
 
 
-def _set_memory_aside() -> None:
-    """Keep the collector away from what lives as long as the process: walking it stops every thread for a frame."""
+def _exclude_from_garbage_collection() -> None:
+    """Exclude the objects that exist now: collecting among them stops every thread for the time of a frame."""
     gc.collect()
     gc.freeze()
 
 
-def _refuse_taken_port(settings: Settings, console: Console) -> None:
-    """Say in one line that the port is taken, before anything is opened."""
+def _refuse_taken_port(settings: "Settings") -> None:
+    """Refuse a port that is in use, before anything is opened."""
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
     with socket.socket(family) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((settings.host, settings.port))
         except OSError as error:
-            console.print(
-                f"tidegate serve: cannot listen on {settings.host}:{settings.port}: {error.strerror}", style="red"
-            )
-            raise typer.Exit(2) from error
+            where = f"{settings.host}:{settings.port}"
+            raise refused("serve", f"cannot listen on {where}: {error.strerror}") from error

@@ -1,6 +1,6 @@
-"""How the commands speak on a terminal: one line for a refusal, one bar for frames.
+"""Terminal output of the commands: one line for a refusal, one progress bar for frames.
 
-Rich is imported where a bar is drawn: it takes a tenth of a command's start, and a batch run has no one to draw for.
+Rich is imported only to draw a bar: the import takes a tenth of a command's start.
 """
 
 import sys
@@ -13,25 +13,25 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
 BAD_INPUT = 2
-"""The exit code when what was asked for cannot be done with what was given."""
+"""Exit code of a command that was refused."""
 
 
 def say(text: str, style: str | None = None) -> None:
-    """Print one line on standard error, however long, exactly as it is; coloured on a terminal."""
+    """Print text on standard error without wrapping or markup, coloured on a terminal."""
     typer.secho(text, fg=style, err=True)
 
 
 def refused(command: str, message: object) -> typer.Exit:
-    """Say in one line why ``command`` does not go on; return what to raise."""
+    """Print one line with the reason why ``command`` is refused; return the exception to raise."""
     say(f"tidegate {command}: {message}", "red")
     return typer.Exit(BAD_INPUT)
 
 
 class NoBar:
-    """Takes what a progress bar takes and draws nothing."""
+    """Progress bar that draws nothing, for output to a file or pipe."""
 
     def add_task(self, description: str, *, total: float | None) -> "TaskID":  # noqa: ARG002
-        """Return some number."""
+        """Return a placeholder."""
         return cast("TaskID", 0)
 
     def update(self, task: "TaskID", **progress: Any) -> None:  # noqa: ANN401
@@ -39,7 +39,7 @@ class NoBar:
 
 
 def frame_bar() -> AbstractContextManager["Progress | NoBar"]:
-    """Return a progress bar that counts frames, on standard error; none where that is no terminal."""
+    """Return a progress bar on standard error that counts frames; `NoBar` if that is not a terminal."""
     if not sys.stderr.isatty():
         return nullcontext(NoBar())
     from rich.console import Console
@@ -64,5 +64,5 @@ def frame_bar() -> AbstractContextManager["Progress | NoBar"]:
 
 
 def advance(bar: "Progress | NoBar", task: "TaskID", done: int) -> None:
-    """Show how many frames are done."""
+    """Set the number of frames that are done."""
     bar.update(task, completed=done)

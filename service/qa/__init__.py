@@ -1,1 +1,1 @@
-"""QA in the service: one run at a time on its own thread, kept for good, judged by the site's bounds, printed."""
+"""QA in the service: one run at a time on its own thread, judged by the site's bounds, stored and printed."""

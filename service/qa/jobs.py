@@ -1,42 +1,42 @@
-"""A QA run at work: its inputs and its line, carried out once, and ended in one of three ways.
+"""Run one QA job to its outcome: finished, cancelled or failed.
 
-Whichever way it ends, the line is held and closed before anything is written down.
+The line is held and closed before the outcome is reported.
 """
 
 from collections.abc import Callable
 from typing import Protocol
 
-from engine.errors import TidegateError
-from engine.qa.bounds import QaBaseline, QaBounds
-from engine.qa.results import QaNeed, QaReport
-from engine.qa.run import Progress
-from service.qa.line import TAKEN, GuardedLine
-from service.qa.records import QaOutcome
+from engine.core.errors import TidegateError
+from engine.verification.qa.bounds import QaBaseline, QaBounds
+from engine.verification.qa.results import QaNeed, QaReport
+from engine.verification.qa.run import Progress
+from service.qa.guarded_line import TAKEN, GuardedLine
+from service.qa.queries import QaOutcome
 
 UNEXPECTED = QaOutcome(status="failed", detail="an unexpected error; it is in the service's log")
 
 
 class QaCancelledError(Exception):
-    """Somebody cancelled the run; no TidegateError, so that no stage takes it for a failure of its own."""
+    """The run was cancelled; not a TidegateError, so that no stage treats it as a failure."""
 
 
 class QaJob(Protocol):
-    """Everything a run needs, made before it begins and not open yet."""
+    """Inputs and beam line of a run, not opened yet."""
 
     @property
     def line(self) -> GuardedLine:
-        """The beam line that the run has."""
+        """The guarded beam line of the run."""
 
     @property
     def own_baseline(self) -> QaBaseline | None:
-        """What a virtual set-up should read; None where the site's baseline holds."""
+        """The baseline of a virtual set-up; None if the site's baseline applies."""
 
     def run(self, *, bounds: QaBounds, baseline: QaBaseline, on_progress: Progress) -> QaReport:
-        """Measure and judge; opens what it needs and closes it."""
+        """Open the inputs, measure, judge and close them."""
 
 
 class Handle:
-    """What others may do to a run under way: look how far it is, and cancel it."""
+    """Progress and cancellation of a running job, for other threads."""
 
     def __init__(self, line: GuardedLine) -> None:
         self._line = line
@@ -44,18 +44,18 @@ class Handle:
         self.cancelled_by: str | None = None
 
     def cancel(self, operator: str) -> None:
-        """Hold the line for good, then end the run at its next step."""
+        """Hold the line permanently; the run ends at its next step."""
         self._line.take_away()
         self.cancelled_by = operator
 
     def step(self, stage: QaNeed, done: int, total: int | None) -> None:
-        """Note how far the run is; raise QaCancelledError once it was cancelled."""
+        """Store the progress of the run; raise QaCancelledError after a cancellation."""
         if self._line.is_taken_away:
             raise QaCancelledError
         self.progress = (stage, done, total)
 
 
-def carry_out(
+def run_job(
     job: QaJob,
     handle: Handle,
     *,
@@ -64,9 +64,9 @@ def carry_out(
     on_end: Callable[[QaOutcome], None],
     also: Progress | None = None,
 ) -> QaOutcome:
-    """Do a run and tell ``on_end`` how it ended, whatever happens; ``also`` is told of every step.
+    """Run a job and return its outcome; ``also`` receives every step.
 
-    What is no TidegateError passes on, once the end was told.
+    ``on_end`` is always called with the outcome; an exception that is no TidegateError is raised after that call.
     """
     outcome = UNEXPECTED
 

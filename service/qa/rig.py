@@ -1,39 +1,39 @@
-"""What a QA run measures with: recordings or a camera, the calibration, and the site's beam line.
+"""Build QA jobs from recordings or a camera, the calibration and the site's beam line.
 
-Nothing is opened here: the run opens what it needs and closes it.
+Nothing is opened here: the run opens and closes its inputs.
 """
 
 import threading
 from dataclasses import replace
 from pathlib import Path
 
-from engine.calibration import Calibration
-from engine.capture.oni_file import OniFileSource
-from engine.capture.openni import OpenNiSource, list_devices
+from engine.calibration.camera_calibration import Calibration
+from engine.capture.openni.source import OpenNiSource, list_devices
+from engine.capture.recording_source import OniFileSource
 from engine.capture.source import DepthSource
-from engine.clock import NS_PER_S, Clock, MonotonicClock
-from engine.errors import SourceLostError
-from engine.limits import GateLimits
-from engine.pipeline import PipelineSettings
-from engine.qa.bounds import QaBaseline, QaBounds
-from engine.qa.inputs import BeamInput, PhantomInput, PlateInput, QaInputs
-from engine.qa.results import QaKind, QaReport
-from engine.qa.rig import VIRTUAL_BASELINE, RigFaults, virtual_inputs
-from engine.qa.run import Progress, run_qa
-from engine.qa.trace import read_commanded
-from engine.windows import amplitude_window
-from service.beam_lines import make_beam_line
-from service.qa.line import GuardedLine
-from service.qa.ports import QaFiles
+from engine.core.clock import NS_PER_S, Clock, MonotonicClock
+from engine.core.errors import SourceLostError
+from engine.gating.limits import GateLimits
+from engine.gating.windows import amplitude_window
+from engine.motion.settings import PipelineSettings
+from engine.verification.qa.bounds import QaBaseline, QaBounds
+from engine.verification.qa.inputs import BeamInput, PhantomInput, PlateInput, QaInputs
+from engine.verification.qa.results import QaKind, QaReport
+from engine.verification.qa.rig import VIRTUAL_BASELINE, RigFaults, virtual_inputs
+from engine.verification.qa.run import Progress, run_qa
+from engine.verification.qa.trace import read_commanded
+from service.core.settings.settings import Settings
+from service.engine_host.beam_lines import make_beam_line
+from service.qa.guarded_line import GuardedLine
+from service.qa.roles import QaFiles
 from service.qa.schemas import QaPhantom, QaPlate, QaRunRequest, QaSimulation
-from service.settings import Settings
 
 DWELL_MS = 100.0
-"""As a session's is unless the site asks for more."""
+"""The default dwell of a session."""
 
 
 class EngineJob:
-    """A run of the engine's."""
+    """A QA run of the engine with its inputs."""
 
     def __init__(
         self, kind: QaKind, inputs: QaInputs, line: GuardedLine, *, own_baseline: QaBaseline | None = None
@@ -44,19 +44,19 @@ class EngineJob:
         self.own_baseline = own_baseline
 
     def run(self, *, bounds: QaBounds, baseline: QaBaseline, on_progress: Progress) -> QaReport:
-        """Measure and judge."""
+        """Measure and judge; see `run_qa`."""
         return run_qa(self._kind, self._inputs, bounds=bounds, baseline=baseline, on_progress=on_progress)
 
 
 class EngineRig:
-    """Makes the engine's runs from a site's settings."""
+    """Builds jobs with a site's settings."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._clock: Clock = MonotonicClock()
 
     def job(self, request: QaRunRequest, files: QaFiles, calibration: Calibration | None) -> EngineJob:
-        """Put a run together; raise a TidegateError naming what cannot be used."""
+        """Build the job of a run; raise a TidegateError naming what cannot be used."""
         kind = QaKind(request.kind)
         if request.simulation is not None:
             return virtual_job(kind, request.simulation)
@@ -120,10 +120,10 @@ class EngineRig:
 
 
 def virtual_job(kind: QaKind, simulation: QaSimulation) -> EngineJob:
-    """Put a virtual run together, on a beam line in memory whatever the site's is."""
+    """Build a virtual job with a beam line in memory; the site's beam line is not used."""
     faults = RigFaults(**simulation.faults.model_dump())
     inputs = virtual_inputs(faults, seed=simulation.seed)
-    assert inputs.beam is not None, "a virtual set-up has a line"
+    assert inputs.beam is not None, "a virtual set-up has a beam line"
     line = GuardedLine(inputs.beam.line)
     guarded = replace(inputs, beam=replace(inputs.beam, line=line))
     return EngineJob(kind, guarded, line, own_baseline=VIRTUAL_BASELINE)

@@ -1,19 +1,19 @@
-"""QA over HTTP, in and out: what a run is given, how it came out, its trend, the table of checks and the baseline."""
+"""Requests and answers of the QA API: runs, results, trends, checks and baselines."""
 
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, AwareDatetime, ConfigDict, Field, StringConstraints, model_validator
 
-from engine.qa.bounds import BASELINE_BOUNDS
-from engine.qa.inputs import PART_BOUNDS, REPEATS_BOUNDS, SECONDS_BOUNDS
-from service.schema_base import Answer, Identifier, Name, Operator, Request, SourceText, broken
-from service.schemas import DeviceSource
+from engine.verification.qa.bounds import BASELINE_BOUNDS
+from engine.verification.qa.inputs import PART_BOUNDS, REPEATS_BOUNDS, SECONDS_BOUNDS
+from service.core.schemas.base import Answer, Identifier, Name, Operator, Request, SourceText, broken
+from service.core.schemas.sessions import DeviceSource
 
 Kind = Literal["daily", "monthly", "annual"]
 Verdict = Literal["pass", "warn", "fail"]
 RunStatus = Literal["running", "finished", "cancelled", "failed", "interrupted"]
 PULSE_MS = (120.0, 200.0)
-"""Leases of the drills: twice the watchdog's deadline in its drill, and no longer than any lease."""
+"""Range of the drills' lease [ms]: from twice the watchdog's deadline in its drill to the longest lease."""
 
 MOST_START_US = 3_600_000_000
 
@@ -31,11 +31,11 @@ Position = Annotated[float, Field(ge=-100.0, le=100.0)]
 
 
 class QaRecording(Request):
-    """A recording inside one of the folders that the site allows; every frame is read once."""
+    """A recording in one of the site's recording folders; every frame is read once."""
 
     kind: Literal["recording"]
     path: SourceText = Field(
-        description="Absolute, or relative to one of the allowed folders", examples=["qa/plate.oni"]
+        description="Path, absolute or relative to one of the recording folders", examples=["qa/plate.oni"]
     )
 
 
@@ -43,31 +43,40 @@ QaSource = Annotated[QaRecording | DeviceSource, Field(discriminator="kind")]
 
 
 class QaPlate(Request):
-    """Frames of a flat plate, or of the bare couch, that faces the camera."""
+    """Frames of a flat plate or of the bare couch, facing the camera."""
 
     source: QaSource
     part: float = Field(
         default=0.5,
         ge=PART_BOUNDS[0],
         le=PART_BOUNDS[1],
-        description="Share of the picture's width and height, in the middle, that the plate fills",
+        description="Central share of the picture's width and height that the plate covers",
     )
-    seconds: float = Field(default=120.0, ge=SECONDS_BOUNDS[0], le=SECONDS_BOUNDS[1], description="Read at most")
+    seconds: float = Field(
+        default=120.0, ge=SECONDS_BOUNDS[0], le=SECONDS_BOUNDS[1], description="Longest reading time [s]"
+    )
 
 
 class QaPhantom(Request):
-    """Frames of a phantom with four markers that moves along a commanded trace, towards the camera."""
+    """Frames of a phantom with four markers that follows a commanded trace along the camera axis."""
 
     source: QaSource
     trace: SourceText = Field(
-        description="CSV `time_s,position_mm`, or a robot's file, in an allowed folder", examples=["qa/sine.csv"]
+        description="CSV `time_s,position_mm` or a robot's file, in a recording folder", examples=["qa/sine.csv"]
     )
-    window_lower_mm: Position = Field(description="Gating window in the trace's positions; one edge beyond its reach")
+    window_lower_mm: Position = Field(
+        description="Lower edge of the gating window in trace positions [mm]; one edge lies beyond the trace's range"
+    )
     window_upper_mm: Position
     starts_us: int | None = Field(
-        default=None, ge=0, le=MOST_START_US, description="Device time of the trace's time 0; the first frame's if not"
+        default=None,
+        ge=0,
+        le=MOST_START_US,
+        description="Device time of the trace's time 0 [us]; default: the first frame",
     )
-    seconds: float = Field(default=600.0, ge=SECONDS_BOUNDS[0], le=SECONDS_BOUNDS[1], description="Read at most")
+    seconds: float = Field(
+        default=600.0, ge=SECONDS_BOUNDS[0], le=SECONDS_BOUNDS[1], description="Longest reading time [s]"
+    )
 
     @model_validator(mode="after")
     def _is_a_window(self) -> Self:
@@ -77,14 +86,14 @@ class QaPhantom(Request):
 
 
 class QaBeam(Request):
-    """How often the drills turn the line on, and for how long."""
+    """Number and duration [ms] of the beam pulses in the drills."""
 
     repeats: int = Field(default=20, ge=REPEATS_BOUNDS[0], le=REPEATS_BOUNDS[1])
     pulse_ms: float = Field(default=200.0, ge=PULSE_MS[0], le=PULSE_MS[1])
 
 
 class QaFaults(Request):
-    """What is wrong with a virtual set-up, to see QA find it."""
+    """Simulated deviations of a virtual set-up, to show that QA detects them."""
 
     offset_mm: float = Field(default=0.0, ge=-10.0, le=10.0)
     delay_ms: float = Field(default=0.0, ge=0.0, le=500.0)
@@ -93,28 +102,32 @@ class QaFaults(Request):
 
 
 class QaSimulation(Request):
-    """A virtual plate, phantom and beam line; the same seed shows the same."""
+    """A virtual plate, phantom and beam line; the same seed gives the same result."""
 
     seed: int = Field(default=1, ge=0, le=65_535)
     faults: QaFaults = Field(default=QaFaults())
 
 
 class QaRunRequest(Request):
-    """A QA run. Its drills PERMIT THE BEAM, outside of any gating, where the site has a real beam line."""
+    """A QA run. On a real beam line its drills PERMIT THE BEAM without gating."""
 
     kind: Kind
     operator: Operator = ""
-    calibration_id: Identifier | None = Field(default=None, description="The camera's; needed with plate or phantom")
+    calibration_id: Identifier | None = Field(
+        default=None, description="Calibration of the camera; required with plate or phantom"
+    )
     plate: QaPlate | None = None
-    phantom: QaPhantom | None = Field(default=None, description="For monthly and annual")
+    phantom: QaPhantom | None = Field(default=None, description="Required for monthly and annual QA")
     beam: QaBeam = Field(default=QaBeam())
     is_beam_safe: bool = Field(
         default=False,
-        description="The operator's word that nobody is in the room and the accelerator is made safe; without it no "
-        "run is started on a real beam line",
+        description="The operator confirms that the treatment room is empty and the accelerator is in a safe state; "
+        "required on a real beam line",
     )
     simulation: QaSimulation | None = Field(
-        default=None, description="Instead of plate and phantom, for demonstration: counts for nothing; research only"
+        default=None,
+        description="Virtual set-up in place of plate and phantom, for demonstration in research mode; such a run does "
+        "not count as QA",
     )
     note: Note = ""
 
@@ -135,14 +148,14 @@ class QaRunRequest(Request):
     @model_validator(mode="after")
     def _has_what_it_needs(self) -> Self:
         if self.simulation is not None:
-            self._refuse(PARTS, "left out: a simulated run has its own")
+            self._refuse(PARTS, "omitted: a simulated run has a virtual set-up")
             return self
         needed = PARTS if self.kind != "daily" else ("plate", "calibration_id")
         for name in needed:
             if getattr(self, name) is None:
                 raise broken(name, "missing", f"given for {self.kind} QA")
         if self.kind == "daily":
-            self._refuse(("phantom",), "left out: daily QA asks for none")
+            self._refuse(("phantom",), "omitted: daily QA uses no phantom")
         sources = [part.source.kind for part in (self.plate, self.phantom) if part is not None]
         if sources.count("device") > 1:
             bound = "recording: one camera cannot see plate and phantom in one request"
@@ -151,7 +164,7 @@ class QaRunRequest(Request):
 
     @property
     def is_simulated(self) -> bool:
-        """Whether nothing real is measured."""
+        """Whether the set-up is virtual."""
         return self.simulation is not None
 
     def _refuse(self, names: tuple[str, ...], bound: str) -> None:
@@ -161,7 +174,7 @@ class QaRunRequest(Request):
 
 
 class QaProgress(Answer):
-    """How far a run has come."""
+    """Progress of a run: completed and total steps of a stage; `total` is null if unknown."""
 
     stage: str = Field(examples=["plate"])
     done: int
@@ -169,7 +182,7 @@ class QaProgress(Answer):
 
 
 class QaRun(Answer):
-    """A QA run, as it stands."""
+    """A QA run with its current status."""
 
     id: Identifier
     kind: Kind
@@ -179,7 +192,7 @@ class QaRun(Answer):
     operator: str
     site: str
     machine: str
-    is_simulated: bool = Field(description="Virtual from end to end: counts for nothing")
+    is_simulated: bool = Field(description="The set-up is virtual; the run does not count as QA")
     is_simulated_beam: bool
     software: str
     created_at: AwareDatetime
@@ -188,14 +201,14 @@ class QaRun(Answer):
 
 
 class QaResult(Answer):
-    """One check of a run, judged; `value` is null where it could not be measured, which is a fail."""
+    """The result of one check; `value` is null if it could not be measured, which is a fail."""
 
     code: str = Field(examples=["camera_distance_mm"])
     title: str
     value: float | None
     unit: str
     expected: float | None
-    deviation: float | None = Field(description="What is held against the bounds")
+    deviation: float | None = Field(description="Quantity that is compared with the bounds")
     uncertainty: float | None = Field(description="Standard error of the value")
     sidedness: Literal["absolute", "at_most"]
     warn: float
@@ -213,7 +226,7 @@ class QaCurve(Answer):
 
 
 class QaSeries(Answer):
-    """What a plot of a report shows."""
+    """Data of a report's plot."""
 
     code: str
     title: str
@@ -223,14 +236,14 @@ class QaSeries(Answer):
 
 
 class QaRunDetail(QaRun):
-    """A QA run with every check and what its plots show."""
+    """A QA run with its checks and plot data."""
 
     note: str
     calibration_sha256: str | None
     baseline_number: int | None
     results: list[QaResult]
     series: list[QaSeries]
-    sha256: str | None = Field(description="Of the judged results as they were written; the audit has it too")
+    sha256: str | None = Field(description="SHA-256 of the stored results; also in the audit log")
 
 
 class QaRunPage(Answer):
@@ -255,7 +268,7 @@ class QaTrendPoint(Answer):
 
 
 class QaTrend(Answer):
-    """A check over the newest runs, oldest first; simulated runs are left out."""
+    """Values of a check in the newest runs, oldest first, without simulated runs."""
 
     check: str
     title: str
@@ -265,7 +278,7 @@ class QaTrend(Answer):
 
 
 class QaCheck(Answer):
-    """One thing that is checked, with this site's bounds."""
+    """A check with this site's bounds."""
 
     code: str
     title: str
@@ -278,14 +291,14 @@ class QaCheck(Answer):
     has_baseline: bool
     warn: float
     fail: float
-    most: float = Field(description="Widest bound that a site may choose")
+    most: float = Field(description="Widest bound that a site may set")
     warn_setting: str = Field(examples=["TIDEGATE_QA_CAMERA_DISTANCE_MM_WARN"])
     fail_setting: str
     source: str
 
 
 class QaCheckList(Answer):
-    """Every check there is."""
+    """All checks."""
 
     items: list[QaCheck]
 
@@ -297,7 +310,7 @@ def _baseline(code: str, example: float) -> float | None:
 
 
 class QaExpected(Request):
-    """What was read when the site was commissioned; what is left out keeps what it was."""
+    """Baseline values from commissioning; an omitted value stays unchanged."""
 
     camera_distance_mm: float | None = _baseline("camera_distance_mm", 850.0)
     camera_tilt_x_deg: float | None = _baseline("camera_tilt_x_deg", 0.0)
@@ -305,12 +318,12 @@ class QaExpected(Request):
 
 
 class QaBaselineRequest(Request):
-    """A named person fixes what the camera's place should read, by hand or as a run measured it."""
+    """A new baseline of the camera's position, from given values or from a run's measurement."""
 
     operator: Operator = ""
     reason: Name = Field(examples=["camera mounted anew"])
     expected: QaExpected | None = None
-    run_id: Identifier | None = Field(default=None, description="Take over what this finished run measured")
+    run_id: Identifier | None = Field(default=None, description="Use the values that this finished run measured")
 
     @model_validator(mode="after")
     def _says_what(self) -> Self:
@@ -322,7 +335,7 @@ class QaBaselineRequest(Request):
 
 
 class QaBaseline(Answer):
-    """What the camera's place should read, and who fixed it; number 0 is none yet."""
+    """Expected values of the camera's position and the person who set them; number 0: not set yet."""
 
     number: int
     expected: dict[str, float]
@@ -332,15 +345,15 @@ class QaBaseline(Answer):
 
 
 class QaBaselineHistory(QaBaseline):
-    """The baseline that holds, and those before it, newest first."""
+    """The current baseline and the earlier ones, newest first."""
 
     earlier: list[QaBaseline]
 
 
 class QaStatus(Answer):
-    """The newest run of each kind that counts, and whether the site's QA lets anybody arm."""
+    """The newest run of each kind, simulated runs excluded, and whether the QA requirement permits arming."""
 
     newest: dict[Kind, QaRun | None]
-    required_daily_h: float = Field(description="0: this site does not ask")
+    required_daily_h: float = Field(description="Longest time since the last daily QA [h]; 0: no requirement")
     is_arming_allowed: bool
-    refusal: str | None = Field(description="Why nobody arms, and what would help")
+    refusal: str | None = Field(description="Why arming is refused, and what to do")

@@ -1,0 +1,1 @@
+"""Beam line status published to subscribers that only display it."""

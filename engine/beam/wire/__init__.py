@@ -1,0 +1,1 @@
+"""Beam lines on a wire (Modbus, serial relay): exchange, supervision and settings."""

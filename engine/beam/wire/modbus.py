@@ -1,0 +1,153 @@
+"""Modbus as a wire, over TCP or a serial line: a coil for the permit, a register for the heartbeat, an input read back.
+
+The only importer of pymodbus. Its clients make no retries and have the remaining time of the whole exchange: a missing
+answer is a matter for :mod:`engine.beam.wire.line_supervisor`, not for retries of a library.
+"""
+
+import logging
+import time
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.exceptions import ModbusException
+from pymodbus.pdu import ModbusPDU
+
+from engine.beam.wire.serial_settings import PARITY_LETTERS, Parity, check_baud
+from engine.core.bounds import check_whole_number
+from engine.core.errors import BeamLineError
+
+CONNECT_S = 0.5
+
+MAP_BOUNDS: dict[str, tuple[int, int]] = {
+    "unit": (1, 247),
+    "permit_coil": (0, 65_535),
+    "heartbeat_register": (0, 65_535),
+    "readback_input": (0, 65_535),
+}
+Client: TypeAlias = ModbusTcpClient | ModbusSerialClient
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RegisterMap:
+    """Addresses in the device, counted from 0 as on the wire.
+
+    Attributes
+    ----------
+    unit
+        The device's address.
+    permit_coil
+        Written at every cycle: 1 permits.
+    heartbeat_register
+        A holding register that counts up at every cycle, 0 to 65535 and from 0 again.
+    readback_input
+        A discrete input: 1 is a permit that has reached the contact.
+    """
+
+    unit: int = 1
+    permit_coil: int = 0
+    heartbeat_register: int = 0
+    readback_input: int = 0
+
+    def __post_init__(self) -> None:
+        """Raise InvalidValueError for an address outside `MAP_BOUNDS`."""
+        for name, (low, high) in MAP_BOUNDS.items():
+            check_whole_number(name, getattr(self, name), low, high)
+
+
+class ModbusWire:
+    """`Wire` to a Modbus device, through a client of pymodbus."""
+
+    def __init__(self, client: Client, registers: RegisterMap, *, name: str) -> None:
+        self._client = client
+        self._registers = registers
+        self._name = name
+
+    @property
+    def name(self) -> str:
+        """The device's address, for messages."""
+        return self._name
+
+    def connect(self) -> None:
+        """Connect; raise BeamLineError if the device does not accept the connection."""
+        self.close()
+        self._client.comm_params.timeout_connect = CONNECT_S
+        if not self._client.connect():
+            msg = "cannot connect"
+            raise BeamLineError(msg)
+
+    def exchange(self, *, is_on: bool, heartbeat: int, within_s: float) -> bool:
+        """Write coil and register and read the input: three requests within ``within_s``."""
+        at, unit = self._registers, self._registers.unit
+        until_s = time.monotonic() + within_s
+        try:
+            self._allow(until_s)
+            written = _good(self._client.write_coil(at.permit_coil, is_on, device_id=unit), "the permit")
+            if written.address != at.permit_coil or written.bits[:1] != [is_on]:
+                msg = "it confirms a different permit than was written"
+                raise BeamLineError(msg)
+            self._allow(until_s)
+            _good(self._client.write_register(at.heartbeat_register, heartbeat, device_id=unit), "the heartbeat")
+            self._allow(until_s)
+            read = _good(self._client.read_discrete_inputs(at.readback_input, count=1, device_id=unit), "the read back")
+        except ModbusException as error:
+            raise BeamLineError(str(error)) from error
+        if not read.bits:
+            msg = "an empty answer"
+            raise BeamLineError(msg)
+        return read.bits[0]
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._client.close()  # type: ignore[no-untyped-call]
+
+    def _allow(self, until_s: float) -> None:
+        """Limit the next request to the remaining time.
+
+        A client that lost its connection must not reconnect by itself, and a command decided before this process was
+        stopped must not be sent after it continues.
+        """
+        if not self._client.connected:
+            msg = "the connection is gone"
+            raise BeamLineError(msg)
+        left_s = until_s - time.monotonic()
+        if left_s <= 0.0:
+            msg = "the time for an answer is over"
+            raise BeamLineError(msg)
+        self._client.comm_params.timeout_connect = left_s
+
+
+def tcp_wire(*, host: str, port: int, registers: RegisterMap) -> ModbusWire:
+    """Make a wire over TCP."""
+    _silence_library()
+    client = ModbusTcpClient(host, port=port, timeout=CONNECT_S, retries=0)
+    return ModbusWire(client, registers, name=f"the beam line at {host}:{port}")
+
+
+def rtu_wire(*, device: str, baud: int, parity: Parity, stop_bits: int, registers: RegisterMap) -> ModbusWire:
+    """Make a wire over a serial line, RTU framing, eight data bits; raise InvalidValueError for an unknown speed."""
+    check_baud(baud)
+    _silence_library()
+    client = ModbusSerialClient(
+        device,
+        baudrate=baud,
+        bytesize=8,
+        parity=PARITY_LETTERS[parity],
+        stopbits=stop_bits,
+        timeout=CONNECT_S,
+        retries=0,
+    )
+    return ModbusWire(client, registers, name=f"the beam line on {device}")
+
+
+def _silence_library() -> None:
+    """Keep pymodbus from logging each failed attempt, four a second: the line reports the fault itself."""
+    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+
+
+def _good(answer: ModbusPDU, request: str) -> ModbusPDU:
+    if answer.isError():
+        code = getattr(answer, "exception_code", "?")
+        msg = f"it refuses {request} (Modbus exception {code})"
+        raise BeamLineError(msg)
+    return answer

@@ -1,0 +1,4 @@
+"""Camera calibration: the calibration file, sensor quantisation.
+
+Foreign formats and the procedures that make a calibration.
+"""

@@ -1,0 +1,188 @@
+"""Walk the records of an ``.oni`` file without trusting its sizes.
+
+One head and its fields are in memory at a time, and a payload only on request. Every size is checked against the file's
+own and against a bound before anything is read. A file that is cut or damaged yields its records in order, then raises.
+"""
+
+import contextlib
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from engine.capture.oni import layout
+from engine.capture.oni.layout import RecordType
+from engine.core.errors import RecordingError
+
+MAX_FIELDS_BYTES = 1 << 20
+MAX_PAYLOAD_BYTES = 1 << 25
+
+_FOREIGN = (
+    (b"version https://git-lfs", "a Git LFS pointer, not the recording itself: run `git lfs pull`"),
+    (b"\x89PNG", "a PNG picture"),
+    (b"\xff\xd8\xff", "a JPEG picture"),
+    (b"PK\x03\x04", "a zip archive"),
+    (b"\x1f\x8b", "a gzip archive"),
+    (b"%PDF", "a PDF document"),
+    (b"\x93NUMPY", "a numpy array"),
+    (b"SQLite format 3", "an SQLite database"),
+    (b"#ROSBAG", "a ROS bag"),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FileHeader:
+    """The first 24 bytes; ``last_timestamp_us`` is None where the file does not know."""
+
+    version: tuple[int, int, int, int]
+    last_timestamp_us: int | None
+
+    @property
+    def record_head(self) -> struct.Struct:
+        """Layout of a record's head in this version."""
+        is_64_bit = self.version >= layout.FIRST_64_BIT_VERSION
+        return layout.RECORD_HEAD if is_64_bit else layout.RECORD_HEAD_32
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Record:
+    """One record, its payload still in the file."""
+
+    at: int
+    type: RecordType
+    node: int
+    fields: bytes
+    payload_at: int
+    payload_bytes: int
+
+
+class Fields:
+    """Reads the fields of one record from front to back."""
+
+    def __init__(self, record: Record) -> None:
+        self._record = record
+        self._at = 0
+
+    def unpack(self, form: struct.Struct) -> tuple[int | bytes, ...]:
+        """Read fields of the given layout."""
+        return form.unpack(self.take(form.size))
+
+    def integer(self, size: int) -> int:
+        """Read an unsigned integer of ``size`` bytes."""
+        return int.from_bytes(self.take(size), "little")
+
+    def block(self) -> bytes:
+        """Read a length and that many bytes."""
+        return self.take(self.integer(4))
+
+    def name(self) -> str:
+        """Read a name; what is not ASCII in it is shown as a question mark."""
+        return self.block().split(b"\0", 1)[0].decode("ascii", errors="replace").replace("\ufffd", "?")
+
+    def take(self, size: int) -> bytes:
+        """Read ``size`` bytes."""
+        part = self._record.fields[self._at : self._at + size]
+        if len(part) != size:
+            msg = f"damaged at byte {self._record.at}: record {self._record.type.name} is too short"
+            raise RecordingError(msg)
+        self._at += size
+        return part
+
+
+def read_file_header(file: BinaryIO) -> FileHeader:
+    """Read and check the header, and leave the file at the first record."""
+    head = file.read(64)
+    if not head:
+        msg = "empty: the file has no bytes"
+        raise RecordingError(msg)
+    if not head.startswith(layout.FILE_MAGIC):
+        raise RecordingError(f"no OpenNI recording: {_what_it_is(head)}")
+    if len(head) < layout.FILE_HEADER.size:
+        msg = f"cut within its header, at byte {len(head)}"
+        raise RecordingError(msg)
+    _, *version, last_us, _ = layout.FILE_HEADER.unpack_from(head)
+    major, minor, maintenance, build = version
+    if not layout.OLDEST_VERSION <= (major, minor, maintenance, build) <= layout.VERSION:
+        msg = f"of format version {major}.{minor}.{maintenance}.{build}: 1.0.0.4 to 1.0.1.0 can be read"
+        raise RecordingError(msg)
+    file.seek(layout.FILE_HEADER.size)
+    is_known = last_us not in {0, layout.UNKNOWN_TIMESTAMP}
+    return FileHeader(version=(major, minor, maintenance, build), last_timestamp_us=last_us if is_known else None)
+
+
+def _what_it_is(head: bytes) -> str:
+    for magic, what in _FOREIGN:
+        if head.startswith(magic):
+            return what
+    if all(byte in b"\t\r\n" or byte >= 0x20 for byte in head) and head.isascii():
+        return "a text"
+    return f"it begins with {head[:4].hex(' ')}, not with NI10"
+
+
+def walk_records(file: BinaryIO, header: FileHeader) -> Iterator[Record]:
+    """Yield every record up to and without the end record.
+
+    The caller may move the file's position between two records.
+
+    Raises
+    ------
+    RecordingError
+        The file is cut or damaged here; everything before it was yielded.
+    """
+    end = os.fstat(file.fileno()).st_size
+    at = layout.FILE_HEADER.size
+    while True:
+        file.seek(at)
+        record = _read_record(file, header.record_head, at, end)
+        if record.type is RecordType.END:
+            return
+        yield record
+        at = record.payload_at + record.payload_bytes
+
+
+def count_records(path: Path, record_type: RecordType) -> int:
+    """Count the records of one type in a file that may still be written."""
+    count = 0
+    with path.open("rb") as file, contextlib.suppress(RecordingError):
+        for record in walk_records(file, read_file_header(file)):
+            count += record.type is record_type
+    return count
+
+
+def trim(path: Path) -> None:
+    """Truncate the file after the end record; the runtime's recorder leaves as many unused bytes there."""
+    with path.open("r+b") as file:
+        header = read_file_header(file)
+        at = layout.FILE_HEADER.size
+        for record in walk_records(file, header):
+            at = record.payload_at + record.payload_bytes
+        file.truncate(at + header.record_head.size)
+
+
+def _read_record(file: BinaryIO, form: struct.Struct, at: int, end: int) -> Record:
+    head = file.read(form.size)
+    if not head:
+        msg = f"cut at byte {at}: the end of the recording is missing"
+        raise RecordingError(msg)
+    if len(head) < form.size:
+        msg = f"cut at byte {end}, within the head of a record"
+        raise RecordingError(msg)
+    magic, number, node, size, payload_bytes, _ = form.unpack(head)
+    if magic != layout.RECORD_MAGIC:
+        msg = f"damaged at byte {at}: no record begins there"
+        raise RecordingError(msg)
+    try:
+        record_type = RecordType(number)
+    except ValueError:
+        msg = f"damaged at byte {at}: there is no record of type {number}"
+        raise RecordingError(msg) from None
+    if not form.size <= size <= form.size + MAX_FIELDS_BYTES or payload_bytes > MAX_PAYLOAD_BYTES:
+        msg = f"damaged at byte {at}: record {record_type.name} claims {size} + {payload_bytes} bytes"
+        raise RecordingError(msg)
+    if at + size + payload_bytes > end:
+        msg = f"cut at byte {end}, within a record {record_type.name} that ends at byte {at + size + payload_bytes}"
+        raise RecordingError(msg)
+    fields = file.read(size - form.size)
+    return Record(at=at, type=record_type, node=node, fields=fields, payload_at=at + size, payload_bytes=payload_bytes)

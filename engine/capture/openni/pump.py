@@ -1,0 +1,119 @@
+"""The thread that reads frames from the OpenNI2 runtime as they come, and pairs them for the engine thread."""
+
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+
+from engine.capture.openni.device import OpenNiDevice
+from engine.capture.openni.frame import DEPTH, DeviceFrame
+from engine.capture.openni.lasting_threads import run_on_lasting_thread
+from engine.core.clock import Clock
+from engine.core.errors import FrameTimeoutError, SourceEndedError, SourceLostError
+
+_HELD_DEPTHS, _HELD_COLORS = 8, 8
+_POLL_MS = 50
+_STOP_TIMEOUT_S = 2.0
+# The last frames of a file come after the notification of its end.
+_SILENT_POLLS_AT_END = 6
+# So many depth frames may come after one before its colour frame is taken to be missing.
+_PATIENCE_FRAMES = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ReceivedFrame:
+    """A frame and when it was received [ns, host monotonic]."""
+
+    frame: DeviceFrame
+    received_ns: int
+
+
+class CapturePump:
+    """Reads frames from the runtime as they come."""
+
+    def __init__(self, device: OpenNiDevice, clock: Clock) -> None:
+        self._device = device
+        self._clock = clock
+        self._changed = threading.Condition()
+        self._depths: deque[ReceivedFrame] = deque(maxlen=_HELD_DEPTHS)
+        self._colors: deque[ReceivedFrame] = deque(maxlen=_HELD_COLORS)
+        self._is_over = False
+        self._has_ended = False
+        self._stop_requested = threading.Event()
+        self._done = threading.Event()
+
+    def start(self) -> None:
+        """Start reading frames."""
+        self._done = run_on_lasting_thread(self._run)
+
+    def _run(self) -> None:
+        """Read until a stop is requested, or the recording or the device ends."""
+        try:
+            self._take_frames()
+        finally:
+            with self._changed:
+                self._has_ended = True
+                self._changed.notify_all()
+
+    def _take_frames(self) -> None:
+        silent_polls = 0
+        while not self._stop_requested.is_set() and not self._is_over and self._device.lost() is None:
+            frame = self._device.wait(_POLL_MS)
+            if frame is not None:
+                silent_polls = 0
+                received = ReceivedFrame(frame=frame, received_ns=self._clock.now_ns())
+                with self._changed:
+                    (self._depths if frame.stream == DEPTH else self._colors).append(received)
+                    self._changed.notify_all()
+            else:
+                silent_polls += 1
+                self._is_over = self._device.is_over and silent_polls >= _SILENT_POLLS_AT_END
+
+    def stop(self) -> bool:
+        """Request the end; return whether the thread ended, which it does not while a driver hangs."""
+        self._stop_requested.set()
+        return self._done.wait(_STOP_TIMEOUT_S)
+
+    def await_end(self) -> None:
+        """Wait for the end without a timeout."""
+        self._done.wait()
+
+    def take(self, timeout_s: float, margin_us: float | None) -> tuple[ReceivedFrame, ReceivedFrame]:
+        """Return the next depth frame and its colour frame.
+
+        ``margin_us`` is how far before the depth frame a colour frame may lie and still be taken without waiting for
+        the next one; None never waits.
+        """
+        deadline_s = time.monotonic() + timeout_s
+        with self._changed:
+            while True:
+                if not (self._depths and self._colors):
+                    self._raise_if_finished()
+                elif self._has_color(margin_us):
+                    depth = self._depths.popleft()
+                    return depth, self._nearest(depth)
+                wait_s = deadline_s - time.monotonic()
+                if wait_s <= 0.0:
+                    msg = f"no frame within {timeout_s:g} s"
+                    raise FrameTimeoutError(msg)
+                self._changed.wait(wait_s)
+
+    def _has_color(self, margin_us: float | None) -> bool:
+        """Whether the colour frame nearest to the first depth frame is certainly received."""
+        if margin_us is None or self._has_ended or len(self._depths) > _PATIENCE_FRAMES:
+            return True
+        return self._depths[0].frame.timestamp_us - self._colors[-1].frame.timestamp_us <= margin_us
+
+    def _nearest(self, depth: ReceivedFrame) -> ReceivedFrame:
+        return min(self._colors, key=lambda color: abs(color.frame.timestamp_us - depth.frame.timestamp_us))
+
+    def _raise_if_finished(self) -> None:
+        lost = self._device.lost()
+        if lost is not None:
+            raise SourceLostError(lost)
+        if self._is_over:
+            msg = "the recording has ended"
+            raise SourceEndedError(msg)
+        if self._has_ended:
+            msg = "the capture has ended"
+            raise SourceLostError(msg)

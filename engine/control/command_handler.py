@@ -1,0 +1,159 @@
+"""Carries out operators' commands: check whether the command is allowed now, then the line, then the change itself.
+
+Owned by the engine thread; runs between two frames. A command is refused before anything is changed.
+"""
+
+from engine.beam.tapped import AskedLine
+from engine.control.decisions import Cause
+from engine.control.gate_controller import GateController
+from engine.control.interlock_inputs import InterlockInputs
+from engine.control.output_queues import OutputQueues
+from engine.control.roles import Learner, Measurer
+from engine.control.session_limits import SessionLimits
+from engine.control.watchdog import Watchdog
+from engine.core.commands import (
+    Acknowledge,
+    ActivateModel,
+    ApplyModel,
+    Arm,
+    Command,
+    CorrectBaseline,
+    Disarm,
+    HoldBeam,
+    ReleaseBeam,
+    Retrain,
+    SetReference,
+)
+from engine.core.errors import CommandRefusedError
+from engine.core.gate_state import GateState, HoldReason
+from engine.core.input_tap import NO_TAP, InputKind, InputTap
+from engine.gating.gate import Ending
+from engine.gating.supervision.supervisor import FrameSupervisor
+
+
+class CommandHandler:
+    """Handles commands; remembers with which model and reference the gate was armed."""
+
+    def __init__(
+        self,
+        *,
+        measurer: Measurer,
+        learner: Learner,
+        beam: AskedLine,
+        limits: SessionLimits,
+        controller: GateController,
+        interlocks: InterlockInputs,
+        supervisor: FrameSupervisor,
+        watchdog: Watchdog,
+        outputs: OutputQueues,
+        tap: InputTap = NO_TAP,
+    ) -> None:
+        self._measurer, self._learner, self._beam, self._limits = measurer, learner, beam, limits
+        self._controller, self._interlocks, self._supervisor = controller, interlocks, supervisor
+        self._watchdog, self._outputs, self._tap = watchdog, outputs, tap
+        self._generation = learner.status.model_generation
+        self._resolved_for: int | None = None
+
+    def has_model_changed(self) -> bool:
+        """Whether the model or the reference has changed since the last call, or since the last arming."""
+        before, self._generation = self._generation, self._learner.status.model_generation
+        return before != self._generation
+
+    def resolve_window(self) -> None:
+        """Resolve a window in per cent into mm, once for each reference that is set.
+
+        Another model with the same reference has another learned range, of where the patient lies now: a window that
+        took it over would follow a drift that no person has confirmed.
+        """
+        reference = self._learner.status.reference_number
+        if self._resolved_for == reference or not self._limits.prescribed_window.needs_ranges:
+            return
+        ranges = self._learner.learned_ranges(self._limits.prescribed_window.choices)
+        self._limits.resolve_window(ranges)
+        if ranges:
+            self._resolved_for = reference
+
+    def handle(self, command: Command) -> None:
+        """Carry a command out; raise a TidegateError where it is refused."""
+        match command:
+            case Arm():
+                self._arm(command)
+            case Disarm():
+                self._controller.disarm(command)
+            case HoldBeam():
+                self._controller.hold(command)
+            case ReleaseBeam():
+                self._controller.release(command)
+            case Acknowledge():
+                self._acknowledge(command)
+            case CorrectBaseline():
+                self._controller.correct_baseline(command)
+                self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], self._limits.correction)
+            case _:
+                self._change(command)
+
+    def _change(self, command: SetReference | Retrain | ApplyModel | ActivateModel) -> None:
+        """Carry out a command that changes the reference or the model."""
+        match command:
+            case SetReference():
+                self._set_reference(command)
+            case Retrain():
+                self._learner.retrain(keeps_zero=command.keeps_zero)
+            case ApplyModel():
+                self._apply_model(command)
+            case ActivateModel():
+                self._disarm_for("another model is activated", command.operator)
+                self._learner.activate(command.model)
+
+    def _set_reference(self, command: SetReference) -> None:
+        self._disarm_for("the reference is set", command.operator)
+        self._learner.set_reference()
+        self._limits.clear_correction()
+        self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], 0.0)
+        self._supervisor.reset_position()
+
+    def _apply_model(self, command: ApplyModel) -> None:
+        if not self._learner.status.is_model_waiting:
+            raise CommandRefusedError("no new model waits to be applied")
+        self._disarm_for("a new model is applied", command.operator)
+        self._learner.apply_model()
+
+    def _disarm_for(self, detail: str, operator: str) -> None:
+        self._controller.decide(Ending(reason=HoldReason.DISARMED, detail=detail), cause=Cause(operator=operator))
+
+    def _arm(self, command: Arm) -> None:
+        self._generation = self._learner.status.model_generation
+        self.resolve_window()
+        self._refuse_unless_ready()
+        self._beam.rearm()
+        self._interlocks.expect_presence(command.operator)
+        self._controller.decide(command, cause=Cause(operator=command.operator))
+        if not self._controller.gate.is_armed:
+            raise CommandRefusedError(f"a fault came up: {self._controller.gate.reason}")
+
+    def _refuse_unless_ready(self) -> None:
+        gate = self._controller.gate
+        if gate.state is GateState.FAULT:
+            raise CommandRefusedError(f"a fault is latched ({gate.reason}): acknowledge it first")
+        if gate.is_armed:
+            raise CommandRefusedError("the gate is armed already")
+        if self._learner.status.model is None:
+            raise CommandRefusedError("there is no motion model yet: wait for the training to end")
+        if self._learner.status.model_shortcoming is not None:
+            raise CommandRefusedError(self._learner.status.model_shortcoming)
+        if not self._learner.status.has_reference:
+            raise CommandRefusedError("there is no reference yet: set it first")
+        if self._limits.is_window_unresolved:
+            raise CommandRefusedError("The window is in per cent, but this model has no breathing range. Train again.")
+        self._limits.refuse_wide_window()
+        if not self._tap.observe(InputKind.WATCHDOG_RUNS, lambda: self._watchdog.is_watching):
+            raise CommandRefusedError("the watchdog does not run: this engine cannot be armed")
+        self._controller.refuse_without_fresh_signal()
+
+    def _acknowledge(self, command: Acknowledge) -> None:
+        if self._controller.gate.state is not GateState.FAULT:
+            raise CommandRefusedError("there is no fault to acknowledge")
+        trouble = self._tap.observe(InputKind.QUEUE_TROUBLE, self._outputs.trouble)
+        if trouble is not None:
+            raise CommandRefusedError(f"the fault persists ({trouble}): nothing can be recorded")
+        self._controller.acknowledge(command)

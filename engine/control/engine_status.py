@@ -1,0 +1,33 @@
+"""What is known of a running engine, as one value: published by the engine thread, read by any other."""
+
+from dataclasses import dataclass, field
+
+from engine.control.outputs import LiveView, LoopStatus
+from engine.core.learning_status import LearningStatus
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EngineStatus:
+    """The state of an engine at the end of its last turn, or at its last answer to a command.
+
+    Attributes
+    ----------
+    run_state
+        Starting, running, ended or failed.
+    error
+        Why it failed, for a person; None where it did not.
+    view
+        The newest view; None before the first frame.
+    learning
+        The model and the reference in use.
+    """
+
+    run_state: LoopStatus = LoopStatus.STARTING
+    error: str | None = None
+    view: LiveView | None = None
+    learning: LearningStatus = field(default_factory=LearningStatus)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the engine decides nothing any more."""
+        return self.run_state.is_over

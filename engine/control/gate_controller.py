@@ -1,0 +1,157 @@
+"""Decides whether the beam may be on: steps the gate, drives the line, then has the decision recorded.
+
+The order is the safety argument: the gate is stepped, the line is driven and read back, and only then are records made.
+The interlocks are part of every decision, before and after its events.
+"""
+
+from engine.beam.tapped import AskedLine
+from engine.control.beam_driver import BeamDriver
+from engine.control.decision_records import DecisionRecords
+from engine.control.decisions import Cause, Decision
+from engine.control.interlock_inputs import WATCHDOG_DETAIL, InterlockInputs
+from engine.control.session_limits import SessionLimits
+from engine.control.watchdog import Watchdog
+from engine.core.clock import NS_PER_MS, Clock
+from engine.core.commands import Acknowledge, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam
+from engine.core.errors import CommandRefusedError
+from engine.core.frames import Measurement, MeasurementState
+from engine.core.gate_state import GateState, HoldReason
+from engine.gating.active_window import window_text
+from engine.gating.frame_checks import captured_ns, too_slow
+from engine.gating.gate import Ending, Gate, GateEvent, Interruption, step_gate
+
+
+class GateController:
+    """Owns the gate; called by the engine thread, read by others.
+
+    Parameters
+    ----------
+    clock
+        The engine thread's clock, whose readings a tape records.
+
+    Attributes
+    ----------
+    gate
+        As of the last decision.
+    """
+
+    def __init__(
+        self,
+        *,
+        beam: AskedLine,
+        clock: Clock,
+        limits: SessionLimits,
+        interlocks: InterlockInputs,
+        records: DecisionRecords,
+        watchdog: Watchdog,
+    ) -> None:
+        self._clock, self._limits, self._watchdog = clock, limits, watchdog
+        self._interlocks, self._records = interlocks, records
+        self._driver = BeamDriver(beam=beam, clock=clock, limits=limits.current)
+        watchdog.on_fired = lambda at_ns: records.record_watchdog(self.gate, at_ns)
+        self.gate = Gate(since_ns=clock.now_ns())
+
+    def decide(self, *events: GateEvent, cause: Cause | None = None) -> None:
+        """Step the gate through ``events`` to one decision, drive the line, and record it."""
+        cause = cause or Cause()
+        before = self.gate
+        decided_ns = self._clock.now_ns()
+        # Interlocks first, so that they are named as the cause; and last, so that no event clears them.
+        interlocks = self._interlocks.collect(before, decided_ns)
+        gate = before
+        for event in (*interlocks, *events, *interlocks):
+            gate = self._step(gate, event, decided_ns)
+        prepared = self._records.prepare(self._decision(before, gate, cause, decided_ns, decided_ns))
+        report = self._driver.carry_out(gate, decided_ns)
+        if report.trouble is not None:
+            gate = self._step(gate, self._named(report.trouble), decided_ns)
+        asserted_ns = self._clock.now_ns()
+        slowness = self._slowness(gate, cause.measurement, asserted_ns)
+        if slowness is not None:
+            permitted, permitted_ns, gate = gate, asserted_ns, self._step(gate, slowness, decided_ns)
+            report = self._driver.carry_out(gate, decided_ns)
+            asserted_ns = self._clock.now_ns()
+            if before.state is not GateState.BEAM_ON and permitted.state is GateState.BEAM_ON:
+                # Permitted and held within one decision: the line was on meanwhile, and every beam-on is recorded.
+                self._records.record_transition(
+                    self._decision(before, permitted, cause, decided_ns, permitted_ns), prepared
+                )
+                before, prepared = permitted, None
+        self.gate = gate
+        self._watchdog.feed(decided_ns, is_armed=gate.is_armed)
+        self._records.record(self._decision(before, gate, cause, decided_ns, asserted_ns), report, prepared)
+
+    def acknowledge(self, command: Acknowledge) -> None:
+        """Clear the latched fault for a named person; a cause that persists faults again at once."""
+        self._watchdog.reset()
+        self._records.expect_watchdog_again()
+        self.decide(command, cause=Cause(operator=command.operator))
+
+    def disarm(self, command: Disarm) -> None:
+        """Disarm; a hold by hand ends with it."""
+        self._interlocks.operator_hold = None
+        self.decide(command, cause=Cause(operator=command.operator))
+
+    def hold(self, command: HoldBeam) -> None:
+        """Hold until an operator releases; the first who held stays named."""
+        self._interlocks.operator_hold = self._interlocks.operator_hold or command.operator
+        self.decide(cause=Cause(operator=command.operator))
+
+    def release(self, command: ReleaseBeam) -> None:
+        """End a hold by hand: the beam is on again after a full dwell at the earliest."""
+        if self._interlocks.operator_hold is None:
+            raise CommandRefusedError("no operator holds the beam")
+        self._interlocks.operator_hold = None
+        released = Interruption(HoldReason.DWELL, f"released by {command.operator}")
+        self.decide(released, cause=Cause(operator=command.operator))
+
+    def correct_baseline(self, command: CorrectBaseline) -> None:
+        """Disarm, then move the window; both windows are recorded even where the gate was not armed."""
+        before, corrected = self._limits.current.window, self._limits.corrected(command.by)
+        change = f"the window was {window_text(before)} and is {window_text(corrected.window)}"
+        detail = f"the baseline is corrected by {command.by:g}: {change}"
+        self.decide(Ending(HoldReason.DISARMED, detail), cause=Cause(operator=command.operator, detail=detail))
+        self._limits.use(corrected)
+
+    def refuse_without_fresh_signal(self) -> None:
+        """Raise CommandRefusedError unless the newest frame is fresh and its gated motion was measured."""
+        measurement, last = self._records.newest_measurement, self.gate.last
+        if measurement is None or last is None or measurement.state is not MeasurementState.MEASURING:
+            raise CommandRefusedError("the newest frame was not measured: see that the patient is in view")
+        if not self._limits.is_signal_measured(measurement):
+            raise CommandRefusedError("the gated motion is not measured: choose a region inside the grid")
+        age_ms = (self._clock.now_ns() - last.received_ns) / NS_PER_MS
+        if age_ms > self._limits.current.max_gap_ms + self._limits.current.max_frame_age_ms:
+            raise CommandRefusedError(f"the newest frame is {age_ms:.0f} ms old: see to the camera")
+
+    def _step(self, gate: Gate, event: GateEvent, decided_ns: int) -> Gate:
+        return step_gate(gate, event, decided_ns, self._limits.current)
+
+    def _decision(self, before: Gate, gate: Gate, cause: Cause, decided_ns: int, asserted_ns: int) -> Decision:
+        return Decision(
+            cause=cause,
+            before=before,
+            gate=gate,
+            decided_ns=decided_ns,
+            asserted_ns=asserted_ns,
+            captured_ns=self._captured_ns(gate, cause.measurement),
+        )
+
+    def _captured_ns(self, gate: Gate, measurement: Measurement | None) -> int | None:
+        last = gate.last
+        return None if measurement is None or last is None else captured_ns(last, measurement, self._limits.current)
+
+    def _slowness(self, gate: Gate, measurement: Measurement | None, asserted_ns: int) -> Interruption | None:
+        """Return a fault where the line was driven too late: only now is it known how long that took."""
+        taken_ns = self._captured_ns(gate, measurement)
+        if taken_ns is None:
+            return None
+        latency_ms = (asserted_ns - taken_ns) / NS_PER_MS
+        if latency_ms <= self._limits.current.max_latency_ms:
+            return None
+        return Interruption(HoldReason.LATENCY_HIGH, too_slow(latency_ms, self._limits.current))
+
+    def _named(self, trouble: Interruption) -> Interruption:
+        """Name the watchdog as the cause where its hold is why the line refused a permit."""
+        is_watchdog = self._interlocks.has_watchdog_fired()
+        return Interruption(HoldReason.WATCHDOG, WATCHDOG_DETAIL) if is_watchdog else trouble

@@ -1,0 +1,109 @@
+"""The newest view of a running engine: written by the engine thread, read by any other.
+
+A view is a frozen value that is replaced whole. A view that a hung engine left behind is shown as a fault.
+"""
+
+from dataclasses import replace
+
+from engine.capture.source import SourceDescription
+from engine.control.decisions import Decision
+from engine.control.interlock_inputs import WATCHDOG_DETAIL
+from engine.control.latency import LatencyStatistics
+from engine.control.output_queues import OutputQueues
+from engine.control.outputs import FrameRecord, LiveView, LoopStatus
+from engine.control.session_limits import SessionLimits
+from engine.control.watchdog import Watchdog
+from engine.core.frames import ColorImage, RgbdFrame
+from engine.core.gate_state import GateState, HoldReason
+
+BACK_DETAIL = "; it is back: acknowledge, set the reference, arm"
+"""Added to the detail of a lost camera that delivers frames again."""
+
+
+class LiveViews:
+    """Makes the newest view from each decision.
+
+    Attributes
+    ----------
+    newest
+        As made at the last decision; None before the first frame.
+    """
+
+    def __init__(self, *, limits: SessionLimits, outputs: OutputQueues, watchdog: Watchdog) -> None:
+        self._limits, self._outputs, self._watchdog = limits, outputs, watchdog
+        self._latency = LatencyStatistics(warn_latency_ms=limits.current.warn_latency_ms)
+        self._shown_by_watchdog: tuple[LiveView, LiveView] | None = None
+        self.newest: LiveView | None = None
+        self.run_state = LoopStatus.STARTING
+        self.error: str | None = None
+        self.description: SourceDescription | None = None
+
+    def begin(self, description: SourceDescription) -> None:
+        """Show a source that was opened."""
+        self.description = description
+        self.run_state = LoopStatus.RUNNING
+
+    def end(self, run_state: LoopStatus, error: str | None) -> None:
+        """Show how the engine ended."""
+        self.run_state, self.error = run_state, error
+        if self.newest is not None:
+            self.newest = replace(self.newest, status=run_state, error=error)
+
+    def shown(self, view: LiveView | None) -> LiveView | None:
+        """Return ``view``; where the watchdog has fired and the engine has not decided since, as the watchdog's fault.
+
+        Called from any thread.
+        """
+        if view is None or not self._watchdog.has_fired or view.record.gate_state is GateState.FAULT:
+            return view
+        left_behind, shown = self._shown_by_watchdog or (None, None)
+        if shown is None or view is not left_behind:  # one view for all readers: they recognise a new one by identity
+            # The line was held, but it has not been read back since: it may be on where it was on.
+            record = replace(view.record, gate_state=GateState.FAULT, hold_reason=HoldReason.WATCHDOG)
+            shown = replace(view, record=record, is_armed=False, detail=WATCHDOG_DETAIL)
+            self._shown_by_watchdog = (view, shown)
+        return shown
+
+    def show_frame(self, decision: Decision, record: FrameRecord, frame: RgbdFrame, operator_hold: str | None) -> None:
+        """Count a frame that was decided on, and show it."""
+        self._latency.count(
+            captured_ns=frame.received_ns if record.captured_ns is None else record.captured_ns,
+            received_ns=frame.received_ns,
+            asserted_ns=record.asserted_ns,
+            missed_frames=frame.missed_frames,
+        )
+        gate = decision.gate
+        is_back = gate.state is GateState.FAULT and gate.reason is HoldReason.SOURCE_LOST
+        detail = gate.detail + BACK_DETAIL if is_back else gate.detail
+        self._show(decision, record, frame.color, detail, operator_hold)
+
+    def show_without_frame(self, decision: Decision, *, is_on: bool, operator_hold: str | None) -> None:
+        """Show the last frame again, with the gate and the line of now."""
+        view, gate = self.newest, decision.gate
+        if view is not None:
+            record = replace(view.record, gate_state=gate.state, hold_reason=gate.reason, line_on=is_on)
+            self._show(decision, record, view.color, gate.detail, operator_hold)
+
+    def _show(
+        self, decision: Decision, record: FrameRecord, color: ColorImage, detail: str, operator_hold: str | None
+    ) -> None:
+        if self.description is None:
+            return
+        self.newest = LiveView(
+            record=record,
+            color=color,
+            frames=self._latency.frames,
+            missed_frames=self._latency.missed_frames,
+            dropped_records=self._outputs.dropped_records,
+            fps=self._latency.fps,
+            latency=self._latency.latency,
+            is_armed=decision.gate.is_armed,
+            detail=detail,
+            description=self.description,
+            status=self.run_state,
+            error=self.error,
+            window=self._limits.current.window,
+            conditions=decision.gate.conditions,
+            operator_hold=operator_hold,
+            breath_holds=decision.gate.breath_holds,
+        )

@@ -1,0 +1,145 @@
+"""The engine's outputs: one record per frame, one transition per change of the gate, one newest view.
+
+All are frozen values; the service turns them into rows, messages and pictures in its own threads. Times are host
+monotonic nanoseconds except ``captured_us``, which is the device's clock.
+"""
+
+import enum
+from dataclasses import dataclass
+
+from engine.capture.source import SourceDescription
+from engine.core.clock import NS_PER_MS
+from engine.core.frames import ColorImage, Measurement
+from engine.core.gate_state import GateState, HoldReason
+from engine.gating.windows import ConditionState, GateWindow
+
+
+class LoopStatus(enum.StrEnum):
+    """The run state of an engine."""
+
+    STARTING = "starting"
+    RUNNING = "running"
+    ENDED = "ended"
+    FAILED = "failed"
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the engine decides nothing any more."""
+        return self in {LoopStatus.ENDED, LoopStatus.FAILED}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FrameRecord:
+    """One frame, and the decision on it.
+
+    Attributes
+    ----------
+    hold_reason
+        Why the beam is held; None if and only if ``gate_state`` is ``BEAM_ON``.
+    signal_mm
+        The gated motion; None where it was not measured.
+    received_ns, decided_ns, asserted_ns
+        When the frame was received, the gate had decided, and the line had been driven. A line that acts at once was
+        read back by then; a wired line is read back within its own bounds, or latches (docs/3-operate/beam.md).
+    line_on
+        The line as read back; True also when it did not answer, since it may be on.
+    captured_ns
+        When the camera took the frame, on the host's clock; see :func:`engine.gating.frame_checks.captured_ns`.
+    """
+
+    measurement: Measurement
+    gate_state: GateState
+    hold_reason: HoldReason | None
+    signal_mm: float | None
+    received_ns: int
+    decided_ns: int
+    asserted_ns: int
+    line_on: bool
+    captured_ns: int | None = None
+
+    @property
+    def latency_ms(self) -> float | None:
+        """From capture to the line driven [ms]."""
+        return _latency_ms(self.captured_ns, self.asserted_ns)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GateTransition:
+    """One change of the gate's state, or of the reason for the state; for the audit.
+
+    ``frame_index``, ``captured_us``, ``captured_ns`` and ``received_ns`` are those of the frame that caused it, None
+    when none did; ``operator`` is the person who did; ``number`` is its own in the session's journal, rising.
+    """
+
+    at_ns: int
+    frame_index: int | None
+    from_state: GateState
+    to_state: GateState
+    reason: HoldReason | None
+    operator: str | None
+    detail: str
+    captured_us: int | None
+    received_ns: int | None
+    decided_ns: int
+    asserted_ns: int
+    captured_ns: int | None = None
+    number: int | None = None
+
+    @property
+    def latency_ms(self) -> float | None:
+        """From capture to the line driven [ms]; None where no frame was the cause."""
+        return _latency_ms(self.captured_ns, self.asserted_ns)
+
+
+def _latency_ms(captured_ns: int | None, asserted_ns: int) -> float | None:
+    return None if captured_ns is None else (asserted_ns - captured_ns) / NS_PER_MS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LatencySummary:
+    """Time from capture to the line driven [ms]: last frame, percentiles of the last few hundred, and maximum.
+
+    ``is_warned`` is set where the last frame took longer than the site's warning limit.
+    """
+
+    last_ms: float
+    p50_ms: float
+    p99_ms: float
+    max_ms: float = 0.0
+    is_warned: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LiveView:
+    """The newest frame and decision, for a page; a reader computes its age from ``record.received_ns``.
+
+    Between frames (silence, commands, the end) the record repeats the last frame with the gate and line of now.
+
+    Attributes
+    ----------
+    window
+        The window that the gate decides by: per cent resolved into mm or l where the range is known, and corrected.
+    conditions
+        State of each condition of the window; empty before the first frame.
+    operator_hold
+        The operator who holds the beam by hand; None where there is none.
+    breath_holds
+        Number of breath holds since the gate was armed.
+    """
+
+    record: FrameRecord
+    color: ColorImage
+    frames: int
+    missed_frames: int
+    dropped_records: int
+    fps: float
+    latency: LatencySummary
+    is_armed: bool
+    detail: str
+    description: SourceDescription
+    status: LoopStatus
+    error: str | None
+    window: GateWindow
+    conditions: tuple[ConditionState, ...] = ()
+    operator_hold: str | None = None
+    breath_holds: int = 0

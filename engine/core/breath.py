@@ -1,0 +1,133 @@
+"""Values of breathing: the choice of a signal, its phase and rate, and breathing events.
+
+In core because a measurement contains them; :mod:`engine.motion.breathing` computes them.
+"""
+
+import enum
+from dataclasses import dataclass
+
+from engine.core.errors import InvalidValueError
+
+
+class GateSignal(enum.StrEnum):
+    """The kinds of signals for gating."""
+
+    WHOLE = "whole"
+    THORAX = "thorax"
+    ABDOMEN = "abdomen"
+    REGION = "region"
+    NAMED = "named"
+    POINT = "point"
+    VOLUME = "volume"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SignalChoice:
+    """One signal of a measurement.
+
+    Attributes
+    ----------
+    signal
+        Kind of signal; a plain string of the same value is accepted.
+    row, column
+        Cell of the region grid for ``region``; grid point for ``point``.
+    name
+        Name of the region, for ``named``.
+    index
+        Position of a point or a named region among those the pipeline measures.
+    """
+
+    signal: GateSignal | str = GateSignal.WHOLE
+    row: int | None = None
+    column: int | None = None
+    name: str | None = None
+    index: int = 0
+
+    def __post_init__(self) -> None:
+        """Raise InvalidValueError for a signal that does not exist."""
+        if self.signal not in set(GateSignal):
+            raise InvalidValueError("signal", self.signal, f"one of {', '.join(GateSignal)}")
+        object.__setattr__(self, "signal", GateSignal(self.signal))
+        if isinstance(self.index, bool) or not isinstance(self.index, int) or self.index < 0:
+            raise InvalidValueError("index", self.index, "a whole number from 0")
+        has_name = self.name is not None
+        if has_name != (self.signal is GateSignal.NAMED):
+            raise InvalidValueError("name", self.name, "given for signal named, and for no other")
+
+    @property
+    def is_volume(self) -> bool:
+        """Whether its values are litres, not millimetres."""
+        return self.signal is GateSignal.VOLUME
+
+    @property
+    def label(self) -> str:
+        """Name of the signal, for display."""
+        if self.signal in {GateSignal.REGION, GateSignal.POINT}:
+            return f"{self.signal} {self.row},{self.column}"
+        return self.name or str(self.signal)
+
+
+WHOLE = SignalChoice()
+
+
+class BreathEventKind(enum.StrEnum):
+    """Kinds of breathing events; the value is the stable code."""
+
+    COUGH = "cough"
+    SIGH = "sigh"
+    APNOEA = "apnoea"
+    TALKING = "talking"
+    IRREGULAR = "irregular"
+    DRIFT = "drift"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BreathEvent:
+    """A breathing event in progress; ``start_us`` is device time [us], ``confidence`` from 0 to 1."""
+
+    kind: BreathEventKind
+    start_us: int
+    confidence: float
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Breath:
+    """Breathing of one signal; values are mm, or l of a volume. None where a value cannot be determined.
+
+    Attributes
+    ----------
+    phase_percent
+        0 at the end of inhale, about 50 at the end of exhale, below 100 [%]: the convention of 4-D CT.
+    phase_confidence, rate_confidence
+        From 0 to 1.
+    note
+        Why there is no phase; empty when there is one.
+    rate_per_min
+        Breaths a minute.
+    amplitude
+        Excursion from the end of exhale to the end of inhale, of the last breaths.
+    baseline
+        Level of the end of exhale, of the last breaths.
+    drift
+        Distance of the baseline from that of the training.
+    drift_per_s
+        Rate of the drift [mm/s or l/s].
+    regularity
+        Similarity of the breath to earlier ones, 0 to 1.
+    events
+        Events in progress, the newest last.
+    """
+
+    signal: SignalChoice = WHOLE
+    phase_percent: float | None = None
+    phase_confidence: float = 0.0
+    note: str = "too little seen yet"
+    rate_per_min: float | None = None
+    rate_confidence: float = 0.0
+    amplitude: float | None = None
+    baseline: float | None = None
+    drift: float | None = None
+    drift_per_s: float | None = None
+    regularity: float | None = None
+    events: tuple[BreathEvent, ...] = ()

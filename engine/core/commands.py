@@ -1,0 +1,106 @@
+"""Commands of the service to the engine; none of them turns the beam on.
+
+A bounded queue transfers commands, and futures return their results, between two frames. Each command names its
+operator, for the audit.
+"""
+
+from dataclasses import dataclass
+
+from engine.core.motion_model import MotionModel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Arm:
+    """Let the gate decide from now on; refused without a valid model, a reference and a fresh frame."""
+
+    operator: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Disarm:
+    """Hold the beam and disarm the gate; never refused."""
+
+    operator: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Acknowledge:
+    """A named person has seen the latched fault; the gate returns to hold, disarmed."""
+
+    operator: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetReference:
+    """Make the patient's present position the reference of motion; disarms."""
+
+    operator: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Retrain:
+    """Collect frames and train a new model in the background; it becomes active while the gate is not armed.
+
+    The reference is transferred, or the new model is refused; with ``keeps_zero`` false the reference is dropped, and
+    arming is refused until it is set again.
+    """
+
+    operator: str
+    keeps_zero: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ApplyModel:
+    """Activate the waiting model now; disarms. Refused if none waits."""
+
+    operator: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ActivateModel:
+    """Measure with this model as soon as the reference is transferred to it; disarms."""
+
+    operator: str
+    model: MotionModel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HoldBeam:
+    """Hold the beam until it is released or the gate is disarmed; the gate stays armed. Never refused."""
+
+    operator: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReleaseBeam:
+    """End the hold of :class:`HoldBeam`; the gate decides again, after a full dwell."""
+
+    operator: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CorrectBaseline:
+    """Move the window by the baseline's drift, as an operator has confirmed it; disarms.
+
+    Attributes
+    ----------
+    by
+        Displacement of the window [mm, l of the volume].
+    """
+
+    operator: str
+    by: float
+
+
+Command = (
+    Arm
+    | Disarm
+    | Acknowledge
+    | SetReference
+    | Retrain
+    | ApplyModel
+    | ActivateModel
+    | HoldBeam
+    | ReleaseBeam
+    | CorrectBaseline
+)

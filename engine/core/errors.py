@@ -1,0 +1,120 @@
+"""Every error the engine raises on purpose.
+
+An error is for a broken device, a bad input or a bug. "Cannot tell" is not an error: it is data with a reason
+(:class:`engine.core.frames.Lost`). Each class carries a stable ``code`` that the outside may rely on.
+"""
+
+from typing import ClassVar
+
+
+class TidegateError(Exception):
+    """Base of all errors raised on purpose."""
+
+    code: ClassVar[str] = "tidegate_error"
+
+
+class InvalidValueError(TidegateError):
+    """A value is outside its bound; the error has the field, the value and the bound."""
+
+    code = "invalid_value"
+
+    def __init__(self, field: str, value: object, bound: str) -> None:
+        self.field = field
+        self.value = _short(repr(value))
+        self.bound = bound
+        super().__init__(f"{field} is {self.value}: must be {bound}")
+
+
+class CalibrationError(InvalidValueError):
+    """The camera calibration is invalid or physically impossible."""
+
+    code = "calibration_invalid"
+
+
+class RecordingError(TidegateError):
+    """The file is not a recording, or it is damaged; the message is one line for an operator."""
+
+    code = "recording_unreadable"
+
+
+class SourceLostError(TidegateError):
+    """The camera is disconnected and does not reconnect by itself."""
+
+    code = "source_lost"
+
+
+class SourceEndedError(TidegateError):
+    """A recording has been read to its last frame."""
+
+    code = "source_ended"
+
+
+class FrameTimeoutError(TidegateError):
+    """No frame came in time; the source may still be usable."""
+
+    code = "frame_timeout"
+
+
+class SourceAwayError(FrameTimeoutError):
+    """The camera is disconnected and the source searches for it; the source stays usable."""
+
+    code = "source_lost"
+
+
+class RuntimeMissingError(TidegateError):
+    """The OpenNI2 runtime library is not installed on this machine."""
+
+    code = "openni_missing"
+
+
+class ModelError(TidegateError):
+    """The motion model cannot be trained, read or used."""
+
+    code = "model_invalid"
+
+
+class ModelMismatchError(ModelError):
+    """The motion model belongs to another patient or calibration, or does not match the patient on the couch."""
+
+    code = "model_mismatch"
+
+    def __init__(self, field: str, value: object, bound: str, advice: str = "") -> None:
+        self.field, self.value, self.bound = field, _short(value), bound
+        super().__init__(_sentence(self.field, self.value, bound, advice))
+
+
+class TrainingRefusedError(ModelError):
+    """The training frames, or the model learned from them, are not usable; the message says what to do."""
+
+    code = "training_refused"
+
+    def __init__(self, field: str, value: object, bound: str, advice: str) -> None:
+        self.field, self.value, self.bound = field, _short(value), bound
+        super().__init__(_sentence(self.field, self.value, bound, advice))
+
+
+class BeamLineError(TidegateError):
+    """The beam line did not answer, or did not follow the command."""
+
+    code = "beam_line_failed"
+
+
+class BeamLineMismatchError(BeamLineError):
+    """The beam line's read-back differs from the command."""
+
+    code = "beam_line_mismatch"
+
+
+class CommandRefusedError(TidegateError):
+    """The engine refuses the command in its present state; the message says why and what to do."""
+
+    code = "command_refused"
+
+
+def _short(value: object) -> str:
+    shown = str(value)
+    return shown if len(shown) <= 80 else f"{shown[:77]}..."
+
+
+def _sentence(field: str, value: str, bound: str, advice: str) -> str:
+    return f"{field} is {value}: must be {bound}" + (f"; {advice}" if advice else "")

@@ -1,0 +1,292 @@
+"""The values of a frame, from the camera to the gate.
+
+Each is frozen and its arrays are read-only, so stages and threads can share them.
+``motion_mm = reference depth - current depth``: positive is anterior, towards the camera, inhale.
+"""
+
+import enum
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from engine.core.breath import Breath
+
+FloatArray = npt.NDArray[np.floating]
+BoolArray = npt.NDArray[np.bool_]
+DepthImage = npt.NDArray[np.uint16]
+ColorImage = npt.NDArray[np.uint8]
+
+ROI_ROWS = 350
+ROI_COLUMNS = 200
+NODE_STEP = 25
+"""Grid pixels between two nodes, where the region is mapped exactly and the surface's vertices are reported."""
+NODE_ROWS = ROI_ROWS // NODE_STEP + 1
+NODE_COLUMNS = ROI_COLUMNS // NODE_STEP + 1
+
+
+def frozen(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return ``array`` with its writeable flag cleared (no copy)."""
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RgbdFrame:
+    """One depth frame with the colour frame nearest to it in time.
+
+    Attributes
+    ----------
+    index
+        Ordinal of the depth frame in its source, from 0, without gaps.
+    device_index
+        The device's own frame counter; a step of more than one is a loss.
+    missed_frames
+        Depth frames that the device counted since the frame before this one and did not deliver.
+    timestamp_us, color_timestamp_us
+        Device time of the depth and of the colour frame [us].
+    received_ns
+        Host monotonic time at which the depth frame was received [ns].
+    depth_mm
+        Depth along the optical axis of the depth camera [mm], shape (H, W), uint16; 0 is "no reading".
+    color
+        RGB, shape (H', W', 3), uint8.
+    """
+
+    index: int
+    device_index: int
+    missed_frames: int = 0
+    timestamp_us: int
+    color_timestamp_us: int
+    received_ns: int
+    depth_mm: DepthImage
+    color: ColorImage
+
+    def __post_init__(self) -> None:
+        """Check the shapes once, where the frame is made."""
+        if self.depth_mm.ndim != 2 or self.depth_mm.dtype != np.uint16:
+            msg = f"depth must be (H, W) uint16, not {self.depth_mm.shape} {self.depth_mm.dtype}"
+            raise ValueError(msg)
+        if self.color.ndim != 3 or self.color.shape[2] != 3 or self.color.dtype != np.uint8:
+            msg = f"colour must be (H, W, 3) uint8, not {self.color.shape} {self.color.dtype}"
+            raise ValueError(msg)
+        frozen(self.depth_mm)
+        frozen(self.color)
+
+    @property
+    def pair_gap_us(self) -> int:
+        """How far apart in time depth and colour are [us]."""
+        return abs(self.timestamp_us - self.color_timestamp_us)
+
+
+class LostReason(enum.StrEnum):
+    """Why a frame could not be measured; the codes of `HoldReason` where both know the cause."""
+
+    MARKER_LOST = "marker_lost"
+    LAYOUT_CHANGED = "layout_changed"
+    COVERAGE_LOW = "coverage_low"
+    RESIDUAL_HIGH = "residual_high"
+    VALUE_INVALID = "value_invalid"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lost:
+    """A measurement that could not be made, and why; ``detail`` is for a person."""
+
+    reason: LostReason
+    detail: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Markers:
+    """The four dot markers that bound the region.
+
+    Attributes
+    ----------
+    centers_px
+        Sub-pixel centres in the colour picture [px], pixel centres at integers, x then y, shape (4, 2). Order:
+        superior right, superior left, inferior left, inferior right (the patient's right and left), which are the
+        corners (0, 0), (0, 199), (349, 199), (349, 0) of the ROI grid as (row, column).
+    """
+
+    centers_px: FloatArray
+
+    def __post_init__(self) -> None:
+        """Check the shape once."""
+        if self.centers_px.shape != (4, 2):
+            msg = f"four centres of two coordinates expected, not {self.centers_px.shape}"
+            raise ValueError(msg)
+        frozen(self.centers_px)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RoiDepth:
+    """Depth on the anatomically consistent grid: row 0 superior, column 0 patient right.
+
+    Attributes
+    ----------
+    depth_mm
+        Depth [mm], shape (350, 200), float32, or of every ``stride_px``-th row and column of that; meaningless where
+        ``valid`` is false.
+    valid
+        Whether the sensor saw that point, same shape.
+    """
+
+    depth_mm: FloatArray
+    valid: BoolArray
+    stride_px: int = 1
+
+    def __post_init__(self) -> None:
+        """Make both arrays read-only."""
+        frozen(self.depth_mm)
+        frozen(self.valid)
+
+    def thinned(self, stride_px: int) -> "RoiDepth":
+        """Return the same at every ``stride_px``-th row and column; a multiple of the present stride."""
+        step = stride_px // self.stride_px
+        if step == 1:
+            return self
+        return RoiDepth(depth_mm=self.depth_mm[::step, ::step], valid=self.valid[::step, ::step], stride_px=stride_px)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Projection:
+    """A frame as the motion model explains it.
+
+    Attributes
+    ----------
+    beta
+        Coefficients of the components [mm], shape (k,).
+    coefficients
+        ``beta`` and, behind it, those of the smooth correction that the components do not span, shape (k + e,).
+    residual_mm
+        Largest mean misfit of any visible cell of the region [mm]: the best indicator that this is still the patient
+        of the training.
+    valid_share
+        Share of the ROI the sensor saw, 0 to 1.
+    inlier_share
+        Share of the seen pixels that the model explains, 0 to 1; a hand or a sheet takes pixels out.
+    """
+
+    beta: FloatArray
+    coefficients: FloatArray
+    residual_mm: float
+    valid_share: float
+    inlier_share: float
+
+    def __post_init__(self) -> None:
+        """Make both arrays read-only."""
+        frozen(self.beta)
+        frozen(self.coefficients)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhaseLag:
+    """How much later one region moves than another, over the last cycles.
+
+    Attributes
+    ----------
+    first, second
+        The regions' names; the first moves later if the lag is positive.
+    lag_s, lag_deg
+        The lag [s] and as a part of the cycle [deg, above -180 to 180]; None when it cannot be determined.
+    period_s
+        Length of a cycle [s]; None when there is none.
+    confidence
+        How well the two agree once the lag is undone, the correlation, up to 1; None when it was not computed.
+    note
+        Why it cannot be determined; empty otherwise.
+    """
+
+    first: str
+    second: str
+    lag_s: float | None = None
+    lag_deg: float | None = None
+    period_s: float | None = None
+    confidence: float | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Motion:
+    """What was measured on one frame; motion is positive towards the camera.
+
+    Attributes
+    ----------
+    regions_mm, regions_depth_mm
+        Mean motion and mean depth of each cell of the region grid [mm], shape (rows, columns); NaN where a cell lies
+        outside of what the model knows.
+    points_mm
+        Motion at the requested grid points [mm], shape (p,).
+    named_mm
+        Motion of the named regions [mm] in the order they were given, shape (q,).
+    volume_l
+        Volume against the reference [l]; positive is more.
+    lags
+        Phase lags between regions, thorax against abdomen first; worked out about once a second.
+    surface_mm
+        The region's surface in the depth camera's frame [mm] at its nodes, from superior right row by row, (n, 3).
+    split_rows
+        Where the line between thorax and abdomen crosses column 0 and column 199 of the grid [row].
+    """
+
+    whole_mm: float
+    thorax_mm: float
+    abdomen_mm: float
+    volume_l: float
+    regions_mm: FloatArray
+    regions_depth_mm: FloatArray
+    points_mm: FloatArray
+    projection: Projection
+    named_mm: FloatArray = field(default_factory=lambda: frozen(np.empty(0)))
+    lags: tuple[PhaseLag, ...] = ()
+    surface_mm: FloatArray = field(default_factory=lambda: frozen(np.empty((0, 3))))
+    split_rows: tuple[float, float] | None = None
+
+
+class MeasurementState(enum.StrEnum):
+    """What the pipeline is doing with frames now."""
+
+    TRAINING = "training"
+    MEASURING = "measuring"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Measurement:
+    """The outcome of one frame: exactly one a frame, in order.
+
+    ``motion`` is set if and only if ``state`` is measuring; ``lost`` if and only if it is lost. ``markers`` are those
+    of this frame when they were found, also while training. ``breaths`` say where the breath stands, one a signal that
+    is watched; none before there is a motion.
+    """
+
+    frame_index: int
+    timestamp_us: int
+    received_ns: int
+    measured_ns: int
+    missed_frames: int
+    state: MeasurementState
+    motion: Motion | None = None
+    lost: Lost | None = None
+    markers: Markers | None = None
+    training: "TrainingProgress | None" = None
+    breaths: tuple[Breath, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainingProgress:
+    """How far the gathering of training frames has come; ``share`` runs from 0 to 1.
+
+    ``amplitude_mm`` is how far the patient has breathed so far, ``shift_mm`` how far the region has moved as a whole
+    since the gathering began; None before that can be told.
+    """
+
+    frames: int
+    cycles: int
+    seconds: float
+    share: float
+    note: str = ""
+    amplitude_mm: float | None = None
+    shift_mm: float | None = None

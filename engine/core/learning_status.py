@@ -1,0 +1,37 @@
+"""What the learning of motion models has come to, as a value: published by the learner, read by everything else."""
+
+from dataclasses import dataclass
+
+from engine.core.motion_model import MotionModel
+from engine.core.patient_match import PatientMatch
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LearningStatus:
+    """The model and the reference in use.
+
+    Attributes
+    ----------
+    model
+        The model frames are measured with; None until one was learned or activated.
+    model_shortcoming
+        Why the gate may not be armed with this model, in a sentence; None where it may, or there is none.
+    model_generation
+        Changes whenever the model or the reference does: a gate that was armed before is disarmed.
+    is_model_waiting
+        Whether a new model is ready and waits for the gate to be disarmed.
+    has_reference
+        Whether motion is measured from a reference that the gate may be armed with.
+    reference_number
+        Counts the references that were set; one that is transferred to another model keeps its number.
+    patient_match
+        How far today's patient is from the stored model the session began with; None without one, or not known yet.
+    """
+
+    model: MotionModel | None = None
+    model_shortcoming: str | None = None
+    model_generation: int = 0
+    is_model_waiting: bool = False
+    has_reference: bool = False
+    reference_number: int = 0
+    patient_match: PatientMatch | None = None

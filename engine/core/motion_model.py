@@ -1,0 +1,100 @@
+"""The motion model: a patient's mean surface and the few ways it moves (article, sections 4.3.2 and 4.4.1).
+
+Everything is on the region's grid, 350 rows by 200 columns, depth in mm along the depth camera's axis. Equation (3) of
+the article prints a frame where the *mean* frame is subtracted; equation (5)'s eigenvectors are n long and have to be
+mapped back through the data to become components.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from engine.core.errors import ModelError
+from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, frozen
+from engine.core.provenance import ModelOrigin, Provenance
+
+# Of models of the first schema, which did not measure it.
+USUAL_NOISE_MM = 5.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MotionModel:
+    """Mean surface, principal components and spectrum of one patient's breathing.
+
+    Attributes
+    ----------
+    mean_mm
+        Mean depth [mm], shape (350, 200), float32; filled in smoothly where ``known`` is false.
+    components
+        Orthonormal over the grid, shape (k, 350, 200), float32. Sign: a growing first coefficient is inhale, so each
+        component's mean is negative; a retrained model does not flip.
+    eigenvalues_mm2
+        Variance of each principal component, descending [mm^2, summed over the grid], shape (n,).
+    known
+        Where at least half of the training frames had a reading, shape (350, 200).
+    cycles
+        Complete breathing cycles among the training frames.
+    calibration_sha256
+        The calibration the frames were aligned with.
+    noise_mm
+        The sensor's noise: the mean of a square of side n grid pixels varies by this over n, its correlation included.
+    surface_mm
+        Mean of the surface's vertices at the region's nodes, in the depth camera's frame [mm], shape (nodes, 3), NaN
+        where none was visible; None in models without it. A later fraction compares the patient's position with it.
+    scores_mm
+        First coefficients, of the components, of some of the training frames [mm], shape (frames, k): the range the
+        patient breathed over. None in models without them.
+    provenance
+        How good the training was, and where the model comes from.
+    """
+
+    mean_mm: FloatArray
+    components: FloatArray
+    eigenvalues_mm2: FloatArray
+    known: BoolArray
+    training_frames: int
+    cycles: int
+    seconds: float
+    calibration_sha256: str
+    noise_mm: float = USUAL_NOISE_MM
+    surface_mm: FloatArray | None = None
+    scores_mm: FloatArray | None = None
+    provenance: Provenance = field(default_factory=Provenance)
+
+    def __post_init__(self) -> None:
+        """Raise ModelError for wrong shapes or values that are not finite."""
+        grid = (ROI_ROWS, ROI_COLUMNS)
+        if self.mean_mm.shape != grid or self.known.shape != grid or self.components.shape[1:] != grid:
+            msg = f"a model lives on the {ROI_ROWS} x {ROI_COLUMNS} grid, not {self.mean_mm.shape}"
+            raise ModelError(msg)
+        if not (np.isfinite(self.mean_mm).all() and np.isfinite(self.components).all()):
+            msg = "a model must be finite everywhere"
+            raise ModelError(msg)
+        surface = self.surface_mm
+        if surface is not None and (surface.shape[1:] != (3,) or np.isinf(surface).any()):
+            msg = f"a model's surface is made of points, not {surface.shape}, and none is infinitely far"
+            raise ModelError(msg)
+        scores = self.scores_mm
+        if scores is not None and (scores.shape[1:] != (len(self.components),) or not np.isfinite(scores).all()):
+            msg = f"a model's scores are one number a component, all finite, not {scores.shape}"
+            raise ModelError(msg)
+        arrays = (self.mean_mm, self.components, self.eigenvalues_mm2, self.known, self.surface_mm, self.scores_mm)
+        for array in arrays:
+            if array is not None:
+                frozen(array)
+
+    def from_origin(self, origin: ModelOrigin) -> "MotionModel":
+        """Return the model with this origin; an origin that it already has is kept."""
+        if self.provenance.origin is not None:
+            return self
+        return replace(self, provenance=replace(self.provenance, origin=origin))
+
+    @property
+    def spectrum(self) -> FloatArray:
+        """Share of the variance each principal component explains, descending, sums to 1 (article, Fig. 5)."""
+        total = float(self.eigenvalues_mm2.sum())
+        return self.eigenvalues_mm2 / total if total > 0.0 else np.zeros_like(self.eigenvalues_mm2)
+
+    def reconstruct(self, beta: FloatArray) -> FloatArray:
+        """Equation (7): the surface that coefficients mean [mm], shape (350, 200)."""
+        return self.mean_mm + np.tensordot(beta, self.components, axes=1)

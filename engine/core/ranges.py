@@ -1,0 +1,18 @@
+"""The range a signal had while the motion model was trained: what a window in per cent refers to."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from engine.core.breath import SignalChoice
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LearnedRange:
+    """End of exhale (``low``) and end of inhale (``high``) against the present reference [mm, l of the volume]."""
+
+    low: float
+    high: float
+
+
+Ranges = Mapping[SignalChoice, LearnedRange]
+"""Signals whose range is not known are absent."""

@@ -1,0 +1,1 @@
+"""May the beam be on: the gate's reducer, frame checks, limits, windows and supervision."""

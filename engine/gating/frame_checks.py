@@ -1,0 +1,271 @@
+"""Check whether a measured frame may be used for a decision, independent of its amplitude.
+
+Pure functions of the frame, the summary of earlier frames, the limits and the time of the decision; each returns a
+verdict with its reason. They are separate from the gate because the faults of a frame do not depend on its state.
+"""
+
+import enum
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from engine.core.clock import CLOCK_DRIFT, NS_PER_MS, NS_PER_US
+from engine.core.frames import LostReason, Measurement, MeasurementState, Motion
+from engine.core.gate_state import HoldReason
+from engine.core.signals import signal_of
+from engine.gating.limits import GateLimits, ns_from_ms
+from engine.gating.windows import ConditionState, GateWindow
+
+MAX_JUMP_FRAMES = 5
+"""Most frames that an allowed step counts for: a longer gap does not allow a larger step."""
+
+
+class EventKind(enum.StrEnum):
+    """Kinds of events, by which the transition table is indexed."""
+
+    INSIDE = "inside"
+    DWELT = "dwelt"
+    OUTSIDE = "outside"
+    UNUSABLE = "unusable"
+    FAILURE = "failure"
+    ARM = "arm"
+    DISARM = "disarm"
+    ACKNOWLEDGE = "acknowledge"
+    END = "end"
+
+
+class Verdict(NamedTuple):
+    """Kind and reason of an event, the text for the operator, and the window's states where it judged the frame."""
+
+    kind: EventKind
+    reason: HoldReason | None = None
+    detail: str = ""
+    conditions: tuple[ConditionState, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LastFrame:
+    """Summary of the frames so far, with which the next one is compared.
+
+    ``least_lag_ns`` is the least host time minus device time so far, plus the allowed drift of the clocks since;
+    ``signals_mm`` were measured ``signal_age_frames`` frames ago.
+    """
+
+    index: int
+    timestamp_us: int
+    received_ns: int
+    least_lag_ns: int
+    signals_mm: tuple[float, ...] | None
+    signal_age_frames: int
+
+
+def check_frame(last: LastFrame | None, frame: Measurement, now_ns: int, limits: GateLimits) -> Verdict | None:
+    """Return why ``frame`` must not be used, faults before holds; None where every check passes."""
+    verdict = (
+        _refuse_disorder(last, frame, now_ns)
+        or _refuse_clock_jump(last, frame, limits)
+        or _refuse_late(last, frame, now_ns, limits)
+        or _refuse_gap(last, frame, limits)
+    )
+    if verdict is not None:
+        return verdict
+    if frame.state is not MeasurementState.MEASURING or frame.motion is None:
+        return _judge_unmeasured(frame)
+    return (
+        _refuse_bad_value(frame.motion, limits)
+        or _refuse_poor_fit(frame.motion, limits)
+        or _refuse_jump(last, frame, frame.motion, limits)
+        or _refuse_irregular(frame, limits)
+    )
+
+
+def fault(reason: HoldReason, detail: str) -> Verdict:
+    """Return a verdict that latches the gate."""
+    return Verdict(EventKind.FAILURE, reason, detail)
+
+
+def unusable(reason: HoldReason, detail: str) -> Verdict:
+    """Return a verdict that holds the gate until frames are good again."""
+    return Verdict(EventKind.UNUSABLE, reason, detail)
+
+
+def last_frame(before: LastFrame | None, frame: Measurement, window: GateWindow) -> LastFrame:
+    """Return the summary with which the next frame is compared."""
+    signals_mm = () if frame.motion is None else _jump_signals_mm(frame.motion, window)
+    is_measured = bool(signals_mm) and all(math.isfinite(signal_mm) for signal_mm in signals_mm)
+    earlier_mm = None if before is None else before.signals_mm
+    age = 0 if before is None else before.signal_age_frames + 1 + max(frame.missed_frames, 0)
+    return LastFrame(
+        index=frame.frame_index,
+        timestamp_us=frame.timestamp_us,
+        received_ns=frame.received_ns,
+        least_lag_ns=_least_lag_ns(before, frame),
+        signals_mm=signals_mm if is_measured else earlier_mm,
+        signal_age_frames=0 if is_measured else age,
+    )
+
+
+def captured_ns(last: LastFrame, frame: Measurement, limits: GateLimits) -> int:
+    """Return when the camera captured ``frame``, on the host's clock [ns]; ``last`` includes it already.
+
+    The fastest frame so far counts as delivered without delay but for ``camera_latency_ms``. The frames of a recording
+    count as captured when they are received, because a player may fall behind.
+    """
+    lag_ns = 0 if limits.is_played else max(_lag_ns(frame) - last.least_lag_ns, 0)
+    return frame.received_ns - lag_ns - ns_from_ms(limits.camera_latency_ms)
+
+
+def too_slow(latency_ms: float, limits: GateLimits) -> str:
+    """Return the text of a latency above its limit."""
+    return f"{latency_ms:.0f} ms since the camera took the frame, {limits.max_latency_ms:g} allowed"
+
+
+def _lag_ns(frame: Measurement) -> int:
+    return frame.received_ns - frame.timestamp_us * NS_PER_US
+
+
+def _least_lag_ns(before: LastFrame | None, frame: Measurement) -> int:
+    if before is None or frame.timestamp_us <= before.timestamp_us:
+        return _lag_ns(frame)  # a first frame, or a device that restarted its clock
+    drift_ns = int(CLOCK_DRIFT * max(frame.received_ns - before.received_ns, 0))
+    return min(_lag_ns(frame), before.least_lag_ns + drift_ns)
+
+
+def _refuse_disorder(last: LastFrame | None, frame: Measurement, now_ns: int) -> Verdict | None:
+    """Refuse frames whose index or times do not increase, on the device or on the host."""
+    if frame.missed_frames < 0:
+        return fault(HoldReason.VALUE_INVALID, f"{frame.missed_frames} missed frames")
+    disorder = ""
+    if frame.received_ns > now_ns:
+        disorder = f"received {frame.received_ns - now_ns} ns after now"
+    elif last is None:
+        return None
+    elif frame.frame_index <= last.index:
+        disorder = f"frame {frame.frame_index} after frame {last.index}"
+    elif frame.timestamp_us <= last.timestamp_us:
+        disorder = f"device time {frame.timestamp_us} us after {last.timestamp_us} us"
+    elif frame.received_ns <= last.received_ns:
+        disorder = f"received {last.received_ns - frame.received_ns} ns before the last frame"
+    return fault(HoldReason.CLOCK_BACKWARDS, disorder) if disorder else None
+
+
+def _refuse_clock_jump(last: LastFrame | None, frame: Measurement, limits: GateLimits) -> Verdict | None:
+    """Refuse a step of the device's clock beyond that of the host's; a recording's player may catch up."""
+    if last is None or limits.is_played:
+        return None
+    device_ns = (frame.timestamp_us - last.timestamp_us) * NS_PER_US
+    ahead_ms = (device_ns - (frame.received_ns - last.received_ns)) / NS_PER_MS
+    if ahead_ms <= limits.max_clock_jump_ms:
+        return None
+    return fault(HoldReason.CLOCK_JUMPED, f"the camera's clock advanced {ahead_ms:.0f} ms more than the host's")
+
+
+def _refuse_late(last: LastFrame | None, frame: Measurement, now_ns: int, limits: GateLimits) -> Verdict | None:
+    age_ms = (now_ns - frame.received_ns) / NS_PER_MS
+    if age_ms > limits.max_silence_ms:
+        return fault(HoldReason.FRAME_STALE, f"the newest frame is {age_ms:.0f} ms old")
+    lag_ms = (_lag_ns(frame) - _least_lag_ns(last, frame)) / NS_PER_MS
+    latency_ms = limits.camera_latency_ms + (0.0 if limits.is_played else lag_ms) + age_ms
+    if latency_ms > limits.max_latency_ms:
+        return fault(HoldReason.LATENCY_HIGH, too_slow(latency_ms, limits))
+    if age_ms > limits.max_frame_age_ms:
+        return unusable(HoldReason.FRAME_LATE, f"decided {age_ms:.0f} ms after it was received")
+    if lag_ms > limits.max_lag_ms and not limits.is_played:
+        return unusable(HoldReason.FRAME_LATE, f"received {lag_ms:.0f} ms later than the fastest frame")
+    return None
+
+
+def _refuse_gap(last: LastFrame | None, frame: Measurement, limits: GateLimits) -> Verdict | None:
+    if frame.missed_frames > 0:
+        return unusable(HoldReason.FRAME_MISSING, f"{frame.missed_frames} frames lost by the camera")
+    if last is None:
+        return None
+    if frame.frame_index != last.index + 1:
+        return unusable(HoldReason.FRAME_MISSING, f"frame {frame.frame_index} after frame {last.index}")
+    device_ms = (frame.timestamp_us - last.timestamp_us) * NS_PER_US / NS_PER_MS
+    host_ms = (frame.received_ns - last.received_ns) / NS_PER_MS
+    gap_ms = max(device_ms, host_ms)
+    if gap_ms > limits.max_gap_ms:
+        return unusable(HoldReason.FRAME_MISSING, f"{gap_ms:.0f} ms after the last frame")
+    return None
+
+
+_REASON_OF_LOST = {
+    LostReason.MARKER_LOST: HoldReason.MARKER_LOST,
+    LostReason.LAYOUT_CHANGED: HoldReason.LAYOUT_CHANGED,
+    LostReason.COVERAGE_LOW: HoldReason.COVERAGE_LOW,
+    LostReason.RESIDUAL_HIGH: HoldReason.RESIDUAL_HIGH,
+    LostReason.VALUE_INVALID: HoldReason.VALUE_INVALID,
+}
+
+
+def _judge_unmeasured(frame: Measurement) -> Verdict:
+    if frame.state is MeasurementState.TRAINING:
+        return unusable(HoldReason.TRAINING, "the motion model is being trained")
+    if frame.state is MeasurementState.LOST and frame.lost is not None:
+        reason = _REASON_OF_LOST.get(frame.lost.reason, HoldReason.UNKNOWN)
+        kind = EventKind.FAILURE if reason.is_fault else EventKind.UNUSABLE
+        return Verdict(kind, reason, frame.lost.detail)
+    return fault(HoldReason.VALUE_INVALID, f"{frame.state} without a measurement")
+
+
+def _refuse_bad_value(motion: Motion, limits: GateLimits) -> Verdict | None:
+    fit = motion.projection
+    values = {
+        **{f"{choice.label} (gated)": signal_of(choice, motion) for choice in limits.window.choices},
+        "whole": motion.whole_mm,
+        "thorax": motion.thorax_mm,
+        "abdomen": motion.abdomen_mm,
+        "residual": fit.residual_mm,
+        "valid share": fit.valid_share,
+        "inlier share": fit.inlier_share,
+    }
+    bad = [name for name, value in values.items() if not math.isfinite(value)]
+    if not (np.isfinite(fit.beta).all() and np.isfinite(fit.coefficients).all()):
+        bad.append("coefficients")
+    shares_are = 0.0 <= fit.valid_share <= 1.0 and 0.0 <= fit.inlier_share <= 1.0
+    if fit.residual_mm < 0.0 or not shares_are:
+        bad.append("fit")
+    return fault(HoldReason.VALUE_INVALID, f"not a number: {', '.join(bad)}") if bad else None
+
+
+def _refuse_poor_fit(motion: Motion, limits: GateLimits) -> Verdict | None:
+    fit = motion.projection
+    if not fit.valid_share >= limits.min_valid_share:
+        detail = f"{fit.valid_share:.2f} of the region visible, {limits.min_valid_share:.2f} needed"
+        return unusable(HoldReason.COVERAGE_LOW, detail)
+    if not fit.inlier_share >= limits.min_inlier_share:
+        detail = f"{fit.inlier_share:.2f} of the visible region fits the model, {limits.min_inlier_share:.2f} needed"
+        return unusable(HoldReason.RESIDUAL_HIGH, detail)
+    if not fit.residual_mm <= limits.max_residual_mm:
+        detail = f"residual {fit.residual_mm:.2f} mm, {limits.max_residual_mm:.2f} mm allowed"
+        return unusable(HoldReason.RESIDUAL_HIGH, detail)
+    return None
+
+
+def _jump_signals_mm(motion: Motion, window: GateWindow) -> tuple[float, ...]:
+    """Return the signals checked for jumps: the gated ones in mm, or the whole region for a volume."""
+    lengths = tuple(signal_of(choice, motion) for choice in window.choices if not choice.is_volume)
+    return lengths or (motion.whole_mm,)
+
+
+def _refuse_jump(last: LastFrame | None, frame: Measurement, motion: Motion, limits: GateLimits) -> Verdict | None:
+    if last is None or last.signals_mm is None:
+        return None
+    frames = min(last.signal_age_frames + 1 + frame.missed_frames, MAX_JUMP_FRAMES)
+    signals_mm = _jump_signals_mm(motion, limits.window)
+    step_mm = max(abs(now - before) for now, before in zip(signals_mm, last.signals_mm, strict=True))
+    if not step_mm <= limits.max_jump_mm * frames:
+        return unusable(HoldReason.JUMP, f"{step_mm:.1f} mm in {frames} frames")
+    return None
+
+
+def _refuse_irregular(frame: Measurement, limits: GateLimits) -> Verdict | None:
+    """Hold for the breathing events that the site chose: a cough, speech, an irregular breath."""
+    for breath in frame.breaths:
+        for event in breath.events:
+            if event.kind in limits.holding_events:
+                return unusable(HoldReason.BREATHING_IRREGULAR, f"{event.kind}: {event.detail}")
+    return None

@@ -1,0 +1,297 @@
+"""Decide whether the beam may be on: a pure reducer over one transition table.
+
+Every event is first classified as one of a few kinds, with a reason; the table then gives the next state for that
+kind and the present state. HOLD is the default: a pair that is not in the table leads to HOLD for an armed gate, and
+leaves a disarmed gate disarmed and a fault latched. Only frames lead to ``BEAM_ON``, only through ``DWELL``, and only
+by a full dwell of frames that were each good, fresh, next in order and inside the window.
+
+Times are host monotonic nanoseconds and are arguments: nothing here reads a clock.
+"""
+
+from dataclasses import dataclass, replace
+
+from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US
+from engine.core.commands import Acknowledge, Arm, Disarm
+from engine.core.frames import Measurement, Motion
+from engine.core.gate_state import GateState, HoldReason, Lease
+from engine.gating.frame_checks import EventKind, LastFrame, Verdict, check_frame, fault, last_frame, unusable
+from engine.gating.limits import GateLimits, ns_from_ms
+from engine.gating.windows import ConditionState, WindowInput, initial_states, interrupted, left
+
+CYCLES_WITHIN_NS = 60 * NS_PER_S
+
+_S, _K = GateState, EventKind
+
+TRANSITIONS: dict[tuple[GateState, EventKind], GateState] = {
+    (_S.DISARMED, _K.ARM): _S.HOLD,
+    (_S.DISARMED, _K.FAILURE): _S.FAULT,
+    (_S.HOLD, _K.INSIDE): _S.DWELL,
+    (_S.HOLD, _K.FAILURE): _S.FAULT,
+    (_S.HOLD, _K.DISARM): _S.DISARMED,
+    (_S.HOLD, _K.END): _S.DISARMED,
+    (_S.DWELL, _K.INSIDE): _S.DWELL,
+    (_S.DWELL, _K.DWELT): _S.BEAM_ON,
+    (_S.DWELL, _K.FAILURE): _S.FAULT,
+    (_S.DWELL, _K.DISARM): _S.DISARMED,
+    (_S.DWELL, _K.END): _S.DISARMED,
+    (_S.BEAM_ON, _K.DWELT): _S.BEAM_ON,
+    (_S.BEAM_ON, _K.FAILURE): _S.FAULT,
+    (_S.BEAM_ON, _K.DISARM): _S.DISARMED,
+    (_S.BEAM_ON, _K.END): _S.DISARMED,
+    (_S.FAULT, _K.ACKNOWLEDGE): _S.DISARMED,
+}
+"""All transitions; for every other pair see :func:`next_state`."""
+
+
+def next_state(state: GateState, kind: EventKind) -> GateState:
+    """Return the next state: by the table, else HOLD; a disarmed or faulted gate stays as it is."""
+    stays = state in {GateState.DISARMED, GateState.FAULT}
+    return TRANSITIONS.get((state, kind), state if stays else GateState.HOLD)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Silence:
+    """No frame came in time. ``since_ns`` is when reading began, for a source that never delivered."""
+
+    since_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Interruption:
+    """Something other than a frame forbids the beam; a fault latches, the rest clears with the next good frames."""
+
+    reason: HoldReason
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """The regular end of the frames: the end of a recording, or a stop command."""
+
+    reason: HoldReason
+    detail: str = ""
+
+
+GateEvent = Measurement | Silence | Interruption | Ending | Arm | Disarm | Acknowledge
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gate:
+    """The complete state of the gate.
+
+    Attributes
+    ----------
+    reason
+        Why the beam is held; None if and only if the state is ``BEAM_ON``.
+    since_ns
+        When this state and reason began.
+    good_frames, inside_since_ns, inside_since_us
+        The run of good frames that the dwell counts: its length, and when its first frame was received [ns] and
+        captured [us]. 0 and None outside of ``DWELL`` and ``BEAM_ON``.
+    conditions
+        State of each condition of the window; empty before the first frame.
+    turned_on_ns
+        Times of beam on within the last minute, the newest last.
+    off_since_ns
+        When the beam last went off; None before that.
+    was_cut_short
+        Whether the last beam on was shorter than ``min_on_ms``.
+    """
+
+    state: GateState = GateState.DISARMED
+    reason: HoldReason | None = HoldReason.DISARMED
+    detail: str = ""
+    since_ns: int = 0
+    good_frames: int = 0
+    inside_since_ns: int | None = None
+    inside_since_us: int | None = None
+    last: LastFrame | None = None
+    conditions: tuple[ConditionState, ...] = ()
+    turned_on_ns: tuple[int, ...] = ()
+    off_since_ns: int | None = None
+    was_cut_short: bool = False
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether the gate may permit the beam."""
+        return self.state in {GateState.HOLD, GateState.DWELL, GateState.BEAM_ON}
+
+    @property
+    def is_inside(self) -> bool:
+        """Whether a run of good frames inside the window is under way."""
+        return self.state in {GateState.DWELL, GateState.BEAM_ON}
+
+    @property
+    def breath_holds(self) -> int:
+        """Number of breath holds since the gate was armed."""
+        return max((state.holds for state in self.conditions), default=0)
+
+
+def step_gate(gate: Gate, event: GateEvent, now_ns: int, limits: GateLimits) -> Gate:
+    """Return the gate after ``event``; read ``now_ns`` after the event was made."""
+    verdict = _judge(gate, event, now_ns, limits)
+    moved = _count_switching(gate, _move(gate, verdict, now_ns), now_ns, limits)
+    if isinstance(event, Arm):
+        moved = replace(moved, conditions=initial_states(limits.window))
+    if not isinstance(event, Measurement):
+        return moved
+    return _remember(gate, moved, event, limits)
+
+
+def lease_of(gate: Gate, *, decided_ns: int, sequence: int, limits: GateLimits) -> Lease | None:
+    """Return the lease for a gate in ``BEAM_ON``, else None; it counts from when the newest frame was *received*."""
+    if gate.state is not GateState.BEAM_ON or gate.last is None:
+        return None
+    expires_ns = gate.last.received_ns + ns_from_ms(limits.lease_ms)
+    return Lease(granted_ns=decided_ns, expires_ns=expires_ns, sequence=sequence)
+
+
+def _move(gate: Gate, verdict: Verdict, now_ns: int) -> Gate:
+    state = next_state(gate.state, verdict.kind)
+    reason, detail = _reason_in(state, gate, verdict)
+    is_same = state is gate.state and reason is gate.reason
+    since_ns = gate.since_ns if is_same else now_ns
+    return replace(
+        gate,
+        state=state,
+        reason=reason,
+        detail=detail,
+        since_ns=since_ns,
+        good_frames=0,
+        inside_since_ns=None,
+        inside_since_us=None,
+        conditions=_conditions_in(state, gate, verdict),
+    )
+
+
+def _conditions_in(state: GateState, gate: Gate, verdict: Verdict) -> tuple[ConditionState, ...]:
+    """Return the state of the conditions; all have to enter again where the gate as a whole is outside."""
+    if verdict.conditions is None:
+        return interrupted(gate.conditions)
+    return verdict.conditions if state in {GateState.DWELL, GateState.BEAM_ON} else left(verdict.conditions)
+
+
+def _count_switching(before: Gate, moved: Gate, now_ns: int, limits: GateLimits) -> Gate:
+    """Note when the beam went on and off: the next on may have to wait."""
+    was_on, is_on = before.state is GateState.BEAM_ON, moved.state is GateState.BEAM_ON
+    if is_on and not was_on:
+        recent = tuple(at_ns for at_ns in before.turned_on_ns if now_ns - at_ns < CYCLES_WITHIN_NS)
+        return replace(moved, turned_on_ns=(*recent, now_ns))
+    if is_on or not was_on:
+        return moved
+    was_short = now_ns - before.turned_on_ns[-1] < ns_from_ms(limits.min_on_ms)
+    return replace(moved, off_since_ns=now_ns, was_cut_short=was_short)
+
+
+def _reason_in(state: GateState, gate: Gate, verdict: Verdict) -> tuple[HoldReason | None, str]:
+    if state is GateState.BEAM_ON:
+        return None, ""
+    if state is GateState.FAULT and gate.state is GateState.FAULT:
+        return gate.reason, gate.detail  # the first cause stays until it is acknowledged
+    if state is GateState.DISARMED:
+        is_end = verdict.kind is EventKind.END
+        return (verdict.reason, verdict.detail) if is_end else (HoldReason.DISARMED, "")
+    return verdict.reason or HoldReason.DWELL, verdict.detail
+
+
+def _remember(before: Gate, moved: Gate, frame: Measurement, limits: GateLimits) -> Gate:
+    """Count the run of good frames, and store what the next frame is compared with."""
+    last = last_frame(before.last, frame, limits.window)
+    if not moved.is_inside:
+        return replace(moved, last=last)
+    if before.inside_since_ns is None or before.inside_since_us is None:
+        since_ns, since_us, frames = frame.received_ns, frame.timestamp_us, 1
+    else:
+        since_ns, since_us, frames = before.inside_since_ns, before.inside_since_us, before.good_frames + 1
+    return replace(moved, last=last, good_frames=frames, inside_since_ns=since_ns, inside_since_us=since_us)
+
+
+_KIND_OF_COMMAND: dict[type, EventKind] = {
+    Arm: EventKind.ARM,
+    Disarm: EventKind.DISARM,
+    Acknowledge: EventKind.ACKNOWLEDGE,
+}
+
+
+def _judge(gate: Gate, event: object, now_ns: int, limits: GateLimits) -> Verdict:
+    match event:
+        case Measurement():
+            return _judge_frame(gate, event, now_ns, limits)
+        case Silence():
+            return _judge_silence(gate, event, now_ns, limits)
+        case Interruption():
+            kind = EventKind.FAILURE if event.reason.is_fault else EventKind.UNUSABLE
+            return Verdict(kind, event.reason, event.detail)
+        case Ending():
+            return Verdict(EventKind.END, event.reason, event.detail)
+    kind_of_command = _KIND_OF_COMMAND.get(type(event))
+    if kind_of_command is None:
+        return fault(HoldReason.UNKNOWN, f"{type(event).__name__} is no event of the gate")
+    return Verdict(kind_of_command)
+
+
+def _judge_silence(gate: Gate, event: Silence, now_ns: int, limits: GateLimits) -> Verdict:
+    since_ns = event.since_ns if gate.last is None else gate.last.received_ns
+    silent_ms = (now_ns - since_ns) / NS_PER_MS
+    detail = f"no frame for {silent_ms:.0f} ms"
+    if gate.last is not None and silent_ms > limits.max_silence_ms:
+        return Verdict(EventKind.FAILURE, HoldReason.FRAME_TIMEOUT, detail)
+    return Verdict(EventKind.UNUSABLE, HoldReason.FRAME_MISSING, detail)
+
+
+def _judge_frame(gate: Gate, frame: Measurement, now_ns: int, limits: GateLimits) -> Verdict:
+    verdict = check_frame(gate.last, frame, now_ns, limits) or _refuse_lapsed(gate, now_ns, limits)
+    if verdict is not None:
+        return verdict
+    if frame.motion is None:  # unreachable: a frame without motion does not pass the checks
+        return fault(HoldReason.VALUE_INVALID, "no motion")
+    return _judge_window(gate, frame, frame.motion, now_ns, limits)
+
+
+def _refuse_lapsed(gate: Gate, now_ns: int, limits: GateLimits) -> Verdict | None:
+    """Hold where the lease of the line has lapsed: it is off, and a new on needs a dwell."""
+    if gate.state is not GateState.BEAM_ON or gate.last is None:
+        return None
+    late_ns = now_ns - gate.last.received_ns - ns_from_ms(limits.lease_ms)
+    if late_ns < 0:
+        return None
+    return unusable(HoldReason.FRAME_LATE, f"decided {late_ns / NS_PER_MS:.0f} ms after the line's lease had lapsed")
+
+
+def _judge_window(gate: Gate, frame: Measurement, motion: Motion, now_ns: int, limits: GateLimits) -> Verdict:
+    window = limits.window
+    states = gate.conditions if len(gate.conditions) == len(window.leaves) else initial_states(window)
+    found = window.judge(WindowInput(motion, frame.breaths, frame.timestamp_us), states)
+    if not found.is_inside:
+        return Verdict(EventKind.OUTSIDE, found.reason, found.detail, found.states)
+    if not _has_dwelt(gate, frame, limits):
+        return Verdict(EventKind.INSIDE, conditions=found.states)
+    return _too_soon(gate, now_ns, limits, found.states) or Verdict(EventKind.DWELT, conditions=found.states)
+
+
+def _too_soon(gate: Gate, now_ns: int, limits: GateLimits, states: tuple[ConditionState, ...]) -> Verdict | None:
+    """Return why the switching limits still forbid beam on; None while the beam is on."""
+    if gate.state is GateState.BEAM_ON:
+        return None
+    off_ns = needed_ns = ns_from_ms(limits.min_off_ms)
+    if gate.off_since_ns is not None:
+        off_ns = max(now_ns - gate.off_since_ns, 0)
+    if off_ns < needed_ns:
+        detail = f"off for {off_ns / NS_PER_MS:.0f} of {limits.min_off_ms:g} ms"
+        return Verdict(EventKind.INSIDE, HoldReason.SHORTEST_OFF, detail, states)
+    cycles = sum(now_ns - at_ns < CYCLES_WITHIN_NS for at_ns in gate.turned_on_ns)
+    if cycles >= limits.max_cycles_per_min:
+        detail = f"{cycles} times on within a minute, {limits.max_cycles_per_min} allowed"
+        return Verdict(EventKind.INSIDE, HoldReason.CYCLE_LIMIT, detail, states)
+    return None
+
+
+def _has_dwelt(gate: Gate, frame: Measurement, limits: GateLimits) -> bool:
+    if gate.inside_since_ns is None or gate.inside_since_us is None:
+        return False
+    dwell_ns = ns_from_ms(limits.dwell_ms + (limits.min_on_ms if gate.was_cut_short else 0.0))
+    return (
+        gate.good_frames + 1 >= limits.min_good_frames
+        and frame.received_ns - gate.inside_since_ns >= dwell_ns
+        and (frame.timestamp_us - gate.inside_since_us) * NS_PER_US >= dwell_ns
+    )

@@ -1,0 +1,132 @@
+"""All interlocks in one table: what trips each one, whether it latches, its limits, and its source.
+
+For display and documentation; nothing here decides. The decisions are in :mod:`engine.gating.frame_checks` (each
+frame), :mod:`engine.gating.supervision.supervisor` (frames over time), :mod:`engine.control.gate_controller` (commands
+and other threads) and :mod:`engine.control.beam_driver` (the line).
+"""
+
+from dataclasses import dataclass
+
+from engine.core.gate_state import HoldReason
+
+OWN = "own"
+GATING_INTERLOCK = "AAPM TG-142: gating interlock, functional"
+TIMING = "AAPM TG-142: within 100 ms of expected; AAPM TG-76: 0.5 s in all"
+LOCALIZATION = "AAPM TG-147: calibration of the localization system"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Interlock:
+    """One interlock.
+
+    Attributes
+    ----------
+    code
+        The hold reason when it trips.
+    trips
+        What trips it, in a few words.
+    settings
+        Names of the site's settings that bound it; ``TIDEGATE_`` and capitals in the environment.
+    source
+        The guideline that demands it; ``own`` where none does.
+    """
+
+    code: HoldReason
+    trips: str
+    settings: tuple[str, ...] = ()
+    source: str = OWN
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether it latches until an operator acknowledges it; otherwise it clears by itself, after a dwell."""
+        return self.code.is_fault
+
+
+def _row(code: HoldReason, trips: str, *settings: str, source: str = OWN) -> Interlock:
+    return Interlock(code=code, trips=trips, settings=settings, source=source)
+
+
+_R = HoldReason
+
+INTERLOCKS: tuple[Interlock, ...] = (
+    _row(_R.FRAME_STALE, "a frame much too old at its decision", "max_silence_ms"),
+    _row(
+        _R.FRAME_LATE,
+        "a frame too old at its decision, or delayed against the fastest one",
+        "max_frame_age_ms",
+        "max_lag_ms",
+    ),
+    _row(_R.FRAME_MISSING, "a frame lost or not received in time", "max_gap_ms"),
+    _row(_R.FRAME_TIMEOUT, "no frame, or no new picture, for too long", "max_silence_ms"),
+    _row(_R.FRAME_FROZEN, "the same depth or colour picture with a new time", "max_repeated_frames"),
+    _row(_R.FRAME_RATE_LOW, "too few frames within the last second", "min_fps"),
+    _row(_R.CLOCK_BACKWARDS, "time or order of frames does not increase"),
+    _row(_R.CLOCK_JUMPED, "a step of the camera's clock against the host's", "max_clock_jump_ms"),
+    _row(
+        _R.LATENCY_HIGH,
+        "latency from capture to the command of the line too high",
+        "max_latency_ms",
+        "camera_latency_ms",
+        source=TIMING,
+    ),
+    _row(_R.SOURCE_LOST, "the camera is disconnected, or the recording damaged"),
+    _row(_R.MARKER_LOST, "fewer than four markers found, or a colour picture too old"),
+    _row(_R.LAYOUT_CHANGED, "distances between the markers changed"),
+    _row(_R.PATIENT_SHIFTED, "the markers moved along the couch, or rotated", "max_shift_mm", "max_turn_deg"),
+    _row(_R.COVERAGE_LOW, "too little of the region visible", "min_valid_share"),
+    _row(_R.RESIDUAL_HIGH, "the surface does not fit the motion model", "max_residual_mm", "min_inlier_share"),
+    _row(_R.JUMP, "a step of a signal larger than skin can move", "max_jump_mm"),
+    _row(_R.VALUE_INVALID, "a value that is not a number, or impossible"),
+    _row(_R.BREATHING_IRREGULAR, "a cough, speech, an irregular breath: as the site chose", "holding_events"),
+    _row(_R.MODEL_MISSING, "no motion model"),
+    _row(_R.MODEL_OLD, "the model was trained or compared too long ago", "max_model_age_min"),
+    _row(_R.TRAINING, "the model is being trained"),
+    _row(_R.REFERENCE_MISSING, "no reference"),
+    _row(
+        _R.CALIBRATION_MISSING,
+        "a camera without a measured calibration",
+        "beam_without_calibration",
+        source=LOCALIZATION,
+    ),
+    _row(_R.RECORDER_BEHIND, "samples cannot be stored, or wait too long", "max_unwritten_ms"),
+    _row(_R.AUDIT_BEHIND, "transitions cannot be stored, or wait too long", "max_unwritten_ms"),
+    _row(_R.DISK_LOW, "the disk is almost full", "min_free_disk_mb"),
+    _row(
+        _R.SERVICE_SILENT,
+        "no message from the service: no hold could arrive",
+        "max_service_silence_ms",
+    ),
+    _row(
+        _R.BEAM_LINE_FAILED, "the line does not answer, or refuses a command", "beam_answer_ms", source=GATING_INTERLOCK
+    ),
+    _row(
+        _R.BEAM_LINE_MISMATCH,
+        "the line's read-back differs from the command",
+        "beam_settle_ms",
+        source=GATING_INTERLOCK,
+    ),
+    _row(_R.WATCHDOG, "an armed engine makes no decision in time", "watchdog_ms"),
+    _row(_R.OPERATOR_HOLD, "an operator holds the beam"),
+    _row(_R.OPERATOR_LOST, "no message from the page of the operator who armed", "operator_timeout_s"),
+    _row(_R.ENGINE_FAILED, "an error in the program"),
+    _row(_R.ENGINE_STOPPED, "the engine is stopping"),
+    _row(_R.SOURCE_ENDED, "the recording has ended"),
+    _row(_R.UNKNOWN, "anything else"),
+)
+
+NO_INTERLOCKS = frozenset(
+    {
+        _R.DISARMED,
+        _R.OUTSIDE_WINDOW,
+        _R.DWELL,
+        _R.PHASE_UNKNOWN,
+        _R.RANGE_UNKNOWN,
+        _R.BREATH_HOLD_AWAITED,
+        _R.BREATH_HOLD_SETTLING,
+        _R.BREATH_HOLD_DRIFTED,
+        _R.BREATH_HOLD_OVER,
+        _R.SHORTEST_OFF,
+        _R.CYCLE_LIMIT,
+    }
+)
+"""Hold reasons that are normal gating and no interlock: the window, and the switching limits."""

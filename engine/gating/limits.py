@@ -1,0 +1,179 @@
+"""The limits of the gate: the window, the switching, and the frame checks, each with its bounds.
+
+Lengths are motion against the reference [mm], positive towards the camera. A session may have tighter limits than the
+site; they do not change while it runs, because the values are frozen and the loop reads them once.
+"""
+
+from dataclasses import dataclass
+
+from engine.core.bounds import check_numbers
+from engine.core.breath import BreathEventKind
+from engine.core.clock import NS_PER_MS
+from engine.core.errors import InvalidValueError
+from engine.gating.windows import GateWindow
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GateLimits:
+    """Limits of one session. The defaults are for 30 frames a second.
+
+    Attributes
+    ----------
+    dwell_ms
+        Time during which every frame must be good and inside before beam on, by the host's clock and by the
+        device's.
+    min_good_frames
+        Number of such frames in a row; at least two, so that no single frame causes beam on.
+    lease_ms
+        Time after the *receipt* of a frame for which the line may stay on without a newer one.
+    max_frame_age_ms
+        Greatest age of a frame at its decision.
+    max_gap_ms
+        Longest step from frame to frame, by the device's and by the host's clock; a frame is missing beyond it.
+    max_lag_ms
+        Greatest delay of a frame against the fastest one so far (host time minus device time): detects a backlog in a
+        driver, whose frames arrive regularly and are old.
+    max_silence_ms
+        Time without frames, or age of a frame, at which the gate faults.
+    watchdog_ms
+        Longest time between two decisions of an armed engine before the watchdog holds and latches. More than the
+        lease, which ends beam on by itself: a short delay should cost a dwell, not an acknowledgement.
+    min_valid_share
+        Least share of the region the sensor must see, 0 to 1.
+    min_inlier_share
+        Least share of the visible region that the motion model must explain, 0 to 1.
+    max_residual_mm
+        Largest residual: mean misfit of any cell of the region.
+    max_jump_mm
+        Largest step of the signal from one frame to the next.
+    min_on_ms
+        Shortest useful beam on. It never prolongs beam on: after a shorter one the dwell is longer by this time, until
+        one beam on has lasted as long.
+    min_off_ms
+        Shortest time from off to the next on.
+    max_cycles_per_min
+        Most beam-on transitions within a minute.
+    max_repeated_frames
+        Most repetitions of the same depth or colour picture with new times.
+    max_clock_jump_ms
+        Greatest step of the device's clock beyond the host's from one frame to the next.
+    min_fps
+        Least rate of frames over the last second [1/s].
+    max_shift_mm, max_turn_deg
+        Greatest shift along the couch and rotation of the markers since the reference was set.
+    warn_latency_ms, max_latency_ms
+        From capture to the command of the line: warning, and fault (AAPM TG-142: gating within 100 ms; TG-76: 500 ms
+        in all).
+    camera_latency_ms
+        Delay inside the camera, as measured by the site; part of the latency.
+    max_model_age_min
+        Longest use of a model after it was trained or compared with the patient.
+    max_unwritten_ms
+        Longest time that a sample or transition of an armed gate may wait to be stored; a kill loses no more than this.
+    max_service_silence_ms
+        Longest silence of the service process while armed, where it is not the engine's own: no hold by hand would
+        arrive, and nothing would be stored.
+    operator_timeout_s
+        Longest silence of the page of the operator who armed; 0 switches this check off.
+    is_calibrated
+        Whether the camera's geometry was measured; otherwise the beam is held.
+    max_baseline_correction_mm
+        Greatest total baseline correction of the window; for a window on the volume, the volume of the region over
+        this distance.
+    window_lower_mm, window_upper_mm
+        Bounds of the window's edges, after conversion and correction; arming is refused beyond them.
+    holding_events
+        Breathing events that hold the beam.
+    is_played
+        Whether the frames come from a recording. A player may fall behind, so its lag does not indicate the age of a
+        frame. The loop sets this from the description of the source.
+    """
+
+    window: GateWindow
+    dwell_ms: float = 100.0
+    min_good_frames: int = 3
+    lease_ms: float = 80.0
+    max_frame_age_ms: float = 60.0
+    max_gap_ms: float = 60.0
+    max_lag_ms: float = 100.0
+    max_silence_ms: float = 500.0
+    watchdog_ms: float = 200.0
+    min_valid_share: float = 0.8
+    min_inlier_share: float = 0.6
+    max_residual_mm: float = 3.0
+    max_jump_mm: float = 4.0
+    min_on_ms: float = 0.0
+    min_off_ms: float = 0.0
+    max_cycles_per_min: int = 120
+    max_repeated_frames: int = 0
+    max_clock_jump_ms: float = 250.0
+    min_fps: float = 20.0
+    max_shift_mm: float = 6.0
+    max_turn_deg: float = 3.0
+    warn_latency_ms: float = 100.0
+    max_latency_ms: float = 500.0
+    camera_latency_ms: float = 0.0
+    max_model_age_min: float = 240.0
+    max_unwritten_ms: float = 1_000.0
+    max_service_silence_ms: float = 500.0
+    operator_timeout_s: float = 0.0
+    max_baseline_correction_mm: float = 5.0
+    window_lower_mm: float = -100.0
+    window_upper_mm: float = 100.0
+    is_calibrated: bool = True
+    holding_events: frozenset[BreathEventKind] = frozenset()
+    is_played: bool = False
+
+    def __post_init__(self) -> None:
+        """Raise InvalidValueError for a number out of its bounds, or limits that contradict each other."""
+        check_numbers(self, LIMIT_BOUNDS)
+        for name in WHOLE_NUMBERS:
+            if not isinstance(getattr(self, name), int):
+                raise InvalidValueError(name, getattr(self, name), "a whole number")
+        if self.max_latency_ms < self.warn_latency_ms:
+            bound = f"at least warn_latency_ms ({self.warn_latency_ms:g})"
+            raise InvalidValueError("max_latency_ms", self.max_latency_ms, bound)
+        if self.max_silence_ms < self.max_gap_ms:
+            bound = f"at least max_gap_ms ({self.max_gap_ms:g})"
+            raise InvalidValueError("max_silence_ms", self.max_silence_ms, bound)
+
+
+# Lowest and highest value each limit may take; a site can only choose within.
+LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
+    "dwell_ms": (0.0, 10_000.0),
+    "min_good_frames": (2, 300),
+    "lease_ms": (20.0, 200.0),
+    "max_frame_age_ms": (5.0, 200.0),
+    "max_gap_ms": (10.0, 200.0),
+    "max_lag_ms": (20.0, 500.0),
+    "max_silence_ms": (50.0, 2_000.0),
+    "watchdog_ms": (40.0, 500.0),
+    "min_valid_share": (0.1, 1.0),
+    "min_inlier_share": (0.1, 1.0),
+    "max_residual_mm": (0.1, 20.0),
+    "max_jump_mm": (0.1, 20.0),
+    "min_on_ms": (0.0, 10_000.0),
+    "min_off_ms": (0.0, 60_000.0),
+    "max_cycles_per_min": (1, 120),
+    "max_repeated_frames": (0, 3),
+    "max_clock_jump_ms": (50.0, 2_000.0),
+    "min_fps": (5.0, 60.0),
+    "max_shift_mm": (1.0, 100.0),
+    "max_turn_deg": (0.5, 45.0),
+    "warn_latency_ms": (20.0, 500.0),
+    "max_latency_ms": (100.0, 1_000.0),
+    "camera_latency_ms": (0.0, 300.0),
+    "max_model_age_min": (1.0, 1_440.0),
+    "max_unwritten_ms": (600.0, 1_000.0),
+    "max_service_silence_ms": (100.0, 2_000.0),
+    "operator_timeout_s": (0.0, 600.0),
+    "max_baseline_correction_mm": (0.0, 50.0),
+    "window_lower_mm": (-100.0, 100.0),
+    "window_upper_mm": (-100.0, 100.0),
+}
+WHOLE_NUMBERS = ("min_good_frames", "max_cycles_per_min", "max_repeated_frames")
+
+
+def ns_from_ms(duration_ms: float) -> int:
+    """Convert to whole nanoseconds, rounded down."""
+    return int(duration_ms * NS_PER_MS)

@@ -1,0 +1,1 @@
+"""Supervision over several frames: repeated frames, patient shift, model age, operator presence."""

@@ -1,0 +1,109 @@
+"""Shift of the patient on the couch since the reference, by the four markers in the depth camera's frame.
+
+Breathing lifts the markers towards the camera, and tilts their plane about the axis across the body where the abdomen
+rises more than the thorax; both are ignored. Breathing does not move all four along the couch, rotate them on it, or
+roll them about the body's long axis.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, Motion
+from engine.core.gate_state import HoldReason
+from engine.gating.gate import Interruption
+from engine.gating.limits import GateLimits
+
+NODES = NODE_ROWS * NODE_COLUMNS
+CORNERS = (0, NODE_COLUMNS - 1, NODES - 1, NODES - NODE_COLUMNS)
+"""Nodes of the surface at the markers: superior right, superior left, inferior left, inferior right."""
+
+
+class Movement(NamedTuple):
+    """Shift along the couch [mm]; the larger of the rotations on the couch and about the body's long axis [deg]."""
+
+    shift_mm: float
+    turn_deg: float
+
+
+class PatientShift:
+    """Compares the markers with their positions at the reference; owned by the engine thread."""
+
+    def __init__(self, limits: GateLimits) -> None:
+        self._limits = limits
+        self._at_reference: MarkersAtReference | None = None
+
+    def reset(self) -> None:
+        """Use the next measured frame as the position at the reference."""
+        self._at_reference = None
+
+    def check(self, motion: Motion | None, *, has_reference: bool) -> Interruption | None:
+        """Return the hold for a shift beyond the limits; a new model with the same reference resets nothing."""
+        if not has_reference:
+            self.reset()
+            return None
+        if motion is None or len(motion.surface_mm) != NODES:
+            return None  # not measured: the frame itself holds
+        markers_mm = np.asarray(motion.surface_mm[list(CORNERS)], dtype=np.float64)
+        if self._at_reference is None:
+            self._at_reference = MarkersAtReference(markers_mm)
+            return None
+        return self._hold_for(self._at_reference.movement(markers_mm))
+
+    def _hold_for(self, moved: Movement) -> Interruption | None:
+        limits = self._limits
+        if not moved.shift_mm <= limits.max_shift_mm:
+            detail = f"moved {moved.shift_mm:.1f} mm along the couch, {limits.max_shift_mm:g} allowed"
+            return Interruption(HoldReason.PATIENT_SHIFTED, detail)
+        if not moved.turn_deg <= limits.max_turn_deg:
+            detail = f"rotated by {moved.turn_deg:.1f} degrees, {limits.max_turn_deg:g} allowed"
+            return Interruption(HoldReason.PATIENT_SHIFTED, detail)
+        return None
+
+
+class MarkersAtReference:
+    """Positions of the four markers at the reference, and their plane, in which later movements are measured.
+
+    Parameters
+    ----------
+    markers_mm
+        Superior right, superior left, inferior left, inferior right, in the depth camera's frame [mm], shape (4, 3).
+    """
+
+    def __init__(self, markers_mm: FloatArray) -> None:
+        self._axes = _body_axes(markers_mm)
+        self._middle_mm = markers_mm.mean(axis=0)
+        self._before = self._seen(markers_mm)
+
+    def movement(self, now_mm: FloatArray) -> Movement:
+        """Return the movement since; the shift is NaN where a marker is not finite."""
+        before, now = self._before, self._seen(now_mm)
+        across_mm, along_mm, _ = (sum(axis) / len(axis) for axis in zip(*now, strict=True))
+        cross = dot = 0.0
+        for (x0, y0, _), (x, y, _) in zip(before, now, strict=True):
+            cross += x0 * (y - along_mm) - y0 * (x - across_mm)
+            dot += x0 * (x - across_mm) + y0 * (y - along_mm)
+        right, left = (0, 3), (1, 2)
+        # At the reference both sides are equally high, by the choice of the plane.
+        left_over_right_mm = sum(now[one][2] for one in left) - sum(now[one][2] for one in right)
+        width_mm = sum(before[one][0] for one in left) - sum(before[one][0] for one in right)
+        turns_rad = (math.atan2(cross, dot), math.atan2(left_over_right_mm, width_mm))
+        turn_deg = max(abs(math.degrees(turn)) for turn in turns_rad)
+        return Movement(shift_mm=math.hypot(across_mm, along_mm), turn_deg=turn_deg)
+
+    def _seen(self, markers_mm: FloatArray) -> list[list[float]]:
+        """Coordinates across the body, along it, and out of the plane, from the centre at the reference [mm]."""
+        seen: list[list[float]] = ((markers_mm - self._middle_mm) @ self._axes).tolist()
+        return seen
+
+
+def _body_axes(markers_mm: FloatArray) -> FloatArray:
+    """Return unit vectors across the body, along it, and out of the markers' plane, as columns, shape (3, 3)."""
+    superior_right, superior_left, inferior_left, inferior_right = markers_mm
+    along = inferior_left + inferior_right - superior_left - superior_right
+    across = superior_left + inferior_left - superior_right - inferior_right
+    along = along / np.linalg.norm(along)
+    normal = np.cross(across, along)
+    normal = normal / np.linalg.norm(normal)
+    return np.stack([np.cross(along, normal), along, normal], axis=1)

@@ -1,0 +1,86 @@
+"""Supervision over several frames, in addition to the checks of each one.
+
+The holds found at the newest frame are part of every decision until the next frame.
+"""
+
+from collections import deque
+from collections.abc import Iterable
+
+from engine.core.clock import NS_PER_S
+from engine.core.frames import Measurement, RgbdFrame
+from engine.core.gate_state import HoldReason
+from engine.core.learning_events import LearningEvent
+from engine.core.motion_model import MotionModel
+from engine.gating.gate import Interruption
+from engine.gating.limits import GateLimits
+from engine.gating.supervision.model_age import ModelAge
+from engine.gating.supervision.patient_shift import PatientShift
+from engine.gating.supervision.repeated_frames import RepeatedFrames
+
+
+class FrameSupervisor:
+    """Checks every frame once; owned by the engine thread."""
+
+    def __init__(self, limits: GateLimits) -> None:
+        self._rate = _FrameRate(limits.min_fps)
+        self._age = ModelAge(limits)
+        self._shift = PatientShift(limits)
+        self._repeats = RepeatedFrames(limits)
+        self._order = _DeviceOrder()
+
+    def check(
+        self,
+        frame: RgbdFrame,
+        measurement: Measurement,
+        *,
+        model: MotionModel | None,
+        has_reference: bool,
+        notices: Iterable[LearningEvent],
+    ) -> tuple[Interruption, ...]:
+        """Return the holds, the most important last: that one is displayed."""
+        found = (
+            self._rate.check(frame.received_ns),
+            self._age.check(model, notices, frame.received_ns),
+            self._shift.check(measurement.motion, has_reference=has_reference),
+            self._repeats.check(frame),
+            self._order.check(frame.device_index),
+        )
+        return tuple(one for one in found if one is not None)
+
+    def reset_position(self) -> None:
+        """Measure later shifts from the patient's next position: the reference was set."""
+        self._shift.reset()
+
+
+class _FrameRate:
+    """Counts the frames of the last second; no hold before one second has passed."""
+
+    def __init__(self, min_fps: float) -> None:
+        self._min_fps = min_fps
+        self._first_ns: int | None = None
+        self._received_ns: deque[int] = deque()
+
+    def check(self, received_ns: int) -> Interruption | None:
+        if self._first_ns is None:
+            self._first_ns = received_ns
+        self._received_ns.append(received_ns)
+        while received_ns - self._received_ns[0] >= NS_PER_S:
+            self._received_ns.popleft()
+        frames = len(self._received_ns)
+        if received_ns - self._first_ns < NS_PER_S or frames >= self._min_fps:
+            return None
+        detail = f"{frames} frames in the last second, {self._min_fps:g} needed"
+        return Interruption(HoldReason.FRAME_RATE_LOW, detail)
+
+
+class _DeviceOrder:
+    """Compares the camera's own frame numbers: old pictures may come with new times."""
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+
+    def check(self, device_index: int) -> Interruption | None:
+        last, self._last = self._last, device_index
+        if last is None or device_index > last:
+            return None
+        return Interruption(HoldReason.CLOCK_BACKWARDS, f"the camera's frame {device_index} after its frame {last}")

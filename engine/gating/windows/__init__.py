@@ -1,0 +1,56 @@
+"""Gating windows: amplitude, breath hold and phase, alone or joined.
+
+A window is a pure function of one checked frame and the states of its conditions, which the gate stores. Lengths are
+motion against the reference [mm], positive towards the camera; volumes are litres; per cent refer to the breathing
+range of the training, 0 at the end of exhale. Per cent are converted to mm or l once, when the model or the reference
+changes: a window never follows the patient.
+
+No window can prolong beam on: a frame outside is outside at once.
+"""
+
+from engine.gating.windows.amplitude import (
+    MAX_MOTION_MM,
+    MAX_PERCENT,
+    MAX_VOLUME_L,
+    MIN_PERCENT,
+    AmplitudeWindow,
+    Unit,
+    amplitude_window,
+)
+from engine.gating.windows.breath_hold import HOLD_BOUNDS, BreathHoldWindow, HoldKind
+from engine.gating.windows.conditions import (
+    ConditionState,
+    HoldStage,
+    WindowInput,
+    WindowVerdict,
+    interrupted,
+    left,
+)
+from engine.gating.windows.joined import MAX_CONDITIONS, Condition, GateWindow, Join, JoinedWindow, initial_states
+from engine.gating.windows.phase import PhaseWindow
+
+__all__ = [
+    "HOLD_BOUNDS",
+    "MAX_CONDITIONS",
+    "MAX_MOTION_MM",
+    "MAX_PERCENT",
+    "MAX_VOLUME_L",
+    "MIN_PERCENT",
+    "AmplitudeWindow",
+    "BreathHoldWindow",
+    "Condition",
+    "ConditionState",
+    "GateWindow",
+    "HoldKind",
+    "HoldStage",
+    "Join",
+    "JoinedWindow",
+    "PhaseWindow",
+    "Unit",
+    "WindowInput",
+    "WindowVerdict",
+    "amplitude_window",
+    "initial_states",
+    "interrupted",
+    "left",
+]

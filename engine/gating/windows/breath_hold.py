@@ -1,0 +1,147 @@
+"""The breath-hold window: a level that is reached and held still, for a limited time."""
+
+import enum
+from dataclasses import dataclass, replace
+
+from engine.core.bounds import check_number
+from engine.core.breath import SignalChoice
+from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US
+from engine.core.errors import InvalidValueError
+from engine.core.gate_state import HoldReason
+from engine.core.ranges import Ranges
+from engine.core.signals import signal_of
+from engine.gating.windows.amplitude import AmplitudeWindow
+from engine.gating.windows.conditions import ENDED_BY, ConditionState, HoldStage, WindowInput, WindowVerdict, outside
+
+HOLD_BOUNDS: dict[str, tuple[float, float]] = {
+    "settle_ms": (100.0, 10_000.0),
+    "still": (0.05, 20.0),
+    "max_drift": (0.1, 20.0),
+    "timeout_s": (1.0, 120.0),
+}
+"""Lowest and highest value of each setting; ``still`` and ``max_drift`` are mm, or l of a volume."""
+
+
+class HoldKind(enum.StrEnum):
+    """Which end of the breath is held."""
+
+    INSPIRATION = "inspiration"
+    EXPIRATION = "expiration"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BreathHoldWindow:
+    """A breath hold: level reached, still, without drift, within its time limit.
+
+    Attributes
+    ----------
+    level
+        Window of the held signal.
+    kind
+        Inspiration or expiration; shown to the operator only.
+    settle_ms
+        Time inside and still before the hold counts [ms of the device's clock].
+    still
+        Largest range of the signal while it settles [mm or l].
+    max_drift
+        Largest distance from the settled level [mm or l]; beyond it the hold ends, and the next one begins outside.
+    timeout_s
+        Longest hold [s]; then the patient breathes, and the next one begins outside.
+    """
+
+    level: AmplitudeWindow
+    kind: HoldKind | str = HoldKind.INSPIRATION
+    settle_ms: float = 1_000.0
+    still: float = 1.0
+    max_drift: float = 2.0
+    timeout_s: float = 25.0
+
+    def __post_init__(self) -> None:
+        """Refuse numbers out of their bounds."""
+        if self.kind not in set(HoldKind):
+            raise InvalidValueError("kind", self.kind, f"one of {', '.join(HoldKind)}")
+        object.__setattr__(self, "kind", HoldKind(self.kind))
+        for name, (low, high) in HOLD_BOUNDS.items():
+            check_number(name, getattr(self, name), low, high)
+
+    @property
+    def leaves(self) -> "tuple[BreathHoldWindow, ...]":
+        """The window itself."""
+        return (self,)
+
+    @property
+    def choices(self) -> tuple[SignalChoice, ...]:
+        """The signals it uses."""
+        return self.level.choices
+
+    @property
+    def needs_ranges(self) -> bool:
+        """Whether its level is in per cent."""
+        return self.level.needs_ranges
+
+    def resolved(self, ranges: Ranges) -> "BreathHoldWindow":
+        """Convert per cent to mm or l."""
+        return replace(self, level=self.level.resolved(ranges))
+
+    def shifted(self, choice: SignalChoice, by: float) -> "BreathHoldWindow":
+        """Move the level by a baseline correction."""
+        return replace(self, level=self.level.shifted(choice, by))
+
+    def judge(self, frame_input: WindowInput, states: tuple[ConditionState, ...]) -> WindowVerdict:
+        """Evaluate one frame and advance the stage of the hold."""
+        state = states[0]
+        inside = self.level.judge(frame_input, (replace(state, is_inside=state.stage is not HoldStage.AWAITED),))
+        if not inside.is_inside:
+            return outside(
+                ConditionState(holds=state.holds),
+                HoldReason.BREATH_HOLD_AWAITED if inside.reason is HoldReason.OUTSIDE_WINDOW else inside.reason,
+                inside.detail,
+            )
+        if state.stage in ENDED_BY:
+            return outside(state, ENDED_BY[state.stage], self._needs_a_breath())
+        value = signal_of(self.level.choice, frame_input.motion)
+        ended = self._end(state, value, frame_input.timestamp_us)
+        if ended is not None:
+            return ended
+        match state.stage:
+            case HoldStage.HELD:
+                return WindowVerdict(is_inside=True, states=(replace(state, is_inside=True),))
+            case HoldStage.AWAITED:
+                state = _begun(state, value, frame_input.timestamp_us)
+        return self._settle(state, value, frame_input.timestamp_us)
+
+    def _settle(self, state: ConditionState, value: float, now_us: int) -> WindowVerdict:
+        lowest, highest = min(state.lowest, value), max(state.highest, value)
+        if highest - lowest > self.still:
+            return self._still_settling(_begun(state, value, now_us), "the signal moves")
+        state = replace(state, lowest=lowest, highest=highest)
+        if (now_us - state.since_us) * NS_PER_US < self.settle_ms * NS_PER_MS:
+            return self._still_settling(state, f"still for {(now_us - state.since_us) / 1e6:.1f} s")
+        held = replace(state, stage=HoldStage.HELD, since_us=now_us, is_inside=True)
+        if held.settled_at is None:
+            held = replace(held, settled_at=value, held_since_us=now_us, holds=state.holds + 1)
+        return WindowVerdict(is_inside=True, states=(held,))
+
+    def _still_settling(self, state: ConditionState, detail: str) -> WindowVerdict:
+        return outside(state, HoldReason.BREATH_HOLD_SETTLING, f"{detail}; {self.settle_ms / 1000.0:g} s needed")
+
+    def _end(self, state: ConditionState, value: float, now_us: int) -> WindowVerdict | None:
+        """Return the end of a hold that was still, by drift or by time; None while it continues or has not begun."""
+        if state.settled_at is None:
+            return None
+        if not abs(value - state.settled_at) <= self.max_drift:
+            ended = replace(state, stage=HoldStage.DRIFTED, since_us=now_us)
+            detail = f"{abs(value - state.settled_at):.1f} {self.level.unit} from the settled level"
+            return outside(ended, HoldReason.BREATH_HOLD_DRIFTED, f"{detail}, {self.max_drift:g} allowed")
+        if (now_us - state.held_since_us) * NS_PER_US >= self.timeout_s * NS_PER_S:
+            ended = replace(state, stage=HoldStage.OVER, since_us=now_us)
+            return outside(ended, HoldReason.BREATH_HOLD_OVER, f"held for {self.timeout_s:g} s")
+        return None
+
+    def _needs_a_breath(self) -> str:
+        return f"the patient has to breathe before the next {self.kind} hold"
+
+
+def _begun(state: ConditionState, value: float, now_us: int) -> ConditionState:
+    """Return the state of a hold that begins to settle at this frame."""
+    return replace(state, stage=HoldStage.SETTLING, since_us=now_us, lowest=value, highest=value, is_inside=False)

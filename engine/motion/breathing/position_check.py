@@ -1,0 +1,111 @@
+"""Checks the level and its motion against the phase, with the patient's usual breath.
+
+The phase is computed from time only. A regular breath passes the checks, also one a third shallower or half as deep
+again; a breath that stops, slows down, speeds up or is shifted does not. In mm, s and per cent.
+"""
+
+from typing import NamedTuple
+
+from engine.motion.breathing.breathing_habit import BreathingHabit
+from engine.motion.breathing.current_breath import CurrentBreath
+from engine.motion.breathing.shape import height_at
+from engine.motion.breathing.turning_points import FALLING, RISING, TurningPoints
+
+EARLY_OR_LATE = 7.0
+"""Tolerance of the phase when the level is compared with it [% of a breath]; regular breathing stays within 5."""
+LEVEL_SHARE = 0.1
+LEVEL_MM = 0.3
+"""Tolerance of the level: a share of a usual breath, plus an allowance for heartbeat and noise [mm]."""
+LEAST_ADVANCE = 0.6
+MOST_ADVANCE = 1.7
+"""Bounds of an inhale's advance, as shares of a usual one's advance at that phase."""
+WAY_S = 0.25
+LEAST_WAY = 0.35
+WAY_OFF = 5.0
+"""Time over which the motion is compared [s], its least share of the usual motion, and the phase tolerance [%]."""
+
+
+class ExpectedPosition(NamedTuple):
+    """A moment of the signal: reported phase [%], last end of exhale and current level [mm]."""
+
+    percent: float
+    is_waiting: bool
+    low: float
+    seconds: float
+    level: float
+
+
+def contradicts_phase(
+    moment: ExpectedPosition, habit: BreathingHabit, turns: TurningPoints, current: CurrentBreath
+) -> bool:
+    """Whether the level contradicts the phase; also True if there is nothing to compare with."""
+    # Written so that NaN contradicts: every comparison with it is false.
+    if turns.direction == FALLING:
+        return not (
+            _is_exhale(moment, habit, turns) and _is_under_way(moment, habit, FALLING, current, turns.high - moment.low)
+        )
+    if turns.direction == RISING:
+        # From the rise to the next fall, across the end of inhale.
+        is_past_end = moment.percent < 50.0 * (habit.down_share + habit.up_share)
+        moment = moment._replace(percent=moment.percent + 100.0 * is_past_end)
+        return not (
+            _is_inhale(moment, habit, turns, current) and _is_under_way(moment, habit, RISING, current, habit.rise)
+        )
+    return True
+
+
+def _is_exhale(moment: ExpectedPosition, habit: BreathingHabit, turns: TurningPoints) -> bool:
+    """Whether the level fits an exhale at that phase; its depth is known from its start."""
+    shape, slack = habit.shape, _slack_mm(habit)
+    early, late = max(moment.percent - EARLY_OR_LATE, 0.0), moment.percent + EARLY_OR_LATE
+    bottom = 100.0 * shape.index(min(shape)) / len(shape)
+    heights = [height_at(shape, early), height_at(shape, moment.percent), height_at(shape, late)]
+    if late >= bottom:
+        # A rest may be longer than usual; the phase itself limits its delay.
+        heights.append(height_at(shape, max(bottom, moment.percent - 2.0 * EARLY_OR_LATE)))
+    # Without a rise so far, levels of the rising flank do not count.
+    has_risen = moment.level - turns.low > 0.5 * slack
+    highest = max(heights) if has_risen else height_at(shape, min(early, bottom))
+    depth, height = turns.high - moment.low, moment.level - moment.low
+    return depth * min(heights) - slack <= height <= depth * highest + slack
+
+
+def _is_inhale(moment: ExpectedPosition, habit: BreathingHabit, turns: TurningPoints, current: CurrentBreath) -> bool:
+    """Whether an inhale has advanced about as far as a usual one since its rise was detected."""
+    slack, percent = _slack_mm(habit), moment.percent
+    is_near_end = percent > 100.0 - EARLY_OR_LATE
+    reached = turns.high if is_near_end else moment.level
+    least = LEAST_ADVANCE * _advance(habit, percent) - LEVEL_MM
+    most = MOST_ADVANCE * _advance(habit, percent + EARLY_OR_LATE) + slack
+    is_far_enough = least <= reached - current.rose and moment.level - current.rose <= most
+    is_going = is_near_end or moment.level >= turns.high - slack
+    # A level that stays at the top does not fit a phase after the fall.
+    past = max(percent - EARLY_OR_LATE, 100.0)
+    is_low_enough = moment.level - moment.low <= (turns.high - moment.low) * height_at(habit.shape, past) + slack
+    return is_far_enough and is_going and is_low_enough
+
+
+def _is_under_way(
+    moment: ExpectedPosition, habit: BreathingHabit, direction: int, current: CurrentBreath, depth: float
+) -> bool:
+    """Whether the signal moves while a usual breath is on its flank; the phase itself limits a late turn."""
+    since = next((one for one in reversed(current.path) if moment.seconds - one[0] >= WAY_S), None)
+    if since is None or moment.is_waiting:
+        return True
+    back = 100.0 * (moment.seconds - since[0]) / habit.period_s
+    usual = min(
+        direction * depth * (height_at(habit.shape, at) - height_at(habit.shape, at - back))
+        for at in (moment.percent - WAY_OFF, moment.percent, moment.percent + WAY_OFF)
+    )
+    least = LEAST_WAY * usual - LEVEL_MM
+    return least <= 0.0 or direction * (moment.level - since[1]) >= least
+
+
+def _advance(habit: BreathingHabit, percent: float) -> float:
+    """Advance of a usual inhale at a phase, from where its rise is detected [mm]."""
+    started = height_at(habit.shape, 100.0 * habit.up_share)
+    return habit.rise * (height_at(habit.shape, min(percent, 100.0)) - started)
+
+
+def _slack_mm(habit: BreathingHabit) -> float:
+    return LEVEL_SHARE * habit.rise + LEVEL_MM

@@ -1,0 +1,391 @@
+"""Manages the motion model and the reference: collects frames, starts fits, switches models between two frames.
+
+Owned by the pipeline's thread, and separate from measuring: the frame path does not depend on how models are made. The
+present model is used until another is ready; while the gate is armed, the new model waits.
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+from engine.core.breath import SignalChoice
+from engine.core.errors import CommandRefusedError, ModelError, ModelMismatchError, SourceAwayError
+from engine.core.frames import FloatArray, TrainingProgress
+from engine.core.learning_events import Figures, LearningEvent, LearningEventKind
+from engine.core.learning_status import LearningStatus
+from engine.core.motion_model import MotionModel
+from engine.core.patient_match import PatientMatch
+from engine.core.ranges import Ranges
+from engine.motion.learning.learned_range import learned_ranges
+from engine.motion.learning.patient_match import PatientMatchLimits
+from engine.motion.learning.prepared_model import PreparedModel, Reference
+from engine.motion.learning.tasks import (
+    Candidate,
+    CompareTask,
+    FitTask,
+    LearningStages,
+    LearningTask,
+    Outcome,
+    SwitchTask,
+    quality_figures,
+)
+from engine.motion.learning.trainer import Trainer, TrainingSettings
+from engine.motion.learning.training_set import TrainingFrame
+
+REFUSAL_SHOWN_S = 30.0
+"""How long a refusal is shown while the previous model is in use [s]."""
+
+BUSY = "a model is being fitted already"
+DROPPED = "the training in progress or the waiting model was dropped: the camera was disconnected"
+COMPARING = "the stored model is still being compared with the patient: wait a few seconds"
+
+
+class Learner:
+    """The present model, its reference, and the next model in progress."""
+
+    def __init__(
+        self,
+        *,
+        calibration_sha256: str,
+        settings: TrainingSettings,
+        match_limits: PatientMatchLimits,
+        stages: LearningStages,
+        trainer: Trainer[Outcome],
+    ) -> None:
+        self._calibration_sha256 = calibration_sha256
+        self._settings, self._limits = settings, match_limits
+        self._stages = stages
+        self._trainer = trainer
+        self._task: LearningTask | None = self._learning()
+        self._candidate: Candidate | None = None
+        self._active: PreparedModel | None = None
+        self._reference: Reference | None = None
+        self._is_reference_requested = False
+        self._needs_reference = False
+        self._reference_number = 0
+        self._is_model_held = False
+        self._is_comparing = False
+        self._discards_outcome = False
+        self._patient_match: PatientMatch | None = None
+        self._generation = 0
+        self._now_us = 0
+        self._learned_us = 0
+        self._refusal = ""
+        self._refused_us = 0
+        self._notices: list[LearningEvent] = []
+
+    @property
+    def active(self) -> PreparedModel | None:
+        """The model in use, prepared for measuring."""
+        return self._active
+
+    @property
+    def status(self) -> LearningStatus:
+        """The model and the reference in use."""
+        return LearningStatus(
+            model=None if self._active is None else self._active.model,
+            model_shortcoming=self._shortcoming(),
+            model_generation=self._generation,
+            is_model_waiting=self._candidate is not None,
+            has_reference=self._reference is not None
+            and not self._is_reference_requested
+            and not self._needs_reference,
+            reference_number=self._reference_number,
+            patient_match=self._patient_match,
+        )
+
+    def _shortcoming(self) -> str | None:
+        if self._active is None:
+            return None
+        if self._is_comparing:
+            return COMPARING
+        cycles, needed = self._active.model.cycles, self._settings.min_cycles
+        if cycles >= needed:
+            return None
+        return (
+            f"the motion model was learned from {cycles} complete breathing cycles and {needed} are needed: "
+            "train again while the patient breathes calmly"
+        )
+
+    @property
+    def is_reference_due(self) -> bool:
+        """Whether the next measured frame becomes the reference."""
+        return self._reference is None or self._is_reference_requested
+
+    @property
+    def generation(self) -> int:
+        """Number that changes with every change of model or reference, which disarms the gate."""
+        return self._generation
+
+    @property
+    def is_gathering(self) -> bool:
+        """Whether a task collects frames."""
+        return self._task is not None
+
+    @property
+    def takes_lost_frames(self) -> bool:
+        """Whether the task also takes frames that the present model does not explain."""
+        return self._active is None or (self._task is not None and not self._task.needs_measured)
+
+    @property
+    def progress(self) -> TrainingProgress | None:
+        """Progress of the training; None without a training or a recent refusal."""
+        if self._task is not None:
+            progress = self._task.progress
+            return replace(progress, note=self._refusal) if self._refusal and not progress.note else progress
+        if self._trainer.is_busy:
+            return _note("fitting the model", share=1.0)
+        if self._candidate is not None:
+            return _note("a new model is ready: it is used when the gate is disarmed", share=1.0)
+        if self._refusal and self._now_us - self._refused_us <= REFUSAL_SHOWN_S * 1e6:
+            return _note(self._refusal, share=0.0)
+        return None
+
+    def take_notices(self) -> list[LearningEvent]:
+        """Return the events since the last call."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def keep_model(self, *, is_kept: bool) -> None:
+        """Set whether the present model must stay in use, because the gate is armed."""
+        self._is_model_held = is_kept
+
+    # -- reference ----------------------------------------------------------------------------------------------
+
+    def set_reference(self) -> None:
+        """Make the next measured frame the reference; raise CommandRefusedError without a model."""
+        if self._active is None:
+            msg = "there is no motion model yet: a reference needs one"
+            raise CommandRefusedError(msg)
+        self._is_reference_requested = True
+        self._generation += 1
+
+    def reference(self, active: PreparedModel, coefficients: FloatArray, surface: FloatArray) -> Reference:
+        """Return the reference; the given position becomes it if there is none or a new one was requested."""
+        if self._reference is None or self._is_reference_requested:
+            self._reference = active.reference(coefficients, surface)
+            self._reference_number += 1
+            self._needs_reference = self._needs_reference and not self._is_reference_requested
+            self._is_reference_requested = False
+        return self._reference
+
+    def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
+        """Return the range of each signal in the training relative to the reference; empty without a reference."""
+        if self._active is None or self._reference is None or self._is_reference_requested:
+            return {}
+        return learned_ranges(self._active, self._reference, choices)
+
+    # -- commands -----------------------------------------------------------------------------------------------
+
+    def retrain(self, *, keeps_zero: bool = True) -> None:
+        """Collect frames for a new model; the present one stays in use until the new one is ready."""
+        self._refuse_while_busy()
+        self._task = self._learning(keeps_zero=keeps_zero)
+        self._refusal = ""
+
+    def activate(self, model: MotionModel) -> None:
+        """Use a stored model of this session after the reference was transferred to it."""
+        self._refuse_other_calibration(model)
+        self._refuse_while_busy()
+        self._refusal = ""
+        if self._active is not None:
+            self._task = SwitchTask(model, self._settings, self._stages)
+            return
+        self._task = None
+        self._trainer.start(lambda: Candidate(active=self._stages.prepare(model)))
+        self._collect()
+
+    def resume(self, model: MotionModel) -> None:
+        """Start with a model of an earlier fraction; it is compared with the patient before the gate can be armed.
+
+        Its reference is not transferred, as the patient's position may differ. Motion is relative to the first frame
+        until an operator sets the reference.
+        """
+        self._refuse_other_calibration(model)
+        self._refuse_while_busy()
+        if model.surface_mm is None:
+            raise ModelMismatchError("model", "of an older version", "one that stores its patient's surface")
+        self._task = None
+        self._trainer.start(lambda: Candidate(active=self._stages.prepare(model), needs_reference=True, is_stored=True))
+        self._collect()
+
+    def restart_after_disconnection(self) -> None:
+        """Restart after the camera was disconnected: camera or patient may have moved.
+
+        The model stays in use, is compared with the patient like a stored one, and an operator has to set the
+        reference. Collected frames, a running fit and a waiting model are dropped. Without a model, training restarts.
+        """
+        if self._loses_request:
+            self._emit(LearningEventKind.REFUSED, DROPPED, {"code": SourceAwayError.code})
+            self._refusal, self._refused_us = DROPPED, self._now_us
+        self._candidate, self._task = None, None
+        self._discards_outcome = self._trainer.is_busy
+        self._reference, self._is_reference_requested = None, False
+        self._patient_match = None
+        self._generation += 1
+        if self._active is None or self._active.model.surface_mm is None:
+            self._active, self._is_comparing = None, False
+            self._task = self._learning()
+            return
+        self._needs_reference, self._is_comparing = True, True
+        self._task = CompareTask(self._active, self._limits, self._stages)
+        self._emit(LearningEventKind.ZERO_NEEDED, "the camera was disconnected: set the reference before arming")
+
+    @property
+    def _loses_request(self) -> bool:
+        """Whether a requested training or a waiting model is dropped; a comparison or first training just restarts."""
+        is_fitted = self._trainer.is_busy and not self._discards_outcome
+        is_gathered = self._task is not None and self._active is not None
+        return self._candidate is not None or (not self._is_comparing and (is_fitted or is_gathered))
+
+    def apply_model(self) -> None:
+        """Switch to the waiting model; the caller has disarmed the gate. Raise CommandRefusedError if there is none."""
+        if self._candidate is None:
+            msg = "no new model waits to be applied"
+            raise CommandRefusedError(msg)
+        self._switch(self._candidate)
+
+    def _refuse_other_calibration(self, model: MotionModel) -> None:
+        if model.calibration_sha256 != self._calibration_sha256:
+            bound = f"the session's calibration, {self._calibration_sha256[:12]}"
+            raise ModelMismatchError("model.calibration_sha256", model.calibration_sha256[:12], bound)
+
+    def _refuse_while_busy(self) -> None:
+        if self._is_comparing:
+            raise CommandRefusedError(COMPARING)
+        if self._trainer.is_busy:
+            raise CommandRefusedError(BUSY)
+
+    # -- between and at frames ----------------------------------------------------------------------------------
+
+    def collect(self, timestamp_us: int) -> None:
+        """Between two frames: take the trainer's result, switch models if allowed, start a training that is due."""
+        self._now_us = timestamp_us
+        self._collect()
+        if self._candidate is not None and not self._is_model_held:
+            self._switch(self._candidate)
+        self._retrain_if_due()
+
+    def learn(self, frame: TrainingFrame) -> None:
+        """Add a frame to the current task; start its job when the task is complete."""
+        task = self._task
+        if task is None or self._trainer.is_busy:
+            return
+        task.add(frame)
+        if task.is_complete:
+            self._task = None
+            self._trainer.start(task.job(self._active))
+            self._collect()
+
+    def _retrain_if_due(self) -> None:
+        interval_us = self._settings.retrain_interval_s * 1e6
+        self._learned_us = min(self._learned_us, self._now_us)  # the device's clock may restart
+        is_free = self._active is not None and self._task is None and not self._trainer.is_busy
+        if interval_us > 0.0 and is_free and self._now_us - self._learned_us >= interval_us:
+            self._task = self._learning()
+            self._emit(
+                LearningEventKind.STARTED,
+                "the retraining interval has passed",
+                {"interval_s": self._settings.retrain_interval_s},
+            )
+
+    def _learning(self, *, keeps_zero: bool = True) -> FitTask:
+        return FitTask(self._settings, self._stages, self._calibration_sha256, keeps_zero=keeps_zero)
+
+    def _collect(self) -> None:
+        outcome = self._trainer.collect() if self._trainer.is_busy else None
+        if outcome is not None and self._discards_outcome:
+            self._discards_outcome = False
+            return
+        match outcome:
+            case Candidate():
+                self._receive(outcome)
+            case PatientMatch():
+                self._receive_match(outcome)
+            case ModelError():
+                self._refuse(outcome)
+
+    def _receive(self, candidate: Candidate) -> None:
+        self._learned_us = self._now_us
+        if candidate.before is not self._active:  # cannot happen: models are not switched while the trainer is busy
+            self._refuse(ModelError("another model is in use by now"))
+            return
+        if candidate.before is not None:
+            self._emit(LearningEventKind.READY, "a new model is ready", _transfer_figures(candidate, self._reference))
+        self._candidate = candidate
+        if not self._is_model_held:
+            self._switch(candidate)
+
+    def _switch(self, candidate: Candidate) -> None:
+        previous_reference = self._reference
+        figures = _transfer_figures(candidate, previous_reference)
+        self._candidate = None
+        if candidate.transfer is not None and previous_reference is not None:
+            self._reference = candidate.transfer.applied(previous_reference)
+        elif candidate.needs_reference:
+            self._reference, self._needs_reference = None, True
+        self._active = candidate.active
+        self._generation += 1
+        self._refusal = ""
+        self._emit(LearningEventKind.SWAPPED, "a new model is in use", figures)
+        if candidate.needs_reference:
+            self._emit(LearningEventKind.ZERO_NEEDED, "the reference was not transferred: set it before arming")
+        if candidate.is_stored:
+            self._is_comparing = True
+            self._task = CompareTask(candidate.active, self._limits, self._stages)
+
+    def _receive_match(self, patient_match: PatientMatch) -> None:
+        self._patient_match = patient_match
+        self._is_comparing = False
+        self._emit(
+            LearningEventKind.COMPARED, "the stored model was compared with the patient", _match_figures(patient_match)
+        )
+        if patient_match.refusal is not None:
+            self._refuse(patient_match.refusal, drops_model=True)
+
+    def _refuse(self, error: ModelError, *, drops_model: bool = False) -> None:
+        """Report a refusal; without a model in use, restart the training."""
+        bounds = {name: getattr(error, name, None) for name in ("field", "value", "bound")}
+        self._emit(LearningEventKind.REFUSED, str(error), {"code": error.code, **bounds})
+        self._refusal, self._refused_us = str(error), self._now_us
+        self._learned_us = self._now_us
+        if drops_model or self._is_comparing:
+            self._active, self._reference, self._is_comparing = None, None, False
+            self._is_reference_requested = False
+            self._generation += 1
+        if self._active is None:
+            self._task = self._learning()
+
+    def _emit(self, kind: LearningEventKind, detail: str, figures: Figures | None = None) -> None:
+        notice = LearningEvent(kind=kind, detail=detail, timestamp_us=self._now_us, figures=figures or {})
+        self._notices.append(notice)
+
+
+def _note(text: str, *, share: float) -> TrainingProgress:
+    return TrainingProgress(frames=0, cycles=0, seconds=0.0, share=share, note=text)
+
+
+def _transfer_figures(candidate: Candidate, previous_reference: Reference | None) -> Figures:
+    figures = dict(quality_figures(candidate.active.model))
+    transfer = candidate.transfer
+    if transfer is not None:
+        figures |= {"correction_mm": round(transfer.correction_mm, 4), "carry_frames": transfer.frames}
+        figures |= {"volume_correction_l": round(transfer.volume_l, 6)}
+        if previous_reference is not None:
+            reference_mm = float(previous_reference.regions_mm[candidate.active.regions.cells])
+            figures |= {
+                "zero_before_mm": round(reference_mm, 4),
+                "zero_after_mm": round(reference_mm + transfer.whole_mm, 4),
+            }
+    return figures
+
+
+def _match_figures(patient_match: PatientMatch) -> Figures:
+    return {
+        "frames": patient_match.frames,
+        "explained_share": round(patient_match.explained_share, 3),
+        "residual_mm": None if patient_match.residual_mm is None else round(patient_match.residual_mm, 3),
+        **{f"shift_{axis}_mm": round(value, 2) for axis, value in zip("xyz", patient_match.shift_mm, strict=True)},
+        "tilt_deg": round(patient_match.tilt_deg, 3),
+        "shape_mm": round(patient_match.shape_mm, 3),
+        "is_accepted": patient_match.refusal is None,
+    }

@@ -1,0 +1,81 @@
+"""A motion model prepared for measuring: all quantities that are linear in the coefficients, precomputed.
+
+Preparation runs in the trainer's thread, so the switch between two frames costs the engine thread no time.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, frozen
+from engine.core.motion_model import MotionModel
+from engine.motion.stages.projection import Basis, prepare_basis
+from engine.motion.stages.regions import RegionLayout, RegionMeans, prepare_regions
+from engine.motion.stages.roi import at_nodes
+from engine.motion.stages.surface import grid_triangles, volume_l
+
+_TRIANGLES = grid_triangles(NODE_ROWS, NODE_COLUMNS)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Reference:
+    """The reference position of the patient, stored as depths, so that it is independent of the model.
+
+    Attributes
+    ----------
+    regions_mm
+        Mean depth of every region [mm], in the order of `engine.motion.stages.regions.RegionMeans`.
+    plane_mm
+        Depth of the plane that volumes are measured from [mm].
+    volume_l
+        Volume between the reference surface and that plane [l].
+    """
+
+    regions_mm: FloatArray
+    plane_mm: float
+    volume_l: float
+
+    def volume_above_l(self, surface: FloatArray) -> float:
+        """Volume of a surface relative to the reference [l]; vertices of shape (nodes, 3) [mm]."""
+        return volume_l(surface, _TRIANGLES, self.plane_mm) - self.volume_l
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PreparedModel:
+    """A model with its projection basis, its regions' means and its surface at the nodes.
+
+    Attributes
+    ----------
+    node_mean_mm, node_modes
+        Mean surface [mm] and each mode at the nodes, shapes (nodes,) and (k + e, nodes).
+    """
+
+    model: MotionModel
+    basis: Basis
+    regions: RegionMeans
+    node_mean_mm: FloatArray
+    node_modes: FloatArray
+
+    def node_depth_mm(self, coefficients: FloatArray) -> FloatArray:
+        """Depth at the nodes [mm], shape (nodes,), for coefficients of shape (k + e,)."""
+        return np.asarray(self.node_mean_mm + coefficients @ self.node_modes)
+
+    def reference(self, coefficients: FloatArray, surface: FloatArray) -> Reference:
+        """Return the reference at these coefficients; ``surface`` are its vertices [mm], shape (nodes, 3)."""
+        regions_mm = self.regions.model_depth_mm(coefficients)
+        plane_mm = float(surface[:, 2].mean())
+        return Reference(
+            regions_mm=frozen(regions_mm), plane_mm=plane_mm, volume_l=volume_l(surface, _TRIANGLES, plane_mm)
+        )
+
+
+def prepare_model(model: MotionModel, layout: RegionLayout) -> PreparedModel:
+    """Precompute projection basis, region means and node surfaces of a model."""
+    basis = prepare_basis(model)
+    return PreparedModel(
+        model=model,
+        basis=basis,
+        regions=prepare_regions(model.mean_mm, basis.modes, model.known, layout),
+        node_mean_mm=frozen(at_nodes(model.mean_mm)),
+        node_modes=frozen(np.stack([at_nodes(mode) for mode in basis.modes])),
+    )

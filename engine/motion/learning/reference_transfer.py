@@ -1,0 +1,139 @@
+"""Transfers the reference from one model to the next, so that a switch changes neither motion nor volume.
+
+A reference is a set of depths as one model measures them. Another model measures the same surface with other biases:
+its mean was learned with other noise, and its components differ. The same frames are therefore projected on both
+models, and the reference is corrected by the mean difference. That is a difference of two biases: over many retrainings
+the corrections sum up to the last bias minus the first, without a random walk. A drift of the patient appears in both
+models, so the reference does not follow it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from engine.core.errors import TrainingRefusedError
+from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, Projection, RoiDepth, frozen
+from engine.motion.learning.prepared_model import PreparedModel, Reference
+from engine.motion.learning.training_set import TrainingFrame, Vertices, evenly
+from engine.motion.stages.surface import grid_triangles, volume_l
+
+TRANSFER_FRAMES = 40
+TRANSFER_SECONDS = 8.0
+MIN_TRANSFER_FRAMES = 10
+CELLS_PERCENTILE = 90.0
+
+Explain = Callable[[PreparedModel, RoiDepth, FloatArray | None], Projection | None]
+"""Projects a region on a model, starting from coefficients; None if the model does not explain it well enough."""
+
+_TRIANGLES = grid_triangles(NODE_ROWS, NODE_COLUMNS)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ReferenceTransfer:
+    """Difference of a new model and the previous one on the same frames.
+
+    Attributes
+    ----------
+    regions_mm
+        New depth minus old of every region [mm], in the order of `engine.motion.stages.regions.RegionMeans`.
+    volume_l
+        New volume minus old above the same plane [l].
+    frames
+        Number of frames that both models explain.
+    correction_mm
+        Largest absolute correction of whole, thorax and abdomen, and 90th percentile of the common cells [mm].
+    whole_mm
+        Correction of the whole region [mm].
+    """
+
+    regions_mm: FloatArray
+    volume_l: float
+    frames: int
+    correction_mm: float
+    whole_mm: float
+
+    def __post_init__(self) -> None:
+        """Make the array read-only."""
+        frozen(self.regions_mm)
+
+    def applied(self, reference: Reference) -> Reference:
+        """Return the reference corrected for the new model."""
+        return replace(
+            reference,
+            regions_mm=frozen(reference.regions_mm + self.regions_mm),
+            volume_l=reference.volume_l + self.volume_l,
+        )
+
+
+def recent(frames: Sequence[TrainingFrame]) -> list[TrainingFrame]:
+    """Select the frames to compare two models on: evenly over the last eight seconds, about two breaths."""
+    since_us = frames[-1].timestamp_us - TRANSFER_SECONDS * 1e6
+    return evenly([frame for frame in frames if frame.timestamp_us >= since_us], TRANSFER_FRAMES)
+
+
+def compare_models(
+    before: PreparedModel,
+    after: PreparedModel,
+    frames: Sequence[TrainingFrame],
+    *,
+    explain: Explain,
+    vertices: Vertices,
+) -> ReferenceTransfer:
+    """Project the same frames on both models and return their difference.
+
+    Raises
+    ------
+    TrainingRefusedError
+        Too few frames are explained by both models, so the reference cannot be transferred.
+    """
+    regions, volumes = [], []
+    coefficients: dict[int, FloatArray | None] = {0: None, 1: None}
+    for frame in frames:
+        outcomes = []
+        for i, model in enumerate((before, after)):
+            outcome = explain(model, frame.roi, coefficients[i])
+            coefficients[i] = None if outcome is None else outcome.coefficients
+            outcomes.append(None if outcome is None else _measured_by(model, outcome, frame, vertices))
+        old, new = outcomes
+        if old is not None and new is not None:
+            regions.append(new[0] - old[0])
+            volumes.append(new[1] - old[1])
+    if len(regions) < MIN_TRANSFER_FRAMES:
+        raise TrainingRefusedError(
+            "carry.frames",
+            len(regions),
+            f"at least {MIN_TRANSFER_FRAMES} frames that both models explain",
+            "the patient's position does not match the present model: train again without keeping the reference, then "
+            "set it",
+        )
+    difference = np.mean(regions, axis=0)
+    return ReferenceTransfer(
+        regions_mm=difference,
+        volume_l=float(np.mean(volumes)),
+        frames=len(regions),
+        correction_mm=_correction_mm(before, after, difference),
+        whole_mm=float(difference[before.regions.cells]),
+    )
+
+
+def _measured_by(
+    model: PreparedModel, outcome: Projection, frame: TrainingFrame, vertices: Vertices
+) -> tuple[FloatArray, float]:
+    surface = vertices(frame.nodes_px, model.node_depth_mm(outcome.coefficients))
+    # The plane cancels in the difference of two nearly equal surfaces.
+    return model.regions.model_depth_mm(outcome.coefficients), volume_l(surface, _TRIANGLES, _plane_mm(frame))
+
+
+def _plane_mm(frame: TrainingFrame) -> float:
+    """Return a plane close to the surface, the same for both models: the median depth [mm]."""
+    depth, valid = frame.roi.depth_mm, frame.roi.valid
+    return float(np.median(depth[valid])) if valid.any() else 0.0
+
+
+def _correction_mm(before: PreparedModel, after: PreparedModel, difference: FloatArray) -> float:
+    cells, points_from = before.regions.cells, before.regions.points_from
+    wide = np.abs(difference[cells:points_from]).max()
+    both = before.regions.is_known[:cells] & after.regions.is_known[:cells]
+    known = np.abs(difference[:cells][both])
+    return float(max(wide, np.percentile(known, CELLS_PERCENTILE) if known.size else 0.0))

@@ -1,0 +1,319 @@
+"""Learning tasks: fit a new model, switch to a stored model, compare a stored model with the patient.
+
+A task collects frames in the engine thread until it is complete, and then gives a job to the trainer's thread. The job
+depends only on its inputs, so it can run in any thread at any time.
+"""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Protocol
+
+import numpy as np
+
+from engine.core.errors import TrainingRefusedError
+from engine.core.frames import Projection, TrainingProgress
+from engine.core.learning_events import Figures
+from engine.core.motion_model import MotionModel
+from engine.core.patient_match import PatientMatch
+from engine.core.provenance import Provenance, TrainingQuality
+from engine.motion.learning.fitting import fit
+from engine.motion.learning.patient_match import PatientMatchLimits, compare_with_patient
+from engine.motion.learning.prepared_model import PreparedModel
+from engine.motion.learning.reference_transfer import Explain, ReferenceTransfer, compare_models, recent
+from engine.motion.learning.trainer import TrainingSettings
+from engine.motion.learning.training_quality import find_outliers, refuse_breathless, refuse_disturbed, refuse_moving
+from engine.motion.learning.training_set import MAX_GAP_S, TrainingFrame, TrainingSet, Vertices, evenly, mean_surface
+
+QUALITY_FRAMES = 60
+SURFACE_FRAMES = 120
+SWITCH_SECONDS = 2.0
+SWITCH_FRAMES = 30
+COMPARE_FRAMES = 60
+MIN_COMPARE_FRAMES = 10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LearningStages:
+    """Functions of the pipeline that jobs need; pure, called in the trainer's thread.
+
+    Attributes
+    ----------
+    prepare
+        Prepares a model for measuring.
+    explain
+        Projects a region on a prepared model; None if the model does not explain it well enough.
+    vertices
+        Computes the points of the surface at the nodes.
+    """
+
+    prepare: Callable[[MotionModel], PreparedModel]
+    explain: Explain
+    vertices: Vertices
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Candidate:
+    """A prepared model that can be used.
+
+    Attributes
+    ----------
+    before
+        The model in use that it was compared with; None for a first one.
+    transfer
+        Transfer of the reference; None without a reference, or if it must not be transferred.
+    needs_reference
+        Whether an operator has to set the reference before arming.
+    is_stored
+        Whether it comes from an earlier fraction, and has to be compared with the patient.
+    """
+
+    active: PreparedModel
+    before: PreparedModel | None = None
+    transfer: ReferenceTransfer | None = None
+    needs_reference: bool = False
+    is_stored: bool = False
+
+
+Outcome = Candidate | PatientMatch
+
+
+class LearningTask(Protocol):
+    """Collects frames for a job."""
+
+    def add(self, frame: TrainingFrame) -> None:
+        """Add a frame."""
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether there are enough frames."""
+
+    @property
+    def needs_measured(self) -> bool:
+        """Whether only frames that the present model explains are added."""
+
+    @property
+    def progress(self) -> TrainingProgress:
+        """Progress of the collection."""
+
+    def job(self, before: PreparedModel | None) -> Callable[[], Outcome]:
+        """Return the job on the collected frames; ``before`` is the model in use."""
+
+
+class FitTask:
+    """Collects a training set and fits a model.
+
+    Parameters
+    ----------
+    keeps_zero
+        Whether the reference is transferred from the previous model; otherwise an operator has to set it again.
+    """
+
+    def __init__(
+        self, settings: TrainingSettings, stages: LearningStages, calibration_sha256: str, *, keeps_zero: bool = True
+    ) -> None:
+        self._settings, self._stages = settings, stages
+        self._calibration_sha256 = calibration_sha256
+        self._keeps_zero = keeps_zero
+        self._set = TrainingSet(settings, stages.vertices)
+
+    def add(self, frame: TrainingFrame) -> None:
+        """Add a frame to the training set."""
+        self._set.add(frame)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the training set is complete."""
+        return self._set.is_complete
+
+    @property
+    def needs_measured(self) -> bool:
+        """Whether only measured frames count: with a kept reference an object on the patient must not be learned."""
+        return self._keeps_zero
+
+    @property
+    def progress(self) -> TrainingProgress:
+        """Progress of the training set."""
+        return self._set.progress
+
+    def job(self, before: PreparedModel | None) -> Callable[[], Outcome]:
+        """Return the job that checks the set, fits the model and transfers the reference."""
+        training_set, stages, settings = self._set, self._stages, self._settings
+        keeps_zero = self._keeps_zero
+
+        def run() -> Candidate:
+            active, frames = _fit_checked(training_set, stages, settings, self._calibration_sha256)
+            transfer = None
+            if before is not None and keeps_zero:
+                transfer = _transfer_reference(before, active, recent(frames), stages, settings.max_carry_mm)
+            return Candidate(
+                active=active, before=before, transfer=transfer, needs_reference=before is not None and not keeps_zero
+            )
+
+        return run
+
+
+class SwitchTask:
+    """Collects two seconds of frames to transfer the reference to a stored model."""
+
+    def __init__(self, model: MotionModel, settings: TrainingSettings, stages: LearningStages) -> None:
+        self._model, self._settings, self._stages = model, settings, stages
+        self._frames: list[TrainingFrame] = []
+
+    def add(self, frame: TrainingFrame) -> None:
+        """Add a frame; a gap restarts the collection."""
+        _drop_before_gap(self._frames, frame)
+        self._frames.append(frame)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether there are two seconds of frames."""
+        return len(self._frames) >= SWITCH_FRAMES and _seconds(self._frames) >= SWITCH_SECONDS
+
+    @property
+    def needs_measured(self) -> bool:
+        """True: the present model has to explain the frames."""
+        return True
+
+    @property
+    def progress(self) -> TrainingProgress:
+        """Progress of the collection."""
+        return _collection_progress(self._frames, SWITCH_SECONDS, "transferring the reference to another model")
+
+    def job(self, before: PreparedModel | None) -> Callable[[], Outcome]:
+        """Return the job that prepares the model and transfers the reference."""
+        frames, stages, model = recent(self._frames), self._stages, self._model
+        most_mm = self._settings.max_carry_mm
+
+        def run() -> Candidate:
+            active = stages.prepare(model)
+            transfer = None if before is None else _transfer_reference(before, active, frames, stages, most_mm)
+            return Candidate(active=active, before=before, transfer=transfer)
+
+        return run
+
+
+class CompareTask:
+    """Collects frames to compare a stored model, which is in use meanwhile, with the patient."""
+
+    def __init__(self, active: PreparedModel, limits: PatientMatchLimits, stages: LearningStages) -> None:
+        self._active, self._limits, self._stages = active, limits, stages
+        self._frames: list[TrainingFrame] = []
+
+    def add(self, frame: TrainingFrame) -> None:
+        """Add a frame if enough time has passed since the last one; a gap restarts the collection."""
+        _drop_before_gap(self._frames, frame)
+        step_us = self._limits.seconds * 1e6 / COMPARE_FRAMES
+        if not self._frames or frame.timestamp_us - self._frames[-1].timestamp_us >= step_us:
+            self._frames.append(frame)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether there are enough frames over the time of the limits."""
+        return len(self._frames) >= MIN_COMPARE_FRAMES and _seconds(self._frames) >= self._limits.seconds
+
+    @property
+    def needs_measured(self) -> bool:
+        """False: frames that the model does not explain are the evidence of a mismatch."""
+        return False
+
+    @property
+    def progress(self) -> TrainingProgress:
+        """Progress of the collection."""
+        return _collection_progress(self._frames, self._limits.seconds, "comparing the stored model with the patient")
+
+    def job(self, before: PreparedModel | None) -> Callable[[], Outcome]:
+        """Return the job that compares the model with the frames; the model in use is the stored one itself."""
+        frames, limits, stages = list(self._frames), self._limits, self._stages
+        active = before or self._active
+        return lambda: compare_with_patient(active, frames, limits, explain=stages.explain, vertices=stages.vertices)
+
+
+def _fit_checked(
+    training_set: TrainingSet, stages: LearningStages, settings: TrainingSettings, calibration_sha256: str
+) -> tuple[PreparedModel, list[TrainingFrame]]:
+    frames, signals = training_set.frames, training_set.signals
+    amplitude_mm, noise_mm = refuse_breathless(signals, settings)
+    shift_mm, tilt_deg = refuse_moving(frames, stages.vertices, settings, amplitude_mm)
+    outliers = find_outliers(frames, signals, amplitude_mm)
+    outlier_share = refuse_disturbed(outliers, settings)
+    kept_frames = [frame for frame, is_outlier in zip(frames, outliers, strict=True) if not is_outlier]
+    model = _fit(kept_frames, training_set, settings, calibration_sha256)
+    model = replace(model, surface_mm=mean_surface(evenly(kept_frames, SURFACE_FRAMES), stages.vertices))
+    active = stages.prepare(model)
+    explained = _explained(active, evenly(kept_frames, QUALITY_FRAMES), stages)
+    quality = TrainingQuality(
+        amplitude_mm=amplitude_mm,
+        noise_mm=noise_mm,
+        explained_share=min(float(model.spectrum[: len(model.components)].sum()), 1.0),
+        shift_mm=shift_mm,
+        tilt_deg=tilt_deg,
+        outlier_share=outlier_share,
+        residual_mm=float(np.median([outcome.residual_mm for outcome in explained])),
+    )
+    settings_used = {field.name: float(getattr(settings, field.name)) for field in fields(settings)}
+    scores_mm = np.stack([outcome.beta for outcome in explained]).astype(np.float32)
+    model = replace(model, scores_mm=scores_mm, provenance=Provenance(quality=quality, settings=settings_used))
+    return replace(active, model=model), kept_frames
+
+
+def _fit(
+    kept_frames: list[TrainingFrame], training_set: TrainingSet, settings: TrainingSettings, calibration_sha256: str
+) -> MotionModel:
+    return fit(
+        np.stack([frame.roi.depth_mm for frame in kept_frames]),
+        np.stack([frame.roi.valid for frame in kept_frames]),
+        components=settings.components,
+        cycles=training_set.cycles,
+        seconds=training_set.seconds,
+        calibration_sha256=calibration_sha256,
+    )
+
+
+def _transfer_reference(
+    before: PreparedModel, active: PreparedModel, frames: list[TrainingFrame], stages: LearningStages, most_mm: float
+) -> ReferenceTransfer:
+    transfer = compare_models(before, active, frames, explain=stages.explain, vertices=stages.vertices)
+    if not transfer.correction_mm <= most_mm:
+        raise TrainingRefusedError(
+            "carry.correction_mm",
+            f"{transfer.correction_mm:.2f}",
+            f"at most {most_mm:g}",
+            "the two models disagree on the patient's position: the camera or the patient has moved; train again "
+            "without keeping the reference, then set it",
+        )
+    return transfer
+
+
+def _explained(active: PreparedModel, frames: list[TrainingFrame], stages: LearningStages) -> list[Projection]:
+    """Project training frames on the model learned from them; raise TrainingRefusedError if none is explained."""
+    outcomes = [stages.explain(active, frame.roi, None) for frame in frames]
+    explained = [outcome for outcome in outcomes if outcome is not None]
+    if not explained:
+        raise TrainingRefusedError(
+            "training.explained", "no frame", "explained by its own model", "clear the view of the camera"
+        )
+    return explained
+
+
+def _drop_before_gap(frames: list[TrainingFrame], frame: TrainingFrame) -> None:
+    """Clear the frames after a gap or a step back of the device's clock: the patient may have moved."""
+    if frames and not 0.0 < (frame.timestamp_us - frames[-1].timestamp_us) / 1e6 <= MAX_GAP_S:
+        frames.clear()
+
+
+def _seconds(frames: list[TrainingFrame]) -> float:
+    return (frames[-1].timestamp_us - frames[0].timestamp_us) / 1e6 if frames else 0.0
+
+
+def _collection_progress(frames: list[TrainingFrame], needed_s: float, note: str) -> TrainingProgress:
+    seconds = _seconds(frames)
+    return TrainingProgress(
+        frames=len(frames), cycles=0, seconds=seconds, share=min(max(seconds / needed_s, 0.0), 1.0), note=note
+    )
+
+
+def quality_figures(model: MotionModel) -> Figures:
+    """Return the quality figures of a model's training for a learning event."""
+    quality = model.provenance.quality
+    quality_values = {} if quality is None else {name: round(value, 4) for name, value in asdict(quality).items()}
+    return {"frames": model.training_frames, "cycles": model.cycles, **quality_values}

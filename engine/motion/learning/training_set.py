@@ -1,0 +1,210 @@
+"""Collects the training frames of a model, by time and breathing cycles, thinned evenly.
+
+Owned by the engine thread, so adding a frame is fast; checks and fit run in the trainer's thread.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.core.frames import BoolArray, FloatArray, RoiDepth, TrainingProgress, frozen
+from engine.motion.breathing import count_cycles, excursion_mm
+from engine.motion.learning.trainer import TrainingSettings
+from engine.motion.stages.roi import at_nodes
+
+SURROGATE_STEP_PX = 10
+PROGRESS_EVERY_FRAMES = 10
+MAX_GAP_S = 3.0
+"""A longer gap restarts the set: the patient may have moved while lost."""
+
+MIN_SEEN_SHARE = 0.5
+
+Vertices = Callable[[FloatArray, FloatArray], FloatArray]
+"""Maps depth pixels (nodes, 2) and depth [mm] (nodes,) to points in the depth camera's frame [mm], (nodes, 3)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrainingFrame:
+    """A frame's region, its device time, and its nodes in the depth picture [px], shape (nodes, 2)."""
+
+    roi: RoiDepth
+    timestamp_us: int
+    nodes_px: FloatArray
+
+    def surface(self, vertices: Vertices) -> FloatArray:
+        """Return the measured points at the nodes [mm], shape (nodes, 3); NaN in holes."""
+        valid = at_nodes(self.roi.valid, self.roi.stride_px) > 0.0
+        depth_mm = np.where(valid, at_nodes(self.roi.depth_mm, self.roi.stride_px), np.nan)
+        return vertices(self.nodes_px, depth_mm)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Signals:
+    """Coarse motion of all frames added, including those that were thinned out.
+
+    Attributes
+    ----------
+    seconds
+        Device time [s], shape (n,).
+    motion_mm
+        Whole, superior half and inferior half relative to the first frame [mm], shape (n, 3).
+    kept
+        Indices of the set's frames, ascending, shape (frames,).
+    """
+
+    seconds: FloatArray
+    motion_mm: FloatArray
+    kept: FloatArray
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for array in (self.seconds, self.motion_mm, self.kept):
+            frozen(array)
+
+    @property
+    def largest(self) -> FloatArray:
+        """The signal with the largest excursion [mm], shape (n,)."""
+        depths = [excursion_mm(signal, self.seconds) for signal in self.motion_mm.T]
+        return np.asarray(self.motion_mm[:, int(np.argmax(depths))])
+
+
+class TrainingSet:
+    """Collects frames until the set is complete."""
+
+    def __init__(self, settings: TrainingSettings, vertices: Vertices) -> None:
+        self._settings = settings
+        self._vertices = vertices
+        self._begin()
+
+    def _begin(self) -> None:
+        self._frames: list[TrainingFrame] = []
+        self._kept: list[int] = []
+        self._stride = 1
+        self._seconds: list[float] = []
+        self._motion_mm: list[tuple[float, float, float]] = []
+        self._centers_mm: list[FloatArray] = []
+        self._first: RoiDepth | None = None
+        self._cycles = 0
+        self._amplitude_mm: float | None = None
+
+    def add(self, frame: TrainingFrame) -> None:
+        """Add a frame; a full set drops every second frame, so it stays evenly thinned."""
+        seconds = frame.timestamp_us / 1e6
+        if self._seconds and not 0.0 < seconds - self._seconds[-1] <= MAX_GAP_S:
+            self._begin()
+        if self._first is None:
+            self._first = frame.roi
+        number = len(self._seconds)
+        self._seconds.append(seconds)
+        self._motion_mm.append(_coarse_motion_mm(frame.roi, self._first))
+        if number % self._stride == 0:
+            self._frames.append(frame)
+            self._kept.append(number)
+        if len(self._frames) > self._settings.max_frames:
+            self._frames, self._kept = self._frames[::2], self._kept[::2]
+            self._stride *= 2
+        if number % PROGRESS_EVERY_FRAMES == PROGRESS_EVERY_FRAMES - 1:
+            self._update_progress(frame)
+
+    def _update_progress(self, frame: TrainingFrame) -> None:
+        signals, seconds = np.array(self._motion_mm).T, np.array(self._seconds)
+        self._cycles = max(count_cycles(signal, seconds) for signal in signals)
+        self._amplitude_mm = max(excursion_mm(signal, seconds) for signal in signals)
+        surface = frame.surface(self._vertices)
+        seen: BoolArray = np.isfinite(surface[:, 2])
+        if seen.mean() >= MIN_SEEN_SHARE:
+            self._centers_mm.append(surface[seen].mean(axis=0))
+
+    @property
+    def frames(self) -> Sequence[TrainingFrame]:
+        """The frames of the set, in order of time."""
+        return tuple(self._frames)
+
+    @property
+    def signals(self) -> Signals:
+        """Coarse motion of all frames so far."""
+        return Signals(
+            seconds=np.array(self._seconds), motion_mm=np.array(self._motion_mm), kept=np.array(self._kept, dtype=int)
+        )
+
+    @property
+    def seconds(self) -> float:
+        """Time from the first frame to the last [s]."""
+        return self._seconds[-1] - self._seconds[0] if self._seconds else 0.0
+
+    @property
+    def cycles(self) -> int:
+        """Complete breathing cycles so far."""
+        return self._cycles
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the set has enough frames, cycles and time, or has reached the longest time."""
+        settings = self._settings
+        if len(self._frames) < settings.min_frames:
+            return False
+        if self.seconds >= settings.max_seconds:
+            return True
+        return self._cycles >= settings.min_cycles and self.seconds >= settings.min_seconds
+
+    @property
+    def progress(self) -> TrainingProgress:
+        """Progress of the collection."""
+        settings = self._settings
+        share = min(
+            len(self._frames) / settings.min_frames,
+            self.seconds / settings.min_seconds if settings.min_seconds else 1.0,
+            self._cycles / settings.min_cycles if settings.min_cycles else 1.0,
+            1.0,
+        )
+        note = ""
+        if share < 1.0 and self.seconds >= 0.5 * settings.max_seconds:
+            note = f"{self._cycles} complete breathing cycles in {self.seconds:.0f} s: {settings.min_cycles} are needed"
+        return TrainingProgress(
+            frames=len(self._frames),
+            cycles=self._cycles,
+            seconds=self.seconds,
+            share=share,
+            note=note,
+            amplitude_mm=self._amplitude_mm,
+            shift_mm=self._shift_mm(),
+        )
+
+    def _shift_mm(self) -> float | None:
+        """Distance of the region's centre between the first and the last third [mm]."""
+        third = len(self._centers_mm) // 3
+        if third == 0:
+            return None
+        first, last = np.mean(self._centers_mm[:third], axis=0), np.mean(self._centers_mm[-third:], axis=0)
+        return float(np.linalg.norm(last - first))
+
+
+def mean_surface(frames: Sequence[TrainingFrame], vertices: Vertices) -> FloatArray:
+    """Average the measured points at the nodes [mm], shape (nodes, 3); NaN where under half of the frames have one."""
+    surfaces = np.stack([frame.surface(vertices) for frame in frames])
+    seen = np.asarray(np.isfinite(surfaces).all(axis=2), dtype=np.bool_)
+    counts = seen.sum(axis=0)
+    sums = np.where(seen[:, :, None], surfaces, 0.0).sum(axis=0)
+    enough = counts >= max(1.0, 0.5 * len(frames))
+    return np.where(enough[:, None], sums / np.maximum(counts, 1)[:, None], np.nan)
+
+
+def evenly(frames: Sequence[TrainingFrame], most: int) -> list[TrainingFrame]:
+    """Select at most ``most`` frames, evenly spaced."""
+    if len(frames) <= most:
+        return list(frames)
+    return [frames[i] for i in np.linspace(0, len(frames) - 1, most).round().astype(int)]
+
+
+def _coarse_motion_mm(roi: RoiDepth, first: RoiDepth) -> tuple[float, float, float]:
+    """Mean motion of the whole and of both halves relative to the first frame [mm], on a coarse grid."""
+    step = slice(None, None, SURROGATE_STEP_PX // roi.stride_px)
+    both = roi.valid[step, step] & first.valid[step, step]
+    motion = np.where(both, first.depth_mm[step, step] - roi.depth_mm[step, step], 0.0)
+    half = len(motion) // 2
+
+    def mean(rows: slice) -> float:
+        return float(motion[rows].sum() / max(int(both[rows].sum()), 1))
+
+    return mean(slice(None)), mean(slice(half)), mean(slice(half, None))

@@ -1,0 +1,332 @@
+"""The frame path through the stages: find markers, register, sample the region, learn or project, measure.
+
+Owned by one thread. It keeps the state between frames (tracked region, last coefficients), so that the stages are pure;
+model and reference belong to `engine.motion.learning.learner.Learner`.
+"""
+
+from engine.calibration.camera_calibration import Calibration
+from engine.core.breath import Breath, SignalChoice
+from engine.core.clock import Clock
+from engine.core.frames import (
+    NODE_COLUMNS,
+    NODE_ROWS,
+    NODE_STEP,
+    FloatArray,
+    Lost,
+    LostReason,
+    Markers,
+    Measurement,
+    MeasurementState,
+    Motion,
+    Projection,
+    RgbdFrame,
+    RoiDepth,
+    frozen,
+)
+from engine.core.motion_model import MotionModel
+from engine.core.native_memory import keep_freed_memory
+from engine.core.native_threads import keep_calls_in_their_thread
+from engine.motion.learning.learner import Learner
+from engine.motion.learning.prepared_model import PreparedModel, Reference, prepare_model
+from engine.motion.learning.reference_smoothing import RecentFrames
+from engine.motion.learning.tasks import LearningStages, Outcome
+from engine.motion.learning.trainer import BackgroundTrainer, Trainer
+from engine.motion.learning.training_set import TrainingFrame
+from engine.motion.settings import PipelineSettings
+from engine.motion.stages.phase_lag import follow_lags, start_lags
+from engine.motion.stages.projection import STRIDE_PX, project
+from engine.motion.stages.regions import WIDE
+from engine.motion.stages.surface import end_at_markers, vertices_mm
+from engine.motion.tracking.breath_tracker import BreathTracker
+from engine.motion.tracking.costal_line import CostalLineTracker
+from engine.motion.tracking.region_tracker import RegionTracker, coverage_lost
+from engine.motion.tracking.surface_continuity import ObservedSurface, SurfaceContinuity
+
+US_PER_S = 1e6
+MARKERS_BETWEEN_NODES = 1.0 - 1.0 / NODE_STEP
+# Training samples more finely than measuring, since the components are interpolated to the full grid.
+LEARNING_STRIDE_PX = 2
+
+
+class Pipeline:
+    """Measures motion [mm] from frames of one calibrated camera and learns the motion model.
+
+    Parameters
+    ----------
+    calibration
+        Calibration of the camera whose frames are measured.
+    clock
+        Host clock; stamps the end of each measurement.
+    trainer
+        Runs fits; a background thread by default.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        settings: PipelineSettings,
+        clock: Clock,
+        trainer: Trainer[Outcome] | None = None,
+    ) -> None:
+        keep_calls_in_their_thread()
+        keep_freed_memory()
+        self._calibration = calibration
+        self._settings = settings
+        self._clock = clock
+        self.learner = Learner(
+            calibration_sha256=calibration.sha256,
+            settings=settings.training,
+            match_limits=settings.likeness,
+            stages=LearningStages(prepare=self._prepare, explain=self._explain_for_job, vertices=self._vertices),
+            trainer=BackgroundTrainer() if trainer is None else trainer,
+        )
+        self._tracker = RegionTracker(
+            calibration,
+            marker_diameter_mm=settings.marker_diameter_mm,
+            superior_px=settings.superior_px,
+            max_pair_gap_ms=settings.max_pair_gap_ms,
+            max_layout_change=settings.max_layout_change,
+        )
+        self._recent = RecentFrames()
+        self._continuity = SurfaceContinuity()
+        self._coefficients: FloatArray | None = None
+        self._projected_model: PreparedModel | None = None
+        self._costal_line = CostalLineTracker() if settings.extra_markers else None
+        self._reset_breathing()
+
+    def _reset_breathing(self) -> None:
+        """Reset breathing monitors, phase lags and the last reference."""
+        settings = self._settings
+        self._breaths = BreathTracker(settings.breath_signals)
+        self._last_reference: Reference | None = None
+        self._lags = start_lags(settings.lag_pairs(), len(WIDE) + len(settings.points) + len(settings.named))
+
+    def correct_baseline(self, choice: SignalChoice, by: float) -> None:
+        """Apply an operator's confirmed change of a signal's baseline [mm; l for the volume]."""
+        self._breaths.correct(choice, by)
+
+    def camera_returned(self) -> None:
+        """Reset all state after the camera was disconnected, as it may have moved."""
+        self._reset_tracking()
+        self._reset_breathing()
+        self.learner.restart_after_disconnection()
+
+    def measure(self, frame: RgbdFrame) -> Measurement:
+        """Measure one frame.
+
+        Raises
+        ------
+        CalibrationError
+            The pictures' sizes differ from the calibration's. No other content of a frame raises.
+        """
+        self._calibration.check_sizes(depth=frame.depth_mm.shape, color=frame.color.shape)
+        self.learner.collect(frame.timestamp_us)
+        found = self._tracker.find(frame)
+        if isinstance(found, Lost):
+            self._reset_tracking()
+            return self._measurement(frame, MeasurementState.LOST, lost=found)
+        is_learning = self.learner.active is None or self.learner.is_gathering
+        stride_px = LEARNING_STRIDE_PX if is_learning else STRIDE_PX
+        nodes, roi = self._tracker.region(frame, found, stride_px, has_model=self.learner.active is not None)
+        if not self._tracker.is_settled:
+            return self._without_model(frame, roi, found)
+        self._find_costal_line(frame, found)
+        takes_lost_frames = self.learner.takes_lost_frames
+        if takes_lost_frames:
+            self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
+        self._recent.add(roi, frame.timestamp_us)
+        active = self.learner.active
+        if active is None:
+            return self._without_model(frame, roi, found)
+        outcome = self._explain_continuous(active, roi, found, frame.timestamp_us)
+        if isinstance(outcome, Lost):
+            return self._lost(frame, outcome, found)
+        self._coefficients, self._projected_model = outcome.coefficients, active
+        self._tracker.expect_depth(active.node_depth_mm(outcome.coefficients))
+        motion = self._motion(active, outcome, nodes.rays, frame.timestamp_us)
+        if not takes_lost_frames:
+            self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
+        breaths = self._breaths.follow(motion, frame.timestamp_us)
+        return self._measurement(frame, MeasurementState.MEASURING, motion=motion, markers=found, breaths=breaths)
+
+    def _measurement(
+        self,
+        frame: RgbdFrame,
+        state: MeasurementState,
+        *,
+        motion: Motion | None = None,
+        lost: Lost | None = None,
+        markers: Markers | None = None,
+        breaths: tuple[Breath, ...] = (),
+    ) -> Measurement:
+        return Measurement(
+            frame_index=frame.index,
+            timestamp_us=frame.timestamp_us,
+            received_ns=frame.received_ns,
+            measured_ns=self._clock.now_ns(),
+            missed_frames=frame.missed_frames,
+            state=state,
+            motion=motion,
+            lost=lost,
+            markers=markers,
+            training=self.learner.progress,
+            breaths=breaths,
+        )
+
+    def _lost(self, frame: RgbdFrame, lost: Lost, found: Markers) -> Measurement:
+        """Return the measurement of a frame that the model does not explain."""
+        self._coefficients = None
+        self._recent.reset()
+        if lost.reason is LostReason.RESIDUAL_HIGH:
+            self._continuity.interrupt()
+        return self._measurement(frame, MeasurementState.LOST, lost=lost, markers=found)
+
+    def _reset_tracking(self) -> None:
+        """Reset the tracking after a frame without markers."""
+        self._tracker.reset()
+        self._coefficients = None
+        self._recent.reset()
+
+    def _without_model(self, frame: RgbdFrame, roi: RoiDepth, found: Markers) -> Measurement:
+        """Return the measurement of a frame without a model: training, or lost with too few readings."""
+        if roi.valid.mean() < self._settings.min_valid_share:
+            lost = coverage_lost(float(roi.valid.mean()))
+            return self._measurement(frame, MeasurementState.LOST, lost=lost, markers=found)
+        return self._measurement(frame, MeasurementState.TRAINING, markers=found)
+
+    # -- learning -----------------------------------------------------------------------------------------------
+
+    def _learn(self, roi: RoiDepth, timestamp_us: int, found: Markers, nodes_px: FloatArray) -> None:
+        if self._tracker.has_layout and not self.learner.is_gathering:
+            return
+        if roi.valid.mean() < self._settings.min_valid_share:
+            return
+        if not self._tracker.has_layout:
+            self._tracker.fix_layout(found)
+        if self.learner.is_gathering:
+            self.learner.learn(TrainingFrame(roi=roi, timestamp_us=timestamp_us, nodes_px=nodes_px))
+
+    def _prepare(self, model: MotionModel) -> PreparedModel:
+        """Prepare a model for measuring; called in the trainer's thread."""
+        return prepare_model(model, self._settings.layout(self.marked_split))
+
+    @property
+    def marked_split(self) -> tuple[float, float] | None:
+        """Rows at which the line between thorax and abdomen marked by stickers crosses columns 0 and 199, if found."""
+        return None if self._costal_line is None else self._costal_line.split
+
+    def _find_costal_line(self, frame: RgbdFrame, found: Markers) -> None:
+        # Not during a fit: otherwise the pictures used would depend on the duration of the fit.
+        is_wanted = self.learner.active is None and self.learner.is_gathering
+        search = self._tracker.search(frame) if self._costal_line is not None and is_wanted else None
+        if self._costal_line is not None and search is not None:
+            self._costal_line.search(frame.color, search, found.centers_px)
+
+    def _explain_for_job(self, active: PreparedModel, roi: RoiDepth, start: FloatArray | None) -> Projection | None:
+        """Project a region with the limits of a measured frame; called in the trainer's thread."""
+        best = project(active.basis, roi, start)
+        return best if best is not None and self._refusal(best) is None else None
+
+    def _vertices(self, nodes_px: FloatArray, depth_mm: FloatArray) -> FloatArray:
+        """Compute the points at the nodes [mm], shape (nodes, 3); called in the trainer's thread."""
+        return _surface(self._calibration.depth.rays(nodes_px)[:, :2], depth_mm)
+
+    # -- measuring ----------------------------------------------------------------------------------------------
+
+    def _explain(self, active: PreparedModel, roi: RoiDepth) -> Projection | Lost:
+        before = self._coefficients if self._projected_model is active else None
+        best = project(active.basis, roi, before)
+        return coverage_lost(0.0) if best is None else self._refusal(best) or best
+
+    def _explain_continuous(
+        self, active: PreparedModel, roi: RoiDepth, found: Markers, timestamp_us: int
+    ) -> Projection | Lost:
+        """Project a frame and check the continuity of its surface."""
+        outcome = self._explain(active, roi)
+        return (
+            outcome
+            if isinstance(outcome, Lost)
+            else self._discontinuity(active, outcome, found, timestamp_us) or outcome
+        )
+
+    def _discontinuity(
+        self, active: PreparedModel, outcome: Projection, found: Markers, timestamp_us: int
+    ) -> Lost | None:
+        """Return the loss if the surface is not continuous with the previous one, otherwise None."""
+        self._continuity.restart(self.learner.generation)
+        depth_mm = active.node_depth_mm(outcome.coefficients)
+        observed = ObservedSurface(depth_mm=depth_mm, markers_px=found.centers_px, timestamp_us=timestamp_us)
+        detail = self._continuity.rejection(
+            observed, active.node_modes[: active.basis.components], active.model.noise_mm
+        )
+        return Lost(reason=LostReason.RESIDUAL_HIGH, detail=detail) if detail else None
+
+    def _refusal(self, best: Projection) -> Lost | None:
+        """Return the loss if a projection exceeds the settings' limits, otherwise None."""
+        settings = self._settings
+        if best.valid_share < settings.min_valid_share:
+            return coverage_lost(best.valid_share)
+        if best.inlier_share < settings.min_inlier_share or not best.residual_mm <= settings.max_residual_mm:
+            return Lost(
+                reason=LostReason.RESIDUAL_HIGH,
+                detail=f"residual {best.residual_mm:.1f} mm, {best.inlier_share:.0%} of the pixels explained",
+            )
+        return None
+
+    def _motion(self, active: PreparedModel, outcome: Projection, rays: FloatArray, timestamp_us: int) -> Motion:
+        depth_mm = active.regions.depth_mm(outcome.coefficients)
+        node_depth_mm = active.node_depth_mm(outcome.coefficients)
+        surface = _surface(rays, node_depth_mm)
+        self._lags = follow_lags(self._lags, timestamp_us / US_PER_S, -depth_mm[active.regions.cells :])
+        is_reference_new = self.learner.is_reference_due
+        last_reference, reference = self._last_reference, self._reference(active, outcome, surface, rays)
+        motion = self._motion_from(reference, active, outcome, depth_mm, surface)
+        if (
+            self._breaths.has_reference_changed(active, is_reference_new=is_reference_new)
+            and last_reference is not None
+        ):
+            self._breaths.move(self._motion_from(last_reference, active, outcome, depth_mm, surface), motion)
+        self._last_reference = reference
+        return motion
+
+    def _motion_from(
+        self,
+        reference: Reference,
+        active: PreparedModel,
+        outcome: Projection,
+        depth_mm: FloatArray,
+        surface: FloatArray,
+    ) -> Motion:
+        """Return the motion of a surface from a reference."""
+        motion_mm = reference.regions_mm - depth_mm
+        regions = active.regions
+        cells, shape = regions.cells, (regions.rows, regions.columns)
+        whole, thorax, abdomen = motion_mm[cells : regions.points_from].tolist()
+        return Motion(
+            whole_mm=whole,
+            thorax_mm=thorax,
+            abdomen_mm=abdomen,
+            volume_l=reference.volume_above_l(surface),
+            regions_mm=motion_mm[:cells].reshape(shape),
+            regions_depth_mm=depth_mm[:cells].reshape(shape),
+            points_mm=motion_mm[regions.points_from : regions.named_from],
+            named_mm=motion_mm[regions.named_from :],
+            projection=outcome,
+            lags=self._lags.lags,
+            surface_mm=frozen(surface),
+            split_rows=regions.layout.split,
+        )
+
+    def _reference(
+        self, active: PreparedModel, outcome: Projection, surface: FloatArray, rays: FloatArray
+    ) -> Reference:
+        """Return the reference; a new one is smoothed over the last frames."""
+        if not self.learner.is_reference_due:
+            return self.learner.reference(active, outcome.coefficients, surface)
+        smoothed = self._recent.smoothed(active, outcome)
+        return self.learner.reference(active, smoothed, _surface(rays, active.node_depth_mm(smoothed)))
+
+
+def _surface(rays: FloatArray, depth_mm: FloatArray) -> FloatArray:
+    """Return the vertices at the nodes' depth [mm]; the last nodes are moved from a pixel beyond to the markers."""
+    return vertices_mm(end_at_markers(rays, NODE_ROWS, NODE_COLUMNS, MARKERS_BETWEEN_NODES), depth_mm)

@@ -1,0 +1,313 @@
+"""Explain a frame with the motion model: valid pixels only, robustly (article, section 4.4.1, equation 6).
+
+Equation (6) lets a hole enter as minus the mean, an error of 850 mm in that pixel. Here the coefficients are the
+maximum a posteriori solution of a small linear system over the pixels that the sensor saw, re-weighted so that a hand,
+a sheet or a cable has no say. Beside the components stand low-order cosines with a zero-mean prior: free breathing does
+not teach how a breath hold or a shifted patient looks, and a smooth misfit is motion, not noise.
+
+The frame itself determines the weight of the cosines: the system is solved under several widths of their prior, and the
+solutions are averaged by their evidence. Regular breathing hardly needs them, and they then add no noise.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg.lapack import dpotrf, dpotrs
+
+from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, Projection, RoiDepth, frozen
+from engine.core.motion_model import MotionModel
+
+STRIDE_PX = 4  # every fourth row and column is as accurate as every one: the noise is correlated over nine pixels
+COSINE_ROWS = 6
+COSINE_COLUMNS = 4
+PRIOR_SPREADS_MM = (0.1, 0.5, 3.0)
+OUTLIER_MM = 6.0
+MAX_REWEIGHTINGS = 12
+CONVERGED_MM = 0.02
+# After a first step this small from the previous frame no second is needed: it is exact without outliers.
+SMALL_STEP_MM = 1.0
+MAX_OUTLIERS_UNNOTICED = 0.01
+MIN_SEEN_SHARE = 0.02
+MIN_EXPLAINED_SHARE = 0.8
+MIN_SLOPE = 0.1
+CHECK_CELL_PX = 25
+CHECK_MIN_SHARE = 0.4
+# Limits the effect of a single jump on a cell's mean misfit; a hand shifts all readings of a cell.
+CHECK_CLIP_MM = np.float32(12.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Basis:
+    """A model prepared for projection: components, then cosines, each with its prior.
+
+    Attributes
+    ----------
+    modes
+        Components and cosines on the full grid, shape (k + e, 350, 200), float32.
+    sampled_components, sampled_mean_mm, sampled_known
+        The components, the mean and what is known of it on every fourth row and column, flattened, shapes (k, s), (s,),
+        (s,).
+    cosine_rows, cosine_columns
+        The cosines there, which are products of one along the rows and one along the columns: shapes (88, a), (50, b).
+        Multiplied so they move a tenth of the memory that they would take as surfaces.
+    points
+        All modes, one row per sampled point, zero where the model is unknown, shape (s, k + e).
+    stiffness
+        What the prior adds to the normal equations at every width of the cosines' prior, shape (widths, k + e); the
+        widest comes last.
+    log_stiffness
+        Half the sum of its logarithms, shape (widths,).
+    variance_mm2
+        Noise of a sampled pixel, blown up for its correlation with its neighbours [mm^2].
+    reach
+        Largest motion that a unit of each coefficient makes anywhere [mm], shape (k + e,).
+    known_gram
+        Products of the modes over all known pixels, shape (k + e, k + e), float64.
+    """
+
+    components: int
+    modes: FloatArray
+    sampled_components: FloatArray
+    cosine_rows: FloatArray
+    cosine_columns: FloatArray
+    points: FloatArray
+    sampled_mean_mm: FloatArray
+    sampled_known: BoolArray
+    stiffness: FloatArray
+    log_stiffness: FloatArray
+    variance_mm2: float
+    reach: FloatArray
+    known_gram: FloatArray
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for array in (self.modes, self.sampled_components, self.points, self.sampled_mean_mm, self.sampled_known):
+            frozen(array)
+
+    def surface_mm(self, coefficients: FloatArray) -> FloatArray:
+        """Return what coefficients add to the mean at the sampled points [mm], shape (s,), float32."""
+        small = coefficients.astype(np.float32)
+        grid = small[self.components :].reshape(self.cosine_rows.shape[1], self.cosine_columns.shape[1])
+        smooth = self.cosine_rows @ grid @ self.cosine_columns.T
+        smooth += (small[: self.components] @ self.sampled_components).reshape(smooth.shape)
+        return np.asarray(smooth.ravel())
+
+    def products(self, field: FloatArray) -> FloatArray:
+        """Sum a field at the sampled points, shape (s,), over each mode: shape (k + e,), float64."""
+        grid = field.reshape(len(self.cosine_rows), len(self.cosine_columns))
+        smooth = self.cosine_rows.T @ grid @ self.cosine_columns
+        return np.concatenate([self.sampled_components @ field, smooth.ravel()]).astype(np.float64)
+
+
+def prepare_basis(model: MotionModel) -> Basis:
+    """Put the model's components and the smooth correction side by side."""
+    k = len(model.components)
+    cosines, shares = _cosines()
+    modes = np.concatenate([model.components, cosines])
+    # A breath hold may be several times the training's excursion: the components' prior only keeps the system solvable.
+    learned_mm = 10.0 * np.sqrt(np.maximum(model.eigenvalues_mm2[:k], 1.0))
+    known = np.ascontiguousarray(model.known[::STRIDE_PX, ::STRIDE_PX]).ravel()
+    sampled = np.ascontiguousarray(modes[:, ::STRIDE_PX, ::STRIDE_PX].reshape(len(modes), -1))
+    sampled *= known
+    variance_mm2 = (model.noise_mm / STRIDE_PX) ** 2
+    widths_mm = np.array([np.concatenate([learned_mm, spread * shares]) for spread in PRIOR_SPREADS_MM])
+    stiffness = variance_mm2 / widths_mm**2
+    return Basis(
+        components=k,
+        modes=modes,
+        sampled_components=np.ascontiguousarray(sampled[:k]),
+        cosine_rows=_cosine_rows()[::STRIDE_PX].astype(np.float32),
+        cosine_columns=_cosine_columns()[::STRIDE_PX].astype(np.float32),
+        points=np.ascontiguousarray(sampled.T),
+        sampled_mean_mm=np.ascontiguousarray(model.mean_mm[::STRIDE_PX, ::STRIDE_PX]).ravel(),
+        sampled_known=known,
+        stiffness=stiffness,
+        log_stiffness=0.5 * np.log(stiffness).sum(axis=1),
+        variance_mm2=variance_mm2,
+        reach=np.abs(sampled).max(axis=1).astype(np.float64),
+        known_gram=(sampled @ sampled.T).astype(np.float64),
+    )
+
+
+def project(basis: Basis, roi: RoiDepth, start: FloatArray | None) -> Projection | None:
+    """Find the coefficients of one frame.
+
+    Parameters
+    ----------
+    start
+        Coefficients of the frame before, shape (k + e,), where there is one: a hand that just came in is then an
+        outlier from its first frame.
+
+    Returns
+    -------
+    Projection | None
+        None when nothing of the region was seen.
+    """
+    thin = roi.thinned(STRIDE_PX)
+    usable = thin.valid.ravel() & basis.sampled_known
+    seen = int(np.count_nonzero(usable))
+    if seen < MIN_SEEN_SHARE * usable.size:
+        return None
+    inside = usable.astype(np.float32)
+    difference = (thin.depth_mm.ravel() - basis.sampled_mean_mm) * inside
+    frame = _Frame(difference=difference, usable=usable, inside=inside, seen=seen)
+    equations, widest = _settle(basis, frame, start)
+    coefficients = _weigh_widths(basis, equations, widest)
+    misfit = _misfit(basis, frame, coefficients)
+    return Projection(
+        beta=coefficients[: basis.components].copy(),
+        coefficients=coefficients,
+        residual_mm=_largest_cell_misfit(misfit, inside),
+        valid_share=seen / max(int(np.count_nonzero(basis.sampled_known)), 1),
+        inlier_share=(int(np.count_nonzero(np.abs(misfit) < 0.9 * OUTLIER_MM)) - usable.size + seen) / seen,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Frame:
+    """A frame at the sampled points: depth less the mean [mm], 0 in holes; the valid points, as bool and as 0 and 1."""
+
+    difference: FloatArray
+    usable: BoolArray
+    inside: FloatArray
+    seen: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Equations:
+    """The data's part of the normal equations, ``gram @ coefficients = right``, without noise and prior."""
+
+    gram: FloatArray
+    right: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Answer:
+    """The coefficients that solve the equations under one prior, and half the logarithm of the matrix's determinant."""
+
+    coefficients: FloatArray
+    log_determinant: float
+
+
+def _settle(basis: Basis, frame: _Frame, start: FloatArray | None) -> tuple[_Equations, _Answer]:
+    """Find the inliers, sum the normal equations over them, and solve these under the widest prior."""
+    inliers, gram = frame.usable, _gram(basis, frame.usable)
+    coefficients, misfit = _start(basis, frame, gram, start)
+    limit_mm = SMALL_STEP_MM
+    for _ in range(MAX_REWEIGHTINGS):
+        ratio = _ratio(misfit)
+        weights = (1.0 - ratio) ** 2 * frame.inside
+        positive = weights > 0.0
+        if int(np.count_nonzero(inliers != positive)) > MAX_OUTLIERS_UNNOTICED * inliers.size:
+            inliers, gram, limit_mm = positive, _gram(basis, positive), CONVERGED_MM
+        # Where nothing is an outlier the first step then goes all the way: Newton's, with the influence's mean slope.
+        slope = float(frame.seen - 6.0 * ratio.sum() + 5.0 * (ratio @ ratio)) / max(int(np.count_nonzero(positive)), 1)
+        pull = basis.products(weights * misfit) / max(slope, MIN_SLOPE)
+        equations = _Equations(gram=gram, right=gram @ coefficients + pull)
+        answer = _solve(equations, basis.stiffness[-1])
+        step = answer.coefficients - coefficients
+        if float(np.max(np.abs(step) * basis.reach)) < limit_mm:
+            break
+        coefficients, limit_mm = answer.coefficients, CONVERGED_MM
+        misfit = _misfit(basis, frame, coefficients)
+    return equations, answer
+
+
+def _start(basis: Basis, frame: _Frame, gram: FloatArray, start: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Choose the start and its misfit: the previous frame, unless a fit to all pixels explains much more."""
+    before = None if start is None else _misfit(basis, frame, start)
+    if start is not None and before is not None and _explained(before, frame) >= MIN_EXPLAINED_SHARE:
+        return start, before
+    right = basis.products(frame.difference)
+    unweighted = _solve(_Equations(gram=gram, right=right), basis.stiffness[-1]).coefficients
+    misfit = _misfit(basis, frame, unweighted)
+    if start is not None and before is not None and _explained(before, frame) >= _explained(misfit, frame):
+        return start, before
+    return unweighted, misfit
+
+
+def _misfit(basis: Basis, frame: _Frame, coefficients: FloatArray) -> FloatArray:
+    return (frame.difference - basis.surface_mm(coefficients)) * frame.inside
+
+
+def _explained(misfit: FloatArray, frame: _Frame) -> float:
+    """Share of the valid points that are explained, weighted by their misfit, 0 to 1."""
+    return float(((1.0 - _ratio(misfit)) ** 2 * frame.inside).sum() / frame.seen)
+
+
+def _gram(basis: Basis, usable: BoolArray) -> FloatArray:
+    """Sum the modes' products over the usable points: from all known points less the few missing ones."""
+    missing = np.flatnonzero(basis.sampled_known & ~usable)
+    if 2 * len(missing) > usable.size:
+        points = basis.points[np.flatnonzero(usable)]
+        return np.asarray(points.T @ points, dtype=np.float64)
+    points = basis.points[missing]
+    return basis.known_gram - points.T @ points
+
+
+def _weigh_widths(basis: Basis, equations: _Equations, widest: _Answer) -> FloatArray:
+    """Average the answers under every width of the cosines' prior, each by its evidence."""
+    answers = [*(_solve(equations, stiffness) for stiffness in basis.stiffness[:-1]), widest]
+    evidence = basis.log_stiffness + [
+        0.5 * float(equations.right @ answer.coefficients) / basis.variance_mm2 - answer.log_determinant
+        for answer in answers
+    ]
+    likelihood = np.exp(evidence - evidence.max())
+    return np.asarray((likelihood / likelihood.sum()) @ np.array([answer.coefficients for answer in answers]))
+
+
+def _solve(equations: _Equations, stiffness: FloatArray) -> _Answer:
+    """Solve the normal equations with a prior's stiffness added."""
+    normal = equations.gram.copy()
+    normal.ravel()[:: len(stiffness) + 1] += stiffness
+    factor, _ = dpotrf(normal.T, lower=1, overwrite_a=1)
+    answer, _ = dpotrs(factor, equations.right, lower=1)
+    return _Answer(coefficients=answer, log_determinant=float(np.log(factor.diagonal()).sum()))
+
+
+def _ratio(misfit: FloatArray) -> FloatArray:
+    """Square of a misfit over that of an outlier, up to 1; Tukey's weight is the square of what it lacks of 1."""
+    ratio: FloatArray = np.minimum(misfit * misfit * np.float32(1.0 / OUTLIER_MM**2), np.float32(1.0))
+    return ratio
+
+
+def _cell_sums() -> tuple[FloatArray, FloatArray]:
+    rows = np.arange(0, ROI_ROWS, STRIDE_PX) // CHECK_CELL_PX
+    columns = np.arange(0, ROI_COLUMNS, STRIDE_PX) // CHECK_CELL_PX
+    return (
+        (rows == np.arange(rows.max() + 1)[:, None]).astype(np.float32),
+        (columns[:, None] == np.arange(columns.max() + 1)).astype(np.float32),
+    )
+
+
+_SUM_ROWS, _SUM_COLUMNS = _cell_sums()
+_CELL_PIXELS = _SUM_ROWS.sum(axis=1)[:, None] * _SUM_COLUMNS.sum(axis=0)
+_MIN_PIXELS = CHECK_MIN_SHARE * _CELL_PIXELS
+
+
+def _largest_cell_misfit(misfit: FloatArray, inside: FloatArray) -> float:
+    clipped = np.minimum(np.maximum(misfit, -CHECK_CLIP_MM), CHECK_CLIP_MM)
+    thin = np.stack([clipped, inside]).reshape(2, _SUM_ROWS.shape[1], _SUM_COLUMNS.shape[0])
+    sums, counts = _SUM_ROWS @ thin @ _SUM_COLUMNS
+    is_checked = counts >= _MIN_PIXELS
+    if not is_checked.any():
+        return float("nan")
+    return float(np.abs(sums[is_checked] / counts[is_checked]).max())
+
+
+def _cosine_rows() -> FloatArray:
+    """Cosines along the rows, shape (350, a)."""
+    return np.cos(np.pi * np.arange(COSINE_ROWS) * ((np.arange(ROI_ROWS) + 0.5) / ROI_ROWS)[:, None])
+
+
+def _cosine_columns() -> FloatArray:
+    """Cosines along the columns, shape (200, b)."""
+    return np.cos(np.pi * np.arange(COSINE_COLUMNS) * ((np.arange(ROI_COLUMNS) + 0.5) / ROI_COLUMNS)[:, None])
+
+
+def _cosines() -> tuple[npt.NDArray[np.float32], FloatArray]:
+    """Low-order cosines (piston first) and their share of the prior's width, shapes (e, 350, 200) and (e,)."""
+    shapes = np.einsum("ra,cb->abrc", _cosine_rows(), _cosine_columns()).reshape(-1, ROI_ROWS, ROI_COLUMNS)
+    orders = np.arange(COSINE_ROWS)[:, None] ** 2 + np.arange(COSINE_COLUMNS) ** 2
+    return shapes.astype(np.float32), 1.0 / (1.0 + orders.ravel())

@@ -1,0 +1,1 @@
+"""State kept from frame to frame: region, costal line, depth table, surface continuity, breathing."""

@@ -1,0 +1,175 @@
+"""Tracks the markers and samples the region in each frame; independent of the motion model.
+
+Owned by the pipeline's thread. It keeps the last marker positions, their layout at the first training, and the last
+depth of the skin.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from engine.calibration.camera_calibration import Calibration
+from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, Lost, LostReason, Markers, RgbdFrame, RoiDepth
+from engine.motion.stages import markers as marker_stage
+from engine.motion.stages.markers import MarkerSearch
+from engine.motion.stages.registration import Aligned, align
+from engine.motion.stages.roi import at_nodes, cut_out, roi_nodes
+from engine.motion.tracking.depth_table import DepthTable
+
+ROUNDS_AT_FIRST = 3
+FOLLOWED_SHARE = 0.3
+
+
+class RegionTracker:
+    """Markers and region of the current frame; the keyword arguments are fields of `PipelineSettings`."""
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        *,
+        marker_diameter_mm: float,
+        superior_px: tuple[float, float] | None,
+        max_pair_gap_ms: float,
+        max_layout_change: float,
+    ) -> None:
+        self._calibration = calibration
+        self._depth_from_color = calibration.color_from_depth.inverse
+        self._marker_diameter_mm, self._superior_px = marker_diameter_mm, superior_px
+        self._max_pair_gap_ms, self._max_layout_change = max_pair_gap_ms, max_layout_change
+        self._table = DepthTable(calibration.depth_correction)
+        self._markers: Markers | None = None
+        self._layout_px: FloatArray | None = None
+        self._node_depth_mm: FloatArray | None = None
+        self._is_depth_modelled = False
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the depth table is final."""
+        return self._table.is_settled
+
+    @property
+    def has_layout(self) -> bool:
+        """Whether the markers' layout is fixed."""
+        return self._layout_px is not None
+
+    def reset(self) -> None:
+        """Discard the marker positions: the next frame is searched completely."""
+        self._markers = None
+
+    def fix_layout(self, found: Markers) -> None:
+        """Fix the markers' layout that later frames are compared with."""
+        self._layout_px = found.centers_px
+
+    def expect_depth(self, node_depth_mm: FloatArray) -> None:
+        """Set the expected depth of the next frame's nodes [mm], shape (nodes,)."""
+        self._node_depth_mm, self._is_depth_modelled = node_depth_mm, True
+
+    def find(self, frame: RgbdFrame) -> Markers | Lost:
+        """Find the markers, first near their last positions; return the reason if they are lost."""
+        if not self._table.is_settled:
+            self._table.count(frame.depth_mm)
+        gap_ms = frame.pair_gap_us / 1000.0
+        if gap_ms > self._max_pair_gap_ms:
+            return Lost(
+                reason=LostReason.MARKER_LOST, detail=f"colour picture and depth frame are {gap_ms:.0f} ms apart"
+            )
+        search = self.search(frame)
+        if search is None:
+            return coverage_lost(0.0)
+        found: Markers | Lost | None = None
+        if self._markers is not None:
+            found = marker_stage.track_markers(frame.color, self._markers.centers_px, search)
+        if not isinstance(found, Markers):
+            found = marker_stage.find_markers(frame.color, search)
+        if isinstance(found, Lost):
+            return self._explain_loss(frame, search, found)
+        changed = self._layout_lost(found)
+        if changed is None:
+            self._markers = found
+        return changed or found
+
+    def _layout_lost(self, found: Markers) -> Lost | None:
+        """Return the reason if the layout differs from the fixed one, otherwise None."""
+        if self._layout_px is None:
+            return None
+        change = marker_stage.layout_change(found.centers_px, self._layout_px)
+        if change <= self._max_layout_change:
+            return None
+        return Lost(reason=LostReason.LAYOUT_CHANGED, detail=f"a distance between markers changed by {change:.0%}")
+
+    def search(self, frame: RgbdFrame) -> MarkerSearch | None:
+        """Return the search parameters; None if the distance of the chest is unknown."""
+        distance_mm = self._distance_mm(frame)
+        if not distance_mm:
+            return None
+        return MarkerSearch(
+            diameter_px=self._marker_diameter_mm * self._calibration.color.fx / distance_mm,
+            superior_px=self._superior_px,
+        )
+
+    def _explain_loss(self, frame: RgbdFrame, search: MarkerSearch, lost: Lost) -> Lost:
+        """Discard an implausible distance of the skin; return the reason of the loss, with that distance."""
+        if marker_stage.refuse_size(frame.color, search) is not None:
+            distance_mm = self._distance_mm(frame) or 0.0
+            self._node_depth_mm = None
+            return replace(lost, detail=f"the object in view is {distance_mm:.0f} mm away: {lost.detail}")
+        if self._node_depth_mm is not None and not self._is_depth_modelled:
+            # Before there is a model, a single bad picture may have spoilt the distance.
+            seen_mm = _middle_distance_mm(frame)
+            ratio = 1.0 if seen_mm is None else seen_mm / float(self._node_depth_mm.mean())
+            if not 1.0 / search.diameter_tolerance <= ratio <= search.diameter_tolerance:
+                self._node_depth_mm = None
+        return lost
+
+    def region(self, frame: RgbdFrame, found: Markers, stride_px: int, *, has_model: bool) -> tuple[Aligned, RoiDepth]:
+        """Sample the region at the depth expected from the previous frame; the first frame is iterated.
+
+        Parameters
+        ----------
+        stride_px
+            Sample every ``stride_px``-th row and column of the grid.
+        has_model
+            Whether the model gives the expected depth; otherwise it follows the sampled surface.
+
+        Returns
+        -------
+        tuple[Aligned, RoiDepth]
+            The nodes in the depth camera, and the region's depth.
+        """
+        color_rays = self._calibration.color.rays(roi_nodes(found.centers_px))
+        rounds = 1
+        if self._node_depth_mm is None:
+            self._node_depth_mm = np.full(NODE_ROWS * NODE_COLUMNS, self._distance_mm(frame) or 1.0)
+            self._is_depth_modelled = False
+            rounds = ROUNDS_AT_FIRST
+        for _ in range(rounds):
+            nodes = align(color_rays, self._node_depth_mm, self._depth_from_color, self._calibration.depth)
+            roi = cut_out(frame.depth_mm, nodes.pixels_px, self._table.table_mm, stride_px)
+            if not has_model:
+                self._node_depth_mm = _low_pass(self._node_depth_mm, roi, 1.0 if rounds > 1 else FOLLOWED_SHARE)
+        return nodes, roi
+
+    def _distance_mm(self, frame: RgbdFrame) -> float | None:
+        """Distance of the chest: as last measured, otherwise that of the picture's middle [mm]."""
+        if self._node_depth_mm is not None:
+            return float(self._node_depth_mm.mean())
+        return _middle_distance_mm(frame)
+
+
+def _middle_distance_mm(frame: RgbdFrame) -> float | None:
+    """Median depth in the middle of the picture [mm]; None if under 10 % of it has a reading."""
+    height, width = frame.depth_mm.shape
+    middle = frame.depth_mm[height // 3 : -height // 3 : 4, width // 3 : -width // 3 : 4]
+    readings = middle[middle > 0]
+    return float(np.median(readings)) if readings.size >= 0.1 * middle.size else None
+
+
+def coverage_lost(share: float) -> Lost:
+    """Return the loss for too few readings in the region, a share from 0 to 1."""
+    return Lost(reason=LostReason.COVERAGE_LOW, detail=f"the camera sees {share:.0%} of the region")
+
+
+def _low_pass(before_mm: FloatArray, roi: RoiDepth, share: float) -> FloatArray:
+    """Low-pass filter the surface at the nodes before there is a model [mm], shape (nodes,); holes keep their value."""
+    valid = at_nodes(roi.valid, roi.stride_px) > 0.0
+    return np.where(valid, (1.0 - share) * before_mm + share * at_nodes(roi.depth_mm, roi.stride_px), before_mm)

@@ -1,0 +1,138 @@
+"""Continuity check of the surface from frame to frame: skin does not jump.
+
+A sheet or a hand laid on the patient is smooth, and if it is thin the model explains it as motion. But it appears
+within one or two frames, faster than a chest can move. After such a change a surface is accepted again when its shape
+returns, apart from breathing, or when an operator has set a new reference or learned a new model. A patient moves as a
+whole: a change that a plane describes with a small remainder is accepted at any speed, and so is one in which the
+markers move along.
+
+A cough is also fast, and bends the body as no breath does. Some surfaces during a cough may be accepted, so the shape
+may also return to the last surface before which a whole second was accepted.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray
+
+# A cough moves an abdomen at 50 mm/s; noise adds some tenths of a millimetre.
+MAX_STEP_MM = 2.0
+MAX_STEP_OF_NOISE = 0.25
+FRAME_US = 40_000
+# Speed of changes during missed frames; below that of a cough.
+MAX_SPEED_MM_S = 25.0
+MAX_HIDDEN_US = 500_000
+MOVED_PX = 5.0
+CALM_US = 1_000_000
+# Share of a change that a plane may leave when the patient moves as a whole; a sheet over one side leaves half.
+BENT_SHARE = 0.3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ObservedSurface:
+    """A measured surface: depth at the nodes [mm], shape (nodes,); marker centres [px], shape (4, 2); device time."""
+
+    depth_mm: FloatArray
+    markers_px: FloatArray
+    timestamp_us: int
+
+
+class SurfaceContinuity:
+    """Keeps the last accepted surface, and the last one after a second of accepted ones."""
+
+    def __init__(self) -> None:
+        self._last: ObservedSurface | None = None
+        self._calm: ObservedSurface | None = None
+        self._calm_since_us: int | None = None
+        self._generation = -1
+        self._is_broken = False
+
+    def restart(self, generation: int) -> None:
+        """Accept the next surface if model or reference have changed, as ``generation`` shows."""
+        if generation != self._generation:
+            self._last, self._is_broken, self._generation = None, False, generation
+
+    def interrupt(self) -> None:
+        """Record an occlusion: the next surface need not be continuous, but must have the previous shape."""
+        self._is_broken = self._last is not None
+        self._calm_since_us = None
+
+    def rejection(self, observed: ObservedSurface, shapes: FloatArray, noise_mm: float) -> str:
+        """Return why a surface is rejected; empty if it is accepted, which also stores it.
+
+        Parameters
+        ----------
+        shapes
+            The learned components at the nodes, shape (k, nodes).
+        noise_mm
+            Noise of the model, as in `engine.core.motion_model.MotionModel` [mm].
+        """
+        allowed_mm = max(MAX_STEP_MM, MAX_STEP_OF_NOISE * noise_mm)
+        last = self._last
+        if last is None or _has_moved(observed, last):
+            self._calm, self._calm_since_us = None, None
+        else:
+            misfit_mm = self._misfit_mm(observed, last, shapes, allowed_mm)
+            if misfit_mm is not None:
+                self._is_broken, self._calm_since_us = True, None
+                return (
+                    f"the surface changed by {misfit_mm:.1f} mm, faster than skin can move: check for objects on the "
+                    "patient, then set the reference again"
+                )
+        self._accept(observed)
+        return ""
+
+    def _misfit_mm(
+        self, observed: ObservedSurface, last: ObservedSurface, shapes: FloatArray, allowed_mm: float
+    ) -> float | None:
+        """Return the misfit to the last surface and to the last calm one [mm]; None if the surface fits one of them."""
+        change: FloatArray = observed.depth_mm - last.depth_mm
+        if not self._is_broken:
+            hidden_us = min(max(observed.timestamp_us - last.timestamp_us - FRAME_US, 0), MAX_HIDDEN_US)
+            return _beyond_mm(change, allowed_mm + MAX_SPEED_MM_S * hidden_us / 1e6)
+        misfit_mm = _beyond_mm(_without_fit(change, shapes), allowed_mm)
+        if misfit_mm is None or self._calm is None or _has_moved(observed, self._calm):
+            return misfit_mm
+        is_back = _beyond_mm(_without_fit(observed.depth_mm - self._calm.depth_mm, shapes), allowed_mm) is None
+        return None if is_back else misfit_mm
+
+    def _accept(self, observed: ObservedSurface) -> None:
+        if self._calm_since_us is None or observed.timestamp_us < self._calm_since_us:
+            self._calm_since_us = observed.timestamp_us
+        if observed.timestamp_us - self._calm_since_us >= CALM_US:
+            self._calm = observed
+        self._last, self._is_broken = observed, False
+
+
+def _has_moved(observed: ObservedSurface, before: ObservedSurface) -> bool:
+    """Whether a marker has moved by more than `MOVED_PX`; also True for NaN."""
+    return not np.abs(observed.markers_px - before.markers_px).max() <= MOVED_PX
+
+
+def _beyond_mm(change_mm: FloatArray, allowed_mm: float) -> float | None:
+    """Return the largest change [mm] if it is too large for skin; None if it is not, or if the whole patient moved."""
+    largest_mm = float(np.abs(change_mm).max())
+    return None if largest_mm <= allowed_mm or _is_rigid(change_mm, allowed_mm) else largest_mm
+
+
+def _is_rigid(change_mm: FloatArray, allowed_mm: float) -> bool:
+    """Whether a plane describes a change up to a small remainder; False for NaN."""
+    if not np.isfinite(change_mm).all():
+        return False
+    bent_mm = float(np.abs(_without_fit(change_mm, _PLANES)).max())
+    return bent_mm <= min(allowed_mm, BENT_SHARE * float(np.abs(change_mm).max()))
+
+
+def _without_fit(change_mm: FloatArray, shapes: FloatArray) -> FloatArray:
+    """Subtract the least-squares fit of some shapes from a change [mm], shape (nodes,)."""
+    return change_mm - np.linalg.lstsq(shapes.T, change_mm, rcond=None)[0] @ shapes
+
+
+def _planes() -> FloatArray:
+    """Return piston and both tilts at the nodes, shape (3, nodes)."""
+    rows, columns = np.mgrid[0:NODE_ROWS, 0:NODE_COLUMNS].reshape(2, -1).astype(np.float64)
+    return np.stack([np.ones_like(rows), rows - rows.mean(), columns - columns.mean()])
+
+
+_PLANES = _planes()

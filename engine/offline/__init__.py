@@ -1,0 +1,1 @@
+"""Batch measurement of recordings, and replay of recorded sessions."""

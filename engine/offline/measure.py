@@ -1,0 +1,200 @@
+"""Measures a recording as fast as it can be read, with the pipeline of a live session.
+
+Training is inline, so a recording gives the same numbers on every run on one processor. The gate's time is the
+device's.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from engine.calibration.camera_calibration import Calibration
+from engine.capture.source import DepthSource
+from engine.core.clock import NS_PER_US, ManualClock
+from engine.core.commands import Arm
+from engine.core.errors import ModelError, RecordingError, SourceEndedError
+from engine.core.frames import Measurement, MeasurementState
+from engine.core.motion_model import MotionModel
+from engine.core.provenance import ModelOrigin
+from engine.gating.gate import Gate, step_gate
+from engine.gating.limits import GateLimits
+from engine.motion.learning.model_file import save_model
+from engine.motion.learning.trainer import InlineTrainer
+from engine.motion.pipeline import Pipeline
+from engine.motion.settings import PipelineSettings
+from engine.offline.mesh_files import MeshOptions, MeshSaver
+from engine.offline.result_files import BreathTable, MotionTable, OfflineSummary, Results
+
+READ_TIMEOUT_S = 5.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FileTask:
+    """One recording to measure, with all inputs of its process."""
+
+    recording: Path
+    calibration: Path
+    out: Path
+    settings: PipelineSettings
+    limits: GateLimits | None = None
+    meshes: MeshOptions | None = None
+    model: MotionModel | None = None
+    origin: ModelOrigin | None = None
+
+
+def measure_recording(
+    source: DepthSource,
+    calibration: Calibration,
+    out: Path,
+    *,
+    settings: PipelineSettings,
+    limits: GateLimits | None = None,
+    meshes: MeshOptions | None = None,
+    on_frame: Callable[[Measurement], None] | None = None,
+    model: MotionModel | None = None,
+    origin: ModelOrigin | None = None,
+) -> OfflineSummary:
+    """Measure every frame of ``source``; write the tables, regions.npz, motion_summary.json and model.npz to ``out``.
+
+    With ``limits`` the gate is armed at the first measured frame and the table shows its decisions; without them it
+    stays disarmed. Files are written atomically. A damaged recording is measured up to the damage, which the summary
+    reports.
+
+    Parameters
+    ----------
+    meshes
+        Frames whose surface is written as a mesh.
+    on_frame
+        Called with each measurement.
+    model
+        A stored model to use instead of learning one; it is compared with the patient of this recording, and the first
+        measured frame is the reference.
+    origin
+        Origin of a model fitted here, stored in ``model.npz``.
+
+    Raises
+    ------
+    RecordingError
+        No frame could be read.
+    ModelError
+        The recording ended before a model was fitted; ``motion.csv`` is still written.
+    ModelMismatchError
+        The stored model belongs to another calibration, or does not match this patient; nothing is written.
+    """
+    pipeline = Pipeline(calibration, settings, ManualClock(), InlineTrainer())
+    if model is not None:
+        pipeline.learner.resume(model)
+    out.mkdir(parents=True, exist_ok=True)
+    results = Results(settings)
+    saver = MeshSaver(out, meshes or MeshOptions())
+    gate = _OfflineGate(limits)
+    with _tables(out, settings) as (table, breaths):
+
+        def write(measurement: Measurement) -> None:
+            table.write(measurement, gate.decide(measurement))
+            breaths.write(measurement)
+            results.add(measurement)
+            saver.save(measurement)
+            if on_frame is not None:
+                on_frame(measurement)
+
+        damage = _measure_frames(source, pipeline, write)
+    results.save(out / "regions.npz")
+    if pipeline.learner.status.model is None:
+        msg = f"{results.frames} frames were not enough to learn a motion model: {_reason_without_model(results)}"
+        raise ModelError(msg)
+    fitted = pipeline.learner.status.model
+    save_model(fitted if origin is None else fitted.from_origin(origin), out / "model.npz")
+    summary = replace(
+        results.summary(),
+        training_frames=fitted.training_frames,
+        cycles=fitted.cycles,
+        is_split_marked=pipeline.marked_split is not None,
+        meshes=tuple(saver.saved),
+        shortcoming=pipeline.learner.status.model_shortcoming,
+        damage=damage,
+    )
+    summary.save(out / "motion_summary.json")
+    return summary
+
+
+@contextmanager
+def _tables(out: Path, settings: PipelineSettings) -> Iterator[tuple[MotionTable, BreathTable]]:
+    """Yield the tables of motion.csv and breathing.csv; the files appear at the end of the block, if it succeeds."""
+    partial, breaths_partial = out / "motion.csv.partial", out / "breathing.csv.partial"
+    try:
+        with partial.open("w", newline="") as file, breaths_partial.open("w", newline="") as breaths_file:
+            yield MotionTable(file, settings), BreathTable(breaths_file)
+        partial.replace(out / "motion.csv")
+        breaths_partial.replace(out / "breathing.csv")
+    finally:
+        partial.unlink(missing_ok=True)
+        breaths_partial.unlink(missing_ok=True)
+
+
+def _measure_frames(source: DepthSource, pipeline: Pipeline, write: Callable[[Measurement], None]) -> str | None:
+    """Measure and write every frame; return the damage that ended the recording early, None if it was complete."""
+    frames = 0
+    try:
+        for measurement in _measurements(source, pipeline):
+            _raise_mismatch(pipeline)
+            write(measurement)
+            frames += 1
+    except RecordingError as error:
+        if frames == 0:
+            raise
+        return str(error)
+    return None
+
+
+def _measurements(source: DepthSource, pipeline: Pipeline) -> Iterator[Measurement]:
+    try:
+        source.open()
+        while True:
+            try:
+                frame = source.read(READ_TIMEOUT_S)
+            except SourceEndedError:
+                return
+            yield pipeline.measure(frame)
+    finally:
+        source.close()
+
+
+def _raise_mismatch(pipeline: Pipeline) -> None:
+    """Raise the refusal of a stored model: a batch run cannot ask an operator whether to learn a new one."""
+    match = pipeline.learner.status.patient_match
+    if match is not None and match.refusal is not None:
+        raise match.refusal
+
+
+class _OfflineGate:
+    """The live gate's reducer on device time, armed at the first measured frame."""
+
+    def __init__(self, limits: GateLimits | None) -> None:
+        self._limits = limits
+        self._gate = Gate()
+        self._is_armed = False
+
+    def decide(self, measurement: Measurement) -> Gate:
+        if self._limits is None:
+            return self._gate
+        now_ns = measurement.timestamp_us * NS_PER_US
+        event = replace(measurement, received_ns=now_ns)
+        if not self._is_armed and measurement.state is MeasurementState.MEASURING:
+            self._gate = step_gate(self._gate, Arm(operator="offline"), now_ns, self._limits)
+            self._is_armed = True
+        self._gate = step_gate(self._gate, event, now_ns, self._limits)
+        return self._gate
+
+
+def _reason_without_model(results: Results) -> str:
+    last = results.last
+    if last is None:
+        return "the recording is empty"
+    if last.lost is not None:
+        return f"{last.lost.reason.value}: {last.lost.detail}"
+    if last.training is not None:
+        progress = last.training
+        return f"{progress.cycles} complete breathing cycles in {progress.seconds:.0f} s. {progress.note}".strip()
+    return "training did not finish"

@@ -1,0 +1,109 @@
+"""Encodes values of the engine as JSON and decodes them, to the last bit.
+
+Only classes of a closed table are encoded or decoded, so that a tape can make values and nothing else. Python's JSON
+writes a float with as many digits as distinguish it from every other.
+"""
+
+import dataclasses
+import enum
+from collections.abc import Callable
+from typing import Any
+
+from engine.capture.source import SourceDescription
+from engine.core.breath import BreathEventKind, GateSignal, SignalChoice
+from engine.core.commands import (
+    Acknowledge,
+    ActivateModel,
+    ApplyModel,
+    Arm,
+    CorrectBaseline,
+    Disarm,
+    HoldBeam,
+    ReleaseBeam,
+    Retrain,
+    SetReference,
+)
+from engine.core.errors import InvalidValueError, ModelError, RecordingError
+from engine.core.gate_state import GateState, HoldReason
+from engine.core.motion_model import MotionModel
+from engine.gating.gate import Interruption
+from engine.gating.limits import GateLimits
+from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, HoldKind, Join, JoinedWindow, PhaseWindow, Unit
+from engine.motion.learning.patient_match import PatientMatchLimits
+from engine.motion.learning.trainer import TrainingSettings
+from engine.motion.named_regions import NamedRegion
+from engine.motion.settings import PipelineSettings
+from engine.offline.replay.inputs import FrameHead, Raised
+
+_NO_WORDS = (LookupError, TypeError, ValueError, AttributeError, RecursionError, InvalidValueError, ModelError)
+_TAPE_NAMES: dict[type, str] = {PatientMatchLimits: "LikenessLimits"}
+"""Classes that were renamed: tapes keep the name from when they were first written."""
+_CLASSES: dict[str, type] = {
+    _TAPE_NAMES.get(known, known.__name__): known
+    for known in (
+        *(Acknowledge, ActivateModel, ApplyModel, Arm, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam, Retrain),
+        *(SetReference, GateLimits, AmplitudeWindow, BreathHoldWindow, JoinedWindow, PhaseWindow, SignalChoice),
+        *(PipelineSettings, TrainingSettings, PatientMatchLimits, NamedRegion, SourceDescription, Interruption),
+        *(FrameHead, Raised),
+    )
+}
+_ENUMS: dict[str, type[enum.Enum]] = {
+    known.__name__: known for known in (BreathEventKind, GateSignal, GateState, HoldReason, HoldKind, Join, Unit)
+}
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class TapeEncoding:
+    """Encodes and decodes values; a motion model by the name that ``name_of`` returns and ``model_of`` finds."""
+
+    name_of: Callable[[MotionModel], str]
+    model_of: Callable[[str], MotionModel]
+
+    def spell(self, value: Any) -> Any:  # noqa: ANN401 - any of the table's values, as any of JSON's
+        """Return a value as JSON; raise TypeError for a class that is not in the table."""
+        if isinstance(value, enum.Enum):
+            return {"e": [type(value).__name__, value.value]}
+        if value is None or isinstance(value, bool | int | float | str):
+            return value
+        if isinstance(value, list | tuple):
+            return {"l" if isinstance(value, list) else "t": [self.spell(one) for one in value]}
+        if isinstance(value, frozenset):
+            return {"s": sorted((self.spell(one) for one in value), key=str)}
+        if isinstance(value, MotionModel):
+            return {"m": self.name_of(value)}
+        name = _TAPE_NAMES.get(type(value), type(value).__name__)
+        if _CLASSES.get(name) is not type(value):
+            msg = f"a {name} has no place on a tape"
+            raise TypeError(msg)
+        names = [one.name for one in dataclasses.fields(_CLASSES[name])]
+        return {"d": [name, {one: self.spell(getattr(value, one)) for one in names}]}
+
+    def read(self, words: Any) -> Any:  # noqa: ANN401
+        """Return the value of this JSON; raise RecordingError where it has none."""
+        if not isinstance(words, dict):
+            return words
+        try:
+            ((kind, body),) = words.items()
+            return self._made(kind, body)
+        except (
+            LookupError,
+            TypeError,
+            ValueError,
+            AttributeError,
+            RecursionError,
+            InvalidValueError,
+            ModelError,
+        ) as error:
+            msg = f"the tape is damaged: {type(error).__name__} in {str(words)[:60]}"
+            raise RecordingError(msg) from error
+
+    def _made(self, kind: str, body: Any) -> Any:  # noqa: ANN401
+        match kind:
+            case "e":
+                return _ENUMS[body[0]](body[1])
+            case "d":
+                return _CLASSES[body[0]](**{name: self.read(words) for name, words in body[1].items()})
+            case "m":
+                return self.model_of(body)
+        makers: dict[str, type] = {"l": list, "t": tuple, "s": frozenset}
+        return makers[kind](self.read(one) for one in body)

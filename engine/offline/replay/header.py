@@ -1,0 +1,88 @@
+"""The header of a tape: everything an engine was made of, so that a replay can make the same one."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from engine import __version__
+from engine.calibration.camera_calibration import Calibration, parse_calibration
+from engine.core.errors import InvalidValueError, RecordingError
+from engine.core.motion_model import MotionModel
+from engine.gating.limits import GateLimits
+from engine.motion.settings import PipelineSettings
+from engine.offline.replay.encoding import TapeEncoding
+
+RAW = "raw"
+RECORDING = "recording"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frames:
+    """Where a session's frames are: in the recording that was played, in a raw recording, or not kept (None)."""
+
+    kind: str | None
+    path: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TapeHeader:
+    """Everything an engine was made of.
+
+    Attributes
+    ----------
+    model
+        The stored model it started with; None where it learned one.
+    software, machine
+        Version and processor. Equal bits are promised where both are the same; for others see
+        :mod:`engine.offline.replay.comparison`.
+    """
+
+    session_id: str
+    limits: GateLimits
+    measuring: PipelineSettings
+    calibration: Calibration
+    model: MotionModel | None
+    frames: Frames
+    software: str
+    machine: dict[str, str]
+
+    def spelled(self, spelling: TapeEncoding) -> dict[str, Any]:
+        """Return the header encoded for a tape."""
+        return {
+            "session_id": self.session_id,
+            "limits": spelling.spell(self.limits),
+            "measuring": spelling.spell(self.measuring),
+            "calibration": self.calibration.to_json(),
+            "model": spelling.spell(self.model),
+            "frames": {"kind": self.frames.kind, "path": None if self.frames.path is None else str(self.frames.path)},
+            "software": self.software,
+            "machine": self.machine,
+        }
+
+
+def read_head(words: dict[str, Any], spelling: TapeEncoding) -> TapeHeader:
+    """Read the header of a tape; raise RecordingError where it is damaged."""
+    try:
+        frames = words["frames"]
+        machine = words["machine"]
+        if not isinstance(machine, dict):
+            msg = "the tape's head is damaged: it names no machine"
+            raise RecordingError(msg)
+        return TapeHeader(
+            session_id=words["session_id"],
+            limits=spelling.read(words["limits"]),
+            measuring=spelling.read(words["measuring"]),
+            calibration=parse_calibration(words["calibration"].encode()),
+            model=spelling.read(words["model"]),
+            frames=Frames(kind=frames["kind"], path=None if frames["path"] is None else Path(frames["path"])),
+            software=words["software"],
+            machine=machine,
+        )
+    except (KeyError, TypeError, AttributeError, InvalidValueError) as error:
+        msg = f"the tape's head is damaged: {type(error).__name__}"
+        raise RecordingError(msg) from error
+
+
+def this_software() -> str:
+    """Return the name and version of this software."""
+    return f"tidegate {__version__}"

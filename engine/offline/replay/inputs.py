@@ -1,0 +1,73 @@
+"""The part of a reading that goes onto a tape, where the whole is too large or cannot be stored."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from engine.core import errors
+from engine.core.frames import ColorImage, DepthImage, RgbdFrame
+from engine.core.input_tap import InputKind
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameHead:
+    """A frame without its pictures, which are in a recording."""
+
+    index: int
+    device_index: int
+    missed_frames: int
+    timestamp_us: int
+    color_timestamp_us: int
+    received_ns: int
+
+    def with_pictures(self, depth_mm: DepthImage, color: ColorImage) -> RgbdFrame:
+        """Return the frame as the engine read it."""
+        return RgbdFrame(
+            index=self.index,
+            device_index=self.device_index,
+            missed_frames=self.missed_frames,
+            timestamp_us=self.timestamp_us,
+            color_timestamp_us=self.color_timestamp_us,
+            received_ns=self.received_ns,
+            depth_mm=depth_mm,
+            color=color,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Raised:
+    """An error that was raised instead of a reading."""
+
+    name: str
+    text: str
+
+    def again(self) -> Exception:
+        """Return an error of the same class and text; a TidegateError where it was one."""
+        known: object = getattr(errors, self.name, None)
+        kind = known if isinstance(known, type) and issubclass(known, errors.TidegateError) else None
+        # Made without its constructor: the arguments are not on the tape.
+        error: Exception = Exception.__new__(kind or type(self.name, (Exception,), {}))
+        error.args = (self.text,)
+        return error
+
+
+def head_of(frame: RgbdFrame) -> FrameHead:
+    """Return a frame without its pictures."""
+    return FrameHead(
+        index=frame.index,
+        device_index=frame.device_index,
+        missed_frames=frame.missed_frames,
+        timestamp_us=frame.timestamp_us,
+        color_timestamp_us=frame.color_timestamp_us,
+        received_ns=frame.received_ns,
+    )
+
+
+def kept_of(kind: InputKind, value: Any) -> Any:  # noqa: ANN401 - any reading
+    """Return the part of a reading that goes onto the tape."""
+    if kind is InputKind.FRAME:
+        return head_of(value)
+    if kind is InputKind.TRAINED:
+        return value is not None
+    if kind is InputKind.COMMANDS:
+        return [letter.command for letter in value]
+    return value

@@ -1,0 +1,168 @@
+"""Replays a session from its tape and its frames, and compares the outputs."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from engine.beam.line import TroubleListener, ignore_trouble
+from engine.capture.source import SourceDescription
+from engine.control.loop import EngineLoop
+from engine.core.clock import ManualClock
+from engine.core.errors import RecordingError
+from engine.core.frames import RgbdFrame
+from engine.core.gate_state import HoldReason, Lease
+from engine.core.input_tap import TappedClock
+from engine.motion.learning.trainer import InlineTrainer
+from engine.motion.pipeline import Pipeline
+from engine.offline.replay.comparison import BIT_FOR_BIT, Comparison
+from engine.offline.replay.encoding import TapeEncoding
+from engine.offline.replay.header import RAW, TapeHeader
+from engine.offline.replay.outcomes import Row
+from engine.offline.replay.pictures import Pictures
+from engine.offline.replay.replaying_tap import Difference, ReplayEnded, ReplayingTap
+from engine.offline.replay.tape_file import Tape
+from engine.offline.replay.tapped_trainer import TappedTrainer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Replay:
+    """The result of a replay.
+
+    Attributes
+    ----------
+    frames, identical_frames
+        Number of frames with the same outputs, and of those that are the same to the last bit.
+    transitions, recorded_transitions
+        The gate's transitions that are the same, as rows: as replayed, and as recorded.
+    elsewhere
+        Transitions that another thread made: copied from the tape, not decided again.
+    is_whole
+        Whether the tape is complete; that of a killed session is not.
+    torn
+        Why the tape ends early, where its writer noted it.
+    """
+
+    frames: int
+    identical_frames: int
+    transitions: list[Row]
+    recorded_transitions: list[Row]
+    elsewhere: list[Row]
+    difference: Difference | None
+    is_whole: bool
+    torn: str | None
+
+
+class _NoLine:
+    """A line without an output: every answer of the line comes from the tape."""
+
+    def __init__(self) -> None:
+        self.on_trouble: TroubleListener = ignore_trouble
+        self.is_settling = False
+
+    def open(self) -> None:
+        """Open nothing."""
+
+    def rearm(self) -> None:
+        """Arm nothing."""
+
+    def permit(self, _lease: Lease) -> None:
+        """Permit nothing."""
+
+    def hold(self, _reason: HoldReason) -> None:
+        """Hold nothing."""
+
+    def is_on(self) -> bool:
+        """Answer no."""
+        return False
+
+    def close(self) -> None:
+        """Close nothing."""
+
+
+class _NoSource:
+    """A source that is never read: frames come from the tape."""
+
+    def open(self) -> SourceDescription:
+        """End the replay: the tape should have answered."""
+        raise ReplayEnded
+
+    def read(self, _timeout_s: float) -> RgbdFrame:
+        """End the replay: the tape should have answered."""
+        raise ReplayEnded
+
+    def close(self) -> None:
+        """Close nothing."""
+
+
+def replay(
+    tape: Tape,
+    head: TapeHeader,
+    recording: Path,
+    spelling: TapeEncoding,
+    *,
+    comparison: Comparison = BIT_FOR_BIT,
+    on_frame: Callable[[int], None] = lambda _frames: None,
+    on_output: Callable[[object], None] = lambda _outcome: None,
+) -> Replay:
+    """Replay a session in the calling thread.
+
+    ``comparison`` defines equality; ``on_frame`` is called with the number of frames that are the same so far,
+    ``on_output`` with every record and transition that the replay makes.
+
+    Raises
+    ------
+    RecordingError
+        Tape or recording cannot be read.
+    """
+    number_of = (lambda frame: frame.index + 1) if head.frames.kind == RAW else (lambda frame: frame.device_index)
+    pictures = Pictures(recording, number_of)
+    try:
+        tap = ReplayingTap(
+            tape.turns(),
+            spelling,
+            pictures.frame,
+            comparison=comparison,
+            on_turn=lambda: on_frame(tap.frames),
+            on_output=on_output,
+        )
+        return _run(tape, head, tap)
+    finally:
+        pictures.close()
+
+
+def _run(tape: Tape, head: TapeHeader, tap: ReplayingTap) -> Replay:
+    clock = ManualClock()  # never read: every reading comes from the tape
+    pipeline = Pipeline(
+        head.calibration,
+        head.measuring,
+        TappedClock(clock, tap),
+        TappedTrainer(InlineTrainer(), tap),
+    )
+    try:
+        if head.model is not None:
+            pipeline.learner.resume(head.model)
+        loop = EngineLoop(
+            source=_NoSource(),
+            measurer=pipeline,
+            learner=pipeline.learner,
+            beam=_NoLine(),
+            limits=head.limits,
+            clock=clock,
+            tap=tap,
+        )
+        loop.run_here()
+    except ReplayEnded:
+        pass
+    if tap.difference is None and tap.frames == 0 and not tape.is_whole:
+        msg = f"the tape of session {head.session_id} holds nothing to replay"
+        raise RecordingError(msg)
+    return Replay(
+        frames=tap.frames,
+        identical_frames=tap.identical_frames,
+        transitions=tap.transitions,
+        recorded_transitions=tap.recorded_transitions,
+        elsewhere=tap.elsewhere,
+        difference=tap.difference,
+        is_whole=tape.is_whole,
+        torn=tape.torn,
+    )

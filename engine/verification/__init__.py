@@ -1,0 +1,1 @@
+"""Evidence that Tidegate works: phantom, evaluation, performance and QA."""

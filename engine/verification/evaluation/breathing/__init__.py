@@ -1,0 +1,1 @@
+"""Accuracy of the breathing monitor: trials, scores, tables and pictures."""

@@ -1,0 +1,1 @@
+"""Accuracy and timing of the gate's edges against the true phase."""

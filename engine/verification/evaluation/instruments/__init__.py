@@ -1,0 +1,1 @@
+"""Comparison with other instruments: laser line and spirometer."""

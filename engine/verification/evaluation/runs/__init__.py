@@ -1,0 +1,1 @@
+"""Evaluation runs: data sets, trials, scores, marks and ablations."""

@@ -1,0 +1,189 @@
+"""Description of the machine, its memory bandwidth, and measuring processes pinned to chosen cores."""
+
+import ctypes
+import gc
+import multiprocessing
+import os
+import platform
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+import cv2
+import numpy as np
+
+from engine.core.errors import TidegateError
+from engine.core.native_memory import keep_freed_memory
+from engine.core.native_threads import keep_calls_in_their_thread
+
+COPIED_BYTES = 1 << 26
+COPIES = 15
+BUSY_LOAD = 1.0
+_HEAP_FIELDS = (
+    *("arena", "ordblks", "smblks", "hblks", "hblkhd"),
+    *("usmblks", "fsmblks", "uordblks", "fordblks", "keepcost"),
+)
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class SpeedBenchError(TidegateError):
+    """A part of the benchmark failed."""
+
+    code = "speed_bench_failed"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Machine:
+    """Machine and software versions that the figures were measured with.
+
+    Attributes
+    ----------
+    cores
+        Cores that this process may use.
+    load_average
+        Load average of the last minute before the benchmark.
+    """
+
+    processor: str
+    cores: tuple[int, ...]
+    memory_gb: float
+    system: str
+    python: str
+    numpy: str
+    opencv: str
+    load_average: float
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether other processes were running before the benchmark."""
+        return self.load_average > BUSY_LOAD
+
+    @property
+    def pairs(self) -> tuple[int, int] | None:
+        """Two cores; None if there is only one."""
+        return (self.cores[-2], self.cores[-1]) if len(self.cores) > 1 else None
+
+
+def this_machine() -> Machine:
+    """Describe the machine and its current load."""
+    return Machine(
+        processor=_processor(),
+        cores=tuple(sorted(os.sched_getaffinity(0))),
+        memory_gb=round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9, 1),
+        system=f"{platform.system()} {platform.release()}",
+        python=platform.python_version(),
+        numpy=np.__version__,
+        opencv=cv2.__version__,
+        load_average=os.getloadavg()[0],
+    )
+
+
+def copy_bandwidth_bytes_s() -> float:
+    """Measure the bandwidth of a large copy, bytes read plus bytes written [1/s]."""
+    source, target = (np.ones(COPIED_BYTES, dtype=np.uint8) for _ in range(2))
+    durations_ns = []
+    for _ in range(COPIES):
+        started_ns = time.perf_counter_ns()
+        np.copyto(target, source)
+        durations_ns.append(time.perf_counter_ns() - started_ns)
+    return 2.0 * COPIED_BYTES / float(np.median(durations_ns)) * 1e9
+
+
+def settle_as_the_service(switch_interval_s: float) -> None:
+    """Configure threads, memory and interpreter of this process as the service does."""
+    keep_calls_in_their_thread()
+    keep_freed_memory()
+    sys.setswitchinterval(switch_interval_s)
+
+
+def set_memory_aside() -> None:
+    """Exclude all present objects from garbage collection, as the service does."""
+    gc.collect()
+    gc.freeze()
+
+
+def resident_bytes() -> int:
+    """Resident memory of this process [bytes]."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+class _HeapState(ctypes.Structure):
+    """Result of ``mallinfo2`` (<malloc.h>)."""
+
+    _fields_ = tuple((name, ctypes.c_size_t) for name in _HEAP_FIELDS)
+
+
+def heap_in_use_bytes() -> float:
+    """Memory allocated from the C library and not freed [bytes]; NaN without glibc's ``mallinfo2``."""
+    mallinfo2 = getattr(ctypes.CDLL(None), "mallinfo2", None)
+    if mallinfo2 is None:
+        return float("nan")
+    mallinfo2.restype = _HeapState
+    state = mallinfo2()
+    return float(state.uordblks + state.hblkhd)
+
+
+@contextmanager
+def pinned(cores: Sequence[int]) -> Iterator[None]:
+    """Restrict processes started inside the block to these cores."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, cores)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def on_cores(cores: Sequence[int], work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+    """Run ``work`` in a fresh process on these cores and return its result.
+
+    Raises
+    ------
+    SpeedBenchError
+        ``work`` raised a TidegateError, or the process ended early.
+    """
+    context = multiprocessing.get_context("spawn")  # a fork would copy the locks of the caller's threads
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_work, args=(sender, work, args, kwargs), name="tidegate-bench", daemon=True)
+    with pinned(cores):
+        process.start()
+    sender.close()  # only the child's copy stays open, so the pipe ends with the child
+    try:
+        is_done, answer = receiver.recv()
+    except EOFError as error:
+        process.join()
+        msg = f"a measuring process ended early (exit code {process.exitcode})"
+        raise SpeedBenchError(msg) from error
+    finally:
+        process.terminate()
+        process.join()
+    if not is_done:
+        raise SpeedBenchError(answer)
+    value: T = answer
+    return value
+
+
+def _work(sender: Connection, work: Callable[..., object], args: tuple[object, ...], kwargs: dict[str, object]) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles it and terminates this process
+    try:
+        sender.send((True, work(*args, **kwargs)))
+    except TidegateError as error:
+        sender.send((False, str(error)))
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()

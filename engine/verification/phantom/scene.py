@@ -1,0 +1,70 @@
+"""The scene without pictures: body, cameras, breathing, and the truth at any time.
+
+It is built in 0.1 s, a `engine.verification.phantom.studio.Studio`, which renders pictures, in 1 s.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from engine.verification.phantom.anatomy import Anatomy
+from engine.verification.phantom.breathing import Breathing
+from engine.verification.phantom.builds import NO_DEPARTURE, Departure
+from engine.verification.phantom.rig import build_rig
+from engine.verification.phantom.scenarios import Pose, plan
+from engine.verification.phantom.traces import Trace
+from engine.verification.phantom.truth import Grid, RoiTruth, Skin, sticker_px, volume_ratio
+from engine.verification.phantom.view import Rays
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Script:
+    """All parameters of a recording."""
+
+    scenario: str
+    volunteer: int
+    seconds: float
+    fps: float
+    seed: int
+    trace: Trace | None = None
+    departure: Departure = NO_DEPARTURE
+    has_laser: bool = False
+    has_extra_markers: bool = False
+
+    def rng(self, stream: int) -> np.random.Generator:
+        """Random generator of one purpose, numbered by ``stream``."""
+        return np.random.default_rng((self.seed, self.volunteer, stream))
+
+
+class Scene:
+    """Body, cameras, breathing and truth of one script."""
+
+    def __init__(self, script: Script) -> None:
+        self.script = script
+        self.anatomy = Anatomy(script.volunteer, script.departure)
+        self.rig = build_rig(self.anatomy.build, script.volunteer)
+        self.timeline = plan(
+            script.scenario,
+            self.anatomy.build,
+            script.seconds,
+            script.rng(1),
+            volume_ratio=volume_ratio(self.anatomy),
+            trace=script.trace,
+        )
+        self.breathing = Breathing(self.timeline.signals, self.anatomy.build)
+        self.skin = Skin(self.anatomy)
+        self.color_rays = Rays.of(self.rig.color)
+        # The body moves at most once in a recording: caching the newest poses is enough.
+        self._roi_truth = lru_cache(maxsize=3)(self._make_roi_truth)
+
+    def roi_truth(self, time_s: float) -> RoiTruth:
+        """Solver of the ROI's true depth for the pose at this time."""
+        return self._roi_truth(self.timeline.pose(time_s))
+
+    def markers_px(self, time_s: float) -> Grid:
+        """Return true sticker centres in the colour picture [px], shape (4, 2)."""
+        return sticker_px(self.rig, self.skin, self.breathing.weights(time_s), self.timeline.pose(time_s))
+
+    def _make_roi_truth(self, pose: Pose) -> RoiTruth:
+        return RoiTruth(self.rig, self.color_rays, self.skin, pose)

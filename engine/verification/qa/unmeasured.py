@@ -1,0 +1,9 @@
+"""QA figures without a value: the checks of a stage that could not be measured."""
+
+from engine.verification.qa.checks import CHECKS
+from engine.verification.qa.results import QaFigure, QaNeed
+
+
+def not_measured(need: QaNeed, reason: str) -> list[QaFigure]:
+    """Return one figure with ``value=None`` and the reason as its detail for every check of that stage."""
+    return [QaFigure(code=check.code, value=None, detail=reason) for check in CHECKS if check.needs is need]

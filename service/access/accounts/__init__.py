@@ -1,0 +1,1 @@
+"""Accounts: users, their roles and passwords, and the store of all access records."""

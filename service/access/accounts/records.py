@@ -1,0 +1,89 @@
+"""Access records as frozen values: users, log-ins, API keys and counts of failed attempts."""
+
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Literal
+
+from service.access.accounts.names import name_key
+from service.core.permissions import Permission, Role
+
+Way = Literal["password", "oidc"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class User:
+    """A user account. ``password_hash`` is None, and issuer and subject are set, for users of an OIDC provider."""
+
+    name: str
+    password_hash: str | None
+    roles: frozenset[Role]
+    is_disabled: bool = False
+    must_change_password: bool = False
+    is_break_glass: bool = False
+    issuer: str | None = None
+    subject: str | None = None
+    created_at: datetime
+    last_login_at: datetime | None = None
+
+    @property
+    def key(self) -> str:
+        """Key in `AccessStore.users`: the normalised name."""
+        return name_key(self.name)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Login:
+    """A user's log-in at one browser, which alone has the token. ``seen_at`` is saved once a minute."""
+
+    id: str
+    token_sha256: str
+    user_key: str
+    way: Way
+    address: str
+    is_break_glass: bool = False
+    created_at: datetime
+    expires_at: datetime
+    seen_at: datetime
+
+    @property
+    def key(self) -> str:
+        """Key in `AccessStore.logins`: the SHA-256 of the token."""
+        return self.token_sha256
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ApiKey:
+    """A machine's API key; only the SHA-256 of the secret is stored."""
+
+    id: str
+    name: str
+    secret_sha256: str
+    scopes: frozenset[Permission]
+    created_by: str
+    created_at: datetime
+    expires_at: datetime
+    revoked_at: datetime | None = None
+    last_used_at: datetime | None = None
+
+    @property
+    def key(self) -> str:
+        """Key in `AccessStore.keys`: the id."""
+        return self.id
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Attempts:
+    """Number of failed log-ins for one name or address; deleted for a name by the next successful log-in."""
+
+    subject: str
+    failures: int
+    last_at: datetime
+    locked_until: datetime | None = None
+
+    @property
+    def key(self) -> str:
+        """Key in `AccessStore.attempts`: the subject."""
+        return self.subject
+
+
+Record = User | Login | ApiKey | Attempts

@@ -1,0 +1,1 @@
+"""Authentication and authorisation of one request: address, identity, rule, claimed operator."""

@@ -1,0 +1,101 @@
+"""Authenticates a request by its headers, from memory alone: no database, no argon2, some microseconds."""
+
+from datetime import timedelta
+
+from starlette.datastructures import Headers
+
+from service.access.accounts.names import name_key
+from service.access.accounts.records import ApiKey, Login
+from service.access.accounts.store import AccessStore
+from service.access.login.cookies import token_in
+from service.access.login.keys import TOKEN_PREFIX, KeyService, actor_of
+from service.access.login.logins import hashed
+from service.access.request.identity import Identity, MachineVerifier
+from service.core.permissions import Permission, permissions_of
+
+LONGEST_TOKEN = 16_384
+
+
+class Authenticator:
+    """Maps cookies, API keys and machine tokens to identities; called from any thread.
+
+    ``machine_verifier`` is set by `service.access.oidc` where the site accepts the provider's machine tokens.
+    """
+
+    def __init__(self, store: AccessStore, keys: KeyService, *, idle: timedelta, is_secure: bool) -> None:
+        self._store = store
+        self._keys = keys
+        self._idle = idle
+        self._is_secure = is_secure
+        self.machine_verifier: MachineVerifier | None = None
+
+    def identify(self, headers: Headers) -> Identity | None:
+        """Return the sender, None if unauthenticated; with an Authorization header the cookie is not read."""
+        authorization = headers.get("authorization")
+        if authorization is not None:
+            return self._bearer(authorization)
+        token = token_in(headers, is_secure=self._is_secure)
+        return None if token is None else self._person(hashed(token))
+
+    def is_valid(self, identity: Identity) -> bool:
+        """Whether an identity is still valid with all its permissions; for open WebSockets and event streams."""
+        if identity.until is not None and self._store.now() >= identity.until:
+            return False
+        if identity.kind == "key":
+            return identity.anchor is not None and self._keys.is_valid(identity.anchor)
+        if not identity.is_person or identity.anchor is None:
+            return True
+        now = self._person(identity.anchor)
+        return now is not None and identity.permissions <= now.permissions
+
+    def is_present(self, identity: Identity) -> bool:
+        """Whether an operator could still hold or disarm, from any browser; does not count as use of a log-in.
+
+        A machine with a token of the identity provider counts as present: only its last token is known.
+        """
+        if identity.kind == "key":
+            return identity.anchor is not None and self._keys.is_valid(identity.anchor)
+        user = self._store.users.get(name_key(identity.name)) if identity.is_person else None
+        if user is None:
+            return not identity.is_person
+        may_arm = Permission.GATE_ARM in permissions_of(user.roles)
+        return may_arm and any(self._is_open(login) for login in self._store.logins_of(user))
+
+    def login_of(self, identity: Identity) -> Login | None:
+        """Return the log-in that authenticated an identity; None for machines and ended log-ins."""
+        return self._store.logins.get(identity.anchor or "")
+
+    def _bearer(self, authorization: str) -> Identity | None:
+        scheme, _, token = authorization.partition(" ")
+        token = token.strip()
+        if scheme.lower() != "bearer" or not token or len(token) > LONGEST_TOKEN:
+            return None
+        if token.startswith(TOKEN_PREFIX):
+            key = self._keys.find(token)
+            return None if key is None else self._machine(key)
+        return None if self.machine_verifier is None else self.machine_verifier.identify(token)
+
+    def _machine(self, key: ApiKey) -> Identity:
+        self._store.last_used[key.id] = self._store.now()
+        return Identity(kind="key", name=actor_of(key), permissions=key.scopes, anchor=key.id)
+
+    def _person(self, token_sha256: str) -> Identity | None:
+        login = self._store.logins.get(token_sha256)
+        if login is None:
+            return None
+        if not self._is_open(login):
+            return None
+        user = self._store.users[login.user_key]
+        self._store.last_used[token_sha256] = self._store.now()
+        return Identity(
+            kind="user" if user.issuer is None else "oidc",
+            name=user.name,
+            permissions=permissions_of(user.roles),
+            anchor=token_sha256,
+            must_change_password=user.must_change_password,
+        )
+
+    def _is_open(self, login: Login) -> bool:
+        now = self._store.now()
+        is_disabled = self._store.users[login.user_key].is_disabled
+        return not is_disabled and now < login.expires_at and now - self._store.last_used_at(login) <= self._idle

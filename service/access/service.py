@@ -1,0 +1,73 @@
+"""Builds the access objects at start-up and closes them at shutdown."""
+
+from dataclasses import dataclass
+from datetime import timedelta
+
+from service.access.accounts.passwords import Argon2Hashing, Hashing, PasswordService
+from service.access.accounts.people import AccountService
+from service.access.accounts.records import User
+from service.access.accounts.store import AccessStore
+from service.access.housekeeping import AccessCleanupWorker
+from service.access.login.keys import KeyService
+from service.access.login.logins import LoginService
+from service.access.login.refusals import RefusedLogins
+from service.access.request.authenticator import Authenticator
+from service.access.request.identity import Identity
+from service.core.settings.access import AccessSettings
+from service.storage.audit.log import AuditLog
+from service.storage.database.engine import Database
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AccessService:
+    """The objects behind log-in, accounts and API keys: one instance a service, in ``app.state.access``."""
+
+    store: AccessStore
+    logins: LoginService
+    accounts: AccountService
+    keys: KeyService
+    authenticator: Authenticator
+    refused_logins: RefusedLogins
+    passwords: PasswordService
+    cleanup_worker: AccessCleanupWorker
+    is_secure: bool
+
+    def person(self, identity: Identity) -> User:
+        """Return the account of an identity that `is_person`; raise NotFoundError where there is none."""
+        return self.accounts.get(identity.name)
+
+    def close(self) -> None:
+        """Stop the password thread and the clean-up thread; write pending refusals and times of last use first."""
+        self.passwords.close()
+        self.cleanup_worker.close()
+
+
+def open_access(
+    database: Database, log: AuditLog, settings: AccessSettings, hashing: Hashing | None = None
+) -> AccessService:
+    """Load all access records into memory and start the clean-up thread.
+
+    Raises
+    ------
+    SQLAlchemyError
+        The database cannot be read.
+    """
+    store = AccessStore(database)
+    store.load()
+    hashing = hashing or Argon2Hashing()
+    refused_logins, passwords = RefusedLogins(), PasswordService()
+    idle = timedelta(minutes=settings.login_idle_min)
+    keys = KeyService(store, longest=timedelta(days=settings.key_max_days))
+    cleanup_worker = AccessCleanupWorker(store, refused_logins, log.write, idle=idle)
+    cleanup_worker.start()
+    return AccessService(
+        store=store,
+        logins=LoginService(store, hashing, refused_logins, lasts=timedelta(hours=settings.login_hours), idle=idle),
+        accounts=AccountService(store, lambda password: passwords.submit(lambda: hashing.hash(password)).result()),
+        keys=keys,
+        authenticator=Authenticator(store, keys, idle=idle, is_secure=settings.is_secure),
+        refused_logins=refused_logins,
+        passwords=passwords,
+        cleanup_worker=cleanup_worker,
+        is_secure=settings.is_secure,
+    )

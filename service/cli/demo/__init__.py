@@ -1,0 +1,1 @@
+"""The demonstration: a volunteer measured by a service that is started for it."""

@@ -1,0 +1,301 @@
+"""``tidegate demo``: a complete gated session on a virtual volunteer, over the HTTP API.
+
+Generates a recording, creates an account, starts ``tidegate serve`` as a process, logs in, plays the recording in real
+time through the OpenNI2 runtime, opens a session, trains, sets the reference at end-exhale, arms, gates, and compares
+what the service stored with the truth.
+"""
+
+import contextlib
+import csv
+import os
+import secrets
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from engine.capture.openni.source import runtime_available
+from engine.core.errors import TidegateError
+from engine.core.frames import FloatArray
+from engine.verification.phantom.truth import load_truth
+from service.cli.demo.person import put_person
+from service.cli.terminal import refused
+from service.client import ClientError, ProblemError, Sample, TidegateClient, Window
+from service.planning.simulated_tps.delivery import EndExhale
+
+OPERATOR = "Demo"
+PASSWORD_BYTES = 12
+WINDOW: Window = {"signal": "whole", "lower_mm": -1.5, "upper_mm": 2.0, "hysteresis_mm": 0.2, "dwell_ms": 200.0}
+START_TIMEOUT_S = 30.0
+SILENCE_S = 15.0
+EXHALE_WATCH_S = 4.0
+REFERENCE_WITHIN_US = 500_000
+OPEN = frozenset({"created", "running"})
+
+
+class DemoError(TidegateError):
+    """The demonstration cannot continue."""
+
+    code = "demo_failed"
+
+
+def demo(
+    folder: Annotated[Path, typer.Option(help="Folder for recordings and the service's data.")] = Path("var/demo"),
+    seconds: Annotated[float, typer.Option(help="Length of the recording [s].")] = 60.0,
+    volunteer: Annotated[int, typer.Option(help="Number of the volunteer, 1 to 10.")] = 10,
+    port: Annotated[int, typer.Option(help="Port of the service; if it is taken, the next free one.")] = 8000,
+    keep: Annotated[bool, typer.Option("--keep", help="Keep the service running until Ctrl-C.")] = False,
+) -> None:
+    """Run a gated session on a virtual volunteer and compare it with the true motion.
+
+    Generates a recording, starts a service, plays the recording as a camera, trains, arms and gates; the web page shows
+    it live.
+    """
+    console = Console(highlight=False)
+    try:
+        recording = _volunteer(folder, volunteer, seconds, console)
+        one_time_password = put_person(_data(folder), OPERATOR, by="tidegate demo")
+        with _service(folder, _free_port(port), console) as (address, api):
+            password = _log_in(api, one_time_password)
+            _summarise(api, _gate(api, recording, console), recording, console)
+            if keep:
+                console.print(
+                    f"Still running: {address}/  Log in as {OPERATOR} with the password {password}  (Ctrl-C ends)",
+                    markup=False,
+                )
+                _wait_for_ctrl_c()
+    except (TidegateError, ClientError) as error:
+        raise refused("demo", error) from error
+
+
+def _volunteer(folder: Path, volunteer: int, seconds: float, console: Console) -> Path:
+    """Generate the recording, or use the one of an earlier run."""
+    from service.cli.phantom import phantom
+
+    out = folder / f"regular-{volunteer}-{seconds:g}s"
+    if (out / "truth.npz").exists():
+        console.print(f"1 Volunteer {volunteer}, {seconds:g} s: recording of an earlier run, {out}", markup=False)
+    else:
+        console.print(f"1 Generating volunteer {volunteer}, {seconds:g} s of regular breathing", markup=False)
+        phantom("regular", out=out, volunteer=volunteer, seconds=seconds, fps=30.0, seed=1, trace=None, workers=None)
+    return out
+
+
+def _log_in(api: TidegateClient, one_time_password: str) -> str:
+    """Log in with the one-time password and change it; return the new one."""
+    password = secrets.token_urlsafe(PASSWORD_BYTES)
+    api.log_in(OPERATOR, one_time_password)
+    api.change_password(one_time_password, password)
+    return password
+
+
+def _data(folder: Path) -> Path:
+    return (folder / "data").resolve()
+
+
+def _free_port(wanted: int) -> int:
+    for port in range(wanted, wanted + 50):
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
+    message = f"no free port from {wanted} to {wanted + 49}"
+    raise DemoError(message)
+
+
+@contextlib.contextmanager
+def _service(folder: Path, port: int, console: Console) -> Iterator[tuple[str, TidegateClient]]:
+    command = [sys.executable, "-m", "service.cli", "serve", "--port", str(port), "--data", str(_data(folder))]
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("TIDEGATE_")}
+    log_path, address = folder / "service.log", f"http://127.0.0.1:{port}"
+    with (
+        log_path.open("wb") as log,
+        subprocess.Popen(
+            [*command, "--recordings", str(folder.resolve())], stdout=log, stderr=log, env=environment
+        ) as process,
+        TidegateClient(address, retries=0, timeout_s=30.0) as api,
+    ):
+        try:
+            _wait_until_ready(address, process, log_path)
+            console.print(f"2 The service is running: open [bold]{address}/[/bold]")
+            yield address, api
+        finally:
+            process.terminate()
+            try:
+                process.wait(timeout=10.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+
+def _wait_until_ready(address: str, process: "subprocess.Popen[bytes]", log_path: Path) -> None:
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while time.monotonic() < deadline:
+        if process.poll() is not None:
+            message = f"the service stopped during its start: {log_path.read_text(errors='replace')[-400:].strip()}"
+            raise DemoError(message)
+        with contextlib.suppress(OSError), urllib.request.urlopen(f"{address}/healthz", timeout=1.0):  # noqa: S310 - loopback # nosec B310
+            return
+        time.sleep(0.1)
+    message = f"the service did not answer within {START_TIMEOUT_S:g} s"
+    raise DemoError(message)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Ran:
+    """A closed session, and the device time of its reference request [us]; None if there was none."""
+
+    session_id: str
+    asked_us: int | None
+
+
+def _gate(api: TidegateClient, recording: Path, console: Console) -> _Ran:
+    """Run one session from its creation to the end of the recording."""
+    player: Literal["openni", "reader"] = "openni" if runtime_available() else "reader"
+    if player == "reader":
+        console.print(
+            "  The OpenNI2 runtime is not here (apt-get install libopenni2-0): playing through Tidegate's own reader.",
+            style="yellow",
+        )
+    calibration = api.upload_calibration((recording / "calibration.json").read_bytes())
+    session = api.create_session(
+        {
+            "patient_reference": "PHANTOM-1",
+            "plan_id": "DEMO",
+            "fraction_id": "FX-1",
+            "source": {"kind": "recording", "path": str((recording / "recording.oni").resolve()), "player": player},
+            "calibration_id": calibration["id"],
+            "window": WINDOW,
+        }
+    )
+    api.start(session["id"])
+    console.print(f"3 Session {session['id'][:8]}: playing through {player}, training the motion model")
+    asked_us = _follow(api, session["id"], console)
+    _close(api, session["id"])
+    return _Ran(session_id=session["id"], asked_us=asked_us)
+
+
+def _close(api: TidegateClient, session_id: str) -> None:
+    """Stop the session unless the end of the recording has closed it; wait until its samples are stored."""
+    with contextlib.suppress(ProblemError):
+        api.stop(session_id)
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while api.read_session(session_id)["status"] in OPEN and time.monotonic() < deadline:
+        time.sleep(0.1)
+
+
+def _follow(api: TidegateClient, session_id: str, console: Console) -> int | None:
+    """Print a live status line; set the reference at end-exhale and arm, until the recording ends."""
+    began = time.monotonic()
+    exhale = EndExhale(watch_s=EXHALE_WATCH_S)
+    asked_us = None
+    with Live(console=console, refresh_per_second=8, transient=True) as live:
+        for message in api.live(form="full", silence_s=SILENCE_S):
+            if message["type"] == "idle":
+                if api.read_session(session_id)["status"] in OPEN:
+                    continue
+                return asked_us
+            if message["type"] != "sample" or message["form"] != "full":
+                continue
+            live.update(_line(message))
+            if message["session_status"] != "running":
+                return asked_us
+            is_measured = message["state"] == "measuring"
+            if asked_us is None and is_measured and exhale.is_reached(message["timestamp_us"], message["whole_mm"]):
+                api.set_reference(session_id)
+                _arm(api, session_id)
+                asked_us = message["timestamp_us"]
+                console.print(
+                    f"4 Reference set at end-exhale; armed after {time.monotonic() - began:.0f} s of the session."
+                )
+    return asked_us
+
+
+def _arm(api: TidegateClient, session_id: str) -> None:
+    """Arm once the next frame has become the reference."""
+    for attempt in range(10):
+        try:
+            api.arm(session_id)
+        except ProblemError:
+            if attempt == 9:
+                raise
+            time.sleep(0.1)
+        else:
+            return
+
+
+_STYLES = {"beam_on": "bold black on green", "fault": "bold white on red", "hold": "black on yellow"}
+
+
+def _line(message: Sample) -> Text:
+    line = Text()
+    line.append(f" {message['gate'].replace('_', ' ').upper():9}", _STYLES.get(message["gate"], "reverse"))
+    if message["training"] is not None:
+        training = message["training"]
+        line.append(f"  training {training['share']:4.0%}, {training['cycles']} cycles  {training['note']}")
+    else:
+        motion = message["whole_mm"]
+        line.append(f"  {motion:+6.2f} mm" if motion is not None else f"  {message['state']}")
+    latency = message["latency_ms"]["last"]
+    line.append(f"  {message['fps'] or 0.0:4.1f} frames/s  {latency or 0.0:4.1f} ms  {message['hold_text'] or ''}")
+    return line
+
+
+def _summarise(api: TidegateClient, ran: _Ran, recording: Path, console: Console) -> None:
+    session = api.read_session(ran.session_id)
+    samples = api.export_samples(ran.session_id, recording / "samples.csv").path
+    with samples.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    summary = session["summary"]
+    error_mm = np.empty(0) if ran.asked_us is None else _errors_mm(rows, ran.asked_us, recording)
+    table = Table("what", "value", title="Summary", show_header=False, title_justify="left")
+    table.add_row("session", f"{session['status']}  {session['status_detail']}".strip())
+    table.add_row("frames", str(summary["frames"]))
+    table.add_row("missing in the stream", str(summary["missed_frames"]))
+    table.add_row("not measurable", str(summary["lost"]))
+    if error_mm.size:
+        table.add_row(
+            "motion error of the whole region", f"mean {error_mm.mean():.3f} mm, worst {error_mm.max():.3f} mm"
+        )
+    duty = summary["duty_cycle"]
+    table.add_row("duty cycle while armed", "never armed" if duty is None else f"{duty:.0%}")
+    table.add_row("gate transitions", str(summary["transitions"]))
+    latency = summary["latency"]
+    told = {"p50": latency["p50_ms"], "p99": latency["p99_ms"], "longest": latency.get("max_ms")}
+    times = ", ".join(f"{name} {value or 0.0:.1f} ms" for name, value in told.items())
+    table.add_row("latency, camera to beam line", times)
+    console.print(table)
+
+
+def _errors_mm(rows: list[dict[str, str]], asked_us: int, recording: Path) -> FloatArray:
+    """Absolute error of the whole-region motion since the reference was set, that frame's own error included.
+
+    The frame that became the reference is one of the first after it was asked for: where the motion steps to zero.
+    """
+    truth = load_truth(recording / "truth.npz")
+    measured = [(int(row["timestamp_us"]), float(row["whole_mm"])) for row in rows if row["whole_mm"]]
+    since = [one for one in measured if one[0] >= asked_us]
+    soon = [motion_mm for at_us, motion_mm in since if at_us <= asked_us + REFERENCE_WITHIN_US]
+    if len(soon) < 2:
+        return np.empty(0)
+    first = int(np.argmax(np.abs(np.diff(soon)))) + 1
+    times_us, motion_mm = np.array(since[first:]).T
+    at = np.searchsorted(truth.timestamp_us, times_us)
+    depth_mm = truth.whole_depth_mm[np.minimum(at, len(truth.timestamp_us) - 1)]
+    return np.asarray(np.abs(motion_mm - (depth_mm[0] - depth_mm)), dtype=np.float64)
+
+
+def _wait_for_ctrl_c() -> None:
+    with contextlib.suppress(KeyboardInterrupt):
+        while True:
+            time.sleep(1.0)

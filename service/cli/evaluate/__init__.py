@@ -1,0 +1,1 @@
+"""Commands that compare Tidegate with the truth and with instruments."""

@@ -1,0 +1,56 @@
+"""Measurement of a recording with a callback per frame, for the instruments of ``tidegate evaluate``."""
+
+import csv
+import io
+import math
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from engine.calibration.camera_calibration import Calibration
+from engine.capture.oni.reader import describe
+from engine.capture.recording_source import OniFileSource
+from engine.core.clock import MonotonicClock
+from engine.core.errors import InvalidValueError
+from engine.core.files import write_whole
+from engine.core.frames import Measurement, RgbdFrame
+from engine.motion.settings import PipelineSettings
+from engine.verification.evaluation.playback import play
+from service.cli.measure.options import HEAD_DIRECTIONS
+from service.cli.terminal import frame_bar
+
+
+def watch(
+    recording: Path,
+    calibration: Calibration,
+    settings: PipelineSettings,
+    on_frame: Callable[[RgbdFrame, Measurement], None],
+) -> None:
+    """Measure a recording with a progress bar; call ``on_frame`` with every frame and its measurement."""
+    total = describe(recording).depth_frames
+    with frame_bar() as progress:
+        task = progress.add_task("training", total=total)
+        for frame, measurement in play(OniFileSource(recording, clock=MonotonicClock()), calibration, settings):
+            on_frame(frame, measurement)
+            if frame.index % 10 == 0:
+                progress.update(task, completed=frame.index + 1, description=measurement.state.value)
+
+
+def superior_of(head: str) -> tuple[float, float] | None:
+    """Return the direction of the head in the picture; raise InvalidValueError."""
+    if head not in HEAD_DIRECTIONS:
+        raise InvalidValueError("head", head, f"one of {', '.join(HEAD_DIRECTIONS)}")
+    return HEAD_DIRECTIONS[head]
+
+
+def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a CSV file atomically."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    write_whole(path, text.getvalue().encode())
+
+
+def number(value: float | None, digits: int) -> str:
+    """Format a number; a missing or non-finite value is an empty text, never zero."""
+    return "" if value is None or not math.isfinite(value) else f"{value:.{digits}f}"

@@ -1,0 +1,197 @@
+"""``tidegate measure``: motion in mm from one or more recordings."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from engine.calibration.camera_calibration import load_calibration
+from engine.capture.oni.reader import describe
+from engine.capture.recording_source import OniFileSource
+from engine.core.clock import MonotonicClock
+from engine.core.errors import TidegateError
+from engine.core.frames import Measurement
+from engine.gating.limits import GateLimits
+from engine.motion.learning.trainer import TrainingSettings
+from engine.motion.settings import PipelineSettings
+from engine.offline.measure import FileTask, measure_recording
+from engine.offline.result_files import OfflineSummary
+from service.cli.measure import options
+from service.cli.measure.stored_model import model_origin, stored_model
+from service.cli.terminal import BAD_INPUT, frame_bar, refused, say
+
+
+def measure(
+    recordings: Annotated[list[Path], typer.Argument(help="One or more .oni recordings.", metavar="REC.oni...")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="Folder for motion.csv, breathing.csv, regions.npz, motion_summary.json and model.npz; with several "
+            "recordings it contains a folder per recording and summary.csv."
+        ),
+    ],
+    calibration: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Calibration of the cameras (tidegate.calibration/1): one for all recordings, or one each in their "
+            "order; calibration.json beside each recording by default."
+        ),
+    ] = None,
+    point: Annotated[
+        list[str] | None, typer.Option(help="ROW,COL of a point of the 350 x 200 grid to report; repeatable.")
+    ] = None,
+    region: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=ROW,COL;ROW,COL;...: polygon on the grid to report under this name; repeatable."),
+    ] = None,
+    regions: Annotated[Path | None, typer.Option(help="File with more regions (tidegate.regions/1).")] = None,
+    split: Annotated[
+        str | None,
+        typer.Option(
+            help="ROW,ROW: lower end of the thorax at the right and left edge of the grid; 174.5,174.5 by default."
+        ),
+    ] = None,
+    extra_markers: Annotated[
+        bool,
+        typer.Option(
+            "--extra-markers", help="Two extra stickers at the costal margin mark the lower end of the thorax."
+        ),
+    ] = False,
+    cell: Annotated[int, typer.Option(help="Side of a cell of the regions [grid px].")] = 25,
+    components: Annotated[int, typer.Option(help="Number of principal components of the motion model.")] = 3,
+    window: Annotated[
+        str | None,
+        typer.Option(
+            help="SIGNAL:LOWER:UPPER, in mm or for volume in l, e.g. whole:-1:3: add the decisions that the gate would "
+            "have made. SIGNAL is whole, thorax, abdomen, volume, a --point as pROW_COL, or the name of a --region."
+        ),
+    ] = None,
+    head: Annotated[
+        str,
+        typer.Option(
+            help="Direction of the patient's head in the picture: up, down, left or right; auto is up, or left if the "
+            "longer sides of the markers are horizontal."
+        ),
+    ] = "auto",
+    mesh: Annotated[
+        str | None, typer.Option(help="FRAME,FRAME,...: write the surface in these frames to mesh_FRAME.ply.")
+    ] = None,
+    mesh_format: Annotated[str, typer.Option(help="ply (binary) or obj.")] = "ply",
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            help="Stored model.npz to measure with instead of training one; refused for another calibration, another "
+            "patient, or a position too far from that of the training."
+        ),
+    ] = None,
+    patient: Annotated[
+        str | None, typer.Option(help="Pseudonymous patient reference, stored with the model; never a name.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(help="Number of recordings measured in parallel; 0 is one per core.")] = 0,
+) -> None:
+    """Measure the breathing motion in every frame of one or more recordings.
+
+    Writes motion.csv and breathing.csv (one row per depth frame), regions.npz, motion_summary.json and model.npz.
+    Motion is in mm, positive towards the camera. Recordings are measured independently: one that fails does not stop
+    the others.
+    """
+    try:
+        settings = PipelineSettings(
+            cell_px=cell,
+            points=tuple(options.point(text) for text in point or []),
+            named=options.regions(region or [], regions),
+            split=options.split(split),
+            extra_markers=extra_markers,
+            superior_px=options.superior(head),
+            training=TrainingSettings(components=components),
+        )
+        stored = None if model is None else stored_model(model, patient)
+        tasks = [
+            FileTask(
+                recording=recording,
+                calibration=cameras,
+                out=folder,
+                settings=settings,
+                limits=None
+                if window is None
+                else GateLimits(window=options.window(window, settings.points, settings.named)),
+                meshes=options.meshes(mesh, mesh_format),
+                model=stored,
+                origin=model_origin(recording, patient),
+            )
+            for recording, cameras, folder in zip(
+                recordings,
+                options.calibrations(recordings, calibration or []),
+                [out] if len(recordings) == 1 else options.folders(recordings, out),
+                strict=True,
+            )
+        ]
+        processes = options.check_jobs(jobs, len(tasks))
+        if len(tasks) == 1:
+            _print_summary(_measure(tasks[0], is_calibration_given=bool(calibration)), tasks[0])
+        else:
+            _measure_many(tasks, processes, out)
+    except TidegateError as error:
+        raise refused("measure", error) from error
+    except OSError as error:
+        raise refused("measure", f"{out} cannot be written ({error.strerror or error})") from error
+
+
+def _measure(task: FileTask, *, is_calibration_given: bool) -> OfflineSummary:
+    """Measure one recording in this process."""
+    if not is_calibration_given:
+        say(f"Calibration: {task.calibration}")
+    cameras = load_calibration(task.calibration)
+    total = describe(task.recording).depth_frames
+    with frame_bar() as progress:
+        shown = progress.add_task("training", total=total)
+
+        def show(measurement: Measurement) -> None:
+            if measurement.frame_index % 10 == 0:
+                progress.update(shown, completed=measurement.frame_index + 1, description=measurement.state.value)
+
+        summary = measure_recording(
+            OniFileSource(task.recording, clock=MonotonicClock()),
+            cameras,
+            task.out,
+            settings=task.settings,
+            limits=task.limits,
+            meshes=task.meshes,
+            model=task.model,
+            origin=task.origin,
+            on_frame=show,
+        )
+        progress.update(shown, completed=summary.frames, description="done")
+    return summary
+
+
+def _measure_many(tasks: list[FileTask], processes: int, out: Path) -> None:
+    from service.cli.measure.many import measure_many
+
+    if not measure_many(tasks, processes, out):
+        raise typer.Exit(BAD_INPUT)
+
+
+def _print_summary(summary: OfflineSummary, task: FileTask) -> None:
+    model = f"trained on {summary.training_frames} frames, {summary.cycles} breathing cycles"
+    say(
+        f"{summary.frames} frames: {summary.in_training} in training ({'stored model, ' * (task.model is not None)}"
+        f"{model}), {summary.measured} measured, {summary.lost} lost. The camera dropped {summary.missed_frames} more. "
+        f"Written to {task.out}"
+    )
+    for note in _notes(summary, task):
+        say(f"Note: {note}", "yellow")
+    if summary.damage is not None:
+        raise refused("measure", summary.damage)
+
+
+def _notes(summary: OfflineSummary, task: FileTask) -> list[str]:
+    """Return what was requested and could not be done."""
+    notes = [] if summary.shortcoming is None else [summary.shortcoming]
+    if task.settings.extra_markers and not summary.is_split_marked:
+        notes.append("the two extra stickers were not found often enough: the default line ends the thorax")
+    requested = 0 if task.meshes is None else len(task.meshes.frames)
+    if requested > len(summary.meshes):
+        missing = requested - len(summary.meshes)
+        notes.append(f"{missing} of {requested} meshes could not be written: their frames were not measured")
+    return notes

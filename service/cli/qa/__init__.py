@@ -1,0 +1,1 @@
+"""Commands for QA runs and their archive."""

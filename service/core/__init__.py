@@ -1,0 +1,1 @@
+"""What every service package shares: settings, schemas, errors, permissions and logging."""

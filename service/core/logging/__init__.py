@@ -1,0 +1,1 @@
+"""Log records: not blocking, without patient data, with request ids."""

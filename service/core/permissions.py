@@ -1,0 +1,94 @@
+"""Permissions and the roles that grant them; a person may have several roles.
+
+The administrator role does not include arming. An administrator can grant that role to their own account, since some
+account must be able to grant roles; the audit log records it.
+"""
+
+from collections.abc import Iterable, Mapping
+from enum import StrEnum
+
+
+class Permission(StrEnum):
+    """One thing that may be done; a request needs exactly one."""
+
+    SESSIONS_READ = "sessions.read"
+    SESSIONS_RUN = "sessions.run"
+    GATE_ARM = "gate.arm"
+    GATE_HOLD = "gate.hold"
+    GATE_ACKNOWLEDGE = "gate.acknowledge"
+    MODELS_WRITE = "models.write"
+    PLANS_WRITE = "plans.write"
+    CALIBRATIONS_READ = "calibrations.read"
+    CALIBRATIONS_WRITE = "calibrations.write"
+    QA_READ = "qa.read"
+    QA_RUN = "qa.run"
+    QA_BASELINE = "qa.baseline"
+    AUDIT_READ = "audit.read"
+    USERS_MANAGE = "users.manage"
+    METRICS_READ = "metrics.read"
+
+
+MEANING: Mapping[Permission, str] = {
+    Permission.SESSIONS_READ: "read sessions, plans, samples, the live stream, pictures, "
+    "models, devices and interlocks",
+    Permission.SESSIONS_RUN: "create and start sessions, set the reference, report the operator's presence",
+    Permission.GATE_ARM: "arm, release a hold, correct the baseline: everything that can lead to beam on",
+    Permission.GATE_HOLD: "hold, disarm, stop: everything that takes the beam off",
+    Permission.GATE_ACKNOWLEDGE: "acknowledge a latched fault; for people only",
+    Permission.MODELS_WRITE: "train a new model, activate a stored one",
+    Permission.PLANS_WRITE: "import RT Plans",
+    Permission.CALIBRATIONS_READ: "read calibrations",
+    Permission.CALIBRATIONS_WRITE: "upload calibrations",
+    Permission.QA_READ: "read QA runs, reports and trends",
+    Permission.QA_RUN: "start and cancel QA runs, which permit the beam",
+    Permission.QA_BASELINE: "set the expected camera position",
+    Permission.AUDIT_READ: "read and verify the audit log",
+    Permission.USERS_MANAGE: "create and change people and API keys; for people only",
+    Permission.METRICS_READ: "read metrics",
+}
+
+
+class Role(StrEnum):
+    """A person's role at the site; it grants the permissions in ROLE_PERMISSIONS."""
+
+    VIEWER = "viewer"
+    THERAPIST = "therapist"
+    PHYSICIST = "physicist"
+    ADMIN = "admin"
+
+
+_SEES = frozenset({Permission.SESSIONS_READ, Permission.CALIBRATIONS_READ, Permission.QA_READ})
+_TREATS = _SEES | {
+    Permission.SESSIONS_RUN,
+    Permission.GATE_ARM,
+    Permission.GATE_HOLD,
+    Permission.GATE_ACKNOWLEDGE,
+    Permission.MODELS_WRITE,
+    Permission.QA_RUN,
+    Permission.AUDIT_READ,
+}
+
+ROLE_PERMISSIONS: Mapping[Role, frozenset[Permission]] = {
+    Role.VIEWER: _SEES,
+    Role.THERAPIST: _TREATS,
+    Role.PHYSICIST: _TREATS
+    | {
+        Permission.CALIBRATIONS_WRITE,
+        Permission.PLANS_WRITE,
+        Permission.QA_BASELINE,
+        Permission.AUDIT_READ,
+        Permission.METRICS_READ,
+    },
+    Role.ADMIN: _SEES | {Permission.GATE_HOLD, Permission.AUDIT_READ, Permission.USERS_MANAGE, Permission.METRICS_READ},
+}
+
+KEY_PERMISSIONS: frozenset[Permission] = frozenset(Permission) - {
+    Permission.GATE_ACKNOWLEDGE,
+    Permission.USERS_MANAGE,
+}
+"""Permissions that an API key may have: acknowledging a fault and managing users are reserved for people."""
+
+
+def permissions_of(roles: Iterable[Role]) -> frozenset[Permission]:
+    """Unite what the roles may do."""
+    return frozenset().union(*(ROLE_PERMISSIONS[role] for role in roles))

@@ -1,0 +1,85 @@
+"""Schemas of baseline corrections and interlocks."""
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from service.core.schemas.base import Answer, Operator, Request, broken
+
+UNITS = ("mm", "l")
+
+
+class BaselineCorrectionRequest(Request):
+    """A shift of the window by a baseline drift that a person confirms: in mm, or in l for signal volume."""
+
+    operator: Operator = ""
+    by_mm: float | None = Field(
+        default=None,
+        ge=-50.0,
+        le=50.0,
+        examples=[1.5],
+        description="Shift of the window's edges, added to earlier corrections; the site bounds the sum",
+    )
+    drift_mm: float | None = Field(
+        default=None,
+        ge=-200.0,
+        le=200.0,
+        examples=[1.5],
+        description="The baseline drift that the person saw; the call is refused if it has changed",
+    )
+    by_l: float | None = Field(default=None, ge=-5.0, le=5.0, description="As `by_mm`, for a window on the volume")
+    drift_l: float | None = Field(default=None, ge=-20.0, le=20.0)
+
+    @model_validator(mode="after")
+    def _is_one_correction(self) -> Self:
+        unit = next((unit for unit in UNITS if getattr(self, f"by_{unit}") is not None), "mm")
+        other = "l" if unit == "mm" else "mm"
+        for name in (f"by_{unit}", f"drift_{unit}"):
+            if getattr(self, name) is None:
+                raise broken(name, "missing", "given: send the shift of the window and the drift that was displayed")
+        for name in (f"by_{other}", f"drift_{other}"):
+            if getattr(self, name) is not None:
+                raise broken(name, getattr(self, name), f"left out: the correction is given in {unit}")
+        return self
+
+    @property
+    def unit(self) -> str:
+        """Unit of the correction: "mm" or "l"."""
+        return "mm" if self.by_mm is not None else "l"
+
+    @property
+    def by(self) -> float:
+        """Shift of the edges, in `unit`."""
+        return float(getattr(self, f"by_{self.unit}"))
+
+    @property
+    def drift_seen(self) -> float:
+        """The drift that the person saw, in `unit`."""
+        return float(getattr(self, f"drift_{self.unit}"))
+
+
+class InterlockSetting(Answer):
+    """A site setting that sets the limit of an interlock."""
+
+    name: str = Field(examples=["max_latency_ms"])
+    variable: str = Field(description="Name of the environment variable", examples=["TIDEGATE_MAX_LATENCY_MS"])
+    value: float | bool | list[str]
+    low: float | None = Field(description="Lowest permitted value; null if the setting is not a number")
+    high: float | None = Field(description="Highest permitted value; null if the setting is not a number")
+
+
+class Interlock(Answer):
+    """A check that holds the beam when it trips."""
+
+    code: str = Field(examples=["frame_stale"])
+    text: str = Field(description="Sentence for the operator")
+    trips: str = Field(description="Condition that trips it, for the physicist")
+    latches: bool = Field(description="True for a fault: the gate stays latched until a named person acknowledges it")
+    settings: list[InterlockSetting]
+    source: str = Field(description="The guideline that requires it; `own` if none does")
+
+
+class InterlockList(Answer):
+    """All interlocks."""
+
+    items: list[Interlock]

@@ -1,0 +1,334 @@
+"""Messages of the live stream, ``tidegate.live/1``; docs/4-integrate/stream.md shows one of each.
+
+Unmeasured values are null, never zero. The messages are a separate contract with its own JSON Schema, so they do not
+share classes with the REST schemas.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, TypeAdapter
+
+CalibrationKind = Literal["uploaded", "device registration"]
+SCHEMA: Literal["tidegate.live/1"] = "tidegate.live/1"
+SessionStatusName = Literal["running", "ended", "stopped", "failed"]
+StateName = Literal["training", "measuring", "lost"]
+GateName = Literal["disarmed", "hold", "dwell", "beam_on", "fault"]
+Point = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+class Message(BaseModel):
+    """Base of all live messages."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", serialize_by_alias=True, ser_json_inf_nan="null")
+
+
+class Hello(Message):
+    """First message of every connection; fields that do not apply are left out."""
+
+    type: Literal["hello"] = "hello"
+    schema_name: Literal["tidegate.live/1"] = Field(default=SCHEMA, alias="schema")
+    version: str = Field(description="Version of the server")
+    sent_at: AwareDatetime
+    form: Literal["full", "thin"] = Field(description="Requested form of the samples")
+    encoding: Literal["json", "msgpack"] = Field(description="Requested encoding; always `json` for server-sent events")
+    rate_hz: float | None = Field(default=None, description="Requested rate; left out for the camera's rate")
+    camera_fps: float | None = Field(default=None, description="Frame rate of the running session's camera, if known")
+    session_id: str | None = Field(default=None, description="Id of the running session")
+    resumes_after: int | None = Field(
+        default=None, description="Recorded samples after this frame follow, as requested"
+    )
+    ping_s: float = Field(description="A `ping` is sent when no other message was sent for this time")
+    calibration: CalibrationKind | None = Field(
+        default=None,
+        description="Calibration of the running session; `device registration`: the camera is not calibrated",
+    )
+    calibration_warning: str | None = Field(default=None, description="Warning to display beside every result")
+
+
+class Idle(Message):
+    """Sent twice a second while no session runs."""
+
+    type: Literal["idle"] = "idle"
+    sent_at: AwareDatetime
+
+
+class Ping(Message):
+    """Sent when no other message was sent for a second: the connection works, and there is no newer frame."""
+
+    type: Literal["ping"] = "ping"
+    sent_at: AwareDatetime
+
+
+class Dropped(Message):
+    """The client was too slow: samples before the next one were dropped."""
+
+    type: Literal["dropped"] = "dropped"
+    sent_at: AwareDatetime
+    skipped: int = Field(ge=1, description="Number of samples dropped since the last one sent")
+    gate_changes: int = Field(
+        default=0, ge=0, description="How many of them were the first sample after a change of the gate"
+    )
+
+
+class Gap(Message):
+    """After a reconnection: frames of the session that are not resent."""
+
+    type: Literal["gap"] = "gap"
+    sent_at: AwareDatetime
+    session_id: str
+    from_frame: int = Field(description="First missing frame")
+    to_frame: int | None = Field(description="Last missing frame; null if unknown")
+    reason: Literal["too_long_ago", "recorder_behind", "not_recorded", "busy"] = Field(
+        description="`too_long_ago`: older than the site resends; `recorder_behind`: not recorded in time; "
+        "`not_recorded`: no record of the session; `busy`: too many clients are reconnecting"
+    )
+
+
+class Resumed(Message):
+    """After a reconnection: all following samples are live."""
+
+    type: Literal["resumed"] = "resumed"
+    sent_at: AwareDatetime
+    session_id: str
+    frames: int = Field(ge=0, description="Number of recorded samples that were sent")
+    last_frame: int = Field(description="Index of the last one; the requested frame if none was sent")
+
+
+class LiveLost(Message):
+    """Reason why this frame could not be measured."""
+
+    reason: str
+    detail: str
+
+
+class LiveTraining(Message):
+    """Progress of the training; `share` runs from 0 to 1."""
+
+    frames: int
+    cycles: int
+    seconds: float
+    share: float
+    note: str
+    amplitude_mm: float | None = Field(default=None, description="Breathing amplitude so far")
+    shift_mm: float | None = Field(default=None, description="Displacement of the region since the training started")
+
+
+SignalName = Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]
+HoldStageName = Literal["awaited", "settling", "held", "drifted", "over"]
+
+
+class LiveCondition(Message):
+    """One condition of the window as the gate applies it; fields that its kind does not have are null."""
+
+    kind: Literal["amplitude", "breath_hold", "phase"]
+    signal: SignalName
+    row: int | None
+    column: int | None
+    name: str | None = Field(description="Name of the session's region, for signal `named`")
+    label: str = Field(description="Display name of the signal")
+    unit: Literal["mm", "l", "percent"] | None = Field(
+        default=None,
+        description="Unit of the edges, `still` and `max_drift`; percent until the breathing range is known",
+    )
+    lower: float | None = None
+    upper: float | None = None
+    hysteresis: float | None = None
+    hold: Literal["inspiration", "expiration"] | None = None
+    settle_ms: float | None = None
+    still: float | None = Field(default=None, description="[mm], or [l] for signal `volume`")
+    max_drift: float | None = Field(default=None, description="[mm], or [l] for signal `volume`")
+    timeout_s: float | None = None
+    from_percent: float | None = None
+    to_percent: float | None = None
+    min_confidence: float | None = None
+    is_inside: bool = Field(description="Whether the newest frame meets the condition")
+    stage: HoldStageName | None = Field(default=None, description="Stage of a breath hold")
+
+
+class LiveWindow(Message):
+    """The gating window; the edges outside the list are those of the first condition, null if it has none in mm."""
+
+    signal: SignalName
+    row: int | None
+    column: int | None
+    lower_mm: float | None
+    upper_mm: float | None
+    hysteresis_mm: float | None
+    join: Literal["and", "or"] = "and"
+    conditions: list[LiveCondition] = Field(default=[], max_length=4)
+
+
+class LiveLatency(Message):
+    """Latency from frame capture to the command at the beam line [ms]."""
+
+    last: float | None
+    p50: float | None
+    p99: float | None
+    max: float | None = Field(default=None, description="Maximum of the session")
+    warned: bool = Field(default=False, description="The last frame's latency was above the site's warning limit")
+
+
+class LiveBreathEvent(Message):
+    """An ongoing breathing event that is not quiet breathing."""
+
+    kind: Literal["cough", "sigh", "apnoea", "talking", "irregular", "drift"]
+    confidence: float = Field(description="0 to 1")
+    since_s: float
+    detail: str
+
+
+class LiveBreath(Message):
+    """Breathing of the first gated signal; unknown values are null."""
+
+    signal: str = Field(description="Display name of the signal")
+    unit: Literal["mm", "l"] = Field(description="Unit of amplitude, baseline and drift")
+    phase_percent: float | None = Field(description="0 at the end of inhale, about 50 at the end of exhale")
+    phase_confidence: float = Field(description="0 to 1")
+    note: str = Field(description="Reason why the phase is unknown; empty if it is known")
+    rate_per_min: float | None
+    rate_confidence: float
+    amplitude: float | None
+    baseline: float | None = Field(description="Mean end-exhale level of the last breaths")
+    drift: float | None = Field(description="Difference of the baseline from its level during training")
+    drift_per_s: float | None
+    regularity: float | None = Field(description="Similarity of the breath to those before it, 0 to 1")
+    events: list[LiveBreathEvent]
+
+
+class LiveBreathHold(Message):
+    """Progress of the window's breath hold."""
+
+    hold: Literal["inspiration", "expiration"]
+    stage: HoldStageName
+    count: int = Field(description="Number of breath holds since arming")
+    seconds: float | None = Field(description="Time in this stage; null while the hold is awaited")
+    settle_s: float
+    timeout_s: float
+
+
+class LiveLag(Message):
+    """Delay of the first region's motion behind the second's; if it is unknown, `note` says why."""
+
+    first: str
+    second: str
+    lag_s: float | None
+    lag_deg: float | None
+    period_s: float | None
+    confidence: float | None
+    note: str
+
+
+class Sample(Message):
+    """The newest frame with its measurement and gate decision."""
+
+    type: Literal["sample"] = "sample"
+    form: Literal["full"] = "full"
+    sequence: int = Field(description="Sequence number, the same for all clients: a gap means dropped samples")
+    captured_at: AwareDatetime | None = Field(default=None, description="Time of capture, if the camera reports it")
+    received_at: AwareDatetime | None = Field(default=None, description="Time of receipt by the host")
+    sent_at: AwareDatetime = Field(description="Time at which the message was encoded")
+    age_ms: float = Field(description="Time from receipt of the frame to `sent_at`")
+    session_id: str
+    session_status: SessionStatusName
+    is_armed: bool
+    is_simulated_beam: bool
+    calibration: CalibrationKind = "uploaded"
+    frame_index: int
+    timestamp_us: int
+    state: StateName
+    lost: LiveLost | None
+    training: LiveTraining | None
+    gate: GateName
+    hold_reason: str | None
+    hold_text: str | None
+    hold_detail: str = Field(default="", description="Details of the hold reason, with values")
+    operator_hold: str | None = Field(default=None, description="Operator who holds the beam")
+    line_on: bool
+    window: LiveWindow = Field(description="As the gate applies it: in mm or l, with baseline corrections")
+    breath: LiveBreath | None = Field(default=None, description="null while no frame is measured")
+    breath_hold: LiveBreathHold | None = Field(default=None, description="null if the window has no breath hold")
+    signal_mm: float | None
+    whole_mm: float | None
+    thorax_mm: float | None
+    abdomen_mm: float | None
+    volume_l: float | None
+    residual_mm: float | None
+    valid_share: float | None
+    regions_mm: list[list[float | None]] | None = Field(
+        description="Rows from superior, columns from the patient's right"
+    )
+    named_mm: dict[str, float | None] | None = Field(description="Motion of the session's regions, by name")
+    split_rows: Point | None = Field(
+        description="Rows at which the line between thorax and abdomen crosses the grid's right and left edges"
+    )
+    lags: list[LiveLag] | None = Field(
+        description="Thorax relative to abdomen, then each named region relative to the whole"
+    )
+    roi_px: list[Point] | None = Field(
+        description="Colour pixels: superior right, superior left, inferior left, inferior right"
+    )
+    fps: float | None
+    frames: int
+    missed_frames: int
+    latency_ms: LiveLatency
+
+
+class ThinSample(Message):
+    """The newest frame, reduced to what monitors of the gate need; the fields are those of the full form."""
+
+    type: Literal["sample"] = "sample"
+    form: Literal["thin"] = "thin"
+    sequence: int
+    captured_at: AwareDatetime | None
+    received_at: AwareDatetime | None
+    sent_at: AwareDatetime
+    age_ms: float
+    session_id: str
+    session_status: SessionStatusName
+    is_armed: bool
+    is_simulated_beam: bool
+    frame_index: int
+    timestamp_us: int
+    state: StateName
+    gate: GateName
+    hold_reason: str | None
+    hold_text: str | None
+    line_on: bool
+    signal_mm: float | None
+    whole_mm: float | None
+    thorax_mm: float | None
+    abdomen_mm: float | None
+    volume_l: float | None
+    fps: float | None
+    latency_ms: float | None = Field(description="Latency of this frame, from capture to the command at the beam line")
+
+
+class RecordedSample(Message):
+    """A recorded frame, resent after a reconnection."""
+
+    type: Literal["sample"] = "sample"
+    form: Literal["recorded"] = "recorded"
+    captured_at: AwareDatetime | None
+    received_at: AwareDatetime | None
+    sent_at: AwareDatetime
+    session_id: str
+    frame_index: int
+    timestamp_us: int
+    state: StateName
+    gate: GateName
+    hold_reason: str | None
+    hold_text: str | None
+    line_on: bool
+    signal_mm: float | None
+    whole_mm: float | None
+    thorax_mm: float | None
+    abdomen_mm: float | None
+    volume_l: float | None
+    latency_ms: float | None
+
+
+AnySample = Annotated[Sample | ThinSample | RecordedSample, Field(discriminator="form")]
+LiveMessage = Annotated[Hello | Idle | Ping | Dropped | Gap | Resumed | AnySample, Field(discriminator="type")]
+LIVE_MESSAGE: TypeAdapter[Hello | Idle | Ping | Dropped | Gap | Resumed | Sample | ThinSample | RecordedSample] = (
+    TypeAdapter(LiveMessage)
+)

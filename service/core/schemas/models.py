@@ -1,0 +1,55 @@
+"""Schemas of motion models."""
+
+from pydantic import AwareDatetime, Field
+
+from service.core.schemas.base import Answer, Identifier
+
+
+class ModelQuality(Answer):
+    """Quality of a model's training frames."""
+
+    amplitude_mm: float = Field(description="Breathing excursion, 5th to 95th percentile")
+    noise_mm: float
+    explained_share: float = Field(description="Share of the variance that the model's components explain")
+    shift_mm: float = Field(
+        description="Displacement of the patient between the first and the last third of the training"
+    )
+    tilt_deg: float
+    outlier_share: float = Field(
+        description="Share of frames excluded from the model, for example with a cough or a hand"
+    )
+    residual_mm: float
+
+
+class Model(Answer):
+    """A motion model of a session."""
+
+    id: Identifier
+    session_id: Identifier
+    number: int = Field(description="Number of the model in the session; 1 is the first")
+    sha256: str
+    components: int
+    is_active: bool
+    created_at: AwareDatetime
+    patient_reference: str
+    calibration_id: Identifier
+    training_frames: int | None = None
+    cycles: int | None = None
+    source: str | None = Field(default=None, description="Recording or camera of the training frames")
+    software: str | None = None
+    quality: ModelQuality | None = None
+    settings: dict[str, float] = Field(default={}, description="Training settings")
+
+
+class ModelPage(Answer):
+    """Models, newest first; `next_cursor` is null on the last page."""
+
+    items: list[Model]
+    next_cursor: str | None
+
+
+class Spectrum(Answer):
+    """Share of the motion that each component explains, largest first (article, figure 5)."""
+
+    model_id: Identifier
+    share: list[float] = Field(description="Shares of the variance, 0 to 1")

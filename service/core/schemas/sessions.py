@@ -1,0 +1,338 @@
+"""Schemas of sessions.
+
+Lengths are mm, times RFC 3339 UTC, motion is positive for inhale. Requests with unknown keys, wrong types, NaN or
+values out of bounds are refused. The bounds here hold for all sites; a site's settings may be narrower.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import AwareDatetime, ConfigDict, Field, StringConstraints, model_validator
+
+from engine.core.errors import InvalidValueError
+from engine.motion.named_regions import MAX_REGIONS, MAX_VERTICES, MIN_VERTICES, NAME_PATTERN, NamedRegion
+from engine.motion.stages.regions import MIN_PART_ROWS
+from service.core.schemas.base import Answer, Identifier, Name, Operator, Request, SourceText, broken
+from service.core.schemas.live_messages import LiveBreath, LiveBreathHold, LiveWindow
+from service.core.schemas.windows import Window
+
+SessionStatus = Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
+CalibrationKind = Literal["uploaded", "device registration"]
+
+
+class RecordingSource(Request):
+    """A recording in one of the site's allowed folders."""
+
+    kind: Literal["recording"]
+    path: SourceText = Field(
+        description="Absolute path, or relative to an allowed folder", examples=["demo/recording.oni"]
+    )
+    player: Literal["openni", "reader", "auto"] = Field(
+        default="auto",
+        description="The OpenNI2 runtime, Tidegate's reader, or the first of them that works; all play in real time",
+    )
+
+
+class DeviceSource(Request):
+    """A live camera through the OpenNI2 runtime."""
+
+    kind: Literal["device"]
+    uri: SourceText | None = Field(
+        default=None, description="URI as listed by /devices; the first camera when left out"
+    )
+
+
+Source = Annotated[RecordingSource | DeviceSource, Field(discriminator="kind")]
+
+
+GridRow = Annotated[float, Field(ge=-0.5, le=349.5)]
+GridVertex = Annotated[list[GridRow], Field(min_length=2, max_length=2)]
+
+
+class Region(Request):
+    """A simple polygon on the region's grid of 350 rows by 200 columns, reported under its name."""
+
+    name: Annotated[str, StringConstraints(pattern=NAME_PATTERN)] = Field(examples=["belly"])
+    vertices: list[GridVertex] = Field(
+        min_length=MIN_VERTICES,
+        max_length=MAX_VERTICES,
+        description="Vertices [row, column], pixel centres at integers; area of at least 25 pixels, edges do not cross",
+        examples=[[[220.0, 40.0], [220.0, 160.0], [320.0, 100.0]]],
+    )
+
+    @model_validator(mode="after")
+    def _is_a_region(self) -> "Region":
+        try:
+            NamedRegion(name=self.name, vertices=tuple((row, column) for row, column in self.vertices))
+        except InvalidValueError as error:
+            field = "name" if error.field == "region" else "vertices"
+            raise broken(field, error.value.strip("'"), error.bound) from error
+        return self
+
+
+class SplitLine(Request):
+    """The line between thorax and abdomen: the rows where it crosses the patient's right and left edge of the grid."""
+
+    right_row: float = Field(ge=MIN_PART_ROWS, le=350 - MIN_PART_ROWS, examples=[150.0])
+    left_row: float = Field(ge=MIN_PART_ROWS, le=350 - MIN_PART_ROWS, examples=[160.0])
+
+
+class Regions(Request):
+    """The regions for which motion is reported, in addition to the whole and the cells of the grid."""
+
+    named: list[Region] = Field(default=[], max_length=MAX_REGIONS)
+    split: SplitLine | None = Field(default=None, description="Between rows 174 and 175 when left out")
+    extra_markers: bool = Field(
+        default=False,
+        description="Detect the split from two additional markers at the costal margin, if they are visible",
+    )
+
+    @model_validator(mode="after")
+    def _has_each_name_once(self) -> "Regions":
+        names = [region.name for region in self.named]
+        for name in names:
+            if names.count(name) > 1:
+                raise broken("named", name, "regions of different names")
+        return self
+
+
+class SessionRequest(Request):
+    """A new session: patient, plan, camera or recording, and gating window."""
+
+    patient_reference: Name = Field(description="The clinic's pseudonymous reference; no name, no birth date")
+    plan_id: Name
+    fraction_id: Name
+    fraction_number: int | None = Field(default=None, ge=1, le=200)
+    operator: Operator = ""
+    source: Source
+    calibration_id: Identifier | None = Field(
+        default=None,
+        description="May be left out for a live camera: then its built-in registration is used, and "
+        "the session carries a warning",
+    )
+    window: Window
+    regions: Regions = Field(default=Regions())
+    model_id: Identifier | None = Field(
+        default=None,
+        description="Use this model of an earlier session of the same patient and calibration instead"
+        " of training one; it is compared with the patient first, and a person must set "
+        "the reference",
+    )
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "patient_reference": "P-0001",
+                    "plan_id": "PLAN-1",
+                    "fraction_id": "FX-1",
+                    "fraction_number": 1,
+                    "operator": "A. Therapist",
+                    "source": {"kind": "recording", "path": "demo/recording.oni", "player": "auto"},
+                    "calibration_id": "0" * 32,
+                    "window": {
+                        "signal": "whole",
+                        "lower_mm": -1.0,
+                        "upper_mm": 3.0,
+                        "hysteresis_mm": 0.2,
+                        "dwell_ms": 200.0,
+                    },
+                }
+            ]
+        }
+    )
+
+
+class OperatorRequest(Request):
+    """The body of a call that names only the operator."""
+
+    operator: Operator = ""
+
+
+class RetrainRequest(OperatorRequest):
+    """The operator who requests a new model, and whether the reference is transferred to it."""
+
+    keeps_reference: bool = Field(
+        default=True,
+        description="Transfer the reference to the new model, or refuse the model; if false, the "
+        "reference is discarded and arming is refused until a person has set it again",
+    )
+
+
+class SurfaceMesh(Answer):
+    """The surface of one frame; points in the depth camera's frame: x right, y down, z away from the camera."""
+
+    frame_index: int
+    timestamp_us: int
+    rows: int
+    columns: int
+    volume_l: float | None = Field(description="Difference from the reference; positive is a larger volume")
+    vertices_mm: list[list[float]] = Field(description="[x, y, z], row by row from superior right")
+    triangles: list[list[int]] = Field(
+        description="Indices of three vertices, counter-clockwise as seen from the camera: normals "
+        "point out of the patient"
+    )
+
+
+class GateView(Answer):
+    """State of the gate of a running session."""
+
+    state: Literal["disarmed", "hold", "dwell", "beam_on", "fault"]
+    is_armed: bool
+    hold_reason: str | None
+    hold_text: str | None
+    hold_detail: str = Field(default="", description="Details of the hold reason, with values")
+    operator_hold: str | None = Field(default=None, description="Operator who holds the beam")
+    line_on: bool
+
+
+class TrainingView(Answer):
+    """Progress of the training; `share` runs from 0 to 1."""
+
+    frames: int
+    cycles: int
+    seconds: float
+    share: float
+    note: str
+    amplitude_mm: float | None = Field(default=None, description="Breathing amplitude so far")
+    shift_mm: float | None = Field(default=None, description="Displacement of the region since the training started")
+
+
+class LikenessView(Answer):
+    """Result of comparing today's patient with the stored model that the session started with."""
+
+    is_accepted: bool
+    refusal: str | None = Field(
+        description="Reason why the model does not match this patient; a new one is then trained"
+    )
+    frames: int
+    explained_share: float = Field(description="Share of frames that the model explains, 0 to 1")
+    residual_mm: float | None = Field(
+        description="Median over the frames of the largest mean misfit of a cell; null if the model explains no frame"
+    )
+    shift_mm: list[float] = Field(
+        description="Shift from the training to today: x right, y down, z away from the camera"
+    )
+    tilt_deg: float
+    shape_mm: float = Field(description="Root mean square difference that remains after shift and tilt")
+
+
+class LatencyView(Answer):
+    """Latency from frame capture to the command at the beam line [ms]."""
+
+    p50_ms: float | None
+    p99_ms: float | None
+    max_ms: float | None = None
+
+
+class Summary(Answer):
+    """Statistics of a session so far, from the database."""
+
+    frames: int
+    missed_frames: int = Field(description="Frames that the camera counted and the host never received")
+    lost: int = Field(description="Frames that could not be measured")
+    duty_cycle: float | None = Field(description="Share of frames with beam on while armed; null if never armed")
+    transitions: int
+    latency: LatencyView
+
+
+class Session(Answer):
+    """A session."""
+
+    id: Identifier
+    status: SessionStatus
+    status_detail: str
+    patient_reference: str
+    plan_id: str
+    fraction_id: str
+    fraction_number: int | None
+    operator: str
+    source: Source
+    calibration_id: Identifier
+    calibration: CalibrationKind = Field(
+        default="uploaded", description="`device registration`: the camera is not calibrated"
+    )
+    calibration_warning: str | None = Field(default=None, description="Warning to display beside every result")
+    source_warning: str | None = Field(
+        default=None, description="Warning to display if a recording gates a real beam line"
+    )
+    window: Window
+    regions: Regions = Field(default=Regions())
+    model_id: Identifier | None = Field(default=None, description="The stored model that the session started with")
+    rt_plan_id: Identifier | None = Field(default=None, description="The RT Plan that the session was created from")
+    is_simulated_beam: bool
+    created_at: AwareDatetime
+    started_at: AwareDatetime | None
+    ended_at: AwareDatetime | None
+
+
+class SessionDetail(Session):
+    """A session with gate, training and statistics."""
+
+    gate: GateView | None = Field(description="null unless running")
+    measurement_state: Literal["training", "measuring", "lost"] | None
+    training: TrainingView | None
+    active_model_id: Identifier | None
+    has_reference: bool | None = Field(default=None, description="Whether the reference is set; null unless running")
+    gate_window: LiveWindow | None = Field(
+        default=None, description="As the gate applies it: in mm or l, with baseline corrections; null unless running"
+    )
+    breath: LiveBreath | None = Field(default=None, description="null while no frame is measured")
+    breath_hold: LiveBreathHold | None = Field(default=None, description="null if the window has no breath hold")
+    likeness: LikenessView | None = Field(
+        default=None, description="null without a stored model, and until the comparison is complete"
+    )
+    summary: Summary
+
+
+class SessionPage(Answer):
+    """Newest first; `next_cursor` is null on the last page."""
+
+    items: list[Session]
+    next_cursor: str | None
+
+
+class Transition(Answer):
+    """One change of the gate, from the audit log; fields ending in `_ns` are host monotonic time."""
+
+    audit_sequence: int
+    at: AwareDatetime
+    frame_index: int | None
+    from_state: str
+    to_state: str
+    reason: str | None
+    operator: str | None
+    detail: str
+    captured_us: int | None
+    captured_ns: int | None = Field(default=None, description="Time of capture, on the host's clock")
+    received_ns: int | None
+    decided_ns: int | None
+    asserted_ns: int | None
+    latency_ms: float | None = Field(
+        default=None, description="From capture to the command at the beam line; null if the cause was not a frame"
+    )
+    number: int | None = Field(default=None, description="Number in the session's journal, ascending with gaps")
+    recovered: bool = Field(
+        default=False, description="Recovered from the journal at the next start, after the process was killed"
+    )
+
+
+class TransitionPage(Answer):
+    """Transitions, oldest first; `next_cursor` is null on the last page."""
+
+    items: list[Transition]
+    next_cursor: str | None
+
+
+class Device(Answer):
+    """A camera that the OpenNI2 runtime lists."""
+
+    uri: str
+    name: str
+
+
+class DeviceList(Answer):
+    """Cameras; `detail` says why the list is empty."""
+
+    is_runtime_available: bool
+    detail: str
+    items: list[Device]

@@ -1,0 +1,1 @@
+"""Settings read once from TIDEGATE_* variables, frozen and bounded."""

@@ -1,0 +1,90 @@
+"""Who may reach the service and how, and for how long a log-in lasts: a part of the site's settings."""
+
+import ipaddress
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, field_validator, model_validator
+from pydantic_settings import BaseSettings, NoDecode
+
+from service.core.settings.beam import PREFIX
+
+Addresses = Annotated[tuple[str, ...], NoDecode]
+MOST_PROXIES = 16
+
+
+class AccessSettings(BaseSettings):
+    """The settings of access; a part of :class:`service.core.settings.settings.Settings`."""
+
+    host: str = Field(default="127.0.0.1", min_length=1, max_length=253)
+    tls_cert: Path | None = Field(default=None, description="The service's certificate, with what leads to its root")
+    tls_key: Path | None = Field(default=None, description="The certificate's key")
+    behind_proxy: bool = Field(default=False, description="A proxy in front speaks TLS with everybody else")
+    trusted_proxies: Addresses = Field(
+        default=(),
+        max_length=MOST_PROXIES,
+        description="Addresses or networks whose X-Forwarded-For is believed, comma-separated; loopback when left out",
+    )
+    login_hours: float = Field(default=12.0, ge=0.25, le=24.0, description="No log-in lasts longer")
+    login_idle_min: float = Field(default=30.0, ge=1.0, le=720.0, description="A log-in that nobody uses ends")
+    key_max_days: int = Field(default=365, ge=1, le=1825, description="No API key is made for longer")
+
+    @field_validator("trusted_proxies", mode="before")
+    @classmethod
+    def _split_addresses(cls, value: object) -> object:
+        return tuple(part.strip() for part in value.split(",") if part.strip()) if isinstance(value, str) else value
+
+    @field_validator("trusted_proxies")
+    @classmethod
+    def _are_networks(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for text in value:
+            try:
+                ipaddress.ip_network(text)
+            except ValueError as error:
+                msg = f"{text!r} must be an address or a network as in 10.0.0.0/24"
+                raise ValueError(msg) from error
+        return value
+
+    @model_validator(mode="after")
+    def _is_reached_safely(self) -> Self:
+        if (self.tls_cert is None) != (self.tls_key is None):
+            msg = f"{PREFIX}TLS_CERT and {PREFIX}TLS_KEY must be given together"
+            raise ValueError(msg)
+        if self.has_tls and self.behind_proxy:
+            msg = f"{PREFIX}BEHIND_PROXY says that a proxy speaks TLS: leave {PREFIX}TLS_CERT out, or it"
+            raise ValueError(msg)
+        if self.trusted_proxies and not self.behind_proxy:
+            msg = f"{PREFIX}TRUSTED_PROXIES must be left out without {PREFIX}BEHIND_PROXY=true"
+            raise ValueError(msg)
+        if not (self.has_tls or self.behind_proxy or is_loopback(self.host)):
+            msg = (
+                f"host {self.host} can be reached from outside, where passwords must not travel in the clear: set "
+                f"{PREFIX}TLS_CERT and {PREFIX}TLS_KEY, or {PREFIX}BEHIND_PROXY=true where a proxy in front speaks TLS"
+            )
+            raise ValueError(msg)
+        return self
+
+    @property
+    def has_tls(self) -> bool:
+        """Whether the service itself speaks TLS."""
+        return self.tls_cert is not None
+
+    @property
+    def is_secure(self) -> bool:
+        """Whether browsers come by https, so that cookies may say that they travel by nothing else."""
+        return self.has_tls or self.behind_proxy
+
+    @property
+    def is_remote(self) -> bool:
+        """Whether others than this machine may come."""
+        return self.behind_proxy or not is_loopback(self.host)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address is this machine's alone."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

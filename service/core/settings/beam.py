@@ -1,0 +1,247 @@
+"""Which beam line a site uses, and everything about it: the part of the settings that begins with ``beam_``.
+
+A setting of a line that is not used is refused: whoever set it believes in a wire that is not there.
+"""
+
+from typing import Annotated, Literal, Self, TypeAlias
+from urllib.parse import urlsplit
+
+from pydantic import Field, field_validator, model_validator
+from pydantic_settings import BaseSettings, NoDecode
+
+from engine.beam.wire.line_supervisor import TIME_BOUNDS, LineTimes
+from engine.beam.wire.modbus import MAP_BOUNDS, RegisterMap
+from engine.beam.wire.serial_relay import Contact, Protocol, check_channels
+from engine.beam.wire.serial_settings import BAUD_RATES, Parity, check_baud
+from engine.core.errors import InvalidValueError
+
+PREFIX = "TIDEGATE_"
+LineKind: TypeAlias = Literal["simulated", "modbus-tcp", "modbus-rtu", "serial-relay"]
+Mode: TypeAlias = Literal["research", "clinical"]
+Targets = Annotated[tuple[str, ...], NoDecode]
+MAX_TARGETS = 8
+MAX_TARGET_LENGTH = 500
+NO_CHANNEL = -1
+
+MAP = ("beam_modbus_unit", "beam_modbus_permit_coil", "beam_modbus_heartbeat_register", "beam_modbus_readback_input")
+TIMES = ("beam_answer_ms", "beam_settle_ms")
+USED_BY: dict[LineKind, tuple[str, ...]] = {
+    "simulated": (),
+    "modbus-tcp": ("beam_modbus_host", "beam_modbus_port", *MAP, *TIMES),
+    "modbus-rtu": ("beam_rtu_device", "beam_rtu_baud", "beam_rtu_parity", "beam_rtu_stop_bits", *MAP, *TIMES),
+    "serial-relay": (
+        "beam_relay_device",
+        "beam_relay_baud",
+        "beam_relay_protocol",
+        "beam_relay_channel",
+        "beam_relay_contact",
+        "beam_relay_heartbeat_channel",
+        *TIMES,
+    ),
+}
+NEEDED_BY: dict[LineKind, str] = {
+    "modbus-tcp": "beam_modbus_host",
+    "modbus-rtu": "beam_rtu_device",
+    "serial-relay": "beam_relay_device",
+}
+DEVICES = ("beam_rtu_device", "beam_relay_device")
+
+
+class BeamSettings(BaseSettings):
+    """The settings of the beam line; a part of :class:`service.core.settings.settings.Settings`."""
+
+    mode: Mode = Field(default="research", description="In clinical mode no simulated beam line is accepted")
+    beam_line: LineKind = "simulated"
+    beam_line_2: LineKind | None = Field(default=None, description="A second line, of another kind; both have to agree")
+    beam_answer_ms: float = Field(
+        default=100.0, ge=TIME_BOUNDS["answer_ms"][0], le=TIME_BOUNDS["answer_ms"][1], description="Longest answer"
+    )
+    beam_settle_ms: float = Field(
+        default=60.0, ge=TIME_BOUNDS["settle_ms"][0], le=TIME_BOUNDS["settle_ms"][1], description="Longest to follow"
+    )
+    beam_modbus_host: str = Field(default="", max_length=253)
+    beam_modbus_port: int = Field(default=502, ge=1, le=65_535)
+    beam_modbus_unit: int = Field(default=1, ge=MAP_BOUNDS["unit"][0], le=MAP_BOUNDS["unit"][1])
+    beam_modbus_permit_coil: int = Field(default=0, ge=0, le=65_535)
+    beam_modbus_heartbeat_register: int = Field(default=0, ge=0, le=65_535)
+    beam_modbus_readback_input: int = Field(default=0, ge=0, le=65_535)
+    beam_rtu_device: str = Field(default="", max_length=255)
+    beam_rtu_baud: int = Field(default=19_200, ge=BAUD_RATES[0], le=BAUD_RATES[-1])
+    beam_rtu_parity: Parity = "even"
+    beam_rtu_stop_bits: int = Field(default=1, ge=1, le=2)
+    beam_relay_device: str = Field(default="", max_length=255)
+    beam_relay_baud: int = Field(default=9_600, ge=BAUD_RATES[0], le=BAUD_RATES[-1])
+    beam_relay_protocol: Protocol = "lcus"
+    beam_relay_channel: int = Field(default=1, ge=0, le=31)
+    beam_relay_contact: Contact = Field(default="none", description="Modem line wired to the relay's second contact")
+    beam_relay_heartbeat_channel: int = Field(
+        default=NO_CHANNEL, ge=NO_CHANNEL, le=31, description="Relay that switches at every cycle; -1 is none"
+    )
+    beam_notify_udp: Targets = Field(default=(), max_length=MAX_TARGETS, description="host:port, comma-separated")
+    beam_notify_http: Targets = Field(default=(), max_length=MAX_TARGETS, description="Addresses, comma-separated")
+    beam_notify_timeout_s: float = Field(default=1.0, ge=0.1, le=10.0)
+
+    @field_validator("beam_notify_udp", "beam_notify_http", mode="before")
+    @classmethod
+    def _split_targets(cls, value: object) -> object:
+        return tuple(part.strip() for part in value.split(",") if part.strip()) if isinstance(value, str) else value
+
+    @field_validator("beam_notify_udp")
+    @classmethod
+    def _are_udp_targets(cls, targets: tuple[str, ...]) -> tuple[str, ...]:
+        for target in targets:
+            udp_target(target)
+        return targets
+
+    @field_validator("beam_notify_http")
+    @classmethod
+    def _are_http_targets(cls, targets: tuple[str, ...]) -> tuple[str, ...]:
+        for target in targets:
+            _check_http_target(target)
+        return targets
+
+    @field_validator("beam_rtu_baud", "beam_relay_baud")
+    @classmethod
+    def _is_baud(cls, baud: int) -> int:
+        try:
+            check_baud(baud)
+        except InvalidValueError as error:
+            msg = f"{baud} must be {error.bound}"
+            raise ValueError(msg) from error
+        return baud
+
+    @model_validator(mode="after")
+    def _is_one_line(self) -> Self:
+        self._refuse_simulation_in_clinical_mode()
+        self._refuse_two_that_do_not_add_up()
+        self._refuse_what_is_not_used()
+        self._refuse_what_is_missing()
+        self._refuse_what_cannot_be_met()
+        return self
+
+    @property
+    def beam_lines(self) -> tuple[LineKind, ...]:
+        """The kinds of line that are used, one or two."""
+        return (self.beam_line,) if self.beam_line_2 is None else (self.beam_line, self.beam_line_2)
+
+    @property
+    def is_simulated_beam(self) -> bool:
+        """Whether the line is a simulation; one is never used beside a real one."""
+        return "simulated" in self.beam_lines
+
+    @property
+    def has_real_beam(self) -> bool:
+        """Whether any line leads to a contact that closes."""
+        return any(kind != "simulated" for kind in self.beam_lines)
+
+    @property
+    def beam_place(self) -> dict[str, str | int]:
+        """Which line this is: its kinds, and where in the world they lead."""
+        where = {name: getattr(self, name) for kind in self.beam_lines for name in USED_BY[kind] if name not in TIMES}
+        return {"beam_lines": " ".join(self.beam_lines), **where}
+
+    @property
+    def beam_times(self) -> LineTimes:
+        """How long a wired line may take."""
+        return LineTimes(answer_ms=self.beam_answer_ms, settle_ms=self.beam_settle_ms)
+
+    @property
+    def beam_registers(self) -> RegisterMap:
+        """Where a Modbus device has what."""
+        return RegisterMap(
+            unit=self.beam_modbus_unit,
+            permit_coil=self.beam_modbus_permit_coil,
+            heartbeat_register=self.beam_modbus_heartbeat_register,
+            readback_input=self.beam_modbus_readback_input,
+        )
+
+    @property
+    def beam_heartbeat_channel(self) -> int | None:
+        """The relay that carries the heartbeat, if any."""
+        return None if self.beam_relay_heartbeat_channel == NO_CHANNEL else self.beam_relay_heartbeat_channel
+
+    def _refuse_simulation_in_clinical_mode(self) -> None:
+        if self.mode != "clinical":
+            return
+        if self.is_simulated_beam:
+            msg = f"{PREFIX}MODE is clinical and {PREFIX}BEAM_LINE simulated: set a real line, or the mode to research"
+            raise ValueError(msg)
+        if self.beam_lines == ("serial-relay",) and self.beam_heartbeat_channel is None:
+            msg = (
+                f"{PREFIX}MODE is clinical, and a relay board alone stays on when this process dies: "
+                f"set {PREFIX}BEAM_RELAY_HEARTBEAT_CHANNEL, or a Modbus line beside it"
+            )
+            raise ValueError(msg)
+
+    def _refuse_two_that_do_not_add_up(self) -> None:
+        if self.beam_line_2 is not None and self.is_simulated_beam:
+            msg = (
+                f"{PREFIX}BEAM_LINE_2 is {self.beam_line_2} beside {self.beam_line}: a simulated line is no second "
+                "line, and a session that says it is simulated while a real contact closes misleads"
+            )
+            raise ValueError(msg)
+        if self.beam_line == self.beam_line_2:
+            msg = f"{PREFIX}BEAM_LINE_2 must be of another kind than {PREFIX}BEAM_LINE ({self.beam_line})"
+            raise ValueError(msg)
+
+    def _refuse_what_is_not_used(self) -> None:
+        used = {name for kind in self.beam_lines for name in USED_BY[kind]}
+        used |= {"beam_notify_timeout_s"} if self.beam_notify_http else set()
+        known = {name for names in USED_BY.values() for name in names} | {"beam_notify_timeout_s"}
+        for name in sorted((known & self.model_fields_set) - used):
+            msg = f"{_setting(name)} is set, but {_unused(name, self.beam_lines)}"
+            raise ValueError(msg)
+
+    def _refuse_what_is_missing(self) -> None:
+        for kind in self.beam_lines:
+            needed = NEEDED_BY.get(kind)
+            if needed is not None and not getattr(self, needed):
+                msg = f"{_setting(needed)} is needed by the beam line {kind}"
+                raise ValueError(msg)
+        for name in DEVICES:
+            device = getattr(self, name)
+            if device and not device.startswith("/"):
+                msg = f"{_setting(name)} must be the path of a serial port, like /dev/ttyUSB0"
+                raise ValueError(msg)
+
+    def _refuse_what_cannot_be_met(self) -> None:
+        try:
+            _ = self.beam_times
+            if "serial-relay" in self.beam_lines:
+                check_channels(self.beam_relay_protocol, self.beam_relay_channel, self.beam_heartbeat_channel)
+        except InvalidValueError as error:
+            name = f"beam_{error.field}" if f"beam_{error.field}" in TIMES else f"beam_relay_{error.field}"
+            msg = f"{_setting(name)} must be {error.bound}"
+            raise ValueError(msg) from error
+
+
+def udp_target(target: str) -> tuple[str, int]:
+    """Take ``host:port`` apart; raise ValueError."""
+    parts = urlsplit(f"//{target}")
+    host, port = parts.hostname, parts.port  # a port out of its bound is a ValueError of its own
+    if not host or not port or parts.path or parts.username is not None or len(target) > MAX_TARGET_LENGTH:
+        msg = f"{target[:80]!r} must be host:port"
+        raise ValueError(msg)
+    return host, port
+
+
+def _check_http_target(target: str) -> None:
+    parts = urlsplit(target)
+    _ = parts.port
+    is_plain = parts.scheme in {"http", "https"} and parts.hostname and parts.username is None and not parts.fragment
+    if not is_plain or len(target) > MAX_TARGET_LENGTH or any(sign.isspace() for sign in target):
+        msg = (
+            f"a target must be http://host/path or https://host/path, without a password, of {MAX_TARGET_LENGTH} signs"
+        )
+        raise ValueError(msg)
+
+
+def _setting(name: str) -> str:
+    return f"{PREFIX}{name.upper()}"
+
+
+def _unused(name: str, lines: tuple[LineKind, ...]) -> str:
+    if name == "beam_notify_timeout_s":
+        return f"{PREFIX}BEAM_NOTIFY_HTTP is not"
+    users = [kind for kind, names in USED_BY.items() if name in names]
+    return f"no beam line is {' or '.join(users)} ({', '.join(lines)} is used)"

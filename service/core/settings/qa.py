@@ -1,0 +1,81 @@
+"""What a site decides of its QA: bounds of every check, how old a daily QA may be, and whose name a report carries.
+
+The fields of the bounds are made from the engine's table of checks, two a check; they are settings like any other.
+"""
+
+from typing import TYPE_CHECKING, Any, Self
+
+from pydantic import Field, create_model, field_validator, model_validator
+from pydantic_settings import BaseSettings
+
+from engine.verification.qa.bounds import QaBounds
+from engine.verification.qa.checks import CHECKS
+from engine.verification.qa.results import QaBound, QaCheck
+from service.core.settings.beam import PREFIX
+
+LONGEST_DAILY_H = 744.0
+MAX_NAME = 80
+
+
+def setting_of(code: str, bound: str) -> str:
+    """Return the name of the setting of a check's ``warn`` or ``fail``."""
+    return f"qa_{code}_{bound}"
+
+
+def _bound(check: QaCheck, bound: str) -> tuple[type[float], Any]:
+    words = f"{check.title}: {'warns' if bound == 'warn' else 'fails'} beyond" + (f" [{check.unit}]" * bool(check.unit))
+    return (float, Field(default=getattr(check, bound), ge=0.0, le=check.most, description=words))
+
+
+if TYPE_CHECKING:
+    _CheckBounds = BaseSettings
+else:
+    _CheckBounds = create_model(
+        "_CheckBounds",
+        __base__=BaseSettings,
+        **{
+            setting_of(check.code, bound): _bound(check, bound)  # in the order of the table
+            for check in CHECKS
+            for bound in ("warn", "fail")
+        },
+    )
+
+
+class QaSettings(_CheckBounds):
+    """The settings of QA; a part of :class:`service.core.settings.settings.Settings`."""
+
+    qa_required_daily_h: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=LONGEST_DAILY_H,
+        description="Nobody arms unless a QA was passed within so many hours; 0 does not ask",
+    )
+    site_name: str = Field(default="", max_length=MAX_NAME, description="On QA reports")
+    machine_name: str = Field(default="", max_length=MAX_NAME, description="On QA reports: the accelerator, the room")
+
+    @field_validator("site_name", "machine_name")
+    @classmethod
+    def _is_printable(cls, name: str) -> str:
+        if not name.isprintable():
+            msg = f"{name[:MAX_NAME]!r} must be printable characters"
+            raise ValueError(msg)
+        return name
+
+    @model_validator(mode="after")
+    def _warns_before_it_fails(self) -> Self:
+        for check in CHECKS:
+            warn, fail = self._bound_of(check)
+            if warn > fail:
+                name, other = (f"{PREFIX}{setting_of(check.code, bound).upper()}" for bound in ("warn", "fail"))
+                msg = f"{name} is {warn:g}: must be at most {other} ({fail:g})"
+                raise ValueError(msg)
+        return self
+
+    @property
+    def qa_bounds(self) -> QaBounds:
+        """What every check is judged by."""
+        bounds = {check.code: self._bound_of(check) for check in CHECKS}
+        return QaBounds(chosen={code: QaBound(warn=warn, fail=fail) for code, (warn, fail) in bounds.items()})
+
+    def _bound_of(self, check: QaCheck) -> tuple[float, float]:
+        return getattr(self, setting_of(check.code, "warn")), getattr(self, setting_of(check.code, "fail"))

@@ -1,0 +1,329 @@
+"""What a site may set: ``TIDEGATE_*``, read once at start, frozen, every number bounded.
+
+A session may narrow a site's limits, never widen them.
+"""
+
+import dataclasses
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic_settings import NoDecode, SettingsConfigDict
+
+from engine.core.breath import BreathEventKind
+from engine.core.errors import InvalidValueError
+from engine.gating.limits import LIMIT_BOUNDS, GateLimits
+from engine.gating.windows import HOLD_BOUNDS, amplitude_window
+from engine.motion.learning.patient_match import PATIENT_MATCH_BOUNDS, PatientMatchLimits
+from engine.motion.learning.trainer import TRAINING_BOUNDS, TrainingSettings
+from service.core.settings.access import AccessSettings
+from service.core.settings.audit import AuditSettings
+from service.core.settings.beam import PREFIX, BeamSettings
+from service.core.settings.connections import ConnectionSettings
+from service.core.settings.contract import ContractSettings
+from service.core.settings.database import DatabaseSettings
+from service.core.settings.monitoring import MonitoringSettings
+from service.core.settings.oidc import OidcSettings
+from service.core.settings.plans import PlanSettings
+from service.core.settings.qa import QaSettings
+from service.core.settings.replay import ReplaySettings
+from service.core.settings.storage import StorageSettings
+from service.core.settings.stream import StreamSettings
+
+SETTING_OF = {"retrain_interval_s": "retrain_interval_min"}
+"""Settings of the training that a site gives under another name, in another unit."""
+
+SHORTEST_SILENCE_OF_A_PAGE_S = 3.0
+"""A page is heard of every second; one that is slow once has not gone away."""
+
+RECORDINGS = f"{PREFIX}RECORDINGS_MAY_GATE"
+LIMIT_DEFAULTS = {field.name: field.default for field in dataclasses.fields(GateLimits)}
+FolderList = Annotated[tuple[Path, ...], NoDecode]
+EventList = Annotated[tuple[BreathEventKind, ...], NoDecode]
+NameList = Annotated[tuple[str, ...], NoDecode]
+
+
+def _limit(name: str) -> Any:  # noqa: ANN401 - a field of any number's type
+    """Declare a site's gate limit, with the engine's own default and bounds."""
+    low, high = LIMIT_BOUNDS[name]
+    return Field(default=LIMIT_DEFAULTS[name], ge=low, le=high)
+
+
+def _training(name: str) -> Any:  # noqa: ANN401 - a field of any number's type
+    """Declare how a site's sessions learn, with the engine's own default and bounds."""
+    low, high = TRAINING_BOUNDS[name]
+    return Field(default=getattr(TrainingSettings(), name), ge=low, le=high)
+
+
+def _likeness(name: str) -> Any:  # noqa: ANN401 - a field of any number's type
+    """Declare how far a patient may be from a stored model, with the engine's own default and bounds."""
+    low, high = PATIENT_MATCH_BOUNDS[name]
+    return Field(default=getattr(PatientMatchLimits(), name), ge=low, le=high)
+
+
+class SettingsError(Exception):
+    """The settings cannot be used; the message is one line a setting, for the person who starts the service."""
+
+
+class Settings(
+    BeamSettings,
+    QaSettings,
+    AuditSettings,
+    DatabaseSettings,
+    AccessSettings,
+    StorageSettings,
+    OidcSettings,
+    ContractSettings,
+    ReplaySettings,
+    StreamSettings,
+    PlanSettings,
+    ConnectionSettings,
+    MonitoringSettings,
+):
+    """The site's settings."""
+
+    model_config = SettingsConfigDict(
+        env_prefix=PREFIX, extra="forbid", frozen=True, validate_default=True, allow_inf_nan=False
+    )
+
+    port: int = Field(default=8000, ge=0, le=65535)
+    allowed_hosts: NameList = Field(default=(), description="Names in the Host header; loopback names when left out")
+    allowed_origins: NameList = Field(default=(), description="Pages besides our own that may open the live stream")
+
+    recordings_dirs: FolderList = Field(
+        default=(), description="Folders recordings may be opened from, colon-separated"
+    )
+
+    recordings_may_gate: bool = Field(
+        default=False, description="A played recording may gate a real beam line: for benches and phantoms alone"
+    )
+    allow_device_registration: bool = Field(
+        default=True, description="Sessions without a calibration may run on a camera's own registration: research only"
+    )
+
+    max_body_bytes: int = Field(default=65_536, ge=16_384, le=1_048_576)
+    command_timeout_s: float = Field(default=3.0, ge=0.1, le=30.0)
+    min_free_disk_mb: float = Field(default=200.0, ge=0.0, le=1_000_000.0)
+
+    journal_dir: Path | None = Field(
+        default=None, description="Where transitions are kept until the audit has them; memory when left out"
+    )
+    sample_batch_ms: float = Field(default=250.0, ge=10.0, le=500.0)
+    min_dwell_ms: float = Field(default=0.0, ge=0.0, le=10_000.0, description="No session's dwell is shorter")
+    min_good_frames: int = _limit("min_good_frames")
+    lease_ms: float = _limit("lease_ms")
+    max_frame_age_ms: float = _limit("max_frame_age_ms")
+    max_gap_ms: float = _limit("max_gap_ms")
+    max_lag_ms: float = _limit("max_lag_ms")
+    max_silence_ms: float = _limit("max_silence_ms")
+    watchdog_ms: float = _limit("watchdog_ms")
+    min_valid_share: float = _limit("min_valid_share")
+    min_inlier_share: float = _limit("min_inlier_share")
+    max_residual_mm: float = _limit("max_residual_mm")
+    max_jump_mm: float = _limit("max_jump_mm")
+    min_on_ms: float = _limit("min_on_ms")
+    min_off_ms: float = _limit("min_off_ms")
+    max_cycles_per_min: int = _limit("max_cycles_per_min")
+    max_repeated_frames: int = _limit("max_repeated_frames")
+    max_clock_jump_ms: float = _limit("max_clock_jump_ms")
+    min_fps: float = _limit("min_fps")
+    max_shift_mm: float = _limit("max_shift_mm")
+    max_turn_deg: float = _limit("max_turn_deg")
+    warn_latency_ms: float = _limit("warn_latency_ms")
+    max_latency_ms: float = _limit("max_latency_ms")
+    camera_latency_ms: float = _limit("camera_latency_ms")
+    max_model_age_min: float = _limit("max_model_age_min")
+    max_unwritten_ms: float = _limit("max_unwritten_ms")
+    max_service_silence_ms: float = _limit("max_service_silence_ms")
+    operator_timeout_s: float = _limit("operator_timeout_s")
+    beam_without_calibration: bool = Field(
+        default=True, description="A session on a camera's own registration may be gated: research only"
+    )
+    holding_events: EventList = Field(
+        default=(),
+        description="What in the breathing holds the beam, comma-separated; see docs/2-clinical/breathing.md",
+    )
+    max_breath_hold_s: float = Field(
+        default=HOLD_BOUNDS["timeout_s"][1], ge=HOLD_BOUNDS["timeout_s"][0], le=HOLD_BOUNDS["timeout_s"][1]
+    )
+    max_baseline_correction_mm: float = Field(
+        default=5.0, ge=0.0, le=50.0, description="No correction of the baseline moves a window further"
+    )
+    min_phase_confidence: float = Field(
+        default=0.6, ge=0.1, le=1.0, description="No session's window asks for less confidence in a phase"
+    )
+    window_lower_mm: float = Field(default=-100.0, ge=-100.0, le=100.0, description="No session's window goes below")
+    window_upper_mm: float = Field(default=100.0, ge=-100.0, le=100.0, description="No session's window goes above")
+
+    training_min_frames: int = _training("min_frames")
+    training_min_cycles: int = _training("min_cycles")
+    training_min_seconds: float = _training("min_seconds")
+    training_max_seconds: float = _training("max_seconds")
+    training_max_frames: int = _training("max_frames")
+    training_components: int = _training("components")
+    training_min_amplitude_mm: float = _training("min_amplitude_mm")
+    training_max_shift_mm: float = _training("max_shift_mm")
+    training_max_tilt_deg: float = _training("max_tilt_deg")
+    training_max_outlier_share: float = _training("max_outlier_share")
+    training_max_carry_mm: float = _training("max_carry_mm")
+    retrain_interval_min: float = Field(
+        default=0.0, ge=0.0, le=240.0, description="Learn a new model so often while a session runs; 0 is never"
+    )
+    likeness_seconds: float = _likeness("seconds")
+    likeness_max_shift_mm: float = _likeness("max_shift_mm")
+    likeness_max_tilt_deg: float = _likeness("max_tilt_deg")
+    likeness_max_shape_mm: float = _likeness("max_shape_mm")
+    likeness_max_residual_mm: float = _likeness("max_residual_mm")
+    likeness_min_explained_share: float = _likeness("min_explained_share")
+
+    @field_validator("recordings_dirs", mode="before")
+    @classmethod
+    def _split_folders(cls, value: object) -> object:
+        return tuple(part for part in value.split(os.pathsep) if part) if isinstance(value, str) else value
+
+    @field_validator("allowed_hosts", "allowed_origins", "holding_events", mode="before")
+    @classmethod
+    def _split_names(cls, value: object) -> object:
+        return tuple(part.strip() for part in value.split(",") if part.strip()) if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _is_consistent(self) -> Self:
+        if self.mode == "clinical":
+            self._refuse_research_settings()
+        if self.window_lower_mm >= self.window_upper_mm:
+            msg = f"window_lower_mm must be below window_upper_mm ({self.window_upper_mm:g})"
+            raise ValueError(msg)
+        self._refuse_limits_that_contradict()
+        self._refuse_another_way_back()
+        try:
+            _ = self.training  # settings that cannot be met together are refused where they are read
+        except InvalidValueError as error:
+            name = SETTING_OF.get(error.field, f"training_{error.field}")
+            msg = f"{name} must be {error.bound}"
+            raise ValueError(msg) from error
+        return self
+
+    def _refuse_limits_that_contradict(self) -> None:
+        """Refuse limits that no frame, or no person, could meet together: each alone is within its bound."""
+        try:
+            GateLimits(
+                window=amplitude_window(lower_mm=-1.0, upper_mm=1.0),
+                dwell_ms=self.min_dwell_ms,
+                min_on_ms=self.min_on_ms,
+                min_off_ms=self.min_off_ms,
+                max_cycles_per_min=self.max_cycles_per_min,
+                **self.gate_limits,
+            )
+        except InvalidValueError as error:
+            msg = f"{PREFIX}{error.field.upper()} is {error.value}: must be {error.bound}"
+            raise ValueError(msg) from error
+        a_frame = f"at least {1000.0 / self.min_fps:.1f}, one frame's time at"
+        limits = (
+            ("lease_ms", self.lease_ms * self.min_fps >= 1000.0, a_frame, "min_fps"),
+            ("max_gap_ms", self.max_gap_ms * self.min_fps >= 1000.0, a_frame, "min_fps"),
+            ("camera_latency_ms", self.camera_latency_ms < self.max_latency_ms, "less than", "max_latency_ms"),
+            ("max_silence_ms", self.max_silence_ms >= self.max_frame_age_ms, "at least", "max_frame_age_ms"),
+            ("watchdog_ms", self.watchdog_ms > self.lease_ms, "more than", "lease_ms"),
+        )
+        for name, is_met, words, other in limits:
+            if not is_met:
+                bound = f"{words} {PREFIX}{other.upper()} ({getattr(self, other):g})"
+                msg = f"{PREFIX}{name.upper()} is {getattr(self, name):g}: must be {bound}"
+                raise ValueError(msg)
+        if 0.0 < self.operator_timeout_s < SHORTEST_SILENCE_OF_A_PAGE_S:
+            bound = f"0, which does not ask, or at least {SHORTEST_SILENCE_OF_A_PAGE_S:g}"
+            msg = f"{PREFIX}OPERATOR_TIMEOUT_S is {self.operator_timeout_s:g}: must be {bound}"
+            raise ValueError(msg)
+
+    def _refuse_another_way_back(self) -> None:
+        """Refuse that people come back from their provider by https where cookies are those of http, or the reverse."""
+        if self.has_oidc_people and self.oidc_redirect_uri.startswith("https:") != self.is_secure:
+            msg = (
+                f"{PREFIX}OIDC_REDIRECT_URI must be {'https' if self.is_secure else 'http'}, as the service itself is "
+                f"reached: {PREFIX}TLS_CERT or {PREFIX}BEHIND_PROXY=true make that https"
+            )
+            raise ValueError(msg)
+
+    def _refuse_research_settings(self) -> None:
+        """Refuse in clinical mode what is for research; every one is named at once."""
+        if self.beam_without_calibration or self.allow_device_registration:
+            msg = (
+                f"{PREFIX}MODE is clinical, and nobody has measured a camera without a calibration: "
+                f"set {PREFIX}BEAM_WITHOUT_CALIBRATION=false and {PREFIX}ALLOW_DEVICE_REGISTRATION=false"
+            )
+            raise ValueError(msg)
+        if self.recordings_may_gate:
+            msg = f"{PREFIX}MODE is clinical, and what a recording shows is not the patient: leave {RECORDINGS} out"
+            raise ValueError(msg)
+
+    @property
+    def gate_limits(self) -> dict[str, Any]:
+        """The limits of trust that no session changes, by the engine's names."""
+        own = {"dwell_ms", "min_on_ms", "min_off_ms", "max_cycles_per_min"}
+        return {name: getattr(self, name) for name in LIMIT_BOUNDS if name not in own}
+
+    @property
+    def bounds_position(self) -> bool:
+        """Whether the site has set how far from the reference the beam may be on."""
+        return (self.window_lower_mm, self.window_upper_mm) != (
+            LIMIT_DEFAULTS["window_lower_mm"],
+            LIMIT_DEFAULTS["window_upper_mm"],
+        )
+
+    @property
+    def training(self) -> TrainingSettings:
+        """How models are learned."""
+        given = {name: getattr(self, f"training_{name}") for name in TRAINING_BOUNDS.keys() - SETTING_OF.keys()}
+        return TrainingSettings(**given, retrain_interval_s=60.0 * self.retrain_interval_min)
+
+    @property
+    def likeness(self) -> PatientMatchLimits:
+        """How far a patient may be from a stored model."""
+        return PatientMatchLimits(**{name: getattr(self, f"likeness_{name}") for name in PATIENT_MATCH_BOUNDS})
+
+    @property
+    def recording_folders(self) -> tuple[Path, ...]:
+        """Folders recordings may be opened from."""
+        return self.recordings_dirs or (self.data_dir / "recordings",)
+
+    @property
+    def host_names(self) -> tuple[str, ...]:
+        """Names this service answers to; "*" is any."""
+        if self.allowed_hosts:
+            return self.allowed_hosts
+        return ("*",) if self.is_remote else ("localhost", "127.0.0.1", "[::1]")
+
+
+def load_settings(**overrides: object) -> Settings:
+    """Read the environment, with what the command line gave on top.
+
+    Raises
+    ------
+    SettingsError
+        An unknown ``TIDEGATE_*`` name, or a value out of its bound; one line each.
+    """
+    _refuse_unknown(os.environ)
+    given = {name: value for name, value in overrides.items() if value is not None}
+    try:
+        return Settings(**given)  # type: ignore[arg-type]
+    except ValidationError as error:
+        raise SettingsError("\n".join(_line(one["loc"], one["msg"]) for one in error.errors())) from error
+
+
+def _refuse_unknown(names: Iterable[str]) -> None:
+    known = {f"{PREFIX}{name.upper()}" for name in Settings.model_fields}
+    if f"{PREFIX}ALLOW_REMOTE" in names:
+        raise SettingsError(
+            f"{PREFIX}ALLOW_REMOTE is no setting any more: give {PREFIX}TLS_CERT and {PREFIX}TLS_KEY, or "
+            f"{PREFIX}BEHIND_PROXY=true where a proxy in front speaks TLS"
+        )
+    unknown = sorted(name for name in names if name.upper().startswith(PREFIX) and name.upper() not in known)
+    if unknown:
+        raise SettingsError("\n".join(f"{name} is not a setting of Tidegate; mistyped?" for name in unknown))
+
+
+def _line(location: tuple[int | str, ...], message: str) -> str:
+    name = f"{PREFIX}{str(location[0]).upper()}: " if location else ""
+    return f"{name}{message.removeprefix('Value error, ')}"

@@ -1,1 +1,0 @@
-"""The database: SQLite in WAL mode, its tables, and the questions the service asks of them."""

@@ -1,0 +1,98 @@
+"""The one camera and the one beam line: in use by at most one session or one QA run at a time."""
+
+import threading
+
+from engine.control.outputs import LiveView
+from service.core.errors import QaActiveError, ServiceStoppingError, SessionActiveError
+from service.engine_host.roles import RunningSession
+
+
+class EquipmentSlot:
+    """The running session or QA run, if there is one. Safe from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self.session_lock = threading.Lock()
+        """Held while a session or a QA run starts: from the check that the slot is free until it is entered."""
+        self._running: RunningSession | None = None
+        self._qa_run_id: str | None = None
+        self._is_closed = False
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the service is stopping."""
+        return self._is_closed
+
+    def close(self) -> None:
+        """Refuse every session and QA run from now on; one that runs stays until it is stopped."""
+        self._is_closed = True
+
+    @property
+    def running(self) -> RunningSession | None:
+        """The session that runs now."""
+        return self._running
+
+    def of(self, session_id: str) -> RunningSession | None:
+        """Return the running session if it is this one."""
+        running = self._running
+        return running if running is not None and running.plan.session_id == session_id else None
+
+    def view(self, session_id: str) -> LiveView | None:
+        """Return the newest view of this session, if it runs."""
+        running = self.of(session_id)
+        return None if running is None else running.engine.status.view
+
+    def is_armed(self, session_id: str) -> bool:
+        """Whether this session runs, and its gate is armed."""
+        view = self.view(session_id)
+        return view is not None and view.is_armed
+
+    def enter(self, running: RunningSession) -> bool:
+        """Enter a session; return False if the slot is closed or in use by a session."""
+        with self._lock:
+            if self._is_closed or self._running is not None:
+                return False
+            self._running = running
+            return True
+
+    @property
+    def qa_run_id(self) -> str | None:
+        """The QA run that has camera and beam line now."""
+        return self._qa_run_id
+
+    def refuse_closed(self) -> None:
+        """Raise ServiceStoppingError while the service is stopping."""
+        if self._is_closed:
+            msg = "the service is stopping: no session or QA run can start"
+            raise ServiceStoppingError(msg)
+
+    def refuse_qa(self) -> None:
+        """Raise QaActiveError while a QA run has camera and beam line."""
+        run_id = self._qa_run_id
+        if run_id is not None:
+            msg = "a QA run has the camera and the beam line: wait for its end, or cancel it"
+            raise QaActiveError(msg, field="run_id", value=run_id, bound="no QA run beside a session")
+
+    def enter_qa(self, run_id: str) -> None:
+        """Enter a QA run; raise SessionActiveError or QaActiveError where the slot is in use."""
+        with self.session_lock, self._lock:
+            self.refuse_closed()
+            self.refuse_qa()
+            if self._running is not None:
+                msg = "a session runs: QA shares its camera and its beam line. Stop it first"
+                raise SessionActiveError(
+                    msg, field="session_id", value=self._running.plan.session_id, bound="no session beside a QA run"
+                )
+            self._qa_run_id = run_id
+
+    def leave_qa(self, run_id: str) -> None:
+        """Free the slot, if this QA run has it."""
+        with self._lock:
+            if self._qa_run_id == run_id:
+                self._qa_run_id = None
+
+    def leave(self, session_id: str) -> None:
+        """Free the slot, if this session has it."""
+        with self._lock:
+            if self.of(session_id) is not None:
+                self._running = None

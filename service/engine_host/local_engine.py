@@ -1,0 +1,260 @@
+"""Assembles an engine from camera, pipeline, gate and beam line; the only module of the service that does."""
+
+import itertools
+import queue
+import threading
+import weakref
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import replace
+from pathlib import Path
+
+from engine.calibration.camera_calibration import Calibration
+from engine.calibration.device_registration import registered_calibration
+from engine.capture.openni.source import OpenNiSource, list_devices, runtime_available
+from engine.capture.reconnecting import ReturningSource
+from engine.capture.recording_source import OniFileSource
+from engine.capture.source import DepthSource
+from engine.control.engine_status import EngineStatus
+from engine.control.loop import EngineLoop
+from engine.control.outputs import FrameRecord, GateTransition, LoopStatus
+from engine.core.clock import Clock, MonotonicClock
+from engine.core.commands import Command
+from engine.core.errors import CommandRefusedError, InvalidValueError, RuntimeMissingError, SourceLostError
+from engine.core.frames import ColorImage
+from engine.core.gate_state import HoldReason
+from engine.core.input_tap import TappedClock
+from engine.core.learning_events import LearningEvent
+from engine.gating.limits import GateLimits
+from engine.motion.learning.trainer import BackgroundTrainer
+from engine.motion.pipeline import Pipeline
+from engine.motion.settings import PipelineSettings
+from engine.offline.replay.tapped_trainer import TappedTrainer
+from service.core.schemas import sessions
+from service.core.settings.settings import Settings
+from service.engine_host.beam_lines import make_beam_line
+from service.engine_host.roles import RunningEngine, SessionPlan
+from service.engine_host.session_tape import SessionTape
+from service.engine_host.site_rules.measuring import measuring_with
+from service.engine_host.site_rules.played_recordings import check_source
+from service.engine_host.site_rules.uncalibrated import check_still_allowed
+from service.engine_host.site_rules.window_limits import check_window, gate_limits
+
+STOP_TIMEOUT_S = 3.0
+HUNG = "the engine did not stop when told to; the beam is held"
+RUNTIME_HINT = "the OpenNI2 runtime is missing: apt-get install libopenni2-0"
+
+
+class LocalEngine:
+    """Builds engines from the site's settings; ``measuring`` replaces the settings of measuring and training."""
+
+    def __init__(self, settings: Settings, *, measuring: PipelineSettings | None = None) -> None:
+        self._settings = settings
+        learned = PipelineSettings(training=settings.training, likeness=settings.likeness)
+        self._measuring = learned if measuring is None else measuring
+        self._clock: Clock = MonotonicClock()
+        # Asking a camera about itself and starting a session on it do not mix: the runtime would share the device.
+        self._camera_lock = threading.Lock()
+        self._newest: Callable[[], RunningEngine | None] = lambda: None
+
+    @property
+    def is_simulated_beam(self) -> bool:
+        """Whether any line is a simulation."""
+        return self._settings.is_simulated_beam
+
+    @property
+    def trouble(self) -> str | None:
+        """Always None: an engine in this process is built when its session starts."""
+        return None
+
+    def close(self) -> None:
+        """Do nothing: there is no standby to end."""
+
+    def open(self, plan: SessionPlan) -> "LoopEngine":
+        """Start an engine on a session, disarmed; raise a TidegateError when source or window cannot be used.
+
+        The site's rules are asked once more: a session may have been written down under others.
+        """
+        check_source(plan.source, self._settings)
+        check_window(plan.window, self._settings)
+        check_still_allowed(plan.calibration, self._settings)
+        limits = gate_limits(
+            plan.window,
+            self._settings,
+            plan.regions,
+            is_calibrated=not plan.calibration.is_device_registration,
+        )
+        measuring = measuring_with(self._measuring, plan.regions, plan.window)
+        tape = SessionTape(plan, self._settings)
+        pipeline = Pipeline(
+            plan.calibration,
+            measuring,
+            TappedClock(self._clock, tape.taping),
+            TappedTrainer(BackgroundTrainer(), tape.taping),
+        )
+        if plan.model is not None:
+            pipeline.learner.resume(plan.model)
+        with self._camera_lock:
+            engine = self._begun(plan, pipeline, tape, limits, measuring)
+            self._newest = weakref.ref(engine)
+        return engine
+
+    def _begun(
+        self, plan: SessionPlan, pipeline: Pipeline, tape: SessionTape, limits: GateLimits, measuring: PipelineSettings
+    ) -> "LoopEngine":
+        loop = EngineLoop(
+            source=self._source(plan),
+            measurer=pipeline,
+            learner=pipeline.learner,
+            beam=make_beam_line(self._settings, self._clock),
+            limits=limits,
+            clock=self._clock,
+            tap=tape.taping,
+            journal=plan.journal,
+        )
+        tape.start(limits, measuring)
+        loop.start()
+        return LoopEngine(loop, tape)
+
+    def registered_calibration(self, uri: str | None) -> Calibration:
+        """Return the nominal calibration of a camera that registers depth to colour itself; refuse any other."""
+        with self._camera_lock:
+            newest = self._newest()
+            if newest is not None and not newest.status.is_over:
+                msg = "a session is running: its camera cannot be queried"
+                raise CommandRefusedError(msg)
+            return _registered(uri)
+
+    def devices(self) -> sessions.DeviceList:
+        """List the cameras that could be used."""
+        if not runtime_available():
+            return sessions.DeviceList(is_runtime_available=False, detail=RUNTIME_HINT, items=[])
+        items = [sessions.Device(uri=device.uri, name=f"{device.vendor} {device.name}") for device in list_devices()]
+        detail = "" if items else "the OpenNI2 runtime sees no camera"
+        return sessions.DeviceList(is_runtime_available=True, detail=detail, items=items)
+
+    def _source(self, plan: SessionPlan) -> DepthSource:
+        if isinstance(plan.source, sessions.DeviceSource):
+            return self._returning_camera(plan.source.uri, plan.calibration)
+        assert plan.recording is not None, "a recording was resolved when the session started"
+        return self._player(plan.recording, plan.source.player)
+
+    def _returning_camera(self, uri: str | None, calibration: Calibration) -> DepthSource:
+        """Return a source that reopens the camera; its address may change, so all listed ones are tried in turn."""
+        first = iter((self._camera(uri, calibration),))
+        turns = itertools.count()
+        return ReturningSource(
+            lambda: next(first, None) or self._camera(_listed_in_turn(next(turns)), calibration),
+            self._clock,
+            needs_serial=not calibration.is_device_registration,
+        )
+
+    def _camera(self, uri: str | None, calibration: Calibration) -> OpenNiSource:
+        is_registered = calibration.is_device_registration
+        if is_registered and _registered(uri).sha256 != calibration.sha256:
+            msg = "the camera is not the one whose registration this session was created for"
+            raise SourceLostError(msg)
+        return OpenNiSource(_listed(uri), clock=self._clock, use_device_registration=is_registered)
+
+    def _player(self, path: Path, player: str) -> DepthSource:
+        if player == "reader" or (player == "auto" and not runtime_available()):
+            return OniFileSource(path, clock=self._clock, is_paced=True)
+        if not runtime_available():
+            raise RuntimeMissingError(RUNTIME_HINT)
+        return OpenNiSource(path, clock=self._clock)
+
+
+def _registered(uri: str | None) -> Calibration:
+    calibration = registered_calibration(_listed(uri))
+    if calibration is None:
+        bound = "given: this camera does not register depth to colour itself"
+        raise InvalidValueError("calibration_id", "missing", bound)
+    return calibration
+
+
+def _listed(uri: str | None) -> str:
+    # Only what the runtime lists: it would open a file just as well, and files have to lie in the allowed folders.
+    found = [device.uri for device in list_devices()]
+    if not found or (uri is not None and uri not in found):
+        msg = "the OpenNI2 runtime sees no such camera"
+        raise SourceLostError(msg)
+    return uri or found[0]
+
+
+def _listed_in_turn(turn: int) -> str:
+    found = [device.uri for device in list_devices()]
+    if not found:
+        msg = "the OpenNI2 runtime sees no camera"
+        raise SourceLostError(msg)
+    return found[turn % len(found)]
+
+
+class LoopEngine:
+    """An engine loop in this process, as `RunningEngine`."""
+
+    def __init__(self, loop: EngineLoop, tape: SessionTape) -> None:
+        self._loop = loop
+        self._tape = tape
+        self._is_hung = False
+
+    @property
+    def samples(self) -> queue.Queue[FrameRecord]:
+        """One record per frame."""
+        return self._loop.samples
+
+    @property
+    def transitions(self) -> queue.Queue[GateTransition]:
+        """Every transition of the gate."""
+        return self._loop.transitions
+
+    @property
+    def notices(self) -> queue.Queue[LearningEvent]:
+        """Events of the training of models."""
+        return self._loop.notices
+
+    @property
+    def status(self) -> EngineStatus:
+        """The engine's status; failed if the engine did not stop in time."""
+        status = self._loop.status
+        return replace(status, run_state=LoopStatus.FAILED, error=HUNG) if self._is_hung else status
+
+    def picture(self) -> tuple[int, ColorImage] | None:
+        """Return the newest frame's index and colour picture."""
+        view = self._loop.status.view
+        return None if view is None else (view.record.measurement.frame_index, view.color)
+
+    def submit(
+        self, command: Command, *, answer: Future[None] | None = None, submitted_ns: int | None = None
+    ) -> Future[None]:
+        """Submit a command; for one of another process, with its future and its time of arrival [ns]."""
+        return self._loop.submit(command, answer=answer, submitted_ns=submitted_ns)
+
+    def on_turn(self, tell: Callable[[], None]) -> None:
+        """Set the function that the engine's thread calls after each turn; it must not wait."""
+        self._loop.on_turn = tell
+
+    def note_service(self, alive_ns: int) -> None:
+        """Note when the service's process was alive [ns]; after the first call its silence is a fault."""
+        self._loop.note_service(alive_ns)
+
+    def hold_line(self, reason: HoldReason) -> None:
+        """Hold the line now, without waiting for a decision."""
+        self._loop.hold_line(reason)
+
+    def note_presence(self, operator: str) -> None:
+        """Note that the operator is present at the page."""
+        self._loop.note_presence(operator)
+
+    def report_fault(self, reason: HoldReason, detail: str) -> None:
+        """Fault the gate, which holds the beam, because something outside of the engine failed."""
+        self._loop.report_fault(reason, detail)
+
+    def stop(self) -> None:
+        """Hold the beam, then end the engine; note if it hangs."""
+        self._is_hung = not self._loop.stop(STOP_TIMEOUT_S)
+        if self._is_hung:
+            self._tape.taping.tear("the engine hung")
+
+    def evidence(self) -> dict[str, object]:
+        """Return what the audit records of the session's tape."""
+        return self._tape.finish()

@@ -1,0 +1,177 @@
+"""The roles that the service sees of the engine and of a running session; tests put fakes there.
+
+`service.engine_host.local_engine` and `service.engine_host.process.process_engine` fill :class:`EnginePort`.
+"""
+
+import queue
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, Protocol
+
+from engine.calibration.camera_calibration import Calibration
+from engine.control.engine_status import EngineStatus
+from engine.control.journal.journal import TransitionJournal
+from engine.control.outputs import FrameRecord, GateTransition
+from engine.core.commands import Command
+from engine.core.frames import ColorImage
+from engine.core.gate_state import HoldReason
+from engine.core.learning_events import LearningEvent
+from engine.core.motion_model import MotionModel
+from service.core.schemas import sessions
+from service.core.schemas.live_messages import Sample
+from service.core.schemas.windows import Window
+from service.storage.samples.figures import Figures
+
+CommandName = Literal["arm", "disarm", "reference", "acknowledge", "hold", "release"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionPlan:
+    """What an engine needs to run a session; ``recording`` is None for a live camera.
+
+    ``model`` is the stored one to begin with, None to learn one.
+    """
+
+    session_id: str
+    source: sessions.RecordingSource | sessions.DeviceSource
+    recording: Path | None
+    calibration: Calibration
+    window: Window
+    regions: sessions.Regions = field(default_factory=sessions.Regions)
+    patient_reference: str = ""
+    model: MotionModel | None = None
+    journal: TransitionJournal | None = None
+    model_id: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Picture:
+    """The newest colour frame as JPEG."""
+
+    frame_index: int
+    jpeg: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LiveFrame:
+    """The newest frame as a live message, with its times of reception and, if known, of capture [ns, monotonic]."""
+
+    message: Sample
+    received_ns: int
+    captured_ns: int | None = None
+
+
+class RunningEngine(Protocol):
+    """The engine of one session. All members are safe from any thread and never wait for a frame."""
+
+    @property
+    def samples(self) -> "queue.Queue[FrameRecord]":
+        """One record per frame; bounded: while it is full, the gate holds."""
+
+    @property
+    def transitions(self) -> "queue.Queue[GateTransition]":
+        """Every transition of the gate; bounded likewise."""
+
+    @property
+    def notices(self) -> "queue.Queue[LearningEvent]":
+        """Events of the training of models; bounded likewise."""
+
+    @property
+    def status(self) -> EngineStatus:
+        """The engine's status: run state, newest view, and the model and reference in use."""
+
+    def picture(self) -> tuple[int, ColorImage] | None:
+        """Return the newest frame's index and colour picture; None before there is one. A view may come without."""
+
+    def submit(self, command: Command, *, submitted_ns: int | None = None) -> "Future[None]":
+        """Submit a command; raise CommandRefusedError at once if too many are waiting.
+
+        ``submitted_ns`` is when it was asked for, host monotonic time; now, if left out.
+        """
+
+    def note_presence(self, operator: str) -> None:
+        """Note that the operator is present at the page; never waits."""
+
+    def report_fault(self, reason: HoldReason, detail: str) -> None:
+        """Fault the gate because something outside of the engine failed; ``reason`` must be one that latches."""
+
+    def stop(self) -> None:
+        """Hold the beam, then end; return when the engine has ended or does not answer in time."""
+
+    def evidence(self) -> dict[str, object]:
+        """Return what the audit records of the session's tape and raw recording, such as hashes; once it is over.
+
+        Waits for them a few seconds at most.
+        """
+
+
+class RunningWriter(Protocol):
+    """The thread that writes one running session to database and sample file."""
+
+    @property
+    def figures(self) -> Figures:
+        """Counts of what has been written."""
+
+    @property
+    def active_model_id(self) -> str | None:
+        """Database id of the model that frames are measured with; None before one is stored."""
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether an operator has stopped the session."""
+
+    def stopping(self, operator: str, *, is_hurried: bool = False) -> None:
+        """Note who ends the session; hurried, large sample files are settled at the next start."""
+
+    def start(self) -> None:
+        """Start the thread; once."""
+
+    def join(self, timeout: float | None = None) -> None:
+        """Wait until the session is closed [s]; raise RuntimeError before the thread is started."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RunningSession:
+    """A session at work: its plan, its engine, and the thread that writes it down."""
+
+    plan: SessionPlan
+    engine: RunningEngine
+    writer: RunningWriter
+
+
+class EnginePort(Protocol):
+    """Starts engines: the service's only access to cameras, gate and beam line."""
+
+    @property
+    def is_simulated_beam(self) -> bool:
+        """Whether the beam line is a simulation."""
+
+    def open(self, plan: SessionPlan) -> RunningEngine:
+        """Start an engine on a session, disarmed; raise a TidegateError when source or window cannot be used."""
+
+    def registered_calibration(self, uri: str | None) -> Calibration:
+        """Return the nominal calibration of a camera that registers depth to colour itself; refuse any other."""
+
+    def devices(self) -> sessions.DeviceList:
+        """List the cameras that could be used."""
+
+    @property
+    def trouble(self) -> str | None:
+        """Why no session could start now; None where one could."""
+
+    def close(self) -> None:
+        """End the standby process, if there is one; called once no session runs."""
+
+
+class LiveFeed(Protocol):
+    """What the live stream reads of the running session, from memory; safe from any thread."""
+
+    def newest(self) -> LiveFrame | None:
+        """Return the newest frame, or None when no session runs; the same object while nothing is newer."""
+
+    def running_camera(self) -> str | None:
+        """Return the running session's camera, by its calibration; None when no session runs."""
+
+    def now_ns(self) -> int:
+        """Return the engine's clock [ns], which a message's age is measured with."""

@@ -1,0 +1,1 @@
+"""Site rules: what a session may measure, play and gate on."""

@@ -1,0 +1,52 @@
+"""Convert a session's regions for the engine, and their motion to and from sample rows."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from engine.core.frames import Motion
+from engine.motion.named_regions import NamedRegion
+from engine.motion.settings import PipelineSettings
+from service.core.schemas import sessions
+from service.core.schemas.windows import Window
+from service.engine_host.site_rules.window_limits import breath_signals
+
+NAMED_DTYPE = "<f4"
+DIGITS = 5  # what single precision holds of a length in mm
+
+
+def measuring_with(
+    settings: PipelineSettings, regions: sessions.Regions, window: Window | None = None
+) -> PipelineSettings:
+    """Return how the pipeline measures a session: with its regions, and with the points and breaths of its window."""
+    named = tuple(
+        NamedRegion(name=region.name, vertices=tuple((row, column) for row, column in region.vertices))
+        for region in regions.named
+    )
+    line = regions.split
+    split = settings.split if line is None else (line.right_row, line.left_row)
+    return replace(
+        settings,
+        named=named,
+        split=split,
+        points=settings.points if window is None else tuple(dict.fromkeys((*window.points, *settings.points))),
+        breath_signals=settings.breath_signals if window is None else breath_signals(window, regions),
+        extra_markers=regions.extra_markers or settings.extra_markers,
+    )
+
+
+def named_bytes(motion: Motion | None) -> bytes | None:
+    """Encode the named regions' motion [mm] as float32 in their order, NaN where unknown; None without regions."""
+    if motion is None or len(motion.named_mm) == 0:
+        return None
+    return motion.named_mm.astype(NAMED_DTYPE).tobytes()
+
+
+def named_values(stored: bytes | None, count: int) -> list[float | None]:
+    """Decode the named regions' motion [mm]; None where it was not measured."""
+    if stored is None:
+        return [None] * count
+    return [
+        round(float(value), DIGITS) if np.isfinite(value) else None
+        for value in np.frombuffer(stored, dtype=NAMED_DTYPE)
+    ]

@@ -1,0 +1,70 @@
+"""Which recordings a session may open: files inside the site's folders, wherever links may point."""
+
+from pathlib import Path
+
+from service.core.errors import BoundError, NotFoundError
+
+FIELD = "source.path"
+RECORDINGS = "*.oni"
+
+
+def find_recording(path: str, folders: tuple[Path, ...], field: str = FIELD) -> Path:
+    """Resolve a path from a request, which gave it in ``field``.
+
+    Raises
+    ------
+    BoundError
+        It leads out of the allowed folders, or names a different file in two of them.
+    NotFoundError
+        No such file.
+    """
+    inside = [found for found in (_inside(folder, path) for folder in folders) if found is not None]
+    files = list(dict.fromkeys(found for found in inside if _is_file(found)))
+    if len(files) > 1:
+        bound = "the path of one file: rename one of the two"
+        msg = f"{field} names two files, {files[0]} and {files[1]}; it must be {bound}"
+        raise BoundError(msg, field=field, value=path, bound=bound)
+    if files:
+        return files[0]
+    if inside:
+        msg = "there is no such recording"
+        raise NotFoundError(msg, field=field, value=path, bound="a file in an allowed folder")
+    bound = f"inside one of the allowed folders ({', '.join(str(folder) for folder in folders)})"
+    msg = f"{field} must be {bound}"
+    raise BoundError(msg, field=field, value=path, bound=bound)
+
+
+def refuse_same_names(folders: tuple[Path, ...]) -> None:
+    """Refuse folders in which two recordings (``*.oni``) have the same path below their folder.
+
+    Raises
+    ------
+    BoundError
+        Names both files: a session that asks for this path could open either.
+    """
+    seen: dict[Path, Path] = {}
+    for folder in folders:
+        for file in sorted(folder.rglob(RECORDINGS)):
+            path = file.relative_to(folder)
+            other = seen.setdefault(path, file)
+            if other.resolve() != file.resolve():
+                msg = f"two recordings have the path {path}: {other} and {file}; rename one of them"
+                raise BoundError(msg, field="recordings_dirs", value=str(path), bound="one recording per path")
+
+
+def _inside(folder: Path, path: str) -> Path | None:
+    """Follow a path from a folder, links and all; None where it leads out, in a circle, or nowhere that has a name."""
+    try:
+        root = folder.resolve()
+        found = (root / path).resolve()
+    except (OSError, RuntimeError, ValueError):  # a name that is too long, links in a circle, a NUL
+        return None
+    return found if found.is_relative_to(root) else None
+
+
+def _is_file(path: Path) -> bool:
+    """Whether this is a file; a name too long for the file system is none."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False

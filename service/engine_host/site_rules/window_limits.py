@@ -1,0 +1,157 @@
+"""A session's window within the site's limits: it may narrow them, never widen them.
+
+Edges in per cent are of a range that nobody knows yet: whether they lie inside the site's is asked when they are
+turned into mm, at arming (`engine.control.gate_controller`). The site's edges are mm. A phase and a volume bound no
+position: where the
+site has set its edges, every way into the beam needs a condition on a length beside them.
+"""
+
+from typing import TypeVar
+
+from engine.core.breath import BreathEventKind, SignalChoice
+from engine.gating.limits import GateLimits
+from engine.gating.windows import GateWindow, JoinedWindow
+from service.core.errors import BoundError
+from service.core.schemas import sessions
+from service.core.schemas.windows import Condition, Window
+from service.core.settings.beam import PREFIX
+from service.core.settings.settings import Settings
+
+NO_REGIONS = sessions.Regions()
+TOLD_OF_HELD_BREATH = frozenset(
+    {BreathEventKind.APNOEA, BreathEventKind.IRREGULAR, BreathEventKind.SIGH, BreathEventKind.TALKING}
+)
+"""Breath events that a deliberate breath hold, or the breath before and after it, may resemble."""
+
+NumberT = TypeVar("NumberT", int, float)
+
+
+def check_window(window: Window, settings: Settings) -> None:
+    """Refuse a window wider than the site allows; raise BoundError."""
+    for path, condition in window.conditions():
+        _check_condition(path, condition, settings)
+    _refuse_way_around(window, settings)
+    _at_least("window.dwell_ms", window.dwell_ms, settings.min_dwell_ms)
+    if window.min_on_ms is not None:
+        _at_least("window.min_on_ms", window.min_on_ms, settings.min_on_ms)
+    if window.min_off_ms is not None:
+        _at_least("window.min_off_ms", window.min_off_ms, settings.min_off_ms)
+    if window.max_cycles_per_min is not None:
+        _at_most("window.max_cycles_per_min", window.max_cycles_per_min, settings.max_cycles_per_min)
+
+
+def gate_limits(
+    window: Window, settings: Settings, regions: sessions.Regions = NO_REGIONS, *, is_calibrated: bool = True
+) -> GateLimits:
+    """Convert the session's window and the site's limits to the engine's gate limits.
+
+    Raises
+    ------
+    InvalidValueError
+        The engine knows no such window.
+    BoundError
+        A condition looks at a named region that the session does not have.
+    """
+    return GateLimits(
+        window=gate_window(window, regions),
+        dwell_ms=window.dwell_ms,
+        min_on_ms=_or(window.min_on_ms, settings.min_on_ms),
+        min_off_ms=_or(window.min_off_ms, settings.min_off_ms),
+        max_cycles_per_min=_or(window.max_cycles_per_min, settings.max_cycles_per_min),
+        holding_events=frozenset(settings.holding_events),
+        is_calibrated=is_calibrated or settings.beam_without_calibration,
+        **settings.gate_limits,
+    )
+
+
+def gate_window(window: Window, regions: sessions.Regions = NO_REGIONS) -> GateWindow:
+    """Convert to the engine's window; points and named regions become their index among the measured ones."""
+    made = tuple(
+        condition.to_engine(_index_of(path, condition, window, regions)) for path, condition in window.conditions()
+    )
+    return made[0] if len(made) == 1 else JoinedWindow(conditions=made, join=window.join)
+
+
+def breath_signals(window: Window, regions: sessions.Regions = NO_REGIONS) -> tuple[SignalChoice, ...]:
+    """Return the signals whose breath is followed: the first condition's, and those that are gated by phase."""
+    return tuple(
+        dict.fromkeys(
+            condition.choice(_index_of(path, condition, window, regions))
+            for path, condition in window.conditions()
+            if condition is window or condition.kind == "phase"
+        )
+    )
+
+
+def _check_condition(path: str, condition: Condition, settings: Settings) -> None:
+    if condition.lower_mm is not None:
+        _at_least(f"{path}.lower_mm", condition.lower_mm, settings.window_lower_mm)
+    if condition.upper_mm is not None:
+        _at_most(f"{path}.upper_mm", condition.upper_mm, settings.window_upper_mm)
+    if condition.timeout_s is not None:
+        _at_most(f"{path}.timeout_s", condition.timeout_s, settings.max_breath_hold_s)
+    if condition.min_confidence is not None:
+        _at_least(f"{path}.min_confidence", condition.min_confidence, settings.min_phase_confidence)
+    _refuse_hold_that_holds(path, condition, settings)
+
+
+def _refuse_hold_that_holds(path: str, condition: Condition, settings: Settings) -> None:
+    """Refuse a breath hold where the site holds the beam for what a held breath is."""
+    told = [kind for kind in settings.holding_events if kind in TOLD_OF_HELD_BREATH]
+    if condition.kind == "breath_hold" and told:
+        bound = (
+            f"amplitude or phase: this site holds the beam for {' and '.join(told)} ({PREFIX}HOLDING_EVENTS), "
+            "which a breath that is held may look like"
+        )
+        raise _broken(f"{path}.kind", condition.kind, bound)
+
+
+def _refuse_way_around(window: Window, settings: Settings) -> None:
+    """Refuse a window that may be met wherever the patient is, where the site has said where that may be."""
+    unbound = [(path, condition) for path, condition in window.conditions() if not _bounds_position(condition)]
+    is_way_around = window.join == "or" or len(unbound) == 1 + len(window.further)
+    if not settings.bounds_position or not unbound or not is_way_around:
+        return
+    path, condition = unbound[0]
+    name = "kind" if condition.kind == "phase" else "signal"
+    what = "a phase" if condition.kind == "phase" else "a volume"
+    site = f"{settings.window_lower_mm:g} to {settings.window_upper_mm:g} mm"
+    bound = (
+        f"on a length, amplitude or breath_hold, or joined by and with one that is: the beam may be on at {site}, "
+        f"this site's limit, and {what} bounds no position"
+    )
+    raise _broken(f"{path}.{name}", getattr(condition, name), bound)
+
+
+def _bounds_position(condition: Condition) -> bool:
+    return condition.kind != "phase" and condition.signal != "volume"
+
+
+def _index_of(path: str, condition: Condition, window: Window, regions: sessions.Regions) -> int:
+    if condition.row is not None and condition.column is not None and condition.signal == "point":
+        return window.points.index((condition.row, condition.column))
+    if condition.name is None:
+        return 0
+    names = [region.name for region in regions.named]
+    if condition.name not in names:
+        bound = f"one of the session's own regions: {', '.join(names) or 'there is none'}"
+        raise _broken(f"{path}.name", condition.name, bound)
+    return names.index(condition.name)
+
+
+def _or(given: NumberT | None, otherwise: NumberT) -> NumberT:
+    return otherwise if given is None else given
+
+
+def _at_least(field: str, value: float, low: float) -> None:
+    if value < low:
+        raise _broken(field, value, f"at least {low:g}, this site's limit")
+
+
+def _at_most(field: str, value: float, high: float) -> None:
+    if value > high:
+        raise _broken(field, value, f"at most {high:g}, this site's limit")
+
+
+def _broken(field: str, value: object, bound: str) -> BoundError:
+    return BoundError(f"{field} must be {bound}", field=field, value=value, bound=bound)

@@ -1,0 +1,1 @@
+"""Readiness, certificate expiry and metrics."""

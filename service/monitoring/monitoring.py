@@ -1,0 +1,83 @@
+"""Builds the readiness probe and the metrics of the service."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from prometheus_client.registry import Collector
+
+from service.access.armed_operator import ArmedOperator
+from service.access.service import AccessService
+from service.core.settings.settings import Settings
+from service.engine_host.equipment import EquipmentSlot
+from service.engine_host.roles import EnginePort
+from service.monitoring.certificate import CertificateWatch
+from service.monitoring.metrics.engine import EngineMetrics
+from service.monitoring.metrics.http import HttpCounters
+from service.monitoring.metrics.machine import DatabaseFigures, MachineMetrics
+from service.monitoring.metrics.registry import Metrics
+from service.monitoring.readiness import ReadinessProbe
+from service.sessions.lifecycle.counters import SessionCounters
+from service.storage.audit.supervision import AuditSupervision
+from service.storage.database.engine import Database
+from service.storage.files.cleanup import CleanupWorker
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MonitoredServices:
+    """Services that readiness and metrics read."""
+
+    settings: Settings
+    database: Database
+    equipment: EquipmentSlot
+    engine: EnginePort
+    counters: SessionCounters
+    audit_supervision: AuditSupervision
+    cleanup: CleanupWorker
+    access: AccessService
+    armed_operator: ArmedOperator
+
+    def ended_threads(self) -> list[str]:
+        """Return the names of threads that ended unexpectedly."""
+        checked = {
+            "armed-operator": self.armed_operator.has_ended,
+            "access-cleanup": self.access.cleanup_worker.has_ended,
+            "tidegate-cleanup": self.cleanup.has_ended,
+        }
+        return [name for name, has_ended in checked.items() if has_ended]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Monitoring:
+    """Readiness and metrics of the service."""
+
+    health: ReadinessProbe
+    metrics: Metrics
+    http: HttpCounters
+
+
+def make_monitoring(services: MonitoredServices, others: Iterable[Collector] = ()) -> Monitoring:
+    """Build readiness and metrics; ``others`` are additional collectors."""
+    health = ReadinessProbe(
+        services.database,
+        services.settings,
+        lambda: services.audit_supervision.troubles,
+        ended_threads=services.ended_threads,
+        engine_trouble=_trouble_of(services.engine),
+        is_stopping=lambda: services.equipment.is_closed,
+    )
+    machine = MachineMetrics(
+        data_dir=services.settings.data_dir,
+        figures=DatabaseFigures(services.database),
+        certificate=CertificateWatch(services.settings.tls_cert),
+        access=services.access,
+        readiness=health.readiness,
+        forwarded_rows=lambda: services.audit_supervision.passed_on,
+    )
+    collectors = (EngineMetrics(services.equipment, services.engine), machine, *others)
+    registry = services.counters.registry
+    return Monitoring(health=health, metrics=Metrics(registry, collectors), http=HttpCounters(registry))
+
+
+def _trouble_of(engine: EnginePort) -> Callable[[], str | None]:
+    """Return a function that gives the engine host's fault, None if it has none or reports none."""
+    return lambda: getattr(engine, "trouble", None)

@@ -1,0 +1,1 @@
+"""Planning software: RT Plan import and a simulated planning system."""

@@ -1,0 +1,101 @@
+"""Beam-on time as a planning system counts it, from the stream and from the recorder.
+
+Pure. Times are camera timestamps [us], the clock that the stream and the recorder share. A gap counts as beam-on if the
+beam was on at either end of it: a planning system must not deliver a dose twice because frames are missing.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+US_PER_S = 1e6
+BEAM_ON = "beam_on"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Seen:
+    """The beam state of one frame."""
+
+    frame_index: int
+    timestamp_us: int
+    is_on: bool
+
+
+@dataclass(slots=True)
+class BeamClock:
+    """Sums beam-on time frame by frame; repeated and late frames are ignored.
+
+    Attributes
+    ----------
+    on_s
+        Beam-on time so far [s].
+    unseen_s
+        Total length of the gaps [s]; the beam may have been on in them.
+    frames
+        Received frames: index to whether the beam line was on.
+    """
+
+    on_s: float = 0.0
+    unseen_s: float = 0.0
+    last: Seen | None = None
+    frames: dict[int, bool] | None = None
+
+    def note(self, seen: Seen) -> float:
+        """Count a frame; return the beam-on time that it added [s]."""
+        if self.frames is None:
+            self.frames = {}
+        last = self.last
+        if last is not None and seen.frame_index <= last.frame_index:
+            return 0.0
+        self.frames[seen.frame_index] = seen.is_on
+        self.last = seen
+        if last is None:
+            return 0.0
+        is_gap = seen.frame_index - last.frame_index > 1
+        passed_s = max(0.0, (seen.timestamp_us - last.timestamp_us) / US_PER_S)
+        self.unseen_s += passed_s if is_gap else 0.0
+        if not (last.is_on or (is_gap and seen.is_on)):
+            return 0.0
+        self.on_s += passed_s
+        return passed_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recorded:
+    """The recorder's frames of a session; ``on_frames`` are those with beam, ``rises`` how often the beam went on."""
+
+    frames: frozenset[int]
+    on_frames: frozenset[int]
+    on_s: float
+    rises: int
+
+
+def recorded(rows: Iterable[Mapping[str, str]]) -> Recorded:
+    """Count frames, beam-on time and beam rises in the exported rows of a session."""
+    clock, rises, was_on = BeamClock(), 0, False
+    for row in rows:
+        is_on = row["gate"] == BEAM_ON
+        clock.note(Seen(frame_index=int(row["frame_index"]), timestamp_us=int(row["timestamp_us"]), is_on=is_on))
+        rises += is_on and not was_on
+        was_on = is_on
+    frames = clock.frames or {}
+    on_frames = frozenset(frame for frame, is_on in frames.items() if is_on)
+    return Recorded(frames=frozenset(frames), on_frames=on_frames, on_s=clock.on_s, rises=rises)
+
+
+class EndExhale:
+    """Detects end-exhale: motion within 5 % of the lowest value, after ``watch_s`` of observation."""
+
+    def __init__(self, *, watch_s: float) -> None:
+        self._watch_s = watch_s
+        self._since_us: int | None = None
+        self._lowest_mm = float("inf")
+        self._highest_mm = float("-inf")
+
+    def is_reached(self, timestamp_us: int, motion_mm: float | None) -> bool:
+        """Add a frame's motion [mm] (None: not measured); return whether the patient is at end-exhale."""
+        if motion_mm is None:
+            return False
+        self._since_us = timestamp_us if self._since_us is None else self._since_us
+        self._lowest_mm, self._highest_mm = min(self._lowest_mm, motion_mm), max(self._highest_mm, motion_mm)
+        near_mm = self._lowest_mm + 0.05 * (self._highest_mm - self._lowest_mm)
+        return timestamp_us - self._since_us >= self._watch_s * US_PER_S and motion_mm <= near_mm

@@ -1,1 +1,0 @@
-"""What was measured, one file a session: an Arrow stream while it runs, Parquet once it is closed (docs/samples.md)."""

@@ -1,0 +1,1 @@
+"""Starting, commanding, recording and ending a session."""

@@ -1,0 +1,155 @@
+"""Commands of operators to the engine of the running session, each with its rows in the audit.
+
+A command that takes permission away is executed first and audited afterwards, over database connections reserved for
+it. A command that may lead to a permit is audited first, and not executed when the audit cannot be written.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
+from concurrent.futures import TimeoutError as FutureTimeoutError
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
+
+from engine.control.command_queue import MAX_WAIT_NS
+from engine.core.commands import Acknowledge, Arm, Command, Disarm, HoldBeam, ReleaseBeam, SetReference
+from engine.core.errors import CommandRefusedError
+from service.core.errors import EngineTimeoutError, SessionStateError
+from service.core.request_time import request_time_ns
+from service.engine_host.equipment import EquipmentSlot
+from service.engine_host.roles import CommandName, RunningEngine, RunningSession
+from service.sessions.records.withdrawals import Withdrawals
+from service.storage.audit import Event
+from service.storage.audit.log import AuditLog
+from service.storage.database import queries
+from service.storage.database.engine import Database
+
+COMMANDS: dict[CommandName, Callable[[str], Command]] = {
+    "arm": lambda operator: Arm(operator=operator),
+    "disarm": lambda operator: Disarm(operator=operator),
+    "reference": lambda operator: SetReference(operator=operator),
+    "acknowledge": lambda operator: Acknowledge(operator=operator),
+    "hold": lambda operator: HoldBeam(operator=operator),
+    "release": lambda operator: ReleaseBeam(operator=operator),
+}
+AGES_FROM_ARRIVAL = (Arm, ReleaseBeam, SetReference, Acknowledge)
+"""Their age counts from the arrival of the request: waiting for a thread or the audit makes them older, too. A command
+that takes permission away has no age: it revokes everything that was submitted before it."""
+TAKES_PERMISSION_AWAY = (Disarm, HoldBeam)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EngineCommander:
+    """Submits commands to the running engine and audits them.
+
+    Attributes
+    ----------
+    priority_log, priority_database
+        Connections reserved for commands that take permission away: hold, disarm, and stop.
+    answer_timeout_s
+        How long the engine may take to execute a command [s].
+    withdrawals
+        Counts the commands that take permission away, for the sessions' ETags.
+    """
+
+    equipment: EquipmentSlot
+    log: AuditLog
+    database: Database
+    priority_log: AuditLog
+    priority_database: Database
+    answer_timeout_s: float
+    withdrawals: Withdrawals = field(default_factory=Withdrawals)
+
+    def execute(
+        self,
+        session_id: str,
+        command: Command,
+        operator: str,
+        action: str,
+        detail: dict[str, object] | None = None,
+        *,
+        after: Callable[[RunningEngine], dict[str, object]] | None = None,
+        on_possibly_done: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Submit a command, wait for its result, and audit both as ``action`` with ``detail``.
+
+        ``after`` returns what the audit records of the result. ``on_possibly_done`` is called unless the engine
+        refused: a command that timed out may have been executed.
+
+        Raises
+        ------
+        CommandRefusedError
+            The engine refused, or the request waited too long before it was submitted.
+        EngineTimeoutError
+            The engine did not answer in time; the command is cancelled unless it takes permission away.
+        SessionStateError
+            The session does not run.
+        """
+        done = Event(actor=operator, action=action, session_id=session_id, detail=detail or {})
+        has_priority = takes_permission_away(command) and self.equipment.of(session_id) is not None
+        log = self.priority_log if has_priority else self.log
+        with log.refusals(actor=operator, action=action, session_id=session_id, detail=detail):
+            running = self.running(session_id, self.priority_database if has_priority else None)
+            if not takes_permission_away(command):
+                _refuse_late(command)
+                log.write(replace(done, outcome="requested"))
+            with _unless_refused(on_possibly_done):
+                self._await(running, command)
+        found = {} if after is None else after(running.engine)
+        log.write(replace(done, detail={**done.detail, **found}))
+
+    def running(self, session_id: str, by: Database | None = None) -> RunningSession:
+        """Return the running session; raise SessionStateError if it does not run, NotFoundError if it does not exist.
+
+        ``by`` is the database to look in, where the ordinary connections may all be in use.
+        """
+        running = self.equipment.of(session_id)
+        if running is None:
+            with (by or self.database).read() as db:
+                raise state_error(queries.session_row(db, session_id).status, "running")
+        return running
+
+    def _await(self, running: RunningSession, command: Command) -> None:
+        with self.withdrawals.one(running.plan.session_id) if takes_permission_away(command) else nullcontext():
+            self._submit(running, command)
+
+    def _submit(self, running: RunningSession, command: Command) -> None:
+        submitted_ns = request_time_ns() if isinstance(command, AGES_FROM_ARRIVAL) else None
+        future = running.engine.submit(command, submitted_ns=submitted_ns)
+        try:
+            future.result(self.answer_timeout_s)
+        except (FutureTimeoutError, CancelledError) as error:
+            future.cancel()  # it must not arm after its caller was answered with an error
+            msg = f"the engine did not answer within {self.answer_timeout_s:g} s"
+            raise EngineTimeoutError(msg) from error
+
+
+def takes_permission_away(command: Command) -> bool:
+    """Whether a command can only hold the beam or disarm the gate, never lead to a permit."""
+    return isinstance(command, TAKES_PERMISSION_AWAY)
+
+
+def state_error(status: str, bound: str) -> SessionStateError:
+    """Return the error for a session in another state than a call needs."""
+    msg = f"the session is {status}: it must be {bound}"
+    return SessionStateError(msg, field="status", value=status, bound=bound)
+
+
+@contextmanager
+def _unless_refused(on_possibly_done: Callable[[], None]) -> Iterator[None]:
+    """Call back unless the engine refused: a command without an answer may have been executed."""
+    try:
+        yield
+    except CommandRefusedError:
+        raise
+    except BaseException:
+        on_possibly_done()
+        raise
+    on_possibly_done()
+
+
+def _refuse_late(command: Command) -> None:
+    """Refuse a command whose request waited so long in the service that the operator may have left."""
+    if isinstance(command, AGES_FROM_ARRIVAL) and time.monotonic_ns() - request_time_ns() > MAX_WAIT_NS:
+        msg = "the service was busy for too long: check the session, then try again"
+        raise CommandRefusedError(msg)

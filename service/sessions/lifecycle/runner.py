@@ -1,0 +1,252 @@
+"""The running session: start, command and stop its engine. The gate alone decides whether the beam may be on."""
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import UTC, datetime
+
+import cv2
+
+from engine.control.outputs import LiveView
+from engine.core.commands import ActivateModel, ApplyModel, CorrectBaseline, HoldBeam, Retrain
+from service.access.request.identity import Identity
+from service.core.errors import PictureMissingError
+from service.core.schemas import sessions
+from service.core.schemas.gate import BaselineCorrectionRequest
+from service.engine_host.roles import CommandName, LiveFrame, Picture, RunningSession
+from service.sessions.lifecycle.baseline_correction import (
+    check_correction,
+    correction_detail,
+    moved_window,
+    naming_the_field,
+)
+from service.sessions.lifecycle.commands import COMMANDS, EngineCommander, state_error, takes_permission_away
+from service.sessions.lifecycle.start import WRITER_JOIN_S, SessionStarter, await_start
+from service.sessions.records.sessions import SessionRepository, session_answer
+from service.sessions.records.withdrawals import Withdrawals
+from service.sessions.views.live import live_sample
+from service.sessions.views.surface import mesh_answer
+from service.storage import audit
+from service.storage.audit import Event
+from service.storage.audit.log import AuditLog
+from service.storage.database import queries
+from service.storage.database.engine import ANSWER_TIMEOUT_S, BUSY_TIMEOUT_S
+
+JPEG_QUALITY = 80
+STOP = "session.stop"
+
+
+class SessionRunner:
+    """Runs one session at a time.
+
+    Parameters
+    ----------
+    starter
+        Starts sessions; the runner uses its engine, database, models, equipment slot and settings, too.
+    refuse_arming
+        Raises a TidegateError where a site rule, such as an overdue QA, forbids arming.
+    """
+
+    def __init__(
+        self,
+        *,
+        starter: SessionStarter,
+        log: AuditLog,
+        records: SessionRepository,
+        refuse_arming: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._starter = starter
+        self._engine, self._models, self._settings = starter.engine, starter.models, starter.settings
+        self._database, self._equipment = starter.database, starter.equipment
+        # Connections reserved for hold, disarm and stop: no number of reads can delay their audit rows and answers.
+        self._priority_database = starter.database.twin(
+            busy_timeout_s=BUSY_TIMEOUT_S, answer_timeout_s=ANSWER_TIMEOUT_S
+        )
+        self._log, self._priority_log = log, AuditLog(self._priority_database)
+        self._records = records
+        self._refuse_arming = refuse_arming
+        # A stop during a start waits for this lock, and then finds the session in its slot.
+        self._session_lock = starter.equipment.session_lock
+        self._newest: tuple[LiveView, LiveFrame] | None = None
+        self._commander = EngineCommander(
+            equipment=starter.equipment,
+            log=log,
+            database=starter.database,
+            priority_log=self._priority_log,
+            priority_database=self._priority_database,
+            answer_timeout_s=starter.settings.command_timeout_s,
+        )
+
+    @property
+    def withdrawals(self) -> Withdrawals:
+        """Counts of holds, disarms and stops per session, for its ETag."""
+        return self._commander.withdrawals
+
+    def start(self, session_id: str, operator: str) -> sessions.Session:
+        """Start its engine, disarmed."""
+        action = "session.start"
+        with self._log.refusals(actor=operator, action=action, session_id=session_id):
+            with self._session_lock:
+                running = self._starter.start(session_id, operator, action)
+            await_start(running)
+        return self._records.detail(session_id)
+
+    def command(
+        self, session_id: str, name: CommandName, operator: str, *, on_possibly_done: Callable[[], None] = lambda: None
+    ) -> sessions.SessionDetail:
+        """Submit a command of an operator and wait until the engine has executed or refused it.
+
+        ``on_possibly_done`` is called, before anything waits for a database, unless the engine refused.
+        """
+        if name == "arm":
+            with self._log.refusals(actor=operator, action="session.arm", session_id=session_id):
+                self._refuse_arming()
+        command = COMMANDS[name](operator)
+        self._commander.execute(session_id, command, operator, f"session.{name}", on_possibly_done=on_possibly_done)
+        return self._records.detail(session_id, self._priority_database if takes_permission_away(command) else None)
+
+    def hold_unattended(self, session_id: str, armed_by: Identity) -> None:
+        """Hold as an operator does, because the login or key of the person who armed has ended."""
+        detail: dict[str, object] = {
+            "reason": f"{armed_by.name} armed the gate and is not logged in any more",
+            "armed_by": armed_by.name,
+        }
+        self._commander.execute(session_id, HoldBeam(operator=audit.SYSTEM), audit.SYSTEM, "session.hold", detail)
+
+    def retrain(self, session_id: str, operator: str, *, keeps_reference: bool) -> sessions.SessionDetail:
+        """Train a new model in the background."""
+        command = Retrain(operator=operator, keeps_zero=keeps_reference)
+        self._commander.execute(session_id, command, operator, "model.retrain", {"keeps_reference": keeps_reference})
+        return self._records.detail(session_id)
+
+    def apply_model(self, session_id: str, operator: str) -> sessions.SessionDetail:
+        """Apply the new model that is waiting; disarms."""
+        self._commander.execute(session_id, ApplyModel(operator=operator), operator, "model.apply")
+        return self._records.detail(session_id)
+
+    def activate(self, model_id: str, operator: str) -> sessions.SessionDetail:
+        """Activate a stored model of the running session; disarms."""
+        action = "model.activate"
+        with self._log.refusals(actor=operator, action=action, detail={"model_id": model_id}):
+            with self._database.read() as db:
+                row = queries.model_row(db, model_id)
+                session_id, sha256 = row.session_id, row.sha256
+            self._commander.running(session_id)
+            model = self._models.load(sha256)
+        detail: dict[str, object] = {"model_id": model_id, "sha256": sha256}
+        self._commander.execute(session_id, ActivateModel(operator=operator, model=model), operator, action, detail)
+        return self._records.detail(session_id)
+
+    def correct_baseline(self, session_id: str, request: BaselineCorrectionRequest) -> sessions.SessionDetail:
+        """Shift the window by a baseline drift that a person confirms; disarms."""
+        action = "session.baseline_correction"
+        running = self._equipment.of(session_id)
+        before = None if running is None else running.engine.status.view
+        detail = correction_detail(request, before)
+        if running is not None:
+            with self._log.refusals(actor=request.operator, action=action, session_id=session_id, detail=detail):
+                check_correction(request, before, self._settings)
+        command = CorrectBaseline(operator=request.operator, by=request.by)
+        with naming_the_field(request):
+            self._commander.execute(
+                session_id, command, request.operator, action, detail, after=lambda now: moved_window(now, before)
+            )
+        return self._records.detail(session_id)
+
+    def note_presence(self, session_id: str, operator: str) -> None:
+        """Note that the operator is present at the page; comes every second and is not audited."""
+        self._commander.running(session_id).engine.note_presence(operator)
+
+    def is_running(self, session_id: str) -> bool:
+        """Whether this session has an engine now, from memory."""
+        return self._equipment.of(session_id) is not None
+
+    def stop(self, session_id: str, operator: str) -> sessions.Session:
+        """Hold the beam, end the engine, close the session; never refused while there is something to stop."""
+        running = self._equipment.of(session_id)
+        if running is None:
+            refusals = self._log.refusals(actor=operator, action=STOP, session_id=session_id)
+            # Under the lock no session is starting: this one is in the slot, or was not started.
+            with refusals, self._session_lock:
+                running = self._equipment.of(session_id)
+                if running is None:
+                    return self._close_unstarted(session_id, operator)
+        running.writer.stopping(operator)
+        with self.withdrawals.one(session_id):
+            running.engine.stop()
+        self._priority_log.write(Event(actor=operator, action=STOP, session_id=session_id))
+        self._await_end(running)
+        return self._records.detail(session_id, self._priority_database)
+
+    def _close_unstarted(self, session_id: str, operator: str) -> sessions.Session:
+        with self._database.write() as db:
+            row = queries.session_row(db, session_id)
+            if row.status != "created":
+                raise state_error(row.status, "created or running")
+            row.status, row.status_detail, row.ended_at = "stopped", f"stopped by {operator}", datetime.now(UTC)
+            audit.append(db, Event(actor=operator, action=STOP, session_id=session_id))
+            return session_answer(row)
+
+    def shut_down(self) -> None:
+        """Hold the beam, then stop and close the running session, because the service stops."""
+        running = self._equipment.running
+        if running is not None:
+            running.writer.stopping(audit.SYSTEM, is_hurried=True)
+            running.engine.stop()
+            self._await_end(running)
+        self._starter.writer_database.close()
+        self._priority_database.close()
+
+    def _await_end(self, running: RunningSession) -> None:
+        """Wait until a stopped session is closed; its writer may not have started yet, or may have failed to start."""
+        with suppress(RuntimeError):  # not started yet
+            running.writer.join(WRITER_JOIN_S)
+            return
+        with self._session_lock:
+            pass
+        with suppress(RuntimeError):  # it failed to start
+            running.writer.join(WRITER_JOIN_S)
+
+    def picture(self, session_id: str) -> Picture:
+        """Encode the newest colour frame."""
+        running = self._equipment.of(session_id)
+        found = None if running is None else running.engine.picture()
+        if found is None:
+            msg = "the session does not run, or no frame has come yet"
+            raise PictureMissingError(msg)
+        frame_index, color = found
+        picture = cv2.cvtColor(color, cv2.COLOR_RGB2BGR)
+        _, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        return Picture(frame_index=frame_index, jpeg=jpeg.tobytes())
+
+    def mesh(self, session_id: str) -> sessions.SurfaceMesh:
+        """Return the surface of the newest frame; raise MeshMissingError without one."""
+        return mesh_answer(self._equipment.view(session_id))
+
+    def newest(self) -> LiveFrame | None:
+        """Return the newest frame; the same object while nothing is newer."""
+        running = self._equipment.running
+        view = None if running is None else running.engine.status.view
+        if running is None or view is None:
+            return None
+        kept = self._newest
+        if kept is None or kept[0] is not view:
+            message = live_sample(
+                view,
+                running.plan,
+                is_stopping=running.writer.is_stopping,
+                is_simulated_beam=self._engine.is_simulated_beam,
+            )
+            record = view.record
+            frame = LiveFrame(message=message, received_ns=record.received_ns, captured_ns=record.captured_ns)
+            kept = self._newest = (view, frame)
+        return kept[1]
+
+    def running_camera(self) -> str | None:
+        """Return the running session's camera, by its calibration."""
+        running = self._equipment.running
+        return None if running is None else running.plan.calibration.camera
+
+    def now_ns(self) -> int:
+        """Return the engine's clock."""
+        return time.monotonic_ns()

@@ -1,0 +1,205 @@
+"""The start of a session: record it, create its sample file and journal, open its engine, start its writer."""
+
+import time
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+
+from sqlalchemy.orm import Session
+
+from engine.calibration.camera_calibration import parse_calibration
+from engine.control.outputs import LoopStatus
+from engine.core.errors import TidegateError
+from engine.core.motion_model import MotionModel
+from engine.core.provenance import check_patient
+from service.core.errors import SessionActiveError, StartError, StorageUnwritableError
+from service.core.schemas import sessions
+from service.core.schemas.windows import Window
+from service.core.settings.settings import Settings
+from service.engine_host.equipment import EquipmentSlot
+from service.engine_host.roles import EnginePort, RunningSession, SessionPlan
+from service.engine_host.site_rules.played_recordings import described_source
+from service.engine_host.site_rules.recording_folders import find_recording
+from service.engine_host.site_rules.uncalibrated import described
+from service.sessions.lifecycle.commands import state_error
+from service.sessions.lifecycle.counters import SessionCounters
+from service.sessions.lifecycle.model_origin import model_origin
+from service.sessions.lifecycle.sample_head import sample_head
+from service.sessions.lifecycle.writer import SessionWriter, WriterSettings
+from service.sessions.records.sessions import SOURCE
+from service.storage import audit
+from service.storage.audit import Event
+from service.storage.database import queries
+from service.storage.database.engine import Database
+from service.storage.files.journals import Journals
+from service.storage.files.motion_models import ModelStore
+from service.storage.samples.recorder import SampleRecorder
+from service.storage.samples.store import SampleStore
+from service.storage.time_anchor import TimeAnchor
+
+WRITER_JOIN_S = 10.0
+WRITER_BUSY_TIMEOUT_S = 0.5
+WRITER_ANSWER_TIMEOUT_S = 1.0
+START_TIMEOUT_S = 5.0
+START_POLL_S = 0.01
+MIB = 1024 * 1024
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SessionStarter:
+    """Starts sessions; ``writer_database`` has the connections of the session writer."""
+
+    engine: EnginePort
+    database: Database
+    writer_database: Database
+    models: ModelStore
+    equipment: EquipmentSlot
+    settings: Settings
+    counters: SessionCounters
+    samples: SampleStore
+    journals: Journals
+
+    def start(self, session_id: str, operator: str, action: str) -> RunningSession:
+        """Record the start, then start the engine, disarmed, and the writer; raise what kept it from starting."""
+        self._refuse_unless_created(session_id)
+        with self.journals.begun(session_id) as journal:  # before the session is recorded as running
+            plan = replace(self._begin(session_id, operator, action), journal=journal)
+            try:
+                running = self._open(plan)
+                self._begin_writing(running)
+            except Exception as error:
+                self._mark_failed(session_id, _reason(error))
+                raise
+        return running
+
+    def _refuse_unless_created(self, session_id: str) -> None:
+        with self.database.read() as db:
+            status = queries.session_row(db, session_id).status
+        if status != "created":
+            raise state_error(status, "created")
+
+    def _begin(self, session_id: str, operator: str, action: str) -> SessionPlan:
+        """Record that the session starts, and return what its engine needs."""
+        self.equipment.refuse_qa()
+        if self.equipment.running is not None and self.equipment.of(session_id) is None:
+            msg = "another session runs"
+            raise SessionActiveError(msg, field="session_id", bound="one running session at a time")
+        with self.database.write() as db:
+            row = queries.session_row(db, session_id)
+            if row.status != "created":
+                raise state_error(row.status, "created")
+            document = queries.calibration_row(db, row.calibration_id).document
+            source = SOURCE.validate_json(row.source)
+            folders = self.settings.recording_folders
+            plan = SessionPlan(
+                session_id=session_id,
+                source=source,
+                recording=find_recording(source.path, folders)
+                if isinstance(source, sessions.RecordingSource)
+                else None,
+                calibration=parse_calibration(document.encode()),
+                window=Window.model_validate_json(row.window),
+                regions=sessions.Regions.model_validate_json(row.regions),
+                patient_reference=row.patient_reference,
+                model_id=row.model_id,
+                model=None if row.model_id is None else self._stored_model(db, row.model_id, row.patient_reference),
+            )
+            row.status, row.started_at = "running", datetime.now(UTC)
+            row.is_simulated_beam = self.engine.is_simulated_beam  # the site may have changed its line since
+            detail = {**self._beam_detail(source), **described(plan.calibration.camera), **_model_detail(row.model_id)}
+            audit.append(db, Event(actor=operator, action=action, session_id=session_id, detail=detail))
+        return plan
+
+    def _stored_model(self, db: Session, model_id: str, patient_reference: str) -> MotionModel:
+        model = self.models.load(queries.model_row(db, model_id).sha256)
+        check_patient(model.provenance.origin, patient_reference)  # as its file says too, not the table alone
+        return model
+
+    def _open(self, plan: SessionPlan) -> RunningSession:
+        anchor = TimeAnchor.now()
+        recorder = self._recorder(plan, anchor)
+        try:
+            engine = self.engine.open(plan)
+        except BaseException:
+            recorder.discard()
+            raise
+        writer = SessionWriter(
+            session_id=plan.session_id,
+            engine=engine,
+            origin=model_origin(plan),
+            database=self.writer_database,
+            models=self.models,
+            recorder=recorder,
+            anchor=anchor,
+            journal=plan.journal,
+            settings=WriterSettings(
+                data_dir=self.settings.data_dir,
+                min_free_disk_bytes=self.settings.min_free_disk_mb * MIB,
+            ),
+            counters=self.counters,
+            on_over=lambda: self.equipment.leave(plan.session_id),
+        )
+        running = RunningSession(plan=plan, engine=engine, writer=writer)
+        if not self.equipment.enter(running):
+            engine.stop()
+            recorder.discard()
+            self.equipment.refuse_closed()
+            msg = "another session runs"
+            raise SessionActiveError(msg, field="session_id", bound="one running session at a time")
+        return running
+
+    def _begin_writing(self, running: RunningSession) -> None:
+        """Start the writer's thread; stop the engine if that fails, because its decisions would not be recorded."""
+        try:
+            running.writer.start()
+        except BaseException:
+            running.engine.stop()
+            self.equipment.leave(running.plan.session_id)
+            raise
+
+    def _recorder(self, plan: SessionPlan, anchor: TimeAnchor) -> SampleRecorder:
+        """Create the sample file before the engine starts, so that no frame is measured meanwhile."""
+        head = sample_head(plan, self.settings, anchor)
+        try:
+            return SampleRecorder(self.samples, head, batch_s=self.settings.sample_batch_ms / 1000)
+        except OSError as error:
+            msg = f"no sample file can be created: {error.strerror}"
+            raise StorageUnwritableError(msg) from error
+
+    def _mark_failed(self, session_id: str, reason: str) -> None:
+        with self.database.write() as db:
+            row = queries.session_row(db, session_id)
+            row.status, row.status_detail, row.ended_at = "failed", reason, datetime.now(UTC)
+
+    def _beam_detail(self, source: sessions.RecordingSource | sessions.DeviceSource) -> dict[str, object]:
+        if not self.engine.is_simulated_beam:
+            return {"is_simulated_beam": False, **described_source(source, self.settings)}
+        return {"is_simulated_beam": True, "beam_line": "SIMULATED: no accelerator is gated by this session"}
+
+
+def _reason(error: Exception) -> str:
+    """Return why a session failed, for its record; the details of an internal error stay in the log."""
+    return (
+        str(error) if isinstance(error, TidegateError) else f"the engine could not be opened ({type(error).__name__})"
+    )
+
+
+def _model_detail(model_id: str | None) -> dict[str, object]:
+    if model_id is None:
+        return {}
+    return {"model_id": model_id, "reference": "not carried over from the earlier session: a person has to set it"}
+
+
+def writer_connections(database: Database) -> Database:
+    """Return the writer's own connections: it must notice a locked database soon, to hold; people may wait longer."""
+    return database.twin(busy_timeout_s=WRITER_BUSY_TIMEOUT_S, answer_timeout_s=WRITER_ANSWER_TIMEOUT_S)
+
+
+def await_start(running: RunningSession) -> None:
+    """Wait until the source is open; raise StartError where it cannot be opened, once the session is closed."""
+    for _ in range(round(START_TIMEOUT_S / START_POLL_S)):
+        if running.engine.status.run_state is not LoopStatus.STARTING:
+            break
+        time.sleep(START_POLL_S)
+    if running.engine.status.run_state is LoopStatus.FAILED:
+        running.writer.join(WRITER_JOIN_S)
+        raise StartError(running.engine.status.error or "the engine failed")

@@ -1,0 +1,328 @@
+"""The writer thread: from the engine's bounded queues to the database and the sample file.
+
+Nothing in the gate's way waits for it. Transitions are committed at once, samples are written in batches. When the
+database or the disk does not take them the writer tells the engine to hold, stops draining, and tries again: the queues
+fill and the gate holds by itself too.
+"""
+
+import contextlib
+import logging
+import queue
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
+
+from engine.control.journal.journal import TransitionJournal
+from engine.control.outputs import GateTransition, LoopStatus
+from engine.core.errors import TidegateError
+from engine.core.gate_state import HoldReason
+from engine.core.learning_events import LearningEvent
+from engine.core.motion_model import MotionModel
+from engine.core.provenance import ModelOrigin
+from service.engine_host.roles import RunningEngine
+from service.sessions.lifecycle.counters import SessionCounters
+from service.sessions.records.audit_events import closing_event, notice_event, record_model, transition_event
+from service.sessions.recovery.journal import recover_orphan
+from service.storage import audit
+from service.storage.audit import SYSTEM
+from service.storage.database import queries
+from service.storage.database.base import utc_text
+from service.storage.database.engine import Database
+from service.storage.database.retried_write import RetriedWriter
+from service.storage.files.motion_models import ModelStore
+from service.storage.samples.figures import Figures
+from service.storage.samples.recorder import SampleRecorder
+from service.storage.samples.store import Settlement
+from service.storage.time_anchor import TimeAnchor
+
+logger = logging.getLogger(__name__)
+
+POLL_S = 0.02
+RETRY_S = 0.2
+GIVE_UP_S = 60.0
+DISK_CHECK_S = 1.0
+ASK_S = 0.25
+"""How often an idle database is tested for whether it accepts a write: without that the beam is not on."""
+MAX_BATCH = 512
+MOST_HURRIED_ROWS = 9000
+"""Five minutes are made Parquet within a second; an hour would outlast the time that a process is given to end."""
+RowT = TypeVar("RowT")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WriterSettings:
+    """Which folder is written to, and how much of its disk has to stay free."""
+
+    data_dir: Path
+    min_free_disk_bytes: float
+
+
+class _AuditBatch(NamedTuple):
+    """Events of the engine that are committed in one transaction."""
+
+    transitions: tuple[GateTransition, ...]
+    notices: tuple[LearningEvent, ...]
+
+
+class SessionWriter(threading.Thread):
+    """Writes one session down until its engine is over and its queues are empty, then closes the session."""
+
+    def __init__(
+        self,
+        *,
+        session_id: str,
+        engine: RunningEngine,
+        origin: ModelOrigin,
+        database: Database,
+        models: ModelStore,
+        recorder: SampleRecorder,
+        anchor: TimeAnchor,
+        journal: TransitionJournal | None = None,
+        settings: WriterSettings,
+        counters: SessionCounters,
+        on_over: Callable[[], None],
+    ) -> None:
+        super().__init__(name="tidegate-writer", daemon=True)
+        self._session_id = session_id
+        self._engine = engine
+        self._origin = origin
+        self._database = database
+        self._models = models
+        self._settings = settings
+        self._counters = counters
+        self._on_over = on_over
+        self._recorder = recorder
+        self._anchor = anchor
+        self._journal = journal
+        self._audit_write, self._model_write, self._closing_write = (RetriedWriter(database) for _ in range(3))
+        self._pending: _AuditBatch | None = None
+        self._transitions: list[GateTransition] = []
+        self._notices: list[LearningEvent] = []
+        self._disk_checked_at_s = 0.0
+        self._taken_at_s = time.monotonic()
+        self._model: MotionModel | None = None
+        self._model_to_store: tuple[MotionModel, MotionModel] | None = None
+        self._stopped_by: str | None = None
+        self._is_complete = False
+        self._is_hurried = False
+        self._settled: Settlement | None = None
+        self.active_model_id: str | None = None
+
+    @property
+    def figures(self) -> Figures:
+        """Counts of what has been written."""
+        return self._recorder.figures
+
+    def stopping(self, operator: str, *, is_hurried: bool = False) -> None:
+        """Note who ends the session, for its last row; hurried while the service stops, to finish in time."""
+        self._stopped_by = operator
+        self._is_hurried = is_hurried
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether an operator has stopped the session."""
+        return self._stopped_by is not None
+
+    def run(self) -> None:
+        """Write until the engine is over."""
+        try:
+            is_over = False
+            while not (is_over and self._is_drained()):
+                is_over = self._engine.status.is_over  # read before draining: what comes last is still taken
+                self._collect()
+                self._try(self._write_audit, is_last=is_over)
+                self._try(self._write_samples, is_last=is_over)
+                self._try(self._store_model, is_last=is_over)
+                self._check_disk()
+            self._is_complete = True
+        finally:
+            if not self._is_complete:
+                self._give_up()
+            self._try(self._close, is_last=True)
+            self._on_over()
+
+    def _give_up(self) -> None:
+        """Stop the engine because this thread failed, and store at least the transitions."""
+        self._engine.report_fault(HoldReason.AUDIT_BEHIND, "the writer thread broke")
+        self._engine.stop()
+        self._recorder.waiting.clear()
+        _drain(self._engine.transitions, self._transitions)
+        self._try(self._write_audit, is_last=True)
+
+    def _is_drained(self) -> bool:
+        engine = self._engine
+        return engine.transitions.empty() and engine.samples.empty() and engine.notices.empty()
+
+    def _collect(self) -> None:
+        """Take what is in the queues; leave it there while earlier rows are not written."""
+        if len(self._transitions) < MAX_BATCH:
+            with contextlib.suppress(queue.Empty):
+                self._transitions.append(self._engine.transitions.get(timeout=POLL_S))
+            _drain(self._engine.transitions, self._transitions)
+        _drain(self._engine.samples, self._recorder.waiting)
+        _drain(self._engine.notices, self._notices)
+
+    def _try(self, write: Callable[[], None], *, is_last: bool) -> None:
+        """Write; on failure hold the beam and retry until it succeeds, or give up after the session's end."""
+        give_up_at_s = time.monotonic() + GIVE_UP_S
+        while True:
+            try:
+                write()
+            except SQLAlchemyError as error:
+                self._engine.report_fault(HoldReason.AUDIT_BEHIND, "the database does not take what is written")
+                logger.warning("the database does not take session %s: %s", self._session_id, type(error).__name__)
+            except OSError as error:
+                self._engine.report_fault(HoldReason.RECORDER_BEHIND, "the disk does not take what was measured")
+                logger.warning("the disk does not take session %s: %s", self._session_id, error.strerror)
+            else:
+                return
+            is_over = is_last or self._engine.status.is_over
+            if is_over and time.monotonic() > give_up_at_s:
+                logger.critical("gave up writing session %s", self._session_id)
+                return
+            time.sleep(RETRY_S)
+
+    def _write_audit(self) -> None:
+        """Commit transitions and training events at once; test the database when nothing was committed for a while."""
+        while self._transitions or self._notices:
+            self._write_batch()
+        if time.monotonic() - self._taken_at_s >= ASK_S:
+            with self._database.write() as db:
+                db.connection()  # begins a transaction, with the lock that a row needs
+            self._taken_at_s = time.monotonic()
+
+    def _write_batch(self) -> None:
+        """Commit what is waiting; a batch that may be committed already is retried unchanged, with nothing added."""
+        batch = self._pending = self._pending or _AuditBatch(tuple(self._transitions), tuple(self._notices))
+        self._audit_write.write(batch, lambda db: self._append(db, batch))
+        self._pending = None
+        self._taken_at_s = time.monotonic()
+        self._confirm(batch.transitions)
+        for transition in batch.transitions:
+            self._counters.transition(transition)
+        self.figures.transitions += len(batch.transitions)
+        del self._transitions[: len(batch.transitions)], self._notices[: len(batch.notices)]
+
+    def _append(self, db: Session, batch: _AuditBatch) -> None:
+        for transition in batch.transitions:
+            audit.append(db, transition_event(self._session_id, transition), self._anchor.utc(transition.at_ns))
+        for notice in batch.notices:
+            audit.append(db, notice_event(self._session_id, notice))
+
+    def _confirm(self, transitions: Iterable[GateTransition]) -> None:
+        """Acknowledge committed transitions to the journal, so that their slots can be used again."""
+        newest = max((transition.number or 0 for transition in transitions), default=0)
+        if self._journal is not None:
+            self._journal.acknowledge(newest)
+
+    def _write_samples(self) -> None:
+        for record in self._recorder.write_due(is_last=self._engine.status.is_over):
+            self._counters.frame(record)
+
+    def _store_model(self) -> None:
+        """Store the model in use, if the engine has changed it since the last call."""
+        model = self._engine.status.learning.model
+        if model is None or model is self._model:
+            return
+        if self._model_to_store is None or self._model_to_store[0] is not model:  # a retry stores the same file
+            origin = replace(self._origin, created_at=utc_text(datetime.now(UTC)))
+            self._model_to_store = (model, model.from_origin(origin))
+        stored = self._model_to_store[1]
+        try:
+            sha256 = self._models.save(stored)
+        except TidegateError as error:
+            logger.warning("a model of session %s could not be kept: %s", self._session_id, error.code)
+            return
+
+        def record(db: Session) -> None:
+            self.active_model_id = record_model(db, self._session_id, sha256, stored)
+
+        self._model_write.write(model, record)
+        self._model = model
+
+    def _check_disk(self) -> None:
+        """Check disk space, the sample file and the database; report a fault for as long as one is found.
+
+        A fault is checked and reported at every turn: reported once a second only, an acknowledgement in between would
+        leave the gate without the fault for up to a second.
+        """
+        now_s = time.monotonic()
+        if now_s - self._disk_checked_at_s < DISK_CHECK_S:
+            return
+        trouble = self._database_trouble()
+        if trouble is not None:
+            self._engine.report_fault(HoldReason.AUDIT_BEHIND, trouble)
+        elif not self._recorder.is_there:
+            self._engine.report_fault(HoldReason.RECORDER_BEHIND, "the sample file was taken away or replaced")
+        elif shutil.disk_usage(self._settings.data_dir).free < self._settings.min_free_disk_bytes:
+            self._engine.report_fault(HoldReason.DISK_LOW, "the data folder's disk is almost full")
+        else:
+            self._disk_checked_at_s = now_s
+
+    def _database_trouble(self) -> str | None:
+        try:
+            return self._database.trouble()
+        except SQLAlchemyError:
+            return "the database does not answer"
+
+    def _close(self) -> None:
+        """Make the final sample file, record the end, and only then remove the stream."""
+        status, detail = self._ending()
+        if self._settled is None:
+            self._settled = self._settle()
+        settled = self._settled
+        samples = self._recorder.leave_open() if settled is None else settled.audit_detail
+        evidence = self._engine.evidence()
+        if self._journal is not None and self._journal.is_orphaned:
+            recover_orphan(self._database, self._journal.path)
+
+        def end(db: Session) -> None:
+            row = queries.session_row(db, self._session_id)
+            row.status, row.status_detail, row.ended_at = status, detail, datetime.now(UTC)
+            self.figures.transitions = queries.transition_count(db, self._session_id)
+            figures = self.figures.summary()
+            row.summary = figures.model_dump_json()
+            event = closing_event(row, figures, samples, actor=self._stopped_by or SYSTEM)
+            audit.append(db, replace(event, detail={**event.detail, **evidence}))
+
+        self._closing_write.write(self, end)
+        if self._journal is not None:
+            self._journal.close()
+        if settled is not None:
+            with contextlib.suppress(OSError):  # the next start removes it
+                self._recorder.forget_stream()
+
+    def _settle(self) -> Settlement | None:
+        """Make the Parquet file; return None where that fails: the stream stays, and the next start makes the file."""
+        if self._is_hurried and self._recorder.rows > MOST_HURRIED_ROWS:
+            return None
+        try:
+            return self._recorder.settle()
+        except OSError as error:
+            logger.warning("session %s stays in its stream: %s", self._session_id, error)
+            return None
+
+    def _ending(self) -> tuple[str, str]:
+        if not self._is_complete:
+            return "failed", "the session could not be written down; see the service's log"
+        if self._engine.status.run_state is LoopStatus.FAILED:
+            return "failed", self._engine.status.error or "the engine failed"
+        if self._stopped_by is not None:
+            return "stopped", f"stopped by {self._stopped_by}"
+        return "ended", self._engine.status.error or "the recording is over"
+
+
+def _drain(source: "queue.Queue[RowT]", target: list[RowT]) -> None:
+    while len(target) < MAX_BATCH:
+        try:
+            target.append(source.get_nowait())
+        except queue.Empty:
+            return

@@ -1,0 +1,1 @@
+"""Sessions, calibrations and motion models as database records, and their ETags."""

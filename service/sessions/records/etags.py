@@ -1,0 +1,82 @@
+"""ETags of sessions: each is made from the number of the newest decision about the session in the audit.
+
+A running session's figures change with every frame; what a person or a machine decided does not. Each decision is a row
+of the audit, so that the newest row's number says whether anything was decided since somebody looked. What takes
+permission away is done first and written down after: it is counted besides (`service.sessions.records.withdrawals`),
+before it is done.
+"""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from service.core.conditional import Precondition, etag_of
+from service.core.errors import EngineTimeoutError
+from service.sessions.records.withdrawals import Withdrawals
+from service.storage.database import queries
+from service.storage.database.engine import Database
+from service.storage.database.tables import AuditRow
+
+DECISIONS = (
+    "session.create",
+    "session.start",
+    "session.reference",
+    "session.arm",
+    "session.disarm",
+    "session.hold",
+    "session.release",
+    "session.acknowledge",
+    "session.baseline_correction",
+    "session.stop",
+    "session.close",
+    "model.retrain",
+    "model.apply",
+    "model.activate",
+)
+LONGEST_WAIT_S = 2.0
+
+
+class SessionRevisions:
+    """Returns ETags of sessions, and executes conditional calls one at a time."""
+
+    def __init__(self, database: Database, withdrawals: Withdrawals) -> None:
+        self._database = database
+        self._withdrawals = withdrawals
+        self._turn = threading.Lock()
+
+    def etag(self, session_id: str) -> str:
+        """Return a session's ETag; raise NotFoundError."""
+        with self._database.read() as db:
+            status = queries.session_row(db, session_id).status
+            newest = _newest_decision(db, session_id)
+        return etag_of("session", session_id, status, newest, self._withdrawals.count(session_id))
+
+    @contextmanager
+    def only_if(self, session_id: str, wanted: Precondition) -> Iterator[None]:
+        """Execute the body if the session's ETag still matches; raise PreconditionFailedError otherwise.
+
+        Whoever sends no ``If-Match`` waits for nobody. What takes the beam away never comes here. Where it comes
+        between look and act, the engine refuses what it takes back: an arm that was asked for before a disarming, a
+        release before a hold (`engine.control.command_queue`). An arm beside a hold is done, and the beam stays held.
+        """
+        if not wanted.is_given:
+            yield
+            return
+        if not self._turn.acquire(timeout=LONGEST_WAIT_S):
+            msg = f"another conditional call took longer than {LONGEST_WAIT_S:g} s"
+            raise EngineTimeoutError(msg)
+        try:
+            wanted.require(self.etag(session_id))
+            yield
+        finally:
+            self._turn.release()
+
+
+def _newest_decision(db: Session, session_id: str) -> int:
+    query = select(func.max(AuditRow.sequence)).where(
+        AuditRow.session_id == session_id, AuditRow.action.in_(DECISIONS), AuditRow.outcome != "refused"
+    )
+    return db.scalar(query) or 0

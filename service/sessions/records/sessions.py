@@ -1,0 +1,278 @@
+"""Sessions as records: created once, one open at a time, read with their figures."""
+
+import json
+import uuid
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from pydantic import TypeAdapter
+from sqlalchemy.orm import Session
+
+from engine.calibration.camera_calibration import Calibration
+from engine.control.outputs import LiveView
+from engine.core.errors import ModelMismatchError
+from service.core.errors import SessionActiveError
+from service.core.finite import finite_or_none
+from service.core.list_filters import ALL_SESSIONS, ALL_TRANSITIONS, SessionFilter, TransitionFilter
+from service.core.schemas import sessions
+from service.core.schemas.windows import Window
+from service.core.settings.settings import Settings
+from service.engine_host.equipment import EquipmentSlot
+from service.engine_host.roles import EnginePort, RunningSession
+from service.engine_host.site_rules.played_recordings import check_source, described_source, warning_of_source
+from service.engine_host.site_rules.recording_folders import find_recording
+from service.engine_host.site_rules.uncalibrated import check_allowed, described, kind_of, warning_of
+from service.engine_host.site_rules.window_limits import check_window, gate_limits
+from service.sessions.records.calibrations import kept_row
+from service.sessions.views.breath import live_breath, live_breath_hold
+from service.sessions.views.live import gate_view, likeness_view, training_view
+from service.sessions.views.window import live_window
+from service.storage import audit
+from service.storage.audit import SYSTEM, Event
+from service.storage.audit.log import AuditLog
+from service.storage.database import queries
+from service.storage.database.engine import Database
+from service.storage.database.idempotency import CallersKey, IdempotentAnswer, InProgress, earlier_answer, keep_answer
+from service.storage.database.tables import AuditRow, CalibrationRow, SessionRow
+from service.storage.files.capacity import refuse_without_room
+from service.storage.samples.figures import Figures
+
+ACTION = "session.create"
+SOURCE: TypeAdapter[sessions.RecordingSource | sessions.DeviceSource] = TypeAdapter(sessions.Source)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FromPlan:
+    """The plan of a new session: what the audit records of it, and the check that the plan still allows the session."""
+
+    rt_plan_id: str
+    detail: Mapping[str, object]
+    check: Callable[[Session], None]
+
+
+class SessionRepository:
+    """Creates and reads the records of sessions."""
+
+    def __init__(
+        self,
+        database: Database,
+        log: AuditLog,
+        settings: Settings,
+        equipment: EquipmentSlot,
+        engine: EnginePort,
+        free_disk: Callable[[], object],
+    ) -> None:
+        self._database = database
+        self._log = log
+        self._settings = settings
+        self._equipment = equipment
+        self._engine = engine
+        self._free_disk = free_disk
+        self._in_progress = InProgress()
+
+    def create(
+        self, request: sessions.SessionRequest, key: CallersKey | None, plan: FromPlan | None = None
+    ) -> IdempotentAnswer[sessions.Session]:
+        """Record a new session; one at a time."""
+        origin = {} if plan is None else dict(plan.detail)
+        body = audit.canonical_json({**request.model_dump(mode="json"), **origin}).encode()
+        with self._log.refusals(actor=request.operator, action=ACTION), self._in_progress.only(key):
+            with self._database.read() as db:
+                earlier = self._earlier_or_free(db, request, key, body, plan)
+            if earlier is not None:
+                return IdempotentAnswer(answer=earlier, is_replay=True)
+            refuse_without_room(self._settings, self._free_disk)
+            # A camera may take its time to answer, or hang: never while the database is locked.
+            nominal = self._nominal_calibration(request)
+            return self._write_down(request, key, body, nominal, plan)
+
+    def _write_down(
+        self,
+        request: sessions.SessionRequest,
+        key: CallersKey | None,
+        body: bytes,
+        nominal: Calibration | None,
+        plan: FromPlan | None,
+    ) -> IdempotentAnswer[sessions.Session]:
+        with self._database.write() as db:
+            earlier = self._earlier_or_free(db, request, key, body, plan)
+            if earlier is not None:
+                return IdempotentAnswer(answer=earlier, is_replay=True)
+            calibration = self._calibration(db, request, nominal)
+            _refuse_other_model(db, request, calibration)
+            row = _new_row(request, calibration.id, is_simulated_beam=self._engine.is_simulated_beam)
+            row.rt_plan_id = None if plan is None else plan.rt_plan_id
+            db.add(row)
+            db.flush()
+            audit.append(db, self._created(row.id, request, calibration, {} if plan is None else plan.detail))
+            answer = session_answer(row)
+            keep_answer(db, ACTION, key, body, answer)
+        return IdempotentAnswer(answer=answer, is_replay=False)
+
+    def page(self, cursor: str | None, limit: int, wanted: SessionFilter = ALL_SESSIONS) -> sessions.SessionPage:
+        """List sessions, newest first."""
+        with self._database.read() as db:
+            rows, next_cursor = queries.session_page(db, cursor, limit, wanted)
+            return sessions.SessionPage(items=[session_answer(row) for row in rows], next_cursor=next_cursor)
+
+    def detail(self, session_id: str, by: Database | None = None) -> sessions.SessionDetail:
+        """Read one, with its present state; ``by`` is another database, where these connections may all be in use."""
+        with (by or self._database).read() as db:
+            row = queries.session_row(db, session_id)
+            record = session_answer(row)
+            stored = row.summary
+        running = self._equipment.of(session_id)
+        view = None if running is None else running.engine.status.view
+        return sessions.SessionDetail(
+            **dict(record),
+            gate=None if view is None else gate_view(view),
+            measurement_state=None if view is None else view.record.measurement.state.value,
+            training=None if view is None else training_view(view),
+            active_model_id=None if running is None else running.writer.active_model_id,
+            has_reference=None if running is None else running.engine.status.learning.has_reference,
+            likeness=None if running is None else likeness_view(running.engine.status.learning.patient_match),
+            gate_window=None if view is None else live_window(view.window, view.conditions, view.record.measurement),
+            breath=None if view is None else live_breath(view),
+            breath_hold=None if view is None else live_breath_hold(view),
+            summary=_summary(running, view, stored),
+        )
+
+    def transitions(
+        self, session_id: str, cursor: str | None, limit: int, wanted: TransitionFilter = ALL_TRANSITIONS
+    ) -> sessions.TransitionPage:
+        """List its gate's transitions, oldest first."""
+        with self._database.read() as db:
+            queries.session_row(db, session_id)
+            rows, next_cursor = queries.transition_page(db, session_id, cursor, limit, wanted)
+            return sessions.TransitionPage(items=[_transition(row) for row in rows], next_cursor=next_cursor)
+
+    def _check(self, request: sessions.SessionRequest) -> None:
+        check_source(request.source, self._settings)
+        check_window(request.window, self._settings)
+        gate_limits(request.window, self._settings, request.regions)
+        if isinstance(request.source, sessions.RecordingSource):
+            find_recording(request.source.path, self._settings.recording_folders)
+
+    def _earlier_or_free(
+        self,
+        db: Session,
+        request: sessions.SessionRequest,
+        key: CallersKey | None,
+        body: bytes,
+        plan: FromPlan | None,
+    ) -> sessions.Session | None:
+        """Return the earlier answer to this key, if any; refuse an invalid request, and any while a session is open."""
+        earlier = earlier_answer(db, ACTION, key, body, sessions.Session)
+        if earlier is not None:
+            return earlier
+        self._check(request)
+        if plan is not None:
+            plan.check(db)
+        self._equipment.refuse_qa()
+        open_id = queries.open_session_id(db)
+        if open_id is not None:
+            msg = "another session is created or running: stop it first"
+            raise SessionActiveError(msg, field="session_id", value=open_id, bound="one open session at a time")
+        return None
+
+    def _nominal_calibration(self, request: sessions.SessionRequest) -> Calibration | None:
+        """Read the camera's nominal calibration if the request names none."""
+        if request.calibration_id is not None:
+            return None
+        check_allowed(request, self._settings)
+        assert isinstance(request.source, sessions.DeviceSource), "recordings were refused"
+        return self._engine.registered_calibration(request.source.uri)
+
+    def _calibration(
+        self, db: Session, request: sessions.SessionRequest, nominal: Calibration | None
+    ) -> CalibrationRow:
+        """Find the requested calibration, or store the nominal one."""
+        if nominal is not None:
+            return kept_row(db, nominal, SYSTEM)[0]
+        assert request.calibration_id is not None, "without one there is a nominal one"
+        row = queries.calibration_row(db, request.calibration_id)
+        if kind_of(row.camera) != "uploaded":
+            check_allowed(request, self._settings)
+        return row
+
+    def _created(
+        self,
+        session_id: str,
+        request: sessions.SessionRequest,
+        calibration: CalibrationRow,
+        origin: Mapping[str, object],
+    ) -> Event:
+        detail = {**request.model_dump(mode="json"), "calibration_id": calibration.id, **described(calibration.camera)}
+        detail |= origin
+        if self._engine.is_simulated_beam:
+            detail["beam_line"] = "SIMULATED: no accelerator is gated by this session"
+        detail |= described_source(request.source, self._settings)
+        return Event(actor=request.operator, action=ACTION, session_id=session_id, detail=detail)
+
+
+def session_answer(row: SessionRow) -> sessions.Session:
+    """Return a session's record as the API answers it."""
+    made = {"source", "source_warning", "window", "regions", "calibration", "calibration_warning"}
+    source = SOURCE.validate_json(row.source)
+    return sessions.Session(
+        **{name: getattr(row, name) for name in sessions.Session.model_fields.keys() - made},
+        calibration=kind_of(row.calibration.camera),
+        calibration_warning=warning_of(row.calibration.camera),
+        source=source,
+        source_warning=warning_of_source(source, is_simulated_beam=row.is_simulated_beam),
+        window=Window.model_validate_json(row.window),
+        regions=sessions.Regions.model_validate_json(row.regions),
+    )
+
+
+def _summary(running: RunningSession | None, view: LiveView | None, stored: str | None) -> sessions.Summary:
+    """Return a closed session's stored figures, or a running one's present counts."""
+    if stored is not None:
+        return sessions.Summary.model_validate_json(stored)
+    figures = Figures() if running is None else running.writer.figures
+    if view is None:
+        return figures.summary(sessions.LatencyView(p50_ms=None, p99_ms=None))
+    latency = sessions.LatencyView(
+        p50_ms=finite_or_none(view.latency.p50_ms),
+        p99_ms=finite_or_none(view.latency.p99_ms),
+        max_ms=finite_or_none(view.latency.max_ms),
+    )
+    return figures.summary(latency)
+
+
+def _refuse_other_model(db: Session, request: sessions.SessionRequest, calibration: CalibrationRow) -> None:
+    """Refuse a model of another patient or calibration; the message does not name the other patient."""
+    if request.model_id is None:
+        return
+    learned_in = queries.session_row(db, queries.model_row(db, request.model_id).session_id)
+    if learned_in.patient_reference != request.patient_reference:
+        bound = f"a model of {request.patient_reference}"
+        raise ModelMismatchError("model_id", request.model_id, bound, "this one was learned of another patient")
+    if learned_in.calibration.sha256 != calibration.sha256:
+        bound = f"a model learned with calibration {calibration.id}"
+        raise ModelMismatchError("model_id", request.model_id, bound, f"this one was with {learned_in.calibration_id}")
+
+
+def _new_row(request: sessions.SessionRequest, calibration_id: str, *, is_simulated_beam: bool) -> SessionRow:
+    return SessionRow(
+        id=uuid.uuid4().hex,
+        status="created",
+        status_detail="",
+        patient_reference=request.patient_reference,
+        plan_id=request.plan_id,
+        fraction_id=request.fraction_id,
+        fraction_number=request.fraction_number,
+        operator=request.operator,
+        source=request.source.model_dump_json(),
+        window=request.window.model_dump_json(),
+        regions=request.regions.model_dump_json(),
+        calibration_id=calibration_id,
+        model_id=request.model_id,
+        is_simulated_beam=is_simulated_beam,
+        created_at=datetime.now(UTC),
+    )
+
+
+def _transition(row: AuditRow) -> sessions.Transition:
+    return sessions.Transition.model_validate({**json.loads(row.detail), "audit_sequence": row.sequence, "at": row.at})

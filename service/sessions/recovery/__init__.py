@@ -1,0 +1,1 @@
+"""Recovery of sessions that a killed process left, and their replay."""

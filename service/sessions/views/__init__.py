@@ -1,0 +1,1 @@
+"""Engine results as the HTTP contract shows them."""

@@ -1,0 +1,174 @@
+"""Live messages and views from the engine's newest view. Pure functions; NaN and infinity become null."""
+
+from datetime import UTC, datetime
+from typing import Any
+
+from engine.control.outputs import LiveView, LoopStatus
+from engine.core.frames import Measurement, Motion, PhaseLag
+from engine.core.patient_match import PatientMatch
+from service.core.finite import rounded_or_none
+from service.core.hold_texts import hold_text
+from service.core.schemas import sessions
+from service.core.schemas.live_messages import LiveLag, LiveLatency, LiveLost, LiveTraining, Sample
+from service.engine_host.roles import SessionPlan
+from service.engine_host.site_rules.uncalibrated import kind_of
+from service.sessions.views.breath import live_breath, live_breath_hold
+from service.sessions.views.window import live_window
+
+DIGITS = 4
+NEVER = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def live_sample(view: LiveView, plan: SessionPlan, *, is_stopping: bool, is_simulated_beam: bool) -> Sample:
+    """Make the live message of a view; the stream fills in sequence number, send time and age."""
+    record, measurement = view.record, view.record.measurement
+    return Sample(
+        sequence=0,
+        sent_at=NEVER,
+        age_ms=0.0,
+        session_id=plan.session_id,
+        session_status=_session_status(view.status, is_stopping=is_stopping),
+        is_armed=view.is_armed,
+        is_simulated_beam=is_simulated_beam,
+        calibration=kind_of(plan.calibration.camera),
+        frame_index=measurement.frame_index,
+        timestamp_us=measurement.timestamp_us,
+        state=measurement.state.value,
+        lost=_lost(measurement),
+        training=_training(measurement),
+        gate=record.gate_state.value,
+        hold_reason=None if record.hold_reason is None else record.hold_reason.value,
+        hold_text=hold_text(record.hold_reason),
+        hold_detail="" if record.hold_reason is None else view.detail,
+        operator_hold=view.operator_hold,
+        line_on=record.line_on,
+        window=live_window(view.window, view.conditions, measurement),
+        breath=live_breath(view),
+        breath_hold=live_breath_hold(view),
+        signal_mm=rounded_or_none(record.signal_mm),
+        **(NOT_MEASURED if measurement.motion is None else _motion_fields(measurement.motion, plan)),
+        roi_px=_corners(measurement),
+        fps=rounded_or_none(view.fps),
+        frames=view.frames,
+        missed_frames=view.missed_frames,
+        latency_ms=_latency(view),
+    )
+
+
+NOT_MEASURED: dict[str, Any] = dict.fromkeys(
+    (
+        *("whole_mm", "thorax_mm", "abdomen_mm", "volume_l", "residual_mm", "valid_share"),
+        *("regions_mm", "named_mm", "split_rows", "lags"),
+    )
+)
+
+
+def _motion_fields(motion: Motion, plan: SessionPlan) -> dict[str, Any]:
+    return {
+        "whole_mm": rounded_or_none(motion.whole_mm),
+        "thorax_mm": rounded_or_none(motion.thorax_mm),
+        "abdomen_mm": rounded_or_none(motion.abdomen_mm),
+        "volume_l": rounded_or_none(motion.volume_l),
+        "residual_mm": rounded_or_none(motion.projection.residual_mm),
+        "valid_share": rounded_or_none(motion.projection.valid_share),
+        "regions_mm": [[rounded_or_none(cell) for cell in row] for row in motion.regions_mm.tolist()],
+        "named_mm": _named(motion, plan),
+        "split_rows": None if motion.split_rows is None else [round(row, 2) for row in motion.split_rows],
+        "lags": [_lag(lag) for lag in motion.lags],
+    }
+
+
+def _latency(view: LiveView) -> LiveLatency:
+    return LiveLatency(
+        last=rounded_or_none(view.latency.last_ms),
+        p50=rounded_or_none(view.latency.p50_ms),
+        p99=rounded_or_none(view.latency.p99_ms),
+        max=rounded_or_none(view.latency.max_ms),
+        warned=view.latency.is_warned,
+    )
+
+
+def gate_view(view: LiveView) -> sessions.GateView:
+    """Return the state of the gate, with the reason for a hold."""
+    record = view.record
+    return sessions.GateView(
+        state=record.gate_state.value,
+        is_armed=view.is_armed,
+        hold_reason=None if record.hold_reason is None else record.hold_reason.value,
+        hold_text=hold_text(record.hold_reason),
+        hold_detail="" if record.hold_reason is None else view.detail,
+        operator_hold=view.operator_hold,
+        line_on=record.line_on,
+    )
+
+
+def training_view(view: LiveView) -> sessions.TrainingView | None:
+    """Return the progress of the training; None while none runs."""
+    training = _training(view.record.measurement)
+    return None if training is None else sessions.TrainingView.model_validate(training.model_dump())
+
+
+def likeness_view(likeness: PatientMatch | None) -> sessions.LikenessView | None:
+    """Return the comparison of the patient with the stored model; None without one."""
+    if likeness is None:
+        return None
+    return sessions.LikenessView(
+        is_accepted=likeness.refusal is None,
+        refusal=None if likeness.refusal is None else str(likeness.refusal),
+        frames=likeness.frames,
+        explained_share=round(likeness.explained_share, DIGITS),
+        residual_mm=rounded_or_none(likeness.residual_mm),
+        shift_mm=[round(value, DIGITS) for value in likeness.shift_mm],
+        tilt_deg=round(likeness.tilt_deg, DIGITS),
+        shape_mm=round(likeness.shape_mm, DIGITS),
+    )
+
+
+def _session_status(status: LoopStatus, *, is_stopping: bool) -> str:
+    if status is LoopStatus.FAILED:
+        return "failed"
+    if not status.is_over:
+        return "running"
+    return "stopped" if is_stopping else "ended"
+
+
+def _lost(measurement: Measurement) -> LiveLost | None:
+    lost = measurement.lost
+    return None if lost is None else LiveLost(reason=lost.reason.value, detail=lost.detail)
+
+
+def _training(measurement: Measurement) -> LiveTraining | None:
+    training = measurement.training
+    if training is None:
+        return None
+    return LiveTraining(
+        frames=training.frames,
+        cycles=training.cycles,
+        seconds=round(training.seconds, 2),
+        share=round(training.share, 3),
+        note=training.note,
+        amplitude_mm=rounded_or_none(training.amplitude_mm),
+        shift_mm=rounded_or_none(training.shift_mm),
+    )
+
+
+def _named(motion: Motion, plan: SessionPlan) -> dict[str, float | None]:
+    names = [region.name for region in plan.regions.named]
+    return {name: rounded_or_none(value) for name, value in zip(names, motion.named_mm.tolist(), strict=False)}
+
+
+def _lag(lag: PhaseLag) -> LiveLag:
+    return LiveLag(
+        first=lag.first,
+        second=lag.second,
+        lag_s=rounded_or_none(lag.lag_s),
+        lag_deg=rounded_or_none(lag.lag_deg),
+        period_s=rounded_or_none(lag.period_s),
+        confidence=rounded_or_none(lag.confidence),
+        note=lag.note,
+    )
+
+
+def _corners(measurement: Measurement) -> list[list[float]] | None:
+    markers = measurement.markers
+    return None if markers is None else [[round(x, 2), round(y, 2)] for x, y in markers.centers_px.tolist()]

@@ -1,0 +1,1 @@
+"""Persistent data: database, audit log, samples, backups and files in the data folder."""

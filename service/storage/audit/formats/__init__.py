@@ -1,0 +1,1 @@
+"""Audit events in other formats: FHIR, DICOM, JSON lines."""

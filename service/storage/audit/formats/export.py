@@ -1,0 +1,212 @@
+"""Export of the audit as JSON lines with complete rows, or as FHIR resources; written in pieces at constant memory.
+
+A JSON lines export ends with a line that states its number of rows and its filters, so that truncation is detected.
+Each row has its hash, so that the file can be verified without the database.
+"""
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+
+from sqlalchemy import Select, select
+from sqlalchemy.orm import Session
+
+from service.storage.audit.chain import COLUMNS, Link, canonical_json
+from service.storage.audit.formats.fhir import audit_event, sealed_row
+from service.storage.audit.patients import parsed, patients_of
+from service.storage.audit.verification import Breakage, Verification, head_sequence, is_sealed
+from service.storage.database.base import utc_text
+from service.storage.database.engine import Database
+from service.storage.database.tables import AuditRow
+
+PIECE_ROWS = 500
+END = "tidegate.audit/1"
+MAX_LINE_CHARACTERS = 16_777_216
+
+
+class ExportFormat(StrEnum):
+    """File formats of an export."""
+
+    JSONL = "jsonl"
+    FHIR = "fhir"
+
+
+MEDIA = {ExportFormat.JSONL: "application/x-ndjson", ExportFormat.FHIR: "application/fhir+ndjson"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportRequest:
+    """Format and filters of an export: ``since`` inclusive, ``until`` exclusive, None does not filter."""
+
+    format: ExportFormat
+    since: datetime | None = None
+    until: datetime | None = None
+    session_id: str | None = None
+    with_patients: bool = False
+
+    def audit_detail(self) -> dict[str, object]:
+        """Return the detail of the export's audit row."""
+        return {
+            "format": self.format.value,
+            "since": None if self.since is None else utc_text(self.since),
+            "until": None if self.until is None else utc_text(self.until),
+            "session_id": self.session_id,
+            "with_patients": self.with_patients or self.format is ExportFormat.JSONL,
+        }
+
+
+def write_export(database: Database, request: ExportRequest, *, site: str) -> Iterator[str]:
+    """Yield the rows that existed at the first call, as text in pieces."""
+    with database.read() as db:
+        up_to = head_sequence(db)
+    after, rows, last = None, 0, None
+    while True:
+        with database.read() as db:  # one session per piece: a slow client must not block checkpoints
+            links = [Link._make(row) for row in db.execute(_query(request, after, up_to))]
+            text = "".join(_lines(db, links, request, site))
+        if not links:
+            break
+        after, rows, last = links[-1].sequence, rows + len(links), links[-1]
+        yield text
+    if request.format is ExportFormat.JSONL:
+        end = {"rows": rows, "last_hash": None if last is None else last.hash, **request.audit_detail()}
+        yield f"{canonical_json({'schema': END, 'end': end})}\n"
+
+
+def verify_export(lines: Iterable[str]) -> Verification:
+    """Verify an export without the database: each row's hash, and the chain between consecutive rows."""
+    found = _ExportCheck()
+    for line in lines:
+        if not found.take(line):
+            break
+    return found.end()
+
+
+class _ExportCheck:
+    def __init__(self) -> None:
+        self.before: Link | None = None
+        self.rows = 0
+        self.without_detail = 0
+        self.gaps = 0
+        self.is_jsonl = False
+        self.ended: object = None
+        self.broken: tuple[int | None, Breakage, str] | None = None
+
+    def take(self, line: str) -> bool:
+        """Check one line; return False if the file is broken."""
+        fields = parsed(line)
+        if fields is not None and fields.get("schema") == END:
+            self.is_jsonl, self.ended = True, fields.get("end")
+            return True
+        row = None if fields is None else _row(fields)
+        if row is None:
+            self.broken = (None, Breakage.CHANGED, f"line {self.rows + 1} is no row of an audit log")
+            return False
+        link, has_detail = row
+        self.is_jsonl = self.is_jsonl or "resourceType" not in (fields or {})
+        return self._check(link, has_detail=has_detail)
+
+    def end(self) -> Verification:
+        """Return the result."""
+        if self.broken is None and self.is_jsonl:
+            self._check_end()
+        notes = [f"{self.gaps} places at which rows were left out"] * bool(self.gaps)
+        notes += [f"{self.without_detail} rows without their detail: only their place in the chain was checked"] * bool(
+            self.without_detail
+        )
+        head = "" if self.before is None else self.before.hash
+        detail = "every row fits its seal, and the row before it where that is in the file"
+        sequence, breakage, detail = self.broken or (None, None, detail)
+        return Verification(
+            rows=self.rows,
+            head_hash=head,
+            first_broken_sequence=sequence,
+            breakage=breakage,
+            detail=detail,
+            notes=tuple(notes),
+        )
+
+    def _check(self, link: Link, *, has_detail: bool) -> bool:
+        before = self.before
+        if self.ended is not None:
+            self.broken = (link.sequence, Breakage.INSERTED, f"row {link.sequence} stands after the end of the export")
+        elif has_detail and not is_sealed(link):
+            self.broken = (link.sequence, Breakage.CHANGED, f"row {link.sequence} was changed after it was written")
+        elif before is not None and link.sequence <= before.sequence:
+            text = f"row {link.sequence} stands after row {before.sequence}"
+            self.broken = (link.sequence, Breakage.REORDERED, text)
+        elif before is not None and link.sequence == before.sequence + 1 and link.previous_hash != before.hash:
+            text = f"row {link.sequence} does not follow from the row before it"
+            self.broken = (link.sequence, Breakage.RESEALED, text)
+        if self.broken is not None:
+            return False
+        self.gaps += before is not None and link.sequence != before.sequence + 1
+        self.without_detail += not has_detail
+        self.before, self.rows = link, self.rows + 1
+        return True
+
+    def _check_end(self) -> None:
+        end = self.ended if isinstance(self.ended, dict) else None
+        if end is None:
+            self.broken = (
+                None,
+                Breakage.CUT_OFF,
+                f"the file ends after {self.rows} rows without saying so: it was cut off",
+            )
+            return
+        fields = (end.get("rows"), end.get("last_hash"))
+        if fields != (self.rows, None if self.before is None else self.before.hash):
+            text = f"the file says that it holds {fields[0]} rows; these are {self.rows}, or they end with another one"
+            self.broken = (None, Breakage.MISSING, text)
+        is_whole = all(end.get(name) is None for name in ("since", "until", "session_id"))
+        if self.broken is None and is_whole and self.gaps:
+            self.broken = (None, Breakage.MISSING, f"rows are missing at {self.gaps} places of a whole export")
+
+
+def _query(request: ExportRequest, after: int | None, up_to: int) -> "Select[tuple[object, ...]]":
+    query = select(*COLUMNS).where(AuditRow.sequence <= up_to).order_by(AuditRow.sequence).limit(PIECE_ROWS)
+    if after is not None:
+        query = query.where(AuditRow.sequence > after)
+    if request.session_id is not None:
+        query = query.where(AuditRow.session_id == request.session_id)
+    if request.since is not None:
+        query = query.where(AuditRow.at >= utc_text(request.since))
+    if request.until is not None:
+        query = query.where(AuditRow.at < utc_text(request.until))
+    return query
+
+
+def _lines(db: Session, links: list[Link], request: ExportRequest, site: str) -> Iterator[str]:
+    if request.format is ExportFormat.JSONL:
+        yield from (f"{_json_line(link)}\n" for link in links)
+        return
+    patients = patients_of(db, (link.session_id for link in links))
+    for link in links:
+        patient = None if link.session_id is None else patients.get(link.session_id)
+        event = audit_event(link, site=site, patient=patient, with_patients=request.with_patients)
+        yield f"{json.dumps(event, ensure_ascii=False, separators=(',', ':'))}\n"
+
+
+def _json_line(link: Link) -> str:
+    """Return a row with its detail as an object, or as text if the object would not give the hashed text."""
+    detail = parsed(link.detail)
+    fields: dict[str, object] = {**link._asdict(), "detail": detail}
+    if detail is None or canonical_json(detail) != link.detail:
+        fields |= {"detail": None, "detail_text": link.detail}
+    return canonical_json(fields)
+
+
+def _row(fields: object) -> tuple[Link, bool] | None:
+    if not isinstance(fields, dict):
+        return None
+    if fields.get("resourceType") == "AuditEvent":
+        return sealed_row(fields)
+    try:
+        detail = fields["detail_text"] if fields["detail"] is None else canonical_json(fields["detail"])
+        link = Link(**{**{name: fields[name] for name in Link._fields}, "detail": detail})
+    except (KeyError, TypeError, ValueError):
+        return None
+    is_row = isinstance(link.sequence, int) and isinstance(link.hash, str)
+    return (link, True) if is_row else None

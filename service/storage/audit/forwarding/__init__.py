@@ -1,0 +1,1 @@
+"""Audit events forwarded to a syslog server."""

@@ -1,0 +1,1 @@
+"""The database, on SQLite or PostgreSQL: connections, tables, migrations and queries."""

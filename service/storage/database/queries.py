@@ -1,0 +1,171 @@
+"""Queries of the tables; each runs in the caller's session, so the caller decides on the transaction."""
+
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from typing import TypeVar
+
+from sqlalchemy import ColumnElement, Select, func, literal, select, tuple_
+from sqlalchemy.orm import Session
+
+from service.core.errors import BoundError, NotFoundError
+from service.core.list_filters import (
+    ALL_ROWS,
+    ALL_SESSIONS,
+    ALL_TRANSITIONS,
+    AuditFilter,
+    SessionFilter,
+    TransitionFilter,
+)
+from service.storage.database.base import UtcTime, utc_text
+from service.storage.database.tables import AuditRow, CalibrationRow, ModelRow, PlanRow, QaRunRow, SessionRow
+
+OPEN_STATUSES = ("created", "running")
+TRANSITION = "gate.transition"
+RowT = TypeVar("RowT")
+DatedT = TypeVar("DatedT", SessionRow, CalibrationRow, QaRunRow, PlanRow)
+
+
+def session_row(db: Session, session_id: str) -> SessionRow:
+    """Return a session's row; raise NotFoundError if there is none."""
+    row = db.get(SessionRow, session_id)
+    if row is None:
+        msg = "there is no such session"
+        raise NotFoundError(msg, field="session_id", value=session_id)
+    return row
+
+
+def calibration_row(db: Session, calibration_id: str) -> CalibrationRow:
+    """Return a calibration's row; raise NotFoundError if there is none."""
+    row = db.get(CalibrationRow, calibration_id)
+    if row is None:
+        msg = "there is no such calibration"
+        raise NotFoundError(msg, field="calibration_id", value=calibration_id)
+    return row
+
+
+def model_row(db: Session, model_id: str) -> ModelRow:
+    """Return a model's row; raise NotFoundError if there is none."""
+    row = db.get(ModelRow, model_id)
+    if row is None:
+        msg = "there is no such model"
+        raise NotFoundError(msg, field="model_id", value=model_id)
+    return row
+
+
+def open_session_id(db: Session) -> str | None:
+    """Return the id of the session that is created or running; None if there is none."""
+    return db.scalar(select(SessionRow.id).where(SessionRow.status.in_(OPEN_STATUSES)).limit(1))
+
+
+def running_sessions(db: Session) -> Sequence[SessionRow]:
+    """Return the sessions with status `running`."""
+    return db.scalars(select(SessionRow).where(SessionRow.status == "running")).all()
+
+
+def session_page(
+    db: Session, cursor: str | None, limit: int, filters: SessionFilter = ALL_SESSIONS
+) -> tuple[Sequence[SessionRow], str | None]:
+    """Return a page of sessions, newest first, and the next cursor; raise BoundError for an invalid cursor."""
+    named = {name: getattr(filters, name) for name in ("status", "patient_reference", "plan_id")}
+    conditions = [getattr(SessionRow, name) == value for name, value in named.items() if value is not None]
+    conditions += [] if filters.since is None else [SessionRow.created_at >= filters.since]
+    conditions += [] if filters.until is None else [SessionRow.created_at < filters.until]
+    return newest_first(db, SessionRow, cursor, limit, conditions)
+
+
+def calibration_page(
+    db: Session, cursor: str | None, limit: int, camera: str | None = None
+) -> tuple[Sequence[CalibrationRow], str | None]:
+    """Return a page of calibrations, newest first, and the next cursor; raise BoundError for an invalid cursor."""
+    conditions = [] if camera is None else [CalibrationRow.camera == camera]
+    return newest_first(db, CalibrationRow, cursor, limit, conditions)
+
+
+def model_page(db: Session, session_id: str, cursor: str | None, limit: int) -> tuple[Sequence[ModelRow], str | None]:
+    """Return a page of a session's models, newest first, and the next cursor."""
+    query = select(ModelRow).where(ModelRow.session_id == session_id).order_by(ModelRow.number.desc())
+    if cursor is not None:
+        query = query.where(ModelRow.number < _number(cursor))
+    return _cut(db, query, limit, lambda row: str(row.number))
+
+
+def audit_page(
+    db: Session, cursor: str | None, limit: int, session_id: str | None, filters: AuditFilter = ALL_ROWS
+) -> tuple[Sequence[AuditRow], str | None]:
+    """Return a page of audit rows, newest first, and the next cursor."""
+    named = {name: getattr(filters, name) for name in ("action", "actor", "outcome")}
+    conditions = [getattr(AuditRow, name) == value for name, value in named.items() if value is not None]
+    conditions += [] if filters.since is None else [AuditRow.at >= utc_text(filters.since)]
+    conditions += [] if filters.until is None else [AuditRow.at < utc_text(filters.until)]
+    query = select(AuditRow).where(*conditions).order_by(AuditRow.sequence.desc())
+    if session_id is not None:
+        query = query.where(AuditRow.session_id == session_id)
+    if cursor is not None:
+        query = query.where(AuditRow.sequence < _number(cursor))
+    return _cut(db, query, limit, lambda row: str(row.sequence))
+
+
+def transition_page(
+    db: Session, session_id: str, cursor: str | None, limit: int, filters: TransitionFilter = ALL_TRANSITIONS
+) -> tuple[Sequence[AuditRow], str | None]:
+    """Return a page of a session's gate transitions, oldest first, and the next cursor."""
+    query = select(AuditRow).where(AuditRow.session_id == session_id, AuditRow.action == TRANSITION)
+    named = {name: getattr(filters, name) for name in ("to_state", "reason")}
+    fragments = [f'"{name}":"{value}"' for name, value in named.items() if value is not None]
+    query = query.where(*(AuditRow.detail.contains(text, autoescape=True) for text in fragments))
+    query = query.order_by(AuditRow.sequence)
+    if cursor is not None:
+        query = query.where(AuditRow.sequence > _number(cursor))
+    return _cut(db, query, limit, lambda row: str(row.sequence))
+
+
+def transition_count(db: Session, session_id: str) -> int:
+    """Count a session's gate transitions."""
+    query = select(func.count()).select_from(AuditRow)
+    return db.scalar(query.where(AuditRow.session_id == session_id, AuditRow.action == TRANSITION)) or 0
+
+
+def newest_first(
+    db: Session,
+    kind: type[DatedT],
+    cursor: str | None,
+    limit: int,
+    filters: Sequence[ColumnElement[bool]] = (),
+) -> tuple[Sequence[DatedT], str | None]:
+    """List rows that have a creation time, newest first; only rows that meet all conditions."""
+    query = select(kind).where(*filters).order_by(kind.created_at.desc(), kind.id.desc())
+    if cursor is not None:
+        created_at, _, row_id = cursor.partition("_")
+        if not (row_id.isascii() and row_id.isalnum()):
+            raise _cursor_error(cursor)
+        query = query.where(tuple_(kind.created_at, kind.id) < tuple_(_moment(created_at), literal(row_id)))
+    return _cut(db, query, limit, lambda row: f"{utc_text(row.created_at)}_{row.id}")
+
+
+def _cut(
+    db: Session, query: Select[RowT], limit: int, cursor_of: Callable[[RowT], str]
+) -> tuple[Sequence[RowT], str | None]:
+    """Read one row more than the limit, to know whether another page follows."""
+    rows = db.scalars(query.limit(limit + 1)).all()
+    return rows[:limit], cursor_of(rows[limit - 1]) if len(rows) > limit else None
+
+
+def _number(cursor: str) -> int:
+    if not cursor.isascii() or not cursor.isdigit() or len(cursor) > 18:
+        raise _cursor_error(cursor)
+    return int(cursor)
+
+
+def _moment(text: str) -> ColumnElement[datetime]:
+    try:
+        moment = datetime.fromisoformat(text)
+        if moment.tzinfo is None:
+            raise _cursor_error(text)
+        return literal(moment.astimezone(UTC), UtcTime)
+    except (ValueError, OverflowError) as error:  # a zone may lead out of the calendar
+        raise _cursor_error(text) from error
+
+
+def _cursor_error(cursor: str) -> BoundError:
+    bound = "a next_cursor of this list"
+    return BoundError(f"cursor must be {bound}", field="cursor", value=cursor, bound=bound)

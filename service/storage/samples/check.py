@@ -1,0 +1,71 @@
+"""Check a session's sample file against the hash in the audit."""
+
+from dataclasses import dataclass
+
+import pyarrow as pa
+
+from engine.core.files import file_sha256
+from service.storage.samples.parquet import parquet_head
+from service.storage.samples.register import Registered
+from service.storage.samples.store import SampleStore
+from service.storage.samples.walk import Ending, NoSamplesError, StreamWalk
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """The result for one session; ``form`` is parquet, stream, removed or none."""
+
+    session_id: str
+    form: str
+    rows: int
+    size: int
+    is_good: bool
+    detail: str
+
+
+def check(store: SampleStore, session_id: str, known: Registered, *, is_open: bool) -> Finding:
+    """Read a session's file through and hold it against the audit.
+
+    Parameters
+    ----------
+    is_open
+        Whether the session runs: its stream may end in the middle of a batch that is being written.
+    """
+    stream, parquet = store.stream_path(session_id), store.parquet_path(session_id)
+    try:
+        if stream.exists():
+            return _check_stream(store, session_id, is_open=is_open)
+        if parquet.exists():
+            return _check_parquet(store, session_id, known)
+    except (NoSamplesError, pa.ArrowException, OSError) as error:
+        return _found(session_id, "none", 0, 0, f"cannot be read: {error}", is_good=False)
+    if known.is_removed:
+        return _found(session_id, "removed", known.rows, 0, "removed, as the audit says", is_good=True)
+    if known.sha256 is not None:
+        return _found(session_id, "none", known.rows, 0, "the file that the audit knows is missing", is_good=False)
+    return _found(session_id, "none", 0, 0, "nothing was measured", is_good=True)
+
+
+def _check_stream(store: SampleStore, session_id: str, *, is_open: bool) -> Finding:
+    path = store.stream_path(session_id)
+    with StreamWalk(path) as walk:
+        for _ in walk:
+            pass
+        size = walk.size
+    is_good = walk.ending in {Ending.CLOSED, Ending.OPEN} or (is_open and walk.ending is Ending.TORN)
+    detail = walk.detail if not is_good else f"every batch fits its seal ({'open' if is_open else 'not settled yet'})"
+    return _found(session_id, "stream", walk.rows, size, detail, is_good=is_good)
+
+
+def _check_parquet(store: SampleStore, session_id: str, known: Registered) -> Finding:
+    path = store.parquet_path(session_id)
+    size, sha256 = path.stat().st_size, file_sha256(path)
+    if known.sha256 is None:
+        return _found(session_id, "parquet", 0, size, "the audit knows no such file", is_good=False)
+    if sha256 != known.sha256:
+        return _found(session_id, "parquet", 0, size, "was changed: its SHA-256 is not the audit's", is_good=False)
+    return _found(session_id, "parquet", parquet_head(path)[1], size, "as the audit knows it", is_good=True)
+
+
+def _found(session_id: str, form: str, rows: int, size: int, detail: str, *, is_good: bool) -> Finding:
+    return Finding(session_id=session_id, form=form, rows=rows, size=size, is_good=is_good, detail=detail)

@@ -1,0 +1,117 @@
+"""The columns and the head of a sample file, `tidegate.samples/1`: one row per depth frame.
+
+Each field's metadata contains its unit and meaning, so that a file can be read without this program. A value that could
+not be measured is null; inside the two lists, whose cells have fixed places, it is NaN.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import pyarrow as pa
+
+SCHEMA_NAME = "tidegate.samples/1"
+PREFIX = "tidegate."
+
+# One native thread a call, as in the engine (docs/1-start/architecture.md).
+pa.set_cpu_count(1)
+pa.set_io_thread_count(1)
+
+_CELLS = pa.list_(pa.field("element", pa.float32(), nullable=False))
+_INT, _REAL, _TEXT = pa.int64(), pa.float64(), pa.string()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """One column: its type, its unit, and what it means."""
+
+    name: str
+    kind: Any
+    unit: str
+    meaning: str
+    is_optional: bool = True
+
+
+def _always(name: str, kind: object, unit: str, meaning: str) -> Column:
+    return Column(name=name, kind=kind, unit=unit, meaning=meaning, is_optional=False)
+
+
+def _maybe(name: str, kind: object, unit: str, meaning: str) -> Column:
+    return Column(name=name, kind=kind, unit=unit, meaning=meaning)
+
+
+COLUMNS = (
+    _always("frame_index", _INT, "1", "ordinal of the depth frame in its source, from 0"),
+    _always("timestamp_us", _INT, "us", "the device's time of the depth frame"),
+    _always("missed_frames", _INT, "1", "frames the device counted before this one and that never came"),
+    _always("state", _TEXT, "", "training, measuring or lost"),
+    _maybe("lost_reason", _TEXT, "", "why nothing was measured"),
+    _maybe("whole_mm", _REAL, "mm", "motion of the whole region, positive towards the camera"),
+    _maybe("thorax_mm", _REAL, "mm", "motion of the thorax"),
+    _maybe("abdomen_mm", _REAL, "mm", "motion of the abdomen"),
+    _maybe("volume_l", _REAL, "l", "volume against the reference"),
+    _maybe("signal_mm", _REAL, "mm", "the gated signal (l where a volume is gated on)"),
+    _maybe("residual_mm", _REAL, "mm", "largest mean misfit of a cell against the model"),
+    _maybe("valid_share", _REAL, "1", "share of the region that the sensor saw"),
+    _maybe("inlier_share", _REAL, "1", "share of the seen pixels that the model explains"),
+    _always("gate", _TEXT, "", "disarmed, hold, dwell, beam_on or fault"),
+    _maybe("hold_reason", _TEXT, "", "why the beam was held; null if and only if gate is beam_on"),
+    _always("line_on", pa.bool_(), "", "the beam line as read back, true also when it did not answer"),
+    _maybe("captured_ns", _INT, "ns", "when the camera took the frame, on the host's monotonic clock"),
+    _always("received_ns", _INT, "ns", "when the frame was in our hands, host monotonic"),
+    _maybe("measured_ns", _INT, "ns", "when it had been measured, host monotonic"),
+    _always("decided_ns", _INT, "ns", "when the gate had decided, host monotonic"),
+    _always("asserted_ns", _INT, "ns", "when the beam line had been told, host monotonic"),
+    _maybe("phase_percent", _REAL, "%", "phase of the first followed signal, 0 at the end of inhale"),
+    _maybe("phase_confidence", _REAL, "1", "how much the phase is worth"),
+    _maybe("rate_per_min", _REAL, "1/min", "breaths a minute"),
+    _maybe("breath_amplitude", _REAL, "mm", "end of exhale to end of inhale (l where the signal is a volume)"),
+    _maybe("breath_baseline", _REAL, "mm", "level of the end of exhale (l likewise)"),
+    _maybe("breath_drift", _REAL, "mm", "how far the baseline is from where it was learned (l likewise)"),
+    _maybe("region_rows", pa.int32(), "1", "rows of the grid in regions_mm"),
+    _maybe("regions_mm", _CELLS, "mm", "motion of each cell of the region grid, row by row, NaN where unknown"),
+    _maybe("named_mm", _CELLS, "mm", "motion of the named regions in the order of the head, NaN where unknown"),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampleHead:
+    """The head of a sample file; it names no patient, no plan and no person.
+
+    ``utc`` and ``monotonic_ns`` are one moment on both clocks: the rows' times are monotonic.
+    """
+
+    session_id: str
+    software: str = ""
+    settings_sha256: str = ""
+    calibration_sha256: str = ""
+    model_id: str = ""
+    regions: tuple[str, ...] = ()
+    utc: str = ""
+    monotonic_ns: int = 0
+
+    @property
+    def schema(self) -> pa.Schema:
+        """The Arrow schema with this head in its metadata."""
+        said = {f"{PREFIX}{field.name}": json.dumps(getattr(self, field.name)) for field in fields(self)}
+        return pa.schema([_field(column) for column in COLUMNS], {f"{PREFIX}schema": SCHEMA_NAME, **said})
+
+
+def head_of(metadata: Mapping[bytes, bytes]) -> SampleHead:
+    """Read a file's head; raise ValueError where the file is not of this format."""
+    said = {key.decode(): value.decode() for key, value in metadata.items()}
+    if said.get(f"{PREFIX}schema") != SCHEMA_NAME:
+        msg = f"not a file of {SCHEMA_NAME}"
+        raise ValueError(msg)
+    found: dict[str, Any] = {name: json.loads(said[f"{PREFIX}{name}"]) for name in SampleHead.__dataclass_fields__}
+    return SampleHead(**{**found, "regions": tuple(found["regions"])})
+
+
+def _field(column: Column) -> pa.Field:
+    return pa.field(
+        column.name,
+        column.kind,
+        nullable=column.is_optional,
+        metadata={"unit": column.unit, "meaning": column.meaning},
+    )

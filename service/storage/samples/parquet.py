@@ -1,0 +1,113 @@
+"""A closed session's samples as Parquet: written complete or not at all, and read back before it is used."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from engine.core.files import file_sha256, put_in_place
+from service.storage.samples.layout import SampleHead, head_of
+from service.storage.samples.values import digest_of
+
+ROWS_A_GROUP = 9000
+"""Rows per group, five minutes at 30 frames/s: a reader needs some megabytes at a time."""
+
+READ_ROWS = 1000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stored:
+    """A Parquet file that was read back: its rows, size and SHA-256."""
+
+    rows: int
+    size: int
+    sha256: str
+
+
+class NotReadBackError(OSError):
+    """The file read back differs from the batches written."""
+
+
+def write_parquet(path: Path, schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> Stored:
+    """Write batches to a file beside ``path``, read it back, and give it its name.
+
+    Raises
+    ------
+    OSError
+        It could not be written, or is not what was written; nothing stays behind.
+    """
+    partial = path.with_name(f"{path.name}.partial")
+    try:
+        digests, rows = _write(partial, schema, batches)
+        if list(_group_digests(partial)) != digests:
+            msg = f"{path.name} was not read back as it was written"
+            raise NotReadBackError(msg)
+        stored = Stored(rows=rows, size=partial.stat().st_size, sha256=file_sha256(partial))
+        put_in_place(partial, path)
+    except pa.ArrowException as error:
+        msg = f"{path.name} could not be written: {error}"
+        raise OSError(msg) from error
+    finally:
+        partial.unlink(missing_ok=True)
+    return stored
+
+
+def read_parquet(path: Path) -> Iterator[pa.RecordBatch]:
+    """Read it a piece at a time; the file is opened at once, and stays readable when it is taken away meanwhile."""
+    file = pq.ParquetFile(pa.OSFile(str(path)), pre_buffer=False)
+    return _pieces(file)
+
+
+def parquet_head(path: Path) -> tuple[SampleHead, int]:
+    """Read a file's head, and how many rows it has."""
+    with pq.ParquetFile(path, pre_buffer=False) as file:
+        return head_of(file.schema_arrow.metadata or {}), int(file.metadata.num_rows)
+
+
+def _pieces(file: pq.ParquetFile) -> Iterator[pa.RecordBatch]:
+    with file:
+        yield from file.iter_batches(batch_size=READ_ROWS, use_threads=False)
+
+
+def _write(partial: Path, schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> tuple[list[str], int]:
+    digests, rows = [], 0
+    with pq.ParquetWriter(partial, schema, compression="zstd", use_dictionary=_texts(schema)) as writer:
+        for group in _groups(schema, batches):
+            writer.write_batch(group, row_group_size=ROWS_A_GROUP)
+            digests.append(digest_of(group))
+            rows += group.num_rows
+    return digests, rows
+
+
+def _texts(schema: pa.Schema) -> list[str]:
+    return [field.name for field in schema if pa.types.is_string(field.type)]
+
+
+def _groups(schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+    held: list[pa.RecordBatch] = []
+    rows = 0
+    for batch in batches:
+        held.append(batch)
+        rows += batch.num_rows
+        while rows >= ROWS_A_GROUP:
+            whole = _joined(schema, held)
+            yield whole.slice(0, ROWS_A_GROUP)
+            held = [whole.slice(ROWS_A_GROUP)]
+            rows -= ROWS_A_GROUP
+    if rows:
+        yield _joined(schema, held)
+
+
+def _joined(schema: pa.Schema, held: list[pa.RecordBatch]) -> pa.RecordBatch:
+    same = [one if one.schema.equals(schema) else one.cast(schema) for one in held]
+    table = pa.Table.from_batches(same, schema).combine_chunks()
+    return table.to_batches()[0]
+
+
+def _group_digests(path: Path) -> Iterator[str]:
+    with pq.ParquetFile(path, pre_buffer=False) as file:
+        for group in range(file.metadata.num_row_groups):
+            table = file.read_row_group(group, use_threads=False).combine_chunks()
+            yield digest_of(table.to_batches()[0])

@@ -1,0 +1,127 @@
+"""Routes for log-in at the hospital's identity provider: methods, redirect to the provider, return from it.
+
+The temporary cookie is ``SameSite=Lax``: the return is a navigation from another site, for which browsers do not send a
+strict cookie. The cookie alone grants nothing and expires with the pending log-in.
+"""
+
+from html import escape
+from typing import Annotated, cast
+
+from fastapi import APIRouter, Depends, Query, Request
+from fastapi.responses import HTMLResponse, RedirectResponse, Response
+
+from service.access.login.cookies import set_login_cookie
+from service.access.oidc.errors import OidcReason
+from service.access.oidc.pending_logins import LIFE_S
+from service.access.oidc.people import AuthorizationResponse
+from service.access.oidc.service import BUSY, DISABLED, NOT_OFFERED, STORAGE, UNAVAILABLE, OidcService, Refusal
+from service.core.schemas.login_ways import LoginWays, OidcWay
+from service.web import dependencies
+from service.web.api import problems
+
+router = APIRouter(tags=["access"])
+PLAIN_NAME = "tidegate_oidc"
+Text = Annotated[str | None, Query(max_length=2_048)]
+PAGE: dict[int | str, dict[str, object]] = {
+    200: {"description": "Never", "content": {"text/html": {}}},
+    303: {"description": "Redirect to the provider", "headers": {"Location": {"schema": {"type": "string"}}}},
+    403: {"description": "A page with the reason of the refusal", "content": {"text/html": {}}},
+    503: {"description": "A page that says that the provider is unavailable", "content": {"text/html": {}}},
+}
+SENTENCE = {
+    OidcReason.NO_ROLE: "None of your groups has access to this system. Ask the administrator of the groups.",
+    OidcReason.STATE: "This log-in expired, was used before, or was started in another browser. Start again.",
+    OidcReason.PROVIDER_REFUSED: "The log-in there was refused.",
+    OidcReason.UNKNOWN_KEY: "The provider has just changed its keys. Try again in half a minute.",
+    NOT_OFFERED: "This system does not use the provider. Log in by password.",
+    DISABLED: "Your account is disabled here. Ask the administrator of this system.",
+    UNAVAILABLE: "The provider does not answer. A break-glass account can log in by password.",
+    BUSY: "Too many log-ins at once, or too many failed log-ins from this address. Try again in a few minutes.",
+    STORAGE: "The database of this system does not answer. Try again.",
+}
+OTHERWISE = "The provider's answer is not valid. If this happens again, inform the administrator of this system."
+PASSING = frozenset({UNAVAILABLE, BUSY, STORAGE})
+
+
+def oidc_desk(request: Request) -> OidcService:
+    """Find the provider's desk on the application; made in the lifespan."""
+    return cast("OidcService", request.app.state.oidc)
+
+
+Oidc = Annotated[OidcService, Depends(oidc_desk)]
+
+
+@router.get("/login/ways")
+def list_login_ways(oidc: Oidc) -> LoginWays:
+    """Return the available log-in methods; public, for the page before log-in."""
+    way = OidcWay(label=oidc.settings.oidc_label, is_reachable=oidc.is_reachable) if oidc.has_people else None
+    is_all = way is None or oidc.settings.oidc_local_accounts == "all"
+    return LoginWays(password=True, local_accounts="all" if is_all else "break-glass", oidc=way)
+
+
+@router.get("/login/oidc", status_code=303, response_class=HTMLResponse, responses=PAGE)
+def begin_oidc_login(oidc: Oidc, desk: dependencies.Access, address: dependencies.Address) -> Response:
+    """Redirect the browser to the provider."""
+    departure = oidc.begin_login(address)
+    if isinstance(departure, Refusal):
+        return _refusal(departure, oidc, is_secure=desk.is_secure)
+    answer = RedirectResponse(departure.url, status_code=303, headers={"Cache-Control": "no-store"})
+    answer.set_cookie(
+        cookie_name(is_secure=desk.is_secure),
+        departure.browser_secret,
+        max_age=int(LIFE_S),
+        path="/",
+        secure=desk.is_secure,
+        httponly=True,
+        samesite="lax",
+    )
+    return answer
+
+
+@router.get("/login/oidc/return", status_code=303, response_class=HTMLResponse, responses=PAGE | problems(422))
+def finish_oidc_login(
+    request: Request,
+    oidc: Oidc,
+    desk: dependencies.Access,
+    address: dependencies.Address,
+    state: Annotated[str, Query(max_length=200)] = "",
+    code: Text = None,
+    error: Text = None,
+    iss: Text = None,
+) -> Response:
+    """Complete the log-in after the provider's redirect; the browser always continues to the page."""
+    browser = request.cookies.get(cookie_name(is_secure=desk.is_secure))
+    opened = oidc.finish_login(AuthorizationResponse(state=state, code=code, error=error, issuer=iss), browser, address)
+    if isinstance(opened, Refusal):
+        return _refusal(opened, oidc, is_secure=desk.is_secure)
+    answer = RedirectResponse("/", status_code=303, headers={"Cache-Control": "no-store"})
+    set_login_cookie(answer, opened.token, is_secure=desk.is_secure)
+    _drop_cookie(answer, is_secure=desk.is_secure)
+    return answer
+
+
+def cookie_name(*, is_secure: bool) -> str:
+    """Return the cookie's name; over TLS with the `__Host-` prefix, which other hosts cannot set."""
+    return f"__Host-{PLAIN_NAME}" if is_secure else PLAIN_NAME
+
+
+def _refusal(refusal: Refusal, oidc: OidcService, *, is_secure: bool) -> Response:
+    """Return the page of a refusal; it contains only fixed texts, no input."""
+    label = oidc.settings.oidc_label
+    label = escape(label[:1].upper() + label[1:])
+    sentence = escape(SENTENCE.get(refusal.reason, OTHERWISE))
+    answer = HTMLResponse(
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Not logged in</title>'
+        f'<meta name="viewport" content="width=device-width"><link rel="icon" href="/icon.svg">'
+        f'<link rel="stylesheet" href="/css/refused.css">'
+        f"<main><h1>Not logged in</h1><p>{label}: {sentence}</p>"
+        f'<p><a href="/">Back to log-in</a></p><p class="code">{escape(refusal.reason)}</p></main></html>',
+        status_code=503 if refusal.reason in PASSING else 403,
+        headers={"Cache-Control": "no-store"},
+    )
+    _drop_cookie(answer, is_secure=is_secure)
+    return answer
+
+
+def _drop_cookie(answer: Response, *, is_secure: bool) -> None:
+    answer.delete_cookie(cookie_name(is_secure=is_secure), path="/", secure=is_secure, httponly=True, samesite="lax")

@@ -1,0 +1,83 @@
+"""Routes of motion models: list, read, spectrum, train again, activate."""
+
+from functools import partial
+
+from fastapi import APIRouter
+
+from engine.core.errors import CommandRefusedError, ModelError, ModelMismatchError, TrainingRefusedError
+from service.core.conditional import etag_of
+from service.core.errors import EngineTimeoutError, NotFoundError, OperatorMismatchError, SessionStateError
+from service.core.schemas import sessions
+from service.core.schemas.models import Model, ModelPage, Spectrum
+from service.web import dependencies
+from service.web.api import problems
+from service.web.operator_calls import Operated
+
+router = APIRouter(tags=["models"])
+READ = problems(NotFoundError)
+ACT = problems(
+    NotFoundError,
+    OperatorMismatchError,
+    SessionStateError,
+    CommandRefusedError,
+    ModelError,
+    ModelMismatchError,
+    TrainingRefusedError,
+    EngineTimeoutError,
+)
+
+
+@router.get("/sessions/{session_id}/models", responses=READ)
+def list_session_models(
+    session_id: dependencies.SessionId, services: dependencies.AppServices, pages: dependencies.Pages50
+) -> ModelPage:
+    """List a session's models, newest first."""
+    return pages.answer(services.models.page(session_id, pages.cursor, pages.limit))
+
+
+@router.post("/sessions/{session_id}/models/retrain", status_code=202, name="model.retrain", responses=ACT)
+def retrain_model(
+    session_id: dependencies.SessionId, request: sessions.RetrainRequest, call: Operated
+) -> sessions.SessionDetail:
+    """Train a new model in the background; applied between two frames, or on request while armed."""
+    retrain = partial(call.services.runner.retrain, keeps_reference=request.keeps_reference)
+    return call.act(session_id, request.operator, retrain)
+
+
+@router.post("/sessions/{session_id}/models/apply", name="model.apply", responses=ACT)
+def apply_model(
+    session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
+) -> sessions.SessionDetail:
+    """Apply the new model that is waiting; disarms. Refused if none is waiting."""
+    return call.act(session_id, request.operator, call.services.runner.apply_model)
+
+
+@router.get("/models/{model_id}", responses=READ)
+def read_model(
+    model_id: dependencies.ModelId, services: dependencies.AppServices, fresh: dependencies.IfNoneMatch
+) -> Model:
+    """Read a model."""
+    model = services.models.get(model_id)
+    return fresh.answer(model, etag_of("model", model.id, model.sha256, model.is_active))
+
+
+@router.get("/models/{model_id}/spectrum", responses=READ)
+def read_spectrum(model_id: dependencies.ModelId, services: dependencies.AppServices) -> Spectrum:
+    """Return the share of the motion that each component explains."""
+    return services.models.spectrum(model_id)
+
+
+@router.post("/models/{model_id}/activate", name="model.activate", responses=ACT)
+def activate_model(
+    model_id: dependencies.ModelId,
+    request: sessions.OperatorRequest,
+    caller: dependencies.Caller,
+    services: dependencies.AppServices,
+    if_match: dependencies.IfMatch,
+) -> sessions.SessionDetail:
+    """Activate a model of the running session, after the reference is transferred to it; disarms."""
+    operator = caller.checked_actor(request.operator)
+    if not if_match.is_given:
+        return services.runner.activate(model_id, operator)
+    with services.revisions.only_if(services.models.get(model_id).session_id, if_match):
+        return services.runner.activate(model_id, operator)

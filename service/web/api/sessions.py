@@ -1,0 +1,296 @@
+"""Routes of sessions. No call switches the beam on: arming allows the gate to do so."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Response
+from fastapi.responses import StreamingResponse
+
+from engine.control.journal.journal import JournalError
+from engine.core.errors import (
+    BeamLineError,
+    CalibrationError,
+    CommandRefusedError,
+    ModelError,
+    ModelMismatchError,
+    RecordingError,
+    RuntimeMissingError,
+    SourceLostError,
+)
+from engine.core.gate_state import GateState, HoldReason
+from service.core.errors import (
+    BoundError,
+    EngineProcessError,
+    EngineTimeoutError,
+    MeshMissingError,
+    NotFoundError,
+    OperatorMismatchError,
+    PictureMissingError,
+    QaActiveError,
+    QaOverdueError,
+    SamplesRemovedError,
+    ServiceStoppingError,
+    SessionActiveError,
+    SessionStateError,
+    StartError,
+    StorageLowError,
+    StorageUnwritableError,
+)
+from service.core.list_filters import SessionFilter, TransitionFilter
+from service.core.schemas import sessions
+from service.core.schemas.base import Name
+from service.core.schemas.gate import BaselineCorrectionRequest
+from service.storage.samples.service import SampleFormat
+from service.web import dependencies
+from service.web.api import problems
+from service.web.operator_calls import Operated, Withdrawing
+
+router = APIRouter(prefix="/sessions", tags=["sessions"])
+READ = problems(NotFoundError)
+ARROW, PARQUET = "application/vnd.apache.arrow.stream", "application/vnd.apache.parquet"
+BINARY = {"schema": {"type": "string", "format": "binary"}}
+SampleFormatQuery = Annotated[
+    SampleFormat, Query(alias="format", description="`parquet` is available after the session is closed")
+]
+CREATE = problems(
+    NotFoundError,
+    BoundError,
+    OperatorMismatchError,
+    RecordingError,
+    SessionActiveError,
+    QaActiveError,
+    ModelMismatchError,
+    CommandRefusedError,
+    RuntimeMissingError,
+    SourceLostError,
+    StorageLowError,
+    ServiceStoppingError,
+    EngineProcessError,
+)
+START = problems(
+    NotFoundError,
+    BoundError,
+    OperatorMismatchError,
+    CalibrationError,
+    RecordingError,
+    StartError,
+    SessionStateError,
+    SessionActiveError,
+    QaActiveError,
+    ModelError,
+    ModelMismatchError,
+    CommandRefusedError,
+    RuntimeMissingError,
+    SourceLostError,
+    BeamLineError,
+    EngineProcessError,
+    JournalError,
+    StorageUnwritableError,
+    ServiceStoppingError,
+)
+HOLD = problems(NotFoundError, SessionStateError, CommandRefusedError, EngineTimeoutError, BeamLineError)
+ASK = problems(
+    NotFoundError, OperatorMismatchError, SessionStateError, CommandRefusedError, EngineTimeoutError, BeamLineError
+)
+ARM = problems(
+    NotFoundError,
+    OperatorMismatchError,
+    SessionStateError,
+    CommandRefusedError,
+    EngineTimeoutError,
+    BeamLineError,
+    QaOverdueError,
+)
+
+
+@router.post("", status_code=201, name="session.create", responses=CREATE)
+def create_session(
+    request: sessions.SessionRequest,
+    caller: dependencies.Caller,
+    services: dependencies.AppServices,
+    response: Response,
+    idempotency_key: dependencies.IdempotencyKey = None,
+) -> sessions.Session:
+    """Create a session; only one session at a time may be created or running."""
+    named = request.model_copy(update={"operator": caller.checked_actor(request.operator)})
+    return dependencies.created(services.sessions.create(named, idempotency_key), response)
+
+
+@router.get("")
+def list_sessions(
+    services: dependencies.AppServices,
+    pages: dependencies.Pages50,
+    status: Annotated[sessions.SessionStatus | None, Query(description="Only sessions with this status")] = None,
+    patient_reference: Annotated[Name | None, Query(description="Only sessions of this patient")] = None,
+    plan_id: Annotated[
+        Name | None, Query(description="Only sessions of this plan, by the plan id they were created with")
+    ] = None,
+    since: dependencies.Since = None,
+    until: dependencies.Until = None,
+) -> sessions.SessionPage:
+    """List sessions, newest first; `since` and `until` refer to the time of creation."""
+    wanted = SessionFilter(
+        status=status, patient_reference=patient_reference, plan_id=plan_id, since=since, until=until
+    )
+    return pages.answer(services.sessions.page(pages.cursor, pages.limit, wanted))
+
+
+@router.get("/{session_id}", responses=READ)
+def read_session(
+    session_id: dependencies.SessionId, services: dependencies.AppServices, fresh: dependencies.IfNoneMatch
+) -> sessions.SessionDetail:
+    """Read a session with gate, training and statistics.
+
+    The ETag covers what callers change, not the statistics; a running session is therefore never answered with 304.
+    """
+    etag = services.revisions.etag(session_id)  # before it is read: it may be older than what is told, never newer
+    detail = services.sessions.detail(session_id)
+    return fresh.answer(detail, etag, may_be_304=detail.status != "running")
+
+
+@router.post("/{session_id}/start", name="session.start", responses=START)
+def start_session(
+    session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
+) -> sessions.Session:
+    """Start the session: open the source and train the motion model, disarmed."""
+    return call.act(session_id, request.operator, call.services.runner.start)
+
+
+@router.post("/{session_id}/arm", name="session.arm", responses=ARM)
+def arm_session(
+    session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
+) -> sessions.SessionDetail:
+    """Arm the gate; refused without a motion model, a reference and a fresh frame."""
+    return call.command(session_id, "arm", request.operator)
+
+
+@router.post("/{session_id}/disarm", name="session.disarm", responses=HOLD)
+async def disarm_session(session_id: dependencies.SessionId, call: Withdrawing) -> sessions.SessionDetail:
+    """Disarm the gate: hold the beam until a person arms again."""
+    return await call.command(session_id, "disarm")
+
+
+@router.post("/{session_id}/reference", name="session.reference", responses=ASK)
+def set_reference(
+    session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
+) -> sessions.SessionDetail:
+    """Set the reference: the patient's present position becomes zero motion; disarms."""
+    return call.command(session_id, "reference", request.operator)
+
+
+@router.post("/{session_id}/acknowledge", name="session.acknowledge", responses=ASK)
+def acknowledge_fault(
+    session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
+) -> sessions.SessionDetail:
+    """Acknowledge the latched fault; the gate becomes disarmed."""
+    return call.command(session_id, "acknowledge", request.operator)
+
+
+@router.post("/{session_id}/hold", name="session.hold", responses=HOLD)
+async def hold_beam(session_id: dependencies.SessionId, call: Withdrawing) -> sessions.SessionDetail:
+    """Hold the beam until a person releases it; the gate stays armed. Never refused while the session runs."""
+    return await call.command(session_id, "hold")
+
+
+@router.post("/{session_id}/release", name="session.release", responses=ASK)
+def release_beam(
+    session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
+) -> sessions.SessionDetail:
+    """Release a hold by an operator; the beam needs a full dwell. Refused if no operator holds the beam."""
+    return call.command(session_id, "release", request.operator)
+
+
+@router.post(
+    "/{session_id}/presence",
+    status_code=204,
+    responses=problems(NotFoundError, OperatorMismatchError, SessionStateError),
+)
+def note_presence(
+    session_id: dependencies.SessionId,
+    request: sessions.OperatorRequest,
+    caller: dependencies.Caller,
+    services: dependencies.AppServices,
+) -> None:
+    """Report the operator's presence at the page; if the site requires it, a missing report holds the beam."""
+    services.runner.note_presence(session_id, caller.checked_actor(request.operator))
+
+
+@router.post("/{session_id}/baseline-correction", name="session.baseline_correction", responses=ASK)
+def correct_baseline(
+    session_id: dependencies.SessionId, request: BaselineCorrectionRequest, call: Operated
+) -> sessions.SessionDetail:
+    """Shift the window by a baseline drift that a person confirms; disarms."""
+    return call.act(
+        session_id,
+        request.operator,
+        lambda _, operator: call.services.runner.correct_baseline(
+            session_id, request.model_copy(update={"operator": operator})
+        ),
+    )
+
+
+@router.post("/{session_id}/stop", name="session.stop", responses=problems(NotFoundError, SessionStateError))
+async def stop_session(session_id: dependencies.SessionId, call: Withdrawing) -> sessions.Session:
+    """Stop the session: hold the beam, end the engine, close the records."""
+    return await call.act(session_id, call.runner.stop)
+
+
+@router.get(
+    "/{session_id}/samples",
+    response_class=Response,
+    responses={
+        200: {
+            "description": "One row per depth frame",
+            "content": {"text/csv": {"schema": {"type": "string"}}, ARROW: BINARY, PARQUET: BINARY},
+        },
+        **problems(NotFoundError, SamplesRemovedError, SessionStateError),
+    },
+)
+def export_samples(
+    session_id: dependencies.SessionId,
+    services: dependencies.AppServices,
+    caller: dependencies.Caller,
+    form: SampleFormatQuery = "csv",
+) -> StreamingResponse:
+    """Export the samples written so far; unmeasured values are empty, never zero."""
+    export = services.samples.export(session_id, form)
+    services.audit.exported(actor=caller.name, action="samples.export", session_id=session_id, detail={"format": form})
+    headers = {"Content-Disposition": f'attachment; filename="{export.file_name}"'}
+    return StreamingResponse(export.pieces, media_type=export.media_type, headers=headers)
+
+
+@router.get(
+    "/{session_id}/picture",
+    response_class=Response,
+    responses={
+        200: {"description": "Newest colour frame", "content": {"image/jpeg": BINARY}},
+        **problems(NotFoundError, PictureMissingError),
+    },
+)
+def read_picture(session_id: dependencies.SessionId, services: dependencies.AppServices) -> Response:
+    """Return the newest colour frame; `X-Frame-Index` is its index."""
+    picture = services.runner.picture(session_id)
+    headers = {"X-Frame-Index": str(picture.frame_index), "Cache-Control": "no-store"}
+    return Response(picture.jpeg, media_type="image/jpeg", headers=headers)
+
+
+@router.get("/{session_id}/mesh", responses=problems(NotFoundError, MeshMissingError))
+def read_mesh(session_id: dependencies.SessionId, services: dependencies.AppServices) -> sessions.SurfaceMesh:
+    """Return the surface of the newest frame as a mesh, in the depth camera's frame."""
+    return services.runner.mesh(session_id)
+
+
+@router.get("/{session_id}/transitions", responses=READ)
+def list_transitions(
+    session_id: dependencies.SessionId,
+    services: dependencies.AppServices,
+    pages: dependencies.Pages200,
+    to_state: Annotated[GateState | None, Query(description="Only transitions to this state")] = None,
+    reason: Annotated[
+        HoldReason | None, Query(description="Only transitions with this reason, see /interlocks")
+    ] = None,
+) -> sessions.TransitionPage:
+    """List the gate's transitions, oldest first."""
+    wanted = TransitionFilter(
+        to_state=None if to_state is None else to_state.value, reason=None if reason is None else reason.value
+    )
+    return pages.answer(services.sessions.transitions(session_id, pages.cursor, pages.limit, wanted))

@@ -1,0 +1,275 @@
+"""Everything the service consists of: opened step by step at the start, closed with the beam held first."""
+
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+
+from engine import __version__
+from service.access.accounts.first_admin import OnFirstAdmin, make_first_admin
+from service.access.armed_operator import ArmedOperator
+from service.access.oidc.service import OidcService
+from service.access.service import AccessService, open_access
+from service.core.settings.settings import Settings
+from service.engine_host.equipment import EquipmentSlot
+from service.engine_host.roles import EnginePort
+from service.monitoring.monitoring import MonitoredServices, Monitoring, make_monitoring
+from service.planning.rt_plan.planned_sessions import PlannedSessions
+from service.planning.rt_plan.repository import PlanRepository
+from service.qa.archive import QaArchive
+from service.qa.archive import close_interrupted as close_interrupted_qa
+from service.qa.arming_requirement import refuse_without_qa
+from service.qa.current_run import CurrentRun
+from service.qa.roles import QaRig
+from service.qa.runs import QaRunService
+from service.sessions.lifecycle.counters import SessionCounters
+from service.sessions.lifecycle.runner import SessionRunner
+from service.sessions.lifecycle.start import SessionStarter, writer_connections
+from service.sessions.records.calibrations import CalibrationRepository
+from service.sessions.records.etags import SessionRevisions
+from service.sessions.records.models import ModelRepository
+from service.sessions.records.sessions import SessionRepository
+from service.sessions.recovery.interrupted import close_interrupted
+from service.sessions.recovery.journal import recover_transitions
+from service.sessions.views.interlocks import InterlockTable
+from service.storage.audit import SYSTEM, Event
+from service.storage.audit.anchors import AnchorFile
+from service.storage.audit.log import AuditLog
+from service.storage.audit.service import AuditService
+from service.storage.audit.supervision import AuditSupervision
+from service.storage.database.engine import Database
+from service.storage.database.startup import SAMPLES_FOLDER, prepare
+from service.storage.files.cleanup import CleanupWorker
+from service.storage.files.journals import Journals
+from service.storage.files.motion_models import MODELS_FOLDER, ModelStore
+from service.storage.samples.register import adopt
+from service.storage.samples.service import SampleService
+from service.storage.samples.store import SampleStore
+from service.web.dependencies import Services
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Dependencies:
+    """What the container needs before it opens anything: settings, engine, QA rig, and the shared equipment slot."""
+
+    settings: Settings
+    engine: EnginePort
+    rig: QaRig
+    tell_first: OnFirstAdmin | None
+    equipment: EquipmentSlot = field(default_factory=EquipmentSlot)
+    counters: SessionCounters = field(default_factory=SessionCounters)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Storage:
+    """What is stored, and the workers that maintain it."""
+
+    database: Database
+    log: AuditLog
+    samples: SampleStore
+    journals: Journals
+    audit_supervision: AuditSupervision
+    cleanup: CleanupWorker
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Work:
+    """Sessions and QA runs, which use the equipment one at a time, with their records."""
+
+    sessions: SessionRepository
+    runner: SessionRunner
+    qa_runs: QaRunService
+    qa_archive: QaArchive
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Access:
+    """Who may do what, and the check that the operator who armed is still logged in."""
+
+    service: AccessService
+    oidc: OidcService
+    armed_operator: ArmedOperator
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Container:
+    """Everything that was opened and has to be closed; :meth:`close` holds the beam first."""
+
+    services: Services
+    equipment: EquipmentSlot
+    storage: _Storage
+    work: _Work
+    access: _Access
+    monitoring: Monitoring
+
+    def hold_and_close_session(self) -> None:
+        """Refuse new sessions and QA runs, hold the beam, and end the one that runs."""
+        self.equipment.close()
+        try:
+            self.work.runner.shut_down()
+        finally:
+            self.work.qa_runs.shut_down()
+
+    def close(self) -> None:
+        """Hold the beam, stop the workers, audit the stop, and close the database."""
+        self.hold_and_close_session()
+        self.services.engine.close()
+        self.access.armed_operator.close()
+        self.storage.cleanup.close()
+        self.access.oidc.close()
+        self.access.service.close()
+        try:
+            self.storage.log.write(Event(actor=SYSTEM, action="service.stop"))
+        finally:
+            self.storage.audit_supervision.close()
+            self.storage.database.close()
+
+
+def open_container(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: OnFirstAdmin | None) -> Container:
+    """Open everything and start the workers; a start that fails leaves nothing open, the engine included."""
+    dependencies = _Dependencies(settings=settings, engine=engine, rig=rig, tell_first=tell_first)
+    with ExitStack() as on_failure:
+        on_failure.callback(engine.close)
+        storage = _open_storage(dependencies, on_failure)
+        work = _open_work(dependencies, storage)
+        access = _open_access(dependencies, storage, work, on_failure)
+        monitoring = _open_monitoring(dependencies, storage, access)
+        services = _services(dependencies, storage, work, monitoring)
+        _begin(dependencies, storage, access, on_failure)
+        on_failure.pop_all()
+    return Container(
+        services=services,
+        equipment=dependencies.equipment,
+        storage=storage,
+        work=work,
+        access=access,
+        monitoring=monitoring,
+    )
+
+
+def _open_storage(dependencies: _Dependencies, on_failure: ExitStack) -> _Storage:
+    settings, equipment = dependencies.settings, dependencies.equipment
+    settings.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+    database = Database(settings.database_place)
+    on_failure.callback(database.close)
+    database.claim()
+    prepare(database, data_dir=settings.data_dir, min_free_disk_mb=settings.min_free_disk_mb)
+    log, samples = AuditLog(database), SampleStore(settings.data_dir / SAMPLES_FOLDER)
+    audit_supervision = AuditSupervision(database=database, settings=settings, write=log.write, site=settings.site_name)
+    on_failure.callback(audit_supervision.close)
+    return _Storage(
+        database=database,
+        log=log,
+        samples=samples,
+        journals=Journals(settings.data_dir, settings.journal_dir),
+        audit_supervision=audit_supervision,
+        cleanup=CleanupWorker(
+            database, settings, is_busy=lambda: equipment.running is not None, first=lambda: adopt(database, samples)
+        ),
+    )
+
+
+def _open_work(dependencies: _Dependencies, storage: _Storage) -> _Work:
+    settings, engine, equipment = dependencies.settings, dependencies.engine, dependencies.equipment
+    database, log, current_run = storage.database, storage.log, CurrentRun()
+    records = SessionRepository(database, log, settings, equipment, engine, storage.cleanup.tidy)
+    starter = SessionStarter(
+        engine=engine,
+        database=database,
+        writer_database=writer_connections(database),
+        models=ModelStore(settings.data_dir / MODELS_FOLDER),
+        equipment=equipment,
+        settings=settings,
+        counters=dependencies.counters,
+        samples=storage.samples,
+        journals=storage.journals,
+    )
+    runner = SessionRunner(
+        starter=starter,
+        log=log,
+        records=records,
+        refuse_arming=lambda: refuse_without_qa(database, settings),
+    )
+    return _Work(
+        sessions=records,
+        runner=runner,
+        qa_runs=QaRunService(
+            database=database,
+            log=log,
+            settings=settings,
+            equipment=equipment,
+            rig=dependencies.rig,
+            current_run=current_run,
+        ),
+        qa_archive=QaArchive(database, log, settings, current_run),
+    )
+
+
+def _open_access(dependencies: _Dependencies, storage: _Storage, work: _Work, on_failure: ExitStack) -> _Access:
+    service = open_access(storage.database, storage.log, dependencies.settings)
+    on_failure.callback(service.close)
+    if dependencies.tell_first is not None:
+        make_first_admin(service.store, service.accounts, dependencies.tell_first)
+    oidc = OidcService(dependencies.settings, service, dependencies.counters.registry)
+    oidc.start()
+    on_failure.callback(oidc.close)
+    armed_operator = ArmedOperator(
+        is_present=service.authenticator.is_present,
+        is_armed=dependencies.equipment.is_armed,
+        hold=work.runner.hold_unattended,
+    )
+    return _Access(service=service, oidc=oidc, armed_operator=armed_operator)
+
+
+def _open_monitoring(dependencies: _Dependencies, storage: _Storage, access: _Access) -> Monitoring:
+    return make_monitoring(
+        MonitoredServices(
+            settings=dependencies.settings,
+            database=storage.database,
+            equipment=dependencies.equipment,
+            engine=dependencies.engine,
+            counters=dependencies.counters,
+            audit_supervision=storage.audit_supervision,
+            cleanup=storage.cleanup,
+            access=access.service,
+            armed_operator=access.armed_operator,
+        )
+    )
+
+
+def _services(dependencies: _Dependencies, storage: _Storage, work: _Work, monitoring: Monitoring) -> Services:
+    settings, database, log = dependencies.settings, storage.database, storage.log
+    return Services(
+        sessions=work.sessions,
+        runner=work.runner,
+        samples=SampleService(database, storage.samples),
+        calibrations=CalibrationRepository(database, log),
+        models=ModelRepository(database, dependencies.equipment),
+        plans=PlanRepository(database, log, settings),
+        planned_sessions=PlannedSessions(database, log, work.sessions),
+        audit=AuditService(database, log, AnchorFile(settings.anchor_file), site=settings.site_name),
+        health=monitoring.health,
+        interlocks=InterlockTable(settings),
+        metrics=monitoring.metrics,
+        engine=dependencies.engine,
+        qa_runs=work.qa_runs,
+        qa_archive=work.qa_archive,
+        revisions=SessionRevisions(database, work.runner.withdrawals),
+    )
+
+
+def _begin(dependencies: _Dependencies, storage: _Storage, access: _Access, on_failure: ExitStack) -> None:
+    """Start the workers, and record what the last run of the service could not."""
+    access.armed_operator.start()
+    on_failure.callback(access.armed_operator.close)
+    storage.audit_supervision.start(_start_detail(dependencies.engine, storage.journals))
+    recover_transitions(storage.database, storage.journals)
+    close_interrupted(storage.database, storage.samples)
+    close_interrupted_qa(storage.database)
+    storage.cleanup.start()
+
+
+def _start_detail(engine: EnginePort, journals: Journals) -> dict[str, object]:
+    return {
+        "version": __version__,
+        "is_simulated_beam": engine.is_simulated_beam,
+        "journal_folder": str(journals.folder),
+    }

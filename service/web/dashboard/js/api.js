@@ -1,0 +1,120 @@
+/** All HTTP calls of the page. A problem (RFC 9457) becomes an ApiError whose message includes field and bound. */
+
+const ROOT = "/api/v1";
+const TIMEOUT_MS = 8000;
+const PRESENCE_TIMEOUT_MS = 2000;
+
+export class ApiError extends Error {
+  constructor(status, problem) {
+    super(sentence(status, problem));
+    this.name = "ApiError";
+    this.status = status;
+    this.code = problem.code ?? "";
+    this.field = problem.field ?? "";
+    this.retryAfterS = null;
+  }
+}
+
+/** Whether the call itself is a log-in, so that its 401 does not end the page's log-in. */
+const isAboutLogIn = (path) => path.startsWith("/login") || path === "/me" || path === "/me/password";
+let onRefused = () => {};
+
+/** @param {(status: number) => void} listener called for every 401 and 403: the log-in has ended or lost permissions */
+export function onRefusal(listener) {
+  onRefused = listener;
+}
+
+function sentence(status, problem) {
+  const detail = problem.detail || problem.title || `The controller answered ${status}.`;
+  const parts = [detail];
+  if (problem.field && !detail.includes(problem.field)) parts.push(`Field: ${problem.field}.`);
+  if (problem.value && !detail.includes(problem.value)) parts.push(`Given: ${problem.value}.`);
+  if (problem.bound && !detail.includes(problem.bound)) parts.push(`Must be ${problem.bound}.`);
+  return parts.join(" ");
+}
+
+async function call(method, path, body, headers = {}) {
+  const response = await send(method, path, body, headers);
+  const answer = await response.json().catch(() => null);
+  if (!response.ok) throw withWait(new ApiError(response.status, answer ?? {}), response);
+  return answer;
+}
+
+function withWait(error, response) {
+  const seconds = Number(response.headers.get("Retry-After") ?? NaN);
+  if (Number.isFinite(seconds)) error.retryAfterS = seconds;
+  return error;
+}
+
+async function send(method, path, body, headers, timeoutMs = TIMEOUT_MS) {
+  const request = { method, headers: { Accept: "application/json", ...headers }, signal: AbortSignal.timeout(timeoutMs), cache: "no-store" };
+  if (body !== undefined) {
+    request.body = typeof body === "string" ? body : JSON.stringify(body);
+    request.headers["Content-Type"] = "application/json";
+  }
+  try {
+    const response = await fetch(ROOT + path, request);
+    if ((response.status === 401 || response.status === 403) && !isAboutLogIn(path)) onRefused(response.status);
+    return response;
+  } catch (error) {
+    const text = error.name === "TimeoutError" ? "The controller did not answer in time." : "The controller cannot be reached.";
+    throw new ApiError(0, { code: "unreachable", detail: text });
+  }
+}
+
+const session = (id) => `/sessions/${encodeURIComponent(id)}`;
+/** Return a new Idempotency-Key, so that a repeated submission does not create twice. */
+const once = () => ({ "Idempotency-Key": crypto.randomUUID?.() ?? `${Date.now()}-${Math.random()}` });
+
+export const listSessions = (limit) => call("GET", `/sessions?limit=${limit}`);
+export const readSession = (id) => call("GET", session(id));
+export const createSession = (request) => call("POST", "/sessions", request, once());
+export const listCalibrations = () => call("GET", "/calibrations?limit=100");
+export const readQaStatus = () => call("GET", "/qa/status");
+export const qaReportUrl = (id) => `${ROOT}/qa/runs/${encodeURIComponent(id)}/report.pdf`;
+export const listDevices = () => call("GET", "/devices");
+export const listAudit = (id, limit) => call("GET", `/audit?session_id=${encodeURIComponent(id)}&limit=${limit}`);
+
+export const readMe = () => call("GET", "/me");
+export const logIn = (request) => call("POST", "/login", request);
+export const logOut = () => call("POST", "/logout", {});
+export const readLogInWays = () => call("GET", "/login/ways");
+/** URL that redirects to the hospital's identity provider. */
+export const OIDC_URL = `${ROOT}/login/oidc`;
+export const changePassword = (oldPassword, newPassword) =>
+  call("POST", "/me/password", { old_password: oldPassword, new_password: newPassword });
+
+const person = (name) => `/users/${encodeURIComponent(name)}`;
+export const listPeople = () => call("GET", "/users");
+export const addPerson = (request) => call("POST", "/users", request);
+export const changePerson = (name, changes) => call("PATCH", person(name), changes);
+export const listKeys = () => call("GET", "/keys");
+export const createKey = (request) => call("POST", "/keys", request);
+export const revokeKey = (id) => call("POST", `/keys/${encodeURIComponent(id)}/revoke`, {});
+
+/** Hold, disarm and stop are sent without an operator: the controller uses the log-in, so no other name can make it refuse. */
+const HALTS = new Set(["hold", "disarm", "stop"]);
+/**
+ * `action` is one of start, arm, disarm, hold, release, reference, acknowledge, stop. `operator` is the person the page
+ * shows as logged in; if another person has logged in with the same browser, the controller refuses.
+ */
+export const act = (id, action, operator) => call("POST", `${session(id)}/${action}`, HALTS.has(action) ? {} : { operator });
+export const retrain = (id, operator, keepsReference) =>
+  call("POST", `${session(id)}/models/retrain`, { operator, keeps_reference: keepsReference });
+/** `unit` is mm or l; `by` and `drift` are the displayed values that the person confirms. */
+export const correctBaseline = (id, operator, unit, by, drift) =>
+  call("POST", `${session(id)}/baseline-correction`, { operator, [`by_${unit}`]: by, [`drift_${unit}`]: drift });
+/** Report the operator's presence, with a short time-out. */
+export const notePresence = (id, operator) => send("POST", `${session(id)}/presence`, { operator }, {}, PRESENCE_TIMEOUT_MS);
+export const applyModel = (id, operator) => call("POST", `${session(id)}/models/apply`, { operator });
+
+export function uploadCalibration(text, operator) {
+  return call("POST", `/calibrations?operator=${encodeURIComponent(operator)}`, text, once());
+}
+
+/** @returns {Promise<?{blob: Blob, frameIndex: number}>} the newest colour frame, or null when there is none */
+export async function fetchPicture(id) {
+  const response = await send("GET", `${session(id)}/picture`, undefined, { Accept: "image/jpeg" });
+  if (!response.ok) return null;
+  return { blob: await response.blob(), frameIndex: Number(response.headers.get("X-Frame-Index") ?? NaN) };
+}

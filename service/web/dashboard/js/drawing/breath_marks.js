@@ -1,0 +1,88 @@
+/** Marks of the breathing on the trace: baseline, events, and when the phase was inside its window. */
+
+import { font } from "./canvas.js";
+
+const COLORS = { baseline: "#c9a2ff", event: "#ff9d6b" };
+/** Tolerance for recognising the same event by its start [s]. */
+const SAME_S = 0.6;
+const LABEL_PX = 13;
+export const EVENT_WORDS = {
+  cough: "cough",
+  sigh: "sigh",
+  apnoea: "no breath",
+  talking: "talking",
+  irregular: "irregular",
+  drift: "drift",
+};
+
+export class BreathMarks {
+  constructor() {
+    this.reset();
+  }
+
+  reset() {
+    this.baselines = [];
+    this.events = [];
+  }
+
+  /** @param {number} t time of the sample [s]; marks before `oldest` are dropped */
+  add(breath, t, oldest) {
+    this.baselines.push({ t, value: breath?.baseline ?? null });
+    for (const event of breath?.events ?? []) this.#note(event, t);
+    while (this.baselines.length > 0 && this.baselines[0].t < oldest) this.baselines.shift();
+    this.events = this.events.filter((event) => event.to >= oldest);
+  }
+
+  /** The newest baseline, if known, for the range of the axis. */
+  newestBaseline() {
+    const value = this.baselines.at(-1)?.value;
+    return Number.isFinite(value) ? [value] : [];
+  }
+
+  /** Draw the marks, in the unit of the gated signal. */
+  draw(context, box, x, y) {
+    this.#drawEvents(context, box, x);
+    context.strokeStyle = COLORS.baseline;
+    context.lineWidth = 2;
+    context.setLineDash([7, 4]);
+    context.beginPath();
+    let isOpen = false;
+    for (const { t, value } of this.baselines) {
+      if (!Number.isFinite(value)) isOpen = false;
+      else {
+        if (isOpen) context.lineTo(x(t), y(value));
+        else context.moveTo(x(t), y(value));
+        isOpen = true;
+      }
+    }
+    context.stroke();
+    context.setLineDash([]);
+  }
+
+  #note(event, t) {
+    const from = t - event.since_s;
+    const known = this.events.find((one) => one.kind === event.kind && (Math.abs(one.from - from) < SAME_S || (one.from <= from && from <= one.to)));
+    if (known === undefined) this.events.push({ kind: event.kind, from, to: t });
+    else known.to = t;
+  }
+
+  #drawEvents(context, box, x) {
+    context.font = font(12, 600);
+    context.textBaseline = "top";
+    context.textAlign = "left";
+    const ends = [];
+    for (const event of this.events) {
+      const [from, to] = [Math.max(x(event.from), box.x0), Math.max(x(event.to), x(event.from) + 2)];
+      context.fillStyle = "rgba(255, 157, 107, 0.13)";
+      context.fillRect(from, box.y0, to - from, box.y1 - box.y0);
+      context.fillStyle = COLORS.event;
+      context.fillRect(from, box.y0, 2, box.y1 - box.y0);
+      const text = EVENT_WORDS[event.kind] ?? String(event.kind);
+      // Overlapping labels move to the next row.
+      let row = ends.findIndex((end) => end < from);
+      if (row < 0) row = ends.length;
+      ends[row] = from + context.measureText(text).width + 10;
+      context.fillText(text, from + 5, box.y0 + 8 + row * LABEL_PX);
+    }
+  }
+}

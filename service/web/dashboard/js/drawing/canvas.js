@@ -1,0 +1,58 @@
+/** Canvas set-up for any pixel density, and the hatching that means "not measured". */
+
+export const INK = { text: "#c8d3de", faint: "#7f8d9b", line: "#26313b", panel: "#0d1319" };
+
+/**
+ * Match a canvas to the box it is shown in and return its context, scaled to CSS pixels and cleared.
+ *
+ * @returns {{context: CanvasRenderingContext2D, width: number, height: number}}
+ */
+export function prepare(canvas) {
+  const width = canvas.clientWidth;
+  const height = canvas.clientHeight;
+  const ratio = window.devicePixelRatio || 1;
+  const wide = Math.max(1, Math.round(width * ratio));
+  const high = Math.max(1, Math.round(height * ratio));
+  if (canvas.width !== wide || canvas.height !== high) {
+    canvas.width = wide;
+    canvas.height = high;
+  }
+  const context = canvas.getContext("2d");
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  return { context, width, height };
+}
+
+export function font(sizePx, weight = 400) {
+  return `${weight} ${sizePx}px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif`;
+}
+
+const hatches = new Map();
+
+/** Return the pattern for areas that were not measured. */
+export function hatch(context, color = "rgba(150, 165, 180, 0.35)") {
+  let tile = hatches.get(color);
+  if (tile === undefined) {
+    tile = new OffscreenCanvas(8, 8);
+    const pen = tile.getContext("2d");
+    pen.strokeStyle = color;
+    pen.lineWidth = 1.2;
+    pen.beginPath();
+    for (const shift of [-8, 0, 8]) {
+      pen.moveTo(shift, 8);
+      pen.lineTo(shift + 8, 0);
+    }
+    pen.stroke();
+    hatches.set(color, tile);
+  }
+  return context.createPattern(tile, "repeat");
+}
+
+/** Draw a text in the centre of an empty canvas. */
+export function note(context, width, height, text) {
+  context.fillStyle = INK.faint;
+  context.font = font(13);
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  context.fillText(text, width / 2, height / 2);
+}

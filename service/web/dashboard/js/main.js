@@ -1,0 +1,285 @@
+/** Assembles the page: the stream feeds the panels, two timers redraw them so that old data is never shown as new. */
+
+import { Access } from "./people/access.js";
+import { listSessions, readSession } from "./api.js";
+import { BaselineButton } from "./panels/baseline_correction.js";
+import { renderBreath } from "./panels/breath.js";
+import { Controls } from "./panels/controls.js";
+import { EventList } from "./panels/events.js";
+import { renderCalibration, renderFigures, renderLikeness, renderSource } from "./panels/measurement.js";
+import { setText } from "./drawing/elements.js";
+import { GatePanel } from "./panels/gate.js";
+import { GridPanel } from "./panels/motion_map.js";
+import { needsReference, renderLearning } from "./panels/training.js";
+import { LiveStream } from "./stream/live_stream.js";
+import { LogIn } from "./people/login.js";
+import { PeoplePanel } from "./people/people.js";
+import { PicturePanel } from "./panels/picture.js";
+import { Presence } from "./people/presence.js";
+import { QaPanel } from "./panels/qa.js";
+import { Range } from "./drawing/color_scale.js";
+import { Setup } from "./panels/setup.js";
+import { MismatchWatch, present, presentLocked } from "./stream/gate_state.js";
+import { Trace } from "./panels/trace.js";
+import { describe as describeWindow, gatedUnit, gatedValue } from "./stream/gating_window.js";
+
+const TICK_MS = 50;
+/** Redraw periods of pictures and numbers [ms]; the trace is drawn in every animation frame. */
+const TRACE_MS = 40;
+const PANEL_MS = 120;
+/** Period of looking for a running session [ms]. */
+const LOOK_MS = 1500;
+/** Period of reading what the stream does not contain, reference and patient match [ms]. */
+const DESCRIBE_MS = 2000;
+/** Time in which "Log out" accepts the second click while the gate is armed [ms]. */
+const ASK_MS = 4000;
+
+const byId = (id) => document.getElementById(id);
+const liveUrl = new URL("/api/v1/live", window.location.href);
+liveUrl.protocol = liveUrl.protocol === "https:" ? "wss:" : "ws:";
+
+const access = new Access(() => followAccess());
+const stream = new LiveStream(liveUrl, receive, () => access.ask());
+const gate = new GatePanel(byId("gate"));
+const trace = new Trace(byId("trace"));
+const picture = new PicturePanel(byId("picture"), byId("overlay"));
+const grid = new GridPanel(byId("grid"), byId("legend"), byId("grid-readout"));
+const events = new EventList(byId("events"), byId("events-empty"));
+const controls = new Controls(() => lookAgain());
+const baseline = new BaselineButton(byId("do-correct"), controls);
+const presence = new Presence();
+const setup = new Setup(access, select);
+const people = new PeoplePanel(access);
+const logIn = new LogIn(access);
+const qa = new QaPanel();
+const range = new Range();
+const mismatch = new MismatchWatch();
+
+/** The running or chosen session, as last read from the controller. */
+let session = null;
+let shownSessionId = null;
+let lastGate = "";
+let drawn = { trace: -Infinity, panels: -Infinity };
+let hasLooked = false;
+let isSimulatedBeam = false;
+let asking = 0;
+let nextLookMs = 0;
+let nextDescribeMs = 0;
+
+/** Update the page after a log-in, a log-out or a change of permissions. */
+function followAccess() {
+  const isNew = access.state === "in" && document.body.dataset.access !== "in";
+  document.body.dataset.access = access.state;
+  logIn.show();
+  byId("person").hidden = access.person === null;
+  setText(byId("person-name"), access.person?.name ?? "");
+  setText(byId("person-roles"), access.person?.roles.join(", ") ?? "");
+  byId("do-account").title = access.person === null ? "" : `${access.person.name} (${access.person.roles.join(", ")}): change your password`;
+  byId("badge-glass").hidden = access.person?.is_break_glass !== true;
+  byId("do-people").hidden = !access.may("people");
+  if (!access.may("people")) people.show(false);
+  if (access.may("watch")) watch();
+  else leave();
+  // A person who cannot run sessions manages people here.
+  if (isNew && access.may("people") && !access.may("create")) people.show(true);
+  render();
+}
+
+function watch() {
+  if (!stream.isWanted) stream.connect();
+  setup.refresh();
+}
+
+/** Remove patient, session and beam state from the page after a log-out. */
+function leave() {
+  stream.stop();
+  session = null;
+  shownSessionId = null;
+  hasLooked = false;
+  trace.reset(null);
+  picture.follow(null, false);
+  setup.forget();
+  controls.forget();
+  qa.forget();
+}
+
+/** A log-out may hold the beam: while the gate is armed the first click asks for confirmation. */
+async function logOut() {
+  const button = byId("do-log-out");
+  const asks = button.dataset.asks !== "yes" && stream.message?.is_armed === true;
+  button.dataset.asks = asks ? "yes" : "no";
+  setText(button, asks ? "Confirm: may hold" : "Log out");
+  clearTimeout(asking);
+  if (asks) {
+    asking = setTimeout(() => { button.dataset.asks = "no"; setText(button, "Log out"); }, ASK_MS);
+    return;
+  }
+  try {
+    await access.leave();
+  } catch (error) {
+    controls.say("failed", `Log out: ${error.message} You are still logged in.`);
+  }
+}
+
+function receive(message, nowMs) {
+  if (message.type !== "sample") return;
+  trace.add(message, nowMs);
+  picture.add(message);
+  const gateNow = `${message.gate} ${message.hold_reason}`;
+  if (gateNow !== lastGate) events.hurry(nowMs);
+  lastGate = gateNow;
+}
+
+function select(chosen) {
+  session = chosen;
+  shownSessionId = chosen.id;
+  controls.say("", `Session of ${chosen.patient_reference} is ready. Start it when the patient lies still.`);
+}
+
+/** Refresh after a call changed the session. */
+async function lookAgain() {
+  events.hurry(performance.now());
+  if (shownSessionId !== null) await describe(shownSessionId);
+  await Promise.all([setup.refresh(), access.may("watch") ? qa.refresh() : null]);
+}
+
+async function describe(id) {
+  try {
+    const answer = await readSession(id);
+    if (id === shownSessionId) session = answer;
+  } catch {
+    // Keep the patient's data, drop values that may have changed. The gate depends on neither.
+    if (id === shownSessionId && session !== null) session = { ...session, has_reference: null, likeness: null };
+  }
+}
+
+/**
+ * While no session runs: select a created session (perhaps just made by planning software), and follow the shown session to
+ * its end. On the first call without a session, open the form to create one.
+ */
+async function lookForSession() {
+  const isFirstLook = !hasLooked;
+  hasLooked = true;
+  let newest;
+  try {
+    [newest] = (await listSessions(1)).items;
+  } catch {
+    return;
+  }
+  if (!access.may("watch")) return;
+  if (newest?.status === "created" && newest.id !== shownSessionId) select(newest);
+  else if (newest !== undefined && newest.id === shownSessionId) session = newest;
+  if (isFirstLook && session === null && access.may("create") && people.isHidden) setup.show(true);
+}
+
+function follow(view, sample, nowMs) {
+  if (sample !== null && sample.session_id !== shownSessionId) {
+    shownSessionId = sample.session_id;
+    session = null;
+    nextDescribeMs = nowMs + DESCRIBE_MS;
+    describe(shownSessionId);
+  } else if (sample?.session_status === "running" && nowMs >= nextDescribeMs && !document.hidden) {
+    nextDescribeMs = nowMs + DESCRIBE_MS;
+    describe(shownSessionId);
+  }
+  if (view.kind !== "idle") nextLookMs = 0;
+  else if (nowMs >= nextLookMs) {
+    nextLookMs = nowMs + LOOK_MS;
+    lookForSession();
+  }
+  const id = sample?.session_id ?? (view.kind === "idle" ? null : picture.sessionId);
+  picture.follow(id, view.isFresh);
+  events.follow(shownSessionId);
+  if (sample !== null) hasLooked = true;
+}
+
+function renderWho(view) {
+  setText(byId("who-patient"), session?.patient_reference ?? "–");
+  setText(byId("who-plan"), session?.plan_id ?? "–");
+  setText(byId("who-fraction"), session ? fraction(session) : "–");
+  setText(byId("who-status"), view.isFresh ? (stream.message?.session_status ?? session?.status ?? "none") : "not known");
+}
+
+function fraction({ fraction_id: id, fraction_number: number }) {
+  return number === null || number === undefined ? id : `${id} (no. ${number})`;
+}
+
+/** Update everything that can become stale; called by a timer and by every animation frame. */
+function render() {
+  const nowMs = performance.now();
+  access.tend(nowMs);
+  stream.tend(nowMs);
+  const view = access.may("watch") ? present(stream, nowMs) : presentLocked(access);
+  const isSample = view.isFresh && stream.message?.type === "sample";
+  const sample = isSample ? stream.message : null;
+  view.warning = mismatch.check(sample, nowMs) || view.warning;
+  if (view.kind === "disarmed" && needsReference(sample, session)) view.reason = `${view.reason.replace(/\.$/, "")}. Set the reference before arming.`;
+  gate.render(view, nowMs);
+  // Drawn with the gate, not with the other numbers: the two must always agree.
+  setText(byId("figure-line"), lineText(sample));
+  const running = sample?.session_status === "running" ? sample : null;
+  follow(view, sample, nowMs);
+  controls.update({ kind: view.kind, sample: running, selected: session, person: access.state === "in" ? access.person : null });
+  baseline.update(view.isCurrent ? running : null);
+  presence.tend(running, controls.operatorName, nowMs);
+  if (!access.may("events")) events.tell(access.state === "in" ? "Not shown: your log-in does not allow it." : "No events yet.");
+  else if (view.isFresh) events.tend(nowMs);
+  if (access.may("watch")) qa.tend(nowMs);
+  return { nowMs, view, sample };
+}
+
+function lineText(sample) {
+  if (sample === null) return "–";
+  return sample.line_on === true ? "ON" : "OFF";
+}
+
+function draw() {
+  const { nowMs, view, sample } = render();
+  if (nowMs - drawn.trace >= TRACE_MS) {
+    drawn.trace = nowMs;
+    trace.draw(nowMs);
+  }
+  if (nowMs - drawn.panels >= PANEL_MS) {
+    drawn.panels = nowMs;
+    drawPanels(nowMs, view, view.isCurrent ? sample : null);
+  }
+  requestAnimationFrame(draw);
+}
+
+function drawPanels(nowMs, view, sample) {
+  const rangeMm = range.update(sample?.regions_mm ?? [], nowMs);
+  picture.draw(nowMs, rangeMm, view.isCurrent);
+  grid.draw(sample?.regions_mm ?? null, rangeMm, sample?.window);
+  isSimulatedBeam = sample?.is_simulated_beam ?? session?.is_simulated_beam ?? isSimulatedBeam;
+  renderFigures(sample, isSimulatedBeam);
+  renderBreath(sample);
+  renderCalibration(sample?.calibration ?? session?.calibration);
+  renderSource(session?.source_warning);
+  renderLikeness(sample, session?.likeness);
+  renderLearning(sample, session, view.isFresh);
+  renderWho(view);
+  renderTraceValue(sample);
+}
+
+function renderTraceValue(sample) {
+  const isGated = trace.choice === "gated";
+  const unit = isGated && sample ? gatedUnit(sample.window) : "mm";
+  const value = sample ? (isGated ? gatedValue(sample) : sample[`${trace.choice}_mm`]) : null;
+  setText(byId("trace-value"), Number.isFinite(value) ? value.toFixed(unit === "l" ? 2 : 1).replace("-", "−") : "–");
+  setText(byId("trace-unit"), unit);
+  setText(byId("trace-name"), sample && isGated ? `Gated on ${describeWindow(sample.window)}` : "");
+}
+
+byId("trace-choice").addEventListener("change", (event) => {
+  trace.choice = event.target.value;
+});
+document.addEventListener("visibilitychange", () => {
+  // Another person may have logged in with this browser.
+  if (!document.hidden && access.state === "in") access.ask();
+  render();
+});
+byId("do-log-out").addEventListener("click", logOut);
+byId("do-account").addEventListener("click", () => logIn.ask(logIn.panel.hidden));
+picture.run();
+setInterval(render, TICK_MS);
+requestAnimationFrame(draw);

@@ -1,0 +1,78 @@
+/**
+ * The window's part of the form: one to four conditions, each with the fields that its kind, signal and unit need.
+ *
+ * Every input has the name of its request field (`window.upper_mm`, `window.further.0.upper_mm`), so that a refusal can be
+ * shown beside its input.
+ */
+
+const MOST = 4;
+
+export class Conditions {
+  /** @param {() => void} onChange called after a condition was added, removed or changed; the list is empty at first */
+  constructor(root, template, add, onChange) {
+    this.root = root;
+    this.template = template;
+    this.add = add;
+    this.onChange = onChange;
+    add.addEventListener("click", () => this.append());
+    root.addEventListener("change", () => this.show());
+  }
+
+  append() {
+    if (this.#all().length >= MOST) return;
+    const copy = this.template.content.cloneNode(true);
+    const condition = copy.querySelector("fieldset");
+    condition.querySelector(".remove").addEventListener("click", () => {
+      condition.remove();
+      this.#renumber();
+    });
+    this.root.append(copy);
+    this.#renumber();
+  }
+
+  get count() {
+    return this.#all().length;
+  }
+
+  /** Whether any condition uses a named region of the session. */
+  get asksForRegions() {
+    return this.#all().some((one) => value(one, "signal") === "named");
+  }
+
+  show() {
+    for (const one of this.#all()) showFields(one);
+    this.onChange();
+  }
+
+  #all() {
+    return [...this.root.children];
+  }
+
+  #renumber() {
+    const all = this.#all();
+    for (const [place, one] of all.entries()) {
+      const path = place === 0 ? "window" : `window.further.${place - 1}`;
+      for (const input of one.querySelectorAll("[data-name]")) input.name = `${path}.${input.dataset.name}`;
+      one.querySelector("legend").textContent = all.length === 1 ? "" : `Condition ${place + 1}`;
+      one.querySelector(".remove").hidden = place === 0;
+    }
+    this.add.disabled = all.length >= MOST;
+    this.show();
+  }
+}
+
+function showFields(condition) {
+  const [kind, signal] = [value(condition, "kind"), value(condition, "signal")];
+  const length = signal === "volume" ? "l" : "mm";
+  const edges = condition.querySelector("[data-edges]");
+  edges.options[0].textContent = length;
+  const unit = edges.value === "percent" ? "percent" : length;
+  const chosen = { kinds: kind, signals: signal, units: unit, lengths: length };
+  for (const field of condition.querySelectorAll(".field")) {
+    field.hidden = Object.entries(chosen).some(([asked, is]) => asked in field.dataset && !field.dataset[asked].split(" ").includes(is));
+  }
+}
+
+function value(condition, name) {
+  return condition.querySelector(`[data-name="${name}"]`).value;
+}

@@ -1,0 +1,233 @@
+/**
+ * The buttons of a session. None switches the beam on: arming allows the gate to do so.
+ *
+ * Each is enabled only when its call can succeed, and the line below says what is missing. Disarm and Hold are exceptions:
+ * they work with one click or their key whenever a running session is known, with or without a fresh connection.
+ */
+
+import { act, applyModel, retrain } from "../api.js";
+import { setText } from "../drawing/elements.js";
+import { needsReference, stageOf } from "./training.js";
+import { obstacle as forbidden } from "../people/permissions.js";
+import { rememberArming } from "../people/presence.js";
+import { ClickGuard } from "./click_guard.js";
+
+/** Actions that take the beam off, and their keys: never confirmed twice; the result of a key press is always shown. */
+const HALTS = { disarm: "Escape", hold: "F8" };
+const HALT_TITLES = { disarm: "Holds the beam until a person arms again", hold: "Holds the beam until a person releases it; the session stays armed" };
+/** Actions that lead to beam on: clicks that may have been meant for another button are ignored. */
+const PERMITTING = ["acknowledge", "arm", "release"];
+const MOVED = "the buttons moved less than 2 s ago";
+/** Time in which "Stop" accepts the second click [ms]. */
+const CONFIRM_MS = 4000;
+
+const DONE = {
+  start: "Session started.",
+  arm: "Armed: the gate controls the beam.",
+  hold: "Held until released.",
+  release: "Released: the beam needs a full dwell.",
+  correct: "Disarmed. The window was shifted.",
+  disarm: "Disarmed.",
+  reference: "Reference set.",
+  acknowledge: "Fault acknowledged.",
+  stop: "Session stopped.",
+  retrain: "Training again in the background.",
+  apply: "Disarmed. The new model is applied.",
+};
+
+/** Why an action is not possible now, in the order to fix it; empty if it is. Permissions are checked before. */
+const OBSTACLES = {
+  arm: (c) => running(c) || still(c) || (c.sample.gate === "fault" ? "acknowledge the fault first" : "") || measuring(c) || compared(c) || hasReference(c),
+  release: (c) => running(c) || (c.sample.operator_hold ? "" : "no operator holds the beam"),
+  reference: (c) => running(c) || still(c) || measuring(c),
+  retrain: (c) => running(c) || compared(c) || (isLearning(c.sample) ? "already training" : ""),
+  apply: (c) => running(c) || (stageOf(c.sample) === "waiting" ? "" : "no new model is ready"),
+  acknowledge: (c) => running(c),
+  start: (c) => (c.kind === "idle" ? "" : "a session is running") || (waits(c) ? "" : "create a session first"),
+  stop: (c) => (waits(c) ? "" : running(c)),
+};
+
+/** Whether a session is created and not yet started; there is at most one. */
+const waits = (c) => c.kind === "idle" && c.selected?.status === "created";
+const running = (c) => (c.sample === null ? "no running session" : "");
+const still = (c) => (c.sample.is_armed ? "disarm first" : "");
+const compared = (c) => (stageOf(c.sample) === "comparing" ? "the stored model is still being compared" : "");
+const hasReference = (c) => (needsReference(c.sample, c.selected) ? "set the reference first" : "");
+/** A lost patient adds no training frames while the reference is kept: training may then be restarted. */
+const isLearning = (s) => s.state === "training" || stageOf(s) === "fitting" || (s.state === "measuring" && stageOf(s) === "gathering");
+const measuring = (c) => (c.sample.state === "measuring" ? "" : c.sample.state === "training" ? "still training" : "the patient is not visible");
+
+export class Controls {
+  /** @param {() => void} onChange called when an action has been done */
+  constructor(onChange) {
+    this.onChange = onChange;
+    this.busy = null;
+    this.lastRunningId = null;
+    this.context = { kind: "connecting", sample: null, selected: null, person: null };
+    this.outcome = document.getElementById("outcome");
+    this.keepsReference = document.getElementById("keep-reference");
+    for (const action of Object.keys(OBSTACLES)) button(action).addEventListener("click", (event) => this.#press(action, event));
+    this.clickGuard = new ClickGuard(PERMITTING.map(button));
+    for (const action of Object.keys(HALTS)) button(action).addEventListener("click", () => this.halt(action));
+    document.addEventListener("keydown", (event) => {
+      const action = Object.keys(HALTS).find((one) => HALTS[one] === event.key);
+      if (action === undefined) return;
+      if (action === "hold") event.preventDefault();
+      if (!event.repeat) this.halt(action);
+    }, { capture: true });
+  }
+
+  /** Name of the person who is logged in; empty if there is none. */
+  get operatorName() {
+    return this.context.person?.name ?? "";
+  }
+
+  /** Why the log-in does not permit this action; empty if it does. */
+  forbids(action) {
+    return forbidden(this.context.person, action);
+  }
+
+  /** Clear messages and session after a log-out, before another person logs in. */
+  forget() {
+    this.lastRunningId = null;
+    this.busy = null;
+    this.say("", "");
+  }
+
+  /** @param {{kind: string, sample: ?object, selected: ?object, person: ?object}} context the fresh sample of a running session, or null; the person who is logged in, or null */
+  update(context) {
+    this.context = context;
+    if (context.sample !== null) this.lastRunningId = context.sample.session_id;
+    else if (context.kind === "idle") this.lastRunningId = null;
+    for (const [action, obstacle] of Object.entries(OBSTACLES)) {
+      const why = this.forbids(action) || obstacle(this.context);
+      button(action).disabled = why !== "" || this.busy !== null;
+      button(action).title = why === "" ? "" : `Not now: ${why}`;
+    }
+    setText(document.getElementById("hint"), hint(this.context));
+    for (const action of Object.keys(HALTS)) {
+      const why = this.forbids(action) || (this.lastRunningId === null ? "no running session" : "");
+      button(action).disabled = why !== "";
+      button(action).title = why === "" ? HALT_TITLES[action] : `Not now: ${why}`;
+    }
+    button("setup").disabled = context.person === null;
+    button("release").classList.toggle("go", Boolean(context.sample?.operator_hold));
+    const isFault = context.sample?.gate === "fault";
+    button("acknowledge").hidden = !isFault;
+    button("arm").hidden = isFault;
+    button("release").hidden = isFault;
+    button("apply").hidden = stageOf(context.sample) !== "waiting";
+    this.keepsReference.disabled = button("retrain").disabled;
+    const isIgnored = this.clickGuard.update(performance.now());
+    for (const action of PERMITTING) showGuard(button(action), isIgnored);
+  }
+
+  async halt(action) {
+    const why = this.forbids(action);
+    if (why !== "" && this.context.kind !== "idle") {
+      this.say("failed", `${label(action)}: ${why}.${elsewhere(action)}`);
+      return;
+    }
+    if (this.lastRunningId !== null) await this.#send(action, this.lastRunningId, this.operatorName);
+  }
+
+  /** Run an action of another panel and show its result here. */
+  async run(action, call) {
+    await this.#attempt(action, call);
+  }
+
+  #press(action, event) {
+    if (action === "stop" && !this.#isConfirmed()) return;
+    if (PERMITTING.includes(action) && !this.#isMeant(action, event)) return;
+    // Focus must not stay on a button whose action has changed.
+    document.activeElement?.blur();
+    const id = this.context.sample?.session_id ?? this.context.selected.id;
+    this.#send(action, id, this.operatorName);
+  }
+
+  /** Whether the click counts; else it is ignored with a message. */
+  #isMeant(action, event) {
+    const refusal = this.clickGuard.refusal(event);
+    if (refusal === "moved") this.say("failed", `${label(action)}. Not sent: ${MOVED}. Click again.`);
+    return refusal === "";
+  }
+
+  #isConfirmed() {
+    const stop = button("stop");
+    const isSecond = stop.dataset.asks === "yes";
+    clearTimeout(this.asking);
+    stop.dataset.asks = isSecond ? "no" : "yes";
+    setText(stop, isSecond ? "Stop" : "Confirm stop");
+    if (!isSecond) this.asking = setTimeout(() => { stop.dataset.asks = "no"; setText(stop, "Stop"); }, CONFIRM_MS);
+    return isSecond;
+  }
+
+  async #send(action, id, operator) {
+    await this.#attempt(action, () => this.#call(action, id, operator));
+  }
+
+  async #attempt(action, call) {
+    const mine = (this.busy = Symbol(action));
+    this.say("busy", "Sending…");
+    this.update(this.context);
+    try {
+      await call();
+      if (this.busy === mine) this.say("done", DONE[action]);
+    } catch (error) {
+      // A failed hold or disarm stays visible after later answers: it names the other way to stop the beam.
+      this.say("failed", `${label(action)}: ${error.message}${action in HALTS ? elsewhere(action) : ""}`);
+    } finally {
+      if (this.busy === mine) this.busy = null;
+      this.update(this.context);
+      this.onChange();
+    }
+  }
+
+  async #call(action, id, operator) {
+    if (action === "apply") await applyModel(id, operator);
+    else if (action !== "retrain") {
+      await act(id, action, operator);
+      if (action === "arm") rememberArming(id, operator);
+    }
+    else {
+      await retrain(id, operator, this.keepsReference.checked);
+      // Discarding the reference applies to one training only.
+      this.keepsReference.checked = true;
+    }
+  }
+
+  say(kind, text) {
+    this.outcome.dataset.kind = kind;
+    setText(this.outcome, text);
+  }
+}
+
+/** The other way to stop the beam, if this page cannot. */
+function elsewhere(action) {
+  return ` The page could not ${action}: use the room's interlock.`;
+}
+
+/** What is missing for the next step. */
+function hint(context) {
+  const next = context.sample === null ? "start" : "arm";
+  if (context.sample === null && context.kind !== "idle") return "";
+  if (context.sample?.is_armed) return "";
+  const why = forbidden(context.person, next) || OBSTACLES[next](context);
+  return why === "" ? "" : `To ${next}: ${why}.`;
+}
+
+/** A guarded button keeps the focus, and a click says why it is ignored: it is not `disabled`. */
+function showGuard(element, isIgnored) {
+  const isShown = isIgnored && !element.disabled;
+  if (isShown) element.title = `Wait: ${MOVED}`;
+  if (isShown) element.setAttribute("aria-disabled", "true");
+  else element.removeAttribute("aria-disabled");
+}
+
+function button(action) {
+  return document.getElementById(`do-${action}`);
+}
+
+function label(action) {
+  return { reference: "Set reference", retrain: "Train again", apply: "Apply", correct: "Correct baseline" }[action] ?? action[0].toUpperCase() + action.slice(1);
+}

@@ -1,0 +1,61 @@
+/** The measurement panel: values of the newest fresh sample, a dash for values that were not measured. */
+
+import { setText } from "../drawing/elements.js";
+import { signed } from "../drawing/numbers.js";
+
+const NONE = "–";
+
+const FIGURES = {
+  "figure-whole": (s) => with_(s.whole_mm, (v) => signed(v, 2)),
+  "figure-thorax": (s) => with_(s.thorax_mm, (v) => signed(v, 2)),
+  "figure-abdomen": (s) => with_(s.abdomen_mm, (v) => signed(v, 2)),
+  "figure-volume": (s) => with_(s.volume_l, (v) => signed(v, 2)),
+  "figure-residual": (s) => with_(s.residual_mm, (v) => v.toFixed(2)),
+  "figure-coverage": (s) => with_(s.valid_share, (v) => `${(100 * v).toFixed(0)} %`),
+  "figure-fps": (s) => with_(s.fps, (v) => v.toFixed(1)),
+  "figure-missed": (s) => with_(s.missed_frames, (v) => String(v)),
+  "figure-latency": (s) => latency(s.latency_ms),
+};
+
+export function renderFigures(sample, isSimulatedBeam) {
+  for (const [id, textOf] of Object.entries(FIGURES)) setText(document.getElementById(id), sample ? textOf(sample) : NONE);
+  document.getElementById("figure-latency").dataset.bad = sample?.latency_ms?.warned === true ? "yes" : "no";
+  document.getElementById("figure-missed").dataset.bad = sample?.missed_frames > 0 ? "yes" : "no";
+  document.getElementById("badge-simulated").hidden = !isSimulatedBeam;
+}
+
+/** Show permanently that a session uses the camera's built-in registration. */
+export function renderCalibration(kind) {
+  document.getElementById("badge-uncalibrated").hidden = kind !== "device registration";
+}
+
+/** Show permanently that a recording gates a real beam line. */
+export function renderSource(warning) {
+  document.getElementById("badge-played").hidden = !warning;
+}
+
+/** Show the comparison of today's patient with the stored model; hidden without one. */
+export function renderLikeness(sample, likeness) {
+  const row = document.getElementById("likeness");
+  row.hidden = !likeness;
+  if (!likeness) return;
+  setText(document.getElementById("likeness-name"), `${likeness.is_accepted ? "Stored" : "Refused"} model: shift · tilt · shape`);
+  const figure = document.getElementById("figure-likeness");
+  setText(figure, sample ? distance(likeness) : NONE);
+  figure.dataset.bad = likeness.is_accepted ? "no" : "yes";
+  row.title = likeness.refusal ?? "";
+}
+
+function distance({ shift_mm: shift, tilt_deg: tilt, shape_mm: shape }) {
+  const millimetres = (value) => with_(value, (v) => `${v.toFixed(1)} mm`);
+  return `${millimetres(Math.hypot(...shift))} · ${with_(tilt, (v) => `${v.toFixed(1)}°`)} · ${millimetres(shape)}`;
+}
+
+function with_(value, textOf) {
+  return Number.isFinite(value) ? textOf(value) : NONE;
+}
+
+function latency(times) {
+  const part = (value) => with_(value, (v) => v.toFixed(1));
+  return times ? `${part(times.last)} · ${part(times.p50)} · ${part(times.p99)} · ${part(times.max)}` : NONE;
+}

@@ -1,0 +1,93 @@
+/** The motion map and its legend: one cell per region, superior at the top, the patient's right on the left. */
+
+import { font, hatch, INK, note, prepare } from "../drawing/canvas.js";
+import { signed } from "../drawing/numbers.js";
+import { colorOf } from "../drawing/color_scale.js";
+
+const LABEL_PX = 16;
+
+export class GridPanel {
+  constructor(canvas, legend, readout) {
+    this.canvas = canvas;
+    this.legend = legend;
+    this.readout = readout;
+    this.pointer = null;
+    canvas.addEventListener("pointermove", (event) => {
+      this.pointer = [event.offsetX, event.offsetY];
+    });
+    canvas.addEventListener("pointerleave", () => {
+      this.pointer = null;
+    });
+  }
+
+  draw(regionsMm, rangeMm, window) {
+    this.#drawLegend(rangeMm);
+    const { context, width, height } = prepare(this.canvas);
+    if (!regionsMm || regionsMm.length === 0) {
+      note(context, width, height, "not measured");
+      this.readout.textContent = "\u00a0";
+      return;
+    }
+    const box = layout(width, height, regionsMm);
+    for (const [r, row] of regionsMm.entries()) for (const [c, value] of row.entries()) drawCell(context, box, r, c, value, rangeMm);
+    if (window?.signal === "region") outline(context, box, window.row, window.column);
+    drawSides(context, box);
+    this.#readOut(box, regionsMm);
+  }
+
+  #readOut(box, regionsMm) {
+    const column = this.pointer ? Math.floor((this.pointer[0] - box.left) / box.cell) : -1;
+    const row = this.pointer ? Math.floor((this.pointer[1] - box.top) / box.cell) : -1;
+    const value = regionsMm[row]?.[column];
+    this.readout.textContent = value === undefined ? "\u00a0" : `row ${row}, column ${column}: ${reading(value)}`;
+  }
+
+  #drawLegend(rangeMm) {
+    const { context, width } = prepare(this.legend);
+    const [left, right] = [10, width - 10];
+    for (let x = left; x < right; x += 1) {
+      context.fillStyle = colorOf((2 * (x - left)) / (right - left) - 1, 1);
+      context.fillRect(x, 2, 1.5, 9);
+    }
+    context.fillStyle = INK.text;
+    context.font = font(11);
+    context.textBaseline = "top";
+    for (const [x, text, align] of [[left, `−${rangeMm}`, "left"], [width / 2, "0 mm", "center"], [right, `+${rangeMm}`, "right"]]) {
+      context.textAlign = align;
+      context.fillText(text, x, 14);
+    }
+  }
+}
+
+function layout(width, height, regionsMm) {
+  const rows = regionsMm.length;
+  const columns = regionsMm[0].length;
+  const cell = Math.min((width - 2 * LABEL_PX) / columns, (height - LABEL_PX) / rows);
+  return { cell, rows, columns, left: (width - cell * columns) / 2, top: LABEL_PX + (height - LABEL_PX - cell * rows) / 2 };
+}
+
+function drawCell(context, box, row, column, value, rangeMm) {
+  const [x, y] = [box.left + column * box.cell, box.top + row * box.cell];
+  context.fillStyle = Number.isFinite(value) ? colorOf(value, rangeMm) : hatch(context);
+  context.fillRect(x + 0.5, y + 0.5, box.cell - 1, box.cell - 1);
+}
+
+function outline(context, box, row, column) {
+  context.strokeStyle = "#ffffff";
+  context.lineWidth = 2;
+  context.strokeRect(box.left + column * box.cell, box.top + row * box.cell, box.cell, box.cell);
+}
+
+function drawSides(context, box) {
+  context.fillStyle = INK.faint;
+  context.font = font(11);
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  context.fillText("superior", box.left + (box.cell * box.columns) / 2, box.top - 9);
+  context.fillText("R", box.left - 9, box.top + (box.cell * box.rows) / 2);
+  context.fillText("L", box.left + box.cell * box.columns + 9, box.top + (box.cell * box.rows) / 2);
+}
+
+function reading(value) {
+  return Number.isFinite(value) ? `${signed(value)} mm` : "not measured";
+}

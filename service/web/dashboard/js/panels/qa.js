@@ -1,0 +1,86 @@
+/** QA: the newest run of each kind with its report, and a badge while overdue QA prevents arming. */
+
+import { qaReportUrl, readQaStatus } from "../api.js";
+import { setText } from "../drawing/elements.js";
+
+const ASK_MS = 20_000;
+const KINDS = ["daily", "monthly", "annual"];
+
+const byId = (id) => document.getElementById(id);
+
+export class QaPanel {
+  constructor() {
+    this.list = byId("qa-list");
+    this.badge = byId("badge-qa");
+    this.nextMs = 0;
+  }
+
+  /** Refresh periodically, and at once when the panel opens. */
+  tend(nowMs) {
+    if (document.hidden || nowMs < this.nextMs) return;
+    this.nextMs = nowMs + ASK_MS;
+    this.refresh();
+  }
+
+  /** Clear the panel after a log-out. */
+  forget() {
+    this.list.replaceChildren();
+    this.badge.hidden = true;
+    setText(byId("qa-note"), "");
+    this.nextMs = 0;
+  }
+
+  async refresh() {
+    try {
+      this.#show(await readQaStatus());
+    } catch (error) {
+      // An unknown status is not replaced by the last known one: an old verdict would mislead.
+      this.list.replaceChildren();
+      setText(byId("qa-note"), `The QA status is unknown. ${error.message}`);
+    }
+  }
+
+  #show(status) {
+    this.list.replaceChildren(...KINDS.map((kind) => row(kind, status.newest[kind])));
+    this.badge.hidden = status.is_arming_allowed;
+    this.badge.title = status.refusal ?? "";
+    setText(this.badge, isFailed(status) ? "QA failed" : "QA due");
+    setText(byId("qa-note"), note(status));
+  }
+}
+
+function isFailed(status) {
+  return (status.refusal ?? "").includes(" failed (");
+}
+
+function note(status) {
+  if (!status.is_arming_allowed) return `Arming is refused: ${status.refusal}.`;
+  if (status.required_daily_h > 0) return `Arming requires a passed QA within the last ${status.required_daily_h} h.`;
+  return "";
+}
+
+function row(kind, run) {
+  const item = document.createElement("li");
+  item.append(part("strong", kind[0].toUpperCase() + kind.slice(1)));
+  if (run === null) {
+    item.append(part("em", "never"));
+    return item;
+  }
+  const verdict = part("em", run.verdict ?? run.status);
+  verdict.dataset.verdict = run.verdict ?? run.status;
+  item.append(verdict, part("time", `${run.created_at.slice(0, 16).replace("T", " ")} UTC`));
+  if (run.status === "finished") {
+    const link = part("a", "Report");
+    link.href = qaReportUrl(run.id);
+    link.target = "_blank";
+    link.rel = "noopener";
+    item.append(link);
+  }
+  return item;
+}
+
+function part(name, text) {
+  const element = document.createElement(name);
+  element.textContent = text;
+  return element;
+}

@@ -1,0 +1,98 @@
+/** API keys, with which planning and record-and-verify software authenticates. */
+
+import { createKey, listKeys, revokeKey } from "../api.js";
+import { confirmButton, byId, part, say, tick, ticked } from "../drawing/elements.js";
+import { KEY_SCOPES } from "./permissions.js";
+
+const DAY_MS = 86_400_000;
+
+export class KeyList {
+  /** @param {import("./shown_once.js").ShownOnce} once panel that shows a new key's secret */
+  constructor(once) {
+    this.once = once;
+    this.list = byId("key-list");
+    this.outcome = byId("key-outcome");
+    this.form = byId("new-key");
+    byId("new-key-scopes").append(...KEY_SCOPES.map((scope) => tick(scope, scope)));
+    this.form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.#create();
+    });
+  }
+
+  async load() {
+    const empty = byId("key-empty");
+    try {
+      const { items } = await listKeys();
+      this.list.replaceChildren(...items.map((one) => this.#row(one)));
+      empty.textContent = items.length > 0 ? "" : "No key yet. Create one key per program.";
+    } catch (error) {
+      this.list.replaceChildren();
+      empty.textContent = `The keys cannot be read. ${error.message}`;
+    }
+    empty.hidden = empty.textContent === "";
+  }
+
+  forget() {
+    this.list.replaceChildren();
+    this.form.reset();
+    say(this.outcome, "", "");
+  }
+
+  #row(one) {
+    const item = document.createElement("li");
+    const state = stateOf(one);
+    item.dataset.disabled = state === "" ? "no" : "yes";
+    const used = one.last_used_at ? `last used ${day(one.last_used_at)}` : "never used";
+    item.append(part("strong", one.name), part("span", [state || `until ${day(one.expires_at)}`, used].join(" · "), "small"), part("span", one.scopes.join(", "), "small scopes"));
+    const row = part("span", "", "row-buttons");
+    if (state === "") row.append(confirmButton("Revoke", "Confirm revoke", () => this.#revoke(one)));
+    item.append(row);
+    return item;
+  }
+
+  async #revoke(one) {
+    try {
+      await revokeKey(one.id);
+      say(this.outcome, "done", `The key of ${one.name} is revoked.`);
+    } catch (error) {
+      say(this.outcome, "failed", `${one.name}: ${error.message}`);
+    }
+    await this.load();
+  }
+
+  async #create() {
+    const { name, days, submit } = this.form.elements;
+    const scopes = ticked(byId("new-key-scopes"));
+    const lack = this.#lack(name, days, scopes);
+    if (lack !== "") return say(this.outcome, "failed", lack);
+    submit.disabled = true;
+    try {
+      const expires_at = new Date(Date.now() + days.valueAsNumber * DAY_MS).toISOString();
+      const answer = await createKey({ name: name.value.trim(), scopes, expires_at });
+      this.once.show(`Key of ${answer.name}`, answer.secret);
+      say(this.outcome, "done", `The key of ${answer.name} is created.`);
+      this.form.reset();
+      await this.load();
+    } catch (error) {
+      say(this.outcome, "failed", error.message);
+    } finally {
+      submit.disabled = false;
+    }
+  }
+
+  #lack(name, days, scopes) {
+    if (name.value.trim() === "") return "Enter the program's name.";
+    if (scopes.length === 0) return "Choose the key's permissions.";
+    return days.checkValidity() ? "" : `A key expires after ${days.min} to ${days.max} days.`;
+  }
+}
+
+function stateOf(one) {
+  if (one.revoked_at) return `revoked ${day(one.revoked_at)}`;
+  return Date.parse(one.expires_at) <= Date.now() ? `expired ${day(one.expires_at)}` : "";
+}
+
+function day(at) {
+  return at.slice(0, 10);
+}

@@ -1,0 +1,172 @@
+/** The panel for log-in and change of password: beside the gate, never over it. */
+
+import { changePassword, logIn, OIDC_URL, readLogInWays } from "../api.js";
+import { byId, say } from "../drawing/elements.js";
+
+const COUNT_MS = 250;
+const MIN_PASSWORD = 12;
+
+export class LogIn {
+  /** @param {import("./access.js").Access} access notified of every log-in */
+  constructor(access) {
+    this.access = access;
+    this.panel = byId("access");
+    this.form = byId("log-in");
+    this.change = byId("change-password");
+    this.outcome = byId("log-in-outcome");
+    this.wait = byId("log-in-wait");
+    this.isAsked = false;
+    this.freeAtMs = 0;
+    this.form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.#logIn();
+    });
+    this.change.addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.#change();
+    });
+    byId("log-in-oidc").addEventListener("click", () => window.location.assign(OIDC_URL));
+    byId("change-cancel").addEventListener("click", () => this.ask(false));
+  }
+
+  /** Open or close the form to change the password. */
+  ask(isAsked) {
+    this.isAsked = isAsked;
+    this.show();
+  }
+
+  /** Show the form for the state of the log-in, and focus its first field. */
+  show() {
+    const { state } = this.access;
+    const isChange = state === "change" || (state === "in" && this.isAsked);
+    const wasHidden = this.panel.hidden;
+    this.panel.hidden = !(state === "out" || isChange);
+    const isOther = this.form.hidden !== isChange || wasHidden;
+    this.form.hidden = isChange;
+    this.change.hidden = !isChange;
+    byId("change-cancel").hidden = state === "change";
+    byId("change-why").textContent = state === "change" ? "This password was for one log-in. Choose a new one that only you know." : "";
+    byId("access-reason").textContent = state === "out" ? this.access.reason : "";
+    byId("access-reason").hidden = byId("access-reason").textContent === "";
+    if (this.panel.hidden) return this.#clear();
+    if (isOther) this.#begin(isChange);
+  }
+
+  #begin(isChange) {
+    const form = isChange ? this.change : this.form;
+    say(byId("change-outcome"), "", "");
+    if (isChange) form.elements.name.value = this.access.person.name;
+    else this.#offerWays();
+    [...form.elements].find((one) => one.matches("input:not([hidden])") && one.value === "")?.focus();
+  }
+
+  #clear() {
+    this.form.reset();
+    this.change.reset();
+    say(this.outcome, "", "");
+  }
+
+  /** Offer the hospital's log-in first, if there is one; passwords may then be for break-glass accounts only. */
+  async #offerWays() {
+    let ways = { password: true, oidc: null };
+    try {
+      ways = await readLogInWays();
+    } catch {
+      // The methods are unknown: offer name and password.
+    }
+    const { oidc } = ways;
+    const isGlass = oidc !== null && ways.local_accounts === "break-glass";
+    byId("log-in-oidc").hidden = oidc === null;
+    byId("log-in-oidc").textContent = oidc === null ? "" : `Log in with ${oidc.label}`;
+    byId("log-in-fields").hidden = ways.password === false;
+    byId("log-in-why").hidden = !isGlass;
+    const away = oidc?.is_reachable === false ? `${oidc.label} does not answer. ` : "";
+    const note = `${away}${isGlass ? "The form below is for break-glass accounts only; each use is reported." : ""}`;
+    byId("log-in-note").textContent = note;
+    byId("log-in-note").hidden = note === "";
+  }
+
+  async #logIn() {
+    const { name, password, reason, submit } = this.form.elements;
+    const asksWhy = !byId("log-in-why").hidden;
+    const missing = [name, password, ...(asksWhy ? [reason] : [])].find((one) => one.value.trim() === "");
+    if (missing) {
+      say(this.outcome, "failed", missing === reason ? "Enter a reason." : `Enter your ${missing.name}.`);
+      return missing.focus();
+    }
+    submit.disabled = true;
+    say(this.outcome, "busy", "Asking…");
+    try {
+      const typed = password.value;
+      const why = asksWhy ? { reason: reason.value.trim() } : {};
+      const person = await logIn({ name: name.value.trim(), password: typed, ...why });
+      this.form.reset();
+      say(this.outcome, "", "");
+      // The name is known; do not ask for it again.
+      if (person.must_change_password) this.change.elements.old_password.value = typed;
+      this.access.accept(person);
+    } catch (error) {
+      this.#refuse(error);
+    }
+    submit.disabled = performance.now() < this.freeAtMs;
+  }
+
+  #refuse(error) {
+    const { password } = this.form.elements;
+    password.value = "";
+    say(this.outcome, "failed", error.status === 401 ? "Name or password is wrong." : error.message);
+    if (error.retryAfterS > 0) this.#lock(error.retryAfterS);
+    else password.focus();
+  }
+
+  /** Count down the seconds until the next log-in is accepted. */
+  #lock(seconds) {
+    this.freeAtMs = performance.now() + 1000 * seconds;
+    clearInterval(this.counting);
+    const count = () => {
+      const leftS = Math.ceil((this.freeAtMs - performance.now()) / 1000);
+      this.form.elements.submit.disabled = leftS > 0;
+      this.wait.textContent = leftS > 0 ? `Try again in ${clock(leftS)}.` : "";
+      if (leftS > 0) return;
+      clearInterval(this.counting);
+      say(this.outcome, "", "");
+      this.form.elements.password.focus();
+    };
+    this.counting = setInterval(count, COUNT_MS);
+    count();
+  }
+
+  async #change() {
+    const { old_password: old, new_password: chosen, repeated, submit } = this.change.elements;
+    const outcome = byId("change-outcome");
+    const wrong = this.#mistake(old, chosen, repeated);
+    if (wrong !== null) {
+      say(outcome, "failed", wrong.text);
+      return wrong.input.focus();
+    }
+    submit.disabled = true;
+    try {
+      await changePassword(old.value, chosen.value);
+      this.change.reset();
+      this.isAsked = false;
+      await this.access.ask();
+      this.show();
+    } catch (error) {
+      say(outcome, "failed", error.message);
+      if (error.status === 401) this.access.ask();
+    } finally {
+      submit.disabled = false;
+    }
+  }
+
+  #mistake(old, chosen, repeated) {
+    if (old.value === "") return { input: old, text: "Enter your present password." };
+    if ([...chosen.value].length < MIN_PASSWORD) return { input: chosen, text: `The new password has ${[...chosen.value].length} characters; it needs ${MIN_PASSWORD}.` };
+    if (chosen.value === old.value) return { input: chosen, text: "The new password is the old one." };
+    return chosen.value === repeated.value ? null : { input: repeated, text: "The two new passwords differ." };
+  }
+}
+
+function clock(seconds) {
+  return seconds < 60 ? `${seconds} s` : `${Math.floor(seconds / 60)} min ${seconds % 60} s`;
+}

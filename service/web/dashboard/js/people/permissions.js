@@ -1,0 +1,39 @@
+/** The permission of each action of the page, for enabling buttons; the controller checks every call. */
+
+export const NEEDS = {
+  watch: "sessions.read",
+  create: "sessions.run",
+  start: "sessions.run",
+  reference: "sessions.run",
+  arm: "gate.arm",
+  release: "gate.arm",
+  correct: "gate.arm",
+  hold: "gate.hold",
+  disarm: "gate.hold",
+  stop: "gate.hold",
+  acknowledge: "gate.acknowledge",
+  retrain: "models.write",
+  apply: "models.write",
+  upload: "calibrations.write",
+  events: "audit.read",
+  people: "users.manage",
+};
+
+export const ROLES = ["viewer", "therapist", "physicist", "admin"];
+
+/** Permissions that an API key may have; never acknowledging faults or managing people. */
+export const KEY_SCOPES = [
+  "sessions.read", "sessions.run", "gate.arm", "gate.hold", "models.write", "calibrations.read", "calibrations.write",
+  "plans.write", "qa.read", "qa.run", "qa.baseline", "audit.read", "metrics.read",
+];
+
+/** @returns {boolean} whether the person may do this; false without a person */
+export function may(person, action) {
+  return person !== null && person.permissions.includes(NEEDS[action]);
+}
+
+/** @returns {string} why the person may not do this, or an empty string */
+export function obstacle(person, action) {
+  if (person === null) return "log in";
+  return may(person, action) ? "" : `your log-in (${person.roles.join(", ") || "no role"}) does not allow it`;
+}

@@ -1,0 +1,40 @@
+/** The gating window of a sample: its conditions, their signals and names. */
+
+/** @returns {object[]} the conditions; the first one's signal is the gated one; empty without a window */
+export function conditionsOf(window) {
+  if (!window) return [];
+  if (window.conditions?.length > 0) return window.conditions;
+  const { signal, row, column, lower_mm: lower, upper_mm: upper, hysteresis_mm: hysteresis } = window;
+  return [{ kind: "amplitude", signal, row, column, name: null, unit: "mm", lower, upper, hysteresis, is_inside: false }];
+}
+
+/** The gated signal of a sample, in the unit of `gatedUnit`; null if it was not measured. */
+export function gatedValue(sample) {
+  return gatedUnit(sample.window) === "l" ? sample.volume_l : sample.signal_mm;
+}
+
+export function gatedUnit(window) {
+  return conditionsOf(window)[0]?.signal === "volume" ? "l" : "mm";
+}
+
+export function signalName(condition) {
+  if (condition.signal === "region" || condition.signal === "point") return `${condition.signal} row ${condition.row}, column ${condition.column}`;
+  return condition.name || condition.signal;
+}
+
+export function hasSameSignal(one, other) {
+  return ["signal", "row", "column", "name"].every((key) => (one[key] ?? null) === (other[key] ?? null));
+}
+
+/** Whether the edges can be drawn; edges in percent cannot before they are converted to mm or l. */
+export function hasEdges(condition) {
+  return condition.unit !== "percent" && Number.isFinite(condition.lower) && Number.isFinite(condition.upper);
+}
+
+/** Short description of the conditions. */
+export function describe(window) {
+  const join = window?.join === "or" ? " or " : " and ";
+  return conditionsOf(window).map((one) => `${signalName(one)}${KINDS[one.kind] ?? ""}`).join(join);
+}
+
+const KINDS = { amplitude: "", breath_hold: ", breath hold", phase: ", phase" };

@@ -1,0 +1,154 @@
+/**
+ * The live stream: one WebSocket, reconnected with back-off, and the age of its newest message.
+ *
+ * Times are performance.now() [ms]: monotonic, so a set clock cannot make an old message look fresh.
+ */
+
+export const SCHEMA = "tidegate.live/1";
+/** A sample older than this is stale [ms]. */
+export const STALE_MS = 500;
+/** Limit for idle messages [ms], which come only twice a second. */
+export const IDLE_STALE_MS = 1500;
+/** Silence after which an open socket is closed, because it may be half open [ms]. */
+const GIVE_UP_MS = 5000;
+const FIRST_RETRY_MS = 250;
+const LAST_RETRY_MS = 5000;
+
+export class LiveStream {
+  /**
+   * @param {(message: object) => void} onMessage called for every valid sample and idle message
+   * @param {() => void} onEnd called when a connection ended, perhaps because the log-in ended
+   */
+  constructor(url, onMessage, onEnd) {
+    this.url = url;
+    this.onMessage = onMessage;
+    this.onEnd = onEnd;
+    this.isWanted = false;
+    this.message = null;
+    this.problem = "";
+    this.hasConnectedOnce = false;
+    this.lastNewsMs = null;
+    this.retryMs = FIRST_RETRY_MS;
+    this.retryAtMs = null;
+    this.socket = null;
+    this.arrivedMs = 0;
+    this.lagMs = 0;
+  }
+
+  /** Connect, and discard all earlier messages. */
+  connect() {
+    this.#forget();
+    this.isWanted = true;
+    this.retryAtMs = null;
+    this.connectedAtMs = performance.now();
+    const socket = new WebSocket(this.url);
+    this.socket = socket;
+    socket.addEventListener("message", (event) => {
+      if (socket === this.socket) this.#receive(event.data);
+    });
+    socket.addEventListener("close", () => {
+      if (socket !== this.socket) return;
+      this.#retryLater();
+      this.onEnd();
+    });
+  }
+
+  /** Disconnect and discard all messages, after a log-out. */
+  stop() {
+    const { socket } = this;
+    this.#forget();
+    this.isWanted = false;
+    this.socket = null;
+    this.retryAtMs = null;
+    this.lastNewsMs = null;
+    this.hasConnectedOnce = false;
+    this.retryMs = FIRST_RETRY_MS;
+    socket?.close();
+  }
+
+  /** Age of the newest message's content [ms], or null when there is none. */
+  ageMs(nowMs) {
+    if (this.message === null) return null;
+    return this.#sentAgeMs() + (nowMs - this.arrivedMs);
+  }
+
+  /** Time since the newest message arrived [ms]. */
+  silenceMs(nowMs) {
+    return this.message === null ? null : this.lagMs + (nowMs - this.arrivedMs);
+  }
+
+  /** Reconnect when it is due, and close a silent socket; call it often. */
+  tend(nowMs) {
+    if (!this.isWanted) return;
+    if (this.retryAtMs !== null && nowMs >= this.retryAtMs) this.connect();
+    else if (this.retryAtMs === null && this.#quietMs(nowMs) > GIVE_UP_MS) {
+      const socket = this.socket;
+      this.#retryLater();
+      socket.close();
+    }
+  }
+
+  #quietMs(nowMs) {
+    // A persistent lag means queued old messages: only a new socket removes them.
+    return this.message === null ? nowMs - this.connectedAtMs : this.silenceMs(nowMs);
+  }
+
+  #sentAgeMs() {
+    const age = this.message.age_ms;
+    return (Number.isFinite(age) ? Math.max(0, age) : 0) + this.lagMs;
+  }
+
+  #forget() {
+    this.message = null;
+    this.hello = null;
+    this.leastDelayMs = Infinity;
+    this.lagMs = 0;
+  }
+
+  #retryLater() {
+    this.#forget();
+    this.socket = null;
+    this.retryAtMs = performance.now() + this.retryMs * (0.75 + Math.random() / 2);
+    this.retryMs = Math.min(this.retryMs * 2, LAST_RETRY_MS);
+  }
+
+  #receive(text) {
+    const message = parse(text);
+    if (message === null) return;
+    if (message.type === "hello") {
+      this.hello = message;
+      this.problem = message.schema === SCHEMA ? "" : `The controller speaks ${message.schema}, this page ${SCHEMA}. Reload the page.`;
+      return;
+    }
+    if (this.problem !== "" || (message.type !== "sample" && message.type !== "idle")) return;
+    const nowMs = performance.now();
+    this.#measureLag(message.sent_at, nowMs);
+    this.message = message;
+    this.arrivedMs = nowMs;
+    this.lastNewsMs = nowMs;
+    this.hasConnectedOnce = true;
+    this.retryMs = FIRST_RETRY_MS;
+    this.onMessage(message, nowMs);
+  }
+
+  /**
+   * Estimate the lag of messages that queue in buffers between controller and page. The offset of the two clocks is taken
+   * from the fastest message of this connection; any additional delay is lag.
+   */
+  #measureLag(sentAt, nowMs) {
+    const sentMs = Date.parse(sentAt);
+    if (!Number.isFinite(sentMs)) return;
+    const delayMs = performance.timeOrigin + nowMs - sentMs;
+    this.leastDelayMs = Math.min(this.leastDelayMs, delayMs);
+    this.lagMs = delayMs - this.leastDelayMs;
+  }
+}
+
+function parse(text) {
+  try {
+    const message = JSON.parse(text);
+    return typeof message === "object" && message !== null ? message : null;
+  } catch {
+    return null;
+  }
+}

@@ -1,0 +1,1 @@
+"""Middleware: guard, request log, strict requests, reserved threads."""

@@ -1,0 +1,165 @@
+"""Checks of every request: Host header and size of the body; adds the security headers."""
+
+from collections.abc import Mapping
+
+import anyio
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.web.problems.table import problem_of, problem_response
+
+MAX_BODY_S = 30.0
+SECURITY_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Embedder-Policy": "require-corp",
+    "Origin-Agent-Cluster": "?1",
+    "Permissions-Policy": (
+        "accelerometer=(), camera=(), display-capture=(), geolocation=(), gyroscope=(), magnetometer=(), "
+        "microphone=(), midi=(), payment=(), serial=(), usb=()"
+    ),
+    "X-Permitted-Cross-Domain-Policies": "none",
+}
+
+
+class RefusedError(HTTPException):
+    """A request refused by this middleware, with field, value and bound for the problem."""
+
+    def __init__(self, status_code: int, detail: str, *, field: str, value: str, bound: str) -> None:
+        super().__init__(status_code, detail)
+        self.problem_fields = {"field": field, "value": value, "bound": bound}
+
+
+class RequestMiddleware:
+    """Checks the Host header, limits the body while it is read, and adds the security headers to every answer."""
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        host_names: tuple[str, ...],
+        max_body_bytes: int,
+        max_body_s: float = MAX_BODY_S,
+        larger_bodies: Mapping[tuple[str, str], int] | None = None,
+    ) -> None:
+        self._app = app
+        self._host_names = host_names
+        self._max_body_bytes = max_body_bytes
+        self._max_body_s = max_body_s
+        self._larger_bodies = larger_bodies or {}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Process or refuse a request."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, _in_one_line(scope, send))
+            return
+        host = _host_name(Headers(scope=scope).get("host", ""))
+        if "*" not in self._host_names and host not in self._host_names:
+            await self._refuse_host(host, scope, receive, send)
+        elif scope["type"] == "websocket":
+            await self._app(scope, receive, send)
+        else:
+            most = self._larger_bodies.get((scope["method"], scope["path"]), self._max_body_bytes)
+            await self._app(
+                scope,
+                _in_time(_bounded(scope, receive, most), self._max_body_s),
+                _with_headers(send),
+            )
+
+    async def _refuse_host(self, host: str, scope: Scope, receive: Receive, send: Send) -> None:
+        """Refuse a foreign host name: it may be an attack by DNS rebinding."""
+        if scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008, "reason": "host"})
+            return
+        bound = f"one of {', '.join(self._host_names)}"
+        error = RefusedError(421, "This host name is not served", field="Host", value=host[:80], bound=bound)
+        await problem_response(problem_of(error))(scope, receive, _with_headers(send))
+
+
+def _in_one_line(scope: Scope, send: Send) -> Send:
+    """Replace the trace of a refused start by its reason, if that is known."""
+
+    async def send_in_one_line(message: Message) -> None:
+        refusal = getattr(scope["app"].state, "start_refusal", None)
+        if message["type"] == "lifespan.startup.failed" and refusal is not None:
+            message = {**message, "message": f"the service did not start: {refusal}"}
+        await send(message)
+
+    return send_in_one_line
+
+
+def _host_name(host: str) -> str:
+    """Return the host without the port; an IPv6 address keeps its brackets."""
+    name, colon, port = host.rpartition(":")
+    return name.lower() if colon and port.isdigit() else host.lower()
+
+
+def _bounded(scope: Scope, receive: Receive, max_bytes: int) -> Receive:
+    """Refuse a body that is too large; if Content-Length says so, nothing of it is read."""
+    declared = Headers(scope=scope).get("content-length", "0")
+    seen_bytes = 0
+
+    async def receive_bounded() -> Message:
+        nonlocal seen_bytes
+        _refuse_packed(scope)
+        if not declared.isdecimal() or int(declared[:20]) > max_bytes:
+            raise _too_large(f"{declared[:20]} bytes", max_bytes)
+        message = await receive()
+        seen_bytes += len(message.get("body", b""))
+        if seen_bytes > max_bytes:
+            raise _too_large("more than that", max_bytes)
+        return message
+
+    return receive_bounded
+
+
+def _in_time(receive: Receive, max_s: float) -> Receive:
+    """Limit the time for the whole body; waiting for a disconnect afterwards is not limited."""
+    is_whole = False
+    ends_s: float | None = None
+
+    async def receive_in_time() -> Message:
+        nonlocal is_whole, ends_s
+        if is_whole:
+            return await receive()
+        ends_s = ends_s or anyio.current_time() + max_s
+        with anyio.move_on_after(ends_s - anyio.current_time()):
+            message = await receive()
+            is_whole = not message.get("more_body", False)
+            return message
+        bound = f"complete within {max_s:g} s"
+        raise RefusedError(408, "The body took too long", field="body", value="a part of it", bound=bound)
+
+    return receive_in_time
+
+
+def _refuse_packed(scope: Scope) -> None:
+    """Refuse a compressed body: its uncompressed size is not known beforehand."""
+    encoding = Headers(scope=scope).get("content-encoding", "identity")
+    if encoding.lower() not in {"identity", ""}:
+        bound = "identity, or left out"
+        raise RefusedError(
+            415, "The body must not be compressed", field="Content-Encoding", value=encoding[:80], bound=bound
+        )
+
+
+def _too_large(value: str, max_bytes: int) -> RefusedError:
+    return RefusedError(413, "The body is too large", field="body", value=value, bound=f"at most {max_bytes} bytes")
+
+
+def _with_headers(send: Send) -> Send:
+    async def send_with_headers(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            for name, value in SECURITY_HEADERS.items():
+                headers[name] = value
+            headers.setdefault("Cache-Control", "no-cache")
+        await send(message)
+
+    return send_with_headers

@@ -1,0 +1,103 @@
+"""The two kinds of calls that act on a running session: one needs a name and a condition, the other is never refused.
+
+What may lead to a permit, and everything else that changes a session, is done in the name of whoever is logged in and
+only where the session's ETag still matches ``If-Match``. What takes permission away (disarm, hold, stop) needs neither:
+it runs on threads of its own, so that no other call can delay it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, TypeVar
+
+from fastapi import Depends
+
+from service.access.armed_operator import ArmedOperator
+from service.access.request.caller import RequestCaller
+from service.core.conditional import Precondition
+from service.core.schemas import sessions
+from service.engine_host.roles import CommandName
+from service.sessions.lifecycle.runner import SessionRunner
+from service.web import dependencies
+from service.web.dependencies import Services
+from service.web.middleware.reserved_threads import ReservedThreads
+
+AnswerT = TypeVar("AnswerT")
+MAKES_RESPONSIBLE: frozenset[CommandName] = frozenset({"arm", "release"})
+"""Commands whose operator is responsible for the gate from then on: the beam is held when that person's login ends."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OperatorCall:
+    """A call that changes a session in the name of an operator."""
+
+    caller: RequestCaller
+    services: Services
+    if_match: Precondition
+    armed_operator: ArmedOperator
+
+    def act(self, session_id: str, claimed: str, action: Callable[[str, str], AnswerT]) -> AnswerT:
+        """Run ``action(session_id, operator)`` where ``If-Match`` still holds; ``claimed`` is the body's operator.
+
+        Raises
+        ------
+        PreconditionFailedError
+            The session's ETag is another one by now.
+        OperatorMismatchError
+            The body names another person than the one who is logged in.
+        """
+        with self.services.revisions.only_if(session_id, self.if_match):
+            return action(session_id, self.caller.checked_actor(claimed))
+
+    def command(self, session_id: str, name: CommandName, claimed: str) -> sessions.SessionDetail:
+        """Submit a command to the engine; answer once it is executed, raise where it is refused or late."""
+
+        def submit(session_id: str, operator: str) -> sessions.SessionDetail:
+            note = partial(self._note_responsible, session_id, name)
+            return self.services.runner.command(session_id, name, operator, on_possibly_done=note)
+
+        return self.act(session_id, claimed, submit)
+
+    def _note_responsible(self, session_id: str, name: CommandName) -> None:
+        if name in MAKES_RESPONSIBLE:
+            self.armed_operator.set_operator(session_id, self.caller.identity)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WithdrawalCall:
+    """A call that takes permission away: the operator's name is noted, never checked."""
+
+    operator: str
+    runner: SessionRunner
+    threads: ReservedThreads
+
+    async def act(self, session_id: str, action: Callable[[str, str], AnswerT]) -> AnswerT:
+        """Run ``action(session_id, operator)`` on a reserved thread; on an ordinary one if the session does not run."""
+        call = partial(action, session_id, self.operator)
+        return await self.threads.run(call, takes=self.runner.is_running(session_id))
+
+    async def command(self, session_id: str, name: CommandName) -> sessions.SessionDetail:
+        """Submit a command to the engine; answer once it is executed."""
+        return await self.act(session_id, lambda _, operator: self.runner.command(session_id, name, operator))
+
+
+# On the event loop, like all dependencies: a request takes one worker thread, for its route.
+async def _operator_call(
+    caller: dependencies.Caller,
+    services: dependencies.AppServices,
+    if_match: dependencies.IfMatch,
+    armed_operator: dependencies.GateOperator,
+) -> OperatorCall:
+    return OperatorCall(caller=caller, services=services, if_match=if_match, armed_operator=armed_operator)
+
+
+async def _withdrawal_call(
+    operator: dependencies.WithdrawingOperator,
+    services: dependencies.AppServices,
+    threads: dependencies.WithdrawalThreads,
+) -> WithdrawalCall:
+    return WithdrawalCall(operator=operator, runner=services.runner, threads=threads)
+
+
+Operated = Annotated[OperatorCall, Depends(_operator_call)]
+Withdrawing = Annotated[WithdrawalCall, Depends(_withdrawal_call)]

@@ -1,0 +1,1 @@
+"""The live stream: one hub encodes each message once and distributes it to all clients."""

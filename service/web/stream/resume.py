@@ -1,0 +1,143 @@
+"""Resends missed samples to a client that reconnects, from the record up to the live stream; no frame twice.
+
+While the record is read, live frames are buffered for the client, until the recorder has written the first of them or a
+time limit is over. Frames that are not resent are reported as a gap.
+"""
+
+import anyio
+import anyio.to_thread
+
+from service.core.schemas.live_messages import Gap, Resumed
+from service.storage.samples.tail import SampleTails
+from service.web.stream.encoding import Frame
+from service.web.stream.feed import Feed, Resume
+from service.web.stream.missed_samples import MissedSamples, PastPage
+from service.web.stream.query import EventsQuery
+
+PAGE = 200
+PER_S = 2000.0
+"""Rate limit of recorded samples [1/s], so that reconnecting clients do not delay the others."""
+MAX_CONCURRENT = 4
+BUSY_S = 1.0
+RECORDER_WAIT_S = 2.0
+RETRY_S = 0.05
+
+
+class Resumption:
+    """Resends missed samples, to a few clients at a time."""
+
+    def __init__(self, tails: SampleTails, *, longest_s: float) -> None:
+        self._tails = tails
+        self._longest_s = longest_s
+        self._limiter = anyio.CapacityLimiter(MAX_CONCURRENT)
+        self._threads = anyio.CapacityLimiter(MAX_CONCURRENT)  # separate threads: no request waits for them
+
+    def for_query(self, query: EventsQuery) -> Resume | None:
+        """Return the function that resends missed samples; None if the query does not request them."""
+        session_id, after = query.session_id, query.after_frame
+        if session_id is None or after is None:
+            return None
+
+        async def resume(feed: Feed) -> None:
+            await self._resume(feed, session_id, after, query.rate_hz)
+
+        return resume
+
+    async def _resume(self, feed: Feed, session_id: str, after: int, rate_hz: float | None) -> None:
+        """Send the samples recorded after a frame, then continue with the live stream."""
+        with anyio.move_on_after(BUSY_S) as waiting:
+            await self._limiter.acquire()
+        if waiting.cancelled_caught:
+            await _RecordSender(feed, session_id, after).report_gap("busy")
+            return
+        try:
+            past = MissedSamples(
+                self._tails,
+                feed.slot.shape,
+                session_id=session_id,
+                after=after,
+                longest_s=self._longest_s,
+                rate_hz=rate_hz,
+            )
+            await _RecordSender(feed, session_id, after).run(past, self._threads)
+        finally:
+            self._limiter.release()
+
+
+class _RecordSender:
+    """Resends the record to one client until it meets the live stream."""
+
+    def __init__(self, feed: Feed, session_id: str, after: int) -> None:
+        self._feed = feed
+        self._hub = feed.hub
+        self._slot = feed.slot
+        self._session_id = session_id
+        self._after = self._last = after
+        self._sent = 0
+
+    async def run(self, past: MissedSamples, threads: anyio.CapacityLimiter) -> None:
+        """Send the record up to the first buffered live frame."""
+        caught_up_s: float | None = None
+        while True:
+            page = await anyio.to_thread.run_sync(past.page, PAGE, limiter=threads)
+            if page is None:
+                await self.report_gap("not_recorded")
+                return
+            await self._send(page)
+            if not page.is_last:
+                continue
+            if self._reaches_live():
+                await self._go_live()
+                return
+            caught_up_s = caught_up_s or self._hub.now_s()
+            if self._hub.now_s() > caught_up_s + RECORDER_WAIT_S:
+                await self.report_gap("recorder_behind")
+                return
+            await anyio.sleep(RETRY_S)
+
+    async def report_gap(self, reason: str) -> None:
+        """Report the gap and continue with the live stream."""
+        first = self._first_live()
+        to_frame = None if first is None else first.index - 1
+        if to_frame is None or to_frame > self._last:
+            await self._gap(self._last + 1, to_frame, reason)
+        await self._go_live()
+
+    async def _send(self, page: PastPage) -> None:
+        if page.frames and self._sent == 0 and self._last == self._after and page.frames[0].frame > self._after + 1:
+            await self._gap(self._after + 1, page.frames[0].frame - 1, "too_long_ago")
+        for recorded in page.frames:
+            self._last = recorded.frame
+            if recorded.payload is not None:
+                self._sent += 1
+                await self._feed.send_payload(recorded.payload)
+        await anyio.sleep(len(page.frames) / PER_S)
+
+    def _reaches_live(self) -> bool:
+        """Whether the sent samples reach the first buffered live frame, or the session has ended."""
+        first = self._first_live()
+        return first is None or self._last >= first.index - 1
+
+    def _first_live(self) -> Frame | None:
+        first = self._slot.first_buffered
+        return first if first is not None and first.session_id == self._session_id else None
+
+    async def _gap(self, from_frame: int, to_frame: int | None, reason: str) -> None:
+        gap = {"session_id": self._session_id, "from_frame": from_frame, "to_frame": to_frame, "reason": reason}
+        await self._feed.send(Gap.model_validate({"sent_at": self._hub.clock.utc(), **gap}))
+
+    async def _go_live(self) -> None:
+        """Announce the live stream, and send the buffered frames that were not resent."""
+        resumed = Resumed(
+            sent_at=self._hub.clock.utc(), session_id=self._session_id, frames=self._sent, last_frame=self._last
+        )
+        await self._feed.send(resumed)
+        for frame in self._slot.stop_buffering():
+            if not self._is_resent(frame):
+                await self._feed.send_shared(frame)
+
+    def _is_resent(self, frame: Frame) -> bool:
+        """Whether the frame was resent; changes of the gate between two frames are not in the record."""
+        if frame.session_id != self._session_id or frame.index > self._last:
+            return False
+        return not (frame.is_repeat and frame.is_change)

@@ -1,0 +1,280 @@
+"""What frames show, and how they come: covered, shifted, frozen, late, missing; the camera gone or hung."""
+
+import math
+import random
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from engine.core.clock import NS_PER_MS
+from tests.campaigns.faults.kinds import (
+    ARMED,
+    BY_ITSELF,
+    FRAME_MS,
+    LAG_MS,
+    LATCHED,
+    NEW_SESSION,
+    Fault,
+    FaultKind,
+    Inject,
+    told,
+)
+from tests.campaigns.faults.verdict import Recovery
+from tests.support.virtual_camera.block import Call, State, Streams
+from tests.support.virtual_camera.camera import Receipt, VirtualXtion
+
+if TYPE_CHECKING:
+    from tests.campaigns.faults.rig import Rig
+
+FAMILY = "frames"
+PERIOD_MS = 1000.0 / 29.97
+BREATH_MM = 10.0
+LASTS_S = (0.03, 0.8)
+Act = Callable[[VirtualXtion, random.Random], Receipt]
+LOST = told("marker_lost", "layout_changed", "coverage_low", "residual_high", "jump", "patient_shifted")
+SILENT = told("frame_missing", "frame_timeout", "frame_late", "latency_high", "frame_stale")
+CLOCK = told("clock_backwards", "clock_jumped", "frame_missing", "frame_late", "latency_high", "frame_timeout")
+GONE = told("source_lost", "frame_missing", "frame_timeout")
+MOVED_RECOVERS = BY_ITSELF | ARMED
+"""A surface that moved as no skin can may have to be given its zero by a person."""
+
+GONE_RECOVERS = NEW_SESSION | LATCHED
+
+
+def of_camera(act: Act, *, is_step: bool = False) -> Inject:
+    """Tell the camera something, and undo it a random time later; a step is over as soon as it was made."""
+
+    def inject(rig: "Rig", chance: random.Random) -> Fault:
+        receipt = act(rig.camera, chance)
+
+        lasts_s = chance.uniform(*LASTS_S)
+        return Fault(cause_ns=receipt.raised_ns, undo=rig.mend_camera, lasts_s=lasts_s, is_step=is_step)
+
+    return inject
+
+
+def cover_marker(rig: "Rig", chance: random.Random) -> Fault:
+    """Lay a cloth on one of the four markers."""
+    return of_camera(lambda camera, chance: camera.cover(chance.randrange(4)))(rig, chance)
+
+
+def breath_too_large(rig: "Rig", chance: random.Random) -> Fault:
+    """Lift the whole patient as fast as skin may move, until the signal leaves the window.
+
+    Counted from the first frame that was measured outside; at the latest from the one that is outside wherever in the
+    breath the patient, and the person who set the zero, were.
+    """
+    session_id, mm_a_frame = rig.person.session_id, chance.uniform(2.0, 3.2)
+    receipt = rig.camera.offset(-chance.uniform(55.0, 80.0), mm_a_frame=mm_a_frame)
+    frames = math.ceil((rig.window_mm + BREATH_MM) / mm_a_frame)
+    latest_ns = receipt.raised_ns + int(frames * PERIOD_MS * NS_PER_MS)
+
+    def first_outside_ns() -> int | None:
+        seen_ns = rig.ledger.first_outside_ns(session_id, receipt.raised_ns, rig.window_mm)
+        return None if seen_ns is None else min(seen_ns, latest_ns)
+
+    return Fault(
+        cause_ns=latest_ns,
+        begun_ns=receipt.raised_ns,
+        undo=rig.mend_camera,
+        lasts_s=chance.uniform(0.05, 0.4),
+        find_cause=first_outside_ns,
+    )
+
+
+def backlog(rig: "Rig", chance: random.Random) -> Fault:
+    """Let each frame come a little later than the one before; counted from the first that comes later than it may."""
+    growing_ms = chance.uniform(8.0, 24.0)
+    receipt = rig.camera.late(0.0, growing_ms=growing_ms)
+    believed = int(LAG_MS / growing_ms)
+    late_ns = int((believed + 1) * PERIOD_MS * NS_PER_MS)
+    return Fault(cause_ns=receipt.raised_ns + late_ns, undo=rig.mend_camera, lasts_s=chance.uniform(0.05, 0.5))
+
+
+def hung_read(rig: "Rig", chance: random.Random) -> Fault:
+    """Let the runtime's wait for a frame hang in the driver."""
+    receipt = rig.camera.hang(Call.READ)
+    return Fault(cause_ns=receipt.raised_ns, undo=rig.mend_camera, lasts_s=chance.uniform(0.05, 1.5))
+
+
+def _sheet(camera: VirtualXtion, chance: random.Random) -> Receipt:
+    """Lay something 10 to 40 mm thick on a part of the region."""
+    left, top, width, height = camera.depth_rect(camera.region_rect)
+    share = chance.uniform(0.35, 0.7)
+    rect = (left, top, max(round(width * share), 1), max(round(height * share), 1))
+    return camera.offset(-chance.uniform(10.0, 40.0), rect=rect)
+
+
+def _shift(camera: VirtualXtion, chance: random.Random) -> Receipt:
+    right_px, down_px = chance.choice([(12, 0), (-12, 0), (0, 12), (0, -12), (9, 9), (-15, 6)])
+    return camera.shift(right_px, down_px)
+
+
+def _kind(
+    code: str, what: str, inject: Inject, names: frozenset[str], recoveries: frozenset[Recovery] = BY_ITSELF, **more
+):
+    return FaultKind(code=code, what=what, family=FAMILY, inject=inject, told=names, recoveries=recoveries, **more)
+
+
+def _camera(
+    code: str,
+    what: str,
+    act: Act,
+    names: frozenset[str],
+    recoveries: frozenset[Recovery] = BY_ITSELF,
+    *,
+    is_step: bool = False,
+    **more,
+):
+    return _kind(code, what, of_camera(act, is_step=is_step), names, recoveries, **more)
+
+
+KINDS = (
+    _camera("marker-covered", "a marker is covered", lambda camera, chance: camera.cover(chance.randrange(4)), LOST),
+    _camera(
+        "hand-in-view",
+        "a hand over the region",
+        lambda camera, chance: camera.hand(depth_mm=chance.randrange(550, 760), share=chance.uniform(0.35, 0.9)),
+        LOST,
+    ),
+    _camera("sheet", "a sheet of 10 to 40 mm on a part of the region", _sheet, LOST, MOVED_RECOVERS),
+    _camera(
+        "body-jumps",
+        "the whole body is 8 to 25 mm higher or lower at once",
+        lambda camera, chance: camera.offset(chance.choice((-1, 1)) * chance.uniform(8.0, 25.0)),
+        LOST | told("outside_window"),
+        MOVED_RECOVERS,
+        is_step=True,
+    ),
+    _camera("patient-shifts", "the patient slides on the couch", _shift, LOST, MOVED_RECOVERS),
+    _kind(
+        "breath-too-large",
+        "the body rises out of the window at a breath's speed",
+        breath_too_large,
+        LOST | told("outside_window"),
+        MOVED_RECOVERS,
+    ),
+    _camera("depth-zero", "no pixel of depth is read", lambda camera, _: camera.flat(0), LOST | told("frame_frozen")),
+    _camera(
+        "depth-holes",
+        "half to nine tenths of the pixels read nothing",
+        lambda camera, chance: camera.dropout(chance.uniform(0.5, 0.9), is_same=chance.random() < 0.5),
+        LOST,
+    ),
+    _camera("depth-noise", "depth is noise", lambda camera, _: camera.noise(), LOST | told("value_invalid")),
+    _camera(
+        "depth-65535",
+        "every pixel reads 65535",
+        lambda camera, _: camera.flat(65_535),
+        LOST | told("frame_frozen", "value_invalid"),
+    ),
+    _camera(
+        "depth-flat",
+        "every pixel reads one distance",
+        lambda camera, chance: camera.flat(chance.randrange(500, 1500)),
+        LOST | told("frame_frozen"),
+    ),
+    _camera(
+        "picture-frozen",
+        "the same pictures with new times",
+        lambda camera, _: camera.repeat(),
+        told("frame_frozen", "frame_timeout"),
+    ),
+    _camera(
+        "depth-frozen",
+        "the same depth with new times",
+        lambda camera, _: camera.repeat(Streams.DEPTH),
+        told("frame_frozen", "frame_timeout"),
+    ),
+    _camera(
+        "color-frozen",
+        "the same colour with new times",
+        lambda camera, _: camera.repeat(Streams.COLOR),
+        told("frame_frozen", "frame_timeout"),
+    ),
+    _camera("frame-again", "the same frame again, with its old time", lambda camera, _: camera.again(), CLOCK, LATCHED),
+    _camera("both-stall", "no frame comes any more", lambda camera, _: camera.stall(), SILENT),
+    _camera("depth-stalls", "no depth comes any more", lambda camera, _: camera.stall(Streams.DEPTH), SILENT),
+    _camera(
+        "color-stalls",
+        "no colour comes any more",
+        lambda camera, _: camera.stall(Streams.COLOR),
+        LOST,
+        bound="a colour picture may be 100 ms off its depth, then 100 ms",
+        bound_ms=100.0 + FRAME_MS,
+    ),
+    _camera(
+        "frames-skipped",
+        "one to five frames are lost",
+        lambda camera, chance: camera.skip(chance.randrange(1, 6)),
+        SILENT,
+        is_step=True,
+    ),
+    _camera(
+        "frames-late",
+        "frames come 110 to 400 ms late",
+        lambda camera, chance: camera.late(chance.uniform(110.0, 400.0)),
+        SILENT,
+    ),
+    _kind(
+        "backlog-grows",
+        "each frame comes 8 to 24 ms later than the one before",
+        backlog,
+        SILENT,
+        bound="a frame may be 100 ms late, then 100 ms",
+        bound_ms=LAG_MS + FRAME_MS,
+    ),
+    _camera(
+        "rate-halved",
+        "5 to 15 frames a second",
+        lambda camera, chance: camera.rate(chance.uniform(5.0, 15.0)),
+        SILENT | told("frame_rate_low"),
+    ),
+    _camera(
+        "rate-low",
+        "17.5 to 18.5 frames a second",
+        lambda camera, chance: camera.rate(chance.uniform(17.5, 18.5)),
+        SILENT | told("frame_rate_low"),
+        bound="counted over a second, then 100 ms",
+        bound_ms=1000.0 + FRAME_MS,
+    ),
+    _camera(
+        "clock-back",
+        "the camera's clock goes back",
+        lambda camera, chance: camera.clock(-round(chance.uniform(5e4, 5e6))),
+        CLOCK,
+        LATCHED,
+    ),
+    _camera(
+        "clock-jumps",
+        "the camera's clock jumps ahead",
+        lambda camera, chance: camera.clock(round(chance.uniform(3e5, 5e6))),
+        CLOCK,
+        LATCHED,
+    ),
+    _camera("clock-stands", "the camera's clock stands still", lambda camera, _: camera.stuck_clock(), CLOCK, LATCHED),
+    _camera(
+        "device-error", "the device tells an error", lambda camera, _: camera.state(State.ERROR), GONE, GONE_RECOVERS
+    ),
+    _camera(
+        "device-not-ready",
+        "the device tells it is not ready",
+        lambda camera, _: camera.state(State.NOT_READY),
+        GONE,
+        GONE_RECOVERS,
+    ),
+    _camera("unplugged", "the camera is unplugged", lambda camera, _: camera.unplug(), GONE, GONE_RECOVERS),
+    _camera(
+        "unplugged-silently",
+        "the camera is unplugged, and nobody is told",
+        lambda camera, chance: camera.unplug(is_told=False, streams_go_on=chance.random() < 0.5),
+        GONE | SILENT,
+        GONE_RECOVERS | BY_ITSELF,
+    ),
+    _kind(
+        "native-read-hangs",
+        "a wait for frames hangs in the driver",
+        hung_read,
+        SILENT | told("watchdog"),
+        GONE_RECOVERS | BY_ITSELF,
+    ),
+)

@@ -1,0 +1,35 @@
+"""The real service with a saboteur in each of its processes.
+
+Run: ``python -m tests.campaigns.faults.service_program SOCKET serve ...``.
+"""
+
+import ctypes
+import os
+import resource
+import signal
+import sys
+
+from service.engine_host.process import child_process
+from tests.campaigns.faults import engine_program
+from tests.campaigns.faults.fault_injector import let_in
+
+MOST_FILES = 256
+DIES_WITH_ITS_PARENT = 1
+"""``PR_SET_PDEATHSIG``: a campaign that is killed leaves no service behind."""
+
+
+def main() -> None:
+    path = sys.argv.pop(1)
+    ctypes.CDLL(None).prctl(DIES_WITH_ITS_PARENT, signal.SIGKILL)
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(MOST_FILES, hard), hard))
+    let_in(path)
+    child_process.MODULE = engine_program.__name__
+    os.environ[engine_program.PATH_NAME] = path
+    from service.cli import main as tidegate
+
+    tidegate()
+
+
+if __name__ == "__main__":
+    main()

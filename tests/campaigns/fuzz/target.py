@@ -1,0 +1,75 @@
+"""What one target is: a reader, what it may refuse with, and where its inputs come from."""
+
+import tempfile
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+FOLDER = Path(__file__).parent
+CORPUS = FOLDER / "corpus"
+MEMORY = Path("/dev/shm")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """A reader of strangers' bytes.
+
+    Attributes
+    ----------
+    reads
+        What it reads, for the table.
+    read
+        Reads one input; returns, or raises one of ``refusals``.
+    seeds
+        Inputs by construction, from which the corpus grew; small, and at least one that is read to its end.
+    max_bytes
+        The longest input that is tried.
+    words
+        What such inputs are made of, where guessing letters would take for ever.
+    """
+
+    name: str
+    reads: str
+    read: Callable[[bytes], object]
+    refusals: tuple[type[BaseException], ...]
+    seeds: Callable[[], Iterable[bytes]]
+    max_bytes: int = 4096
+    words: tuple[str, ...] = ()
+
+    @property
+    def corpus(self) -> Path:
+        return CORPUS / self.name
+
+    def try_one(self, content: bytes) -> bool:
+        """Read one input; tell whether it was read, rather than refused as documented."""
+        try:
+            self.read(content)
+        except self.refusals as error:
+            check_refusal(error)
+            return False
+        return True
+
+
+def check_refusal(error: BaseException) -> None:
+    """A refusal is a line for a person: short, and made of whole characters, whatever it is about."""
+    text = str(error)
+    text.encode()
+    str(getattr(error, "field", "")).encode()
+    assert text, f"{type(error).__name__} says nothing"
+    assert len(text) < 2000, f"{type(error).__name__} says {len(text)} characters"
+
+
+@cache
+def _folder() -> Path:
+    """A folder of this process, in memory where there is some."""
+    kept = tempfile.TemporaryDirectory(prefix="tidegate-fuzz-", dir=MEMORY if MEMORY.is_dir() else None)
+    _folder.kept = kept  # removed with the process
+    return Path(kept.name)
+
+
+def as_file(content: bytes, name: str) -> Path:
+    """Put an input where a reader of files finds it."""
+    path = _folder() / name
+    path.write_bytes(content)
+    return path

@@ -1,0 +1,74 @@
+"""Every input that was ever worth keeping is read, or refused as documented, quickly and within little memory."""
+
+import time
+import tracemalloc
+
+import pytest
+
+from engine.core.errors import InvalidValueError
+from tests.campaigns.fuzz import record
+from tests.campaigns.fuzz.target import CORPUS, Target, check_refusal
+from tests.campaigns.fuzz.targets import TARGETS
+from tests.support.repository import ROOT
+
+MOST_BYTES = 1_000_000
+LONGEST_S = 5.0
+MOST_MEMORY = 80 * 1024 * 1024
+
+
+@pytest.mark.parametrize("target", TARGETS.values(), ids=lambda target: target.name)
+def test_every_kept_input_is_read_or_refused_and_one_at_least_is_read(target):
+    begin_s = time.monotonic()
+    was_read = [target.try_one(path.read_bytes()) for path in sorted(target.corpus.iterdir())]
+    assert any(was_read)
+    assert target.refusals == () or not all(was_read) or len(was_read) < 5
+    assert time.monotonic() - begin_s < LONGEST_S * max(1, len(was_read) / 10)
+
+
+@pytest.mark.parametrize("target", TARGETS.values(), ids=lambda target: target.name)
+def test_the_inputs_it_began_with_are_read(target):
+    assert any(target.try_one(seed) for seed in target.seeds())
+
+
+@pytest.mark.parametrize("target", TARGETS.values(), ids=lambda target: target.name)
+def test_no_small_input_takes_much_memory(target, subtests):
+    for path in sorted(target.corpus.iterdir()):
+        content = path.read_bytes()
+        target.try_one(content)  # what is made once is not the input's
+        tracemalloc.start()
+        try:
+            with subtests.test(path.name):
+                target.try_one(content)
+                assert tracemalloc.get_traced_memory()[1] < MOST_MEMORY
+        finally:
+            tracemalloc.stop()
+
+
+def test_the_corpus_is_small_and_has_a_folder_for_each_target_alone():
+    assert sum(path.stat().st_size for path in CORPUS.rglob("*") if path.is_file()) < MOST_BYTES
+    assert {path.name for path in CORPUS.iterdir()} == set(TARGETS)
+
+
+def test_what_is_no_documented_refusal_comes_out_of_a_harness():
+    def broken(_content: bytes) -> None:
+        raise KeyError("inside")
+
+    target = Target(name="x", reads="x", read=broken, refusals=(InvalidValueError,), seeds=lambda: ())
+    with pytest.raises(KeyError):
+        target.try_one(b"")
+
+
+@pytest.mark.parametrize("words", ["", "a" * 3000])
+def test_a_refusal_that_says_nothing_or_too_much_is_a_finding(words):
+    with pytest.raises(AssertionError):
+        check_refusal(ValueError(words))
+
+
+def test_a_refusal_that_cannot_be_written_down_is_a_finding():
+    with pytest.raises(UnicodeEncodeError):
+        check_refusal(InvalidValueError("\ud800", 1, "x"))
+
+
+def test_the_page_tells_what_recorded_runs_did_as_the_command_prints_it():
+    page = (ROOT / "docs/3-operate/security.md").read_text(encoding="utf-8")
+    assert record.table() in page, "python -m tests.campaigns.fuzz --report"

@@ -1,0 +1,26 @@
+"""Trip every interlock in a live run and print what the beam line saw: ``python -m tests.campaigns.interlocks``."""
+
+import sys
+import tempfile
+from pathlib import Path
+
+from tests.campaigns.interlocks.live_run import is_ever_on_without_calibration, rows, run_all
+from tests.campaigns.interlocks.trips import TRIPS
+
+HEAD = ("interlock", "is a", "tripped by", "line", "ms to off", "came back")
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        never_on = not is_ever_on_without_calibration(Path(folder))
+        table = [HEAD, *rows(run_all(Path(folder), TRIPS))]
+    if never_on:
+        table.append(("calibration_missing", "hold", "a camera never calibrated is armed", "never on", "-", "-"))
+    widths = [max(len(row[column]) for row in table) for column in range(len(HEAD))]
+    for row in table:
+        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        sys.stdout.write("  ".join(cells).rstrip() + "\n")
+
+
+if __name__ == "__main__":
+    main()

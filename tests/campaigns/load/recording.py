@@ -1,0 +1,61 @@
+"""A recording as long as a run: a volunteer played forwards and backwards in turn, so that nothing jumps at a seam."""
+
+from itertools import cycle
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+import engine
+from engine.capture.oni.reader import OniReader
+from engine.capture.oni.streams import CodedFrame
+from engine.capture.oni.writer import OniWriter
+from engine.verification.phantom.recording import make_volunteer
+from tests.support.build_cache import digest_of, made_once
+
+BASE_S = 40.0
+FPS = 30.0
+VOLUNTEER = {"scenario": "regular", "volunteer": 1, "seed": 1}
+MAKERS = [
+    Path(engine.__path__[0]) / name
+    for name in ("verification/phantom", "capture/oni", "core/geometry.py", "calibration/laser_plane.py")
+]
+
+
+def base_folder() -> Path:
+    """Give the folder of the volunteer that everything is played from; made at the first call on this machine."""
+    wish = (sorted(VOLUNTEER.items()), BASE_S, FPS, np.__version__, cv2.__version__)
+    with made_once(f"load-{digest_of(wish, *MAKERS)}") as (kept, draft):
+        if draft is not None:
+            make_volunteer(
+                "regular", volunteer=1, seed=1, seconds=BASE_S, fps=FPS, out=draft / "volunteer", workers=None
+            )
+    return kept / "volunteer"
+
+
+def write_long(base: Path, seconds: float, out: Path) -> int:
+    """Write a recording of at least so many seconds from the frames of another; returns its depth frames."""
+    with OniReader(base) as reader:
+        frames = list(reader.frames())
+    depth_us = [frame.timestamp_us for frame in frames if frame.is_depth]
+    # Half a frame's time before the first depth frame and after the last: at each seam they are a whole one apart.
+    half_us = round(1e6 / FPS / 2)
+    start_us, turn_us = depth_us[0] - half_us, depth_us[-1] - depth_us[0] + 2 * half_us
+    forwards = [(frame.timestamp_us - start_us, frame) for frame in frames]
+    backwards = [(turn_us - at_us, frame) for at_us, frame in reversed(forwards)]
+    written = 0
+    with OniWriter(out, fps=FPS) as writer:
+        for number, passage in enumerate(cycle((forwards, backwards))):
+            if number * turn_us >= seconds * 1e6:
+                break
+            written += _write(writer, passage, number * turn_us)
+    return written
+
+
+def _write(writer: OniWriter, passage: list[tuple[int, CodedFrame]], shift_us: int) -> int:
+    depth = 0
+    for timestamp_us, frame in passage:
+        write = writer.write_depth_payload if frame.is_depth else writer.write_color_payload
+        write(timestamp_us + shift_us, frame.payload)
+        depth += frame.is_depth
+    return depth

@@ -1,0 +1,183 @@
+"""A real ``tidegate serve`` with a session on the long recording: of this checkout, or of an older one."""
+
+import contextlib
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx2
+
+from tests.support.repository import ROOT
+from tests.support.service.processes import free_port
+
+SCOPES = (
+    *("sessions.read", "sessions.run", "gate.arm", "gate.hold", "calibrations.read", "calibrations.write"),
+    *("metrics.read", "audit.read"),
+)
+START_S, LEARN_S, STOP_S = 60.0, 120.0, 60.0
+LOOK_S = 0.1
+WINDOW = {"signal": "whole", "lower_mm": -4.0, "upper_mm": 5.0, "hysteresis_mm": 0.2, "dwell_ms": 200.0}
+"""The beam goes on and off with every breath."""
+
+
+class LoadError(Exception):
+    """The run cannot go on; for the person who started it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Service:
+    """A service that runs, and how to speak to it."""
+
+    process: subprocess.Popen[bytes]
+    port: int
+    secret: str
+    data: Path
+    log: Path
+
+    @property
+    def authorization(self) -> str:
+        """The header's value that a key is sent in."""
+        return f"Bearer {self.secret}"
+
+    def client(self, timeout_s: float = 60.0) -> httpx2.Client:
+        """Open a client that speaks with the key."""
+        headers = {"Authorization": self.authorization}
+        return httpx2.Client(base_url=f"http://127.0.0.1:{self.port}", headers=headers, timeout=timeout_s)
+
+    def require_alive(self) -> None:
+        """Raise with the log's end where it is dead."""
+        if self.process.poll() is not None:
+            raise LoadError(f"the service ended with {self.process.returncode}:\n{self.log.read_text()[-4000:]}")
+
+
+@contextlib.contextmanager
+def served(
+    place: Path, recordings: Path, *, checkout: Path | None = None, environment: Mapping[str, str] | None = None
+) -> Iterator[Service]:
+    """Run a service on a new data folder until the block ends."""
+    root, port, data = (checkout or ROOT).resolve(), free_port(), place / "data"
+    known = {**os.environ, "PYTHONPATH": str(root), "TIDEGATE_MAX_LIVE_CLIENTS": "256", **(environment or {})}
+    command = [sys.executable, "-m", "service.cli"]
+    scopes = [part for scope in SCOPES for part in ("--scope", scope)]
+    made = subprocess.run(
+        [*command, "keys", "create", "load", *scopes, "--days", "2", "--data", str(data)],
+        cwd=root,
+        env={**known, "COLUMNS": "400"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    secret = re.search(r"tg_[\w-]{20,}", made.stdout + made.stderr)
+    if made.returncode or secret is None:
+        raise LoadError(f"no key could be made: {made.stdout}{made.stderr}")
+    log = place / "serve.log"
+    with log.open("wb") as output:
+        process = subprocess.Popen(
+            [*command, "serve", "--port", str(port), "--data", str(data), "--recordings", str(recordings)],
+            cwd=root,
+            env=known,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,  # Ctrl-C is for the run, which closes the session and reads its samples first
+        )
+    service = Service(process=process, port=port, secret=secret[0], data=data, log=log)
+    try:
+        _wait_until_it_answers(service)
+        yield service
+    finally:
+        if process.poll() is None:
+            process.terminate()
+        try:
+            process.wait(STOP_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def start_session(service: Service, folder: Path, recording: Path) -> str:
+    """Begin a session, learn, and arm; returns its id."""
+    with service.client() as client:
+        json_type = {"Content-Type": "application/json"}
+        document = (folder / "calibration.json").read_bytes()
+        calibration = _done(client.post("/api/v1/calibrations", content=document, headers=json_type))
+        body = {
+            "operator": "Load",
+            "patient_reference": "P-0001",
+            "plan_id": "PLAN-1",
+            "fraction_id": "FX-1",
+            "source": {"kind": "recording", "path": str(recording), "player": "reader"},
+            "calibration_id": calibration["id"],
+            "window": WINDOW,
+        }
+        session_id = str(_done(client.post("/api/v1/sessions", json=body))["id"])
+        _done(client.post(f"/api/v1/sessions/{session_id}/start", json={"operator": "Load"}))
+        end_s = time.monotonic() + LEARN_S
+        while True:
+            service.require_alive()
+            answer = client.post(f"/api/v1/sessions/{session_id}/arm", json={"operator": "Load"})
+            if answer.is_success:
+                return session_id
+            if answer.status_code != 409 or time.monotonic() > end_s:
+                raise LoadError(f"the session cannot be armed: {answer.status_code} {answer.text}")
+            time.sleep(LOOK_S * 5)
+
+
+def stop_session(service: Service, session_id: str) -> dict[str, Any]:
+    """End a session and return what is known of it when all of it is written."""
+    with service.client() as client:
+        _done(client.post(f"/api/v1/sessions/{session_id}/stop", json={"operator": "Load"}))
+        end_s = time.monotonic() + STOP_S
+        while True:
+            told = _done(client.get(f"/api/v1/sessions/{session_id}"))
+            if told["status"] not in {"running", "created"} and told.get("summary") is not None:
+                return told
+            if time.monotonic() > end_s:
+                raise LoadError(f"the session is not closed: {json.dumps(told)[:500]}")
+            time.sleep(LOOK_S)
+
+
+def samples_of(service: Service, session_id: str) -> bytes:
+    """Export a session's samples as an Arrow stream."""
+    with service.client(600.0) as client:
+        answer = client.get(f"/api/v1/sessions/{session_id}/samples", params={"format": "arrow"})
+        answer.raise_for_status()
+        return answer.content
+
+
+def transitions_of(service: Service, session_id: str) -> int:
+    """Count a session's transitions, page by page."""
+    with service.client() as client:
+        count, cursor = 0, None
+        while True:
+            parameters = {"limit": "200", **({"cursor": cursor} if cursor else {})}
+            page = _done(client.get(f"/api/v1/sessions/{session_id}/transitions", params=parameters))
+            count += len(page["items"])
+            cursor = page.get("next_cursor")
+            if cursor is None:
+                return count
+
+
+def _done(answer: httpx2.Response) -> dict[str, Any]:
+    if not answer.is_success:
+        raise LoadError(f"{answer.request.method} {answer.request.url.path}: {answer.status_code} {answer.text[:500]}")
+    return answer.json()
+
+
+def _wait_until_it_answers(service: Service) -> None:
+    end_s = time.monotonic() + START_S
+    with service.client() as client:
+        while True:
+            service.require_alive()
+            with contextlib.suppress(httpx2.TransportError):
+                if client.get("/healthz").status_code == 200:
+                    return
+            if time.monotonic() > end_s:
+                raise LoadError(f"the service does not answer:\n{service.log.read_text()[-4000:]}")
+            time.sleep(LOOK_S)

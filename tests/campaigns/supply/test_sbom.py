@@ -1,0 +1,57 @@
+"""The bill of materials in the image is that of the lock file, keeps to its specification and tells no place."""
+
+import json
+import re
+
+from tests.campaigns.supply.parts import LOCK, debian_parts, python_parts
+from tests.campaigns.supply.sbom import SBOM, document, text_of, trouble_with
+
+KEPT = SBOM.read_text(encoding="utf-8")
+
+
+def test_the_kept_bill_is_what_the_lock_file_and_the_image_s_recipe_say():
+    assert text_of(document()) == KEPT, "run `make sbom`"
+
+
+def test_it_keeps_to_the_specification_and_a_bent_one_does_not():
+    assert trouble_with(KEPT) is None
+    bent = json.loads(KEPT)
+    bent["components"][0]["type"] = "lybrary"
+    assert trouble_with(json.dumps(bent)) is not None
+
+
+def test_every_locked_package_is_in_it_with_all_its_hashes_and_its_licence():
+    told = {part["name"]: part for part in json.loads(KEPT)["components"]}
+    locked = LOCK.read_text(encoding="utf-8")
+    names = re.findall(r"(?m)^([A-Za-z0-9._-]+)==", locked)
+    assert len(names) > 50
+    for name in names:
+        assert told[name]["licenses"], name
+    hashes = [
+        one["content"] for part in told.values() for ref in part.get("externalReferences", ()) for one in ref["hashes"]
+    ]
+    assert sorted(hashes) == sorted(re.findall(r"sha256:([0-9a-f]{64})", locked))
+
+
+def test_the_image_s_own_packages_are_in_it():
+    assert {"python3", "libopenni2-0", "libusb-1.0-0"} <= set(debian_parts())
+    assert all(f'"name": "{name}"' in KEPT for name in debian_parts())
+
+
+def test_nobody_learns_from_it_when_where_or_from_which_registry_it_was_made():
+    assert "http://" not in KEPT
+    assert "https://" not in KEPT
+    assert "timestamp" not in KEPT
+    assert "serialNumber" not in KEPT
+
+
+def test_the_time_is_told_where_somebody_gives_it(monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1000000000")
+    assert document()["metadata"]["timestamp"] == "2001-09-09T01:46:40+00:00"
+
+
+def test_a_line_of_the_lock_file_is_read_whole():
+    lock = "a-b==1.2 \\\n    --hash=sha256:" + "0" * 64 + " \\\n    --hash=sha256:" + "1" * 64 + "\n    # via c\nc==3\n"
+    first, second = python_parts(lock)
+    assert (first.name, first.version, len(first.sha256), first.purl) == ("a-b", "1.2", 2, "pkg:pypi/a-b@1.2")
+    assert (second.name, second.sha256) == ("c", ())

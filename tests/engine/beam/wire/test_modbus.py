@@ -1,0 +1,187 @@
+"""The Modbus wire on a client that notes what it was asked, in time that only the test moves."""
+
+import logging
+from types import SimpleNamespace
+
+import pytest
+from pymodbus.exceptions import ModbusException
+
+from engine.beam.wire import modbus
+from engine.beam.wire.modbus import CONNECT_S, MAP_BOUNDS, ModbusWire, RegisterMap, rtu_wire, tcp_wire
+from engine.core.errors import BeamLineError, InvalidValueError
+
+MAP = RegisterMap(unit=9, permit_coil=31, heartbeat_register=47, readback_input=58)
+
+
+class Answer(SimpleNamespace):
+    """A good answer, unless it is told to be none."""
+
+    is_refusal = False
+
+    def isError(self):  # noqa: N802 - pymodbus's name
+        return self.is_refusal
+
+
+class Client:
+    """Does as a device does that has all it is asked for."""
+
+    def __init__(self, *, reads_on=True):
+        self.asked, self.connected, self.connects = [], True, True
+        self.comm_params = SimpleNamespace(timeout_connect=None)
+        self.told = Answer(address=31, bits=[True])
+        self.kept = Answer()
+        self.read = Answer(bits=[reads_on, not reads_on])
+        self.takes_s, self.now_s, self.error = 0.0, 100.0, None
+
+    def _ask(self, *what, **options):
+        self.asked.append((*what, options, self.comm_params.timeout_connect))
+        self.now_s += self.takes_s
+        if self.error is not None:
+            raise self.error
+
+    def connect(self):
+        self.asked.append(("connect", self.comm_params.timeout_connect))
+        return self.connects
+
+    def close(self):
+        self.asked.append("close")
+
+    def write_coil(self, address, value, **options):
+        self._ask("coil", address, value, **options)
+        return self.told
+
+    def write_register(self, address, value, **options):
+        self._ask("register", address, value, **options)
+        return self.kept
+
+    def read_discrete_inputs(self, address, **options):
+        self._ask("input", address, **options)
+        return self.read
+
+
+@pytest.fixture
+def client(monkeypatch):
+    held = Client()
+    monkeypatch.setattr(modbus.time, "monotonic", lambda: held.now_s)
+    return held
+
+
+def wire(client):
+    return ModbusWire(client, MAP, name="the beam line at test")
+
+
+def test_an_exchange_is_three_requests_each_with_what_is_left_of_the_time(client):
+    client.takes_s = 0.01
+    assert wire(client).exchange(is_on=True, heartbeat=513, within_s=0.1) is True
+    assert client.asked == [
+        ("coil", 31, True, {"device_id": 9}, pytest.approx(0.10)),
+        ("register", 47, 513, {"device_id": 9}, pytest.approx(0.09)),
+        ("input", 58, {"count": 1, "device_id": 9}, pytest.approx(0.08)),
+    ]
+
+
+@pytest.mark.parametrize("reads_on", [True, False])
+def test_what_is_returned_is_the_first_input(client, reads_on):
+    client.read = Answer(bits=[reads_on, not reads_on])
+    assert wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1) is reads_on
+
+
+@pytest.mark.parametrize("bits", [[True] + [False] * 7, [True]])
+def test_a_device_may_confirm_a_coil_in_a_whole_byte(client, bits):
+    client.told = Answer(address=31, bits=bits)
+    assert wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1)
+
+
+@pytest.mark.parametrize(("address", "bits"), [(32, [True]), (31, [False]), (31, [])])
+def test_a_confirmation_of_another_permit_ends_the_exchange_at_once(client, address, bits):
+    client.told = Answer(address=address, bits=bits)
+    with pytest.raises(BeamLineError, match=r"^it confirms a different permit than was written$"):
+        wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1)
+    assert len(client.asked) == 1
+
+
+@pytest.mark.parametrize(
+    ("takes_s", "requests"), [(0.0625, 2), (0.125, 1), (0.25, 1)], ids=["the third", "at its very end", "the second"]
+)
+def test_nothing_is_asked_when_the_time_for_the_whole_exchange_is_over(client, takes_s, requests):
+    client.takes_s = takes_s
+    with pytest.raises(BeamLineError, match=r"^the time for an answer is over$"):
+        wire(client).exchange(is_on=True, heartbeat=1, within_s=0.125)
+    assert len(client.asked) == requests
+
+
+def test_a_connection_that_went_between_two_requests_is_not_made_again(client):
+    def lose(*_what, **_options):
+        client.connected = False
+        return client.told
+
+    client.write_coil = lose
+    with pytest.raises(BeamLineError, match=r"^the connection is gone$"):
+        wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1)
+    assert client.asked == []
+
+
+@pytest.mark.parametrize(
+    ("name", "asked"), [("told", "the permit"), ("kept", "the heartbeat"), ("read", "the read back")]
+)
+@pytest.mark.parametrize(("code", "shown"), [({"exception_code": 2}, "2"), ({}, r"\?")])
+def test_a_refusal_is_told_by_what_was_refused_and_its_code(client, name, asked, code, shown):
+    setattr(client, name, Answer(is_refusal=True, **code))
+    with pytest.raises(BeamLineError, match=rf"^it refuses {asked} \(Modbus exception {shown}\)$"):
+        wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1)
+
+
+def test_what_the_library_raises_is_told_in_its_own_words(client):
+    client.error = ModbusException("no response")
+    with pytest.raises(BeamLineError, match="no response"):
+        wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1)
+
+
+def test_an_answer_without_a_bit_is_none(client):
+    client.read = Answer(bits=[])
+    with pytest.raises(BeamLineError, match=r"^an empty answer$"):
+        wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1)
+
+
+def test_connecting_begins_with_a_closed_client_and_its_own_patience(client):
+    client.comm_params.timeout_connect = 0.003
+    wire(client).connect()
+    assert client.asked == ["close", ("connect", CONNECT_S)]
+    client.connects = False
+    with pytest.raises(BeamLineError, match=r"^cannot connect$"):
+        wire(client).connect()
+
+
+def test_a_client_never_tries_again_and_is_patient_for_half_a_second(monkeypatch):
+    made = []
+    for name in ("ModbusTcpClient", "ModbusSerialClient"):
+        monkeypatch.setattr(modbus, name, lambda *where, **options: made.append((where, options)))
+    assert tcp_wire(host="plc", port=1502, registers=MAP).name == "the beam line at plc:1502"
+    assert (
+        rtu_wire(device="/dev/x", baud=9600, parity="odd", stop_bits=2, registers=MAP).name == "the beam line on /dev/x"
+    )
+    both = {"timeout": 0.5, "retries": 0}
+    assert made == [
+        (("plc",), {"port": 1502, **both}),
+        (("/dev/x",), {"baudrate": 9600, "bytesize": 8, "parity": "O", "stopbits": 2, **both}),
+    ]
+
+
+def test_the_library_s_own_logger_is_silenced_and_no_other():
+    logging.getLogger("pymodbus").setLevel(logging.NOTSET)
+    root = logging.getLogger().level
+    tcp_wire(host="plc", port=1502, registers=MAP)
+    assert logging.getLogger("pymodbus").level == logging.CRITICAL
+    assert logging.getLogger().level == root
+
+
+@pytest.mark.parametrize("name", MAP_BOUNDS)
+def test_the_bounds_of_every_address_belong_to_it_and_what_is_refused_is_named(name):
+    low, high = MAP_BOUNDS[name]
+    for value in (low, high):
+        assert getattr(RegisterMap(**{name: value}), name) == value
+    for value in (low - 1, high + 1):
+        with pytest.raises(InvalidValueError) as refused:
+            RegisterMap(**{name: value})
+        assert (refused.value.field, refused.value.value) == (name, repr(value))
+        assert refused.value.bound == f"a whole number from {low} to {high}"

@@ -1,0 +1,150 @@
+"""How frames of a device are taken, paired and given up on, with a device that a test plays."""
+
+import threading
+from collections import deque
+
+import numpy as np
+import pytest
+
+from engine.capture.openni.frame import COLOR, DEPTH, DeviceFrame
+from engine.capture.openni.pump import CapturePump
+from engine.core.clock import ManualClock
+from engine.core.errors import FrameTimeoutError, SourceEndedError, SourceLostError
+
+PICTURE = np.zeros((2, 2), np.uint16)
+
+
+class PlayedDevice:
+    """A device whose frames come when the test says so."""
+
+    def __init__(self):
+        self.is_over = False
+        self._lost = None
+        self._frames = deque()
+        self._more = threading.Semaphore(0)
+        self.all_taken = threading.Event()
+
+    def give(self, *frames):
+        self.all_taken.clear()
+        for stream, timestamp_us in frames:
+            self._frames.append(DeviceFrame(stream=stream, frame_index=1, timestamp_us=timestamp_us, picture=PICTURE))
+            self._more.release()
+
+    def lose(self, why):
+        self._lost = why
+
+    def lost(self):
+        return self._lost
+
+    def wait(self, timeout_ms):
+        if self._more.acquire(timeout=timeout_ms / 1000):
+            return self._frames.popleft()
+        self.all_taken.set()
+        return None
+
+
+@pytest.fixture
+def device():
+    return PlayedDevice()
+
+
+@pytest.fixture
+def pump(device):
+    pump = CapturePump(device, ManualClock(5))
+    pump.start()
+    yield pump
+    assert pump.stop()
+
+
+def taken(pump, margin_us=None, timeout_s=5.0):
+    depth, color = pump.take(timeout_s, margin_us)
+    return depth.frame.timestamp_us, color.frame.timestamp_us
+
+
+def test_a_live_device_gets_the_nearest_colour_in_hand(device, pump):
+    device.give((COLOR, 90), (COLOR, 97), (DEPTH, 100))
+    assert taken(pump) == (100, 97)
+
+
+def test_the_first_depth_frame_waits_for_a_colour_frame(device, pump):
+    device.give((DEPTH, 100))
+    with pytest.raises(FrameTimeoutError):
+        taken(pump, timeout_s=0.05)
+    device.give((COLOR, 130))
+    assert taken(pump) == (100, 130)
+
+
+def test_a_file_waits_for_the_colour_that_may_be_nearer(device, pump):
+    device.give((COLOR, 80), (DEPTH, 100))
+    with pytest.raises(FrameTimeoutError):
+        taken(pump, margin_us=12.0, timeout_s=0.05)
+    device.give((COLOR, 110))
+    assert taken(pump, margin_us=12.0) == (100, 110)
+
+
+def test_a_file_does_not_wait_where_no_later_colour_can_be_nearer(device, pump):
+    device.give((COLOR, 90), (DEPTH, 100))
+    assert taken(pump, margin_us=12.0) == (100, 90)
+
+
+def test_a_file_gives_up_waiting_when_depth_goes_on_without_colour(device, pump):
+    device.give((COLOR, 10), (DEPTH, 100), (DEPTH, 133), (DEPTH, 166))
+    assert taken(pump, margin_us=12.0) == (100, 10)
+
+
+def test_silence_is_a_timeout_and_the_source_stays_usable(device, pump):
+    with pytest.raises(FrameTimeoutError):
+        taken(pump, timeout_s=0.05)
+    device.give((COLOR, 99), (DEPTH, 100))
+    assert taken(pump) == (100, 99)
+
+
+def test_a_device_that_is_gone_is_lost_after_its_last_frames(device, pump):
+    device.give((COLOR, 99), (DEPTH, 100))
+    assert taken(pump) == (100, 99)
+    device.lose("the camera was disconnected")
+    with pytest.raises(SourceLostError, match="disconnected"):
+        taken(pump)
+
+
+def test_the_end_of_a_file_comes_after_its_last_frames(device, pump):
+    device.is_over = True
+    device.give((COLOR, 99), (DEPTH, 100), (DEPTH, 133))
+    assert taken(pump, margin_us=12.0) == (100, 99)
+    assert taken(pump, margin_us=12.0) == (133, 99)
+    with pytest.raises(SourceEndedError):
+        taken(pump)
+
+
+def test_a_long_stall_drops_the_oldest_frames_not_the_newest(device, pump):
+    device.give((COLOR, 0), *((DEPTH, 10 * i) for i in range(1, 21)))
+    device.all_taken.wait(5.0)
+    assert [taken(pump)[0] for _ in range(8)] == [130, 140, 150, 160, 170, 180, 190, 200]
+    with pytest.raises(FrameTimeoutError):
+        taken(pump, timeout_s=0.05)
+
+
+def test_threads_that_waited_in_the_runtime_are_used_again_and_never_end(device):
+    before = threading.active_count()
+    for _ in range(20):
+        pump = CapturePump(device, ManualClock())
+        pump.start()
+        assert pump.stop()
+    assert threading.active_count() <= before + 1
+
+
+def test_a_fault_in_the_capture_thread_is_a_lost_source_and_the_thread_lives(device, caplog):
+    device.wait = lambda _timeout_ms: 1 / 0
+    pump = CapturePump(device, ManualClock())
+    pump.start()
+    with pytest.raises(SourceLostError, match="capture has ended"):
+        taken(pump)
+    assert pump.stop(), "the thread's work is over, its account of it written"
+    assert "ZeroDivisionError" in caplog.text
+    assert any(thread.name == "openni-capture" for thread in threading.enumerate())
+
+
+def test_frames_are_stamped_when_they_come(device, pump):
+    device.give((COLOR, 99), (DEPTH, 100))
+    depth, _ = pump.take(5.0, None)
+    assert depth.received_ns == 5

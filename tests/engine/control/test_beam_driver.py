@@ -1,0 +1,51 @@
+"""The line's driver by itself: what is permitted, and when a permit comes too late to be one."""
+
+from dataclasses import replace
+
+import pytest
+
+from engine.beam.simulated import SimulatedBeamLine
+from engine.control.beam_driver import BeamDriver
+from engine.core.clock import ManualClock
+from engine.core.gate_state import GateState, HoldReason
+from tests.support.gating.streams import LIMITS, MS, PERIOD_NS, stream_in
+
+LEASE_NS = int(LIMITS.lease_ms * MS)
+
+
+def received(gate, at_ns):
+    """The same gate, its newest frame received then."""
+    return replace(gate, last=replace(gate.last, received_ns=at_ns))
+
+
+@pytest.mark.parametrize(("told_ns", "is_on"), [(LEASE_NS - 1, True), (LEASE_NS, False)])
+def test_a_decision_in_time_that_is_told_once_the_line_has_gone_off_by_itself_holds_and_costs_a_dwell(told_ns, is_on):
+    """The gate found its lease alive when it decided; the line had lapsed when it was told."""
+    gate = stream_in(GateState.BEAM_ON).gate
+    first_ns = gate.last.received_ns
+    clock = ManualClock(first_ns)
+    beam = SimulatedBeamLine(clock)
+    beam.open()
+    beam.rearm()
+    driver = BeamDriver(beam=beam, clock=clock, limits=LIMITS)
+    assert driver.carry_out(gate, clock.now_ns()).is_on
+    clock.advance_ns(told_ns)
+    report = driver.carry_out(received(gate, first_ns + PERIOD_NS), first_ns + PERIOD_NS + 1)
+    assert report.is_on is is_on
+    assert beam.is_on() is is_on
+    assert (report.trouble is None) is is_on
+    if report.trouble is not None:
+        assert report.trouble.reason is HoldReason.FRAME_LATE
+
+
+def test_after_a_hold_the_lease_of_before_says_nothing():
+    gate = stream_in(GateState.BEAM_ON).gate
+    clock = ManualClock(gate.last.received_ns)
+    beam = SimulatedBeamLine(clock)
+    beam.open()
+    beam.rearm()
+    driver = BeamDriver(beam=beam, clock=clock, limits=LIMITS)
+    driver.carry_out(gate, clock.now_ns())
+    driver.carry_out(replace(gate, state=GateState.HOLD, reason=HoldReason.MARKER_LOST), clock.now_ns())
+    clock.advance_ns(2 * LEASE_NS)
+    assert driver.carry_out(received(gate, clock.now_ns()), clock.now_ns()).is_on

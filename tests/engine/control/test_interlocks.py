@@ -1,0 +1,264 @@
+"""What stands against the beam in a running loop: part of every decision, for as long as it lasts, and no longer."""
+
+from dataclasses import replace
+
+import pytest
+
+from engine.core.commands import Acknowledge, Arm, SetReference
+from engine.core.gate_state import GateState, HoldReason
+from engine.core.learning_events import LearningEvent, LearningEventKind
+from tests.support.control.armed_bench import ARM, LEARNED, ON, lying_at, on_bench
+from tests.support.control.loop_bench import DEPTH, DESCRIPTION, Bench, after, good
+from tests.support.gating.streams import FRAMES_A_DWELL, LIMITS, MEASURING_NS, MS, PERIOD_NS
+
+DRIFT_MS = 0.2
+"""How much the promptest frame may have aged meanwhile: the clocks are allowed to drift."""
+
+
+def live(bench: Bench) -> Bench:
+    """A camera instead of a recording."""
+    bench.source.open = lambda: replace(DESCRIPTION, is_live=True)
+    return bench
+
+
+def frozen(source, timeout_s):
+    return replace(good(source, timeout_s), depth_mm=DEPTH.copy())
+
+
+def every(period_ms):
+    def step(source, _timeout_s):
+        source.clock.advance_ns(int(period_ms * MS) - MEASURING_NS)
+        return source.frame()
+
+    return step
+
+
+def seen_of(records):
+    return {(record.gate_state, record.hold_reason, record.line_on) for record in records}
+
+
+def test_a_frozen_picture_holds_the_line_and_a_new_one_lets_it_on_after_the_dwell():
+    records = on_bench([frozen, frozen, frozen, *[good] * 5]).run().records()
+    assert records[ON].line_on
+    assert records[ON + 1].line_on  # the first of them: nobody can know yet that it will come again
+    assert seen_of(records[ON + 2 : ON + 4]) == {(GateState.HOLD, HoldReason.FRAME_FROZEN, False)}
+    assert [record.line_on for record in records[ON + 4 :]] == [False] * (FRAMES_A_DWELL - 1) + [True] * 2
+
+
+def test_a_picture_that_stays_frozen_faults_and_still_does_when_it_is_acknowledged():
+    bench = on_bench([frozen] * 18)
+    bench.source.script += [
+        lambda source, timeout_s: (bench.ask(Acknowledge(operator="bob"))(), frozen(source, timeout_s))[1],
+        frozen,
+        frozen,
+    ]
+    records = bench.run().records()
+    assert seen_of(records[ON + 17 :]) == {(GateState.FAULT, HoldReason.FRAME_TIMEOUT, False)}
+    assert bench.answers[-1].exception(timeout=0) is None
+    told = [(change.to_state, change.reason) for change in bench.transitions()]
+    assert told.count((GateState.FAULT, HoldReason.FRAME_TIMEOUT)) == 1  # it never left: nobody was told otherwise
+
+
+def test_a_camera_below_its_least_rate_holds_after_a_second_and_a_quicker_one_is_let_on_again():
+    limits = replace(LIMITS, min_fps=20.0)
+    records = on_bench([*[every(55.0)] * 40, *[good] * 40], limits=limits).run().records()
+    slow = records[ON + 1 : ON + 41]
+    assert slow[0].line_on
+    assert slow[-1].hold_reason is HoldReason.FRAME_RATE_LOW
+    for record in slow:
+        recent = [one for one in records if 0 <= record.received_ns - one.received_ns < 1_000 * MS]
+        has_second = record.received_ns - records[0].received_ns >= 1_000 * MS
+        assert (record.hold_reason is HoldReason.FRAME_RATE_LOW) is (has_second and len(recent) < 20)
+    assert records[-1].line_on
+
+
+def test_nothing_is_said_of_the_rate_before_there_was_a_second():
+    limits = replace(LIMITS, min_fps=60.0)
+    records = on_bench([good] * 40, limits=limits).run().records()
+    start_ns = records[0].received_ns
+    for record in records[ON:]:
+        assert record.line_on is (record.received_ns - start_ns < 1_000 * MS)
+    assert records[-1].hold_reason is HoldReason.FRAME_RATE_LOW
+
+
+def test_a_patient_who_moves_holds_until_they_lie_there_again():
+    bench = on_bench([good] * 12)
+    lying_at(bench, ON + 3, 7.0)
+    for index in range(ON + 6, 60):
+        bench.pipeline.spoil[index] = bench.pipeline.spoil[0]
+    records = bench.run().records()
+    assert records[ON + 2].line_on
+    assert seen_of(records[ON + 3 : ON + 6]) == {(GateState.HOLD, HoldReason.PATIENT_SHIFTED, False)}
+    assert [record.line_on for record in records[ON + 6 :]] == [False] * (FRAMES_A_DWELL - 1) + [True] * 4
+
+
+def test_a_model_that_carries_the_zero_does_not_hide_that_the_patient_moved():
+    bench = on_bench([])
+
+    def swap():
+        bench.pipeline.model, bench.pipeline.model_generation = object(), 2
+
+    lying_at(bench, ON + 2, 7.0)
+    bench.source.script += [after(swap), good, after(bench.ask(ARM)), *[good] * 6]
+    last = bench.run().records()[-1]
+    assert (last.gate_state, last.hold_reason) == (GateState.HOLD, HoldReason.PATIENT_SHIFTED)
+
+
+def test_a_reference_set_by_a_person_takes_the_patient_as_they_lie():
+    bench = on_bench([])
+    lying_at(bench, ON + 2, 7.0)
+    bench.source.script += [
+        *[good] * 3,
+        after(bench.ask(SetReference(operator="bob"))),
+        after(bench.ask(ARM)),
+        *[good] * 6,
+    ]
+    assert bench.run().records()[-1].line_on
+
+
+def test_a_model_too_old_holds_until_another_takes_over_or_it_is_found_alike():
+    bench = on_bench([], limits=replace(LIMITS, max_model_age_min=1.0))
+
+    def found_alike():
+        notice = LearningEvent(
+            kind=LearningEventKind.COMPARED, detail="alike", timestamp_us=0, figures={"is_accepted": True}
+        )
+        bench.pipeline.notices.append(notice)
+
+    bench.source.script += [*[good] * 1800, after(found_alike), *[good] * 5]
+    records = bench.run().records()
+    first_ns = records[0].received_ns
+    for record in records[ON:-6]:
+        assert record.line_on is (record.received_ns - first_ns <= 60_000 * MS)
+    assert records[-7].hold_reason is HoldReason.MODEL_OLD
+    assert [record.line_on for record in records[-6:]] == [False] * (FRAMES_A_DWELL - 1) + [True] * 3
+
+
+def test_a_camera_that_was_never_calibrated_is_armed_but_never_permitted():
+    bench = on_bench([good] * 20, limits=replace(LIMITS, is_calibrated=False))
+    records = bench.run().records()
+    assert bench.beam.permits == []
+    assert seen_of(records[LEARNED + 1 :]) == {(GateState.HOLD, HoldReason.CALIBRATION_MISSING, False)}
+
+
+def test_a_line_that_is_told_too_late_faults_and_is_held_at_once():
+    bench = live(on_bench([good] * 5, limits=replace(LIMITS, max_latency_ms=100.0, max_frame_age_ms=90.0)))
+    slow = ON + 2
+
+    def dawdle(lease):
+        if lease.sequence == slow - (LEARNED + FRAMES_A_DWELL) + 1:
+            bench.clock.advance_ns(70 * MS)  # within the lease, and past the latency with the camera's own
+
+    bench.beam.before_permit = dawdle
+    limits = bench.loop._session_limits
+    limits.current = replace(limits.current, camera_latency_ms=40.0)
+    records = bench.run().records()
+    assert records[slow - 1].line_on
+    assert seen_of(records[slow:]) == {(GateState.FAULT, HoldReason.LATENCY_HIGH, False)}
+    fault = next(change for change in bench.transitions() if change.reason is HoldReason.LATENCY_HIGH)
+    assert fault.detail == "115 ms since the camera took the frame, 100 allowed"
+    assert bench.hold_reason_of_the_line() is HoldReason.LATENCY_HIGH
+
+
+def test_a_line_whose_lease_lapsed_between_two_good_frames_pays_a_full_dwell():
+    """A frame 59 ms after the last, measured in 25: each is allowed, and the lease of 80 ms is over."""
+    bench = on_bench([every(59.0), *[good] * 6])
+
+    def dawdle(frame):
+        bench.clock.advance_ns(20 * MS)
+        return frame
+
+    bench.pipeline.spoil[ON + 1] = dawdle
+    records = bench.run().records()
+    assert records[ON].line_on
+    assert (records[ON + 1].hold_reason, records[ON + 1].line_on) == (HoldReason.FRAME_LATE, False)
+    assert [record.line_on for record in records[ON + 2 :]] == [False] * (FRAMES_A_DWELL - 1) + [True] * 3
+    assert bench.beam.edges[1].reason is None  # it had lapsed by itself
+
+
+def test_latency_is_measured_from_capture_and_warned_of_without_a_hold():
+    bench = live(on_bench([good] * 5, limits=replace(LIMITS, warn_latency_ms=40.0, camera_latency_ms=30.0)))
+    views = []
+    late = ON + 2
+
+    def lagging(source, _timeout_s):
+        source.clock.advance_ns(PERIOD_NS - MEASURING_NS + 6 * MS)
+        frame = source.frame()
+        return replace(frame, timestamp_us=frame.timestamp_us - 6_000)
+
+    bench.source.script[ON + 2] = lagging
+    bench.source.script[ON + 3] = after(lambda: views.append(bench.loop.status.view))
+    records = bench.run().records()
+    taken_ms = [record.latency_ms for record in records[ON:]]
+    assert taken_ms == pytest.approx([35.0, 35.0, 41.0, 35.0, 35.0, 35.0], abs=DRIFT_MS)
+    assert all(record.line_on for record in records[ON:])
+    assert views[0].latency.last_ms == pytest.approx(41.0, abs=DRIFT_MS)
+    assert views[0].latency.is_warned
+    assert views[0].record.measurement.frame_index == late
+    last = bench.loop.status.view.latency
+    assert (last.last_ms, last.max_ms) == pytest.approx((35.0, 41.0), abs=DRIFT_MS)
+    assert not last.is_warned
+
+
+def test_every_transition_of_a_frame_carries_its_latency_and_one_of_a_person_has_none():
+    bench = on_bench([]).run()
+    armed, dwell, on, _end = bench.transitions()
+    assert (armed.captured_ns, armed.latency_ms) == (None, None)
+    for change in (dwell, on):
+        assert change.latency_ms == MEASURING_NS / MS
+        assert change.captured_ns == change.received_ns
+
+
+@pytest.mark.parametrize("reason", [HoldReason.BEAM_LINE_FAILED, HoldReason.BEAM_LINE_MISMATCH])
+def test_what_a_line_finds_by_itself_between_two_frames_faults_at_the_next_decision_and_is_named(reason):
+    bench = on_bench([])
+    bench.source.script += [after(lambda: bench.beam.on_trouble(reason, "the line itself saw it")), *[good] * 3]
+    records = bench.run().records()
+    assert seen_of(records[ON + 1 :]) == {(GateState.FAULT, reason, False)}
+    fault = next(change for change in bench.transitions() if change.to_state is GateState.FAULT)
+    assert fault.detail == "the line itself saw it"
+
+
+def test_a_device_clock_that_jumps_ahead_faults_a_live_camera():
+    def jump(source, timeout_s):
+        frame = good(source, timeout_s)
+        return replace(frame, timestamp_us=frame.timestamp_us + 300_000, color_timestamp_us=frame.timestamp_us)
+
+    record = live(on_bench([jump])).run().records()[-1]
+    assert (record.gate_state, record.hold_reason, record.line_on) == (
+        GateState.FAULT,
+        HoldReason.CLOCK_JUMPED,
+        False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("limits", "reason"),
+    [
+        ({"is_calibrated": False}, HoldReason.CALIBRATION_MISSING),
+        ({"max_model_age_min": 1.0}, HoldReason.MODEL_OLD),
+    ],
+    ids=str,
+)
+def test_an_arming_shows_at_once_what_stands_against_the_beam(limits, reason):
+    bench = Bench([good] * 3, limits=replace(LIMITS, **limits))
+    seen = []
+    bench.source.script += [
+        *[good] * 1800,
+        after(lambda: bench.loop.submit(ARM).add_done_callback(lambda _: seen.append(bench.loop.gate.reason))),
+        good,
+    ]
+    bench.run()
+    assert seen == [reason]
+
+
+def test_pictures_are_looked_at_even_while_nobody_is_armed():
+    """Who arms onto a frozen picture finds it held, not on for a dwell."""
+    bench = Bench([good] * 3)
+    bench.source.script += [
+        *[frozen] * 5,
+        lambda source, timeout_s: (bench.ask(Arm(operator="ann"))(), frozen(source, timeout_s))[1],
+        *[frozen] * 5,
+    ]
+    records = bench.run().records()
+    assert seen_of(records[-5:]) == {(GateState.HOLD, HoldReason.FRAME_FROZEN, False)}

@@ -1,0 +1,317 @@
+"""What a person does to a running gate by hand: hold, release, be there, correct the baseline."""
+
+from dataclasses import replace
+
+import pytest
+
+from engine.core.breath import SignalChoice
+from engine.core.commands import Arm, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam, SetReference
+from engine.core.errors import CommandRefusedError, InvalidValueError
+from engine.core.gate_state import GateState, HoldReason
+from engine.core.ranges import LearnedRange
+from engine.gating.windows import AmplitudeWindow, PhaseWindow
+from tests.support.control.armed_bench import LEARNED, armed_bench
+from tests.support.control.loop_bench import Bench, after, good
+from tests.support.gating.streams import FRAMES_A_DWELL, LIMITS, MS
+
+HOLD, RELEASE = HoldBeam(operator="bob"), ReleaseBeam(operator="cy")
+ON = LEARNED + 6
+"""The newest frame when six were good after the arming: the beam is on."""
+
+
+def _on_bench(more: list, **options: object) -> Bench:
+    bench = armed_bench([good] * 6, **options)
+    bench.source.script += more
+    return bench
+
+
+def test_a_hold_by_hand_lasts_through_good_frames_until_somebody_releases_it():
+    bench = _on_bench([])
+    bench.source.script += [after(bench.ask(HOLD)), *[good] * 20, after(bench.ask(RELEASE)), *[good] * 6]
+    records = bench.run().records()
+    assert records[ON].line_on
+    held = records[ON + 1 : ON + 22]
+    assert {(record.gate_state, record.hold_reason, record.line_on) for record in held[1:]} == {
+        (GateState.HOLD, HoldReason.OPERATOR_HOLD, False)
+    }
+    after_release = [record.line_on for record in records[ON + 22 :]]
+    assert after_release == [False] * FRAMES_A_DWELL + [True] * (7 - FRAMES_A_DWELL)
+
+
+def test_a_hold_by_hand_stops_even_the_frame_that_is_being_measured_when_it_comes():
+    bench = _on_bench([good, *[good] * 3])
+
+    def held_meanwhile(frame):
+        bench.ask(HOLD)()
+        return frame
+
+    bench.pipeline.spoil[ON + 1] = held_meanwhile
+    records = bench.run().records()
+    assert [record.line_on for record in records[ON:]] == [True, False, False, False, False]
+    held = next(change for change in bench.transitions() if change.reason is HoldReason.OPERATOR_HOLD)
+    assert (held.operator, held.detail) == ("bob", "held by bob")
+
+
+def test_whoever_holds_and_whoever_releases_is_named():
+    bench = _on_bench([])
+    seen = []
+    bench.source.script += [
+        after(bench.ask(HOLD)),
+        after(lambda: seen.append(bench.loop.status.view)),
+        after(bench.ask(RELEASE)),
+        good,
+        after(lambda: seen.append(bench.loop.status.view)),
+    ]
+    bench.run()
+    held, released = (change for change in bench.transitions()[3:5])
+    assert (held.reason, held.operator, held.detail) == (HoldReason.OPERATOR_HOLD, "bob", "held by bob")
+    assert (released.reason, released.operator, released.detail) == (HoldReason.DWELL, "cy", "released by cy")
+    assert [view.operator_hold for view in seen] == ["bob", None]
+
+
+def test_a_hold_by_hand_is_never_refused_and_a_release_asked_for_before_it_is_taken_back():
+    bench = _on_bench([], command_capacity=1)
+
+    def hold_release_and_hold():
+        bench.ask(HOLD)()
+        bench.ask(RELEASE)()
+        for _ in range(50):
+            bench.ask(HoldBeam(operator="dee"))()
+
+    bench.source.script += [after(hold_release_and_hold), *[good] * 8]
+    records = bench.run().records()
+    assert "held before" in str(bench.answers[2].exception(timeout=0))
+    assert all(answer.exception(timeout=0) is None for answer in bench.answers[3:])
+    assert {record.hold_reason for record in records[-8:]} == {HoldReason.OPERATOR_HOLD}
+
+
+def test_a_hold_by_hand_its_asker_gave_up_is_carried_out_all_the_same():
+    bench = _on_bench([])
+    bench.source.script += [after(lambda: bench.loop.submit(HOLD).cancel()), *[good] * 3]
+    assert bench.run().records()[-1].hold_reason is HoldReason.OPERATOR_HOLD
+
+
+def test_holding_a_gate_that_is_not_armed_holds_the_beam_of_whoever_arms():
+    bench = Bench([good] * 3)
+    bench.source.script += [after(bench.ask(HOLD)), after(bench.ask(Arm(operator="ann"))), *[good] * 8]
+    last = bench.run().records()[-1]
+    assert (last.gate_state, last.hold_reason) == (GateState.HOLD, HoldReason.OPERATOR_HOLD)
+
+
+@pytest.mark.parametrize(("first", "second", "is_on"), [(HOLD, "disarm", True), ("disarm", HOLD, False)], ids=str)
+def test_a_disarming_clears_a_hold_by_hand_and_a_hold_after_it_stands(first, second, is_on):
+    bench = _on_bench([])
+    commands = [Disarm(operator="ann") if one == "disarm" else one for one in (first, second)]
+
+    def ask():
+        for command in (HOLD, *commands):  # one hold waits already: the newer one's place counts
+            bench.ask(command)()
+        bench.ask(Arm(operator="ann"))()
+
+    bench.source.script += [after(ask), *[good] * 8]
+    assert bench.run().records()[-1].line_on is is_on
+
+
+@pytest.mark.parametrize("way", ["disarm", "hold", "stop"])
+def test_a_frame_that_was_on_its_way_when_somebody_wanted_off_turns_nothing_on(way):
+    bench = _on_bench([])
+    acts = {
+        "disarm": bench.ask(Disarm(operator="bob")),
+        "hold": bench.ask(HOLD),
+        "stop": bench.loop._stop_requested.set,  # what stop() does first, without waiting here for itself
+    }
+    bench.source.script += [after(acts[way])]
+    records = bench.run().records()
+    assert records[-2].line_on
+    assert not records[-1].line_on
+    assert bench.beam.permits[-1].granted_ns < records[-1].received_ns
+
+
+def test_releasing_what_nobody_holds_is_refused():
+    bench = _on_bench([])
+    bench.source.script += [after(bench.ask(RELEASE)), good]
+    records = bench.run().records()
+    assert isinstance(bench.answers[-1].exception(timeout=0), CommandRefusedError)
+    assert records[-1].line_on
+
+
+WATCHING = replace(LIMITS, operator_timeout_s=0.5)
+
+
+def test_the_beam_is_held_when_the_page_of_the_person_who_armed_falls_silent_and_comes_back_with_them():
+    bench = _on_bench([good] * 20, limits=WATCHING)
+    bench.source.script += [after(lambda: bench.loop.note_presence("ann")), *[good] * 6]
+    records = bench.run().records()
+    armed_ns = bench.transitions()[0].at_ns
+    for record in records[ON:-7]:
+        is_silent = record.decided_ns - armed_ns > 500 * MS
+        assert record.line_on is not is_silent
+        assert (record.hold_reason is HoldReason.OPERATOR_LOST) is is_silent
+    assert [record.line_on for record in records[-7:]] == [False] * (FRAMES_A_DWELL - 1) + [True] * 4
+
+
+@pytest.mark.parametrize(("who", "is_on"), [("ann", True), ("bob", False)])
+def test_only_the_presence_of_the_person_who_armed_counts(who, is_on):
+    bench = _on_bench([], limits=WATCHING)
+    for _ in range(10):
+        bench.source.script += [after(lambda: bench.loop.note_presence(who)), good, good]
+    assert bench.run().records()[-1].line_on is is_on
+
+
+def test_nobody_s_presence_is_asked_for_by_default():
+    assert _on_bench([good] * 200).run().records()[-1].line_on
+
+
+def _correct(by: float) -> CorrectBaseline:
+    return CorrectBaseline(operator="bob", by=by)
+
+
+def test_a_corrected_baseline_disarms_moves_the_window_and_the_audit_names_both():
+    bench = _on_bench([])
+    bench.source.script += [after(bench.ask(_correct(1.5))), good]
+    bench.run()
+    change = next(one for one in bench.transitions() if "baseline" in one.detail)
+    assert (change.to_state, change.operator) == (GateState.DISARMED, "bob")
+    assert change.detail == (
+        "the baseline is corrected by 1.5: the window was whole -1 to 3 mm and is whole 0.5 to 4.5 mm"
+    )
+    window = bench.loop.status.view.window
+    assert (window.lower, window.upper, window.hysteresis) == (0.5, 4.5, 0.2)
+    assert bench.pipeline.calls == ["correct whole 1.5"]  # drift is told against the same level
+
+
+def test_the_audit_hears_of_a_correction_even_where_nobody_is_armed():
+    bench = Bench([good] * 3)
+    bench.source.script += [after(bench.ask(_correct(1.5))), good]
+    bench.run()
+    assert "is whole 0.5 to 4.5 mm" in bench.transitions()[0].detail
+
+
+@pytest.mark.parametrize(("by", "is_on"), [(1.0, True), (-0.5, True), (3.5, False), (-1.5, False)])
+def test_the_gate_decides_by_the_corrected_window(by, is_on):
+    bench = Bench([good] * 3)  # the signal stays at 2 mm, the window is -1 to 3
+    bench.source.script += [after(bench.ask(_correct(by))), after(bench.ask(Arm(operator="ann"))), *[good] * 8]
+    assert bench.run().records()[-1].line_on is is_on
+
+
+def test_corrections_add_up_and_their_sum_is_bounded():
+    bench = Bench([good] * 3)
+    for by in (4.0, 2.0, 1.0, -3.0):
+        bench.source.script += [after(bench.ask(_correct(by)))]
+    bench.run()
+    assert bench.loop.status.view.window.lower == 1.0  # -1 and 4 and 1 and -3; 2 was refused
+    error = bench.answers[1].exception(timeout=0)
+    assert error.bound == "a number from -9 to 1 mm, 4 mm of 5 already used"
+    assert bench.pipeline.calls == ["correct whole 4", "correct whole 5", "correct whole 2"]
+
+
+def test_setting_the_reference_returns_to_the_window_as_told():
+    bench = Bench([good] * 3)
+    bench.source.script += [after(bench.ask(_correct(4.0))), after(bench.ask(SetReference(operator="bob"))), good]
+    bench.run()
+    assert bench.loop.status.view.window == LIMITS.window
+    assert bench.pipeline.calls[-1] == "correct whole 0"
+
+
+@pytest.mark.parametrize("by", [float("nan"), float("inf"), 5.01, -5.01, True, "1"])
+def test_a_correction_that_is_no_number_or_too_far_is_refused_by_bound_and_does_not_disturb_the_beam(by):
+    bench = _on_bench([])
+    bench.source.script += [after(bench.ask(_correct(by))), *[good] * 3]
+    records = bench.run().records()
+    error = bench.answers[-1].exception(timeout=0)
+    assert isinstance(error, InvalidValueError)
+    assert (error.field, error.bound) == ("by", "a number from -5 to 5 mm")
+    assert records[-1].line_on
+
+
+def test_a_correction_beyond_the_site_s_window_is_refused():
+    bench = _on_bench([], limits=replace(LIMITS, window_upper_mm=4.0))
+    bench.source.script += [after(bench.ask(_correct(1.5))), *[good] * 3]
+    records = bench.run().records()
+    error = bench.answers[-1].exception(timeout=0)
+    assert isinstance(error, InvalidValueError)
+    assert (error.field, error.value) == ("window.upper_mm", "4.5")
+    assert records[-1].line_on
+
+
+@pytest.mark.parametrize(("site", "field"), [({"window_lower_mm": -0.9}, "lower"), ({"window_upper_mm": 2.9}, "upper")])
+def test_nobody_arms_with_a_window_beyond_the_site_s(site, field):
+    bench = armed_bench([good] * 8, limits=replace(LIMITS, **site)).run()
+    error = bench.answers[0].exception(timeout=0)
+    assert isinstance(error, InvalidValueError)
+    assert error.field == f"window.{field}_mm"
+    assert not bench.beam.permits
+
+
+def test_a_window_without_edges_on_its_first_signal_cannot_be_corrected():
+    bench = Bench([good] * 3, limits=replace(LIMITS, window=PhaseWindow(from_percent=30.0, to_percent=70.0)))
+    bench.source.script += [after(bench.ask(_correct(1.0))), good]
+    bench.run()
+    assert "no edges" in str(bench.answers[-1].exception(timeout=0))
+
+
+def _per_cent_bench() -> Bench:
+    window = AmplitudeWindow(lower=0.0, upper=50.0, unit="percent")
+    bench = Bench([good] * 3, limits=replace(LIMITS, window=window))
+    bench.pipeline.ranges = {SignalChoice(): LearnedRange(low=0.0, high=8.0)}
+    return bench
+
+
+def test_a_window_in_per_cent_is_shown_settled_and_corrected_in_mm():
+    bench = _per_cent_bench()
+    bench.source.script += [after(bench.ask(_correct(1.0))), good]
+    bench.run()
+    window = bench.loop.status.view.window
+    assert (window.lower, window.upper, str(window.unit)) == (1.0, 5.0, "mm")
+
+
+@pytest.mark.parametrize(("has_new_zero", "edges"), [(False, (1.0, 5.0)), (True, (3.0, 7.0))])
+def test_per_cent_are_of_the_range_at_the_zero_and_a_model_behind_the_same_zero_moves_nothing(has_new_zero, edges):
+    bench = _per_cent_bench()
+
+    def learn_again():
+        bench.pipeline.model_generation += 1
+        bench.pipeline.zero_number += has_new_zero
+        bench.pipeline.ranges = {SignalChoice(): LearnedRange(low=3.0, high=11.0)}
+
+    bench.source.script += [after(bench.ask(_correct(1.0))), after(learn_again), good]
+    bench.run()
+    assert (bench.loop.status.view.window.lower, bench.loop.status.view.window.upper) == edges
+
+
+def test_a_window_still_in_per_cent_cannot_be_corrected():
+    bench = _per_cent_bench()
+    bench.pipeline.ranges = {}
+    bench.source.script += [after(bench.ask(_correct(1.0))), good]
+    bench.run()
+    assert "range is not known" in str(bench.answers[-1].exception(timeout=0))
+
+
+def test_a_volume_is_corrected_in_litres_within_as_much_as_the_region_would_hold():
+    window = AmplitudeWindow(choice=SignalChoice(signal="volume"), lower=-0.1, upper=0.3, unit="l")
+    bench = Bench([good] * 3, limits=replace(LIMITS, window=window))
+    bench.source.script += [after(bench.ask(_correct(0.51))), after(bench.ask(_correct(0.2))), good]
+    bench.run()
+    assert bench.answers[0].exception(timeout=0).bound == "a number from -0.5 to 0.5 l"
+    assert (round(bench.loop.status.view.window.lower, 9), round(bench.loop.status.view.window.upper, 9)) == (0.1, 0.5)
+
+
+@pytest.mark.parametrize("before", ["fault", "held by hand", "watchdog"])
+def test_the_audit_names_both_windows_whatever_else_stands_against_the_beam(before):
+    bench = _on_bench([])
+
+    def fire():
+        bench.clock.advance_ns(300 * MS)
+        assert bench.watchdog.check(bench.clock.now_ns())
+
+    troubles = {
+        "fault": lambda: bench.loop.report_fault(HoldReason.DISK_LOW, "20 MB left"),
+        "held by hand": bench.ask(HOLD),
+        "watchdog": fire,
+    }
+    bench.source.script += [after(troubles[before]), good, after(bench.ask(_correct(1.5))), good]
+    bench.run()
+    change = next(one for one in bench.transitions() if "baseline" in one.detail)
+    assert "was whole -1 to 3 mm and is whole 0.5 to 4.5 mm" in change.detail
+    assert change.operator == "bob"
+    assert bench.loop.gate.reason is not None

@@ -1,0 +1,168 @@
+"""A patient who moves on the couch holds; one who breathes, however deeply, does not: on the virtual volunteers."""
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from engine.core.frames import NODE_COLUMNS, NODE_ROWS
+from engine.core.gate_state import HoldReason
+from engine.gating.limits import GateLimits
+from engine.gating.supervision.patient_shift import CORNERS, NODES, MarkersAtReference, PatientShift
+from engine.motion.stages.roi import roi_nodes
+from engine.motion.stages.surface import end_at_markers, vertices_mm
+from engine.verification.phantom.rig import chain, couch_from_body
+from engine.verification.phantom.scenarios import Pose
+from engine.verification.phantom.scene import Scene, Script
+from tests.support.gating.streams import LIMITS, motion_of
+from tests.support.motion.small_scene import CAMERA, CORNERS_PX
+
+DEEPEST_MM = 40.0
+LATERAL_MM = 3.0
+VOLUNTEERS = range(1, 11)
+
+
+@lru_cache(maxsize=32)
+def scene_of(scenario, volunteer):
+    return Scene(Script(scenario=scenario, volunteer=volunteer, seconds=60.0, fps=30.0, seed=1))
+
+
+def markers_mm(scene, time_s, *, gain=1.0, pose=None):
+    """The true stickers in the depth camera's frame, breathing ``gain`` times as deeply, as they lie at that time."""
+    camera_from_body = chain(scene.rig.depth_from_couch, couch_from_body(pose or scene.timeline.pose(time_s)))
+    return camera_from_body.apply(scene.skin.anchors(gain * scene.breathing.weights(time_s)))
+
+
+def seen(corners_mm):
+    """A motion whose surface has its corners there."""
+    surface_mm = np.full((NODES, 3), np.nan)
+    surface_mm[list(CORNERS)] = corners_mm
+    return replace(motion_of(), surface_mm=surface_mm)
+
+
+def shift_from(zero_mm, limits: GateLimits = LIMITS):
+    watched = PatientShift(limits)
+    assert watched.check(seen(zero_mm), has_reference=True) is None
+    return watched
+
+
+@pytest.mark.parametrize("volunteer", VOLUNTEERS)
+def test_the_shift_scenario_s_patient_is_found_where_the_scenario_laid_him_and_holds(volunteer):
+    scene = scene_of("shift", volunteer)
+    pose = scene.timeline.pose(59.0)
+    zero_mm = markers_mm(scene, 0.0)
+    moved = MarkersAtReference(zero_mm).movement(markers_mm(scene, 59.0))
+    # The body turns about its own middle, which the markers lie around.
+    assert moved.shift_mm == pytest.approx(math.hypot(pose.x_mm, pose.y_mm), abs=0.6)
+    assert moved.turn_deg == pytest.approx(abs(math.degrees(pose.turn_rad)), abs=0.3)
+    held = shift_from(zero_mm).check(seen(markers_mm(scene, 59.0)), has_reference=True)
+    assert held.reason is HoldReason.PATIENT_SHIFTED
+    assert "along the couch" in held.detail
+
+
+@pytest.mark.parametrize("volunteer", VOLUNTEERS)
+@pytest.mark.parametrize("scenario", ["regular", "dibh"])
+def test_breathing_up_to_40_mm_with_3_mm_to_the_side_never_trips_it(scenario, volunteer):
+    scene = scene_of(scenario, volunteer)
+    times_s = np.linspace(0.0, 60.0, 120)
+    zero_mm = markers_mm(scene, 0.0)
+    lift_mm = max(abs(markers_mm(scene, time_s) - zero_mm)[:, 2].max() for time_s in times_s)
+    gain = DEEPEST_MM / lift_mm
+    watched = shift_from(markers_mm(scene, 0.0, gain=gain))
+    for time_s in times_s:
+        breath_mm = markers_mm(scene, time_s, gain=gain)
+        share = abs(breath_mm - markers_mm(scene, 0.0, gain=gain))[:, 2].max() / DEEPEST_MM
+        aside_mm = np.array([0.0, LATERAL_MM * share, 0.0])
+        assert watched.check(seen(breath_mm + aside_mm), has_reference=True) is None
+
+
+@pytest.mark.parametrize(
+    ("pose", "is_held"),
+    [
+        (Pose(x_mm=5.5), False),
+        (Pose(x_mm=6.5), True),
+        (Pose(x_mm=-6.5), True),
+        (Pose(y_mm=6.5), True),
+        (Pose(y_mm=-6.5), True),
+        (Pose(turn_rad=math.radians(2.6)), False),
+        (Pose(turn_rad=math.radians(3.4)), True),
+        (Pose(turn_rad=math.radians(-3.4)), True),
+    ],
+    ids=str,
+)
+def test_either_way_along_the_couch_and_either_turn_on_it_is_held_beyond_its_limit(pose, is_held):
+    scene = scene_of("regular", 3)
+    held = shift_from(markers_mm(scene, 0.0)).check(seen(markers_mm(scene, 0.0, pose=pose)), has_reference=True)
+    assert (held is not None) is is_held
+
+
+@pytest.mark.parametrize("roll_deg", [-3.2, -2.8, 2.8, 3.2])
+def test_a_patient_who_rolls_to_the_side_is_held(roll_deg):
+    zero_mm = np.array([[-100.0, -150.0, 800.0], [100.0, -150.0, 800.0], [100.0, 150.0, 800.0], [-100.0, 150.0, 800.0]])
+    rolled_mm = zero_mm + zero_mm[:, :1] * np.array([0.0, 0.0, math.tan(math.radians(roll_deg))])
+    assert MarkersAtReference(zero_mm).movement(rolled_mm).turn_deg == pytest.approx(abs(roll_deg), abs=0.01)
+    held = shift_from(zero_mm).check(seen(rolled_mm), has_reference=True)
+    assert (held is not None) is (abs(roll_deg) > 3.0)
+
+
+def test_an_abdomen_that_rises_alone_is_no_turn():
+    zero_mm = np.array([[-100.0, -150.0, 800.0], [100.0, -150.0, 800.0], [100.0, 150.0, 800.0], [-100.0, 150.0, 800.0]])
+    risen_mm = zero_mm - np.array([[0.0, 0.0, 0.0]] * 2 + [[0.0, 0.0, DEEPEST_MM]] * 2)
+    moved = MarkersAtReference(zero_mm).movement(risen_mm)
+    assert (moved.shift_mm, moved.turn_deg) == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+def test_markers_that_lie_in_no_plane_turn_only_when_they_turn():
+    zero_mm = np.array([[-100.0, -150.0, 780.0], [100.0, -150.0, 840.0], [100.0, 150.0, 790.0], [-100.0, 150.0, 860.0]])
+    assert MarkersAtReference(zero_mm).movement(zero_mm) == pytest.approx((0.0, 0.0), abs=1e-9)
+    breath_mm = zero_mm - np.array([0.0, 0.0, 15.0])
+    assert MarkersAtReference(zero_mm).movement(breath_mm).turn_deg == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_camera_that_hangs_at_an_angle_sees_the_same_shift():
+    zero_mm = np.array([[-100.0, -150.0, 0.0], [100.0, -150.0, 0.0], [100.0, 150.0, 0.0], [-100.0, 150.0, 0.0]])
+    tilt = math.radians(35.0)
+    rotation = np.array(
+        [[1.0, 0.0, 0.0], [0.0, math.cos(tilt), -math.sin(tilt)], [0.0, math.sin(tilt), math.cos(tilt)]]
+    )
+    camera = np.array([0.0, 0.0, 900.0])
+    moved = MarkersAtReference(zero_mm @ rotation.T + camera).movement(
+        (zero_mm + np.array([3.0, 4.0, -40.0])) @ rotation.T + camera
+    )
+    assert moved.shift_mm == pytest.approx(5.0)
+    assert moved.turn_deg == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_position_is_taken_anew_when_the_zero_is_and_not_before():
+    scene = scene_of("shift", 2)
+    before, after = seen(markers_mm(scene, 0.0)), seen(markers_mm(scene, 59.0))
+    watched = shift_from(markers_mm(scene, 0.0))
+    assert watched.check(after, has_reference=True) is not None
+    assert watched.check(None, has_reference=True) is None  # lost for a frame: nothing is forgotten
+    assert watched.check(after, has_reference=True) is not None
+    watched.reset()
+    assert watched.check(after, has_reference=True) is None
+    assert watched.check(before, has_reference=True) is not None
+    assert watched.check(None, has_reference=False) is None  # a zero that is wanted, and not there yet
+    assert watched.check(before, has_reference=True) is None
+
+
+def test_a_marker_that_is_no_number_is_not_taken_for_one_that_has_not_moved():
+    scene = scene_of("regular", 1)
+    corners_mm = markers_mm(scene, 0.0)
+    bad_mm = corners_mm.copy()
+    bad_mm[2, 0] = np.nan
+    assert shift_from(corners_mm).check(seen(bad_mm), has_reference=True) is not None
+
+
+def test_the_corners_of_the_surface_are_the_markers():
+    """By the stages' own way: nodes between four markers, pushed out along their rays to a plane 900 mm away."""
+    rays = CAMERA.rays(roi_nodes(CORNERS_PX))[:, :2]
+    between = end_at_markers(rays, NODE_ROWS, NODE_COLUMNS, 1.0 - 1.0 / 25.0)
+    surface_mm = vertices_mm(between, np.full(len(rays), 900.0))
+    assert surface_mm.shape == (NODES, 3)
+    assert surface_mm[list(CORNERS)] == pytest.approx(
+        np.column_stack([CAMERA.rays(CORNERS_PX)[:, :2] * 900.0, np.full(4, 900.0)]), abs=0.2
+    )

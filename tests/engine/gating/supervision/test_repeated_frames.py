@@ -1,0 +1,99 @@
+"""The same picture again with new times: a hold at once, a fault when it lasts; delivered twice it is neither."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine.core.frames import RgbdFrame
+from engine.core.gate_state import HoldReason
+from engine.gating.supervision.repeated_frames import THINNING_PX, RepeatedFrames
+from tests.support.gating.streams import LIMITS, MS, PERIOD_NS, PERIOD_US, START_NS
+
+NOISE = np.random.default_rng(7)
+DEPTHS = [NOISE.integers(700, 900, (48, 64)).astype(np.uint16) for _ in range(40)]
+COLORS = [NOISE.integers(1, 255, (48, 64, 3)).astype(np.uint8) for _ in range(40)]
+
+
+def frame(
+    index: int, *, depth: int | None = None, color: int | None = None, color_time: int | None = None
+) -> RgbdFrame:
+    """Frame ``index`` with the pictures of the frames told; its own by default."""
+    return RgbdFrame(
+        index=index,
+        device_index=index,
+        timestamp_us=index * PERIOD_US,
+        color_timestamp_us=(index if color_time is None else color_time) * PERIOD_US,
+        received_ns=START_NS + index * PERIOD_NS,
+        depth_mm=DEPTHS[index if depth is None else depth].copy(),
+        color=COLORS[index if color is None else color].copy(),
+    )
+
+
+def reasons(frames, limits=LIMITS):
+    repeats = RepeatedFrames(limits)
+    found = [repeats.check(one) for one in frames]
+    return [None if one is None else one.reason for one in found]
+
+
+def test_pictures_that_differ_hold_nothing():
+    assert reasons(frame(index) for index in range(20)) == [None] * 20
+
+
+@pytest.mark.parametrize("stream", ["depth", "color"])
+def test_the_same_picture_again_holds_and_a_new_one_clears_it(stream):
+    frames = [frame(0), frame(1), frame(2, **{stream: 1}), frame(3, **{stream: 1}), frame(4)]
+    assert reasons(frames) == [None, None, HoldReason.FRAME_FROZEN, HoldReason.FRAME_FROZEN, None]
+
+
+@pytest.mark.parametrize("stream", ["depth", "color"])
+@pytest.mark.parametrize("buffers", [2, 3, 8])
+def test_old_pictures_that_take_turns_hold_and_then_are_a_silence(stream, buffers):
+    frames = [frame(index, **{stream: index % buffers}) for index in range(40)]
+    found = reasons(frames)
+    assert found[:buffers] == [None] * buffers
+    assert set(found[buffers : buffers + 10]) == {HoldReason.FRAME_FROZEN}
+    assert found[-1] is HoldReason.FRAME_TIMEOUT
+
+
+@pytest.mark.parametrize("stream", ["depth", "color"])
+def test_a_picture_that_stands_for_longer_than_a_silence_may_last_is_a_silence(stream):
+    frames = [frame(index, **{stream: 0}) for index in range(20)]
+    found = reasons(frames)
+    assert found[1:15] == [HoldReason.FRAME_FROZEN] * 14  # 14 periods are 467 ms
+    assert found[15:] == [HoldReason.FRAME_TIMEOUT] * 5
+    assert 15 * PERIOD_NS > LIMITS.max_silence_ms * MS > 14 * PERIOD_NS
+
+
+def test_a_colour_picture_delivered_again_with_its_old_time_is_no_repetition():
+    slow = [frame(index, color=index // 2, color_time=index // 2 * 2) for index in range(12)]
+    assert reasons(slow) == [None] * 12
+
+
+def test_a_repeated_colour_picture_is_counted_across_frames_that_bring_none():
+    frames = [frame(0), frame(1, color=0, color_time=1), frame(2, color=0, color_time=1)]
+    assert reasons(frames) == [None, HoldReason.FRAME_FROZEN, HoldReason.FRAME_FROZEN]
+
+
+@pytest.mark.parametrize(("allowed", "held_at"), [(0, 1), (1, 2), (3, 4)])
+def test_a_site_may_allow_some_repetitions(allowed, held_at):
+    found = reasons([frame(index, depth=0) for index in range(8)], replace(LIMITS, max_repeated_frames=allowed))
+    assert found.index(HoldReason.FRAME_FROZEN) == held_at
+
+
+@pytest.mark.parametrize(("row", "column"), [(0, 0), (1, 1), (THINNING_PX, THINNING_PX), (47, 63)])
+def test_one_pixel_anywhere_makes_another_picture(row, column):
+    second = frame(1, depth=0)
+    changed = second.depth_mm.copy()
+    changed[row, column] += 1
+    assert reasons([frame(0), replace(second, depth_mm=changed)]) == [None, None]
+
+
+def test_a_camera_that_sees_nothing_is_not_called_frozen():
+    """A covered lens reads nothing at all, again and again: the frame is lost for that, and says so."""
+    empty = [replace(frame(index), depth_mm=np.zeros((48, 64), np.uint16)) for index in range(4)]
+    assert reasons(empty) == [None] * 4
+
+
+def test_pictures_of_another_size_are_other_pictures():
+    assert reasons([frame(0), replace(frame(1), depth_mm=DEPTHS[0][:24].copy())]) == [None, None]

@@ -1,0 +1,210 @@
+"""A breath that is held: reached, still, not drifting, not for too long; and counted."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from engine.core.commands import Arm, Disarm
+from engine.core.errors import InvalidValueError
+from engine.core.gate_state import GateState, HoldReason
+from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, HoldStage
+from tests.support.gating.bad_frames import HOLDS
+from tests.support.gating.streams import LIMITS, Stream, unmeasured
+
+LEVEL = AmplitudeWindow(lower=18.0, upper=24.0, hysteresis=0.5)
+WINDOW = BreathHoldWindow(level=LEVEL, settle_ms=500.0, still=0.6, max_drift=1.5, timeout_s=3.0)
+HOLD_LIMITS = replace(LIMITS, window=WINDOW, max_jump_mm=20.0)
+SETTLE_FRAMES = 16
+"""The first frame still, and fifteen periods of 33.4 ms after it: half a second."""
+DWELL_FRAMES = 4
+
+
+def armed(level_mm: float = 6.0) -> Stream:
+    stream = Stream(HOLD_LIMITS, level_mm)
+    stream.good(2)
+    stream.step(Arm(operator="ann"))
+    return stream
+
+
+def held(level_mm: float = 21.0) -> Stream:
+    """A beam that is on in a breath hold, by nothing but frames."""
+    stream = armed()
+    stream.level_mm = level_mm
+    stream.good(SETTLE_FRAMES + DWELL_FRAMES)
+    assert stream.gate.state is GateState.BEAM_ON
+    return stream
+
+
+def test_free_breathing_waits_for_the_hold():
+    gate = armed().feed()
+    assert (gate.state, gate.reason) == (GateState.HOLD, HoldReason.BREATH_HOLD_AWAITED)
+
+
+def test_a_hold_has_to_be_still_for_the_settle_time_and_then_for_the_dwell():
+    stream = armed()
+    stream.level_mm = 21.0
+    states = stream.good(SETTLE_FRAMES - 1)
+    assert set(states) == {GateState.HOLD}
+    assert stream.gate.reason is HoldReason.BREATH_HOLD_SETTLING
+    assert stream.good(DWELL_FRAMES) == [GateState.DWELL] * (DWELL_FRAMES - 1) + [GateState.BEAM_ON]
+
+
+def test_a_breath_that_passes_the_level_is_no_hold():
+    stream = armed()
+    for frame in range(60):  # 18.2 to 23.8 mm and back, never still for half a second
+        stream.level_mm = 21.0 + 2.8 * math.sin(0.25 * frame)
+        assert stream.feed().state is GateState.HOLD
+    assert stream.gate.breath_holds == 0
+
+
+def test_settling_begins_anew_when_it_moves():
+    stream = armed()
+    stream.level_mm = 20.0
+    stream.good(SETTLE_FRAMES - 1)
+    stream.level_mm = 20.7
+    assert stream.feed().reason is HoldReason.BREATH_HOLD_SETTLING
+    assert set(stream.good(SETTLE_FRAMES - 2)) == {GateState.HOLD}
+    assert stream.feed().state is GateState.DWELL
+
+
+def test_the_hold_ends_on_drift_at_once_and_the_next_needs_a_breath():
+    stream = held(20.0)
+    stream.level_mm = 21.5
+    assert stream.feed().state is GateState.BEAM_ON  # the bound itself is allowed
+    stream.level_mm = 21.51
+    gate = stream.feed()
+    assert (gate.state, gate.reason) == (GateState.HOLD, HoldReason.BREATH_HOLD_DRIFTED)
+    assert set(stream.good(60)) == {GateState.HOLD}
+    assert stream.gate.reason is HoldReason.BREATH_HOLD_DRIFTED
+    stream.level_mm = 6.0
+    assert stream.feed().reason is HoldReason.BREATH_HOLD_AWAITED
+    stream.level_mm = 21.5
+    assert stream.good(SETTLE_FRAMES + DWELL_FRAMES)[-1] is GateState.BEAM_ON
+    assert stream.gate.breath_holds == 2
+
+
+def test_drift_counts_from_where_it_settled_in_both_directions():
+    stream = held(21.0)
+    stream.level_mm = 19.49
+    assert stream.feed().reason is HoldReason.BREATH_HOLD_DRIFTED
+
+
+def test_the_hold_times_out_and_the_next_needs_a_breath():
+    stream = held()
+    states = stream.good(100)
+    on = states.index(GateState.HOLD)
+    assert 80 <= on + DWELL_FRAMES <= 92  # three seconds at 29.97 frames a second
+    assert stream.gate.reason is HoldReason.BREATH_HOLD_OVER
+    assert set(states[on:]) == {GateState.HOLD}
+    stream.level_mm = 6.0
+    stream.feed()
+    stream.level_mm = 21.0
+    assert stream.good(SETTLE_FRAMES + DWELL_FRAMES)[-1] is GateState.BEAM_ON
+
+
+def test_leaving_the_level_ends_the_hold_at_once_at_the_edge_itself():
+    stream = held(18.6)
+    stream.level_mm = 18.0
+    assert stream.feed().state is GateState.BEAM_ON
+    stream.level_mm = 17.99
+    gate = stream.feed()
+    assert (gate.state, gate.reason) == (GateState.HOLD, HoldReason.BREATH_HOLD_AWAITED)
+
+
+def test_the_level_is_entered_only_by_the_hysteresis():
+    stream = armed()
+    stream.level_mm = 18.49
+    assert stream.feed().reason is HoldReason.BREATH_HOLD_AWAITED
+    stream.level_mm = 18.5
+    assert stream.feed().reason is HoldReason.BREATH_HOLD_SETTLING
+
+
+@pytest.mark.parametrize("name", sorted(HOLDS.keys() - {"above the window"}))
+def test_any_bad_frame_costs_a_whole_settling_and_a_full_dwell(name):
+    spoil, _reason = HOLDS[name]
+    stream = held()
+    frame = spoil(stream.upcoming())
+    assert stream.feed(frame).state is GateState.HOLD
+    assert GateState.BEAM_ON not in stream.good(SETTLE_FRAMES + DWELL_FRAMES - 2)
+    assert stream.good(3)[-1] is GateState.BEAM_ON
+
+
+def test_a_bad_frame_does_not_pass_for_the_breath_that_is_due():
+    stream = held()
+    stream.level_mm = 22.6
+    assert stream.feed().reason is HoldReason.BREATH_HOLD_DRIFTED
+    spoil, _ = HOLDS["marker lost"]
+    stream.feed(spoil(stream.upcoming()))
+    assert GateState.BEAM_ON not in stream.good(3 * SETTLE_FRAMES)
+    assert stream.gate.reason is HoldReason.BREATH_HOLD_DRIFTED
+
+
+def test_lost_frames_do_not_make_a_longer_hold_of_it():
+    stream = held()
+    spoil, _ = HOLDS["marker lost"]
+    on = 0
+    for _ in range(8):  # a frame is lost after every second and a half, for twelve seconds
+        on += stream.good(44).count(GateState.BEAM_ON)
+        stream.feed(spoil(stream.upcoming()))
+    assert on < 90  # three seconds are ninety frames
+    assert stream.gate.reason is not None
+    assert stream.gate.breath_holds == 1
+
+
+def test_a_hold_that_was_not_seen_for_a_moment_still_may_not_drift_from_where_it_settled():
+    stream = held(20.0)
+    spoil, _ = HOLDS["marker lost"]
+    for level_mm in (20.5, 21.0, 21.4, 21.8):
+        stream.feed(spoil(stream.upcoming()))
+        stream.level_mm = level_mm
+        stream.good(SETTLE_FRAMES + 1)
+    assert stream.gate.reason is HoldReason.BREATH_HOLD_DRIFTED
+
+
+def test_arming_counts_from_nought():
+    stream = held()
+    assert stream.gate.breath_holds == 1
+    stream.step(Disarm(operator="ann"))
+    stream.step(Arm(operator="ann"))
+    assert stream.gate.breath_holds == 0
+    assert stream.gate.conditions[0].stage is HoldStage.AWAITED
+
+
+def test_an_expiration_hold_is_the_same_at_the_other_end():
+    window = BreathHoldWindow(
+        level=AmplitudeWindow(lower=-2.0, upper=1.0), kind="expiration", settle_ms=500.0, still=0.6, max_drift=1.5
+    )
+    stream = Stream(replace(LIMITS, window=window, max_jump_mm=20.0), 8.0)
+    stream.good(2)
+    stream.step(Arm(operator="ann"))
+    assert stream.feed().reason is HoldReason.BREATH_HOLD_AWAITED
+    stream.level_mm = -0.5
+    assert stream.good(SETTLE_FRAMES + DWELL_FRAMES)[-1] is GateState.BEAM_ON
+
+
+def test_a_frame_that_was_not_measured_is_no_level():
+    stream = held()
+    frame = stream.upcoming()
+    assert stream.feed(unmeasured(frame, frame.state.TRAINING)).state is GateState.HOLD
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("settle_ms", 99.0),
+        ("settle_ms", 10_001.0),
+        ("still", 0.0),
+        ("max_drift", math.nan),
+        ("max_drift", 21.0),
+        ("timeout_s", 0.9),
+        ("timeout_s", 121.0),
+        ("timeout_s", True),
+        ("kind", "middle"),
+    ],
+)
+def test_a_hold_that_is_none_is_refused_by_field_and_bound(field, value):
+    with pytest.raises(InvalidValueError) as refusal:
+        replace(WINDOW, **{field: value})
+    assert refusal.value.field == field
+    assert refusal.value.bound

@@ -1,0 +1,71 @@
+"""What is learned is the patient and not the noise: amplitude, edges, and how noisy the sensor is."""
+
+import numpy as np
+import pytest
+
+from engine.core.errors import ModelError
+from engine.motion.learning.fitting import smooth
+from tests.support.motion.fitting_frames import BREATH, COLUMNS, REST_MM, ROWS, SIGNAL_MM, frames, learn
+
+
+def share_of(model):
+    """How much of the true breath's mean the first component carries."""
+    first = model.components[0]
+    return float((first * BREATH).sum() * first.mean() / BREATH.mean())
+
+
+@pytest.mark.parametrize("noise_mm", [0.5, 2.0, 6.0])
+def test_noise_does_not_make_motion_look_smaller(noise_mm):
+    assert share_of(learn(*frames(noise_mm), components=1)) == pytest.approx(1.0, abs=0.004)
+
+
+def test_a_slope_stays_a_slope_up_to_the_edge():
+    slope = (0.02 * ROWS[::2, ::2] - 0.01 * COLUMNS[::2, ::2]).astype(np.float32)
+    assert np.abs(smooth(slope, np.ones_like(slope, dtype=bool), 12.0) - slope).max() < 1e-3
+
+
+@pytest.mark.parametrize(("stride", "blur_px"), [(2, 0.0), (4, 0.0), (2, 1.2), (4, 0.6)])
+def test_the_noise_is_measured_with_its_correlation(stride, blur_px):
+    model = learn(*frames(1.0, stride=stride, blur_px=blur_px))
+    # White noise of 1 mm on thinned points; a blur of b points makes its mean vary as if 4 pi b^2 of them were one.
+    expected = stride * max(np.sqrt(4.0 * np.pi) * blur_px, 1.0)
+    assert model.noise_mm == pytest.approx(expected, rel=0.17)
+
+
+def test_breathing_itself_is_no_noise():
+    assert learn(*frames(0.3)).noise_mm < 1.0
+
+
+def test_thinned_frames_teach_what_full_ones_do():
+    full, thin = (learn(*frames(0.8, stride=stride), components=1) for stride in (1, 2))
+    assert full.components.shape == thin.components.shape
+    assert np.abs(full.components[0] - thin.components[0]).max() < 0.04 * np.abs(full.components[0]).max()
+    assert np.abs(full.mean_mm - thin.mean_mm).max() < 0.6
+    assert thin.eigenvalues_mm2[0] == pytest.approx(full.eigenvalues_mm2[0], rel=0.02)
+
+
+def test_a_third_of_the_readings_gone_changes_little():
+    whole, holey = (learn(*frames(0.8, holes=share), components=1) for share in (0.0, 0.33))
+    assert np.abs(holey.components[0] - whole.components[0]).max() < 0.05 * np.abs(whole.components[0]).max()
+    assert holey.eigenvalues_mm2[0] == pytest.approx(whole.eigenvalues_mm2[0], rel=0.02)
+
+
+def test_what_was_never_seen_is_unknown_and_finite():
+    depth, valid = frames(0.8)
+    valid[:, 40:60, 20:50] = False
+    model = learn(depth, valid)
+    assert not model.known[100, 60]
+    assert model.known[200, 160]
+    assert np.isfinite(model.components).all()
+
+
+def test_inhale_is_positive_whatever_the_first_frame_was():
+    for signal in (SIGNAL_MM, SIGNAL_MM[::-1], 8.0 - SIGNAL_MM):
+        model = learn(*frames(0.8, signal_mm=signal))
+        assert model.components[0].mean() < 0.0
+
+
+def test_nothing_that_moves_teaches_nothing():
+    rest = np.repeat(REST_MM[None, ::2, ::2], 60, axis=0).astype(np.float32)
+    with pytest.raises(ModelError, match="no motion"):
+        learn(rest, np.ones_like(rest, dtype=bool))

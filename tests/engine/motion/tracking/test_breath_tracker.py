@@ -1,0 +1,147 @@
+"""Breath in the pipeline: with every measured frame, none with a lost one, and no event by what the measuring does."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine.core.breath import SignalChoice
+from engine.core.clock import ManualClock
+from engine.core.errors import InvalidValueError
+from engine.core.frames import MeasurementState
+from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
+from engine.motion.pipeline import Pipeline
+from engine.motion.settings import PipelineSettings
+from tests.support.motion import small_scene
+from tests.support.motion.breathing_traces import kinds
+
+CHOICES = (SignalChoice(), SignalChoice(signal="volume"), SignalChoice(signal="abdomen"))
+SETTINGS = PipelineSettings(
+    breath_signals=CHOICES,
+    training=TrainingSettings(min_frames=40, min_seconds=4.0, min_cycles=1, max_seconds=20.0),
+)
+REPEATS = 240  # frames in two breaths of the scene
+
+
+class Patient:
+    """Measures the scene frame by frame; ``edit`` may change a depth picture."""
+
+    def __init__(self, frames):
+        self.frames, self.index = frames, 0
+        self.pipeline = Pipeline(small_scene.CALIBRATION, SETTINGS, ManualClock(), InlineTrainer())
+
+    def next(self, **changes):
+        at_us = self.index * small_scene.FRAME_US
+        frame = replace(
+            self.frames[self.index % REPEATS],
+            index=self.index,
+            device_index=self.index + 1,
+            timestamp_us=at_us,
+            color_timestamp_us=at_us,
+            received_ns=at_us * 1000,
+            **changes,
+        )
+        self.index += 1
+        return self.pipeline.measure(frame)
+
+    def measure(self, count):
+        return [self.next() for _ in range(count)]
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return [small_scene.frame(index) for index in range(REPEATS)]
+
+
+@pytest.fixture
+def patient(frames):
+    patient = Patient(frames)
+    patient.measure(760)
+    return patient
+
+
+def test_breaths_come_with_measured_frames_one_a_signal_in_order(frames):
+    patient = Patient(frames)
+    told = patient.measure(700)
+    assert {len(one.breaths) for one in told if one.state is MeasurementState.TRAINING} == {0}
+    assert all(tuple(b.signal for b in one.breaths) == CHOICES for one in told if one.motion is not None)
+    last = told[-1].breaths
+    assert all(breath.phase_percent is not None and not breath.events for breath in last)
+    assert [breath.rate_per_min for breath in last] == pytest.approx([15.0] * 3, rel=0.03)
+    assert last[1].amplitude < 2.0 < last[0].amplitude < last[2].amplitude
+
+
+@pytest.mark.parametrize("more", [1, 45, 90], ids=["low", "rising", "falling"])
+def test_a_zero_that_a_person_sets_is_neither_drift_nor_cough_and_keeps_the_phase(patient, more):
+    before = patient.measure(more)[-1]
+    patient.pipeline.learner.set_reference()
+    after = patient.measure(300)
+    assert abs(after[0].motion.whole_mm) < 0.5
+    assert all(breath.phase_percent is not None for one in after for breath in one.breaths)
+    assert {kind for one in after for breath in one.breaths for kind in kinds(breath)} == set()
+    assert after[-1].breaths[0].drift == pytest.approx(0.0, abs=0.4)
+    moved = after[0].breaths[0].baseline - before.breaths[0].baseline
+    assert moved == pytest.approx(after[0].motion.whole_mm - before.motion.whole_mm, abs=1.0)
+
+
+def test_a_model_that_takes_over_is_neither_drift_nor_cough(patient):
+    generation = patient.pipeline.learner.status.model_generation
+    patient.pipeline.learner.retrain()
+    after = patient.measure(400)
+    assert patient.pipeline.learner.status.model_generation > generation
+    assert {kind for one in after for breath in one.breaths for kind in kinds(breath)} == set()
+    assert after[-1].breaths[0].drift == pytest.approx(0.0, abs=0.4)
+    assert after[-1].breaths[0].phase_percent is not None
+
+
+def test_a_lost_frame_has_no_breath_and_a_second_of_them_costs_the_phase(patient):
+    dark = {"color": 0 * patient.frames[0].color}
+    lost = [patient.next(**dark) for _ in range(30)]
+    assert all(one.state is MeasurementState.LOST and one.breaths == () for one in lost)
+    back = patient.measure(3)
+    assert all(one.breaths[0].phase_percent is None for one in back)
+    assert patient.measure(500)[-1].breaths[0].phase_percent is not None
+
+
+def nearer(frames, by_mm):
+    """The same frames from a camera that hangs so much nearer."""
+    return [replace(one, depth_mm=one.depth_mm - np.uint16(by_mm) * (one.depth_mm > 0)) for one in frames]
+
+
+def test_a_camera_that_comes_back_nearer_is_no_drift_of_the_patient(patient):
+    patient.pipeline.camera_returned()
+    patient.frames = nearer(patient.frames, 10)
+    patient.measure(130)
+    patient.pipeline.learner.set_reference()
+    after = patient.measure(700)
+    assert after[-1].breaths[0].phase_percent is not None
+    assert abs(after[-1].breaths[0].drift) < 0.5
+    assert {kind for one in after for breath in one.breaths for kind in kinds(breath)} == set()
+
+
+def test_drift_is_told_against_the_zero_a_person_set_even_where_no_end_of_exhale_was_known_then(patient):
+    dark = {"color": 0 * patient.frames[0].color}
+    for _ in range(30):
+        patient.next(**dark)
+    patient.frames = nearer(patient.frames, 3)
+    assert patient.next().breaths[0].baseline is None
+    patient.pipeline.learner.set_reference()
+    after = patient.measure(700)
+    assert abs(after[-1].breaths[0].drift) < 0.5
+
+
+def test_a_confirmed_correction_moves_what_drift_is_told_against(patient):
+    before = patient.next().breaths
+    patient.pipeline.correct_baseline(SignalChoice(), 1.5)
+    after = patient.next().breaths
+    assert after[0].drift == pytest.approx(before[0].drift - 1.5, abs=0.01)
+    assert after[2].drift == pytest.approx(before[2].drift, abs=0.01)
+
+
+def test_more_than_four_signals_or_one_twice_are_refused():
+    points = tuple((10 * n + 10, 20) for n in range(5))
+    five = tuple(SignalChoice(signal="point", row=row, column=20, index=i) for i, (row, _) in enumerate(points))
+    with pytest.raises(InvalidValueError, match="breath_signals is 5: must be at most 4 signals"):
+        PipelineSettings(breath_signals=five)
+    with pytest.raises(InvalidValueError, match=r"breath_signals is .*: must be each signal once"):
+        PipelineSettings(breath_signals=(SignalChoice(), SignalChoice()))

@@ -1,0 +1,161 @@
+"""A surface that jumps is not skin: what comes to lie on the patient is lost, and stays so until it is gone."""
+
+import numpy as np
+import pytest
+
+from engine.motion.tracking.surface_continuity import FRAME_US, MAX_STEP_MM, ObservedSurface, SurfaceContinuity
+
+NODES = 135
+BREATH = np.linspace(0.2, 1.0, NODES)[None]
+REST_MM = np.full(NODES, 850.0)
+MARKERS_PX = np.array([[240.0, 110.0], [400.0, 110.0], [395.0, 380.0], [245.0, 380.0]])
+NOISE_MM = 5.0
+
+
+def seen(depth_mm, frame, moved_px=0.0):
+    return ObservedSurface(depth_mm=depth_mm, markers_px=MARKERS_PX + moved_px, timestamp_us=frame * FRAME_US)
+
+
+def sheet(thickness_mm):
+    depth = REST_MM.copy()
+    depth[40:70] -= thickness_mm
+    return depth
+
+
+@pytest.fixture
+def continuity():
+    fresh = SurfaceContinuity()
+    fresh.restart(1)
+    assert not fresh.rejection(seen(REST_MM, 0), BREATH, NOISE_MM)
+    return fresh
+
+
+def test_breathing_and_a_cough_are_believed(continuity):
+    depth = REST_MM
+    for frame in range(1, 40):
+        depth = depth - 1.6 * BREATH[0] * (1.0 if frame % 20 < 10 else -1.0)
+        assert not continuity.rejection(seen(depth, frame), BREATH, NOISE_MM)
+
+
+def test_a_sheet_is_doubted_for_as_long_as_it_lies_there_and_forgotten_when_it_is_gone(continuity):
+    for frame in range(1, 60):
+        breathing = sheet(4.0) - 3.0 * np.sin(frame / 10.0) * BREATH[0]
+        assert continuity.rejection(seen(breathing, frame), BREATH, NOISE_MM)
+    assert not continuity.rejection(seen(REST_MM - 6.0 * BREATH[0], 60), BREATH, NOISE_MM)
+    assert continuity.rejection(seen(sheet(4.0), 61), BREATH, NOISE_MM)
+
+
+def test_after_something_lay_in_the_view_only_the_same_shape_is_believed(continuity):
+    continuity.interrupt()
+    assert continuity.rejection(seen(sheet(3.0), 30), BREATH, NOISE_MM)
+    assert not continuity.rejection(seen(REST_MM - 8.0 * BREATH[0], 31), BREATH, NOISE_MM)
+
+
+def test_a_person_who_sets_the_zero_or_a_new_model_is_believed(continuity):
+    assert continuity.rejection(seen(sheet(4.0), 1), BREATH, NOISE_MM)
+    continuity.restart(1)
+    assert continuity.rejection(seen(sheet(4.0), 2), BREATH, NOISE_MM)
+    continuity.restart(2)
+    assert not continuity.rejection(seen(sheet(4.0), 3), BREATH, NOISE_MM)
+
+
+def test_a_sheet_over_one_side_is_no_patient_who_tilts(continuity):
+    one_side = REST_MM.reshape(15, 9).copy()
+    one_side[:, :5] -= 4.0
+    assert continuity.rejection(seen(one_side.ravel(), 1), BREATH, NOISE_MM)
+
+
+def test_a_patient_or_a_couch_that_moves_as_a_whole_is_followed_however_fast(continuity):
+    tilt = np.repeat(np.linspace(-4.0, 4.0, 15), 9)
+    assert not continuity.rejection(seen(REST_MM - 12.0 + tilt, 1), BREATH, NOISE_MM)
+    continuity.interrupt()
+    assert not continuity.rejection(seen(REST_MM + 9.0 - 5.0 * BREATH[0], 2), BREATH, NOISE_MM)
+
+
+def test_a_patient_who_takes_the_markers_along_is_followed(continuity):
+    assert not continuity.rejection(seen(sheet(9.0), 1, moved_px=8.0), BREATH, NOISE_MM)
+    assert continuity.rejection(seen(sheet(18.0), 2, moved_px=9.0), BREATH, NOISE_MM)
+
+
+def test_frames_that_nobody_saw_allow_for_what_they_hid_but_not_for_everything(continuity):
+    assert not continuity.rejection(seen(sheet(4.0), 4), BREATH, NOISE_MM)
+    assert continuity.rejection(seen(sheet(30.0), 400), BREATH, NOISE_MM)
+
+
+def test_a_noisier_sensor_is_allowed_more(continuity):
+    step = sheet(1.3 * MAX_STEP_MM)
+    assert continuity.rejection(seen(step, 1), BREATH, NOISE_MM)
+    fresh = SurfaceContinuity()
+    assert not fresh.rejection(seen(REST_MM, 0), BREATH, 12.0)
+    assert not fresh.rejection(seen(step, 1), BREATH, 12.0)
+
+
+def test_what_is_no_number_is_doubted(continuity):
+    assert continuity.rejection(seen(np.full(NODES, np.nan), 1), BREATH, NOISE_MM)
+
+
+def calm(seconds=2.0):
+    """A patient who was believed for some seconds of quiet breathing; and the next frame's number."""
+    fresh = SurfaceContinuity()
+    fresh.restart(1)
+    frames = round(seconds * 1e6 / FRAME_US)
+    for frame in range(frames):
+        assert not fresh.rejection(seen(REST_MM - 3.0 * np.sin(frame / 15.0) * BREATH[0], frame), BREATH, NOISE_MM)
+    return fresh, frames
+
+
+def cough(continuity, frame):
+    """Bend the body in jumps, with a surface in their midst that follows from the one before it."""
+    bent = [sheet(thickness_mm) for thickness_mm in (6.0, 11.0)]
+    assert continuity.rejection(seen(bent[0], frame), BREATH, NOISE_MM)
+    assert not continuity.rejection(seen(sheet(1.8), frame + 1), BREATH, NOISE_MM)
+    assert not continuity.rejection(seen(sheet(3.4), frame + 2), BREATH, NOISE_MM)
+    assert continuity.rejection(seen(bent[1], frame + 3), BREATH, NOISE_MM)
+    return frame + 4
+
+
+def test_after_a_cough_the_shape_of_the_calm_before_is_believed_again():
+    continuity, frame = calm()
+    frame = cough(continuity, frame)
+    assert not continuity.rejection(seen(REST_MM - 2.0 * BREATH[0], frame), BREATH, NOISE_MM)
+    assert not continuity.rejection(seen(REST_MM - 2.5 * BREATH[0], frame + 1), BREATH, NOISE_MM)
+
+
+def test_without_a_second_of_calm_there_is_nothing_else_to_come_back_to():
+    continuity, frame = calm(seconds=0.9)
+    frame = cough(continuity, frame)
+    assert continuity.rejection(seen(REST_MM, frame), BREATH, NOISE_MM)
+
+
+def test_a_sheet_that_is_let_down_step_by_step_between_doubts_is_not_the_calm_before():
+    continuity, frame = calm()
+    frame = cough(continuity, frame)
+    for _ in range(60):
+        assert continuity.rejection(seen(sheet(6.0), frame), BREATH, NOISE_MM)
+        frame += 1
+
+
+def test_a_patient_who_moved_does_not_come_back_to_where_they_lay():
+    continuity, frame = calm()
+    assert not continuity.rejection(seen(sheet(9.0), frame, moved_px=8.0), BREATH, NOISE_MM)
+    assert continuity.rejection(seen(sheet(20.0), frame + 1, moved_px=8.0), BREATH, NOISE_MM)
+    assert continuity.rejection(seen(REST_MM, frame + 2, moved_px=8.0), BREATH, NOISE_MM)
+
+
+def test_the_calm_of_another_zero_is_nothing_to_come_back_to():
+    continuity, frame = calm()
+    continuity.restart(2)
+    assert not continuity.rejection(seen(sheet(9.0), frame), BREATH, NOISE_MM)
+    assert continuity.rejection(seen(sheet(18.0), frame + 1), BREATH, NOISE_MM)
+    assert continuity.rejection(seen(REST_MM, frame + 2), BREATH, NOISE_MM)
+
+
+def test_a_second_of_calm_counts_from_where_the_patient_moved_to():
+    continuity, frame = calm()
+    assert not continuity.rejection(seen(sheet(9.0), frame, moved_px=8.0), BREATH, NOISE_MM)
+    assert not continuity.rejection(seen(sheet(10.8), frame + 1, moved_px=8.0), BREATH, NOISE_MM)
+    assert continuity.rejection(seen(sheet(16.0), frame + 2, moved_px=8.0), BREATH, NOISE_MM)
+    for step, thickness_mm in enumerate((9.2, 7.6, 6.0), start=3):  # down again, each a little from the one before
+        assert not continuity.rejection(seen(sheet(thickness_mm), frame + step, moved_px=8.0), BREATH, NOISE_MM)
+    assert continuity.rejection(seen(sheet(1.0), frame + 6, moved_px=8.0), BREATH, NOISE_MM)
+    assert continuity.rejection(seen(sheet(9.0), frame + 7, moved_px=8.0), BREATH, NOISE_MM)

@@ -1,0 +1,170 @@
+"""Tapes that an earlier version wrote are read, and replay to the same outcome."""
+
+import dataclasses
+import enum
+import json
+import re
+import zlib
+
+import pytest
+from typer.testing import CliRunner
+
+from engine.capture.source import SourceDescription
+from engine.core.commands import ActivateModel, Arm
+from engine.core.gate_state import GateState
+from engine.core.motion_model import MotionModel
+from engine.offline.replay.encoding import TapeEncoding
+from engine.offline.replay.tape_file import read_tape
+from service.cli import app
+from service.core.settings.database_place import DATABASE_NAME
+from service.sessions.recovery.replay import StoredSession
+from service.storage.database.engine import Database
+from service.storage.files.motion_models import MODELS_FOLDER, ModelStore
+from service.storage.files.tapes import tape_path
+from tests.support import earlier_files
+from tests.support.earlier_files import KILLED, LEARNING, RESUMED, TAPE
+from tests.support.replay import scripted_tape
+
+FRAMES = {LEARNING: 281, RESUMED: 238}
+TRANSITIONS = {LEARNING: 21, RESUMED: 33}
+CLASSES = 24
+ENUMS = 7
+INPUTS = 17
+COMMANDS = 5
+"""How many kinds of input a turn of ``tidegate.tape/1`` may have, and the number of the one for commands."""
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    return earlier_files.unpacked("folders.tar.xz", tmp_path_factory.mktemp("folders"))
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    return earlier_files.unpacked("recording.tar.xz", tmp_path_factory.mktemp("recording")) / "recording.oni"
+
+
+@pytest.fixture(scope="module")
+def spelling(folders):
+    """A spelling that gives one of the stored models for every name."""
+    path = min((folders / "data" / MODELS_FOLDER).glob("*.npz"))
+    model = ModelStore(path.parent).load(path.stem)
+    return TapeEncoding(name_of=lambda _model: "model", model_of=lambda _name: model)
+
+
+def as_words(value):
+    """Put a value into plain words: what a tape says of it, without the names of classes."""
+    if isinstance(value, enum.Enum):
+        return value.value
+    if isinstance(value, MotionModel):
+        return "model"
+    if dataclasses.is_dataclass(value):
+        return {field.name: as_words(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, list | tuple):
+        return [as_words(one) for one in value]
+    if isinstance(value, frozenset):
+        return sorted(as_words(one) for one in value)
+    return value
+
+
+def without_names(words):
+    """Put a tape's words into the same plain words."""
+    if not isinstance(words, dict):
+        return words
+    ((kind, body),) = words.items()
+    match kind:
+        case "e":
+            return body[1]
+        case "d":
+            return {name: without_names(one) for name, one in body[1].items()}
+        case "m":
+            return "model"
+        case "s":
+            return sorted(without_names(one) for one in body)
+    return [without_names(one) for one in body]
+
+
+def lacking(told, read, path=""):
+    """Name the places where a read value lacks or alters what the tape says; it may have new fields."""
+    if isinstance(told, dict) and isinstance(read, dict):
+        return [found for name in told for found in lacking(told[name], read.get(name), f"{path}.{name}")]
+    if isinstance(told, list) and isinstance(read, list) and len(told) == len(read):
+        return [found for place, one in enumerate(told) for found in lacking(one, read[place], f"{path}[{place}]")]
+    return [] if told == read else [f"{path}: {told!r} was written, {read!r} is read"]
+
+
+def names_in(words, kind):
+    """Collect the names of the classes ("d") or enums ("e") in a tape's words."""
+    if isinstance(words, dict):
+        own = {body[0] for key, body in words.items() if key == kind}
+        return own.union(*(names_in(body, kind) for body in words.values()))
+    return set().union(*(names_in(one, kind) for one in words)) if isinstance(words, list) else set()
+
+
+def test_every_class_and_every_enum_that_a_tape_names_is_read_with_all_that_it_held(spelling):
+    values = read_tape(TAPE).head["values"]
+    assert len(names_in(values, "d")) == CLASSES
+    assert len(names_in(values, "e")) == ENUMS
+    for words in values["l"]:
+        assert lacking(without_names(words), as_words(spelling.read(words))) == [], words
+    read = spelling.read(values)
+    assert any(isinstance(value, Arm) for value in read)
+    assert any(isinstance(value, ActivateModel) for value in read)
+    assert any(isinstance(value, SourceDescription) for value in read)
+
+
+def test_an_earlier_scripted_session_comes_out_the_same(spelling, monkeypatch):
+    monkeypatch.setattr(scripted_tape, "NO_MODELS", spelling)
+    tape = read_tape(TAPE)
+    limits = spelling.read(tape.head["limits"])
+    rows = [row for turn in tape.turns() for row in turn.rows]
+    again = scripted_tape.replayed(TAPE, limits)
+    assert again.difference is None
+    assert again.frames == sum("gate" in row for row in rows) > 150
+    assert again.transitions == [row for row in rows if "to" in row]
+    states = {row["to"] for row in again.transitions}
+    assert states == {"disarmed", "hold", "dwell", "beam_on", "fault"} == {state.value for state in GateState}
+    assert {row["reason"] for row in again.transitions} >= {"operator_hold", "operator_lost", "disk_low"}
+
+
+@pytest.mark.parametrize("session_id", [LEARNING, RESUMED])
+def test_an_earlier_session_replays_to_the_same_decisions_samples_and_audit(folders, recording, session_id):
+    data = folders / "data"
+    database = Database(data / DATABASE_NAME)
+    try:
+        verdict = StoredSession(database, data, session_id).run_again(recording, lambda _frames: None)
+    finally:
+        database.close()
+    assert verdict.differences == []
+    assert verdict.replay.is_whole
+    assert verdict.replay.frames == verdict.samples == FRAMES[session_id]
+    assert verdict.audited == TRANSITIONS[session_id]
+    assert "beam_on" in {row["to"] for row in verdict.replay.transitions}
+
+
+@pytest.mark.parametrize("session_id", [LEARNING, RESUMED, KILLED])
+def test_the_command_replays_an_earlier_session(folders, recording, session_id):
+    data = folders / ("killed/data" if session_id == KILLED else "data")
+    wish = ["replay", session_id, "--data", data, "--recording", recording, "--any-version"]
+    answer = CliRunner().invoke(app, [str(word) for word in wish])
+    assert answer.exit_code == 0, answer.output
+    frames = int(re.search(r"(\d+) frames, \d+ transitions", answer.output)[1])
+    assert frames == FRAMES.get(session_id, frames) > 0
+
+
+def lines_of(path):
+    """Read a tape's lines without the engine: head, turns, end."""
+    return [json.loads(line) for line in zlib.decompress(path.read_bytes()).splitlines()]
+
+
+def test_the_tapes_hold_every_kind_of_input_every_command_and_faults(folders):
+    paths = [TAPE, *(tape_path(folders / "data", one) for one in (LEARNING, RESUMED))]
+    turns = [line for path in paths for line in lines_of(path) if "h" in line]
+    heard = [pair for turn in turns for pair in zip(turn["h"][::2], turn["h"][1::2], strict=True)]
+    assert {kind for kind, _ in heard} == set(range(1, INPUTS + 1))
+    commands = set().union(*(names_in(answer, "d") for kind, answer in heard if kind == COMMANDS))
+    assert len(commands) == 10, commands
+    faults = {
+        row["reason"] for turn in turns for row in turn.get("r", []) + turn.get("e", []) if row.get("to") == "fault"
+    }
+    assert faults >= {"watchdog", "disk_low"}

@@ -1,0 +1,157 @@
+"""The fail-safe drill finds what it is for, and leaves every line off."""
+
+import threading
+
+import pytest
+
+from engine.beam.simulated import SimulatedBeamLine
+from engine.core.clock import NS_PER_S, MonotonicClock
+from engine.core.errors import InvalidValueError
+from engine.core.gate_state import HoldReason
+from engine.verification.qa.bounds import QaBaseline, QaBounds
+from engine.verification.qa.checks import check_of
+from engine.verification.qa.drill import DRILLS, drill_line
+from engine.verification.qa.inputs import BeamInput
+from engine.verification.qa.results import QaKind, QaNeed, QaVerdict
+from engine.verification.qa.run import judge_all
+from tests.support.qa.faulty_lines import (
+    Dead,
+    DeafToHolds,
+    DeafToLeases,
+    DiesOnTheWay,
+    DropsEarly,
+    Line,
+    NeverLatches,
+    NeverOn,
+    OnByItself,
+    OnWhenArmed,
+    SlowLeases,
+    SlowOnce,
+    SlowToHold,
+    beam_of,
+)
+
+LINES = (Dead, DeafToLeases, DiesOnTheWay, Line, NeverLatches, NeverOn, OnByItself, OnWhenArmed, SlowLeases, SlowToHold)
+
+
+def drilled(given, on_pulse=lambda _done: None):
+    figures = drill_line(given, on_pulse)
+    results = judge_all(QaKind.DAILY, figures, QaBounds(), QaBaseline())
+    return {result.code: result for result in results if check_of(result.code).needs is QaNeed.BEAM}
+
+
+def failed(results):
+    return {code for code, result in results.items() if result.verdict is QaVerdict.FAIL}
+
+
+def test_a_healthy_line_passes_every_drill():
+    results = drilled(beam_of())
+    assert {result.verdict for result in results.values()} == {QaVerdict.PASS}
+    assert all("5 times" in results[f"fail_safe_{name}_ms"].detail for name in DRILLS)
+    assert results["beam_readback_errors"].value == 0.0
+
+
+@pytest.mark.parametrize(
+    ("line", "drills", "says"),
+    [
+        (SlowToHold, {"hold", "fault"}, ""),
+        (DeafToLeases, {"lease"}, "never read back off"),
+        (SlowLeases, {"lease"}, ""),
+        (NeverLatches, {"fault", "watchdog"}, "not refused"),
+        (OnByItself, {"fault", "watchdog"}, "went on by itself"),
+        (OnWhenArmed, {"fault", "watchdog"}, "without a permit"),
+        (NeverOn, set(DRILLS), "never read back on"),
+        (Dead, set(DRILLS), "nobody answers"),
+        (DiesOnTheWay, set(DRILLS), "cable is out"),
+    ],
+)
+def test_each_fault_of_a_line_fails_its_drill_and_is_named(line, drills, says):
+    results = drilled(beam_of(line))
+    codes = {f"fail_safe_{name}_ms" for name in drills}
+    assert codes <= failed(results)
+    if line not in {NeverOn, Dead, DiesOnTheWay, SlowToHold}:
+        others = {f"fail_safe_{name}_ms" for name in DRILLS} - codes
+        assert not others & failed(results)
+    assert any(says in results[code].detail for code in codes)
+
+
+def test_how_late_a_hold_and_a_lease_are_is_told_from_when_they_should_have_been_obeyed():
+    assert drilled(beam_of(SlowToHold))["fail_safe_hold_ms"].value == pytest.approx(130.0, abs=2.0)
+    assert drilled(beam_of(SlowLeases))["fail_safe_lease_ms"].value == pytest.approx(130.0, abs=2.0)
+
+
+def test_the_slowest_of_all_times_is_what_counts():
+    results = drilled(beam_of(SlowOnce))
+    assert results["fail_safe_hold_ms"].value == pytest.approx(130.0, abs=2.0)
+    assert results["fail_safe_hold_ms"].verdict is QaVerdict.FAIL
+    assert failed(results) <= {"fail_safe_hold_ms", "beam_readback_off_ms"}
+
+
+def test_an_engine_that_stops_with_nobody_watching_fails_though_the_lease_takes_the_beam_off():
+    results = drilled(beam_of(has_watchdog=False))
+    assert failed(results) == {"fail_safe_watchdog_ms", "beam_readback_errors"}
+    assert "lease ended" in results["fail_safe_watchdog_ms"].detail
+
+
+@pytest.mark.parametrize("line", [DropsEarly, DeafToHolds])
+def test_a_line_that_went_off_otherwise_proves_no_watchdog(line):
+    # With so short a lease its end comes within the watchdog's bound.
+    results = drilled(beam_of(line, pulse_ms=130.0))
+    assert results["fail_safe_watchdog_ms"].value is None
+    assert "watchdog" in results["fail_safe_watchdog_ms"].detail
+
+
+@pytest.mark.parametrize("line", LINES, ids=lambda line: line.__name__)
+def test_every_line_is_held_before_it_is_closed_and_off_at_the_end(line):
+    given = beam_of(line)
+    drill_line(given, lambda _done: None)
+    told = given.line.told
+    last_permit = max((n for n, what in enumerate(told) if what == "permit"), default=-1)
+    assert "hold" in told[last_permit + 1 : len(told) - told[::-1].index("close")]
+    assert told.count("close") == 1
+    given.wait_ns(NS_PER_S)
+    assert not given.line.is_on()
+
+
+@pytest.mark.parametrize("cancelled_at", range(0, 21, 3))
+def test_a_drill_that_is_cancelled_ends_with_the_line_held_and_closed(cancelled_at):
+    given = beam_of()
+
+    class Cancelled(Exception):  # noqa: N818 - a caller's own
+        pass
+
+    def on_pulse(done):
+        if done == cancelled_at:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        drill_line(given, on_pulse)
+    assert not given.line.is_on()
+    assert given.line.told[-2:] == ["close", "hold"]
+    assert "permit" not in given.line.told[-4:]
+
+
+def test_whoever_wants_to_know_is_told_after_every_drill():
+    done = []
+    drill_line(beam_of(repeats=6), done.append)
+    assert done == list(range(6 * len(DRILLS) + 1))
+
+
+def test_a_real_watchdog_in_its_own_thread_holds_the_line_in_real_time():
+    clock = MonotonicClock()
+    line = SimulatedBeamLine(clock)
+    given = BeamInput(line=line, clock=clock, wait_ns=lambda ns: threading.Event().wait(ns / NS_PER_S), repeats=5)
+    drill_line(given, lambda _done: None)
+    assert HoldReason.WATCHDOG in {edge.reason for edge in line.edges}
+    assert not line.is_on()
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("pulse_ms", 250.0), ("pulse_ms", float("nan")), ("repeats", 4), ("watchdog_ms", 39.0), ("watchdog_ms", 101.0)],
+)
+def test_numbers_out_of_their_bounds_are_refused_by_name(field, value):
+    clock = MonotonicClock()
+    with pytest.raises(InvalidValueError) as refusal:
+        BeamInput(line=SimulatedBeamLine(clock), clock=clock, wait_ns=lambda _ns: None, **{field: value})
+    assert refusal.value.field == f"beam.{field}"

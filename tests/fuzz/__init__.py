@@ -1,5 +1,0 @@
-"""Fuzzing of everything that reads what strangers wrote: targets, corpus, driver, record.
-
-Each target is a reader and the errors it may raise; anything else that comes out of it is a finding. `make fuzz` runs
-them under atheris, `python -m tests.fuzz --replay FILE` reads one input again, and `make test` replays the corpus.
-"""

@@ -1,0 +1,260 @@
+"""An armed gate belongs to somebody who is there: whose log-in ends, by whatever way, has the beam held."""
+
+from datetime import timedelta
+
+import pytest
+from sqlalchemy.exc import OperationalError
+
+from engine.core.commands import Arm, HoldBeam
+from service.access import armed_operator
+from service.access.accounts.people import Change
+from service.access.armed_operator import ArmedOperator
+from service.access.request.identity import Identity
+from service.core.errors import EngineTimeoutError
+from service.core.permissions import KEY_PERMISSIONS, Role
+from tests.support.service.api_calls import act, audit_rows
+from tests.support.service.fake_engine import REFUSED
+from tests.support.waiting import eventually
+
+ARMS = "A. Therapist"
+
+
+@pytest.fixture
+def armed(client, session_id, running):
+    client.app.state.armed_operator.close()  # looks when the test says so
+    client.headers_as("B. Physicist")
+    assert act(client, session_id, "arm").status_code == 200
+    running.frame()
+    return running
+
+
+def look(client):
+    client.app.state.armed_operator.check()
+
+
+def holds(running):
+    return [command for command in running.commands if isinstance(command, HoldBeam)]
+
+
+def test_while_whoever_armed_is_there_nothing_is_held(client, armed):
+    look(client)
+    assert holds(armed) == []
+
+
+def log_out(client):
+    assert client.post("/api/v1/logout", json={"operator": ARMS}).status_code == 204
+
+
+def disable(client):
+    client.desk.accounts.change(ARMS, Change(is_disabled=True), by="test")
+
+
+def let_idle(client):
+    store = client.desk.store
+    now = store.now() + timedelta(hours=1)
+    store.now = lambda: now
+
+
+def take_the_role(client):
+    client.desk.accounts.change(ARMS, Change(roles=frozenset({Role.VIEWER})), by="test")
+
+
+@pytest.mark.parametrize("ends", [log_out, disable, let_idle, take_the_role])
+def test_a_log_in_that_ends_by_itself_turns_nothing_on_and_has_the_beam_held_once(
+    client,
+    session_id,
+    armed,
+    ends,
+):
+    before = list(armed.commands)
+    ends(client)
+    assert armed.commands == before
+    look(client)
+    look(client)
+    assert holds(armed) == [HoldBeam(operator="tidegate")]
+    client.desk.store.now = type(client.desk.store)(None).now
+    client.speaks_as = "B. Physicist"
+    row = audit_rows(client, "session.hold")[-1]
+    assert (row["actor"], row["outcome"], row["detail"]["armed_by"]) == ("tidegate", "done", ARMS)
+
+
+def test_another_holds_stops_and_goes_on_where_one_s_log_in_has_ended(client, session_id, armed):
+    log_out(client)
+    look(client)
+    assert act(client, session_id, "hold", operator="B. Physicist").status_code == 200
+    assert act(client, session_id, "release", operator="B. Physicist").status_code == 200
+    look(client)
+    assert len(holds(armed)) == 2
+    assert act(client, session_id, "stop", operator="B. Physicist").status_code == 200
+
+
+def test_a_person_who_is_logged_in_elsewhere_is_there(client, armed):
+    from tests.support.service.accounts import open_login
+
+    open_login(client.desk.store, ARMS)
+    log_out(client)
+    look(client)
+    assert holds(armed) == []
+
+
+def test_a_gate_that_is_not_armed_is_not_held_over_a_log_in(client, session_id, armed):
+    act(client, session_id, "disarm")
+    armed.frame()
+    log_out(client)
+    look(client)
+    assert holds(armed) == []
+
+
+def test_a_machine_whose_key_is_revoked_is_not_there(client, session_id, armed):
+    desk = client.desk
+    made = desk.keys.create("planning", KEY_PERMISSIONS, desk.store.now() + timedelta(days=1), by="test")
+    bearer = {"Authorization": f"Bearer {made.secret}"}
+    client.speaks_as = None
+    url = f"/api/v1/sessions/{session_id}/arm"
+    answer = client.post(
+        url, content=b'{"operator": "C. Nurse"} ', headers={**bearer, "Content-Type": "application/json"}
+    )
+    assert answer.status_code == 200, answer.text
+    assert Arm(operator="key:planning") in armed.commands
+    look(client)
+    assert holds(armed) == []
+    desk.keys.revoke(made.key.id, by="test")
+    look(client)
+    assert len(holds(armed)) == 1
+
+
+def test_a_machine_of_the_identity_provider_counts_as_there(client):
+    assert client.desk.authenticator.is_present(Identity(kind="machine", name="m", permissions=KEY_PERMISSIONS))
+    assert not client.desk.authenticator.is_present(Identity(kind="user", name="nobody", permissions=KEY_PERMISSIONS))
+
+
+def test_the_look_is_every_second_and_goes_on_after_a_failure():
+    asked = []
+
+    def is_present(_identity):
+        asked.append(1)
+        raise OSError
+
+    looks = ArmedOperator(is_present=is_present, is_armed=lambda _id: True, hold=lambda *_: None)
+    looks.set_operator("s", Identity(kind="user", name="x", permissions=frozenset()))
+    assert armed_operator.INTERVAL_S <= 1.0
+    looks.start()
+    eventually(lambda: len(asked) >= 2)
+    looks.close()
+
+
+def fail_to_write(client, monkeypatch, action):
+    """The database goes between what the engine did and the row that says so."""
+    log = client.app.state.services.runner._log
+    write = log.write
+
+    def refuse(event):
+        if (event.action, event.outcome) == (action, "done"):
+            raise OperationalError("INSERT", {}, OSError("locked"))
+        write(event)
+
+    monkeypatch.setattr(log, "write", refuse)
+
+
+def test_whoever_armed_answers_for_the_gate_though_no_row_could_say_that_they_did(
+    client, session_id, running, monkeypatch
+):
+    client.app.state.armed_operator.close()
+    client.headers_as("B. Physicist")
+    fail_to_write(client, monkeypatch, "session.arm")
+    assert act(client, session_id, "arm").status_code == 503
+    running.frame()
+    log_out(client)
+    look(client)
+    assert holds(running) == [HoldBeam(operator="tidegate")]
+
+
+def test_whoever_released_answers_for_the_gate_though_no_row_could_say_that_they_did(
+    client, session_id, armed, monkeypatch
+):
+    act(client, session_id, "hold")
+    fail_to_write(client, monkeypatch, "session.release")
+    assert act(client, session_id, "release", operator="B. Physicist").status_code == 503
+    log_out(client)
+    look(client)
+    assert holds(armed) == [HoldBeam(operator=ARMS)]
+
+
+def test_whoever_s_arming_was_not_answered_in_time_answers_for_a_gate_that_is_armed_all_the_same(
+    client, session_id, running
+):
+    client.app.state.armed_operator.close()
+    client.headers_as("B. Physicist")
+    running.is_silent = True
+    assert act(client, session_id, "arm").json()["code"] == "engine_timeout"
+    log_out(client)
+    look(client)  # the engine has not come to it
+    running.is_silent = False
+    running.submit(Arm(operator=ARMS))  # and does: it was taken a moment before it was taken back
+    running.frame()
+    look(client)
+    assert holds(running) == [HoldBeam(operator="tidegate")]
+
+
+def test_a_log_in_that_ends_before_a_frame_shows_the_gate_armed_has_it_held_then(client, session_id, running):
+    client.app.state.armed_operator.close()
+    client.headers_as("B. Physicist")
+    assert act(client, session_id, "arm").status_code == 200
+    log_out(client)
+    look(client)
+    running.frame()
+    look(client)
+    assert holds(running) == [HoldBeam(operator="tidegate")]
+
+
+def test_whose_arming_is_refused_does_not_answer_for_another_one_s_gate(client, session_id, armed):
+    armed.refuse_with = REFUSED
+    assert act(client, session_id, "arm", operator="B. Physicist").status_code == 409
+    armed.refuse_with = None
+    log_out(client)
+    look(client)
+    assert holds(armed) == [HoldBeam(operator="tidegate")]
+
+
+def test_a_hold_that_fails_is_tried_again_at_the_next_look():
+    tried = []
+
+    def hold(session_id, _identity):
+        tried.append(session_id)
+        if len(tried) == 1:
+            raise EngineTimeoutError("not in time")
+
+    looks = ArmedOperator(is_present=lambda _identity: False, is_armed=lambda _id: True, hold=hold)
+    looks.set_operator("s", Identity(kind="user", name="x", permissions=frozenset()))
+    with pytest.raises(EngineTimeoutError):
+        looks.check()
+    looks.check()
+    looks.check()
+    assert tried == ["s", "s"]
+
+
+def test_whoever_releases_while_the_gate_is_being_held_answers_for_it():
+    held = []
+
+    def hold(_session_id, identity):
+        held.append(identity.name)
+        if identity is first:  # the hold is done, its row is not: another releases
+            looks.set_operator("s", second)
+
+    first, second = (Identity(kind="user", name=name, permissions=frozenset()) for name in "ab")
+    looks = ArmedOperator(is_present=lambda _identity: False, is_armed=lambda _id: True, hold=hold)
+    looks.set_operator("s", first)
+    for _ in range(3):
+        looks.check()
+    assert held == ["a", "b"]
+
+
+def test_whoever_answers_again_after_a_hold_in_their_name_is_looked_for_again():
+    held = []
+    looks = ArmedOperator(is_present=lambda _identity: False, is_armed=lambda _id: True, hold=lambda *_: held.append(1))
+    identity = Identity(kind="user", name="x", permissions=frozenset())
+    for _ in range(2):
+        looks.set_operator("s", identity)
+        looks.check()
+        looks.check()
+    assert len(held) == 2

@@ -1,0 +1,197 @@
+"""What crosses between the two processes arrives as what it was."""
+
+import dataclasses
+import os
+import pickle
+import socket
+import threading
+
+import numpy as np
+import pytest
+
+import service.web.app  # noqa: F401 - for the errors of all it is made of
+from engine.core.commands import ActivateModel, Arm
+from engine.core.errors import InvalidValueError, ModelMismatchError, TidegateError, TrainingRefusedError
+from engine.core.patient_match import PatientMatch
+from service.engine_host.process.channels import LARGE_BYTES, BulkChannel, ChannelClosedError, ControlChannel, pack
+from service.engine_host.process.messages import CommandMessage, EngineFailedError, portable
+from service.engine_host.process.shared_page import PICTURE_BYTES, PICTURES, SharedPage
+from tests.support.engine_process.bench import make_plan
+
+OTHER_ARGUMENTS = {
+    InvalidValueError: ("window.lower_mm", 3.0, "less than 2"),
+    ModelMismatchError: ("model.patient", "P-1", "P-2", "learn a new one"),
+    TrainingRefusedError: ("training.amplitude", 0.2, "at least 0.6", "breathe"),
+}
+
+
+def _all_errors():
+    """Every error that the engine's process knows, and more: what was imported here is all of the service."""
+    waiting, found = [TidegateError], []
+    while waiting:
+        kind = waiting.pop()
+        found.append(kind)
+        waiting += kind.__subclasses__()
+    return [kind for kind in dict.fromkeys(found) if not kind.__module__.startswith("tests")]
+
+
+def _made(kind):
+    """An error of this class, however its constructor is called."""
+    known = next((OTHER_ARGUMENTS[one] for one in kind.__mro__ if one in OTHER_ARGUMENTS), None)
+    for arguments in (known, ("what was wrong",), (), (3,), ("a", "b"), ("a", "b", "c")):
+        if arguments is None:
+            continue
+        try:
+            return kind(*arguments)
+        except (TypeError, AttributeError):
+            continue
+    return _bare(kind)
+
+
+def _bare(kind):
+    error = kind.__new__(kind)
+    error.args = ("what was wrong",)
+    error.field = "a field"
+    return error
+
+
+@pytest.fixture
+def channels():
+    here, there = socket.socketpair()
+    ends = BulkChannel(here), BulkChannel(there)
+    yield ends
+    for end in ends:
+        end.close()
+
+
+def _crossed(message, channels):
+    here, there = channels
+    sending = threading.Thread(target=here.send, args=(message,), daemon=True)
+    sending.start()
+    found = there.receive()
+    sending.join()
+    return found
+
+
+@pytest.fixture(scope="module")
+def errors():
+    return _all_errors()
+
+
+def test_every_error_of_ours_arrives_as_its_class_with_its_fields(channels, errors):
+    assert len(errors) > 40
+    for kind in errors:
+        error = _made(kind)
+        found = _crossed(error, channels)
+        assert type(found) is kind
+        assert (str(found), found.args, found.__dict__, found.code) == (
+            str(error),
+            error.args,
+            error.__dict__,
+            kind.code,
+        )
+
+
+def test_an_error_that_nobody_raised_on_purpose_arrives_by_its_kind_alone():
+    found = portable(KeyError("P-0001"))
+    assert type(found) is EngineFailedError
+    assert str(found) == "KeyError", "its message may be about a patient"
+    ours = InvalidValueError("a", 1, "2")
+    assert portable(ours) is ours
+
+
+def test_an_error_inside_of_a_value_crosses_too(channels):
+    refusal = ModelMismatchError("model.shift", "9 mm", "at most 6 mm", "learn a new one")
+    likeness = PatientMatch(
+        frames=3,
+        explained_share=1.0,
+        residual_mm=None,
+        shift_mm=(9.0, 0.0, 0.0),
+        tilt_deg=0.0,
+        shape_mm=0.0,
+        refusal=refusal,
+    )
+    found = _crossed(likeness, channels)
+    assert str(found.refusal) == str(refusal)
+    assert dataclasses.replace(found, refusal=None) == dataclasses.replace(likeness, refusal=None)
+
+
+@pytest.mark.parametrize("size", [0, 7, LARGE_BYTES // 8 - 1, LARGE_BYTES // 8, 200_000])
+@pytest.mark.parametrize("is_whole", [True, False])
+def test_arrays_of_any_size_arrive_whole_and_read_only(channels, size, is_whole):
+    array = np.arange(2.0 * size)[:: 1 if is_whole else 2].reshape(2, -1) if size % 2 == 0 else np.arange(float(size))
+    found = _crossed({"array": array, "empty": np.empty((0, 3)), "flags": np.array([True, False])}, channels)
+    assert np.array_equal(found["array"], array)
+    assert (found["array"].dtype, found["array"].shape) == (array.dtype, array.shape)
+    assert not found["array"].flags.writeable
+    assert found["empty"].shape == (0, 3)
+    assert found["flags"].tolist() == [True, False]
+
+
+def test_a_large_array_is_not_copied_into_its_message():
+    array = np.zeros((3, 350, 200), np.float32)
+    body, beside = pack({"model": array})
+    assert len(body) < 1_000
+    assert [one.nbytes for one in beside] == [array.nbytes]
+    assert np.shares_memory(np.frombuffer(beside[0], np.float32), array)
+
+
+def test_a_plan_arrives_as_it_was(channels):
+    plan = make_plan()
+    found = _crossed(plan, channels)
+    assert found.calibration.sha256 == plan.calibration.sha256
+    assert (found.window, found.regions, found.source) == (plan.window, plan.regions, plan.source)
+
+
+def test_a_whisper_that_finds_no_room_is_not_sent_and_nobody_waits():
+    here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    control, other = ControlChannel(here), ControlChannel(there)
+    order = CommandMessage(number=1, slot=0, command=Arm(operator="ann"), submitted_ns=0)
+    sent = 0
+    while control.send(order):
+        sent += 1
+    assert sent > 50
+    for _ in range(sent):
+        assert other.receive().command == order.command
+    assert control.send(order)
+    control.close()
+    assert other.receive().number == 1
+    with pytest.raises(ChannelClosedError):
+        other.receive()
+    assert not other.send(order)
+    other.close()
+
+
+def test_who_hangs_up_is_heard_at_once(channels):
+    here, there = channels
+    here.close()
+    with pytest.raises(ChannelClosedError):
+        there.receive()
+    with pytest.raises(ChannelClosedError):
+        there.send(ActivateModel(operator="ann", model=None))
+
+
+def test_a_picture_that_a_newer_one_came_over_is_not_shown_half():
+    file = SharedPage.make()
+    writing, reading = SharedPage(file), SharedPage(file)
+    os.close(file)
+    pictures = [np.full((48, 64, 3), number, np.uint8) for number in range(5)]
+    for number in range(PICTURES):
+        assert writing.write_picture(number, pictures[number])
+    assert np.array_equal(reading.read_picture(1, (48, 64, 3)), pictures[1])
+    assert writing.write_picture(PICTURES + 1, pictures[4])
+    assert reading.read_picture(1, (48, 64, 3)) is None
+    assert not writing.write_picture(9, np.zeros(PICTURE_BYTES + 1, np.uint8))
+    assert not reading.is_cancelled(3)
+    writing.mark_cancelled(3)
+    assert reading.is_cancelled(3)
+    writing.clear(3)
+    assert not reading.is_cancelled(3)
+    for page in (writing, reading):
+        page.close()
+
+
+def test_nothing_that_leaves_a_process_is_read_by_a_plain_pickle_of_errors():
+    """Why errors need a way of their own: the plain one calls their constructor with a message."""
+    with pytest.raises(TypeError):
+        pickle.loads(pickle.dumps(InvalidValueError("a", 1, "2")))

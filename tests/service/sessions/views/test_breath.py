@@ -1,0 +1,70 @@
+"""The breath and the breath hold on their way out: what is known with its figures, what is not as null with why."""
+
+import json
+from dataclasses import replace
+
+from engine.core.breath import Breath, BreathEvent, BreathEventKind, SignalChoice
+from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, ConditionState, HoldStage, JoinedWindow
+from service.sessions.views.breath import live_breath, live_breath_hold
+from tests.support.service.fake_engine import FakeRunning
+
+THORAX = SignalChoice(signal="thorax")
+HOLD = BreathHoldWindow(level=AmplitudeWindow(lower=8.0, upper=12.0), settle_ms=1_500.0, timeout_s=20.0)
+
+
+def view_of(**options):
+    running = FakeRunning(None)
+    for name, value in options.items():
+        setattr(running, name, value)
+    for _ in range(31):
+        running.frame()
+    return running.latest
+
+
+def test_the_breath_told_is_that_of_the_first_gated_signal():
+    breaths = (Breath(signal=THORAX, rate_per_min=9.0), Breath(rate_per_min=14.0))
+    assert live_breath(view_of(breaths=breaths)).rate_per_min == 14.0
+    assert live_breath(view_of(breaths=breaths[:1])) is None
+    assert live_breath(view_of()) is None
+
+
+def test_what_is_not_known_is_null_and_says_why():
+    told = live_breath(view_of(breaths=(Breath(note="too little seen yet", drift=float("nan")),)))
+    assert (told.phase_percent, told.note, told.drift, told.rate_per_min) == (None, "too little seen yet", None, None)
+    known = live_breath(view_of(breaths=(Breath(phase_percent=12.34567, note="stays"),)))
+    assert (known.phase_percent, known.note) == (12.3457, "")
+    assert "NaN" not in json.dumps(told.model_dump())
+
+
+def test_events_say_since_when_they_are_under_way():
+    at_us = 30 * 33_370
+    event = BreathEvent(kind=BreathEventKind.APNOEA, start_us=at_us - 2_500_000, confidence=0.81, detail="x")
+    (told,) = live_breath(view_of(breaths=(Breath(events=(event,)),))).events
+    assert (told.kind, told.since_s, told.confidence, told.detail) == ("apnoea", 2.5, 0.81, "x")
+
+
+def test_a_breath_hold_tells_its_stage_its_seconds_and_how_many_there_were():
+    at_us = 30 * 33_370
+    state = ConditionState(stage=HoldStage.HELD, since_us=at_us - 4_250_000, holds=3)
+    told = live_breath_hold(view_of(window=HOLD, conditions=(state,)))
+    assert told.model_dump() == {
+        "hold": "inspiration",
+        "stage": "held",
+        "count": 3,
+        "seconds": 4.25,
+        "settle_s": 1.5,
+        "timeout_s": 20.0,
+    }
+
+
+def test_nobody_counts_while_a_hold_is_awaited_and_a_window_without_one_tells_none():
+    assert live_breath_hold(view_of(window=HOLD, conditions=(ConditionState(),))).seconds is None
+    assert live_breath_hold(view_of()) is None
+
+
+def test_a_breath_hold_is_found_behind_another_condition_even_before_the_first_judgement():
+    window = JoinedWindow(conditions=(AmplitudeWindow(lower=-1.0, upper=3.0), HOLD))
+    states = (ConditionState(), ConditionState(stage=HoldStage.SETTLING, since_us=30 * 33_370))
+    assert live_breath_hold(view_of(window=window, conditions=states)).stage == "settling"
+    view = view_of(window=window, conditions=states)
+    assert live_breath_hold(replace(view, conditions=())).stage == "awaited"

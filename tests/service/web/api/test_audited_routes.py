@@ -1,0 +1,67 @@
+"""No route changes anything, or hands anything out, without a row that says so."""
+
+import re
+
+import pytest
+
+from service.access.request.rules import TAKES_PERMISSION_AWAY
+from service.storage.audit.formats.codes import FAMILIES, MEANINGS
+from service.storage.audit.forwarding.forwarder import FAILED
+from service.storage.audit.startup import CLOCK_CHANGED, SETTINGS_CHANGED
+from service.storage.audit.supervision import BROKEN
+from service.storage.database.queries import TRANSITION
+from tests.support.documents.audit_routes import DOCUMENT, EXPORTS, MADE, NOT_AUDITED, UNSAFE, audited, operations
+from tests.support.generated_sections import part_of
+from tests.support.repository import ROOT
+from tests.support.service.accounts import PeopleClient
+from tests.support.service.api_calls import audit_rows
+
+PLACES = dict.fromkeys(("session_id", "plan_id", "model_id", "run_id", "key_id", "login_id"), "0" * 32) | {
+    "name": "nobody"
+}
+BEFORE_ANYBODY_IS_KNOWN = ("POST", "/api/v1/login")
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory):
+    from service.core.settings.settings import Settings
+    from service.web.app import create_app
+    from tests.support.service.fake_engine import FakeEngine
+
+    settings = Settings(data_dir=tmp_path_factory.mktemp("data"), allowed_hosts=("testserver",))
+    with PeopleClient(create_app(settings, lambda _settings: FakeEngine())) as client:
+        yield client
+
+
+def test_every_route_that_changes_something_is_named_after_its_action():
+    names = {place: action for place, action in audited().items() if place[0] != "GET"}
+    assert [place for place, action in names.items() if "." not in action] == []
+    assert len(names) > 20
+
+
+def test_every_way_out_of_the_house_is_a_route():
+    assert {("GET", path) for path in EXPORTS} <= set(operations())
+    assert set(NOT_AUDITED) <= set(operations())
+
+
+def test_every_call_that_is_refused_where_it_would_have_changed_something_is_written_down(client):
+    asked = [place for place in audited() if place[0].lower() in UNSAFE and place != BEFORE_ANYBODY_IS_KNOWN]
+    for method, path in asked:
+        answer = client.request(method, path.format(**PLACES), content=b"x", headers={"Content-Type": "text/plain"})
+        refused = {404} if (method, path) in TAKES_PERMISSION_AWAY else {401, 403, 415, 422}  # by what it says: never
+        assert answer.status_code in refused, (method, path, answer.text)
+    told = [row["action"] for row in audit_rows(client) if row["outcome"] == "refused"]
+    assert told == [audited()[place] for place in asked]
+
+
+def test_the_document_says_what_the_routes_do():
+    text = DOCUMENT.read_text(encoding="utf-8")
+    assert {name: part_of(text, name) for name in MADE} == {name: make() for name, make in MADE.items()}
+
+
+def test_every_action_that_the_code_writes_is_some_kind_of_event_to_others():
+    literal = re.compile(r'action=f?"([a-z]+\.[a-z_]*)')
+    text = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "service").rglob("*.py"))
+    found = {*literal.findall(text), *audited().values(), TRANSITION, SETTINGS_CHANGED, CLOCK_CHANGED, BROKEN, FAILED}
+    assert len(found) > 40
+    assert [action for action in found if action not in MEANINGS and action.partition(".")[0] not in FAMILIES] == []

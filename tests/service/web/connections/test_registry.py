@@ -1,0 +1,148 @@
+"""Places are given and taken as said, whoever comes from where; and what is counted is told now and then."""
+
+import logging
+
+import pytest
+
+from service.core.settings.connection_limits import CONNECTION_BOUNDS, LIMIT_NAMES, ConnectionLimits
+from service.core.settings.connections import ConnectionSettings
+from service.core.settings.settings import Settings
+from service.web.connections.refusals import LOG_PERIOD_S, RefusalCount
+from service.web.connections.registry import ConnectionRegistry
+
+
+class Guest:
+    """A connection that waits for a request, or has one under way."""
+
+    def __init__(self, *, waits: bool = True, is_authenticated: bool = False) -> None:
+        self.waits = waits
+        self.is_authenticated = is_authenticated
+        self.is_gone = False
+
+    def check(self, _now_s):
+        return None
+
+    def abort(self):
+        self.is_gone = True
+
+
+@pytest.fixture
+def anyio_backend():
+    return "asyncio"
+
+
+def registry(most: int = 6, each: int = 3, proxies=()) -> ConnectionRegistry:
+    return ConnectionRegistry(
+        ConnectionLimits(max_connections=most, max_connections_per_address=each), trusted_proxies=proxies
+    )
+
+
+def add(
+    connections: ConnectionRegistry, address: str, *, waits: bool = True, is_authenticated: bool = False
+) -> tuple[Guest, bool]:
+    guest = Guest(waits=waits, is_authenticated=is_authenticated)
+    return guest, connections.add(guest, guest, address)
+
+
+@pytest.mark.anyio
+async def test_beyond_its_places_an_address_s_longest_waiting_goes_for_its_newest():
+    connections = registry()
+    guests = [add(connections, "192.0.2.1")[0] for _ in range(5)]
+    assert [guest.is_gone for guest in guests] == [True, True, False, False, False]
+    assert len(connections) == 3
+
+
+@pytest.mark.anyio
+async def test_one_that_is_in_use_is_never_closed_for_another():
+    connections = registry()
+    busy = [add(connections, "192.0.2.1", waits=False)[0] for _ in range(3)]
+    assert add(connections, "192.0.2.1")[1] is False
+    assert not any(guest.is_gone for guest in busy)
+    assert add(connections, "192.0.2.2")[1] is True
+
+
+@pytest.mark.anyio
+async def test_when_all_places_are_taken_the_address_with_most_gives_one_up():
+    connections = registry()
+    crowd = [add(connections, "192.0.2.1")[0] for _ in range(3)]
+    few = [add(connections, f"192.0.2.{i}")[0] for i in (2, 3, 4)]
+    guest, is_in = add(connections, "192.0.2.9")
+    assert is_in
+    assert not guest.is_gone
+    assert [one.is_gone for one in crowd] == [True, False, False]
+    assert not any(one.is_gone for one in few)
+    assert len(connections) == 6
+
+
+@pytest.mark.anyio
+async def test_a_known_caller_goes_only_where_no_stranger_waits_anywhere():
+    connections = registry()
+    known = [add(connections, "192.0.2.1", is_authenticated=True)[0] for _ in range(3)]
+    strangers = [add(connections, f"192.0.2.{i}")[0] for i in (2, 3, 4)]
+    for i in (5, 6, 7):
+        add(connections, f"192.0.2.{i}", waits=False)
+    assert [one.is_gone for one in strangers] == [True] * 3
+    assert not any(one.is_gone for one in known)
+    assert add(connections, "192.0.2.8", waits=False)[1]
+    assert [one.is_gone for one in known] == [True, False, False]
+
+
+@pytest.mark.anyio
+async def test_who_stirs_is_the_last_to_go():
+    connections = registry()
+    guests = [add(connections, "192.0.2.1")[0] for _ in range(3)]
+    connections.note_waiting(guests[0])
+    add(connections, "192.0.2.1")
+    assert [guest.is_gone for guest in guests] == [False, True, False]
+    connections.note_waiting(guests[1])  # who is gone stirs no more
+    assert len(connections) == 3
+
+
+@pytest.mark.anyio
+async def test_a_proxy_that_is_trusted_may_have_as_many_as_there_are():
+    connections = registry(proxies=("10.0.0.0/8",))
+    proxied = [add(connections, "10.1.2.3")[0] for _ in range(6)]
+    assert not any(guest.is_gone for guest in proxied)
+
+
+@pytest.mark.anyio
+async def test_a_network_of_ipv6_counts_as_one_address():
+    connections = registry()
+    guests = [add(connections, f"2001:db8::{i}")[0] for i in range(1, 5)]
+    assert [guest.is_gone for guest in guests] == [True, False, False, False]
+
+
+@pytest.mark.anyio
+async def test_who_left_makes_room_and_may_leave_twice():
+    connections = registry()
+    guests = [add(connections, "192.0.2.1")[0] for _ in range(3)]
+    for guest in guests[:1] * 2:
+        connections.remove(guest)
+    add(connections, "192.0.2.1")
+    assert not any(guest.is_gone for guest in guests[1:])
+    assert len(connections) == 3
+
+
+def test_refusals_are_told_at_once_and_then_together(caplog):
+    now_s = 100.0
+    count = RefusalCount(lambda: now_s)
+    with caplog.at_level(logging.WARNING):
+        for _ in range(50):
+            count.add("bad_request")
+        assert len(caplog.messages) == 1
+        now_s += LOG_PERIOD_S
+        count.log_counts()
+        count.log_counts()
+    assert caplog.messages == ["connections refused: 1 bad_request", "connections refused: 49 bad_request"]
+    assert count.total["bad_request"] == 50
+
+
+@pytest.mark.parametrize("name", LIMIT_NAMES)
+def test_every_limit_is_a_setting_within_its_bounds(name, tmp_path):
+    low, high = CONNECTION_BOUNDS[name]
+    assert low <= getattr(ConnectionLimits(), name) <= high
+    assert getattr(Settings(data_dir=tmp_path, **{f"http_{name}": low}).connection_limits, name) == low
+    for beyond in (low - 1, high + 1):
+        with pytest.raises(ValueError, match=f"http_{name}"):
+            Settings(data_dir=tmp_path, **{f"http_{name}": beyond})
+    assert f"http_{name}" in ConnectionSettings.model_fields

@@ -1,0 +1,457 @@
+"""A controller that says what a test tells it to: the page and its contracts on a loopback port, nothing behind."""
+
+import asyncio
+import copy
+import json
+import math
+import socket
+import threading
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import cv2
+import numpy as np
+import uvicorn
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.middleware.base import BaseHTTPMiddleware, RequestResponseEndpoint
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+import service
+from service.core.permissions import Role, permissions_of
+from tests.support.waiting import eventually
+
+DASHBOARD = Path(service.__file__).parent / "web" / "dashboard"
+POLICY = "default-src 'self'; base-uri 'none'; frame-ancestors 'none'; form-action 'none'"
+SESSION_ID = "5e" * 16
+ROI_PX = [[238.0, 92.0], [409.0, 99.0], [421.0, 401.0], [226.0, 396.0]]
+ROWS, COLUMNS = 14, 8
+
+SESSION = {
+    "id": SESSION_ID,
+    "status": "running",
+    "status_detail": "",
+    "patient_reference": "P-0117",
+    "plan_id": "PLAN-LUNG-4",
+    "fraction_id": "FX-03",
+    "fraction_number": 3,
+    "operator": "A. Therapist",
+    "source": {"kind": "recording", "path": "demo/recording.oni", "player": "auto"},
+    "calibration_id": "ca" * 16,
+    "window": {"kind": "amplitude", "signal": "whole", "row": None, "column": None, "lower_mm": -1.0, "upper_mm": 3.0}
+    | {"hysteresis_mm": 0.2, "dwell_ms": 200.0, "join": "and", "further": []},
+    "is_simulated_beam": True,
+    "created_at": "2026-11-21T03:00:00Z",
+    "started_at": None,
+    "ended_at": None,
+}
+CALIBRATION = {
+    "id": "ca" * 16,
+    "sha256": "0" * 64,
+    "camera": "Xtion 03",
+    "uploaded_by": "B. Physicist",
+    "created_at": "2026-11-20T08:00:00Z",
+}
+
+
+WAITING = {
+    "frames": 0,
+    "cycles": 0,
+    "seconds": 0.0,
+    "share": 1.0,
+    "note": "a new model is ready: it is used when the gate is disarmed",
+}
+
+
+BREATH = {
+    "signal": "whole",
+    "unit": "mm",
+    "phase_percent": 37.4,
+    "phase_confidence": 0.92,
+    "note": "",
+    "rate_per_min": 14.96,
+    "rate_confidence": 0.95,
+    "amplitude": 9.02,
+    "baseline": -0.42,
+    "drift": 0.21,
+    "drift_per_s": 0.004,
+    "regularity": 0.94,
+    "events": [],
+}
+
+
+def condition(**changes: Any) -> dict[str, Any]:
+    """Return an amplitude condition on the whole as the stream tells it; `changes` say what is different."""
+    nothing = dict.fromkeys(
+        (
+            *("row", "column", "name", "hold", "settle_ms", "still", "max_drift", "timeout_s", "stage"),
+            *("from_percent", "to_percent", "min_confidence"),
+        )
+    )
+    edges = {"unit": "mm", "lower": -1.0, "upper": 3.0, "hysteresis": 0.2}
+    return nothing | edges | {"kind": "amplitude", "signal": "whole", "label": "whole", "is_inside": False} | changes
+
+
+def breath_hold(**changes: Any) -> dict[str, Any]:
+    """Return a condition of a held inspiration."""
+    numbers = {"settle_ms": 1000.0, "still": 1.0, "max_drift": 2.0, "timeout_s": 25.0, "lower": 6.0, "upper": 10.0}
+    return condition(kind="breath_hold", hold="inspiration", stage="settling", **numbers) | changes
+
+
+def phase(**changes: Any) -> dict[str, Any]:
+    """Return a condition on the phase around the end of exhale."""
+    nothing = dict.fromkeys(("unit", "lower", "upper", "hysteresis"))
+    phases = {"from_percent": 30.0, "to_percent": 70.0, "min_confidence": 0.6}
+    return condition(kind="phase") | nothing | phases | changes
+
+
+def window(*conditions: dict[str, Any], join: str = "and") -> dict[str, Any]:
+    """Return a window of these conditions."""
+    first = conditions[0]
+    edges = {f"{name}_mm": first[name] if first["unit"] == "mm" else None for name in ("lower", "upper", "hysteresis")}
+    place = {name: first[name] for name in ("signal", "row", "column")}
+    return place | edges | {"join": join, "conditions": list(conditions)}
+
+
+def qa_run(kind: str, verdict: str | None, **changes: Any) -> dict[str, Any]:
+    """Return a finished QA run."""
+    run = {"id": "0a" * 16, "kind": kind, "status": "finished", "verdict": verdict}
+    return run | {"created_at": "2026-11-21T06:30:12.123456Z"} | changes
+
+
+def qa_status(refusal: str | None = None, hours: float = 0.0, **newest: dict[str, Any]) -> dict[str, Any]:
+    """Return what the controller says of its QA."""
+    return {
+        "newest": dict.fromkeys(("daily", "monthly", "annual")) | newest,
+        "required_daily_h": hours,
+        "is_arming_allowed": refusal is None,
+        "refusal": refusal,
+    }
+
+
+def motion_at(seconds: float) -> dict[str, Any]:
+    """Return the measured part of a sample of someone breathing calmly."""
+    depth_of_breath = (1.0 - math.cos(2.0 * math.pi * seconds / 4.0)) / 2.0
+    rows, columns = np.mgrid[0:ROWS, 0:COLUMNS]
+    shape = 0.35 + 0.65 * np.sin(np.pi * (columns + 0.5) / COLUMNS) * (0.4 + 0.6 * rows / ROWS)
+    whole = 9.0 * depth_of_breath - 0.4
+    return {
+        "signal_mm": whole,
+        "whole_mm": whole,
+        "thorax_mm": 5.0 * depth_of_breath - 0.3,
+        "abdomen_mm": 12.0 * depth_of_breath - 0.5,
+        "volume_l": 0.55 * depth_of_breath,
+        "residual_mm": 0.71,
+        "valid_share": 0.978,
+        "regions_mm": np.round(shape * (whole * 1.3), 3).tolist(),
+    }
+
+
+def sample(**changes: Any) -> dict[str, Any]:
+    """Return a sample of a running, armed session in hold; `changes` say what is different."""
+    return {
+        "type": "sample",
+        "form": "full",
+        "sequence": 0,
+        "sent_at": "",
+        "age_ms": 4.1,
+        "session_id": SESSION_ID,
+        "session_status": "running",
+        "is_armed": True,
+        "is_simulated_beam": True,
+        "frame_index": 0,
+        "timestamp_us": 0,
+        "state": "measuring",
+        "lost": None,
+        "training": None,
+        "gate": "hold",
+        "hold_reason": "outside_window",
+        "hold_text": "The signal is outside the window.",
+        "hold_detail": "4.10 mm is not inside -1 to 3 mm",
+        "operator_hold": None,
+        "line_on": False,
+        "window": window(condition()),
+        "breath": BREATH,
+        "breath_hold": None,
+        **motion_at(0.0),
+        "named_mm": {},
+        "split_rows": None,
+        "lags": [],
+        "roi_px": ROI_PX,
+        "fps": 29.9,
+        "frames": 513,
+        "missed_frames": 0,
+        "latency_ms": {"last": 5.2, "p50": 5.0, "p99": 9.1, "max": 31.4, "warned": False},
+    } | changes
+
+
+NOTHING_MEASURED = dict.fromkeys(
+    (
+        "signal_mm",
+        "whole_mm",
+        "thorax_mm",
+        "abdomen_mm",
+        "volume_l",
+        "residual_mm",
+        "valid_share",
+        "regions_mm",
+        "named_mm",
+        "lags",
+        "breath",
+        "roi_px",
+    )
+)
+
+
+def chest_jpeg() -> bytes:
+    """Draw a dark shirt with four dots on a bright bed."""
+    picture = np.full((480, 640, 3), 120, np.uint8)
+    cv2.ellipse(picture, (322, 260), (190, 300), 0, 0, 360, (70, 52, 44), -1)
+    for shade in range(30):
+        cv2.ellipse(
+            picture, (300, 240), (150 - 4 * shade, 240 - 6 * shade), 0, 0, 360, (70 + shade, 52 + shade, 44 + shade), -1
+        )
+    for x, y in ROI_PX:
+        cv2.circle(picture, (round(x), round(y)), 9, (245, 245, 245), -1, cv2.LINE_AA)
+    return bytes(cv2.imencode(".jpg", cv2.GaussianBlur(picture, (5, 5), 0))[1])
+
+
+def person(name: str = "A. Therapist", *roles: Role, **changes: Any) -> dict[str, Any]:
+    """Return who is logged in, as the controller says it; a physicist unless told otherwise."""
+    held = roles or (Role.PHYSICIST,)
+    told = {"name": name, "roles": sorted(held), "permissions": sorted(permissions_of(held))}
+    return told | {"must_change_password": False, "is_break_glass": False, "way": "password"} | changes
+
+
+def user(name: str, *roles: Role, **changes: Any) -> dict[str, Any]:
+    """Return a person as the list of people has them."""
+    row = {"name": name, "roles": sorted(roles), "is_disabled": False, "must_change_password": False}
+    return row | {"is_break_glass": False, "created_at": "2026-11-20T08:00:00Z", "last_login_at": None} | changes
+
+
+def api_key(name: str, *scopes: str, **changes: Any) -> dict[str, Any]:
+    """Return an API key as the list of keys has them."""
+    row = {"id": name[:4].lower(), "name": name, "scopes": sorted(scopes), "created_by": "Grace"}
+    times = {"created_at": "2026-11-20T08:00:00Z", "expires_at": "2099-01-01T00:00:00Z"}
+    return row | times | {"revoked_at": None, "last_used_at": None} | changes
+
+
+ONE_TIME = "quiet-otter-plays-1729"
+SECRET = "tg_plan_0123456789abcdef"
+
+
+UNKNOWN = JSONResponse({"code": "not_logged_in", "detail": "log in first"}, 401)
+ABOUT_LOG_INS = {"/login", "/login/ways", "/logout", "/me", "/me/password"}
+
+
+class FakeService:
+    """What the page sees. Tests set the attributes; the server's thread reads them for every message."""
+
+    def __init__(self) -> None:
+        self.mode = "idle"  # idle, samples, silent
+        self.sample: dict[str, Any] = sample()
+        self.is_breathing = False
+        self.is_up = True
+        self.lag_s = 0.0
+        self.clock: Callable[[], float] = time.time
+        self.period_s = 1.0 / 30.0
+        self.sent = 0
+        self.schema = "tidegate.live/1"
+        self.sessions: list[dict[str, Any]] = [copy.deepcopy(SESSION)]
+        self.calibrations: list[dict[str, Any]] = [dict(CALIBRATION)]
+        self.audit: list[dict[str, Any]] = []
+        self.qa: dict[str, Any] = qa_status()
+        self.problem: tuple[int, dict[str, Any]] | None = None
+        self.calls: list[tuple[str, str, Any]] = []
+        self.person: dict[str, Any] | None = person()
+        self.passwords: dict[str, tuple[str, dict[str, Any]]] = {}
+        self.locked_s = 0
+        self.ways: dict[str, Any] = {"password": True, "oidc": None}
+        self.people: list[dict[str, Any]] = [user("Grace", Role.ADMIN)]
+        self.keys: list[dict[str, Any]] = []
+        self.connections = 0
+        self.pictures = 0
+        self._jpeg = chest_jpeg()
+        self._frame_index = 0
+        self._began_s = time.monotonic()
+
+    def posts(self) -> list[tuple[str, Any]]:
+        """Return the calls that change something, as (path under the API, body)."""
+        return [(path.removeprefix("/api/v1"), body) for method, path, body in self.calls if method == "POST"]
+
+    def app(self) -> Starlette:
+        """Return the application."""
+        routes = [
+            WebSocketRoute("/api/v1/live", self._live),
+            Route("/api/v1/sessions/{id}/picture", self._picture),
+            Route("/api/v1/{rest:path}", self._api, methods=["GET", "POST", "PATCH"]),
+            Mount("/", StaticFiles(directory=DASHBOARD, html=True)),
+        ]
+        return Starlette(routes=routes, middleware=[Middleware(BaseHTTPMiddleware, dispatch=_with_policy)])
+
+    async def _live(self, websocket: WebSocket) -> None:
+        if not self.is_up or self.person is None:
+            await websocket.close(1013 if self.person else 1008)
+            return
+        await websocket.accept()
+        self.connections += 1
+        try:
+            await websocket.send_json({"type": "hello", "schema": self.schema, "version": "0.1.0"})
+            while self.is_up and self.person is not None:
+                message = self._next_message()
+                if message is not None:
+                    await websocket.send_text(message)
+                    self.sent += 1
+                await asyncio.sleep(0.5 if self.mode == "idle" else self.period_s)
+            await websocket.close(1001 if self.person else 1008)
+        except (WebSocketDisconnect, RuntimeError):
+            return
+
+    def _next_message(self) -> str | None:
+        sent_at = datetime.fromtimestamp(self.clock() - self.lag_s, UTC).isoformat().replace("+00:00", "Z")
+        if self.mode == "silent":
+            return None
+        if self.mode == "idle":
+            return json.dumps({"type": "idle", "sent_at": sent_at})
+        elapsed_s = time.monotonic() - self._began_s
+        self._frame_index = int(elapsed_s * 30.0)
+        moving = motion_at(elapsed_s) if self.is_breathing else {}
+        if self.is_breathing and self.sample["is_armed"]:
+            moving |= _gate_for(moving["signal_mm"])
+        stamp = {"sent_at": sent_at, "frame_index": self._frame_index, "timestamp_us": int(elapsed_s * 1e6)}
+        return json.dumps(self.sample | moving | stamp)
+
+    def _picture(self, _request: Request) -> Response:
+        if self.person is None:
+            return UNKNOWN
+        self.pictures += 1
+        return Response(self._jpeg, media_type="image/jpeg", headers={"X-Frame-Index": str(self._frame_index)})
+
+    async def _api(self, request: Request) -> Response:
+        text = (await request.body()).decode()
+        body = json.loads(text) if text else None
+        self.calls.append((request.method, request.url.path, body))
+        path = request.url.path.removeprefix("/api/v1")
+        if path in ABOUT_LOG_INS:
+            return self._about_log_ins(path, body)
+        if self.person is None:
+            return UNKNOWN
+        if request.method != "GET" and self.problem is not None:
+            status, problem = self.problem
+            return JSONResponse(problem, status, media_type="application/problem+json")
+        if path.startswith(("/users", "/keys")):
+            return self._about_others(path, request.method, body)
+        return self._answer(request.url.path.removeprefix("/api/v1"), request.method, body)
+
+    def _about_log_ins(self, path: str, body: Any) -> Response:
+        if path == "/login":
+            return self._log_in(body)
+        if path == "/login/ways":
+            return JSONResponse(self.ways)
+        if self.person is None:
+            return UNKNOWN
+        if path == "/logout":
+            self.person = None
+            return Response(status_code=204)
+        if path == "/me/password":
+            return self._change_password(body)
+        return JSONResponse(self.person)
+
+    def _log_in(self, body: dict[str, str]) -> Response:
+        if self.locked_s:
+            wait = {"Retry-After": str(self.locked_s)}
+            return JSONResponse({"code": "locked_out", "detail": "Too many attempts."}, 429, headers=wait)
+        password, someone = self.passwords.get(body["name"], ("", None))
+        if someone is None or body["password"] != password:
+            return JSONResponse({"code": "log_in_refused", "detail": "name or password is wrong"}, 401)
+        self.person = someone
+        return JSONResponse(someone)
+
+    def _change_password(self, body: dict[str, str]) -> Response:
+        assert self.person is not None
+        name = self.person["name"]
+        if name in self.passwords and self.passwords[name][0] != body["old_password"]:
+            return JSONResponse({"code": "wrong_password", "detail": "the old password is wrong"}, 422)
+        self.person = self.person | {"must_change_password": False}
+        self.passwords[name] = (body["new_password"], self.person)
+        return JSONResponse(self.person)
+
+    def _about_others(self, path: str, method: str, body: Any) -> Response:
+        kept = self.people if path.startswith("/users") else self.keys
+        if method == "GET":
+            return JSONResponse({"items": kept, "next_cursor": None})
+        if path == "/users":
+            kept.append(user(body["name"], *body["roles"], must_change_password=True))
+            return JSONResponse(kept[-1] | {"one_time_password": ONE_TIME}, 201)
+        if path == "/keys":
+            kept.append(api_key(body["name"], *body["scopes"], expires_at=body["expires_at"]))
+            return JSONResponse(kept[-1] | {"secret": SECRET}, 201)
+        wanted = unquote(path.split("/")[2])
+        (found,) = [one for one in kept if wanted in {one["name"], one.get("id")}]
+        found |= {"revoked_at": "2026-11-21T03:00:00Z"} if path.startswith("/keys") else body
+        return JSONResponse(found | ({"one_time_password": ONE_TIME} if found.pop("reset_password", None) else {}))
+
+    def _answer(self, path: str, method: str, body: Any) -> Response:
+        pages = {"/sessions": self.sessions, "/calibrations": self.calibrations, "/audit": self.audit, "/devices": []}
+        if method == "GET" and path == "/qa/status":
+            return JSONResponse(self.qa)
+        if method == "GET" and path in pages:
+            return JSONResponse({"items": pages[path], "next_cursor": None})
+        if method == "POST" and path == "/sessions":
+            self.sessions.insert(0, SESSION | body | {"id": "77" * 16, "status": "created"})
+            return JSONResponse(self.sessions[0], 201)
+        if method == "POST" and path == "/calibrations":
+            return JSONResponse(CALIBRATION, 201)
+        found = [one for one in self.sessions if path.startswith(f"/sessions/{one['id']}")]
+        return JSONResponse(found[0]) if found else JSONResponse({"detail": "no such session"}, 404)
+
+
+def _gate_for(signal_mm: float) -> dict[str, Any]:
+    if -1.0 <= signal_mm <= 3.0:
+        return {"gate": "beam_on", "hold_reason": None, "hold_text": None, "line_on": True}
+    return {
+        "gate": "hold",
+        "hold_reason": "outside_window",
+        "hold_text": "The signal is outside the window.",
+        "line_on": False,
+    }
+
+
+async def _with_policy(request: Request, call_next: RequestResponseEndpoint) -> Response:
+    response = await call_next(request)
+    response.headers["Content-Security-Policy"] = POLICY
+    response.headers["X-Content-Type-Options"] = "nosniff"
+    return response
+
+
+class ServerThread:
+    """A uvicorn server on a free loopback port, in a thread of its own."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._socket = socket.socket()
+        self._socket.bind(("127.0.0.1", 0))
+        self.url = f"http://127.0.0.1:{self._socket.getsockname()[1]}"
+        config = uvicorn.Config(
+            app, log_level="warning", lifespan="off", ws="websockets-sansio", timeout_graceful_shutdown=1
+        )
+        self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(target=self._server.run, kwargs={"sockets": [self._socket]}, daemon=True)
+
+    def __enter__(self) -> "ServerThread":
+        self._thread.start()
+        eventually(lambda: self._server.started, within_s=10.0, detail=lambda: "the fake service did not start")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._server.should_exit = True
+        self._thread.join(10.0)
+        self._socket.close()

@@ -1,0 +1,302 @@
+"""A scripted source, a pipeline that measures what it is told, and lines that fail: enough to run the real loop."""
+
+import queue
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from engine.beam.simulated import SimulatedBeamLine
+from engine.capture.source import SourceDescription
+from engine.control.loop import EngineLoop
+from engine.control.outputs import FrameRecord, GateTransition
+from engine.control.watchdog import Watchdog
+from engine.core.breath import SignalChoice
+from engine.core.clock import Clock, ManualClock
+from engine.core.commands import Command
+from engine.core.errors import FrameTimeoutError, SourceEndedError
+from engine.core.frames import Measurement, RgbdFrame
+from engine.core.gate_state import HoldReason, Lease
+from engine.core.learning_events import LearningEvent
+from engine.core.learning_status import LearningStatus
+from engine.core.motion_model import MotionModel
+from engine.core.ranges import Ranges
+from engine.gating.gate import GateLimits
+from tests.support.gating.streams import LIMITS, MEASURING_NS, MS, PERIOD_NS, START_NS, measured
+
+DEPTH = np.full((4, 6), 850, dtype=np.uint16)
+COLOR = np.full((4, 6, 3), 90, dtype=np.uint8)
+DESCRIPTION = SourceDescription(
+    kind="script", name="test", depth_size=(6, 4), color_size=(6, 4), fps=29.97, is_live=False
+)
+T = TypeVar("T")
+
+
+def depth_picture(index: int) -> np.ndarray:
+    """A picture unlike the one before it, as a real sensor's always is."""
+    picture = DEPTH.copy()
+    picture[0, 0] += index % 100
+    return picture
+
+
+def color_picture(index: int) -> np.ndarray:
+    picture = COLOR.copy()
+    picture[0, 0] += index % 100
+    return picture
+
+
+Step = Callable[["ScriptedSource", float], RgbdFrame]
+
+
+class ScriptedSource:
+    """Runs one step of its script a read, on a clock that only it moves; the end of the script is the end."""
+
+    def __init__(self, clock: ManualClock, script: Sequence[Step]) -> None:
+        self.clock = clock
+        self.script = list(script)
+        self.frames = 0
+        self.opened = self.closed = 0
+        self.beam: SimulatedBeamLine | None = None
+        self.line_was_on_at_close: bool | None = None
+        self.on_read: Callable[[], None] = lambda: None
+
+    def open(self) -> SourceDescription:
+        self.opened += 1
+        return DESCRIPTION
+
+    def read(self, timeout_s: float) -> RgbdFrame:
+        self.on_read()
+        if not self.script:
+            raise SourceEndedError("the script is over")
+        return self.script.pop(0)(self, timeout_s)
+
+    def close(self) -> None:
+        self.closed += 1
+        self.line_was_on_at_close = None if self.beam is None else self.beam.is_on()
+
+    def frame(self, *, missed_frames: int = 0) -> RgbdFrame:
+        index = self.frames
+        self.frames += 1
+        return RgbdFrame(
+            index=index,
+            device_index=index,
+            missed_frames=missed_frames,
+            timestamp_us=self.clock.now_ns() // 1_000,
+            color_timestamp_us=self.clock.now_ns() // 1_000,
+            received_ns=self.clock.now_ns(),
+            depth_mm=depth_picture(index),
+            color=color_picture(index),
+        )
+
+
+def good(source: ScriptedSource, _timeout_s: float) -> RgbdFrame:
+    source.clock.advance_ns(PERIOD_NS - MEASURING_NS)
+    return source.frame()
+
+
+def silent(source: ScriptedSource, timeout_s: float) -> RgbdFrame:
+    source.clock.advance_ns(round(timeout_s * 1e9))
+    raise FrameTimeoutError("nothing came")
+
+
+def raising(error: BaseException) -> Step:
+    def step(_source: ScriptedSource, _timeout_s: float) -> RgbdFrame:
+        raise error
+
+    return step
+
+
+def after(act: Callable[[], object]) -> Step:
+    """Do something between two frames, then deliver the next."""
+
+    def step(source: ScriptedSource, timeout_s: float) -> RgbdFrame:
+        act()
+        return good(source, timeout_s)
+
+    return step
+
+
+class ToldPipeline:
+    """Measures every frame as good unless told to spoil it; takes MEASURING_NS of the manual clock."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+        self.spoil: dict[int, Callable[[Measurement], Measurement]] = {}
+        self.model: MotionModel | None = object()  # type: ignore[assignment]
+        self.model_shortcoming: str | None = None
+        self.model_generation = 1
+        self.has_reference = True
+        self.is_model_waiting = False
+        self.notices: list[LearningEvent] = []
+        self.was_kept: list[bool] = []
+        self.ranges: Ranges = {}
+        self.zero_number = 1
+        self.calls: list[str] = []
+        self.trouble: Exception | None = None
+
+    def measure(self, frame: RgbdFrame) -> Measurement:
+        if isinstance(self.clock, ManualClock):
+            self.clock.advance_ns(MEASURING_NS)
+        good_frame = replace(
+            measured(frame.index),
+            timestamp_us=frame.timestamp_us,
+            received_ns=frame.received_ns,
+            missed_frames=frame.missed_frames,
+            measured_ns=self.clock.now_ns(),
+        )
+        return self.spoil.get(frame.index, lambda same: same)(good_frame)
+
+    @property
+    def learner(self) -> "ToldPipeline":
+        return self
+
+    @property
+    def status(self) -> LearningStatus:
+        return LearningStatus(
+            model=self.model,
+            model_shortcoming=self.model_shortcoming,
+            model_generation=self.model_generation,
+            is_model_waiting=self.is_model_waiting,
+            has_reference=self.has_reference,
+            reference_number=self.zero_number,
+        )
+
+    def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
+        return {choice: self.ranges[choice] for choice in choices if choice in self.ranges}
+
+    def correct_baseline(self, choice: SignalChoice, by: float) -> None:
+        self.calls.append(f"correct {choice.label} {by:g}")
+
+    def set_reference(self) -> None:
+        self._change("set_reference")
+        self.zero_number += 1
+
+    def retrain(self, *, keeps_zero: bool = True) -> None:
+        self.calls.append("retrain" if keeps_zero else "retrain without zero")
+
+    def keep_model(self, *, is_kept: bool) -> None:
+        self.was_kept.append(is_kept)
+
+    def apply_model(self) -> None:
+        self.is_model_waiting = False
+        self._change("apply")
+
+    def camera_returned(self) -> None:
+        self.has_reference = False
+        self._change("camera_returned")
+
+    def take_notices(self) -> list[LearningEvent]:
+        taken, self.notices = self.notices, []
+        return taken
+
+    def activate(self, model: MotionModel) -> None:
+        self.model = model
+        self._change("activate")
+
+    def _change(self, name: str) -> None:
+        self.calls.append(name)
+        if self.trouble is not None:
+            raise self.trouble
+        self.model_generation += 1
+
+
+class SteppedWatchdog(Watchdog):
+    """A watchdog without its thread: the test calls check()."""
+
+    @property
+    def is_watching(self) -> bool:
+        return True
+
+    def start(self) -> None:
+        """No thread: a manual clock and a real thread would race."""
+
+
+class WatchedBeamLine(SimulatedBeamLine):
+    """The simulated line, with a note of every permit, and a place to interfere before one."""
+
+    def __init__(self, clock: Clock) -> None:
+        super().__init__(clock)
+        self.permits: list[Lease] = []
+        self.before_permit: Callable[[Lease], None] = lambda _lease: None
+
+    def permit(self, lease: Lease) -> None:
+        self.before_permit(lease)
+        super().permit(lease)
+        self.permits.append(lease)
+
+
+class Bench:
+    """A loop with everything around it, run to the end of a script."""
+
+    def __init__(
+        self,
+        script: Sequence[Step],
+        *,
+        limits: GateLimits = LIMITS,
+        beam: Callable[[Clock], SimulatedBeamLine] = WatchedBeamLine,
+        is_written: bool = True,
+        **capacities: int,
+    ) -> None:
+        self.clock = ManualClock(START_NS)
+        self.beam = beam(self.clock)
+        self.source = ScriptedSource(self.clock, script)
+        self.source.beam = self.beam
+        self.pipeline = ToldPipeline(self.clock)
+        self.watchdog = SteppedWatchdog(beam=self.beam, clock=self.clock, deadline_ns=int(limits.watchdog_ms * MS))
+        self.loop = EngineLoop(
+            source=self.source,
+            measurer=self.pipeline,
+            learner=self.pipeline,
+            beam=self.beam,
+            limits=limits,
+            clock=self.clock,
+            watchdog=self.watchdog,
+            **capacities,
+        )
+        self.answers: list[Future[None]] = []
+        self._records: list[FrameRecord] = []
+        self._transitions: list[GateTransition] = []
+        if is_written and not capacities:
+            self.source.on_read = self._write
+
+    def _write(self) -> None:
+        """Take what the loop has for the disk, as the service's writer does."""
+        self._records += drained(self.loop.samples)
+        self._transitions += drained(self.loop.transitions)
+
+    def ask(self, command: Command) -> Callable[[], None]:
+        """An act for `after`: submit the command, keep the answer."""
+        return lambda: self.answers.append(self.loop.submit(command))
+
+    def run(self) -> "Bench":
+        self.loop.start()
+        assert self.loop.join(timeout_s=30.0), "the loop did not end"
+        return self
+
+    def records(self) -> list[FrameRecord]:
+        self._write()
+        taken, self._records = self._records, []
+        return taken
+
+    def transitions(self) -> list[GateTransition]:
+        self._write()
+        taken, self._transitions = self._transitions, []
+        return taken
+
+    def path(self) -> list[str]:
+        """States and reasons the gate went through, in short."""
+        return [f"{change.to_state}:{change.reason or ''}" for change in self.transitions()]
+
+    def hold_reason_of_the_line(self) -> HoldReason | None:
+        """Why the line last went off."""
+        return self.beam.edges[-1].reason
+
+
+def drained(filled: "queue.Queue[T]") -> list[T]:
+    """Everything in a queue."""
+    taken: list[T] = []
+    while not filled.empty():
+        taken.append(filled.get_nowait())
+    return taken

@@ -1,0 +1,48 @@
+"""Pictures of QA reports for people to look at: ``python -m tests.support.documents.qa_report_pages OUT [RUNS]``.
+
+Monthly runs on the virtual set-up, each with another seed, through the very code of ``tidegate qa monthly``; the last
+one with every frame 150 ms late. Not a test: what is wrong with a picture is for eyes.
+"""
+
+import contextlib
+import sys
+import tempfile
+from pathlib import Path
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from service.cli.qa.run import RunOptions, do_run
+from service.core.settings.database_place import DATABASE_NAME
+from service.qa import queries, views
+from service.qa.report.report import report_pages
+from service.storage.database.engine import Database
+
+RUNS = 6
+LATE_MS = 150.0
+DPI = 110
+OPERATOR = "A. Physicist"
+
+
+def main(out: Path, runs: int = RUNS) -> None:
+    """Do the runs and draw the newest two: a healthy one, and the late one."""
+    with tempfile.TemporaryDirectory() as folder:
+        data = Path(folder)
+        for seed in range(1, runs + 1):
+            delay_ms = LATE_MS if seed == runs else 0.0
+            options = RunOptions(
+                kind="monthly", operator=OPERATOR, data=data, is_simulated=True, seed=seed, fault_delay_ms=delay_ms
+            )
+            do_run(options)
+        out.mkdir(parents=True, exist_ok=True)
+        with contextlib.closing(Database(data / DATABASE_NAME)) as database, database.read() as db:
+            (late, healthy), _ = queries.run_page(db, None, 2)
+            for name, row in (("qa-healthy", healthy), ("qa-late", late)):
+                detail = views.run_detail(db, row, is_under_way=False)
+                trends = [views.trend_answer(db, one.code, 30, before=row) for one in detail.results]
+                for number, page in enumerate(report_pages(detail, trends), start=1):
+                    FigureCanvasAgg(page)
+                    page.savefig(out / f"{name}-{number}.png", dpi=DPI, metadata={"Software": None})
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), *(int(word) for word in sys.argv[2:3]))

@@ -1,0 +1,64 @@
+"""The tables of docs/2-clinical/safety.md, from the code: ``python -m tests.support.documents.safety`` prints them.
+
+With ``--write`` it puts them into the document instead.
+"""
+
+from functools import partial
+
+from engine.core.gate_state import GateState, HoldReason
+from engine.gating.gate import EventKind, next_state
+from engine.gating.interlock_table import INTERLOCKS, Interlock
+from service.core.hold_texts import HOLD_TEXTS
+from service.core.settings.settings import PREFIX, Settings
+from tests.support.generated_sections import print_or_write
+from tests.support.repository import ROOT
+
+DOCUMENT = ROOT / "docs" / "2-clinical" / "safety.md"
+
+
+def transition_table() -> str:
+    """One row a state, one column a kind of event."""
+    kinds = list(EventKind)
+    head = [f"| from | {' | '.join(kinds)} |", "|---" * (len(kinds) + 1) + "|"]
+    rows = [f"| **{state}** | {' | '.join(next_state(state, kind) for kind in kinds)} |" for state in GateState]
+    return "\n".join(head + rows)
+
+
+def reason_lists() -> str:
+    """Which reasons clear by themselves, and which latch."""
+    clearing = ", ".join(f"`{reason}`" for reason in HoldReason if not reason.is_fault)
+    latching = ", ".join(f"`{reason}`" for reason in HoldReason if reason.is_fault)
+    return (
+        f"Clear by themselves, after a full dwell: {clearing}.\n\nLatch until a named person acknowledges: {latching}."
+    )
+
+
+def interlock_table() -> str:
+    """One row an interlock: its code and words, what trips it, whether it latches, what bounds it, where it is from."""
+    head = ["| code | shown as | trips on | is a | bounded by: default, lowest to highest | from |", "|---" * 6 + "|"]
+    return "\n".join(head + [_interlock_row(interlock) for interlock in INTERLOCKS])
+
+
+def _interlock_row(interlock: Interlock) -> str:
+    bounds = "; ".join(_bound(name) for name in interlock.settings) or "-"
+    kind = "fault" if interlock.is_fault else "hold"
+    text = HOLD_TEXTS[interlock.code]
+    return f"| `{interlock.code}` | {text} | {interlock.trips} | {kind} | {bounds} | {interlock.source} |"
+
+
+def _bound(name: str) -> str:
+    field = Settings.model_fields[name]
+    setting = f"`{PREFIX}{name.upper()}`"
+    if isinstance(field.default, bool | tuple):
+        return f"{setting}: {str(field.default or 'none').lower()}"
+    bounds = {kind: getattr(one, kind) for one in field.metadata for kind in ("ge", "le") if hasattr(one, kind)}
+    return f"{setting}: {field.default:g}, {bounds['ge']:g} to {bounds['le']:g}"
+
+
+MADE = {"transitions": transition_table, "reasons": reason_lists, "interlocks": interlock_table}
+"""Every part of the document that the code makes, by its name there."""
+main = partial(print_or_write, DOCUMENT, MADE)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,86 @@
+"""Figures of a bench by hand: round numbers, so that what is made of them can be told in one's head."""
+
+from dataclasses import replace
+
+from engine.verification.performance.decoding import PictureCost
+from engine.verification.performance.figures import Timing
+from engine.verification.performance.frames import FrameCosts, FrameSizes, StageCost
+from engine.verification.performance.learning import FitCost, FitSizes, FramesWhileFitting
+from engine.verification.performance.machine import Machine
+from engine.verification.performance.memory import MemorySizes, MemoryUse
+from engine.verification.performance.results import SpeedFigures, SpeedSizes
+from engine.verification.performance.stages import STAGES
+from engine.verification.performance.throughput import CommandRun, Throughput
+
+TINY = SpeedSizes(
+    frames=FrameSizes(blocks=2, block_frames=15, plain_frames=3, decoded=5),
+    fit=FitSizes(frames=60, fits=1),
+    memory=MemorySizes(session_s=14.0, warm_s=7.0, retrain_s=10.0),
+    measure_runs=1,
+)
+"""Of everything so much that it is there at all."""
+
+
+def took(median_us, *, p99_us=None):
+    """A timing of this median."""
+    tail_us = 2.0 * median_us if p99_us is None else p99_us
+    return Timing(
+        median_us=median_us, p99_us=tail_us, p999_us=3.0 * tail_us, max_us=4.0 * tail_us, samples=1000, blocks=4
+    )
+
+
+FRAMES = FrameCosts(
+    whole=took(400.0, p99_us=1000.0),
+    whole_cpu=took(390.0),
+    stages=tuple(StageCost(name=name, timing=took(50.0), share=0.125, traffic_bytes=20_000) for name in STAGES),
+    plain=took(12_000.0, p99_us=15_000.0),
+    decoding=(
+        PictureCost(name="depth, 16zT", timing=took(1000.0), coded_bytes=100_000.0, decoded_bytes=600_000),
+        PictureCost(name="colour, JPEG", timing=took(2000.0), coded_bytes=40_000.0, decoded_bytes=900_000),
+    ),
+    bandwidth_bytes_s=1e10,
+    lost_core_share=0.25,
+)
+
+GOOD = SpeedFigures(
+    machine=Machine(
+        processor="Some Processor",
+        cores=(0, 1),
+        memory_gb=8.0,
+        system="Linux 6",
+        python="3.11.7",
+        numpy="2.4.6",
+        opencv="5.0.0",
+        load_average=0.1,
+    ),
+    sizes=TINY,
+    frames=FRAMES,
+    fit=FitCost(frames=450, fits=8, fit_s=0.8, job_s=1.0, longest_s=1.2),
+    while_fitting=(
+        FramesWhileFitting(cores=1, timing=took(500.0, p99_us=4000.0), fits=8, job_s=1.5),
+        FramesWhileFitting(cores=2, timing=took(450.0, p99_us=3000.0), fits=8, job_s=1.1),
+    ),
+    throughput=(
+        Throughput(name="one core", frames=1200, run=CommandRun(seconds=4.0, processor_s=3.0), steady_per_s=320.0),
+        Throughput(name="two cores", frames=1200, run=CommandRun(seconds=3.0, processor_s=4.0), steady_per_s=450.0),
+    ),
+    memory=MemoryUse(
+        session_s=120.0,
+        warm_s=60.0,
+        frames=3600,
+        models=4,
+        start_mb=200.0,
+        end_mb=201.0,
+        peak_start_mb=300.0,
+        peak_end_mb=240.0,
+        used_start_mb=100.0,
+        used_end_mb=100.5,
+    ),
+    load_averages=(0.1, 1.0, 1.0),
+)
+"""A machine that reaches every mark."""
+
+
+def slower(figures=GOOD, **frames):
+    """Other figures of frames."""
+    return replace(figures, frames=replace(figures.frames, **frames))

@@ -1,0 +1,137 @@
+"""The order of the tests, and which of them `make check` runs (`pytest --fast`).
+
+A test is slow by its folder or file (below), by a fixture that needs a system package or a recording, by running on
+PostgreSQL, or by the mark ``slow``. A new test is fast until one of these says otherwise; `make check` prints its
+slowest ten, so that one which does not belong there is seen.
+"""
+
+from pathlib import Path
+
+import pytest
+
+from tests.support.repository import ROOT
+
+LONGEST = tuple(
+    f"tests/{name}.py"
+    for name in (
+        "campaigns/contract/test_schemathesis",
+        "campaigns/faults/test_short_campaign",
+        "campaigns/kills/test_short_campaign",
+        "engine/verification/qa/test_run",
+        "campaigns/fuzz/test_minute",
+        "engine/verification/performance/test_performance_bench",
+        "engine/verification/evaluation/runs/test_bench",
+        "engine/verification/phantom/test_recording",
+        "system/engine_process/test_service",
+        "system/service/test_process",
+        "system/client/test_whole_fractions",
+        "system/client/test_real_service",
+        "service/storage/backup/test_backup",
+    )
+)
+"""A file is run by one process (``--dist loadfile``): if one of these begins last, every other process waits for it."""
+
+SLOW_PATHS = tuple(
+    f"tests/{name}"
+    for name in (
+        "campaigns",
+        "engine/calibration/procedures/test_stereo_pair.py",
+        "engine/capture/oni/test_codec.py",
+        "engine/capture/oni/test_damage.py",
+        "engine/capture/openni",
+        "engine/motion/breathing/test_events.py",
+        "engine/motion/breathing/test_phase_and_position.py",
+        "engine/motion/learning/test_learner.py",
+        "engine/motion/test_pipeline.py",
+        "engine/motion/tracking/test_breath_tracker.py",
+        "engine/verification/evaluation/instruments/test_plane_calibration.py",
+        "engine/verification/evaluation/report/test_report.py",
+        "engine/verification/evaluation/runs/test_bench.py",
+        "engine/verification/performance/test_performance_bench.py",
+        "engine/verification/phantom/test_laser.py",
+        "engine/verification/phantom/test_recording.py",
+        "engine/verification/phantom/test_truth.py",
+        "engine/verification/phantom/test_variations.py",
+        "engine/verification/qa/test_phantom.py",
+        "engine/verification/qa/test_plate.py",
+        "engine/verification/qa/test_run.py",
+        "service/access/request/test_claimed_operator.py",
+        "service/cli/test_calibrate.py",
+        "service/cli/test_measure.py",
+        "service/cli/test_measure_many.py",
+        "service/cli/test_measure_stored_model.py",
+        "service/cli/test_qa.py",
+        "service/cli/test_recordings.py",
+        "service/engine_host/process",
+        "service/engine_host/site_rules/test_uncalibrated.py",
+        "service/qa/report/test_report.py",
+        "service/qa/test_real_run.py",
+        "service/sessions/lifecycle/test_runner.py",
+        "service/sessions/lifecycle/test_writer.py",
+        "service/sessions/recovery/test_interrupted.py",
+        "service/storage/audit/test_forwarding.py",
+        "service/storage/backup/test_backup.py",
+        "service/storage/database/test_lost_server.py",
+        "service/storage/database/test_migrations.py",
+        "service/web/api/test_audit.py",
+        "service/web/api/test_calibrations.py",
+        "service/web/api/test_conditional_requests.py",
+        "service/web/api/test_qa.py",
+        "service/web/middleware/test_reserved_threads.py",
+        "service/web/stream/test_over_tls.py",
+        "service/web/stream/test_slow_clients.py",
+        "system",
+    )
+)
+"""Folders and files that `make check` leaves out: they need a system package (pdftotext, rsyslogd, OpenNI2, a browser),
+or they are those of most processor time, so that the rest fits into two minutes."""
+
+SLOW_FIXTURES = frozenset(
+    {
+        "postgres_server",
+        "own_postgres_server",
+        "regular_volunteer",
+        "dibh_volunteer",
+        "occlusion_volunteer",
+        "lit_volunteer",
+    }
+)
+"""A PostgreSQL server is a system package; a recording takes ten seconds to make on a fresh machine."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add ``--fast``."""
+    parser.addoption("--fast", action="store_true", help="only the fast tests, which need no system package")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Do not import what ``--fast`` would not run."""
+    if config.getoption("--fast") and any(collection_path == ROOT / path for path in SLOW_PATHS):
+        return True
+    return None
+
+
+def is_slow(item: pytest.Item) -> bool:
+    """Whether ``--fast`` leaves this test out."""
+    callspec = getattr(item, "callspec", None)
+    return (
+        item.get_closest_marker("slow") is not None
+        or not SLOW_FIXTURES.isdisjoint(getattr(item, "fixturenames", ()))
+        or (callspec is not None and callspec.params.get("database_kind") == "postgresql")
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Begin with the longest files; leave out slow tests for ``--fast``."""
+    if config.getoption("--fast"):
+        slow = [item for item in items if is_slow(item)]
+        config.hook.pytest_deselected(items=slow)
+        items[:] = [item for item in items if not is_slow(item)]
+    turn = {path: number for number, path in enumerate(LONGEST)}
+    items.sort(key=lambda item: turn.get(item.nodeid.partition("::")[0], len(turn)))
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run what is marked so on SQLite and on PostgreSQL."""
+    if metafunc.definition.get_closest_marker("both_databases") and "database_kind" in metafunc.fixturenames:
+        metafunc.parametrize("database_kind", ["sqlite", "postgresql"], indirect=True)

@@ -1,0 +1,160 @@
+"""A real engine on a line with a real receiver: what the line finds out reaches the gate, and a person can go on."""
+
+import queue
+import time
+
+import pytest
+
+from engine.beam.wire.supervised_line import WiredBeamLine
+from engine.control.loop import EngineLoop, LoopStatus
+from engine.core.clock import MonotonicClock
+from engine.core.commands import Acknowledge, Arm, Disarm
+from engine.core.errors import BeamLineError, CommandRefusedError
+from engine.core.gate_state import GateState, HoldReason
+from tests.support.beam.receivers import TIMES, receiver, wire_to
+from tests.support.control.loop_bench import ToldPipeline, drained
+from tests.support.control.real_time_source import PATIENT_LIMITS, PacedSource
+from tests.support.waiting import eventually
+
+PATIENCE_S = 20.0
+TRIES = 4
+
+
+class Room:
+    """An engine and the receiver at the end of its line."""
+
+    def __init__(self, far):
+        self.far = far
+        self.loop = self._running()
+
+    def _running(self):
+        """An engine whose line was opened; where its receiver answered late, on a busy machine, another one."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while True:
+            loop = _engine(wire_to(self.far.kind, self.far.where), TIMES)
+            loop.start()
+            eventually(lambda loop=loop: loop.status.run_state is not LoopStatus.STARTING, within_s=PATIENCE_S)
+            if loop.status.run_state is LoopStatus.RUNNING:
+                return loop
+            assert time.monotonic() < deadline_s, f"the line never opened: {loop.status.error}"
+
+    def insist(self, command):
+        """Ask until it is not refused, as a person does who waits for the line."""
+        eventually(lambda: self._obeys(command), within_s=PATIENCE_S, detail=lambda: f"{command} is always refused")
+
+    def _obeys(self, command):
+        drained(self.loop.samples)
+        try:
+            self.loop.submit(command).result(timeout=PATIENCE_S)
+        except (BeamLineError, CommandRefusedError):
+            return False
+        return True
+
+    def arm(self):
+        """Acknowledge what there is and arm, until the beam is on at both ends, as a person does.
+
+        On a busy machine the line may find itself in trouble at any moment: an acknowledgement is good for one fault.
+        """
+        eventually(
+            self._is_on_or_asks,
+            within_s=PATIENCE_S,
+            pause_s=0.02,
+            detail=lambda: f"the beam does not come on: {self.loop.gate.detail}",
+        )
+        drained(self.far._lines)
+        drained(self.loop.transitions)
+
+    def _is_on_or_asks(self):
+        if self.is_on():
+            return True
+        if self.loop.gate.state is GateState.FAULT:
+            self._obeys(Acknowledge(operator="ann"))
+        elif not self.loop.gate.is_armed:
+            self._obeys(Arm(operator="ann"))
+        drained(self.loop.samples)
+        return False
+
+    def is_on(self):
+        return self.loop.gate.state is GateState.BEAM_ON and bool(self.far.seen) and self.far.seen[-1][0] == "on"
+
+    def fault(self):
+        """The next fault that the gate tells of."""
+        while True:
+            drained(self.loop.samples)
+            change = self.loop.transitions.get(timeout=PATIENCE_S)
+            if change.to_state is GateState.FAULT:
+                return change
+
+    def fault_of(self, spoiled, reason):
+        """The reason of the fault that follows a spoiled receiver; where a busy machine's own came first, again."""
+        for _ in range(TRIES):
+            self.arm()
+            self.far.spoil(spoiled)
+            found = self.fault().reason
+            self.far.spoil("well")
+            if found is reason:
+                break
+        return found
+
+
+def _engine(wire, times=None):
+    clock = MonotonicClock()
+    pipeline = ToldPipeline(clock)
+    return EngineLoop(
+        source=PacedSource(clock),
+        measurer=pipeline,
+        learner=pipeline,
+        beam=WiredBeamLine(wire, clock, times),
+        limits=PATIENT_LIMITS,
+        clock=clock,
+    )
+
+
+@pytest.fixture
+def room():
+    with receiver("tcp") as far:
+        held = Room(far)
+        try:
+            yield held
+        finally:
+            held.loop.stop(PATIENCE_S)
+
+
+@pytest.mark.parametrize(
+    ("spoiled", "reason"),
+    [("stuck off", HoldReason.BEAM_LINE_MISMATCH), ("late 180", HoldReason.BEAM_LINE_FAILED)],
+)
+def test_a_trouble_of_the_line_faults_the_gate_by_name_and_after_acknowledging_and_arming_it_goes_on(
+    room, spoiled, reason
+):
+    found = room.fault_of(spoiled, reason)
+    assert found is reason
+    assert room.far.next_edge()[0] == "off"
+    with pytest.raises(queue.Empty):
+        room.far._lines.get(timeout=0.3)
+    room.insist(Acknowledge(operator="ann"))
+    with pytest.raises(queue.Empty):
+        room.far._lines.get(timeout=0.3)  # acknowledging is not arming
+    room.arm()
+
+
+def test_a_line_that_is_pulled_out_while_nobody_is_armed_faults_too(room):
+    room.arm()
+    room.insist(Disarm(operator="ann"))
+    assert room.far.next_edge()[0] == "off"
+    room.far.process.kill()
+    assert room.fault().reason is HoldReason.BEAM_LINE_FAILED
+
+
+def test_a_session_on_a_line_that_is_not_there_fails_and_says_so():
+    loop = _engine(wire_to("tcp", "1"))
+    loop.start()
+    assert loop.join(PATIENCE_S)
+    assert "the beam line at 127.0.0.1:1 does not answer" in (loop.status.error or "")
+
+
+def test_an_engine_that_ends_turns_the_receiver_off_by_telling_it(room):
+    room.arm()
+    room.loop.stop(PATIENCE_S)
+    edge = room.far.next_edge()
+    assert (edge[0], edge[2]) == ("off", "told")

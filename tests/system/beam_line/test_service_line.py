@@ -1,0 +1,118 @@
+"""The whole service on a real line: a session over HTTP turns a receiver in another process on, and off at its end."""
+
+import pytest
+
+from service.core.settings.settings import Settings
+from service.web.app import create_app
+from tests.support.beam import modbus_server
+from tests.support.beam.receivers import TIMES, receiver
+from tests.support.service.accounts import PeopleClient
+from tests.support.service.api_calls import act, audit_rows, make_session_body, upload
+from tests.support.service.real_engine import PATIENT_LIMITS, HurriedEngine, arm_when_ready, detail_of, open_session
+from tests.support.waiting import eventually
+
+FILM = {"kind": "recording", "path": "recording.oni", "player": "reader"}
+TRIES = 6
+
+
+@pytest.fixture
+def far():
+    with receiver("tcp") as held:
+        yield held
+
+
+@pytest.fixture
+def site():
+    return {"recordings_may_gate": True}
+
+
+@pytest.fixture
+def client(tmp_path, regular_volunteer, far, site):
+    settings = Settings(
+        data_dir=tmp_path / "data",
+        recordings_dirs=(regular_volunteer,),
+        allowed_hosts=("testserver",),
+        **site,
+        beam_line="modbus-tcp",
+        beam_modbus_host="127.0.0.1",
+        beam_modbus_port=int(far.where),
+        beam_modbus_unit=modbus_server.UNIT,
+        beam_modbus_permit_coil=modbus_server.COIL,
+        beam_modbus_heartbeat_register=modbus_server.REGISTER,
+        beam_modbus_readback_input=modbus_server.INPUT,
+        beam_answer_ms=TIMES.answer_ms,
+        beam_settle_ms=TIMES.settle_ms,
+        **PATIENT_LIMITS,
+    )
+    with PeopleClient(create_app(settings, HurriedEngine)) as held:
+        yield held
+
+
+def _started(client, calibration):
+    """A session that runs; another one where its receiver answered late when it was opened, on a busy machine."""
+    for _ in range(TRIES):
+        session_id = open_session(client, calibration, source=FILM)
+        answer = act(client, session_id, "start")
+        if answer.status_code == 200 and answer.json()["status"] == "running":
+            return session_id
+    pytest.fail(f"no session starts: {answer.text}")
+
+
+def test_a_session_turns_a_real_receiver_on_and_leaves_it_off(client, far, regular_volunteer):
+    session_id = _started(client, (regular_volunteer / "calibration.json").read_bytes())
+    assert detail_of(client, session_id)["is_simulated_beam"] is False
+    assert far.seen == []
+    while not far.seen:
+        arm_when_ready(client, session_id)
+        eventually(lambda: far.seen or detail_of(client, session_id)["gate"]["state"] == "fault", within_s=30.0)
+    act(client, session_id, "stop")
+    eventually(lambda: detail_of(client, session_id)["status"] != "running", within_s=30.0)
+    eventually(lambda: far.seen[-1][0] == "off", within_s=10.0)
+    assert far.seen[0][0] == "on"
+    assert audit_rows(client, "service.start")[0]["detail"]["is_simulated_beam"] is False
+
+
+def test_a_session_on_a_receiver_that_is_gone_does_not_start_and_says_why(client, far, regular_volunteer):
+    far.process.kill()
+    far.process.wait()
+    session_id = open_session(client, (regular_volunteer / "calibration.json").read_bytes(), source=FILM)
+    answer = act(client, session_id, "start")
+    assert answer.status_code >= 400
+    assert "does not answer" in answer.text
+
+
+@pytest.mark.parametrize(
+    "site",
+    [{}, {"mode": "clinical", "beam_without_calibration": False, "allow_device_registration": False}],
+    ids=["research", "clinical"],
+)
+def test_no_recording_gates_a_real_line_unless_the_site_says_so(client, far, regular_volunteer):
+    calibration_id = upload(client, (regular_volunteer / "calibration.json").read_bytes()).json()["id"]
+    answer = client.post("/api/v1/sessions", json=make_session_body(calibration_id) | {"source": FILM})
+    assert (answer.status_code, answer.json()["field"]) == (422, "source.kind")
+    assert "TIDEGATE_RECORDINGS_MAY_GATE" in answer.json()["bound"]
+    assert client.get("/api/v1/sessions").json()["items"] == []
+    assert far.seen == []
+
+
+@pytest.mark.parametrize("site", [{}])
+def test_a_recording_that_was_allowed_when_its_session_was_made_is_refused_when_it_starts(
+    client, far, tmp_path, regular_volunteer, site
+):
+    earlier = Settings(data_dir=tmp_path / "data", recordings_dirs=(regular_volunteer,), allowed_hosts=("testserver",))
+    with PeopleClient(create_app(earlier, HurriedEngine)) as before:
+        session_id = open_session(before, (regular_volunteer / "calibration.json").read_bytes(), source=FILM)
+    answer = act(client, session_id, "start")
+    assert (answer.status_code, answer.json()["field"]) == (422, "source.kind")
+    assert detail_of(client, session_id)["status"] == "failed"
+    assert far.seen == []
+
+
+def test_a_recording_that_gates_a_real_line_is_said_loudly_in_the_audit(client, regular_volunteer):
+    session_id = _started(client, (regular_volunteer / "calibration.json").read_bytes())
+    assert "REAL beam line" in detail_of(client, session_id)["source_warning"]
+    act(client, session_id, "stop")
+    for action in ("session.create", "session.start"):
+        warnings = [row["detail"]["source_warning"] for row in audit_rows(client, action)]
+        assert warnings
+        assert all(one.startswith("RECORDING") and "REAL beam line (modbus-tcp)" in one for one in warnings)

@@ -1,0 +1,183 @@
+"""The buttons: disarm at any time, everything else only where it makes sense, and no way to a beam."""
+
+import re
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from service.core.permissions import Role
+from tests.support.browser.fake_service import SESSION, SESSION_ID, WAITING, FakeService, person, sample
+from tests.support.browser.tab import Tab
+
+pytestmark = pytest.mark.browser
+
+DISARMED = sample(gate="disarmed", is_armed=False, hold_reason="disarmed", hold_text="Not armed")
+FAULT = sample(gate="fault", is_armed=False, hold_reason="source_lost", hold_text="The camera is disconnected")
+LEARNING = DISARMED | {"state": "training", "hold_reason": "training"}
+ACTIONS = ("arm", "reference", "retrain", "start", "stop")
+
+
+def enabled(page: Page) -> set[str]:
+    return {action for action in ACTIONS if page.locator(f"#do-{action}").is_enabled()}
+
+
+def expect_enabled(page: Page, *actions: str) -> None:
+    for action in ACTIONS:
+        button = page.locator(f"#do-{action}")
+        (expect(button).to_be_enabled if action in actions else expect(button).to_be_disabled)()
+
+
+def calls_to(fake: FakeService, path: str) -> list[object]:
+    return [body for called, body in fake.posts() if called == f"/sessions/{SESSION_ID}/{path}"]
+
+
+def test_a_viewer_is_offered_nothing_and_told_why(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample, fake.person = "samples", DISARMED, person("V. Iewer", Role.VIEWER)
+    page = tab.open("disarmed")
+    expect_enabled(page)
+    expect(page.locator("#hint")).to_have_text("To arm: your log-in (viewer) does not allow it.")
+    for action in ("disarm", "hold", "arm"):
+        button = page.locator(f"#do-{action}")
+        expect(button).to_be_disabled()
+        expect(button).to_have_attribute("title", "Not now: your log-in (viewer) does not allow it")
+    expect(page.locator("#events-empty")).to_have_text("Not shown: your log-in does not allow it.")
+    expect(page.locator("#do-people")).to_be_hidden()
+    page.keyboard.press("F8")
+    expect(page.locator("#outcome")).to_contain_text("The page could not hold: use the room's interlock.")
+    page.click("#do-setup")
+    expect(page.locator("#new-session [type=submit]")).to_be_disabled()
+    expect(page.locator("#setup-why")).to_contain_text("your log-in (viewer) does not allow it")
+    assert fake.posts() == []
+    assert not [path for _, path, _ in fake.calls if path.endswith("/audit")]
+
+
+def test_an_admin_can_hold_and_disarm_and_arms_nothing(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample, fake.person = "samples", DISARMED, person("Grace", Role.ADMIN)
+    page = tab.open("disarmed")
+    expect_enabled(page, "stop")
+    expect(page.locator("#do-hold")).to_be_enabled()
+    expect(page.locator("#do-disarm")).to_be_enabled()
+
+
+def test_each_button_is_offered_only_where_it_makes_sense(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", LEARNING
+    page = tab.open("disarmed")
+    expect_enabled(page, "stop")
+    fake.sample = sample(gate="hold")
+    tab.sees("hold")
+    expect_enabled(page, "retrain", "stop")
+    expect(page.locator("#do-acknowledge")).to_be_hidden()
+    fake.sample = FAULT
+    tab.sees("fault")
+    expect(page.locator("#do-acknowledge")).to_be_visible()
+    expect(page.locator("#do-arm")).to_be_hidden()
+
+
+@pytest.mark.parametrize(
+    ("button", "path", "message"),
+    [
+        ("arm", "arm", DISARMED),
+        ("reference", "reference", DISARMED),
+        ("disarm", "disarm", sample(gate="hold")),
+        ("acknowledge", "acknowledge", FAULT),
+    ],
+)
+def test_a_button_sends_its_call_once_and_says_who(fake: FakeService, tab: Tab, button: str, path: str, message: dict):
+    fake.mode, fake.sample, fake.person = "samples", message, person("Ada L.")
+    page = tab.open(message["gate"])
+    page.click(f"#do-{button}")
+    expect(page.locator("#outcome")).to_have_attribute("data-kind", "done")
+    # Whoever only takes permission away is not asked for a name: the log-in says who.
+    assert calls_to(fake, path) == [{} if button == "disarm" else {"operator": "Ada L."}]
+
+
+def test_stop_asks_once_more(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", DISARMED
+    page = tab.open("disarmed")
+    page.click("#do-stop")
+    expect(page.locator("#do-stop")).to_have_text("Confirm stop")
+    assert calls_to(fake, "stop") == []
+    page.click("#do-stop")
+    expect(page.locator("#outcome")).to_have_text("Session stopped.")
+    assert len(calls_to(fake, "stop")) == 1
+
+
+def test_escape_disarms_from_anywhere_even_while_typing(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", sample(gate="beam_on", hold_reason=None, hold_text=None, line_on=True)
+    page = tab.open("beam_on")
+    page.keyboard.press("Escape")
+    expect(page.locator("#outcome")).to_have_text("Disarmed.")
+    page.click("#do-setup")
+    page.focus("[name=patient_reference]")
+    page.keyboard.press("Escape")
+    expect(page.locator("#outcome")).to_have_text("Disarmed.")
+    assert calls_to(fake, "disarm") == [{}, {}]
+
+
+def test_a_key_hit_after_arming_does_not_press_the_button_again(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", DISARMED
+    page = tab.open("disarmed")
+    page.click("#do-arm")
+    expect(page.locator("#outcome")).to_have_attribute("data-kind", "done")
+    page.keyboard.press("Space")
+    page.keyboard.press("Enter")
+    page.wait_for_timeout(200)
+    assert len(calls_to(fake, "arm")) == 1
+
+
+def test_a_refusal_shows_the_field_and_the_bound(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", DISARMED
+    fake.problem = (
+        409,
+        {"code": "command_refused", "detail": "no reference", "field": "reference", "value": "None"}
+        | {"bound": "set first"},
+    )
+    page = tab.open("disarmed")
+    page.click("#do-arm")
+    expect(page.locator("#outcome")).to_have_attribute("data-kind", "failed")
+    for part in ("Arm:", "no reference", "None", "set first"):
+        expect(page.locator("#outcome")).to_contain_text(part)
+
+
+def test_a_disarm_that_fails_says_what_else_stops_the_beam(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", sample(gate="hold")
+    fake.problem = (503, {"code": "engine_timeout", "detail": "The engine did not answer in time."})
+    page = tab.open("hold")
+    page.click("#do-disarm")
+    expect(page.locator("#outcome")).to_contain_text("room's interlock")
+
+
+def test_a_waiting_session_is_found_and_started(fake: FakeService, tab: Tab):
+    fake.sessions = [SESSION | {"status": "created"}]
+    page = tab.open("idle")
+    expect(page.locator("#who-patient")).to_have_text("P-0117")
+    expect_enabled(page, "start", "stop")
+    page.click("#do-start")
+    expect(page.locator("#outcome")).to_have_text("Session started.")
+    assert calls_to(fake, "start") == [{"operator": "A. Therapist"}]
+
+
+def test_a_session_made_elsewhere_is_taken_up_by_a_page_that_waits(fake: FakeService, tab: Tab):
+    fake.sessions = [SESSION | {"status": "ended", "patient_reference": "P-0099"}]
+    page = tab.open("idle")
+    expect(page.locator("#setup")).to_be_visible()
+    fake.sessions = [SESSION | {"status": "created", "id": "66" * 16}, *fake.sessions]
+    expect(page.locator("#who-patient")).to_have_text("P-0117")
+    expect(page.locator("#do-start")).to_be_enabled()
+
+
+def test_nothing_the_page_can_send_names_a_beam(fake: FakeService, tab: Tab):
+    """Press everything in every state: the calls are those of the contract, and none of them is "on"."""
+    fake.mode = "samples"
+    for message in (DISARMED, sample(gate="hold", training=WAITING), FAULT):
+        fake.sample = message
+        page = tab.open(message["gate"])
+        for button in page.locator(".controls button:visible:enabled").all():
+            button.click(timeout=10_000, trial=False)
+            page.wait_for_timeout(30)
+    allowed = re.compile(
+        rf"/sessions/{SESSION_ID}/(arm|disarm|hold|release|presence|reference|acknowledge|stop|models/retrain|models/apply)$"
+    )
+    paths = [path for path, _ in fake.posts()]
+    assert len(set(paths)) >= 4
+    assert all(allowed.match(path) for path in paths), paths

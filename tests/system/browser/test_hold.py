@@ -1,0 +1,138 @@
+"""Hold and release: whoever may holds at once, and one releases in their own name; who armed is heard of."""
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.support.browser.fake_service import SESSION, SESSION_ID, FakeService, person, sample
+from tests.support.browser.tab import Tab
+
+pytestmark = pytest.mark.browser
+
+BEAM_ON = sample(gate="beam_on", hold_reason=None, hold_text=None, hold_detail="", line_on=True)
+HELD = sample(
+    hold_reason="operator_hold",
+    hold_text="Held by an operator",
+    hold_detail="held by C. Nurse",
+    operator_hold="C. Nurse",
+)
+DISARMED = sample(gate="disarmed", is_armed=False, hold_reason="disarmed", hold_text="Not armed", hold_detail="")
+
+
+ADA = person("Ada L.")
+LOOKED_AT_AGAIN = "document.dispatchEvent(new Event('visibilitychange'))"
+
+
+def calls_to(fake: FakeService, path: str) -> list[object]:
+    return [body for called, body in fake.posts() if called == f"/sessions/{SESSION_ID}/{path}"]
+
+
+def test_hold_is_one_click_without_a_question(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", BEAM_ON
+    page = tab.open("beam_on")
+    page.click("#do-hold")
+    expect(page.locator("#outcome")).to_have_text("Held until released.")
+    assert calls_to(fake, "hold") == [{}]
+
+
+def test_the_hold_key_works_from_anywhere_even_while_typing(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", BEAM_ON
+    page = tab.open("beam_on")
+    page.keyboard.press("F8")
+    expect(page.locator("#outcome")).to_have_text("Held until released.")
+    page.click("#do-setup")
+    page.focus("[name=patient_reference]")
+    page.keyboard.press("F8")
+    expect(page.locator("#outcome")).to_have_text("Held until released.")
+    assert calls_to(fake, "hold") == [{}, {}]
+
+
+def test_a_hold_that_fails_says_what_else_stops_the_beam(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", BEAM_ON
+    fake.problem = (503, {"code": "engine_timeout", "detail": "The engine did not answer in time."})
+    page = tab.open("beam_on")
+    page.click("#do-hold")
+    expect(page.locator("#outcome")).to_contain_text("The page could not hold: use the room's interlock.")
+
+
+def test_only_what_is_held_is_released_and_by_name(fake: FakeService, tab: Tab):
+    fake.person = ADA
+    fake.mode, fake.sample = "samples", sample()
+    page = tab.open("hold")
+    expect(page.locator("#do-release")).to_be_disabled()
+    fake.sample = HELD
+    expect(page.locator("#gate-reason")).to_have_text("Held by an operator")
+    page.click("#do-release")
+    expect(page.locator("#outcome")).to_contain_text("Released")
+    assert calls_to(fake, "release") == [{"operator": "Ada L."}]
+
+
+def test_release_is_never_where_hold_was(fake: FakeService, tab: Tab):
+    """A second click on Hold must not let go what the first one held."""
+    fake.mode, fake.sample = "samples", BEAM_ON
+    page = tab.open("beam_on")
+    before = page.locator("#do-hold").bounding_box()
+    fake.sample = HELD
+    tab.sees("hold")
+    expect(page.locator("#do-release")).to_be_enabled()
+    assert page.locator("#do-hold").bounding_box() == before
+    page.click("#do-hold")
+    assert calls_to(fake, "release") == []
+
+
+def test_who_holds_is_said_also_where_another_reason_is_told(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", HELD
+    page = tab.open("hold")
+    expect(page.locator("#gate-detail")).to_have_text("held by C. Nurse")
+    fake.sample = sample(operator_hold="C. Nurse", hold_detail="4.10 mm is not inside -1 to 3 mm")
+    expect(page.locator("#gate-detail")).to_have_text("4.10 mm is not inside -1 to 3 mm · Also held by C. Nurse.")
+
+
+def test_the_page_of_whoever_armed_tells_every_second_that_they_are_there(fake: FakeService, tab: Tab):
+    fake.person = ADA
+    fake.mode, fake.sample = "samples", DISARMED
+    page = tab.open("disarmed")
+    page.wait_for_timeout(1_300)
+    assert calls_to(fake, "presence") == [], "nobody armed"
+    page.click("#do-arm")
+    fake.sample = BEAM_ON
+    tab.sees("beam_on")
+    page.wait_for_timeout(2_500)
+    heard = calls_to(fake, "presence")
+    assert 2 <= len(heard) <= 4
+    assert set(map(str, heard)) == {"{'operator': 'Ada L.'}"}
+    fake.person = person("B. Other")
+    page.evaluate(LOOKED_AT_AGAIN)
+    expect(page.locator("#person-name")).to_have_text("B. Other")
+    page.wait_for_timeout(300)
+    told = len(calls_to(fake, "presence"))
+    page.wait_for_timeout(1_500)
+    assert len(calls_to(fake, "presence")) == told, "another person at the page is not the one who armed"
+
+
+def test_presence_is_kept_over_a_reload_and_ends_with_the_arming(fake: FakeService, tab: Tab):
+    fake.person = ADA
+    fake.mode, fake.sample = "samples", DISARMED
+    page = tab.open("disarmed")
+    page.click("#do-arm")
+    fake.sample = BEAM_ON
+    tab.sees("beam_on")
+    page.reload()
+    tab.sees("beam_on")
+    before = len(calls_to(fake, "presence"))
+    page.wait_for_timeout(1_600)
+    assert len(calls_to(fake, "presence")) > before
+    fake.sample = DISARMED
+    tab.sees("disarmed")
+    page.wait_for_timeout(300)
+    told = len(calls_to(fake, "presence"))
+    page.wait_for_timeout(1_500)
+    assert len(calls_to(fake, "presence")) == told
+
+
+def test_a_page_that_did_not_arm_speaks_for_nobody(fake: FakeService, tab: Tab):
+    fake.person = ADA
+    fake.mode, fake.sample = "samples", BEAM_ON
+    page = tab.open("beam_on")
+    page.wait_for_timeout(1_500)
+    assert calls_to(fake, "presence") == []
+    assert SESSION["operator"] != "Ada L."

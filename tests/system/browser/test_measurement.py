@@ -1,0 +1,178 @@
+"""What is measured is shown in mm, what is not is shown as nothing: never zero, never a bridge over a gap."""
+
+from itertools import pairwise
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.support.browser.fake_service import NOTHING_MEASURED, ROI_PX, FakeService, motion_at, sample
+from tests.support.browser.tab import Tab
+
+pytestmark = pytest.mark.browser
+
+NONE = "\N{EN DASH}"
+MINUS = "\N{MINUS SIGN}"
+NUMBERS = ("whole", "thorax", "abdomen", "volume", "residual", "coverage")
+
+# Columns of the trace that hold a piece of the signal's line, from the left edge of the plot to now.
+LINE_COLUMNS = """() => {
+  const canvas = document.querySelector('#trace');
+  const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+  const found = [];
+  for (let x = 0; x < canvas.width; x += 1) {
+    let isLine = false;
+    for (let y = 0; y < canvas.height; y += 1) {
+      const i = 4 * (y * canvas.width + x);
+      isLine ||= pixels[i] < 175 && pixels[i + 1] > 180 && pixels[i + 2] > 225 && pixels[i + 3] > 200;
+    }
+    if (isLine) found.push(x);
+  }
+  return found;
+}"""
+
+
+def lost(**changes: object) -> dict[str, object]:
+    reason = {"reason": "marker_lost", "detail": "the superior left marker was not found"}
+    return sample(**(NOTHING_MEASURED | {"state": "lost", "lost": reason, "hold_reason": "marker_lost"} | changes))
+
+
+def line_columns(page: Page) -> list[int]:
+    return page.evaluate(LINE_COLUMNS)
+
+
+def test_numbers_are_those_of_the_sample_with_sign(fake: FakeService, tab: Tab):
+    fake.mode = "samples"
+    fake.sample = sample(whole_mm=1.52, thorax_mm=-1.1, abdomen_mm=1.9, volume_l=-0.21, missed_frames=3)
+    page = tab.open("hold")
+    shown = {name: page.locator(f"#figure-{name}") for name in (*NUMBERS, "fps", "missed", "latency", "line")}
+    expect(shown["whole"]).to_have_text("+1.52")
+    expect(shown["thorax"]).to_have_text(f"{MINUS}1.10")
+    expect(shown["volume"]).to_have_text(f"{MINUS}0.21")
+    expect(shown["coverage"]).to_have_text("98 %")
+    expect(shown["fps"]).to_have_text("29.9")
+    expect(shown["missed"]).to_have_text("3")
+    expect(shown["latency"]).to_have_text("5.2 · 5.0 · 9.1 · 31.4")
+    expect(shown["line"]).to_have_text("OFF")
+
+
+def test_what_was_not_measured_is_a_dash_not_a_zero(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", lost(fps=None, latency_ms=dict.fromkeys(("last", "p50", "p99", "max")))
+    page = tab.open("hold")
+    expect(page.locator("#learning-detail")).to_have_text("the superior left marker was not found")
+    for name in (*NUMBERS, "fps"):
+        expect(page.locator(f"#figure-{name}")).to_have_text(NONE)
+    expect(page.locator("#figure-latency")).to_have_text(" · ".join([NONE] * 4))
+    expect(page.locator("#trace-value")).to_have_text(NONE)
+
+
+def test_the_trace_draws_no_line_where_nothing_was_measured(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", lost()
+    page = tab.open("hold")
+    page.wait_for_timeout(600)
+    assert line_columns(page) == []
+    fake.sample = sample()
+    page.wait_for_timeout(1_000)
+    assert len(line_columns(page)) > 5
+
+
+def test_the_trace_leaves_a_gap_open_instead_of_bridging_it(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", sample(**motion_at(1.0))
+    page = tab.open("hold")
+    page.wait_for_timeout(1000)
+    fake.sample = lost()
+    page.wait_for_timeout(1500)
+    fake.sample = sample(**motion_at(1.3))
+    page.wait_for_timeout(1000)
+    columns = line_columns(page)
+    gaps = [(before, after) for before, after in pairwise(columns) if after - before > 20]
+    assert len(gaps) == 1, "one gap of a second and a half, and none beside it"
+    assert columns[0] < gaps[0][0]
+    assert columns[-1] > gaps[0][1]
+
+
+def test_frames_the_camera_missed_are_a_gap_too(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", sample()
+    page = tab.open("hold")
+    page.wait_for_timeout(800)
+    fake.mode = "silent"
+    page.wait_for_timeout(1200)
+    fake.mode = "samples"
+    page.wait_for_timeout(800)
+    columns = line_columns(page)
+    assert max(after - before for before, after in pairwise(columns)) > 15
+
+
+def test_thorax_and_abdomen_can_be_looked_at_and_the_gated_signal_is_named(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", sample(signal_mm=1.5, thorax_mm=2.5, abdomen_mm=3.5)
+    page = tab.open("hold")
+    expect(page.locator("#trace-name")).to_have_text("Gated on whole")
+    expect(page.locator("#trace-value")).to_have_text("1.5")
+    page.get_by_text("Thorax", exact=True).first.click()
+    expect(page.locator("#trace-value")).to_have_text("2.5")
+    page.get_by_text("Abdomen", exact=True).first.click()
+    expect(page.locator("#trace-value")).to_have_text("3.5")
+
+
+def test_the_map_tells_each_cell_and_says_which_were_not_measured(fake: FakeService, tab: Tab):
+    regions = [[1.0 * row - 2.0 for _ in range(8)] for row in range(14)]
+    regions[0][0] = None
+    fake.mode, fake.sample = "samples", sample(regions_mm=regions)
+    page = tab.open("hold")
+    box = page.locator("#grid").bounding_box()
+    assert box is not None
+    cell = min((box["width"] - 32) / 8, (box["height"] - 16) / 14)
+    left, top = (box["width"] - 8 * cell) / 2, 16 + (box["height"] - 16 - 14 * cell) / 2
+    readout = page.locator("#grid-readout")
+    page.mouse.move(box["x"] + left + 0.5 * cell, box["y"] + top + 0.5 * cell)
+    expect(readout).to_have_text("row 0, column 0: not measured")
+    page.mouse.move(box["x"] + left + 7.5 * cell, box["y"] + top + 13.5 * cell)
+    expect(readout).to_have_text("row 13, column 7: +11.0 mm")
+    page.mouse.move(box["x"] + left + 3.5 * cell, box["y"] + top + 0.5 * cell)
+    expect(readout).to_have_text(f"row 0, column 3: {MINUS}2.0 mm")
+
+
+BRIGHTEST_NEAR = """([x, y]) => {
+  const canvas = document.querySelector('#picture');
+  const zoom = Math.min(canvas.clientWidth / 640, canvas.clientHeight / 480);
+  const left = (canvas.clientWidth - 640 * zoom) / 2, top = (canvas.clientHeight - 480 * zoom) / 2;
+  const [u, v] = [left + (x + 0.5) * zoom - 2, top + (y + 0.5) * zoom - 2];
+  const pixels = canvas.getContext('2d').getImageData(u, v, 5, 5).data;
+  return Math.max(...pixels.filter((_, i) => i % 4 === 1));
+}"""
+
+
+def test_the_region_lies_on_the_picture_where_the_markers_are(fake: FakeService, tab: Tab):
+    """The four sides run from marker to marker; the picture itself is dark there."""
+    fake.mode, fake.sample = "samples", sample()
+    page = tab.open("hold")
+    page.uncheck("#overlay")
+    page.wait_for_timeout(600)
+    for corner, (x, y) in enumerate(ROI_PX):
+        next_x, next_y = ROI_PX[(corner + 1) % 4]
+        along = [(x + share * (next_x - x), y + share * (next_y - y)) for share in (0.2, 0.35, 0.65, 0.8)]
+        assert min(page.evaluate(BRIGHTEST_NEAR, place) for place in along) > 150, f"side {corner}"
+    inside = page.evaluate(BRIGHTEST_NEAR, [323, 250])
+    assert inside < 110, "the outline is a line, not a sheet"
+
+
+def test_a_picture_without_its_region_is_shown_bare(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", lost()
+    page = tab.open("hold")
+    page.wait_for_timeout(600)
+    corner = page.evaluate("""() => { const c = document.querySelector('#picture');
+        return [...c.getContext('2d').getImageData(c.width / 2, c.height / 2, 1, 1).data]; }""")
+    assert corner[3] > 200
+    assert max(corner[:3]) < 110, "no colour of motion over the patient"
+
+
+def test_learning_shows_how_far_it_has_come(fake: FakeService, tab: Tab):
+    training = {"frames": 214, "cycles": 2, "seconds": 7.1, "share": 0.62, "note": "one more complete breath"}
+    fake.mode = "samples"
+    fake.sample = lost(
+        state="training", lost=None, gate="disarmed", is_armed=False, hold_reason="training", training=training
+    )
+    page = tab.open("disarmed")
+    expect(page.locator("#learning-title")).to_have_text("Training")
+    expect(page.locator("#learning-share")).to_have_text("62 %")
+    expect(page.locator("#learning-detail")).to_have_text("214 frames · 2 breaths · 7 s · one more complete breath")
+    assert page.locator("#learning-bar").evaluate("e => e.value") == pytest.approx(0.62)

@@ -1,0 +1,109 @@
+"""The structure of the tests: what they import of each other, and that every path which a build names exists."""
+
+import ast
+import re
+
+import pytest
+
+from tests.support.repository import ROOT
+from tests.support.selection import LONGEST, SLOW_PATHS
+from tests.support.timings import read_timings, table
+
+TESTS = ROOT / "tests"
+MODULES = sorted(path for path in TESTS.rglob("*.py") if "data" not in path.relative_to(TESTS).parts)
+TEST_MODULE = re.compile(r"^tests(\.\w+)*\.(test_\w+|conftest)$")
+NAMED_PATH = re.compile(r"(?<![\w./-])tests/[\w/]+(?:\.\w+)?")
+
+
+SLEEPS = {
+    "tests/campaigns/faults/test_cleanup.py": "the program that is killed, and a wait for its remains",
+    "tests/campaigns/faults/test_wall_clock.py": "the clock under test is compared with real time",
+    "tests/service/cli/test_qa.py": "the line stays off for 0.5 s",
+    "tests/service/sessions/recovery/test_journal.py": "the program that is killed",
+    "tests/system/engine_process/test_killed_engine.py": "a command grows too old in another process",
+    "tests/system/virtual_camera/test_faults.py": "a camera delivers nothing for 0.3 s",
+    "tests/system/virtual_camera/test_live_session.py": "the beam stays off for 0.5 s on a real camera's clock",
+}
+"""Test modules that sleep, and why: nothing can be waited for. Others wait with tests/support/waiting.py."""
+
+
+def imported_test_modules(source: str) -> set[str]:
+    """Return the test modules and conftests that a source imports, as absolute names."""
+    named = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            named |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            named |= {str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return {name for name in named if TEST_MODULE.match(name)}
+
+
+def test_no_module_imports_a_test_module_or_a_conftest():
+    found = {str(path.relative_to(ROOT)): imported_test_modules(path.read_text(encoding="utf-8")) for path in MODULES}
+    assert {path: names for path, names in found.items() if names} == {}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import tests.a.test_b",
+        "from tests.a.test_b import c",
+        "from tests.a import conftest",
+        "from tests.conftest import d",
+    ],
+)
+def test_an_import_of_a_test_module_is_found_in_each_form(line):
+    assert imported_test_modules(f"def late():\n    {line}\n")
+
+
+def test_only_the_listed_test_modules_sleep():
+    modules = {str(path.relative_to(ROOT)): path for path in MODULES if path.name.startswith("test_")}
+    sleeping = {
+        name for name, path in modules.items() if re.search(r"^\s*time\.sleep\(", path.read_text(), re.MULTILINE)
+    }
+    assert sleeping == SLEEPS.keys()
+
+
+def test_every_folder_of_tests_is_a_package():
+    """Else two test files of the same name collide."""
+    assert [str(path.parent) for path in MODULES if not (path.parent / "__init__.py").exists()] == []
+
+
+@pytest.mark.parametrize("file", ["Makefile", "pyproject.toml"])
+def test_every_path_of_a_test_that_a_build_names_exists(file):
+    named = set(NAMED_PATH.findall((ROOT / file).read_text(encoding="utf-8")))
+    assert named
+    assert [path for path in sorted(named) if not (ROOT / path).exists()] == []
+
+
+@pytest.mark.parametrize("path", [*LONGEST, *SLOW_PATHS])
+def test_every_path_of_the_order_and_of_the_selection_exists(path):
+    assert (ROOT / path).exists()
+
+
+def test_the_slowest_of_all_parts_are_shown_with_the_longest_first():
+    parts = {"one": {"a": 1.0, "b": 30.0}, "two": {f"c{number}": 2.0 + number / 100 for number in range(40)}}
+    lines = table(parts).splitlines()
+    assert lines[:2] == ["one: 2 tests, 31 s in all", "two: 40 tests, 88 s in all"]
+    shown = [line.split()[-1] for line in lines[3:]]
+    assert shown == ["b", *(f"c{number}" for number in range(39, 20, -1))]
+
+
+def test_timings_are_written_for_each_test_with_its_set_up_and_without_its_subtests(pytester):
+    pytester.makepyfile(
+        """
+        import pytest
+
+        @pytest.fixture
+        def slow():
+            pass
+
+        def test_one(slow, subtests):
+            for number in range(3):
+                with subtests.test(str(number)):
+                    pass
+        """
+    )
+    pytester.runpytest_inprocess("-p", "tests.support.timings", "--timings", "out.tsv")
+    (test,) = read_timings(pytester.path / "out.tsv")
+    assert test.endswith("::test_one")
