@@ -89,8 +89,8 @@ class LocalEngine:
         pipeline = Pipeline(
             plan.calibration,
             measuring,
-            TappedClock(self._clock, tape.taping),
-            TappedTrainer(BackgroundTrainer(), tape.taping),
+            TappedClock(self._clock, tape.tap),
+            TappedTrainer(BackgroundTrainer(), tape.tap),
         )
         if plan.model is not None:
             pipeline.learner.resume(plan.model)
@@ -109,7 +109,7 @@ class LocalEngine:
             beam=make_beam_line(self._settings, self._clock),
             limits=limits,
             clock=self._clock,
-            tap=tape.taping,
+            tap=tape.tap,
             journal=plan.journal,
         )
         tape.start(limits, measuring)
@@ -253,7 +253,7 @@ class LoopEngine:
         """Hold the beam, then end the engine; note if it hangs."""
         self._is_hung = not self._loop.stop(STOP_TIMEOUT_S)
         if self._is_hung:
-            self._tape.taping.tear("the engine hung")
+            self._tape.tap.tear("the engine hung")
 
     def evidence(self) -> dict[str, object]:
         """Return what the audit records of the session's tape."""

@@ -26,7 +26,7 @@ UNFINISHED = "the tape was still being written when the session was closed: its 
 MIB = 1024 * 1024
 
 
-def spelling_of(models: ModelStore) -> TapeEncoding:
+def encoding_of(models: ModelStore) -> TapeEncoding:
     """Return the tape encoding that names models by the hash under which they are stored."""
     return TapeEncoding(name_of=models.save, model_of=models.load)
 
@@ -41,14 +41,14 @@ class SessionTape:
         if plan.recording is None and settings.record_raw:
             path = raw_path(settings.data_dir, plan.session_id)
             self._raw = RawRecorder(path, min_free_bytes=settings.raw_min_free_mb * MIB)
-        self.taping = RecordingTap() if self._raw is None else RecordingTap(keep_frame=self._raw.offer)
+        self.tap = RecordingTap() if self._raw is None else RecordingTap(keep_frame=self._raw.offer)
         self._writer: TapeWriter | None = None
         self._kept: dict[str, object] | None = None
 
     def start(self, limits: GateLimits, measuring: PipelineSettings) -> None:
         """Start writing tape and raw recording."""
         plan, settings = self._plan, self._settings
-        spelling = spelling_of(ModelStore(settings.data_dir / MODELS_FOLDER))
+        encoding = encoding_of(ModelStore(settings.data_dir / MODELS_FOLDER))
 
         def head() -> dict[str, object]:
             return TapeHeader(
@@ -60,9 +60,9 @@ class SessionTape:
                 frames=self._frames(),
                 software=this_software(),
                 machine=this_machine(),
-            ).spelled(spelling)
+            ).encoded(encoding)
 
-        self._writer = TapeWriter(self.taping, self._path, head, spelling, recording=plan.recording)
+        self._writer = TapeWriter(self.tap, self._path, head, encoding, recording=plan.recording)
         self._writer.start()
         if self._raw is not None:
             self._raw.start()
@@ -82,9 +82,9 @@ class SessionTape:
         raw_error = None if self._raw is None else self._raw.finish(JOIN_S)
         writer.join(JOIN_S)
         if writer.is_alive():
-            self.taping.tear("the tape was not written in time")
+            self.tap.tear("the tape was not written in time")
             writer.join(JOIN_S)
-        torn = self.taping.torn or raw_error
+        torn = self.tap.torn or raw_error
         if torn is not None:
             logger.warning("a session's tape ends early: %s", torn)
         if writer.is_alive():  # what it still writes would make any hash of now look like a change made later

@@ -35,7 +35,7 @@ from engine.motion.named_regions import NamedRegion
 from engine.motion.settings import PipelineSettings
 from engine.offline.replay.inputs import FrameHead, Raised
 
-_NO_WORDS = (LookupError, TypeError, ValueError, AttributeError, RecursionError, InvalidValueError, ModelError)
+_UNDECODABLE = (LookupError, TypeError, ValueError, AttributeError, RecursionError, InvalidValueError, ModelError)
 _TAPE_NAMES: dict[type, str] = {PatientMatchLimits: "LikenessLimits"}
 """Classes that were renamed: tapes keep the name from when they were first written."""
 _CLASSES: dict[str, type] = {
@@ -59,16 +59,16 @@ class TapeEncoding:
     name_of: Callable[[MotionModel], str]
     model_of: Callable[[str], MotionModel]
 
-    def spell(self, value: Any) -> Any:  # noqa: ANN401 - any of the table's values, as any of JSON's
+    def encode(self, value: Any) -> Any:  # noqa: ANN401 - any of the table's values, as any of JSON's
         """Return a value as JSON; raise TypeError for a class that is not in the table."""
         if isinstance(value, enum.Enum):
             return {"e": [type(value).__name__, value.value]}
         if value is None or isinstance(value, bool | int | float | str):
             return value
         if isinstance(value, list | tuple):
-            return {"l" if isinstance(value, list) else "t": [self.spell(one) for one in value]}
+            return {"l" if isinstance(value, list) else "t": [self.encode(one) for one in value]}
         if isinstance(value, frozenset):
-            return {"s": sorted((self.spell(one) for one in value), key=str)}
+            return {"s": sorted((self.encode(one) for one in value), key=str)}
         if isinstance(value, MotionModel):
             return {"m": self.name_of(value)}
         name = _TAPE_NAMES.get(type(value), type(value).__name__)
@@ -76,34 +76,26 @@ class TapeEncoding:
             msg = f"a {name} has no place on a tape"
             raise TypeError(msg)
         names = [one.name for one in dataclasses.fields(_CLASSES[name])]
-        return {"d": [name, {one: self.spell(getattr(value, one)) for one in names}]}
+        return {"d": [name, {one: self.encode(getattr(value, one)) for one in names}]}
 
-    def read(self, words: Any) -> Any:  # noqa: ANN401
+    def decode(self, encoded: Any) -> Any:  # noqa: ANN401
         """Return the value of this JSON; raise RecordingError where it has none."""
-        if not isinstance(words, dict):
-            return words
+        if not isinstance(encoded, dict):
+            return encoded
         try:
-            ((kind, body),) = words.items()
-            return self._made(kind, body)
-        except (
-            LookupError,
-            TypeError,
-            ValueError,
-            AttributeError,
-            RecursionError,
-            InvalidValueError,
-            ModelError,
-        ) as error:
-            msg = f"the tape is damaged: {type(error).__name__} in {str(words)[:60]}"
+            ((kind, body),) = encoded.items()
+            return self._decoded(kind, body)
+        except _UNDECODABLE as error:
+            msg = f"the tape is damaged: {type(error).__name__} in {str(encoded)[:60]}"
             raise RecordingError(msg) from error
 
-    def _made(self, kind: str, body: Any) -> Any:  # noqa: ANN401
+    def _decoded(self, kind: str, body: Any) -> Any:  # noqa: ANN401
         match kind:
             case "e":
                 return _ENUMS[body[0]](body[1])
             case "d":
-                return _CLASSES[body[0]](**{name: self.read(words) for name, words in body[1].items()})
+                return _CLASSES[body[0]](**{name: self.decode(one) for name, one in body[1].items()})
             case "m":
                 return self.model_of(body)
         makers: dict[str, type] = {"l": list, "t": tuple, "s": frozenset}
-        return makers[kind](self.read(one) for one in body)
+        return makers[kind](self.decode(one) for one in body)

@@ -46,36 +46,36 @@ class TapeHeader:
     software: str
     machine: dict[str, str]
 
-    def spelled(self, spelling: TapeEncoding) -> dict[str, Any]:
+    def encoded(self, encoding: TapeEncoding) -> dict[str, Any]:
         """Return the header encoded for a tape."""
         return {
             "session_id": self.session_id,
-            "limits": spelling.spell(self.limits),
-            "measuring": spelling.spell(self.measuring),
+            "limits": encoding.encode(self.limits),
+            "measuring": encoding.encode(self.measuring),
             "calibration": self.calibration.to_json(),
-            "model": spelling.spell(self.model),
+            "model": encoding.encode(self.model),
             "frames": {"kind": self.frames.kind, "path": None if self.frames.path is None else str(self.frames.path)},
             "software": self.software,
             "machine": self.machine,
         }
 
 
-def read_head(words: dict[str, Any], spelling: TapeEncoding) -> TapeHeader:
+def read_head(encoded: dict[str, Any], encoding: TapeEncoding) -> TapeHeader:
     """Read the header of a tape; raise RecordingError where it is damaged."""
     try:
-        frames = words["frames"]
-        machine = words["machine"]
+        frames = encoded["frames"]
+        machine = encoded["machine"]
         if not isinstance(machine, dict):
             msg = "the tape's head is damaged: it names no machine"
             raise RecordingError(msg)
         return TapeHeader(
-            session_id=words["session_id"],
-            limits=spelling.read(words["limits"]),
-            measuring=spelling.read(words["measuring"]),
-            calibration=parse_calibration(words["calibration"].encode()),
-            model=spelling.read(words["model"]),
+            session_id=encoded["session_id"],
+            limits=encoding.decode(encoded["limits"]),
+            measuring=encoding.decode(encoded["measuring"]),
+            calibration=parse_calibration(encoded["calibration"].encode()),
+            model=encoding.decode(encoded["model"]),
             frames=Frames(kind=frames["kind"], path=None if frames["path"] is None else Path(frames["path"])),
-            software=words["software"],
+            software=encoded["software"],
             machine=machine,
         )
     except (KeyError, TypeError, AttributeError, InvalidValueError) as error:

@@ -69,5 +69,5 @@ def kept_of(kind: InputKind, value: Any) -> Any:  # noqa: ANN401 - any reading
     if kind is InputKind.TRAINED:
         return value is not None
     if kind is InputKind.COMMANDS:
-        return [letter.command for letter in value]
+        return [queued.command for queued in value]
     return value

@@ -117,7 +117,7 @@ class RecordingTap:
         """Whether the last turn was queued."""
         return self._over.is_set()
 
-    def await_news(self, timeout_s: float) -> None:
+    def await_end(self, timeout_s: float) -> None:
         """Wait for ``timeout_s``, or until the session is over; called by the writer's thread."""
         self._over.wait(timeout_s)
 

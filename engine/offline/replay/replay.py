@@ -98,7 +98,7 @@ def replay(
     tape: Tape,
     head: TapeHeader,
     recording: Path,
-    spelling: TapeEncoding,
+    encoding: TapeEncoding,
     *,
     comparison: Comparison = BIT_FOR_BIT,
     on_frame: Callable[[int], None] = lambda _frames: None,
@@ -119,7 +119,7 @@ def replay(
     try:
         tap = ReplayingTap(
             tape.turns(),
-            spelling,
+            encoding,
             pictures.frame,
             comparison=comparison,
             on_turn=lambda: on_frame(tap.frames),

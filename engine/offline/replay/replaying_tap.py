@@ -66,14 +66,14 @@ class ReplayingTap:
     def __init__(
         self,
         turns: Iterator[RecordedTurn],
-        spelling: TapeEncoding,
+        encoding: TapeEncoding,
         picture: Callable[[FrameHead], RgbdFrame],
         *,
         comparison: Comparison = BIT_FOR_BIT,
         on_turn: Callable[[], None] = lambda: None,
         on_output: Callable[[object], None] = lambda _outcome: None,
     ) -> None:
-        self._turns, self._spelling, self._picture, self._on_turn = turns, spelling, picture, on_turn
+        self._turns, self._encoding, self._picture, self._on_turn = turns, encoding, picture, on_turn
         self._on_output = on_output
         self._comparison = comparison
         self._turn: RecordedTurn | None = next(turns, None)
@@ -93,13 +93,13 @@ class ReplayingTap:
         """Return the next reading of the tape; end the replay where the tape has another kind next."""
         if self.difference is not None or self._turn is None:
             raise ReplayEnded
-        then, words = next(self._readings, (None, None))
+        then, encoded = next(self._readings, (None, None))
         if then is not kind:
             self._compare_outputs(is_all=False)
             recorded = "nothing more" if then is None else then.name
             self._differ(f"{recorded} observed{self._decided()}", f"{kind.name} observed")
             raise ReplayEnded
-        answer = self._spelling.read(words)
+        answer = self._encoding.decode(encoded)
         if isinstance(answer, Raised):
             raise answer.again()
         return cast("T", self._completed(kind, answer, read))
@@ -173,8 +173,8 @@ class ReplayingTap:
     def _decided(self) -> str:
         """Name the recorded decision of this turn: an engine that reads something else decides differently."""
         rows = [] if self._turn is None else self._turn.rows
-        said = [f"gate {row['gate']}, reason {row['reason']}" for row in rows if "gate" in row and "reason" in row]
-        return f", decided: {said[-1]}" if said and not self._comparison.is_exact else ""
+        decisions = [f"gate {row['gate']}, reason {row['reason']}" for row in rows if "gate" in row and "reason" in row]
+        return f", decided: {decisions[-1]}" if decisions and not self._comparison.is_exact else ""
 
     def _differ_in(self, then: Row, now: Row) -> None:
         """Note the values in which two rows differ; both rows where one is missing."""

@@ -81,32 +81,32 @@ class Tape:
         self.facts |= facts
 
 
-def _observed(words: list[Any], clock_ns: int) -> tuple[list[tuple[InputKind, Any]], int]:
+def _observed(encoded: list[Any], clock_ns: int) -> tuple[list[tuple[InputKind, Any]], int]:
     """Return a turn's readings, each with its kind, and the last reading of the clock [ns]."""
     observed = []
-    for word, answer in zip(words[::2], words[1::2], strict=True):
-        kind = InputKind(word)
+    for number, answer in zip(encoded[::2], encoded[1::2], strict=True):
+        kind = InputKind(number)
         if kind is InputKind.CLOCK:
             clock_ns += operator.index(answer)
         observed.append((kind, clock_ns if kind is InputKind.CLOCK else answer))
     return observed, clock_ns
 
 
-def _rows(words: object) -> list[Row]:
-    if not isinstance(words, list) or not all(isinstance(row, dict) for row in words):
+def _rows(encoded: object) -> list[Row]:
+    if not isinstance(encoded, list) or not all(isinstance(row, dict) for row in encoded):
         msg = "no rows"
         raise TypeError(msg)
-    return words
+    return encoded
 
 
 class TapeFile:
     """A tape being written; for one thread."""
 
-    def __init__(self, path: Path, head: dict[str, Any], spelling: TapeEncoding) -> None:
+    def __init__(self, path: Path, head: dict[str, Any], encoding: TapeEncoding) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file = path.open("xb")
         self._packer = zlib.compressobj(LEVEL)
-        self._spelling = spelling
+        self._encoding = encoding
         self._clock_ns = 0
         self._turns = 0
         self._lines: list[str] = []
@@ -115,15 +115,15 @@ class TapeFile:
 
     def add(self, turn: Turn) -> None:
         """Add a turn."""
-        words: list[Any] = []
+        encoded: list[Any] = []
         for kind, answer in turn.observed:
-            words.append(int(kind))
+            encoded.append(int(kind))
             if kind is InputKind.CLOCK:
-                words.append(answer - self._clock_ns)
+                encoded.append(answer - self._clock_ns)
                 self._clock_ns = answer
             else:
-                words.append(self._spelling.spell(answer))
-        line: dict[str, Any] = {"h": words}
+                encoded.append(self._encoding.encode(answer))
+        line: dict[str, Any] = {"h": encoded}
         if turn.emitted:
             line["r"] = [row_of(outcome) for outcome in turn.emitted]
         if turn.elsewhere:

@@ -30,15 +30,15 @@ class TapeWriter(threading.Thread):
 
     def __init__(
         self,
-        taping: RecordingTap,
+        tap: RecordingTap,
         path: Path,
         head: Callable[[], dict[str, Any]],
-        spelling: TapeEncoding,
+        encoding: TapeEncoding,
         *,
         recording: Path | None = None,
     ) -> None:
         super().__init__(name="tidegate-tape", daemon=True)
-        self._taping, self._path, self._head, self._spelling = taping, path, head, spelling
+        self._tap, self._path, self._head, self._encoding = tap, path, head, encoding
         self._recording = recording
         self._found: queue.SimpleQueue[dict[str, object]] = queue.SimpleQueue()
         self.error: str | None = None
@@ -49,14 +49,14 @@ class TapeWriter(threading.Thread):
             self._write()
         except Exception as error:  # noqa: BLE001 - without its tape a session cannot be replayed; nothing else depends on it
             self.error = f"{type(error).__name__}: {error}"
-            self._taping.tear(f"the tape cannot be written: {self.error}")
+            self._tap.tear(f"the tape cannot be written: {self.error}")
 
     def _write(self) -> None:
-        tape = TapeFile(self._path, self._head(), self._spelling)
+        tape = TapeFile(self._path, self._head(), self._encoding)
         hashing = threading.Thread(target=self._hash, name="tidegate-hash", daemon=True)
         hashing.start()
         writes = 0
-        while not self._taping.is_over and self._taping.torn is None:
+        while not self._tap.is_over and self._tap.torn is None:
             self._take(tape)
             tape.write()
             writes += 1
@@ -64,19 +64,19 @@ class TapeWriter(threading.Thread):
                 tape.sync()
         self._await(hashing)
         self._take(tape)
-        tape.end(self._taping.torn)
+        tape.end(self._tap.torn)
 
     def _await(self, hashing: threading.Thread) -> None:
         """Wait for the recording's hash for at most ``HASH_WAIT_S``, and not where the tape is torn."""
         end_s = time.monotonic() + HASH_WAIT_S
-        while hashing.is_alive() and self._taping.torn is None and time.monotonic() < end_s:
+        while hashing.is_alive() and self._tap.torn is None and time.monotonic() < end_s:
             hashing.join(WRITE_EVERY_S)
 
     def _take(self, tape: TapeFile) -> None:
-        self._taping.await_news(WRITE_EVERY_S)
+        self._tap.await_end(WRITE_EVERY_S)
         while not self._found.empty():
             tape.note(**self._found.get())
-        turns = self._taping.turns
+        turns = self._tap.turns
         while not turns.empty():
             tape.add(turns.get())
 

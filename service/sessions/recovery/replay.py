@@ -19,7 +19,7 @@ from engine.offline.replay.replaying_tap import Difference
 from engine.offline.replay.survey import Survey, survey
 from engine.offline.replay.tape_file import read_tape
 from engine.offline.replay.tape_writer import sha256_of
-from service.engine_host.session_tape import spelling_of
+from service.engine_host.session_tape import encoding_of
 from service.storage.database import queries
 from service.storage.database.engine import Database
 from service.storage.database.tables import AuditRow
@@ -109,7 +109,7 @@ class StoredSession:
         self._database, self._data_dir, self._session_id = database, data_dir, session_id
         with database.read() as db:
             self._is_open = queries.session_row(db, session_id).ended_at is None
-        self._spelling = spelling_of(ModelStore(data_dir / MODELS_FOLDER))
+        self._encoding = encoding_of(ModelStore(data_dir / MODELS_FOLDER))
         path = tape_path(data_dir, session_id)
         if not path.is_file():
             msg = f"session {session_id} has no tape: it ran before tapes were kept, or its tape was removed"
@@ -117,7 +117,7 @@ class StoredSession:
         self._path = path
         self.survey: Survey = survey(path)
         self._refuse_changed_tape()
-        self.head = read_head(read_tape(path).head, self._spelling)
+        self.head = read_head(read_tape(path).head, self._encoding)
 
     def _refuse_changed_tape(self) -> None:
         """Refuse a tape whose hash differs from the one in the audit's entry of the session's end."""
@@ -155,7 +155,7 @@ class StoredSession:
             read_tape(self._path),
             self.head,
             self._frames(recording),
-            self._spelling,
+            self._encoding,
             comparison=comparison,
             on_frame=on_frame,
             on_output=keep,

@@ -46,7 +46,7 @@ ROWS, FILE = b"[]\n", b"model"
 
 
 def read_model(content: bytes) -> None:
-    """The first byte tells whether the rest is a file, or the header's text for arrays that are as they should be."""
+    """The first byte decides whether the rest is a file, or the header's text for arrays that are as they should be."""
     if content[:1] == b"h":
         arrays = {name: _plain_array(name) for name in ARRAYS}
         out = io.BytesIO()
@@ -68,14 +68,14 @@ def models() -> Iterator[bytes]:
 
 
 def read_any_tape(content: bytes) -> None:
-    """The first byte tells whether the rest is a file, or its text."""
+    """The first byte decides whether the rest is a file, or its text."""
     packed = content[1:] if content[:1] == b"f" else zlib.compress(content[1:], 1)
     tape = read_tape(as_file(packed, "fuzz.tape"))
-    spelling = TapeEncoding(name_of=lambda _model: "m", model_of=_no_model)
-    read_head(tape.head, spelling)
+    encoding = TapeEncoding(name_of=lambda _model: "m", model_of=_no_model)
+    read_head(tape.head, encoding)
     for turn in tape.turns():
-        for _seam, words in turn.heard:
-            spelling.read(words)
+        for _kind, reading in turn.observed:
+            encoding.decode(reading)
 
 
 def _no_model(name: str) -> None:
@@ -97,7 +97,7 @@ def tapes() -> Iterator[bytes]:
     )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.tape"
-        file = TapeFile(path, head.spelled(NO_MODELS), NO_MODELS)
+        file = TapeFile(path, head.encoded(NO_MODELS), NO_MODELS)
         file.end(None)
         content = path.read_bytes()
         yield b"t" + zlib.decompress(content)
@@ -150,7 +150,7 @@ def samples() -> Iterator[bytes]:
 
 
 def read_backup(content: bytes) -> None:
-    """The first byte tells whether the rest is a file, or its manifest, beside one table and one file."""
+    """The first byte decides whether the rest is a file, or its manifest, beside one table and one file."""
     if content[:1] == b"m":
         out = io.BytesIO()
         with zipfile.ZipFile(out, "w") as archive:

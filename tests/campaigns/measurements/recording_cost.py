@@ -48,8 +48,8 @@ def latencies_ms(volunteer: Path, kind: str, folder: Path) -> tuple[list[float],
     """Play one session; return each measured frame's time from receipt to the line told, and the processor's [s]."""
     clock = MonotonicClock()
     raw = RawRecorder(folder / "raw.oni", min_free_bytes=GIB) if "raw" in kind else None
-    taping = RecordingTap(keep_frame=(lambda _frame: None) if raw is None else raw.offer)
-    tap = NO_TAP if kind == "without" else taping
+    recorder = RecordingTap(keep_frame=(lambda _frame: None) if raw is None else raw.offer)
+    tap = NO_TAP if kind == "without" else recorder
     training = TrainingSettings(min_frames=40, max_frames=120, min_cycles=1, min_seconds=4.0)
     pipeline = Pipeline(
         load_calibration(volunteer / "calibration.json"),
@@ -66,8 +66,8 @@ def latencies_ms(volunteer: Path, kind: str, folder: Path) -> tuple[list[float],
         clock=clock,
         tap=tap,
     )
-    if tap is taping:
-        TapeWriter(taping, folder / "a.tape", dict, NO_MODELS).start()
+    if tap is recorder:
+        TapeWriter(recorder, folder / "a.tape", dict, NO_MODELS).start()
     if raw is not None:
         raw.start()
     found = []
@@ -82,22 +82,22 @@ def latencies_ms(volunteer: Path, kind: str, folder: Path) -> tuple[list[float],
             if record.measurement.state.value == "measuring":
                 found.append((record.asserted_ns - record.received_ns) / NS_PER_MS)
     ended = None if raw is None else raw.finish(30.0)
-    if taping.torn or ended:
-        typer.echo(f"{kind}: ended early: {taping.torn or ended}")
+    if recorder.torn or ended:
+        typer.echo(f"{kind}: ended early: {recorder.torn or ended}")
     return found, time.process_time() - spent_s
 
 
 def microseconds_an_answer() -> float:
     """Time what one answer costs more when it is written down."""
-    taping, clock = RecordingTap(), MonotonicClock()
+    recorder, clock = RecordingTap(), MonotonicClock()
     spent = []
-    for tap in (NO_TAP, taping):
+    for tap in (NO_TAP, recorder):
         started = time.thread_time()
         for _ in range(ANSWERS // ANSWERS_A_TURN):
             for _ in range(ANSWERS_A_TURN):
                 tap.observe(InputKind.CLOCK, clock.now_ns)
             tap.turn()
-            _ = taping.turns.empty() or taping.turns.get()
+            _ = recorder.turns.empty() or recorder.turns.get()
         spent.append(time.thread_time() - started)
     return (spent[1] - spent[0]) / ANSWERS * 1e6
 

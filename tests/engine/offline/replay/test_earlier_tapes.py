@@ -45,33 +45,33 @@ def recording(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def spelling(folders):
-    """A spelling that gives one of the stored models for every name."""
+def encoding(folders):
+    """An encoding that returns one of the stored models for every name."""
     path = min((folders / "data" / MODELS_FOLDER).glob("*.npz"))
     model = ModelStore(path.parent).load(path.stem)
     return TapeEncoding(name_of=lambda _model: "model", model_of=lambda _name: model)
 
 
-def as_words(value):
-    """Put a value into plain words: what a tape says of it, without the names of classes."""
+def without_classes(value):
+    """Encode a value as a tape does, without the names of classes."""
     if isinstance(value, enum.Enum):
         return value.value
     if isinstance(value, MotionModel):
         return "model"
     if dataclasses.is_dataclass(value):
-        return {field.name: as_words(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return {field.name: without_classes(getattr(value, field.name)) for field in dataclasses.fields(value)}
     if isinstance(value, list | tuple):
-        return [as_words(one) for one in value]
+        return [without_classes(one) for one in value]
     if isinstance(value, frozenset):
-        return sorted(as_words(one) for one in value)
+        return sorted(without_classes(one) for one in value)
     return value
 
 
-def without_names(words):
-    """Put a tape's words into the same plain words."""
-    if not isinstance(words, dict):
-        return words
-    ((kind, body),) = words.items()
+def without_names(encoded):
+    """Drop the names of classes from a tape's values."""
+    if not isinstance(encoded, dict):
+        return encoded
+    ((kind, body),) = encoded.items()
     match kind:
         case "e":
             return body[1]
@@ -84,39 +84,39 @@ def without_names(words):
     return [without_names(one) for one in body]
 
 
-def lacking(told, read, path=""):
-    """Name the places where a read value lacks or alters what the tape says; it may have new fields."""
-    if isinstance(told, dict) and isinstance(read, dict):
-        return [found for name in told for found in lacking(told[name], read.get(name), f"{path}.{name}")]
-    if isinstance(told, list) and isinstance(read, list) and len(told) == len(read):
-        return [found for place, one in enumerate(told) for found in lacking(one, read[place], f"{path}[{place}]")]
-    return [] if told == read else [f"{path}: {told!r} was written, {read!r} is read"]
+def lacking(written, read, path=""):
+    """Name the places where a read value lacks or alters what is on the tape; it may have new fields."""
+    if isinstance(written, dict) and isinstance(read, dict):
+        return [found for name in written for found in lacking(written[name], read.get(name), f"{path}.{name}")]
+    if isinstance(written, list) and isinstance(read, list) and len(written) == len(read):
+        return [found for place, one in enumerate(written) for found in lacking(one, read[place], f"{path}[{place}]")]
+    return [] if written == read else [f"{path}: {written!r} was written, {read!r} is read"]
 
 
-def names_in(words, kind):
-    """Collect the names of the classes ("d") or enums ("e") in a tape's words."""
-    if isinstance(words, dict):
-        own = {body[0] for key, body in words.items() if key == kind}
-        return own.union(*(names_in(body, kind) for body in words.values()))
-    return set().union(*(names_in(one, kind) for one in words)) if isinstance(words, list) else set()
+def names_in(encoded, kind):
+    """Collect the names of the classes ("d") or enums ("e") in encoded values."""
+    if isinstance(encoded, dict):
+        own = {body[0] for key, body in encoded.items() if key == kind}
+        return own.union(*(names_in(body, kind) for body in encoded.values()))
+    return set().union(*(names_in(one, kind) for one in encoded)) if isinstance(encoded, list) else set()
 
 
-def test_every_class_and_every_enum_that_a_tape_names_is_read_with_all_that_it_held(spelling):
+def test_every_class_and_every_enum_that_a_tape_names_is_read_with_all_that_it_held(encoding):
     values = read_tape(TAPE).head["values"]
     assert len(names_in(values, "d")) == CLASSES
     assert len(names_in(values, "e")) == ENUMS
-    for words in values["l"]:
-        assert lacking(without_names(words), as_words(spelling.read(words))) == [], words
-    read = spelling.read(values)
+    for encoded in values["l"]:
+        assert lacking(without_names(encoded), without_classes(encoding.decode(encoded))) == [], encoded
+    read = encoding.decode(values)
     assert any(isinstance(value, Arm) for value in read)
     assert any(isinstance(value, ActivateModel) for value in read)
     assert any(isinstance(value, SourceDescription) for value in read)
 
 
-def test_an_earlier_scripted_session_comes_out_the_same(spelling, monkeypatch):
-    monkeypatch.setattr(scripted_tape, "NO_MODELS", spelling)
+def test_an_earlier_scripted_session_comes_out_the_same(encoding, monkeypatch):
+    monkeypatch.setattr(scripted_tape, "NO_MODELS", encoding)
     tape = read_tape(TAPE)
-    limits = spelling.read(tape.head["limits"])
+    limits = encoding.decode(tape.head["limits"])
     rows = [row for turn in tape.turns() for row in turn.rows]
     again = scripted_tape.replayed(TAPE, limits)
     assert again.difference is None

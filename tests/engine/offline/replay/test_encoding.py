@@ -50,7 +50,7 @@ VALUES = (
     "words",
     [Arm(operator="A"), Retrain(operator="B", keeps_zero=False), CorrectBaseline(operator="C", by=-0.1)],
     (HoldReason.DISK_LOW, "full"),
-    Interruption(HoldReason.OPERATOR_LOST, "nothing heard"),
+    Interruption(HoldReason.OPERATOR_LOST, "no request"),
     FrameHead(
         index=0, device_index=9, missed_frames=2, timestamp_us=2**53, color_timestamp_us=-1, received_ns=2**62 + 1
     ),
@@ -61,33 +61,33 @@ VALUES = (
 
 
 @pytest.mark.parametrize("value", VALUES, ids=lambda value: type(value).__name__)
-def test_a_value_is_read_as_it_was_spelled(value):
-    again = NO_MODELS.read(json.loads(json.dumps(NO_MODELS.spell(value))))
+def test_a_value_is_read_as_it_was_encoded(value):
+    again = NO_MODELS.decode(json.loads(json.dumps(NO_MODELS.encode(value))))
     assert again == value
     assert type(again) is type(value)
 
 
-def test_a_model_is_spelled_by_the_name_it_is_kept_under():
+def test_a_model_is_encoded_by_its_stored_name():
     known = make_model()
-    spelling = TapeEncoding(name_of=lambda _model: "abc", model_of=lambda name: replace(known, cycles=len(name)))
-    words = spelling.spell(ActivateModel(operator="A", model=known))
-    assert words["d"][1]["model"] == {"m": "abc"}
-    assert spelling.read(words).model.cycles == 3
+    encoding = TapeEncoding(name_of=lambda _model: "abc", model_of=lambda name: replace(known, cycles=len(name)))
+    encoded = encoding.encode(ActivateModel(operator="A", model=known))
+    assert encoded["d"][1]["model"] == {"m": "abc"}
+    assert encoding.decode(encoded).model.cycles == 3
 
 
 def test_what_has_no_place_on_a_tape_is_refused():
     with pytest.raises(TypeError, match="Path"):
-        NO_MODELS.spell(__import__("pathlib").Path())
+        NO_MODELS.encode(__import__("pathlib").Path())
 
 
 @pytest.mark.parametrize(
-    "words",
+    "encoded",
     [{"d": ["Popen", {}]}, {"e": ["HoldReason", "none such"]}, {"x": []}, {"d": ["Arm", {"who": "A"}]}, {"d": 1}, {}],
     ids=str,
 )
-def test_words_that_spell_nothing_are_damage_and_make_nothing(words):
+def test_an_encoding_of_no_known_value_is_damage_and_makes_nothing(encoded):
     with pytest.raises(RecordingError, match="the tape is damaged"):
-        NO_MODELS.read(words)
+        NO_MODELS.decode(encoded)
 
 
 ERRORS = (SourceAwayError("away"), BeamLineMismatchError("on"), InvalidValueError("f", 1, "2"), OSError("gone"))

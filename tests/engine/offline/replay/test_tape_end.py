@@ -1,4 +1,4 @@
-"""A tape's end waits for nobody for long, and no hash is told of a tape that is still being written."""
+"""The end of a tape: a bounded wait for its writer, and no hash while it is still being written."""
 
 import threading
 from types import SimpleNamespace
@@ -21,7 +21,7 @@ AT_ONCE_S = 5.0
 
 @pytest.fixture
 def gate():
-    """What a slow thread waits for; opened at the end in any case."""
+    """An event that a slow thread waits for; set at teardown."""
     gate = threading.Event()
     yield gate
     gate.set()
@@ -29,7 +29,7 @@ def gate():
 
 @pytest.fixture
 def recording(tmp_path, monkeypatch, gate):
-    """A recording of gigabytes: nobody has read it to its end before the gate opens."""
+    """A recording whose hash is not computed before the gate opens."""
     monkeypatch.setattr(tape_writer, "sha256_of", lambda _path: gate.wait(LONG_S) and "")
     path = tmp_path / "long.oni"
     path.write_bytes(b"")
@@ -38,16 +38,16 @@ def recording(tmp_path, monkeypatch, gate):
 
 @pytest.fixture
 def writing(tmp_path, recording):
-    taping = RecordingTap()
-    writer = TapeWriter(taping, tmp_path / "a.tape", dict, NO_MODELS, recording=recording)
+    tap = RecordingTap()
+    writer = TapeWriter(tap, tmp_path / "a.tape", dict, NO_MODELS, recording=recording)
     writer.start()
-    return taping, writer, tmp_path / "a.tape"
+    return tap, writer, tmp_path / "a.tape"
 
 
 def test_a_recording_that_is_long_to_read_leaves_the_tape_whole_without_its_hash(writing, monkeypatch):
     monkeypatch.setattr(tape_writer, "HASH_WAIT_S", 0.05)
-    taping, writer, path = writing
-    taping.end()
+    tap, writer, path = writing
+    tap.end()
     writer.join(AT_ONCE_S)
     assert not writer.is_alive()
     tape = read_tape(path)
@@ -57,9 +57,9 @@ def test_a_recording_that_is_long_to_read_leaves_the_tape_whole_without_its_hash
 
 def test_a_torn_tape_does_not_wait_for_the_hash_at_all(writing, monkeypatch):
     monkeypatch.setattr(tape_writer, "HASH_WAIT_S", LONG_S)
-    taping, writer, path = writing
-    taping.end()
-    taping.tear("the tape was not written in time")
+    tap, writer, path = writing
+    tap.end()
+    tap.tear("the tape was not written in time")
     writer.join(AT_ONCE_S)
     assert not writer.is_alive()
     tape = read_tape(path)
@@ -68,9 +68,9 @@ def test_a_torn_tape_does_not_wait_for_the_hash_at_all(writing, monkeypatch):
 
 
 def test_a_hash_that_is_known_soon_enough_is_on_the_tape(writing, gate):
-    taping, writer, path = writing
+    tap, writer, path = writing
     gate.set()
-    taping.end()
+    tap.end()
     writer.join(AT_ONCE_S)
     tape = read_tape(path)
     list(tape.turns())
@@ -105,7 +105,7 @@ def slow(tmp_path, monkeypatch, gate):
     return tape, writer
 
 
-def test_no_hash_is_told_of_a_tape_that_is_still_written_and_the_answer_stays(slow, gate):
+def test_a_tape_that_is_still_being_written_has_no_hash_and_the_answer_stays(slow, gate):
     tape, writer = slow
     kept = tape.finish()
     assert kept["tape_sha256"] is None
@@ -113,7 +113,7 @@ def test_no_hash_is_told_of_a_tape_that_is_still_written_and_the_answer_stays(sl
     assert "still being written" in kept["tape_detail"]
     gate.set()
     writer.join(AT_ONCE_S)
-    assert tape.finish() == kept, "one close tells one thing, however often it is tried"
+    assert tape.finish() == kept, "a repeated close returns the same"
 
 
 def test_a_tape_that_is_written_is_known_by_its_hash(slow, gate, tmp_path):
