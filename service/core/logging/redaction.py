@@ -1,11 +1,9 @@
-"""The service's log: what failed and where, never what it was about.
+"""Formatters of the service's log: the kind and the place of an error, never its message.
 
-An exception's message may hold whatever was being worked on: a patient's reference, a row's values, a password. So
-the log tells an exception by its kind and its place in the code, and leaves its message out; those that are ours are
-told by whoever catches them, in words of their own.
+An exception's message may hold a patient's reference, a row's values or a password. So the log shows an exception's
+class and traceback and leaves its message out. Code that catches one of our own errors logs a text of its own.
 
-Whatever is logged stands on lines of its own making: control characters in it are written as escapes, so that nobody
-who can choose a name or a path can write lines into the log, or colours onto a terminal.
+Control characters are escaped, so that a chosen name or path cannot add lines to the log or colours to a terminal.
 """
 
 import json
@@ -24,35 +22,35 @@ from service.core.settings.monitoring import LogFormat
 logger = logging.getLogger(__name__)
 LINE = "%(asctime)s %(levelname)s %(name)s %(message)s"
 OURS = ("service", "engine")
-"""Loggers that a site's level is for; what libraries say below a warning is about their own insides, and URLs."""
-TELLS_MORE = ("asyncio",)
-"""Loggers that put an exception into their message's further lines."""
+"""Loggers that the site's level applies to; of libraries, only warnings and worse are logged."""
+MULTILINE = ("asyncio",)
+"""Loggers that put an exception's text on further lines of their message."""
 LONGEST_CHAIN = 8
 HEAD = "Traceback (most recent call last):\n"
 FIELDS = "fields"
-"""The attribute of a record with what else its JSON line says: ``extra={FIELDS: {...}}``."""
+"""Attribute of a record with further fields of its JSON line: ``extra={FIELDS: {...}}``."""
 LONGEST_MESSAGE = 4000
 UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
 def in_one_line(text: str) -> str:
-    """Write control characters, and those that turn the direction of writing, as escapes; cut what is too long."""
+    """Escape control and bidirectional characters; truncate a text that is too long."""
     cut = text if len(text) <= LONGEST_MESSAGE else f"{text[:LONGEST_MESSAGE]}…"
     return UNSAFE.sub(lambda found: ascii(found.group())[1:-1], cut)
 
 
 class RedactingFormatter(logging.Formatter):
-    """Writes records down without the messages of exceptions, for a person."""
+    """Writes records as text, without the messages of exceptions."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Write one record; a trace that another formatter has written into it is not taken over."""
+        """Format a record; a trace cached by another formatter is dropped."""
         record.exc_text = None
         text = super().format(record)
         record.exc_text = None
         return text
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - the base's name
-        """Write the line without its trace: one line whatever was put into it."""
+        """Format the line without its trace, always on one line."""
         record.message = _message_of(record)
         line = super().formatMessage(record)
         request_id = current_request_id()
@@ -62,21 +60,21 @@ class RedactingFormatter(logging.Formatter):
         self,
         ei: tuple[type[BaseException], BaseException, TracebackType | None] | tuple[None, None, None],
     ) -> str:
-        """Write an exception's kinds and places."""
+        """Format an exception's class and traceback."""
         return "" if ei[1] is None else trace_of(ei[1])
 
 
 class JsonFormatter(logging.Formatter):
-    """Writes records down as one JSON object a line, for a collector; of exceptions, too, kinds and places alone."""
+    """Writes records as one JSON object a line, for a collector, without the messages of exceptions."""
 
     def __init__(self, session_id: str | None = None) -> None:
         super().__init__()
         self._session_id = session_id
 
     def format(self, record: logging.LogRecord) -> str:
-        """Write one record."""
+        """Format a record."""
         fields = getattr(record, FIELDS, None)
-        said: dict[str, object] = {
+        entry: dict[str, object] = {
             "ts": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z"),
             "level": record.levelname.lower(),
             "logger": record.name,
@@ -86,24 +84,24 @@ class JsonFormatter(logging.Formatter):
             **(fields if isinstance(fields, Mapping) else {}),
         }
         if record.exc_info and record.exc_info[1] is not None:
-            said["exception"] = [_kind(one) for one in _chain(record.exc_info[1])]
-            said["trace"] = trace_of(record.exc_info[1])
-        return json.dumps({name: value for name, value in said.items() if value is not None}, allow_nan=False)
+            entry["exception"] = [_kind(one) for one in _chain(record.exc_info[1])]
+            entry["trace"] = trace_of(record.exc_info[1])
+        return json.dumps({name: value for name, value in entry.items() if value is not None}, allow_nan=False)
 
 
 def _message_of(record: logging.LogRecord) -> str:
     text = record.getMessage()
-    if record.name.partition(".")[0] in TELLS_MORE:
+    if record.name.partition(".")[0] in MULTILINE:
         text = text.partition("\n")[0]
     return in_one_line(text.rstrip("\n"))
 
 
 def trace_of(error: BaseException) -> str:
-    """Write where an exception came from, and of which kind it and those behind it are."""
+    """Format the classes and tracebacks of an exception and of its causes."""
     parts = []
     for found in _chain(error):
         frames = "".join(traceback.format_tb(found.__traceback__))
-        parts.append(f"{HEAD}{frames}{_kind(found)} (its message is not told)")
+        parts.append(f"{HEAD}{frames}{_kind(found)} (message left out)")
     return "\n\nfrom\n\n".join(parts)
 
 
@@ -121,7 +119,7 @@ def _kind(error: BaseException) -> str:
 
 
 def formatter(form: LogFormat, session_id: str | None = None) -> logging.Formatter:
-    """Return what writes records in this form."""
+    """Return the formatter for this format."""
     return JsonFormatter(session_id) if form == "json" else RedactingFormatter(LINE)
 
 
@@ -132,16 +130,16 @@ def install_private_log(
     session_id: str | None = None,
     handler: logging.Handler | None = None,
 ) -> None:
-    """Let all that is logged, and all that nobody catches, go to standard error like that.
+    """Send all log records and uncaught exceptions to standard error, redacted.
 
     Parameters
     ----------
     level
-        Of our own loggers; all others tell warnings and worse.
+        Of our own loggers; others log warnings and worse.
     session_id
-        Whom all lines of this process belong to, in a process that is there for one session.
+        Session of all lines, in a process that serves one session.
     handler
-        What takes the lines; standard error, waited for, when left out.
+        Receives the lines; a blocking one on standard error by default.
     """
     handler = handler or logging.StreamHandler()
     handler.setFormatter(formatter(form, session_id))
@@ -149,18 +147,18 @@ def install_private_log(
     logging.basicConfig(level=max(chosen, logging.WARNING), handlers=[handler], force=True)
     for name in OURS:
         logging.getLogger(name).setLevel(chosen)
-    sys.excepthook = _tell_uncaught
-    threading.excepthook = _tell_thread
+    sys.excepthook = _log_uncaught
+    threading.excepthook = _log_thread
 
 
-def _tell_uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+def _log_uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
     if issubclass(kind, KeyboardInterrupt):
         sys.__excepthook__(kind, error, trace)
         return
     logger.critical("Tidegate failed", exc_info=(kind, error, trace))
 
 
-def _tell_thread(found: threading.ExceptHookArgs) -> None:
+def _log_thread(found: threading.ExceptHookArgs) -> None:
     name = "?" if found.thread is None else found.thread.name
     if found.exc_value is not None and not isinstance(found.exc_value, SystemExit):
         logger.critical("the thread %s failed", name, exc_info=found.exc_value)

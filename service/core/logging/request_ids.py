@@ -1,6 +1,6 @@
-"""Which request, and which session, something belongs to: told in every answer's header and in every line of the log.
+"""The ids of the current request and session, for the response's header and every line of the log.
 
-Kept in context variables: they go along into the worker threads that answer requests, and a thread of our own has none.
+They are context variables, so worker threads that answer requests inherit them; threads of our own have none.
 """
 
 import re
@@ -10,7 +10,7 @@ from contextvars import ContextVar
 
 HEADER = "x-request-id"
 GIVEN = re.compile(rb"[A-Za-z0-9._-]{1,64}")
-"""What a caller may call its request; anything else might be meant for whoever reads the log."""
+"""A request id that a caller may choose; anything else could forge text in the log."""
 IN_A_SESSION = re.compile(r"/api/v1/sessions/([0-9a-f]{32})(?:/|\Z)")
 
 _request_id: ContextVar[str | None] = ContextVar("tidegate_request_id", default=None)
@@ -25,22 +25,22 @@ def request_id_of(given: Sequence[bytes]) -> str:
 
 
 def begin_request(request_id: str, path: str) -> None:
-    """Let everything that is done from here on in this context belong to the request."""
+    """Set the request and session of this context."""
     _request_id.set(request_id)
     found = IN_A_SESSION.match(path)
     _session_id.set(None if found is None else found.group(1))
 
 
 def begin_session(session_id: str) -> None:
-    """Let everything that is logged from here on in this context belong to the session: for threads and processes."""
+    """Set the session of this context; for threads and processes of a session."""
     _session_id.set(session_id)
 
 
 def current_request_id() -> str | None:
-    """Return the request that this is done for; None outside of any."""
+    """Return the id of the current request; None outside of one."""
     return _request_id.get()
 
 
 def current_session_id() -> str | None:
-    """Return the session that this is done for; None outside of any."""
+    """Return the id of the current session; None outside of one."""
     return _session_id.get()

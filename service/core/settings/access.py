@@ -1,4 +1,4 @@
-"""Who may reach the service and how, and for how long a log-in lasts: a part of the site's settings."""
+"""Settings of access: address, TLS, proxies, and lifetimes of log-ins and API keys."""
 
 import ipaddress
 from pathlib import Path
@@ -14,20 +14,20 @@ MOST_PROXIES = 16
 
 
 class AccessSettings(BaseSettings):
-    """The settings of access; a part of :class:`service.core.settings.settings.Settings`."""
+    """Settings of access; a part of :class:`service.core.settings.settings.Settings`."""
 
     host: str = Field(default="127.0.0.1", min_length=1, max_length=253)
-    tls_cert: Path | None = Field(default=None, description="The service's certificate, with what leads to its root")
+    tls_cert: Path | None = Field(default=None, description="The service's certificate chain (PEM)")
     tls_key: Path | None = Field(default=None, description="The certificate's key")
-    behind_proxy: bool = Field(default=False, description="A proxy in front speaks TLS with everybody else")
+    behind_proxy: bool = Field(default=False, description="A reverse proxy in front terminates TLS")
     trusted_proxies: Addresses = Field(
         default=(),
         max_length=MOST_PROXIES,
-        description="Addresses or networks whose X-Forwarded-For is believed, comma-separated; loopback when left out",
+        description="Addresses or networks whose X-Forwarded-For is trusted, comma-separated; default: loopback",
     )
-    login_hours: float = Field(default=12.0, ge=0.25, le=24.0, description="No log-in lasts longer")
-    login_idle_min: float = Field(default=30.0, ge=1.0, le=720.0, description="A log-in that nobody uses ends")
-    key_max_days: int = Field(default=365, ge=1, le=1825, description="No API key is made for longer")
+    login_hours: float = Field(default=12.0, ge=0.25, le=24.0, description="Longest log-in")
+    login_idle_min: float = Field(default=30.0, ge=1.0, le=720.0, description="A log-in ends after this time without a request")
+    key_max_days: int = Field(default=365, ge=1, le=1825, description="Longest lifetime of an API key")
 
     @field_validator("trusted_proxies", mode="before")
     @classmethod
@@ -46,42 +46,42 @@ class AccessSettings(BaseSettings):
         return value
 
     @model_validator(mode="after")
-    def _is_reached_safely(self) -> Self:
+    def _is_encrypted(self) -> Self:
         if (self.tls_cert is None) != (self.tls_key is None):
             msg = f"{PREFIX}TLS_CERT and {PREFIX}TLS_KEY must be given together"
             raise ValueError(msg)
         if self.has_tls and self.behind_proxy:
-            msg = f"{PREFIX}BEHIND_PROXY says that a proxy speaks TLS: leave {PREFIX}TLS_CERT out, or it"
+            msg = f"{PREFIX}BEHIND_PROXY means that a proxy terminates TLS: leave out {PREFIX}TLS_CERT, or it"
             raise ValueError(msg)
         if self.trusted_proxies and not self.behind_proxy:
             msg = f"{PREFIX}TRUSTED_PROXIES must be left out without {PREFIX}BEHIND_PROXY=true"
             raise ValueError(msg)
         if not (self.has_tls or self.behind_proxy or is_loopback(self.host)):
             msg = (
-                f"host {self.host} can be reached from outside, where passwords must not travel in the clear: set "
-                f"{PREFIX}TLS_CERT and {PREFIX}TLS_KEY, or {PREFIX}BEHIND_PROXY=true where a proxy in front speaks TLS"
+                f"host {self.host} can be reached over the network, where passwords must be encrypted: set "
+                f"{PREFIX}TLS_CERT and {PREFIX}TLS_KEY, or {PREFIX}BEHIND_PROXY=true if a proxy in front terminates TLS"
             )
             raise ValueError(msg)
         return self
 
     @property
     def has_tls(self) -> bool:
-        """Whether the service itself speaks TLS."""
+        """Whether the service itself terminates TLS."""
         return self.tls_cert is not None
 
     @property
     def is_secure(self) -> bool:
-        """Whether browsers come by https, so that cookies may say that they travel by nothing else."""
+        """Whether browsers connect by https, so that cookies can be ``Secure``."""
         return self.has_tls or self.behind_proxy
 
     @property
     def is_remote(self) -> bool:
-        """Whether others than this machine may come."""
+        """Whether other machines can connect."""
         return self.behind_proxy or not is_loopback(self.host)
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address is this machine's alone."""
+    """Whether an address is loopback."""
     if host == "localhost":
         return True
     try:

@@ -1,6 +1,6 @@
-"""Which beam line a site uses, and everything about it: the part of the settings that begins with ``beam_``.
+"""Settings of the beam line, ``beam_``.
 
-A setting of a line that is not used is refused: whoever set it believes in a wire that is not there.
+A setting of a line that is not used is refused, because it suggests an output that does not exist.
 """
 
 from typing import Annotated, Literal, Self, TypeAlias
@@ -48,16 +48,16 @@ DEVICES = ("beam_rtu_device", "beam_relay_device")
 
 
 class BeamSettings(BaseSettings):
-    """The settings of the beam line; a part of :class:`service.core.settings.settings.Settings`."""
+    """Settings of the beam line; a part of :class:`service.core.settings.settings.Settings`."""
 
-    mode: Mode = Field(default="research", description="In clinical mode no simulated beam line is accepted")
+    mode: Mode = Field(default="research", description="Clinical mode refuses a simulated beam line")
     beam_line: LineKind = "simulated"
-    beam_line_2: LineKind | None = Field(default=None, description="A second line, of another kind; both have to agree")
+    beam_line_2: LineKind | None = Field(default=None, description="A second line of another kind; the beam is on only if both permit")
     beam_answer_ms: float = Field(
-        default=100.0, ge=TIME_BOUNDS["answer_ms"][0], le=TIME_BOUNDS["answer_ms"][1], description="Longest answer"
+        default=100.0, ge=TIME_BOUNDS["answer_ms"][0], le=TIME_BOUNDS["answer_ms"][1], description="Longest wait for a reply"
     )
     beam_settle_ms: float = Field(
-        default=60.0, ge=TIME_BOUNDS["settle_ms"][0], le=TIME_BOUNDS["settle_ms"][1], description="Longest to follow"
+        default=60.0, ge=TIME_BOUNDS["settle_ms"][0], le=TIME_BOUNDS["settle_ms"][1], description="Longest time until the read-back follows"
     )
     beam_modbus_host: str = Field(default="", max_length=253)
     beam_modbus_port: int = Field(default=502, ge=1, le=65_535)
@@ -113,15 +113,15 @@ class BeamSettings(BaseSettings):
     @model_validator(mode="after")
     def _is_one_line(self) -> Self:
         self._refuse_simulation_in_clinical_mode()
-        self._refuse_two_that_do_not_add_up()
-        self._refuse_what_is_not_used()
-        self._refuse_what_is_missing()
-        self._refuse_what_cannot_be_met()
+        self._refuse_second_line()
+        self._refuse_unused()
+        self._refuse_missing()
+        self._refuse_out_of_bounds()
         return self
 
     @property
     def beam_lines(self) -> tuple[LineKind, ...]:
-        """The kinds of line that are used, one or two."""
+        """Kinds of the lines in use, one or two."""
         return (self.beam_line,) if self.beam_line_2 is None else (self.beam_line, self.beam_line_2)
 
     @property
@@ -131,23 +131,23 @@ class BeamSettings(BaseSettings):
 
     @property
     def has_real_beam(self) -> bool:
-        """Whether any line leads to a contact that closes."""
+        """Whether any line has a physical output."""
         return any(kind != "simulated" for kind in self.beam_lines)
 
     @property
     def beam_place(self) -> dict[str, str | int]:
-        """Which line this is: its kinds, and where in the world they lead."""
+        """Kinds and addresses of the lines in use."""
         where = {name: getattr(self, name) for kind in self.beam_lines for name in USED_BY[kind] if name not in TIMES}
         return {"beam_lines": " ".join(self.beam_lines), **where}
 
     @property
     def beam_times(self) -> LineTimes:
-        """How long a wired line may take."""
+        """Time limits of a wired line."""
         return LineTimes(answer_ms=self.beam_answer_ms, settle_ms=self.beam_settle_ms)
 
     @property
     def beam_registers(self) -> RegisterMap:
-        """Where a Modbus device has what."""
+        """Register map of the Modbus device."""
         return RegisterMap(
             unit=self.beam_modbus_unit,
             permit_coil=self.beam_modbus_permit_coil,
@@ -168,23 +168,23 @@ class BeamSettings(BaseSettings):
             raise ValueError(msg)
         if self.beam_lines == ("serial-relay",) and self.beam_heartbeat_channel is None:
             msg = (
-                f"{PREFIX}MODE is clinical, and a relay board alone stays on when this process dies: "
+                f"{PREFIX}MODE is clinical, and a relay board alone stays on when this process is killed: "
                 f"set {PREFIX}BEAM_RELAY_HEARTBEAT_CHANNEL, or a Modbus line beside it"
             )
             raise ValueError(msg)
 
-    def _refuse_two_that_do_not_add_up(self) -> None:
+    def _refuse_second_line(self) -> None:
         if self.beam_line_2 is not None and self.is_simulated_beam:
             msg = (
-                f"{PREFIX}BEAM_LINE_2 is {self.beam_line_2} beside {self.beam_line}: a simulated line is no second "
-                "line, and a session that says it is simulated while a real contact closes misleads"
+                f"{PREFIX}BEAM_LINE_2 is {self.beam_line_2} beside {self.beam_line}: a simulated line cannot be "
+                "combined with a real one, because its sessions are labelled as simulated"
             )
             raise ValueError(msg)
         if self.beam_line == self.beam_line_2:
             msg = f"{PREFIX}BEAM_LINE_2 must be of another kind than {PREFIX}BEAM_LINE ({self.beam_line})"
             raise ValueError(msg)
 
-    def _refuse_what_is_not_used(self) -> None:
+    def _refuse_unused(self) -> None:
         used = {name for kind in self.beam_lines for name in USED_BY[kind]}
         used |= {"beam_notify_timeout_s"} if self.beam_notify_http else set()
         known = {name for names in USED_BY.values() for name in names} | {"beam_notify_timeout_s"}
@@ -192,7 +192,7 @@ class BeamSettings(BaseSettings):
             msg = f"{_setting(name)} is set, but {_unused(name, self.beam_lines)}"
             raise ValueError(msg)
 
-    def _refuse_what_is_missing(self) -> None:
+    def _refuse_missing(self) -> None:
         for kind in self.beam_lines:
             needed = NEEDED_BY.get(kind)
             if needed is not None and not getattr(self, needed):
@@ -204,7 +204,7 @@ class BeamSettings(BaseSettings):
                 msg = f"{_setting(name)} must be the path of a serial port, like /dev/ttyUSB0"
                 raise ValueError(msg)
 
-    def _refuse_what_cannot_be_met(self) -> None:
+    def _refuse_out_of_bounds(self) -> None:
         try:
             _ = self.beam_times
             if "serial-relay" in self.beam_lines:
@@ -216,7 +216,7 @@ class BeamSettings(BaseSettings):
 
 
 def udp_target(target: str) -> tuple[str, int]:
-    """Take ``host:port`` apart; raise ValueError."""
+    """Parse ``host:port``; raise ValueError."""
     parts = urlsplit(f"//{target}")
     host, port = parts.hostname, parts.port  # a port out of its bound is a ValueError of its own
     if not host or not port or parts.path or parts.username is not None or len(target) > MAX_TARGET_LENGTH:
@@ -231,7 +231,7 @@ def _check_http_target(target: str) -> None:
     is_plain = parts.scheme in {"http", "https"} and parts.hostname and parts.username is None and not parts.fragment
     if not is_plain or len(target) > MAX_TARGET_LENGTH or any(sign.isspace() for sign in target):
         msg = (
-            f"a target must be http://host/path or https://host/path, without a password, of {MAX_TARGET_LENGTH} signs"
+            f"a target must be http://host/path or https://host/path, without a password, of at most {MAX_TARGET_LENGTH} characters"
         )
         raise ValueError(msg)
 

@@ -1,6 +1,6 @@
-"""The hospital's own log-in (OpenID Connect): who provides it, and what its groups and scopes may do here.
+"""Settings of the hospital's log-in (OpenID Connect): the provider, and the rights of its groups and scopes.
 
-Half a provider is refused: whoever set one name of it believes that people log in there.
+An incomplete provider is refused, because log-in there would not work.
 """
 
 import ssl
@@ -31,26 +31,26 @@ MACHINES = ("oidc_machine_audience", "oidc_machine_scopes")
 
 
 class OidcSettings(BaseSettings):
-    """The settings of the outside provider; a part of :class:`service.core.settings.settings.Settings`."""
+    """Settings of the provider; a part of :class:`service.core.settings.settings.Settings`."""
 
-    oidc_issuer: str = Field(default="", max_length=MAX_ADDRESS, description="The provider, exactly as its tokens say")
-    oidc_client_id: str = Field(default="", max_length=MAX_WORD, description="What the provider calls this service")
+    oidc_issuer: str = Field(default="", max_length=MAX_ADDRESS, description="The provider, exactly as in its tokens' iss")
+    oidc_client_id: str = Field(default="", max_length=MAX_WORD, description="This service's client id at the provider")
     oidc_client_secret_file: Path | None = Field(
-        default=None, description="A file with the client's secret; a client without one has PKCE alone"
+        default=None, description="A file with the client secret; without it the client is public (PKCE)"
     )
-    oidc_ca_file: Path | None = Field(default=None, description="Certificates (PEM) the provider's is checked by")
+    oidc_ca_file: Path | None = Field(default=None, description="CA certificates (PEM) for the provider")
     oidc_redirect_uri: str = Field(
-        default="", max_length=MAX_ADDRESS, description=f"Where people come back to: https://NAME{RETURN_PATH}"
+        default="", max_length=MAX_ADDRESS, description=f"Redirect URI: https://NAME{RETURN_PATH}"
     )
     oidc_scopes: Words = Field(default=("openid", "profile"), max_length=20, description="Comma-separated")
-    oidc_name_claim: str = Field(default="name", min_length=1, max_length=MAX_WORD, description="Who the audit names")
+    oidc_name_claim: str = Field(default="name", min_length=1, max_length=MAX_WORD, description="Claim with the name for the audit")
     oidc_groups_claim: str = Field(default="groups", min_length=1, max_length=MAX_WORD)
     oidc_group_roles: GroupRoles = Field(
-        default=(), max_length=MAX_ENTRIES, description="group=role, comma-separated; nobody gets in without a role"
+        default=(), max_length=MAX_ENTRIES, description="group=role, comma-separated; a person without a role is refused"
     )
-    oidc_label: str = Field(default="the hospital's log-in", min_length=1, max_length=40, description="On the button")
+    oidc_label: str = Field(default="the hospital's log-in", min_length=1, max_length=40, description="Label of the button")
     oidc_local_accounts: LocalAccounts = Field(
-        default="break-glass", description="Which accounts of Tidegate's own still log in by password"
+        default="break-glass", description="Local accounts that may still log in by password"
     )
     oidc_machine_audience: str = Field(
         default="", max_length=MAX_ADDRESS, description="The aud of machines' access tokens"
@@ -64,9 +64,9 @@ class OidcSettings(BaseSettings):
     )
     oidc_max_clock_skew_s: int = Field(default=30, ge=0, le=300)
     oidc_timeout_s: float = Field(default=5.0, ge=0.5, le=30.0, description="Longest wait for the provider")
-    oidc_key_refresh_min: float = Field(default=5.0, ge=1.0, le=1440.0, description="Keys are fetched again so often")
+    oidc_key_refresh_min: float = Field(default=5.0, ge=1.0, le=1440.0, description="Interval of fetching the keys")
     oidc_max_key_age_h: float = Field(
-        default=24.0, ge=1.0, le=168.0, description="Keys are believed so long while the provider is down"
+        default=24.0, ge=1.0, le=168.0, description="Longest use of cached keys while the provider is down"
     )
 
     @field_validator("oidc_scopes", "oidc_machine_types", mode="before")
@@ -91,12 +91,12 @@ class OidcSettings(BaseSettings):
     def _are_for_machines(cls, scopes: tuple[tuple[str, Permission], ...]) -> tuple[tuple[str, Permission], ...]:
         for scope, permission in scopes:
             if permission not in KEY_PERMISSIONS:
-                msg = f"{scope}={permission}: no machine may have that; one of {', '.join(sorted(KEY_PERMISSIONS))}"
+                msg = f"{scope}={permission}: not available to machines; one of {', '.join(sorted(KEY_PERMISSIONS))}"
                 raise ValueError(msg)
         return scopes
 
     @model_validator(mode="after")
-    def _is_a_whole_provider(self) -> Self:
+    def _is_complete(self) -> Self:
         if not self.oidc_issuer:
             given = sorted(name for name in self.model_fields_set if name.startswith("oidc_"))
             if given:
@@ -105,11 +105,11 @@ class OidcSettings(BaseSettings):
             return self
         self._check_addresses()
         for part in (PEOPLE, MACHINES):
-            self._refuse_half(part)
+            self._refuse_incomplete(part)
         if not self.has_oidc_people and not self.has_oidc_machines:
             msg = f"{_setting('oidc_issuer')} is set, but neither {_names(PEOPLE)} nor {_names(MACHINES)} are"
             raise ValueError(msg)
-        self._refuse_what_confuses()
+        self._refuse_ambiguous()
         return self
 
     @property
@@ -119,28 +119,28 @@ class OidcSettings(BaseSettings):
 
     @property
     def has_oidc_machines(self) -> bool:
-        """Whether machines come with the provider's tokens."""
+        """Whether machines authenticate with the provider's tokens."""
         return bool(self.oidc_issuer and self.oidc_machine_audience)
 
     @property
     def roles_of_group(self) -> Mapping[str, frozenset[Role]]:
-        """What each group of the provider may be here."""
+        """Roles of each of the provider's groups."""
         groups = {group for group, _ in self.oidc_group_roles}
         return {one: frozenset(role for group, role in self.oidc_group_roles if group == one) for one in groups}
 
     @property
     def permissions_of_scope(self) -> Mapping[str, frozenset[Permission]]:
-        """What each scope of the provider may do here."""
+        """Permissions of each of the provider's scopes."""
         scopes = {scope for scope, _ in self.oidc_machine_scopes}
         return {one: frozenset(done for scope, done in self.oidc_machine_scopes if scope == one) for one in scopes}
 
     def oidc_client_secret(self) -> str | None:
-        """Read the client's secret; the text never leaves what asks for it.
+        """Read the client's secret; the message of an error does not contain it.
 
         Raises
         ------
         ValueError
-            The file cannot be read, is empty or is no one line.
+            The file cannot be read, is empty or has more than one line.
         """
         if self.oidc_client_secret_file is None:
             return None
@@ -167,18 +167,18 @@ class OidcSettings(BaseSettings):
         if self.oidc_ca_file is not None:
             _check_certificates(self.oidc_ca_file)
 
-    def _refuse_half(self, part: tuple[str, ...]) -> None:
+    def _refuse_incomplete(self, part: tuple[str, ...]) -> None:
         given = [name for name in part if getattr(self, name)]
         if given and len(given) < len(part):
             missing = next(name for name in part if name not in given)
             msg = f"{_setting(given[0])} is set, but {_setting(missing)} is not"
             raise ValueError(msg)
 
-    def _refuse_what_confuses(self) -> None:
+    def _refuse_ambiguous(self) -> None:
         if self.oidc_client_id and self.oidc_client_id == self.oidc_machine_audience:
             msg = (
                 f"{_setting('oidc_machine_audience')} must differ from {_setting('oidc_client_id')}: "
-                "a token that tells a page who a person is would open the API"
+                "otherwise the ID token of a log-in would be accepted by the API"
             )
             raise ValueError(msg)
         if self.has_oidc_people and "openid" not in self.oidc_scopes:
@@ -198,7 +198,7 @@ def _check_certificates(path: Path) -> None:
 
 
 def is_safe_address(address: str) -> bool:
-    """Whether nobody on the way reads or changes what goes there: https, or this machine itself."""
+    """Whether the connection there is protected: https, or loopback."""
     try:
         parts = urlsplit(address)
         _ = parts.port

@@ -1,4 +1,4 @@
-"""What a site sets about RT Plans: how large one may be, and how its patient is called here."""
+"""Settings of RT Plans: their largest size, and the patient's reference."""
 
 from pathlib import Path
 from typing import Literal, Self
@@ -11,23 +11,23 @@ LONGEST_KEY_BYTES = 4_096
 
 
 class PlanSettings(BaseSettings):
-    """RT Plans; see docs/4-integrate/plans.md."""
+    """Settings of RT Plans (docs/4-integrate/plans.md)."""
 
     max_plan_bytes: int = Field(
         default=8_388_608,
         ge=65_536,
         le=67_108_864,
-        description="No RT Plan's file is larger; all other bodies are less",
+        description="Largest RT Plan; other request bodies have a lower limit",
     )
     plan_patient: Literal["id", "hash"] = Field(
-        default="id", description="How a plan's patient is called: by its Patient ID, or by a keyed hash of it"
+        default="id", description="Patient reference of a plan: the Patient ID, or a keyed hash of it"
     )
     plan_patient_key: Path | None = Field(
-        default=None, description="A file of 32 bytes or more that the hash is keyed with; with hash alone"
+        default=None, description="File of 32 bytes or more, the key of the hash; only with hash"
     )
 
     @model_validator(mode="after")
-    def _has_a_key_to_hash_with(self) -> Self:
+    def _has_key(self) -> Self:
         if (self.plan_patient == "hash") != (self.plan_patient_key is not None):
             msg = "TIDEGATE_PLAN_PATIENT_KEY must be a file with TIDEGATE_PLAN_PATIENT=hash, and left out with id"
             raise ValueError(msg)
@@ -36,7 +36,7 @@ class PlanSettings(BaseSettings):
 
     @property
     def plan_patient_secret(self) -> bytes | None:
-        """What Patient IDs are hashed with; None where they are kept. Read anew each time, and kept nowhere."""
+        """Key of the hash of Patient IDs, read from its file at each call; None without hash."""
         if self.plan_patient_key is None:
             return None
         try:

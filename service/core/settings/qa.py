@@ -1,6 +1,6 @@
-"""What a site decides of its QA: bounds of every check, how old a daily QA may be, and whose name a report carries.
+"""Settings of QA: bounds of every check, maximum age of the daily QA, and names on reports.
 
-The fields of the bounds are made from the engine's table of checks, two a check; they are settings like any other.
+The fields of the bounds are generated from the engine's table of checks, two per check.
 """
 
 from typing import TYPE_CHECKING, Any, Self
@@ -42,16 +42,16 @@ else:
 
 
 class QaSettings(_CheckBounds):
-    """The settings of QA; a part of :class:`service.core.settings.settings.Settings`."""
+    """Settings of QA; a part of :class:`service.core.settings.settings.Settings`."""
 
     qa_required_daily_h: float = Field(
         default=0.0,
         ge=0.0,
         le=LONGEST_DAILY_H,
-        description="Nobody arms unless a QA was passed within so many hours; 0 does not ask",
+        description="Arming needs a daily QA that passed within this time; 0 is never",
     )
     site_name: str = Field(default="", max_length=MAX_NAME, description="On QA reports")
-    machine_name: str = Field(default="", max_length=MAX_NAME, description="On QA reports: the accelerator, the room")
+    machine_name: str = Field(default="", max_length=MAX_NAME, description="On QA reports: accelerator or room")
 
     @field_validator("site_name", "machine_name")
     @classmethod
@@ -62,7 +62,7 @@ class QaSettings(_CheckBounds):
         return name
 
     @model_validator(mode="after")
-    def _warns_before_it_fails(self) -> Self:
+    def _warn_is_below_fail(self) -> Self:
         for check in CHECKS:
             warn, fail = self._bound_of(check)
             if warn > fail:
@@ -73,7 +73,7 @@ class QaSettings(_CheckBounds):
 
     @property
     def qa_bounds(self) -> QaBounds:
-        """What every check is judged by."""
+        """Bounds of every check."""
         bounds = {check.code: self._bound_of(check) for check in CHECKS}
         return QaBounds(chosen={code: QaBound(warn=warn, fail=fail) for code, (warn, fail) in bounds.items()})
 

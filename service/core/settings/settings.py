@@ -1,6 +1,6 @@
-"""What a site may set: ``TIDEGATE_*``, read once at start, frozen, every number bounded.
+"""The site's settings, ``TIDEGATE_*``: read once at start, frozen, every number bounded.
 
-A session may narrow a site's limits, never widen them.
+A session may narrow the site's limits, never widen them.
 """
 
 import dataclasses
@@ -33,10 +33,10 @@ from service.core.settings.storage import StorageSettings
 from service.core.settings.stream import StreamSettings
 
 SETTING_OF = {"retrain_interval_s": "retrain_interval_min"}
-"""Settings of the training that a site gives under another name, in another unit."""
+"""Settings of the training with another name and unit here."""
 
-SHORTEST_SILENCE_OF_A_PAGE_S = 3.0
-"""A page is heard of every second; one that is slow once has not gone away."""
+SHORTEST_OPERATOR_TIMEOUT_S = 3.0
+"""A page sends a heartbeat every second; this allows for two that are late."""
 
 RECORDINGS = f"{PREFIX}RECORDINGS_MAY_GATE"
 LIMIT_DEFAULTS = {field.name: field.default for field in dataclasses.fields(GateLimits)}
@@ -46,25 +46,25 @@ NameList = Annotated[tuple[str, ...], NoDecode]
 
 
 def _limit(name: str) -> Any:  # noqa: ANN401 - a field of any number's type
-    """Declare a site's gate limit, with the engine's own default and bounds."""
+    """Declare a gate limit with the engine's default and bounds."""
     low, high = LIMIT_BOUNDS[name]
     return Field(default=LIMIT_DEFAULTS[name], ge=low, le=high)
 
 
 def _training(name: str) -> Any:  # noqa: ANN401 - a field of any number's type
-    """Declare how a site's sessions learn, with the engine's own default and bounds."""
+    """Declare a setting of the training with the engine's default and bounds."""
     low, high = TRAINING_BOUNDS[name]
     return Field(default=getattr(TrainingSettings(), name), ge=low, le=high)
 
 
 def _likeness(name: str) -> Any:  # noqa: ANN401 - a field of any number's type
-    """Declare how far a patient may be from a stored model, with the engine's own default and bounds."""
+    """Declare a limit of the patient match with the engine's default and bounds."""
     low, high = PATIENT_MATCH_BOUNDS[name]
     return Field(default=getattr(PatientMatchLimits(), name), ge=low, le=high)
 
 
 class SettingsError(Exception):
-    """The settings cannot be used; the message is one line a setting, for the person who starts the service."""
+    """The settings cannot be used; the message has one line per setting."""
 
 
 class Settings(
@@ -89,18 +89,18 @@ class Settings(
     )
 
     port: int = Field(default=8000, ge=0, le=65535)
-    allowed_hosts: NameList = Field(default=(), description="Names in the Host header; loopback names when left out")
-    allowed_origins: NameList = Field(default=(), description="Pages besides our own that may open the live stream")
+    allowed_hosts: NameList = Field(default=(), description="Names accepted in the Host header; default: loopback names")
+    allowed_origins: NameList = Field(default=(), description="Origins of other pages that may open the live stream")
 
     recordings_dirs: FolderList = Field(
-        default=(), description="Folders recordings may be opened from, colon-separated"
+        default=(), description="Folders from which recordings may be opened, colon-separated"
     )
 
     recordings_may_gate: bool = Field(
-        default=False, description="A played recording may gate a real beam line: for benches and phantoms alone"
+        default=False, description="A played recording may gate a real beam line: for test benches and phantoms only"
     )
     allow_device_registration: bool = Field(
-        default=True, description="Sessions without a calibration may run on a camera's own registration: research only"
+        default=True, description="Sessions without a calibration use the camera's own registration: research only"
     )
 
     max_body_bytes: int = Field(default=65_536, ge=16_384, le=1_048_576)
@@ -108,10 +108,10 @@ class Settings(
     min_free_disk_mb: float = Field(default=200.0, ge=0.0, le=1_000_000.0)
 
     journal_dir: Path | None = Field(
-        default=None, description="Where transitions are kept until the audit has them; memory when left out"
+        default=None, description="Folder of the journals of transitions; default: in memory"
     )
     sample_batch_ms: float = Field(default=250.0, ge=10.0, le=500.0)
-    min_dwell_ms: float = Field(default=0.0, ge=0.0, le=10_000.0, description="No session's dwell is shorter")
+    min_dwell_ms: float = Field(default=0.0, ge=0.0, le=10_000.0, description="Shortest dwell of a session")
     min_good_frames: int = _limit("min_good_frames")
     lease_ms: float = _limit("lease_ms")
     max_frame_age_ms: float = _limit("max_frame_age_ms")
@@ -139,23 +139,23 @@ class Settings(
     max_service_silence_ms: float = _limit("max_service_silence_ms")
     operator_timeout_s: float = _limit("operator_timeout_s")
     beam_without_calibration: bool = Field(
-        default=True, description="A session on a camera's own registration may be gated: research only"
+        default=True, description="A session on the camera's own registration may be armed: research only"
     )
     holding_events: EventList = Field(
         default=(),
-        description="What in the breathing holds the beam, comma-separated; see docs/2-clinical/breathing.md",
+        description="Breathing events that hold the beam, comma-separated; see docs/2-clinical/breathing.md",
     )
     max_breath_hold_s: float = Field(
         default=HOLD_BOUNDS["timeout_s"][1], ge=HOLD_BOUNDS["timeout_s"][0], le=HOLD_BOUNDS["timeout_s"][1]
     )
     max_baseline_correction_mm: float = Field(
-        default=5.0, ge=0.0, le=50.0, description="No correction of the baseline moves a window further"
+        default=5.0, ge=0.0, le=50.0, description="Largest baseline correction"
     )
     min_phase_confidence: float = Field(
-        default=0.6, ge=0.1, le=1.0, description="No session's window asks for less confidence in a phase"
+        default=0.6, ge=0.1, le=1.0, description="Lowest confidence of the phase in a session's window"
     )
-    window_lower_mm: float = Field(default=-100.0, ge=-100.0, le=100.0, description="No session's window goes below")
-    window_upper_mm: float = Field(default=100.0, ge=-100.0, le=100.0, description="No session's window goes above")
+    window_lower_mm: float = Field(default=-100.0, ge=-100.0, le=100.0, description="Lowest edge of a session's window")
+    window_upper_mm: float = Field(default=100.0, ge=-100.0, le=100.0, description="Highest edge of a session's window")
 
     training_min_frames: int = _training("min_frames")
     training_min_cycles: int = _training("min_cycles")
@@ -169,7 +169,7 @@ class Settings(
     training_max_outlier_share: float = _training("max_outlier_share")
     training_max_carry_mm: float = _training("max_carry_mm")
     retrain_interval_min: float = Field(
-        default=0.0, ge=0.0, le=240.0, description="Learn a new model so often while a session runs; 0 is never"
+        default=0.0, ge=0.0, le=240.0, description="Interval of learning a new model during a session; 0 is never"
     )
     likeness_seconds: float = _likeness("seconds")
     likeness_max_shift_mm: float = _likeness("max_shift_mm")
@@ -195,18 +195,18 @@ class Settings(
         if self.window_lower_mm >= self.window_upper_mm:
             msg = f"window_lower_mm must be below window_upper_mm ({self.window_upper_mm:g})"
             raise ValueError(msg)
-        self._refuse_limits_that_contradict()
-        self._refuse_another_way_back()
+        self._refuse_contradictory_limits()
+        self._refuse_other_scheme()
         try:
-            _ = self.training  # settings that cannot be met together are refused where they are read
+            _ = self.training  # refuses contradictory settings
         except InvalidValueError as error:
             name = SETTING_OF.get(error.field, f"training_{error.field}")
             msg = f"{name} must be {error.bound}"
             raise ValueError(msg) from error
         return self
 
-    def _refuse_limits_that_contradict(self) -> None:
-        """Refuse limits that no frame, or no person, could meet together: each alone is within its bound."""
+    def _refuse_contradictory_limits(self) -> None:
+        """Refuse limits that contradict each other though each is within its bound."""
         try:
             GateLimits(
                 window=amplitude_window(lower_mm=-1.0, upper_mm=1.0),
@@ -232,13 +232,13 @@ class Settings(
                 bound = f"{words} {PREFIX}{other.upper()} ({getattr(self, other):g})"
                 msg = f"{PREFIX}{name.upper()} is {getattr(self, name):g}: must be {bound}"
                 raise ValueError(msg)
-        if 0.0 < self.operator_timeout_s < SHORTEST_SILENCE_OF_A_PAGE_S:
-            bound = f"0, which does not ask, or at least {SHORTEST_SILENCE_OF_A_PAGE_S:g}"
+        if 0.0 < self.operator_timeout_s < SHORTEST_OPERATOR_TIMEOUT_S:
+            bound = f"0 (off) or at least {SHORTEST_OPERATOR_TIMEOUT_S:g}"
             msg = f"{PREFIX}OPERATOR_TIMEOUT_S is {self.operator_timeout_s:g}: must be {bound}"
             raise ValueError(msg)
 
-    def _refuse_another_way_back(self) -> None:
-        """Refuse that people come back from their provider by https where cookies are those of http, or the reverse."""
+    def _refuse_other_scheme(self) -> None:
+        """Refuse a redirect URI by https where cookies are those of http, and the reverse."""
         if self.has_oidc_people and self.oidc_redirect_uri.startswith("https:") != self.is_secure:
             msg = (
                 f"{PREFIX}OIDC_REDIRECT_URI must be {'https' if self.is_secure else 'http'}, as the service itself is "
@@ -247,26 +247,26 @@ class Settings(
             raise ValueError(msg)
 
     def _refuse_research_settings(self) -> None:
-        """Refuse in clinical mode what is for research; every one is named at once."""
+        """Refuse settings for research in clinical mode."""
         if self.beam_without_calibration or self.allow_device_registration:
             msg = (
-                f"{PREFIX}MODE is clinical, and nobody has measured a camera without a calibration: "
+                f"{PREFIX}MODE is clinical, which needs a measured calibration: "
                 f"set {PREFIX}BEAM_WITHOUT_CALIBRATION=false and {PREFIX}ALLOW_DEVICE_REGISTRATION=false"
             )
             raise ValueError(msg)
         if self.recordings_may_gate:
-            msg = f"{PREFIX}MODE is clinical, and what a recording shows is not the patient: leave {RECORDINGS} out"
+            msg = f"{PREFIX}MODE is clinical, and a recording does not show the present patient: leave {RECORDINGS} out"
             raise ValueError(msg)
 
     @property
     def gate_limits(self) -> dict[str, Any]:
-        """The limits of trust that no session changes, by the engine's names."""
+        """Limits that a session cannot change, by the engine's names."""
         own = {"dwell_ms", "min_on_ms", "min_off_ms", "max_cycles_per_min"}
         return {name: getattr(self, name) for name in LIMIT_BOUNDS if name not in own}
 
     @property
     def bounds_position(self) -> bool:
-        """Whether the site has set how far from the reference the beam may be on."""
+        """Whether the site limits the window's position relative to the reference."""
         return (self.window_lower_mm, self.window_upper_mm) != (
             LIMIT_DEFAULTS["window_lower_mm"],
             LIMIT_DEFAULTS["window_upper_mm"],
@@ -274,30 +274,30 @@ class Settings(
 
     @property
     def training(self) -> TrainingSettings:
-        """How models are learned."""
+        """Settings of the training."""
         given = {name: getattr(self, f"training_{name}") for name in TRAINING_BOUNDS.keys() - SETTING_OF.keys()}
         return TrainingSettings(**given, retrain_interval_s=60.0 * self.retrain_interval_min)
 
     @property
     def likeness(self) -> PatientMatchLimits:
-        """How far a patient may be from a stored model."""
+        """Limits of the patient match."""
         return PatientMatchLimits(**{name: getattr(self, f"likeness_{name}") for name in PATIENT_MATCH_BOUNDS})
 
     @property
     def recording_folders(self) -> tuple[Path, ...]:
-        """Folders recordings may be opened from."""
+        """Folders from which recordings may be opened."""
         return self.recordings_dirs or (self.data_dir / "recordings",)
 
     @property
     def host_names(self) -> tuple[str, ...]:
-        """Names this service answers to; "*" is any."""
+        """Names accepted in the Host header; "*" is any."""
         if self.allowed_hosts:
             return self.allowed_hosts
         return ("*",) if self.is_remote else ("localhost", "127.0.0.1", "[::1]")
 
 
 def load_settings(**overrides: object) -> Settings:
-    """Read the environment, with what the command line gave on top.
+    """Read the environment; ``overrides`` from the command line take precedence.
 
     Raises
     ------
@@ -316,8 +316,8 @@ def _refuse_unknown(names: Iterable[str]) -> None:
     known = {f"{PREFIX}{name.upper()}" for name in Settings.model_fields}
     if f"{PREFIX}ALLOW_REMOTE" in names:
         raise SettingsError(
-            f"{PREFIX}ALLOW_REMOTE is no setting any more: give {PREFIX}TLS_CERT and {PREFIX}TLS_KEY, or "
-            f"{PREFIX}BEHIND_PROXY=true where a proxy in front speaks TLS"
+            f"{PREFIX}ALLOW_REMOTE was removed: set {PREFIX}TLS_CERT and {PREFIX}TLS_KEY, or "
+            f"{PREFIX}BEHIND_PROXY=true if a proxy in front terminates TLS"
         )
     unknown = sorted(name for name in names if name.upper().startswith(PREFIX) and name.upper() not in known)
     if unknown:

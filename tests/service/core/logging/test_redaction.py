@@ -46,7 +46,7 @@ def test_an_exception_is_told_by_its_kind_and_its_place(written):
         fail(SECRET)
     except ValueError:
         logging.getLogger("uvicorn.error").exception("Exception in ASGI application\n")
-    assert "builtins.ValueError (its message is not told)" in written.getvalue()
+    assert "builtins.ValueError (message left out)" in written.getvalue()
     assert "in fail" in written.getvalue()
     assert SECRET not in written.getvalue()
 

@@ -66,7 +66,7 @@ def test_listening_beyond_this_machine_has_to_be_asked_for(monkeypatch, host):
 
 def test_the_setting_that_let_anybody_in_is_gone_and_says_what_to_set(monkeypatch):
     monkeypatch.setenv("TIDEGATE_ALLOW_REMOTE", "true")
-    with pytest.raises(SettingsError, match=r"ALLOW_REMOTE is no setting any more.*TLS_CERT.*BEHIND_PROXY"):
+    with pytest.raises(SettingsError, match=r"ALLOW_REMOTE was removed.*TLS_CERT.*BEHIND_PROXY"):
         load_settings()
 
 
@@ -76,7 +76,7 @@ def test_the_setting_that_let_anybody_in_is_gone_and_says_what_to_set(monkeypatc
         ({"TRUSTED_PROXIES": "10.0.0.1"}, "without TIDEGATE_BEHIND_PROXY"),
         ({"TRUSTED_PROXIES": "proxy.example", "BEHIND_PROXY": "1"}, "must be an address or a network"),
         ({"TRUSTED_PROXIES": ",".join(["10.0.0.1"] * 17), "BEHIND_PROXY": "1"}, "at most 16"),
-        ({"BEHIND_PROXY": "1", "TLS_CERT": "a", "TLS_KEY": "b"}, "a proxy speaks TLS"),
+        ({"BEHIND_PROXY": "1", "TLS_CERT": "a", "TLS_KEY": "b"}, "a proxy terminates TLS"),
     ],
     ids=str,
 )
