@@ -45,7 +45,6 @@ from service.engine_host.process.messages import (
     ListDevices,
     Open,
     Opened,
-    PictureReference,
     Prepare,
     Presence,
     ReadRegistration,
@@ -122,7 +121,6 @@ class UpdateSender:
         self._has_news = threading.Event()
         self._view: LiveView | None = None
         self._color: ColorImage | None = None
-        self._pictures = 0
         self._model: MotionModel | None = None
         engine.on_turn(self._has_news.set)
 
@@ -158,11 +156,12 @@ class UpdateSender:
         transitions, notices, samples = self.transitions.unsent(), self.notices.unsent(), self.samples.unsent()
         current = replace(engine.status, run_state=run_state)
         view, learning = self._new_view(current), self._new_learning(current)
+        if view is not None:
+            self._show(view)
         return EngineUpdate(
             samples=samples,
             transitions=transitions,
             notices=notices,
-            shown=None if view is None else self._show(view),
             status=replace(current, view=None if view is None else replace(view, color=NO_PICTURE), learning=learning),
             answers=answers,
         )
@@ -176,15 +175,12 @@ class UpdateSender:
         before, self._model = self._model, status.learning.model
         return replace(status.learning, model=None) if self._model is before else status.learning
 
-    def _show(self, view: LiveView) -> PictureReference | None:
+    def _show(self, view: LiveView) -> None:
+        """Write the view's picture to the shared page, unless it is there already."""
         if view.color is self._color:
-            return None
+            return
         self._color = view.color
-        self._pictures += 1
-        if not self._page.write_picture(self._pictures, view.color):
-            return None
-        frame_index = view.record.measurement.frame_index
-        return PictureReference(number=self._pictures, frame_index=frame_index, shape=view.color.shape)
+        self._page.write_picture(view.record.measurement.frame_index, view.color)
 
 
 class EngineServer:

@@ -113,27 +113,17 @@ class CommandResult:
     error: BaseException | None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PictureReference:
-    """The place of the newest view's picture on the shared page."""
-
-    number: int
-    frame_index: int
-    shape: tuple[int, ...]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EngineUpdate:
     """Everything new since the last update.
 
     ``status`` comes without its view and its model where they have not changed, and the view without its picture, which
-    is in shared memory where ``shown`` says. Answers are given after all else was taken over.
+    is in shared memory. Answers are given after all else was taken over.
     """
 
     samples: tuple[FrameRecord, ...] = ()
     transitions: tuple[GateTransition, ...] = ()
     notices: tuple[LearningEvent, ...] = ()
-    shown: PictureReference | None = None
     status: EngineStatus
     answers: tuple[CommandResult, ...] = ()
 

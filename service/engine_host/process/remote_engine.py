@@ -39,7 +39,6 @@ from service.engine_host.process.messages import (
     Heartbeat,
     Open,
     Opened,
-    PictureReference,
     Presence,
     Stop,
 )
@@ -55,7 +54,6 @@ STOP_S = 4.0
 FINAL_REPORT_S = 20.0
 SILENT_NS = 1_000 * NS_PER_MS
 """The engine process sends an update every 50 ms; after this silence its view is shown as a fault."""
-PICTURE_READS = 3
 NOT_READING = "the engine's process takes no commands, and the beam line lapses by itself: stop the session"
 """It has not read for seconds and so received no heartbeat either: it is stopped, or its gate has faulted."""
 OVER = "the session is over"
@@ -105,7 +103,6 @@ class RemoteEngine:
         self.transitions: CountingQueue[GateTransition] = CountingQueue()
         self.notices: CountingQueue[LearningEvent] = CountingQueue()
         self._status = EngineStatus()
-        self._shown: PictureReference | None = None
         self._silent_view: tuple[LiveView, LiveView] | None = None
         self._updated_ns = time.monotonic_ns()
         self._lock = threading.Lock()
@@ -152,15 +149,8 @@ class RemoteEngine:
         return replace(status, view=shown)
 
     def picture(self) -> tuple[int, ColorImage] | None:
-        """Copy the newest colour picture; None before there is one."""
-        for _ in range(PICTURE_READS):
-            shown = self._shown
-            if shown is None or self._has_ended.is_set():
-                return None
-            picture = self._child.page.read_picture(shown.number, shown.shape)
-            if picture is not None:
-                return shown.frame_index, picture
-        return None
+        """Copy the newest colour picture; None before there is one, and after the end."""
+        return None if self._has_ended.is_set() else self._child.page.read_picture()
 
     def submit(self, command: Command, *, submitted_ns: int | None = None) -> Future[None]:
         """Send a command; in order of submission, except large ones, which must not delay others."""
@@ -264,7 +254,6 @@ class RemoteEngine:
             self.transitions.put(transition)
         for notice in update.notices:
             self.notices.put(notice)
-        self._shown = update.shown or self._shown
         self._status = _merged(self._status, update.status)  # last: a reader of the end finds all items in the queues
         self._updated_ns = time.monotonic_ns()
         if update.status.is_over:

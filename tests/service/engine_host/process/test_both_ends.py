@@ -4,6 +4,7 @@ import os
 import queue
 import socket
 
+import numpy as np
 import pytest
 
 from engine.control.command_queue import CommandQueue
@@ -213,6 +214,17 @@ def test_who_has_an_answer_finds_all_that_came_with_it():
     ((shown, transitions),) = found
     assert (shown.run_state, shown.learning.has_reference, transitions) == (LoopStatus.RUNNING, True, 1)
     assert asked.result(0.0) is None
+
+
+def test_a_picture_can_be_read_though_the_engine_s_messages_of_it_are_late(served):
+    _, server, _, _ = served
+    engine = RemoteEngine(Recording(), None, on_end=lambda **_: None)
+    engine._child.page = server._page
+    assert engine.picture() is None
+    for frame_index in range(20):
+        server._page.write_picture(frame_index, np.full((4, 6, 3), frame_index, np.uint8))
+    frame_index, picture = engine.picture()
+    assert (frame_index, int(picture[0, 0, 0])) == (19, 19)
 
 
 def test_who_sees_the_end_finds_everything_there():

@@ -171,24 +171,78 @@ def test_who_hangs_up_is_heard_at_once(channels):
         there.send(ActivateModel(operator="ann", model=None))
 
 
-def test_a_picture_that_a_newer_one_came_over_is_not_shown_half():
+@pytest.fixture
+def pages():
+    """The engine's page and the service's, of one memory."""
     file = SharedPage.make()
-    writing, reading = SharedPage(file), SharedPage(file)
+    made = SharedPage(file), OvertakenPage(file)
     os.close(file)
-    pictures = [np.full((48, 64, 3), number, np.uint8) for number in range(5)]
-    for number in range(PICTURES):
-        assert writing.write_picture(number, pictures[number])
-    assert np.array_equal(reading.read_picture(1, (48, 64, 3)), pictures[1])
-    assert writing.write_picture(PICTURES + 1, pictures[4])
-    assert reading.read_picture(1, (48, 64, 3)) is None
-    assert not writing.write_picture(9, np.zeros(PICTURE_BYTES + 1, np.uint8))
+    yield made
+    for page in made:
+        page.close()
+
+
+class OvertakenPage(SharedPage):
+    """Stands still after it looked for the newest picture, until newer ones were written over that one."""
+
+    def __init__(self, file: int) -> None:
+        super().__init__(file)
+        self.overtake = []
+
+    def _newest_number(self) -> int:
+        number = super()._newest_number()
+        if self.overtake:
+            self.overtake.pop()()
+        return number
+
+
+def picture_of(frame_index: int) -> np.ndarray:
+    return np.full((48, 64, 3), frame_index % 256, np.uint8)
+
+
+def test_the_newest_picture_is_read_with_the_index_of_its_frame(pages):
+    writing, reading = pages
+    assert reading.read_picture() is None
+    for frame_index in (7, 8, 11, 12, 13):
+        assert writing.write_picture(frame_index, picture_of(frame_index))
+        found, picture = reading.read_picture()
+        assert (found, picture.flags.writeable) == (frame_index, False)
+        assert np.array_equal(picture, picture_of(frame_index))
+    assert not writing.write_picture(14, np.zeros((PICTURE_BYTES + 1, 1, 1), np.uint8))
+    assert reading.read_picture()[0] == 13
+
+
+def test_a_reader_that_is_overtaken_reads_the_newest_then_however_often(pages):
+    writing, reading = pages
+    frames = iter(range(1_000))
+
+    def write_over_it() -> None:
+        for _ in range(PICTURES):
+            index = next(frames)
+            assert writing.write_picture(index, picture_of(index))
+
+    write_over_it()
+    reading.overtake = [write_over_it] * 50
+    found, picture = reading.read_picture()
+    assert found == 51 * PICTURES - 1
+    assert np.array_equal(picture, picture_of(found)), "none is shown half"
+
+
+def test_a_reader_that_is_overtaken_for_ever_gives_up(pages, monkeypatch):
+    monkeypatch.setattr("service.engine_host.process.shared_page.READ_S", 0.0)
+    writing, reading = pages
+    reading.overtake = [lambda: [writing.write_picture(index, picture_of(index)) for index in range(PICTURES)]] * 5
+    writing.write_picture(0, picture_of(0))
+    assert reading.read_picture() is None
+
+
+def test_a_cancelled_command_is_seen_on_the_other_side(pages):
+    writing, reading = pages
     assert not reading.is_cancelled(3)
     writing.mark_cancelled(3)
     assert reading.is_cancelled(3)
     writing.clear(3)
     assert not reading.is_cancelled(3)
-    for page in (writing, reading):
-        page.close()
 
 
 def test_nothing_that_leaves_a_process_is_read_by_a_plain_pickle_of_errors():
