@@ -41,9 +41,10 @@ class Client:
     why: CloseReason = "gone"
 
     def end(self, why: CloseReason) -> None:
-        """Disconnect the client for a reason."""
-        self.why = why
-        self.scope.cancel()
+        """Disconnect the client for a reason; the first counts, though closing takes time and there may be others."""
+        if not self.scope.cancel_called:
+            self.why = why
+            self.scope.cancel()
 
 
 class LiveHub:
@@ -192,7 +193,7 @@ class LiveHub:
             client.slot.queue_message(message)
 
     def _check_clients(self, now_s: float) -> None:
-        """Disconnect clients that are stalled or logged out; send a ping to those without a recent message."""
+        """Disconnect clients that are stalled or logged out; ping those without a message, recent or queued."""
         self._checked_s = now_s
         ping = Plain(Ping(sent_at=self.clock.utc()), self._encoder)
         for client in tuple(self._clients):
@@ -202,7 +203,7 @@ class LiveHub:
             elif slot.busy_since_s is not None:
                 if now_s > slot.busy_since_s + self._stall_s:
                     client.end("stalled")
-            elif now_s >= slot.last_sent_s + PING_S:
+            elif now_s >= slot.last_sent_s + PING_S and not slot.ready.is_set():
                 slot.queue_message(ping)
             if now_s >= client.checked_s + LOGIN_CHECK_S:
                 client.checked_s = now_s

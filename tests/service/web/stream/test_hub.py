@@ -8,9 +8,11 @@ import anyio
 import msgpack
 import pytest
 
-from service.web.stream.encoding import FRESH_S
+from service.core.schemas.live_messages import Idle
+from service.web.stream.encoding import FRESH_S, Plain
 from service.web.stream.hub import LiveHub
 from tests.support.stream.fake_runner import EVENTS, JSON, MSGPACK, THIN, FakeRunner, make_frame, make_hub
+from tests.support.waiting import PATIENCE_S
 
 
 def test_two_hundred_clients_cost_one_writing_a_frame_and_form():
@@ -143,13 +145,13 @@ def test_a_hub_that_breaks_lets_everybody_go_and_begins_anew_with_the_next(caplo
         hub = make_hub(runner)
         with hub.connect(JSON, rate_hz=None, may_watch=lambda: True) as client:
             runner.failure = RuntimeError("patient Miller")
-            with anyio.fail_after(2), client.scope:
+            with anyio.fail_after(PATIENCE_S), client.scope:
                 await anyio.sleep_forever()
             assert client.why == "failed"
         runner.failure = None
         with hub.connect(JSON, rate_hz=None, may_watch=lambda: True) as client:
             runner.come(0)
-            with anyio.fail_after(2):
+            with anyio.fail_after(PATIENCE_S):
                 await client.slot.ready.wait()
 
     anyio.run(watch)
@@ -181,6 +183,25 @@ def test_who_has_to_go_is_let_go(why):
     anyio.run(watch)
 
 
+def test_the_first_reason_to_let_a_client_go_is_the_one_that_is_told():
+    """Closing takes a while: the client may go by itself, and be found stalled by the checks that follow."""
+
+    async def watch():
+        runner = FakeRunner()
+        hub = make_hub(runner)
+        with hub.connect(JSON, rate_hz=None, may_watch=lambda: False) as client:
+            client.slot.busy_since_s = runner.now_s
+            runner.now_s += 1.0
+            hub._check_clients(runner.now_s)
+            assert client.why == "not_logged_in"
+            runner.now_s += 5.0
+            hub._check_clients(runner.now_s)
+            client.end("gone")
+        assert hub.reading().closed == {"not_logged_in": 1}
+
+    anyio.run(watch)
+
+
 def test_silence_is_broken_by_a_ping_and_only_silence():
     async def watch():
         runner = FakeRunner()
@@ -192,5 +213,20 @@ def test_silence_is_broken_by_a_ping_and_only_silence():
             runner.now_s += 0.2
             hub._check_clients(runner.now_s)
             assert json.loads(client.slot.take(runner.now_s).payload(JSON))["type"] == "ping"
+
+    anyio.run(watch)
+
+
+def test_a_ping_does_not_take_the_place_of_a_message_that_waits():
+    """On a machine that stood still both are due at once."""
+
+    async def watch():
+        runner = FakeRunner()
+        hub = make_hub(runner)
+        with hub.connect(JSON, rate_hz=None, may_watch=lambda: True) as client:
+            hub._broadcast(Plain(Idle(sent_at=hub.clock.utc()), hub._encoder))
+            runner.now_s += 2.0
+            hub._check_clients(runner.now_s)
+            assert json.loads(client.slot.take(runner.now_s).payload(JSON))["type"] == "idle"
 
     anyio.run(watch)
