@@ -61,12 +61,15 @@ def message_of(view, plan):
     return json.loads(sample.model_dump_json())
 
 
-def next_of(socket, kind):
+def messages_of(socket):
     while True:
         message = socket.receive_json()
         SCHEMA.validate(message)
-        if message["type"] == kind:
-            return message
+        yield message
+
+
+def next_of(socket, kind):
+    return next(one for one in messages_of(socket) if one["type"] == kind)
 
 
 def test_the_stream_says_hello_and_is_idle_while_no_session_runs(client):
@@ -85,7 +88,7 @@ def test_the_stream_says_hello_and_is_idle_while_no_session_runs(client):
         first, second = socket.receive_json(), socket.receive_json()
     assert first["type"] == second["type"] == "idle"
     between = datetime.fromisoformat(second["sent_at"]) - datetime.fromisoformat(first["sent_at"])
-    assert between.total_seconds() >= 0.45
+    assert between.total_seconds() >= 0.25, "twice a second; a busy machine stamps the first one late"
 
 
 def test_a_running_session_sends_its_newest_frame_once(client, session_id, running):
@@ -111,7 +114,7 @@ def test_a_frame_is_not_sent_twice(client, session_id, running):
     with client.websocket_connect("/api/v1/live") as socket:
         assert next_of(socket, "sample")["frame_index"] == 0
         act(client, session_id, "stop")
-        assert socket.receive_json()["type"] == "idle"
+        assert next(one for one in messages_of(socket) if one["type"] != "ping")["type"] == "idle"
 
 
 def test_a_client_that_comes_late_gets_the_newest_frame_only(client, running):

@@ -24,7 +24,7 @@ from tests.support.service.accounts import headers_of, open_login
 from tests.support.service.api_calls import make_calibration, make_session_body
 from tests.support.service.fake_engine import FakeEngine, FakeRunning
 from tests.support.service.processes import free_port
-from tests.support.waiting import eventually
+from tests.support.waiting import PATIENCE_S, eventually
 
 BIG = "x" * 20_000
 """An operator's name that makes each sample a message of 20 kB: few of them fill every buffer."""
@@ -59,17 +59,18 @@ class Served:
         url = f"{'ws' if self.trusted is None else 'wss'}://127.0.0.1:{self.port}/api/v1/live{query}"
         # The library waits ten seconds for the goodbye of a server whose messages the client has not all read.
         preset = {"close_timeout": 0.1, "max_queue": None, "ssl": self.trusted}
+        preset |= {"open_timeout": PATIENCE_S, "ping_interval": None}
         return connect(url, additional_headers=self.cookie, **{**preset, **options})
 
     def http(self) -> httpx2.Client:
         url = f"{'http' if self.trusted is None else 'https'}://127.0.0.1:{self.port}"
-        return httpx2.Client(base_url=url, headers=self.headers, timeout=10.0, verify=self.trusted or True)
+        return httpx2.Client(base_url=url, headers=self.headers, timeout=PATIENCE_S, verify=self.trusted or True)
 
     def raw(self, path: str, *, receive_bytes: int = 4096) -> socket.socket:
         """Open a stream and read nothing of it but what is asked for; the system keeps as little as it can."""
         connection = socket.socket()
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_bytes)
-        connection.settimeout(10.0)
+        connection.settimeout(PATIENCE_S)
         connection.connect(("127.0.0.1", self.port))
         if self.trusted is not None:
             connection = self.trusted.wrap_socket(connection, server_hostname="127.0.0.1")
@@ -104,7 +105,7 @@ class Served:
     def end_session(self, session_id: str) -> None:
         with self.http() as client:
             assert client.post(f"/api/v1/sessions/{session_id}/stop", json={}).status_code in {200, 409}
-        eventually(lambda: self.app.state.services.runner.running_camera() is None, within_s=10.0)
+        eventually(lambda: self.app.state.services.runner.running_camera() is None)
 
     def frames(self, count: int, **options: Any) -> None:
         """Let frames come, each once the hub has seen the one before."""
@@ -115,6 +116,15 @@ class Served:
     def _has_seen(self, index: int) -> bool:
         newest = self.hub.newest
         return newest is not None and newest.index >= index
+
+    def await_clients(self, count: int) -> None:
+        """Wait until so many clients are connected."""
+        eventually(lambda: sum(self.hub.reading().clients.values()) == count, detail=self.hub.reading)
+
+    def await_closed(self, why: str, count: int) -> None:
+        """Wait until so many clients were let go for this reason; a client may see its end before it is counted."""
+        eventually(lambda: self.hub.reading().closed.get(why, 0) >= count, detail=self.hub.reading)
+        assert self.hub.reading().closed[why] == count
 
     def make_messages_big(self) -> None:
         """Let every sample from now on take 20 kB."""
@@ -156,18 +166,18 @@ def served(folder: Path, **settings: Any) -> Iterator[Served]:
     thread = threading.Thread(target=lambda: asyncio.run(server.serve()), name="server of a test")
     thread.start()
     try:
-        eventually(lambda: server.started or not thread.is_alive(), within_s=20.0)
+        eventually(lambda: server.started or not thread.is_alive())
         opened = open_login(app.state.access.store, "A. Therapist")
         origin = f"{'https' if chosen.has_tls else 'http'}://127.0.0.1:{port}"
         headers = headers_of(opened, origin, is_secure=chosen.is_secure)
         yield Served(app=app, engine=engine, server=server, port=port, headers=headers, trusted=trusted)
     finally:
         server.should_exit = True
-        thread.join(20.0)
+        thread.join(PATIENCE_S)
         assert not thread.is_alive()
 
 
-def messages(connection: ClientConnection, *, within_s: float = 5.0) -> Iterator[dict[str, Any]]:
+def messages(connection: ClientConnection, *, within_s: float = PATIENCE_S) -> Iterator[dict[str, Any]]:
     """Read messages; fails where none comes in time."""
     while True:
         yield json.loads(connection.recv(timeout=within_s))
@@ -175,6 +185,17 @@ def messages(connection: ClientConnection, *, within_s: float = 5.0) -> Iterator
 
 def next_of(connection: ClientConnection, kind: str) -> dict[str, Any]:
     return next(one for one in messages(connection) if one["type"] == kind)
+
+
+def read_until(connection: socket.socket, raw: bytearray, frame_index: int) -> list[dict[str, Any]]:
+    """Read into ``raw`` until the sample of this frame is there; return all messages so far."""
+    while True:
+        found = socket_texts(bytes(raw))
+        if any(one["type"] == "sample" and one["frame_index"] == frame_index for one in found):
+            return found
+        piece = connection.recv(65536)
+        assert piece, "the connection ended"
+        raw += piece
 
 
 def socket_texts(raw: bytes) -> list[dict]:

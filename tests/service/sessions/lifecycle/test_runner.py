@@ -23,7 +23,7 @@ from service.web.app import create_app
 from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import act, audit_rows, make_session_body, upload
 from tests.support.service.fake_engine import REFUSED, make_model
-from tests.support.waiting import eventually
+from tests.support.waiting import PATIENCE_S, eventually
 
 pytestmark = pytest.mark.both_databases
 
@@ -360,7 +360,7 @@ def test_a_stop_waits_for_a_writer_that_is_about_to_begin(client, is_begun):
             awaited = pool.submit(runner._await_end, SimpleNamespace(writer=writer))
             if is_begun:
                 writer.start()
-        awaited.result(5.0)
+        awaited.result(PATIENCE_S)
     assert written == ["the end"] * is_begun
 
 

@@ -28,6 +28,7 @@ from service.storage import audit
 from service.storage.database.tables import AuditRow, CalibrationRow, SessionRow
 from service.storage.files.journals import Journals
 from tests.support.control.transitions import transition
+from tests.support.waiting import PATIENCE_S
 
 NOW = datetime(2026, 11, 21, 20, 0, tzinfo=UTC)
 BEGAN_NS = 5_000_000_000
@@ -229,7 +230,7 @@ def test_an_engine_left_behind_is_killed_said_and_recovered(database, journals, 
     monkeypatch.setattr("service.storage.files.journals.PATIENCE_S", 0.5)
     with held_by(module, left) as engine:
         recover_transitions(database, journals)
-        assert engine.wait(5.0) == -signal.SIGKILL
+        assert engine.wait(PATIENCE_S) == -signal.SIGKILL
     ((_, said),) = rows(database, "engine.left_behind")
     assert said["processes"] == [engine.pid]
     assert [one.levelname for one in caplog.records if "was killed" in one.getMessage()] == ["CRITICAL"]

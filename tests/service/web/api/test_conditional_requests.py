@@ -15,6 +15,7 @@ from service.storage.audit.log import AuditLog
 from service.web.api import models, sessions
 from tests.support.service.api_calls import act, audit_rows
 from tests.support.service.fake_engine import REFUSED
+from tests.support.waiting import PATIENCE_S
 
 STALE = '"00000000000000000000000000000000"'
 V1 = "/api/v1"
@@ -130,7 +131,7 @@ def test_of_two_corrections_at_once_with_one_etag_one_is_done(client, session_id
     both = threading.Barrier(2)
 
     def correct(_number):
-        both.wait(5.0)
+        both.wait(PATIENCE_S)
         return ask(client, session_id, "baseline-correction", tag, by_mm=0.5, drift_mm=1.5).status_code
 
     with ThreadPoolExecutor(2) as pool:

@@ -13,6 +13,7 @@ from service.storage.database import idempotency
 from service.storage.database.idempotency import CallersKey, InProgress, earlier_answer, forget_answers, keep_answer
 from service.storage.database.tables import IdempotencyRow, SessionRow
 from tests.support.service.api_calls import act, make_calibration, upload
+from tests.support.waiting import PATIENCE_S
 
 V1 = "/api/v1"
 KEY = {"Idempotency-Key": "6b1f0d3c-1c54"}
@@ -66,7 +67,7 @@ def test_many_requests_at_once_with_one_key_make_one_session(client, session_bod
     all_at_once = threading.Barrier(8)
 
     def create(_number):
-        all_at_once.wait(10.0)
+        all_at_once.wait(PATIENCE_S)
         return client.post(f"{V1}/sessions", json=session_body, headers=KEY)
 
     with ThreadPoolExecutor(8) as pool:

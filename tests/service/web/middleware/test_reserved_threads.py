@@ -129,7 +129,7 @@ def nothing_to_take(client, jam: Jam, path: str) -> Iterator[ThreadPoolExecutor]
     with ThreadPoolExecutor(CONNECTIONS + 2) as pool, client.app.state.services.runner._session_lock:
         try:
             asked = [pool.submit(client.post, path.format(f"{n:032x}"), json={}) for n in range(CONNECTIONS + 1)]
-            eventually(lambda: in_a_thread_of_all(client) == CONNECTIONS + 1, within_s=5.0)
+            eventually(lambda: in_a_thread_of_all(client) == CONNECTIONS + 1)
             yield pool
             assert not any(one.done() for one in asked), "they were blocked all the time"
         finally:

@@ -11,8 +11,8 @@ from service.web.connections.http_protocol import BoundedHttp
 from tests.support.access.tls_certificate import make_certificate
 from tests.support.service.api_calls import act, make_calibration, make_session_body, upload
 from tests.support.service.processes import free_port, service_process
-from tests.support.stream.stream_server import Served, messages, next_of, served, socket_texts
-from tests.support.waiting import eventually
+from tests.support.stream.stream_server import Served, messages, next_of, read_until, served
+from tests.support.waiting import PATIENCE_S, eventually
 
 SAMPLES = 45
 MOST_UNSENT = 6
@@ -42,14 +42,14 @@ def process(tmp_path_factory):
 def service(tmp_path_factory):
     folder = tmp_path_factory.mktemp("tls")
     cert, key = make_certificate(folder)
-    with served(folder, tls_cert=cert, tls_key=key, live_stall_s=30.0, command_timeout_s=3.0) as one:
+    with served(folder, tls_cert=cert, tls_key=key, live_stall_s=60.0, command_timeout_s=3.0) as one:
         yield one
 
 
 @pytest.fixture
 def session_id(service):
     """A session, begun once the clients of the test before have left the stream."""
-    eventually(lambda: service.hub.reading().clients == {}, within_s=20.0)
+    service.await_clients(0)
     session_id = service.begin_session()
     yield session_id
     service.end_session(session_id)
@@ -78,27 +78,16 @@ def taken(found):
             return
 
 
-def read_until(connection, raw, frame_index):
-    """Read into ``raw`` until the sample of this frame is there; give all messages so far."""
-    while True:
-        found = socket_texts(bytes(raw))
-        if any(one["type"] == "sample" and one["frame_index"] == frame_index for one in found):
-            return found
-        piece = connection.recv(65536)
-        assert piece, "the connection ended"
-        raw += piece
-
-
 def test_a_websocket_over_tls_gets_every_sample_of_a_running_session(process):
     client, session_id = process
     url = f"wss://127.0.0.1:{client.base_url.port}/api/v1/live"
-    with connect(url, additional_headers=client.key_headers, ssl=client.trusted) as socket:
+    with connect(url, additional_headers=client.key_headers, ssl=client.trusted, open_timeout=PATIENCE_S) as socket:
         check_stream(list(taken(messages(socket))), session_id)
 
 
 def test_server_sent_events_over_tls_carry_every_sample_of_a_running_session(process):
     client, session_id = process
-    with client.stream("GET", "/api/v1/live/events", headers=client.key_headers, timeout=5.0) as answer:
+    with client.stream("GET", "/api/v1/live/events", headers=client.key_headers, timeout=PATIENCE_S) as answer:
         lines = (line.removeprefix("data: ") for line in answer.iter_lines() if line.startswith("data: "))
         check_stream(list(taken(json.loads(line) for line in lines)), session_id)
 
@@ -107,7 +96,7 @@ def test_server_sent_events_over_tls_carry_every_sample_of_a_running_session(pro
 def test_hardly_anything_waits_for_a_client_over_tls_that_does_not_read(service: Served, session_id: str, path: str):
     service.make_messages_big()
     slow = service.raw(path)
-    eventually(lambda: service.hub.reading().clients, within_s=20.0)
+    service.await_clients(1)
     service.frames(60)
     (client,) = service.hub._clients
     assert 60 - client.slot.skipped <= MOST_UNSENT
@@ -119,7 +108,7 @@ def test_a_stalled_client_over_tls_goes_on_with_the_newest_and_hinders_no_other(
     before = service.hub.reading().closed.get("stalled", 0)
     with service.watch("?form=thin") as healthy:
         slow = service.raw("/api/v1/live")
-        eventually(lambda: sum(service.hub.reading().clients.values()) == 2)
+        service.await_clients(2)
         for _ in range(40):
             service.frames(1)
             assert next_of(healthy, "sample")["frame_index"] == service.hub.newest.index
@@ -142,10 +131,9 @@ def test_clients_over_tls_that_never_read_are_cut_off(tmp_path):
         session_id = service.begin_session()
         service.make_messages_big()
         stalled = [service.raw(path) for path in ("/api/v1/live", "/api/v1/live/events")]
-        eventually(lambda: sum(service.hub.reading().clients.values()) == 2)
+        service.await_clients(2)
         service.frames(20)
-        eventually(lambda: service.hub.reading().clients == {}, within_s=20.0)
-        assert service.hub.reading().closed["stalled"] == 2
+        service.await_closed("stalled", 2)
         for one in stalled:
             one.close()
         service.end_session(session_id)
@@ -163,9 +151,7 @@ def test_an_export_over_tls_larger_than_every_buffer_waits_for_its_reader_and_co
         client.stream("GET", f"/api/v1/sessions/{session_id}/samples?format=arrow") as answer,
     ):
         assert answer.status_code == 200
-        eventually(
-            lambda: any(_is_paused(one) for one in tuple(service.server.server_state.connections)), within_s=20.0
-        )
+        eventually(lambda: any(_is_paused(one) for one in tuple(service.server.server_state.connections)))
         body = b"".join(answer.iter_bytes())
     assert len(body) > LARGER_THAN_BUFFERS
     rows = pa.ipc.open_stream(body).read_all()

@@ -13,6 +13,7 @@ from websockets.exceptions import InvalidStatus
 
 from service.web.stream.websocket import _refuse, read_query
 from tests.support.stream.stream_server import Served, messages, next_of
+from tests.support.waiting import PATIENCE_S
 
 REFUSED = [
     ("rate_hz=0.1", "rate_hz"),
@@ -71,8 +72,8 @@ def test_the_hello_says_how_the_stream_was_understood(service: Served, session_i
     with service.watch():
         service.frames(1)
         with service.watch("?rate_hz=5&form=thin&encoding=msgpack") as socket:
-            hello = msgpack.unpackb(socket.recv(timeout=5))
-            sample = msgpack.unpackb(socket.recv(timeout=5))
+            hello = msgpack.unpackb(socket.recv(timeout=PATIENCE_S))
+            sample = msgpack.unpackb(socket.recv(timeout=PATIENCE_S))
     assert hello["type"] == "hello"
     told = {name: hello[name] for name in ("schema", "form", "encoding", "rate_hz", "session_id", "camera_fps")}
     assert told == {
@@ -89,10 +90,11 @@ def test_the_hello_says_how_the_stream_was_understood(service: Served, session_i
 def test_an_asked_rate_is_kept_on_a_real_socket(service: Served, session_id: str):
     with service.watch("?rate_hz=0.2") as socket:
         next_of(socket, "hello")
+        service.frames(1)
+        first = next_of(socket, "sample")
         service.frames(10)
         service.running.operator_hold = "B. Nurse"
         service.frames(1)
-        first = next_of(socket, "sample")
         assert next(messages(socket))["type"] == "ping", "the next is due in five seconds"
     assert first["frame_index"] == 0
 

@@ -7,6 +7,7 @@ import pytest
 
 from engine.core.gate_state import GateState
 from tests.support.stream.stream_server import Served, messages, next_of
+from tests.support.waiting import PATIENCE_S, eventually
 
 
 def told(connection, *, until: int) -> list[dict]:
@@ -27,16 +28,27 @@ def kinds_of(found: list[dict]) -> list[str]:
     return [one["type"] if one["type"] != "sample" else one["form"] for one in found]
 
 
-def record_only_to(service: Served, monkeypatch, frame: int) -> None:
-    """Let the recorder seem to be no further than this frame."""
-    tails = service.app.state.resumption._tails
-    whole = tails.page
+@pytest.fixture(autouse=True)
+def patient():
+    """Time limits that a slow machine does not reach; a test about one of them sets its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("service.web.stream.resume.RECORDER_WAIT_S", PATIENCE_S)
+        patch.setattr("service.web.stream.resume.BUSY_S", PATIENCE_S)
+        yield
 
-    def page(session_id, after, *, oldest_ns, most):
-        found = whole(session_id, after, oldest_ns=oldest_ns, most=most)
-        return replace(found, rows=[row for row in found.rows if row["frame_index"] <= frame])
 
-    monkeypatch.setattr(tails, "page", page)
+class SlowRecorder:
+    """Seems to be no further than a frame; `page` is the record as it is."""
+
+    def __init__(self, service: Served, monkeypatch, frame: int) -> None:
+        self.frame = frame
+        tails = service.app.state.resumption._tails
+        self.page = tails.page
+        monkeypatch.setattr(tails, "page", self._page)
+
+    def _page(self, session_id, after, *, oldest_ns, most):
+        found = self.page(session_id, after, oldest_ns=oldest_ns, most=most)
+        return replace(found, rows=[row for row in found.rows if row["frame_index"] <= self.frame])
 
 
 def test_what_was_missed_comes_from_the_record_and_the_seam_has_no_frame_twice_and_none_missing(
@@ -45,12 +57,12 @@ def test_what_was_missed_comes_from_the_record_and_the_seam_has_no_frame_twice_a
     with service.watch():
         service.frames(30)
         service.recorded(session_id, 29)
-        record_only_to(service, monkeypatch, 20)  # far behind at first
+        recorder = SlowRecorder(service, monkeypatch, 20)  # far behind at first
         with service.watch(f"?session_id={session_id}&after_frame=9") as again:
             hello = next_of(again, "hello")
             service.frames(3)
-            monkeypatch.undo()
-            record_only_to(service, monkeypatch, 30)  # it got past the first frame that is kept, not to the newest
+            eventually(lambda: recorder.page(session_id, 31, oldest_ns=0, most=1).rows)
+            recorder.frame = 30  # it got past the first frame that is kept, not to the newest
             found = told(again, until=32)
     assert (hello["session_id"], hello["resumes_after"]) == (session_id, 9)
     assert frames_of(found) == list(range(10, 33))
@@ -124,7 +136,7 @@ def test_a_recorder_that_does_not_get_there_is_waited_for_and_not_for_ever(
     with service.watch():
         service.frames(10)
         service.recorded(session_id, 9)
-        record_only_to(service, monkeypatch, 5)
+        SlowRecorder(service, monkeypatch, 5)
         with service.watch(f"?session_id={session_id}&after_frame=1") as again:
             found = told(again, until=9)
     assert kinds_of(found) == ["hello", *["recorded"] * 4, "gap", "resumed", "full"]

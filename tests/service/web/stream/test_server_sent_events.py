@@ -83,14 +83,16 @@ def test_the_stream_ends_when_the_log_in_does(service: Served):
         with client.stream("GET", PATH) as answer:
             events = events_of(answer)
             next_of(events, "hello")
-            before = service.hub.reading().closed.get("not_logged_in", 0)
+            closed = service.hub.reading().closed
+            before, stalled = closed.get("not_logged_in", 0), closed.get("stalled", 0)
             authenticator = service.app.state.access.authenticator
             whole, authenticator.is_valid = authenticator.is_valid, lambda _identity: False
             try:
                 assert list(events) is not None, "it ends"
             finally:
                 authenticator.is_valid = whole
-        assert service.hub.reading().closed["not_logged_in"] == before + 1
+        service.await_closed("not_logged_in", before + 1)
+        assert service.hub.reading().closed.get("stalled", 0) == stalled
 
 
 def test_a_client_that_goes_leaves_its_place(service: Served):
