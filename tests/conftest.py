@@ -12,5 +12,6 @@ pytest_plugins = [
     "tests.support.fixtures.recordings",
     "tests.support.fixtures.samples",
     "tests.support.selection",
+    "tests.support.temporary_folder",
     "tests.support.timings",
 ]

@@ -68,8 +68,8 @@ def create_app(
 ) -> FastAPI:
     """Make the application; nothing is opened before its lifespan begins.
 
-    ``tell_first`` is told name and password of the administrator that is made where there is nobody yet; without it
-    none is made.
+    ``tell_first`` is called with name and password of the administrator that is made if there is no account yet;
+    without it none is made.
     """
     app = FastAPI(
         title="Tidegate",
@@ -137,7 +137,8 @@ def _api_routes() -> tuple[BaseRoute, ...]:
     return tuple(root.routes)
 
 
+@functools.cache
 def _page_files() -> frozenset[str]:
-    """Return the paths of the page's files: they hold no data, and are all that is read without a rule."""
+    """Return the paths of the page's files, listed once per process: no data, and all that is read without a rule."""
     found = (file.relative_to(DASHBOARD).as_posix() for file in DASHBOARD.rglob("*") if file.is_file())
     return frozenset({"/", *(f"/{path}" for path in found)})

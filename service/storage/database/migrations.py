@@ -3,6 +3,7 @@
 Both databases have transactional DDL: a migration is applied completely or not at all.
 """
 
+import functools
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,6 +23,7 @@ from service.storage.database.sqlite import make_sqlite_engine
 
 VERSION_TABLE = "alembic_version"
 BASE = "base"
+HEAD = "head"
 
 
 class MigrationError(TidegateError):
@@ -56,7 +58,7 @@ def schema_status(connection: Connection) -> SchemaStatus:
     if revision is not None and revision not in scripts:
         msg = (
             f"the database is at revision {revision}, made by a newer version of Tidegate; "
-            f"this one knows up to {scripts[-1]}"
+            f"this version supports up to {scripts[-1]}"
         )
         raise MigrationError(msg)
     ahead = scripts if revision is None else scripts[scripts.index(revision) + 1 :]
@@ -71,7 +73,9 @@ def titles() -> dict[str, str]:
 def upgrade(connection: Connection, revision: str, attributes: Mapping[str, object]) -> None:
     """Upgrade to a revision, within the connection's transaction if one has begun."""
     if not connection.in_transaction():
-        schema_status(connection)  # raises MigrationError for tables of a newer version
+        status = schema_status(connection)  # raises MigrationError for tables of a newer version
+        if revision == HEAD and not status.ahead:
+            return
     with _config(connection, attributes) as config:
         command.upgrade(config, revision)
 
@@ -134,8 +138,9 @@ def _tables_at(revision: str) -> MetaData:
     return tables
 
 
+@functools.cache
 def _scripts() -> Sequence[Script]:
-    """Return all revisions, oldest first."""
+    """Return all revisions, oldest first; their files are loaded once per process."""
     with as_file(files("migrations")) as folder:
         return tuple(reversed(list(ScriptDirectory.from_config(migration_config(folder)).walk_revisions())))
 

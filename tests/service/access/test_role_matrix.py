@@ -11,12 +11,13 @@ from service.access.request.rules import BEFORE_THE_PASSWORD_IS_CHANGED, RULES, 
 from service.core.permissions import KEY_PERMISSIONS, ROLE_PERMISSIONS, Permission, Role
 from service.core.settings.settings import Settings
 from service.web.app import create_app
+from tests.support.contract.document import contract_app
 from tests.support.documents import access_matrix
 from tests.support.generated_sections import are_as_made
 from tests.support.service.accounts import PeopleClient, headers_of, open_login
 from tests.support.service.fake_engine import FakeEngine
 
-APP = create_app(Settings())
+APP = contract_app()
 DOCUMENT = APP.openapi()
 CALLS = sorted(
     [(method.upper(), path) for path, item in DOCUMENT["paths"].items() for method in item]

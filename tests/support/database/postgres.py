@@ -20,6 +20,7 @@ import pytest
 from sqlalchemy import URL
 
 from service.storage.database.engine import Database
+from tests.support.temporary_folder import temporary_root
 
 HOMES = Path("/usr/lib/postgresql")
 PREFIX = "tidegate-postgres-"
@@ -57,7 +58,7 @@ class PostgresServer:
 
     def __init__(self) -> None:
         self._programs = _programs()
-        self.folder = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-"))
+        self.folder = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=temporary_root()))
         self.port = _free_port()
         self._count = 0
         self._process: subprocess.Popen[bytes] | None = None
@@ -198,7 +199,7 @@ def _free_port() -> int:
 
 def remove_leftovers() -> None:
     """Remove the folders of servers whose test process was killed; the servers ended with it."""
-    for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+    for folder in temporary_root().glob(f"{PREFIX}*"):
         owner = folder.name.removeprefix(PREFIX).partition("-")[0]
         if owner.isdigit() and not Path(f"/proc/{owner}").exists():
             shutil.rmtree(folder, ignore_errors=True)

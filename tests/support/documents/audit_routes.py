@@ -4,13 +4,11 @@ With ``--write`` it is put into the document instead.
 """
 
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 from fastapi.routing import APIRoute, iter_route_contexts
 
-from service.core.settings.settings import Settings
-from service.web.app import create_app
+from tests.support.contract.document import contract_app
 from tests.support.generated_sections import print_or_write
 from tests.support.repository import ROOT
 
@@ -28,15 +26,14 @@ EXPORTS = {
 @cache
 def operations() -> dict[tuple[str, str], dict[str, Any]]:
     """Every route there is, by method and path."""
-    paths = create_app(Settings(data_dir=Path("not made"))).openapi()["paths"]
+    paths = contract_app().openapi()["paths"]
     return {(method.upper(), path): one for path, methods in paths.items() for method, one in methods.items()}
 
 
 @cache
 def route_names() -> dict[str, str]:
     """The name of each route, by the operation's id, which is its function's name."""
-    app = create_app(Settings(data_dir=Path("not made")))
-    routes = [context.route for context in iter_route_contexts(app.routes)]
+    routes = [context.route for context in iter_route_contexts(contract_app().routes)]
     return {route.endpoint.__name__: route.name for route in routes if isinstance(route, APIRoute)}
 
 

@@ -3,9 +3,8 @@
 import argparse
 import sys
 
-from service.core.settings.settings import Settings
-from service.web.app import create_app
 from service.web.problems.catalogue import CATALOGUE
+from tests.support.contract.document import contract_app
 from tests.support.repository import ROOT
 
 PAGE = ROOT / "docs" / "4-integrate" / "problems.md"
@@ -39,7 +38,7 @@ def page() -> str:
 
 def _where() -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
-    for item in create_app(Settings()).openapi()["paths"].values():
+    for item in contract_app().openapi()["paths"].values():
         for operation in item.values():
             for answer in operation["responses"].values():
                 for code in answer.get("x-problem-codes", ()):

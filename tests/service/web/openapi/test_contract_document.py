@@ -7,12 +7,11 @@ from referencing import Registry, Resource
 from referencing.jsonschema import DRAFT202012
 
 from service.access.request.rules import RULES, SOCKET, TAKES_PERMISSION_AWAY
-from service.core.settings.settings import Settings
-from service.web.app import create_app
 from service.web.problems.catalogue import CATALOGUE
+from tests.support.contract.document import contract_app
 from tests.support.documents.contract_examples import NO_EXAMPLE
 
-DOCUMENT = create_app(Settings()).openapi()
+DOCUMENT = contract_app().openapi()
 OPERATIONS = [
     (method.upper(), path, operation) for path, item in DOCUMENT["paths"].items() for method, operation in item.items()
 ]

@@ -2,12 +2,11 @@
 
 import pytest
 
-from service.core.settings.settings import Settings
-from service.web.app import create_app
 from service.web.openapi import contract_files
+from tests.support.contract.document import contract_app
 from tests.support.repository import ROOT
 
-APP = create_app(Settings())
+APP = contract_app()
 DOCUMENT = APP.openapi()
 OPERATIONS = [
     (method, path, operation) for path, item in DOCUMENT["paths"].items() for method, operation in item.items()
