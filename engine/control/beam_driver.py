@@ -1,9 +1,9 @@
 """Drives the beam line as the gate decided, and trusts only what the line reads back."""
 
-import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from engine.beam.tapped import AskedLine
+from engine.control.line_orders import LineOrders
+from engine.control.turn_inputs import LineAnswer
 from engine.core.clock import Clock
 from engine.core.errors import BeamLineMismatchError
 from engine.core.gate_state import GateState, HoldReason, Lease
@@ -18,9 +18,13 @@ class LineReport:
     ``is_on`` is as read back, and True where the line did not answer, since it may be on. ``trouble`` is a fault for
     the gate; the line was held for it already. ``is_settling`` means that the order may not have taken effect yet: a
     permitted line is still off, or a held one still on, and neither is a fault until the line reports one.
+    ``asserted_ns`` is the time of the line's last answer, and ``watchdog_fired`` whether the watchdog had held the line
+    by then.
     """
 
     is_on: bool
+    asserted_ns: int
+    watchdog_fired: bool = False
     trouble: Interruption | None = None
     is_settling: bool = False
 
@@ -28,8 +32,8 @@ class LineReport:
 class BeamDriver:
     """The only caller of ``permit``; owned by the engine thread."""
 
-    def __init__(self, *, beam: AskedLine, clock: Clock, limits: GateLimits) -> None:
-        self._beam = beam
+    def __init__(self, *, line: LineOrders, clock: Clock, limits: GateLimits) -> None:
+        self._line = line
         self._clock = clock
         self._limits = limits
         self._sequence = 0
@@ -51,44 +55,38 @@ class BeamDriver:
             # Decided in time, ordered too late: the line has gone off by itself, and may be on again after a dwell.
             return self._hold_for(Interruption(HoldReason.FRAME_LATE, "the lease before had lapsed in the line"))
         self._permitted = lease
-        try:
-            self._beam.permit(lease)
-            is_on, is_settling = self._read_back()
-            if is_on or is_settling:
-                return LineReport(is_on=is_on, is_settling=not is_on)
-            trouble = Interruption(HoldReason.BEAM_LINE_MISMATCH, "the line is off, though permitted")
-        except Exception as error:  # noqa: BLE001 - any error of a line is a failure of the line
-            trouble = _trouble_of(error)
-        if not lease.is_live(self._clock.now_ns()):
+        answer = self._line.permit(lease)
+        if answer.error is None and (answer.is_on or answer.is_settling):
+            return _report(answer, is_settling=not answer.is_on)
+        if not lease.is_live(answer.at_ns):
             return self._hold_for(Interruption(HoldReason.FRAME_LATE, "the lease lapsed while the line was told"))
-        return self._hold_for(trouble)
+        return self._hold_for(_trouble_of(answer, "the line is off, though permitted"))
 
     def _hold_for(self, trouble: Interruption) -> LineReport:
         report = self._hold(trouble.reason)
-        return LineReport(is_on=report.is_on, trouble=report.trouble or trouble, is_settling=report.is_settling)
+        return replace(report, trouble=report.trouble or trouble)
 
     def _hold(self, reason: HoldReason) -> LineReport:
         self._permitted = None
-        try:
-            self._beam.hold(reason)
-            is_on, is_settling = self._read_back()
-            if not is_on or is_settling:
-                return LineReport(is_on=is_on, is_settling=is_on)
-            trouble = Interruption(HoldReason.BEAM_LINE_MISMATCH, "the line is on, though held")
-        except Exception as error:  # noqa: BLE001 - a line that cannot be held is reported too
-            trouble = _trouble_of(error)
-        with contextlib.suppress(Exception):
-            self._beam.hold(trouble.reason)
-        return LineReport(is_on=True, trouble=trouble)
-
-    def _read_back(self) -> tuple[bool, bool]:
-        """Read whether the line is on and whether it settles, the latter twice: its own thread runs on meanwhile."""
-        is_settling = self._beam.is_settling
-        is_on = self._beam.is_on()
-        return is_on, is_settling or self._beam.is_settling
+        answer = self._line.hold(reason)
+        if answer.error is None and (not answer.is_on or answer.is_settling):
+            return _report(answer, is_settling=answer.is_on)
+        trouble = _trouble_of(answer, "the line is on, though held")
+        return _report(self._line.hold_again(trouble.reason), trouble=trouble)
 
 
-def _trouble_of(error: Exception) -> Interruption:
+def _report(answer: LineAnswer, *, is_settling: bool = False, trouble: Interruption | None = None) -> LineReport:
+    return LineReport(
+        is_on=answer.is_on,
+        asserted_ns=answer.at_ns,
+        watchdog_fired=answer.watchdog_fired,
+        trouble=trouble,
+        is_settling=is_settling,
+    )
+
+
+def _trouble_of(answer: LineAnswer, mismatch: str) -> Interruption:
+    error = answer.error or BeamLineMismatchError(mismatch)
     is_mismatch = isinstance(error, BeamLineMismatchError)
     reason = HoldReason.BEAM_LINE_MISMATCH if is_mismatch else HoldReason.BEAM_LINE_FAILED
     return Interruption(reason, str(error) or type(error).__name__)

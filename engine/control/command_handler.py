@@ -3,14 +3,12 @@
 Owned by the engine thread; runs between two frames. A command is refused before anything is changed.
 """
 
-from engine.beam.tapped import AskedLine
 from engine.control.decisions import Cause
 from engine.control.gate_controller import GateController
-from engine.control.interlock_inputs import InterlockInputs
-from engine.control.output_queues import OutputQueues
+from engine.control.line_orders import LineOrders
 from engine.control.roles import Learner, Measurer
 from engine.control.session_limits import SessionLimits
-from engine.control.watchdog import Watchdog
+from engine.control.turn_inputs import CommandInputs
 from engine.core.commands import (
     Acknowledge,
     ActivateModel,
@@ -26,8 +24,8 @@ from engine.core.commands import (
 )
 from engine.core.errors import CommandRefusedError
 from engine.core.gate_state import GateState, HoldReason
-from engine.core.input_tap import NO_TAP, InputKind, InputTap
 from engine.gating.gate import Ending
+from engine.gating.supervision.operator_presence import OperatorPresence
 from engine.gating.supervision.supervisor import FrameSupervisor
 
 
@@ -39,18 +37,14 @@ class CommandHandler:
         *,
         measurer: Measurer,
         learner: Learner,
-        beam: AskedLine,
+        line: LineOrders,
         limits: SessionLimits,
         controller: GateController,
-        interlocks: InterlockInputs,
+        presence: OperatorPresence,
         supervisor: FrameSupervisor,
-        watchdog: Watchdog,
-        outputs: OutputQueues,
-        tap: InputTap = NO_TAP,
     ) -> None:
-        self._measurer, self._learner, self._beam, self._limits = measurer, learner, beam, limits
-        self._controller, self._interlocks, self._supervisor = controller, interlocks, supervisor
-        self._watchdog, self._outputs, self._tap = watchdog, outputs, tap
+        self._measurer, self._learner, self._line, self._limits = measurer, learner, line, limits
+        self._controller, self._presence, self._supervisor = controller, presence, supervisor
         self._generation = learner.status.model_generation
         self._resolved_for: int | None = None
 
@@ -73,11 +67,11 @@ class CommandHandler:
         if ranges:
             self._resolved_for = reference
 
-    def handle(self, command: Command) -> None:
+    def handle(self, command: Command, inputs: CommandInputs) -> None:
         """Carry a command out; raise a TidegateError where it is refused."""
         match command:
             case Arm():
-                self._arm(command)
+                self._arm(command, inputs)
             case Disarm():
                 self._controller.disarm(command)
             case HoldBeam():
@@ -85,7 +79,7 @@ class CommandHandler:
             case ReleaseBeam():
                 self._controller.release(command)
             case Acknowledge():
-                self._acknowledge(command)
+                self._acknowledge(command, inputs)
             case CorrectBaseline():
                 self._controller.correct_baseline(command)
                 self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], self._limits.correction)
@@ -121,17 +115,17 @@ class CommandHandler:
     def _disarm_for(self, detail: str, operator: str) -> None:
         self._controller.decide(Ending(reason=HoldReason.DISARMED, detail=detail), cause=Cause(operator=operator))
 
-    def _arm(self, command: Arm) -> None:
+    def _arm(self, command: Arm, inputs: CommandInputs) -> None:
         self._generation = self._learner.status.model_generation
         self.resolve_window()
-        self._refuse_unless_ready()
-        self._beam.rearm()
-        self._interlocks.expect_presence(command.operator)
+        self._refuse_unless_ready(inputs)
+        self._line.rearm()
+        self._presence.arm(command.operator)
         self._controller.decide(command, cause=Cause(operator=command.operator))
         if not self._controller.gate.is_armed:
             raise CommandRefusedError(f"a fault came up: {self._controller.gate.reason}")
 
-    def _refuse_unless_ready(self) -> None:
+    def _refuse_unless_ready(self, inputs: CommandInputs) -> None:
         gate = self._controller.gate
         if gate.state is GateState.FAULT:
             raise CommandRefusedError(f"a fault is latched ({gate.reason}): acknowledge it first")
@@ -146,14 +140,13 @@ class CommandHandler:
         if self._limits.is_window_unresolved:
             raise CommandRefusedError("The window is in per cent, but this model has no breathing range. Train again.")
         self._limits.refuse_wide_window()
-        if not self._tap.observe(InputKind.WATCHDOG_RUNS, lambda: self._watchdog.is_watching):
+        if not inputs.is_watchdog_running:
             raise CommandRefusedError("the watchdog does not run: this engine cannot be armed")
         self._controller.refuse_without_fresh_signal()
 
-    def _acknowledge(self, command: Acknowledge) -> None:
+    def _acknowledge(self, command: Acknowledge, inputs: CommandInputs) -> None:
         if self._controller.gate.state is not GateState.FAULT:
             raise CommandRefusedError("there is no fault to acknowledge")
-        trouble = self._tap.observe(InputKind.QUEUE_TROUBLE, self._outputs.trouble)
-        if trouble is not None:
-            raise CommandRefusedError(f"the fault persists ({trouble}): nothing can be recorded")
+        if inputs.queue_trouble is not None:
+            raise CommandRefusedError(f"the fault persists ({inputs.queue_trouble}): nothing can be recorded")
         self._controller.acknowledge(command)

@@ -8,7 +8,6 @@ import threading
 
 from engine.control.beam_driver import LineReport
 from engine.control.decisions import Decision
-from engine.control.interlock_inputs import WATCHDOG_DETAIL, InterlockInputs
 from engine.control.live_views import LiveViews
 from engine.control.output_queues import OutputQueues
 from engine.control.outputs import FrameRecord, GateTransition
@@ -18,6 +17,7 @@ from engine.core.frames import Measurement
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.input_tap import NO_TAP, InputKind, InputTap
 from engine.gating.gate import Gate
+from engine.gating.interlocks import WATCHDOG_DETAIL
 
 
 class DecisionRecords:
@@ -29,12 +29,11 @@ class DecisionRecords:
         clock: Clock,
         limits: SessionLimits,
         outputs: OutputQueues,
-        interlocks: InterlockInputs,
         views: LiveViews,
         tap: InputTap = NO_TAP,
     ) -> None:
         self._clock, self._limits, self._outputs = clock, limits, outputs
-        self._interlocks, self._views, self._tap = interlocks, views, tap
+        self._views, self._tap = views, tap
         self._watchdog_recorded = threading.Lock()  # taken by the thread that records it first: watchdog or engine
 
     @property
@@ -56,14 +55,13 @@ class DecisionRecords:
         elif prepared is not None:
             self._outputs.abort(self._transition(decision), prepared)
         frame, measurement = decision.cause.frame, decision.cause.measurement
-        operator_hold = self._interlocks.operator_hold
         if frame is not None and measurement is not None:
             sample = self._sample(decision, measurement, is_on=report.is_on)
             self._outputs.put_sample(sample)
             self._tap.emit(sample)
-            self._views.show_frame(decision, sample, frame, operator_hold)
+            self._views.show_frame(decision, sample, frame)
         else:
-            self._views.show_without_frame(decision, is_on=report.is_on, operator_hold=operator_hold)
+            self._views.show_without_frame(decision, is_on=report.is_on)
 
     def record_transition(self, decision: Decision, prepared: int | None) -> None:
         """Record a change of the gate; ``prepared`` is the number under which the journal expects it."""
@@ -113,7 +111,7 @@ class DecisionRecords:
             from_state=decision.before.state,
             to_state=gate.state,
             reason=gate.reason,
-            operator=cause.operator or self._holder_of(gate),
+            operator=cause.operator or _holder_of(decision),
             detail=cause.detail or gate.detail,
             captured_us=None if frame is None else frame.timestamp_us,
             received_ns=None if frame is None else frame.received_ns,
@@ -121,11 +119,6 @@ class DecisionRecords:
             asserted_ns=decision.asserted_ns,
             captured_ns=decision.captured_ns,
         )
-
-    def _holder_of(self, gate: Gate) -> str | None:
-        """Name the operator of a hold by hand that took effect at a frame's decision."""
-        is_held = gate.is_armed and gate.reason is HoldReason.OPERATOR_HOLD
-        return self._interlocks.holder() if is_held else None
 
     def _sample(self, decision: Decision, measurement: Measurement, *, is_on: bool) -> FrameRecord:
         return FrameRecord(
@@ -139,3 +132,9 @@ class DecisionRecords:
             line_on=is_on,
             captured_ns=decision.captured_ns,
         )
+
+
+def _holder_of(decision: Decision) -> str | None:
+    """Name the operator of a hold by hand that took effect at a frame's decision."""
+    is_held = decision.gate.is_armed and decision.gate.reason is HoldReason.OPERATOR_HOLD
+    return decision.holder if is_held else None

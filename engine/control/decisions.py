@@ -30,6 +30,8 @@ class Decision:
         was asked.
     captured_ns
         When the camera took the frame [ns, host monotonic]; None without a frame.
+    operator_hold, holder
+        The operator who holds the beam by hand; the same, or the one whose hold waits in the command queue.
     """
 
     cause: Cause
@@ -38,6 +40,8 @@ class Decision:
     decided_ns: int
     asserted_ns: int
     captured_ns: int | None
+    operator_hold: str | None = None
+    holder: str | None = None
 
     @property
     def is_change(self) -> bool:

@@ -4,12 +4,12 @@ The order is the safety argument: the gate is stepped, the line is driven and re
 The interlocks are part of every decision, before and after its events.
 """
 
-from engine.beam.tapped import AskedLine
-from engine.control.beam_driver import BeamDriver
+from engine.control.beam_driver import BeamDriver, LineReport
 from engine.control.decision_records import DecisionRecords
 from engine.control.decisions import Cause, Decision
-from engine.control.interlock_inputs import WATCHDOG_DETAIL, InterlockInputs
+from engine.control.line_orders import LineOrders
 from engine.control.session_limits import SessionLimits
+from engine.control.turn_reader import TurnReader
 from engine.control.watchdog import Watchdog
 from engine.core.clock import NS_PER_MS, Clock
 from engine.core.commands import Acknowledge, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam
@@ -19,6 +19,7 @@ from engine.core.gate_state import GateState, HoldReason
 from engine.gating.active_window import window_text
 from engine.gating.frame_checks import captured_ns, too_slow
 from engine.gating.gate import Ending, Gate, GateEvent, Interruption, step_gate
+from engine.gating.interlocks import WATCHDOG_DETAIL, DecisionInputs, interlocks
 
 
 class GateController:
@@ -33,53 +34,69 @@ class GateController:
     ----------
     gate
         As of the last decision.
+    supervision
+        What the newest frames show against the beam; set by the loop before each decision on a frame.
+    operator_hold
+        The operator who holds the beam by hand; None where there is none.
     """
 
     def __init__(
         self,
         *,
-        beam: AskedLine,
+        reader: TurnReader,
+        line: LineOrders,
         clock: Clock,
         limits: SessionLimits,
-        interlocks: InterlockInputs,
         records: DecisionRecords,
         watchdog: Watchdog,
     ) -> None:
         self._clock, self._limits, self._watchdog = clock, limits, watchdog
-        self._interlocks, self._records = interlocks, records
-        self._driver = BeamDriver(beam=beam, clock=clock, limits=limits.current)
+        self._reader, self._records = reader, records
+        self._driver = BeamDriver(line=line, clock=clock, limits=limits.current)
         watchdog.on_fired = lambda at_ns: records.record_watchdog(self.gate, at_ns)
         self.gate = Gate(since_ns=clock.now_ns())
+        self.supervision: tuple[Interruption, ...] = ()
+        self.operator_hold: str | None = None
 
     def decide(self, *events: GateEvent, cause: Cause | None = None) -> None:
         """Step the gate through ``events`` to one decision, drive the line, and record it."""
         cause = cause or Cause()
         before = self.gate
-        decided_ns = self._clock.now_ns()
-        # Interlocks first, so that they are named as the cause; and last, so that no event clears them.
-        interlocks = self._interlocks.collect(before, decided_ns)
-        gate = before
-        for event in (*interlocks, *events, *interlocks):
-            gate = self._step(gate, event, decided_ns)
-        prepared = self._records.prepare(self._decision(before, gate, cause, decided_ns, decided_ns))
-        report = self._driver.carry_out(gate, decided_ns)
+        inputs = self._reader.decision(is_armed=before.is_armed)
+        if inputs.is_stop_requested and cause.frame is not None:  # requested while this frame was measured
+            events = (*events, Ending(HoldReason.ENGINE_STOPPED))
+        gate = self._decided(before, events, inputs)
+        prepared = self._records.prepare(self._decision(before, gate, cause, inputs, inputs.at_ns))
+        report = self._driver.carry_out(gate, inputs.at_ns)
         if report.trouble is not None:
-            gate = self._step(gate, self._named(report.trouble), decided_ns)
-        asserted_ns = self._clock.now_ns()
-        slowness = self._slowness(gate, cause.measurement, asserted_ns)
+            gate = self._step(gate, _named(report.trouble, report), inputs.at_ns)
+        slowness = self._slowness(gate, cause.measurement, report.asserted_ns)
         if slowness is not None:
-            permitted, permitted_ns, gate = gate, asserted_ns, self._step(gate, slowness, decided_ns)
-            report = self._driver.carry_out(gate, decided_ns)
-            asserted_ns = self._clock.now_ns()
+            permitted, permitted_ns, gate = gate, report.asserted_ns, self._step(gate, slowness, inputs.at_ns)
+            report = self._driver.carry_out(gate, inputs.at_ns)
             if before.state is not GateState.BEAM_ON and permitted.state is GateState.BEAM_ON:
                 # Permitted and held within one decision: the line was on meanwhile, and every beam-on is recorded.
                 self._records.record_transition(
-                    self._decision(before, permitted, cause, decided_ns, permitted_ns), prepared
+                    self._decision(before, permitted, cause, inputs, permitted_ns), prepared
                 )
                 before, prepared = permitted, None
         self.gate = gate
-        self._watchdog.feed(decided_ns, is_armed=gate.is_armed)
-        self._records.record(self._decision(before, gate, cause, decided_ns, asserted_ns), report, prepared)
+        self._watchdog.feed(inputs.at_ns, is_armed=gate.is_armed)
+        self._records.record(self._decision(before, gate, cause, inputs, report.asserted_ns), report, prepared)
+
+    def _decided(self, before: Gate, events: tuple[GateEvent, ...], inputs: DecisionInputs) -> Gate:
+        """Step the gate: interlocks first, to be named as the cause; and last, so that no event clears them."""
+        standing = interlocks(
+            inputs,
+            is_armed=before.is_armed,
+            limits=self._limits.current,
+            supervision=self.supervision,
+            operator_hold=self.operator_hold,
+        )
+        gate = before
+        for event in (*standing, *events, *standing):
+            gate = self._step(gate, event, inputs.at_ns)
+        return gate
 
     def acknowledge(self, command: Acknowledge) -> None:
         """Clear the latched fault for a named person; a cause that persists faults again at once."""
@@ -89,19 +106,19 @@ class GateController:
 
     def disarm(self, command: Disarm) -> None:
         """Disarm; a hold by hand ends with it."""
-        self._interlocks.operator_hold = None
+        self.operator_hold = None
         self.decide(command, cause=Cause(operator=command.operator))
 
     def hold(self, command: HoldBeam) -> None:
         """Hold until an operator releases; the first who held stays named."""
-        self._interlocks.operator_hold = self._interlocks.operator_hold or command.operator
+        self.operator_hold = self.operator_hold or command.operator
         self.decide(cause=Cause(operator=command.operator))
 
     def release(self, command: ReleaseBeam) -> None:
         """End a hold by hand: the beam is on again after a full dwell at the earliest."""
-        if self._interlocks.operator_hold is None:
+        if self.operator_hold is None:
             raise CommandRefusedError("no operator holds the beam")
-        self._interlocks.operator_hold = None
+        self.operator_hold = None
         released = Interruption(HoldReason.DWELL, f"released by {command.operator}")
         self.decide(released, cause=Cause(operator=command.operator))
 
@@ -127,14 +144,16 @@ class GateController:
     def _step(self, gate: Gate, event: GateEvent, decided_ns: int) -> Gate:
         return step_gate(gate, event, decided_ns, self._limits.current)
 
-    def _decision(self, before: Gate, gate: Gate, cause: Cause, decided_ns: int, asserted_ns: int) -> Decision:
+    def _decision(self, before: Gate, gate: Gate, cause: Cause, inputs: DecisionInputs, asserted_ns: int) -> Decision:
         return Decision(
             cause=cause,
             before=before,
             gate=gate,
-            decided_ns=decided_ns,
+            decided_ns=inputs.at_ns,
             asserted_ns=asserted_ns,
             captured_ns=self._captured_ns(gate, cause.measurement),
+            operator_hold=self.operator_hold,
+            holder=self.operator_hold or inputs.hold_requested_by,
         )
 
     def _captured_ns(self, gate: Gate, measurement: Measurement | None) -> int | None:
@@ -151,7 +170,7 @@ class GateController:
             return None
         return Interruption(HoldReason.LATENCY_HIGH, too_slow(latency_ms, self._limits.current))
 
-    def _named(self, trouble: Interruption) -> Interruption:
-        """Name the watchdog as the cause where its hold is why the line refused a permit."""
-        is_watchdog = self._interlocks.has_watchdog_fired()
-        return Interruption(HoldReason.WATCHDOG, WATCHDOG_DETAIL) if is_watchdog else trouble
+
+def _named(trouble: Interruption, report: LineReport) -> Interruption:
+    """Name the watchdog as the cause where its hold is why the line refused a permit."""
+    return Interruption(HoldReason.WATCHDOG, WATCHDOG_DETAIL) if report.watchdog_fired else trouble

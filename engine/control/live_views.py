@@ -7,7 +7,6 @@ from dataclasses import replace
 
 from engine.capture.source import SourceDescription
 from engine.control.decisions import Decision
-from engine.control.interlock_inputs import WATCHDOG_DETAIL
 from engine.control.latency import LatencyStatistics
 from engine.control.output_queues import OutputQueues
 from engine.control.outputs import FrameRecord, LiveView, LoopStatus
@@ -15,6 +14,7 @@ from engine.control.session_limits import SessionLimits
 from engine.control.watchdog import Watchdog
 from engine.core.frames import ColorImage, RgbdFrame
 from engine.core.gate_state import GateState, HoldReason
+from engine.gating.interlocks import WATCHDOG_DETAIL
 
 BACK_DETAIL = "; it is back: acknowledge, set the reference, arm"
 """Added to the detail of a lost camera that delivers frames again."""
@@ -64,7 +64,7 @@ class LiveViews:
             self._shown_by_watchdog = (view, shown)
         return shown
 
-    def show_frame(self, decision: Decision, record: FrameRecord, frame: RgbdFrame, operator_hold: str | None) -> None:
+    def show_frame(self, decision: Decision, record: FrameRecord, frame: RgbdFrame) -> None:
         """Count a frame that was decided on, and show it."""
         self._latency.count(
             captured_ns=frame.received_ns if record.captured_ns is None else record.captured_ns,
@@ -75,18 +75,16 @@ class LiveViews:
         gate = decision.gate
         is_back = gate.state is GateState.FAULT and gate.reason is HoldReason.SOURCE_LOST
         detail = gate.detail + BACK_DETAIL if is_back else gate.detail
-        self._show(decision, record, frame.color, detail, operator_hold)
+        self._show(decision, record, frame.color, detail)
 
-    def show_without_frame(self, decision: Decision, *, is_on: bool, operator_hold: str | None) -> None:
+    def show_without_frame(self, decision: Decision, *, is_on: bool) -> None:
         """Show the last frame again, with the gate and the line of now."""
         view, gate = self.newest, decision.gate
         if view is not None:
             record = replace(view.record, gate_state=gate.state, hold_reason=gate.reason, line_on=is_on)
-            self._show(decision, record, view.color, gate.detail, operator_hold)
+            self._show(decision, record, view.color, gate.detail)
 
-    def _show(
-        self, decision: Decision, record: FrameRecord, color: ColorImage, detail: str, operator_hold: str | None
-    ) -> None:
+    def _show(self, decision: Decision, record: FrameRecord, color: ColorImage, detail: str) -> None:
         if self.description is None:
             return
         self.newest = LiveView(
@@ -104,6 +102,6 @@ class LiveViews:
             error=self.error,
             window=self._limits.current.window,
             conditions=decision.gate.conditions,
-            operator_hold=operator_hold,
+            operator_hold=decision.operator_hold,
             breath_holds=decision.gate.breath_holds,
         )

@@ -8,12 +8,11 @@ it holds the beam before anything else.
 import contextlib
 import queue
 import threading
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from engine.beam.line import BeamLine
-from engine.beam.tapped import TappedLine
 from engine.capture.source import DepthSource
 from engine.control.command_handler import CommandHandler
 from engine.control.command_queue import URGENT, CommandQueue, QueuedCommand
@@ -21,21 +20,21 @@ from engine.control.decision_records import DecisionRecords
 from engine.control.decisions import Cause
 from engine.control.engine_status import EngineStatus
 from engine.control.gate_controller import GateController
-from engine.control.interlock_inputs import InterlockInputs
 from engine.control.journal.journal import Journal
+from engine.control.line_orders import LineOrders
 from engine.control.live_views import LiveViews
 from engine.control.output_queues import OutputQueues
 from engine.control.outputs import FrameRecord, GateTransition, LoopStatus
 from engine.control.roles import Learner, Measurer
 from engine.control.session_limits import SessionLimits
+from engine.control.turn_inputs import CommandInputs
+from engine.control.turn_reader import TurnReader
 from engine.control.watchdog import Watchdog
-from engine.core.clock import NS_PER_MS, NS_PER_S, Clock
+from engine.core.clock import NS_PER_S, Clock
 from engine.core.commands import Command
 from engine.core.errors import (
     BeamLineError,
-    FrameTimeoutError,
     RecordingError,
-    SourceAwayError,
     SourceEndedError,
     SourceLostError,
     TidegateError,
@@ -46,15 +45,11 @@ from engine.core.input_tap import NO_TAP, InputKind, InputTap, TappedClock
 from engine.core.learning_events import LearningEvent
 from engine.gating.gate import Ending, Gate, GateEvent, Interruption, Silence
 from engine.gating.limits import GateLimits, ns_from_ms
+from engine.gating.supervision.operator_presence import OperatorPresence
 from engine.gating.supervision.supervisor import FrameSupervisor
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 FIRST_FRAME_NS = 10 * NS_PER_S
 """Longest time from the opening of a camera to its first frame; then it is lost."""
-
-SHORTEST_READ_NS = NS_PER_MS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,8 +98,7 @@ class EngineLoop:
         tap: InputTap = NO_TAP,
     ) -> None:
         self._source, self._measurer, self._learner, self._beam = source, measurer, learner, beam
-        self._tap, self._line = tap, TappedLine(beam, tap)
-        self._limits, self._clock = limits, TappedClock(clock, tap)
+        self._tap, self._clock = tap, TappedClock(clock, tap)
         self._commands = CommandQueue(
             clock=clock, capacity=command_capacity, longest_silence_ns=ns_from_ms(limits.max_service_silence_ms)
         )
@@ -113,52 +107,52 @@ class EngineLoop:
         )
         deadline_ns = ns_from_ms(limits.watchdog_ms)
         self._watchdog = watchdog or Watchdog(beam=beam, clock=clock, deadline_ns=deadline_ns)
-        self._session_limits = SessionLimits(limits)
-        self._interlocks = InterlockInputs(
+        self._limits = SessionLimits(limits)
+        self._presence = OperatorPresence(clock=clock, timeout_s=limits.operator_timeout_s)
+        self._stop_requested = threading.Event()
+        self._reader = TurnReader(
+            source=source,
             clock=clock,
-            limits=self._session_limits,
-            outputs=self._outputs,
+            limits=self._limits,
             commands=self._commands,
-            watchdog=self._watchdog,
-            tap=tap,
-        )
-        self._views = LiveViews(limits=self._session_limits, outputs=self._outputs, watchdog=self._watchdog)
-        records = DecisionRecords(
-            clock=self._clock,
-            limits=self._session_limits,
             outputs=self._outputs,
-            interlocks=self._interlocks,
-            views=self._views,
+            watchdog=self._watchdog,
+            presence=self._presence,
+            stop_requested=self._stop_requested,
             tap=tap,
         )
-        self._controller = GateController(
-            beam=self._line,
-            clock=self._clock,
-            limits=self._session_limits,
-            interlocks=self._interlocks,
-            records=records,
-            watchdog=self._watchdog,
-        )
-        self.on_turn: Callable[[], None] = _do_nothing
-        beam.on_trouble = self.report_fault  # a line with its own thread detects faults between two frames
+        self._line = LineOrders(beam, clock=clock, watchdog=self._watchdog, tap=tap)
+        self._views = LiveViews(limits=self._limits, outputs=self._outputs, watchdog=self._watchdog)
         self._supervisor = FrameSupervisor(limits)
+        self._controller = self._make_controller()
         self._handler = CommandHandler(
             measurer=measurer,
             learner=learner,
-            beam=self._line,
-            limits=self._session_limits,
+            line=self._line,
+            limits=self._limits,
             controller=self._controller,
-            interlocks=self._interlocks,
+            presence=self._presence,
             supervisor=self._supervisor,
-            watchdog=self._watchdog,
-            outputs=self._outputs,
-            tap=tap,
         )
+        self.on_turn: Callable[[], None] = _do_nothing
+        beam.on_trouble = self.report_fault  # a line with its own thread detects faults between two frames
         self._published = EngineStatus()
         self._opened_ns = 0
         self._is_camera_away = False
-        self._stop_requested = threading.Event()
         self._thread = threading.Thread(target=self._work, name="tidegate-engine", daemon=True)
+
+    def _make_controller(self) -> GateController:
+        records = DecisionRecords(
+            clock=self._clock, limits=self._limits, outputs=self._outputs, views=self._views, tap=self._tap
+        )
+        return GateController(
+            reader=self._reader,
+            line=self._line,
+            clock=self._clock,
+            limits=self._limits,
+            records=records,
+            watchdog=self._watchdog,
+        )
 
     def start(self) -> None:
         """Start the engine and its watchdog; a failure to open shows in :attr:`status`."""
@@ -221,7 +215,7 @@ class EngineLoop:
 
     def note_presence(self, operator: str) -> None:
         """Note that this operator's page is open, from any thread; never waits."""
-        self._interlocks.note_presence(operator)
+        self._presence.note(operator)
 
     @property
     def samples(self) -> queue.Queue[FrameRecord]:
@@ -266,8 +260,8 @@ class EngineLoop:
         try:
             self._tap.begin()
             self._open()
-            while not self._is_stop_requested():
-                self._run_once()
+            while not (turn := self._reader.turn()).is_stop_requested:
+                self._run_once(turn.commands)
                 self._publish()
                 self._tap.turn()
                 self.on_turn()
@@ -278,11 +272,10 @@ class EngineLoop:
             self._leave(way_out)
 
     def _open(self) -> None:
-        self._line.open()
-        self._line.hold(HoldReason.DISARMED)
+        self._line.connect()
         description = self._tap.observe(InputKind.SOURCE_OPENED, self._source.open)
         self._opened_ns = self._clock.now_ns()
-        self._session_limits.set_played(is_played=not description.is_live)
+        self._limits.set_played(is_played=not description.is_live)
         self._views.begin(description)
         self._publish()
 
@@ -316,17 +309,20 @@ class EngineLoop:
             learning=self._learner.status,
         )
 
-    def _run_once(self) -> None:
-        for queued in self._tap.observe(InputKind.COMMANDS, self._commands.take):
+    def _run_once(self, commands: Iterable[QueuedCommand]) -> None:
+        for queued in commands:
             self._answer(queued)
-        try:
-            frame = self._read()
-        except SourceAwayError as error:
-            self._decide_without_camera(str(error))
-            return
-        except FrameTimeoutError:
-            self._decide_without_frame()
-            return
+        last = self._controller.gate.last
+        read = self._reader.frame(last_received_ns=None if last is None else last.received_ns)
+        if read.frame is not None:
+            self._measure(read.frame)
+        elif read.away is not None:
+            self._decide_without_camera(read.away)
+        else:
+            self._decide_without_frame(read.at_ns)
+
+    def _measure(self, frame: RgbdFrame) -> None:
+        """Measure a frame, and decide on it."""
         if self._is_camera_away:
             self._is_camera_away = False
             self._measurer.camera_returned()
@@ -334,7 +330,7 @@ class EngineLoop:
         measurement = self._measurer.measure(frame)
         notices = self._learner.take_notices()
         self._outputs.put_notices(notices)
-        self._interlocks.supervision = self._supervisor.check(
+        self._controller.supervision = self._supervisor.check(
             frame,
             measurement,
             model=self._learner.status.model,
@@ -343,30 +339,15 @@ class EngineLoop:
         )
         self._decide_on(frame, measurement)
 
-    def _read(self) -> RgbdFrame:
-        timeout_s = self._read_timeout_ns() / NS_PER_S
-        return self._tap.observe(InputKind.FRAME, lambda: self._source.read(timeout_s))
-
-    def _is_stop_requested(self) -> bool:
-        return self._tap.observe(InputKind.STOP_REQUESTED, self._stop_requested.is_set)
-
-    def _read_timeout_ns(self) -> int:
-        """Return the time left until the next frame is late [ns], counted from the arrival of the last one."""
-        longest_ns = ns_from_ms(self._limits.max_gap_ms)
-        last = self._controller.gate.last
-        left_ns = longest_ns if last is None else last.received_ns + longest_ns - self._clock.now_ns()
-        return left_ns if SHORTEST_READ_NS <= left_ns <= longest_ns else longest_ns
-
     def _decide_without_camera(self, detail: str) -> None:
         """Fault for as long as the camera is away; an acknowledgement meanwhile does not clear it."""
         self._is_camera_away = True
-        self._interlocks.supervision = (Interruption(reason=HoldReason.SOURCE_LOST, detail=detail),)
+        self._controller.supervision = (Interruption(reason=HoldReason.SOURCE_LOST, detail=detail),)
         self._controller.decide()
 
-    def _decide_without_frame(self) -> None:
+    def _decide_without_frame(self, timed_out_ns: int) -> None:
         self._controller.decide(Silence(since_ns=self._opened_ns))
-        waited_ns = self._clock.now_ns() - self._opened_ns
-        if self._controller.gate.last is None and waited_ns > FIRST_FRAME_NS:
+        if self._controller.gate.last is None and timed_out_ns - self._opened_ns > FIRST_FRAME_NS:
             msg = f"the source was opened, and showed nothing for {FIRST_FRAME_NS // NS_PER_S} s"
             raise SourceLostError(msg)
 
@@ -382,19 +363,17 @@ class EngineLoop:
             events.append(Interruption(reason=HoldReason.MODEL_MISSING))
         elif not self._learner.status.has_reference:
             events.append(Interruption(reason=HoldReason.REFERENCE_MISSING))
-        if self._is_stop_requested():  # requested while this frame was measured: it must not permit a beam any more
-            events.append(Ending(reason=HoldReason.ENGINE_STOPPED))
         self._controller.decide(*events, cause=Cause(frame=frame, measurement=measurement))
 
     # Commands.
 
     def _answer(self, queued: QueuedCommand) -> None:
         """Carry a command out; answer it once the line has been driven."""
-        is_wanted = self._tap.observe(InputKind.COMMAND_IS_WANTED, queued.answer.set_running_or_notify_cancel)
-        if not is_wanted and not isinstance(queued.command, URGENT):
+        inputs = self._reader.command(queued)
+        if not inputs.is_wanted and not isinstance(queued.command, URGENT):
             return
         try:
-            self._handle(queued.command)
+            self._handle(queued.command, inputs)
         except TidegateError as error:
             queued.answer.set_exception(error)
         except BaseException as error:
@@ -402,13 +381,13 @@ class EngineLoop:
             queued.answer.set_exception(error)
             raise
         else:
-            if is_wanted:
+            if inputs.is_wanted:
                 queued.answer.set_result(None)
 
-    def _handle(self, command: Command) -> None:
+    def _handle(self, command: Command, inputs: CommandInputs) -> None:
         """Carry a command out, and publish the new status before it is answered."""
         try:
-            self._handler.handle(command)
+            self._handler.handle(command, inputs)
         finally:
             self._publish()
 

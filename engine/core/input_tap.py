@@ -1,8 +1,8 @@
 """The one place through which the engine thread reads everything outside itself, so that a session can be replayed.
 
-The engine thread only computes; it reads the time, frames, commands, the line's answers and the state of the queues.
-Each reading passes :meth:`InputTap.observe`. One tap records the readings on a tape, one replays them from a tape
-(ADR 0013), and the default one does neither.
+The engine thread only computes; what it reads are a few values (:mod:`engine.control.turn_inputs`), the clock, and the
+results of training. Each reading passes :meth:`InputTap.observe`. One tap records the readings on a tape, one replays
+them from a tape (ADR 0013, ADR 0016), and the default one does neither.
 """
 
 import enum
@@ -15,25 +15,20 @@ T = TypeVar("T")
 
 
 class InputKind(enum.IntEnum):
-    """The source of a reading; its number is part of the tape's format and never changes its meaning."""
+    """The kind of a reading; its number is part of the tape's format and never changes its meaning.
+
+    Numbers up to 17 that are missing here are those of ``tidegate.tape/1``.
+    """
 
     CLOCK = 1
-    STOP_REQUESTED = 2
     SOURCE_OPENED = 3
-    FRAME = 4
-    COMMANDS = 5
-    COMMAND_IS_WANTED = 6
-    REPORTED_FAULT = 7
-    DISARM_REQUESTED = 8
-    HOLD_REQUESTED = 9
-    WATCHDOG_FIRED = 10
-    WATCHDOG_RUNS = 11
     WATCHDOG_RECORDED = 12
-    QUEUE_TROUBLE = 13
-    WRITE_DELAY = 14
-    OPERATOR_ABSENCE = 15
-    LINE = 16
     TRAINED = 17
+    TURN = 18
+    COMMAND = 19
+    FRAME = 20
+    DECISION = 21
+    LINE = 22
 
 
 class InputTap(Protocol):

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from engine.capture.source import SourceDescription
+from engine.control.turn_inputs import CommandInputs, FrameInput, LineAnswer, TurnInputs
 from engine.core.breath import BreathEventKind, GateSignal, SignalChoice
 from engine.core.commands import (
     Acknowledge,
@@ -27,6 +28,7 @@ from engine.core.errors import InvalidValueError, ModelError, RecordingError
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.motion_model import MotionModel
 from engine.gating.gate import Interruption
+from engine.gating.interlocks import DecisionInputs
 from engine.gating.limits import GateLimits
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, HoldKind, Join, JoinedWindow, PhaseWindow, Unit
 from engine.motion.learning.patient_match import PatientMatchLimits
@@ -38,13 +40,15 @@ from engine.offline.replay.inputs import FrameHead, Raised
 _UNDECODABLE = (LookupError, TypeError, ValueError, AttributeError, RecursionError, InvalidValueError, ModelError)
 _TAPE_NAMES: dict[type, str] = {PatientMatchLimits: "LikenessLimits"}
 """Classes that were renamed: tapes keep the name from when they were first written."""
+_INPUTS = (TurnInputs, CommandInputs, FrameInput, DecisionInputs, LineAnswer)
+"""Several are on each turn of a tape, mostly with defaults, which are omitted."""
 _CLASSES: dict[str, type] = {
     _TAPE_NAMES.get(known, known.__name__): known
     for known in (
         *(Acknowledge, ActivateModel, ApplyModel, Arm, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam, Retrain),
         *(SetReference, GateLimits, AmplitudeWindow, BreathHoldWindow, JoinedWindow, PhaseWindow, SignalChoice),
         *(PipelineSettings, TrainingSettings, PatientMatchLimits, NamedRegion, SourceDescription, Interruption),
-        *(FrameHead, Raised),
+        *(FrameHead, Raised, *_INPUTS),
     )
 }
 _ENUMS: dict[str, type[enum.Enum]] = {
@@ -75,8 +79,7 @@ class TapeEncoding:
         if _CLASSES.get(name) is not type(value):
             msg = f"a {name} has no place on a tape"
             raise TypeError(msg)
-        names = [one.name for one in dataclasses.fields(_CLASSES[name])]
-        return {"d": [name, {one: self.encode(getattr(value, one)) for one in names}]}
+        return {"d": [name, {one.name: self.encode(getattr(value, one.name)) for one in _stored_fields(value)}]}
 
     def decode(self, encoded: Any) -> Any:  # noqa: ANN401
         """Return the value of this JSON; raise RecordingError where it has none."""
@@ -99,3 +102,11 @@ class TapeEncoding:
                 return self.model_of(body)
         makers: dict[str, type] = {"l": list, "t": tuple, "s": frozenset}
         return makers[kind](self.decode(one) for one in body)
+
+
+def _stored_fields(value: Any) -> list["dataclasses.Field[Any]"]:  # noqa: ANN401 - a value of the table
+    """Return a value's fields; of an engine's inputs only those that differ from their defaults."""
+    fields = list(dataclasses.fields(value))
+    if not isinstance(value, _INPUTS):
+        return fields
+    return [one for one in fields if getattr(value, one.name) != one.default]

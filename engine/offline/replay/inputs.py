@@ -1,6 +1,6 @@
 """The part of a reading that goes onto a tape, where the whole is too large or cannot be stored."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from engine.core import errors
@@ -50,6 +50,11 @@ class Raised:
         return error
 
 
+def raised_of(error: Exception) -> Raised:
+    """Return an error as it is stored."""
+    return Raised(name=type(error).__name__, text=str(error))
+
+
 def head_of(frame: RgbdFrame) -> FrameHead:
     """Return a frame without its pictures."""
     return FrameHead(
@@ -64,10 +69,13 @@ def head_of(frame: RgbdFrame) -> FrameHead:
 
 def kept_of(kind: InputKind, value: Any) -> Any:  # noqa: ANN401 - any reading
     """Return the part of a reading that goes onto the tape."""
-    if kind is InputKind.FRAME:
-        return head_of(value)
-    if kind is InputKind.TRAINED:
-        return value is not None
-    if kind is InputKind.COMMANDS:
-        return [queued.command for queued in value]
+    match kind:
+        case InputKind.FRAME if value.frame is not None:
+            return replace(value, frame=head_of(value.frame))
+        case InputKind.TURN:
+            return replace(value, commands=tuple(queued.command for queued in value.commands))
+        case InputKind.LINE if value.error is not None:
+            return replace(value, error=raised_of(value.error))
+        case InputKind.TRAINED:
+            return value is not None
     return value

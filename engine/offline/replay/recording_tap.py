@@ -12,9 +12,10 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from engine.control.outputs import GateTransition
+from engine.control.turn_inputs import FrameInput
 from engine.core.frames import RgbdFrame
 from engine.core.input_tap import InputKind
-from engine.offline.replay.inputs import Raised, kept_of
+from engine.offline.replay.inputs import kept_of, raised_of
 
 T = TypeVar("T")
 
@@ -74,11 +75,11 @@ class RecordingTap:
         try:
             answer = read()
         except Exception as error:
-            self._turn.observed.append((kind, Raised(name=type(error).__name__, text=str(error))))
+            self._turn.observed.append((kind, raised_of(error)))
             raise
         self._turn.observed.append((kind, kept_of(kind, answer)))
-        if isinstance(answer, RgbdFrame):
-            self._frame = answer
+        if isinstance(answer, FrameInput):
+            self._frame = answer.frame
         return answer
 
     def emit(self, outcome: object) -> None:

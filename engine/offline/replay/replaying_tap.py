@@ -1,24 +1,34 @@
 """The input tap that replays: readings come from a tape, and the outputs are compared with those on the tape."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar, cast
 
 from engine.control.command_queue import QueuedCommand
+from engine.control.turn_inputs import CommandInputs, FrameInput, LineAnswer, TurnInputs
 from engine.core.commands import Command
 from engine.core.errors import RecordingError
 from engine.core.frames import RgbdFrame
 from engine.core.input_tap import InputKind
+from engine.gating.interlocks import DecisionInputs
 from engine.offline.replay.comparison import BIT_FOR_BIT, DIGEST, NUMBERS, Comparison
 from engine.offline.replay.encoding import TapeEncoding
 from engine.offline.replay.inputs import FrameHead, Raised
 from engine.offline.replay.outcomes import Row, is_transition, row_of, same, text_of
+from engine.offline.replay.readings import OtherReadingError, Readings, RecordedReadings
 from engine.offline.replay.tape_file import RecordedTurn
 
 T = TypeVar("T")
 
 MISSING: Row = {}
+VALUES: Mapping[InputKind, type] = {
+    InputKind.TURN: TurnInputs,
+    InputKind.COMMAND: CommandInputs,
+    InputKind.FRAME: FrameInput,
+    InputKind.DECISION: DecisionInputs,
+    InputKind.LINE: LineAnswer,
+}
 
 
 class ReplayEnded(BaseException):
@@ -93,16 +103,22 @@ class ReplayingTap:
         """Return the next reading of the tape; end the replay where the tape has another kind next."""
         if self.difference is not None or self._turn is None:
             raise ReplayEnded
-        then, encoded = next(self._readings, (None, None))
-        if then is not kind:
+        try:
+            answer = self._readings.take(kind)
+        except OtherReadingError as other:
             self._compare_outputs(is_all=False)
-            recorded = "nothing more" if then is None else then.name
-            self._differ(f"{recorded} observed{self._decided()}", f"{kind.name} observed")
-            raise ReplayEnded
-        answer = self._encoding.decode(encoded)
+            self._differ(f"{other.name or 'nothing more'} observed{self._decided()}", f"{kind.name} observed")
+            raise ReplayEnded from None
         if isinstance(answer, Raised):
             raise answer.again()
-        return cast("T", self._completed(kind, answer, read))
+        if not isinstance(answer, VALUES.get(kind, object)):
+            msg = f"the tape is damaged: {kind.name} is a {type(answer).__name__}"
+            raise RecordingError(msg)
+        try:
+            return cast("T", self._completed(kind, answer, read))
+        except (AttributeError, TypeError) as error:
+            msg = f"the tape is damaged: {type(error).__name__} in {kind.name}"
+            raise RecordingError(msg) from error
 
     def emit(self, outcome: object) -> None:
         """Keep an output until the end of the turn."""
@@ -114,9 +130,9 @@ class ReplayingTap:
         if self.difference is not None or self._turn is None:
             raise ReplayEnded
         self._compare_outputs()
-        left = next(self._readings, None)
+        left = self._readings.rest()
         if left is not None:
-            self._differ(f"{left[0].name} observed", "nothing more observed")
+            self._differ(f"{left} observed", "nothing more observed")
         if self.difference is not None:
             raise ReplayEnded
         self._turn = next(self._turns, None)
@@ -128,18 +144,19 @@ class ReplayingTap:
         if self.difference is None and self._turn is not None:
             self.turn()
 
-    @staticmethod
-    def _readings_of(turn: RecordedTurn | None) -> Iterator[tuple[InputKind, Any]]:
-        return iter(() if turn is None else turn.observed)
+    def _readings_of(self, turn: RecordedTurn | None) -> Readings:
+        return RecordedReadings((), self._encoding.decode) if turn is None else turn.readings(self._encoding.decode)
 
     def _completed(self, kind: InputKind, answer: Any, read: Callable[[], Any]) -> Any:  # noqa: ANN401
         """Complete a reading that is on the tape in part."""
         match kind:
-            case InputKind.FRAME:
-                self._frame = answer.index
-                return self._with_pictures(answer)
-            case InputKind.COMMANDS:
-                return [_queued(command) for command in answer]
+            case InputKind.FRAME if answer.frame is not None:
+                self._frame = answer.frame.index
+                return replace(answer, frame=self._with_pictures(answer.frame))
+            case InputKind.TURN:
+                return replace(answer, commands=tuple(_queued(command) for command in answer.commands))
+            case InputKind.LINE if answer.error is not None:
+                return replace(answer, error=answer.error.again())
             case InputKind.TRAINED:
                 return read() if answer else None
         return answer

@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 
 from engine.beam.simulated import SimulatedBeamLine
-from engine.control.beam_driver import BeamDriver
 from engine.core.clock import ManualClock
 from engine.core.gate_state import GateState, HoldReason
+from tests.support.control.loop_bench import driver_of
 from tests.support.gating.streams import LIMITS, MS, PERIOD_NS, stream_in
 
 LEASE_NS = int(LIMITS.lease_ms * MS)
@@ -27,7 +27,7 @@ def test_a_decision_in_time_that_is_told_once_the_line_has_gone_off_by_itself_ho
     beam = SimulatedBeamLine(clock)
     beam.open()
     beam.rearm()
-    driver = BeamDriver(beam=beam, clock=clock, limits=LIMITS)
+    driver = driver_of(beam, clock)
     assert driver.carry_out(gate, clock.now_ns()).is_on
     clock.advance_ns(told_ns)
     report = driver.carry_out(received(gate, first_ns + PERIOD_NS), first_ns + PERIOD_NS + 1)
@@ -44,7 +44,7 @@ def test_after_a_hold_the_lease_of_before_says_nothing():
     beam = SimulatedBeamLine(clock)
     beam.open()
     beam.rearm()
-    driver = BeamDriver(beam=beam, clock=clock, limits=LIMITS)
+    driver = driver_of(beam, clock)
     driver.carry_out(gate, clock.now_ns())
     driver.carry_out(replace(gate, state=GateState.HOLD, reason=HoldReason.MARKER_LOST), clock.now_ns())
     clock.advance_ns(2 * LEASE_NS)

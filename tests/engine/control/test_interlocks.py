@@ -150,7 +150,7 @@ def test_a_line_that_is_told_too_late_faults_and_is_held_at_once():
             bench.clock.advance_ns(70 * MS)  # within the lease, and past the latency with the camera's own
 
     bench.beam.before_permit = dawdle
-    limits = bench.loop._session_limits
+    limits = bench.loop._limits
     limits.current = replace(limits.current, camera_latency_ms=40.0)
     records = bench.run().records()
     assert records[slow - 1].line_on

@@ -5,13 +5,12 @@ from dataclasses import replace
 import pytest
 
 from engine.beam.simulated import SimulatedBeamLine
-from engine.control.beam_driver import BeamDriver
 from engine.core.clock import ManualClock
 from engine.core.commands import Acknowledge
 from engine.core.errors import BeamLineError, BeamLineMismatchError
 from engine.core.gate_state import GateState, HoldReason
 from tests.support.control.armed_bench import ARM, ON_AT, armed_bench
-from tests.support.control.loop_bench import WatchedBeamLine, after, good
+from tests.support.control.loop_bench import WatchedBeamLine, after, driver_of, good
 from tests.support.gating.streams import LIMITS, MS, stream_in
 
 
@@ -159,7 +158,7 @@ class TurningOver(WatchedBeamLine):
 def test_a_line_that_begins_to_settle_between_two_questions_is_no_trouble():
     clock = ManualClock(0)
     line = TurningOver(clock)
-    report = BeamDriver(beam=line, clock=clock, limits=LIMITS).carry_out(stream_in(GateState.HOLD).gate, 0)
+    report = driver_of(line, clock).carry_out(stream_in(GateState.HOLD).gate, 0)
     assert (report.is_on, report.is_settling, report.trouble) == (True, True, None)
 
 
@@ -245,7 +244,7 @@ def test_a_line_is_not_even_asked_once_the_lease_it_would_get_has_ended():
     line = Gullible(clock)
     gate = stream_in(GateState.BEAM_ON).gate
     clock.advance_ns(gate.last.received_ns + 80 * MS)
-    report = BeamDriver(beam=line, clock=clock, limits=LIMITS).carry_out(gate, clock.now_ns())
+    report = driver_of(line, clock).carry_out(gate, clock.now_ns())
     assert (report.is_on, report.trouble.reason) == (False, HoldReason.FRAME_LATE)
     assert line.permits == []
 
@@ -259,7 +258,7 @@ def test_a_line_that_cannot_be_read_after_a_hold_is_latched():
     line = Unread(clock)
     line.open()
     line.rearm()
-    report = BeamDriver(beam=line, clock=clock, limits=LIMITS).carry_out(stream_in(GateState.HOLD).gate, 0)
+    report = driver_of(line, clock).carry_out(stream_in(GateState.HOLD).gate, 0)
     assert (report.is_on, report.trouble.reason) == (True, HoldReason.BEAM_LINE_FAILED)
     assert line._deadman._is_latched
 

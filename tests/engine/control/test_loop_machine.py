@@ -344,7 +344,7 @@ class LoopMachine(RuleBasedStateMachine):
 
     def _run(self, happened) -> None:
         was_on = self.oracle.is_on
-        self.loop._run_once()
+        self.loop._run_once(self.loop._reader.turn().commands)
         happened()
         self._stand()
         self.times_on += self.oracle.is_on and not was_on

@@ -10,6 +10,8 @@ import numpy as np
 
 from engine.beam.simulated import SimulatedBeamLine
 from engine.capture.source import SourceDescription
+from engine.control.beam_driver import BeamDriver
+from engine.control.line_orders import LineOrders
 from engine.control.loop import EngineLoop
 from engine.control.outputs import FrameRecord, GateTransition
 from engine.control.watchdog import Watchdog
@@ -225,6 +227,12 @@ class WatchedBeamLine(SimulatedBeamLine):
         self.before_permit(lease)
         super().permit(lease)
         self.permits.append(lease)
+
+
+def driver_of(beam: SimulatedBeamLine, clock: Clock) -> BeamDriver:
+    """Return a driver of this line by itself."""
+    watchdog = SteppedWatchdog(beam=beam, clock=clock, deadline_ns=int(LIMITS.watchdog_ms * MS))
+    return BeamDriver(line=LineOrders(beam, clock=clock, watchdog=watchdog), clock=clock, limits=LIMITS)
 
 
 class Bench:

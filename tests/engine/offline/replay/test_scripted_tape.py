@@ -6,15 +6,19 @@ from dataclasses import replace
 
 import pytest
 
+from engine.control.turn_inputs import CommandInputs
 from engine.core.commands import Acknowledge, Arm, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam, Retrain, SetReference
 from engine.core.errors import BeamLineError, RecordingError, SourceAwayError, SourceLostError
 from engine.core.gate_state import HoldReason
 from engine.core.input_tap import InputKind
+from engine.offline.replay.comparison import within_rounding
 from engine.offline.replay.outcomes import text_of
-from engine.offline.replay.tape_file import TapeFile, read_tape
+from engine.offline.replay.replaying_tap import ReplayingTap
+from engine.offline.replay.tape_file import RecordedTurn, TapeFile, read_tape
 from tests.support.control.loop_bench import after, good, raising, silent
 from tests.support.gating.streams import MS
 from tests.support.replay.scripted_tape import NO_MODELS, lived, replayed, taped, with_limits
+from tests.support.repository import DATA
 
 FAULTS = (HoldReason.DISK_LOW, HoldReason.AUDIT_BEHIND, HoldReason.RECORDER_BEHIND)
 ARM = Arm(operator="A. Therapist")
@@ -55,6 +59,20 @@ def test_a_session_with_every_command_replays_the_same(busy):
     assert again.difference is None
     assert again.frames == one.source.frames
     assert [row["to"] for row in again.transitions].count("beam_on") >= 2, "it was on, and on again"
+
+
+def test_a_tape_of_values_that_was_written_before_replays_the_same():
+    again = replayed(DATA / "tapes" / "scripted.tape", comparison=within_rounding())
+    assert again.difference is None
+    assert (again.frames, [row["to"] for row in again.transitions].count("beam_on")) == (62, 4)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in InputKind if kind.name in {"TURN", "COMMAND", "DECISION", "LINE"}])
+def test_a_value_of_another_class_is_damage(kind):
+    turn = RecordedTurn(observed=[(kind, NO_MODELS.encode(ARM))], rows=[], elsewhere=[])
+    tap = ReplayingTap(iter([turn]), NO_MODELS, lambda _head: None)
+    with pytest.raises(RecordingError, match=f"damaged: {kind.name} is a Arm"):
+        tap.observe(kind, lambda: None)
 
 
 def by_chance(one, seed):
@@ -148,10 +166,10 @@ def test_a_camera_that_never_showed_anything_is_lost_again(tmp_path):
 
 def test_an_engine_that_asks_for_something_else_is_found(busy, monkeypatch):
     _one, path = busy
-    monkeypatch.setattr("engine.control.interlock_inputs.InterlockInputs.has_watchdog_fired", lambda _self: False)
+    unread = lambda _self, _queued: CommandInputs()  # noqa: E731
+    monkeypatch.setattr("engine.control.turn_reader.TurnReader.command", unread)
     difference = replayed(path).difference
-    assert "WATCHDOG_FIRED observed" in difference.recorded
-    assert "observed" in difference.replayed
+    assert (difference.recorded, difference.replayed) == ("COMMAND observed", "CLOCK observed")
 
 
 @pytest.mark.parametrize(
@@ -249,9 +267,9 @@ def test_rows_are_lines_that_tell_a_bit_from_another():
 
 def test_an_engine_that_asks_for_less_is_found(tmp_path):
     one = lived([good, good, good], taped())
-    one.tap.turns.queue[1].observed.append((InputKind.STOP_REQUESTED, False))
+    one.tap.turns.queue[1].observed.append((InputKind.WATCHDOG_RECORDED, False))
     difference = replayed(one.write(tmp_path / "a.tape")).difference
-    assert (difference.recorded, difference.replayed) == ("STOP_REQUESTED observed", "nothing more observed")
+    assert (difference.recorded, difference.replayed) == ("WATCHDOG_RECORDED observed", "nothing more observed")
 
 
 def test_what_was_written_is_there_for_who_kills_the_process(tmp_path):

@@ -1,0 +1,107 @@
+"""The interlocks of one decision: everything outside the frame itself that stands against the beam.
+
+What they are decided on is one frozen value, read by :class:`engine.control.turn_reader.TurnReader`. Nothing here can
+permit a beam: every finding holds or faults.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from engine.core.gate_state import HoldReason
+from engine.gating.gate import Interruption
+from engine.gating.limits import GateLimits
+
+WATCHDOG_DETAIL = "the engine did not decide in time"
+WATCHDOG_GONE = "the watchdog's thread has died"
+QUEUE_FULL = "a queue to the disk is full"
+NOT_CALIBRATED = "nothing was measured for this camera"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DecisionInputs:
+    """What was read for one decision, after its frame was measured. Tapes omit defaults, so they must never change.
+
+    Attributes
+    ----------
+    at_ns
+        Time of the decision [ns, host monotonic].
+    watchdog_fired
+        Whether the watchdog has held the line, without an acknowledgement since.
+    is_watchdog_running
+        Whether the watchdog's thread is alive.
+    reported_fault
+        A fault that another thread reported; while armed, the silence of the service is one.
+    queue_trouble
+        Why a queue to the disk stands against the beam.
+    write_delay
+        What has waited too long for the disk, and its text; read while armed only.
+    operator_absence
+        Text of a silence of the operator who armed; empty where there is none.
+    disarm_requested_by, hold_requested_by
+        Operators whose disarm or hold waits in the command queue.
+    is_stop_requested
+        Whether the engine is to stop.
+    """
+
+    at_ns: int
+    watchdog_fired: bool = False
+    is_watchdog_running: bool = True
+    reported_fault: Interruption | None = None
+    queue_trouble: HoldReason | None = None
+    write_delay: tuple[HoldReason, str] | None = None
+    operator_absence: str = ""
+    disarm_requested_by: str | None = None
+    hold_requested_by: str | None = None
+    is_stop_requested: bool = False
+
+
+def interlocks(
+    inputs: DecisionInputs,
+    *,
+    is_armed: bool,
+    limits: GateLimits,
+    supervision: Iterable[Interruption] = (),
+    operator_hold: str | None = None,
+) -> list[Interruption]:
+    """Return everything that stands against the beam, in order of precedence: the watchdog first.
+
+    Parameters
+    ----------
+    is_armed
+        Whether the gate was armed before this decision.
+    supervision
+        What the newest frames show against the beam.
+    operator_hold
+        The operator who holds the beam by hand.
+    """
+    found = [*_of_the_engine(inputs, is_armed=is_armed), *supervision]
+    if not limits.is_calibrated:
+        found.append(Interruption(HoldReason.CALIBRATION_MISSING, NOT_CALIBRATED))
+    return found + _of_the_operator(inputs, operator_hold or inputs.hold_requested_by)
+
+
+def _of_the_engine(inputs: DecisionInputs, *, is_armed: bool) -> list[Interruption]:
+    """Return the interlocks of the watchdog, of reported faults, and of the queues to the disk."""
+    found = []
+    if inputs.watchdog_fired:
+        found.append(Interruption(HoldReason.WATCHDOG, WATCHDOG_DETAIL))
+    if is_armed and not inputs.is_watchdog_running:
+        found.append(Interruption(HoldReason.WATCHDOG, WATCHDOG_GONE))
+    if inputs.reported_fault is not None:
+        found.append(inputs.reported_fault)
+    if inputs.queue_trouble is not None:
+        found.append(Interruption(inputs.queue_trouble, QUEUE_FULL))
+    if inputs.write_delay is not None:
+        found.append(Interruption(*inputs.write_delay))
+    return found
+
+
+def _of_the_operator(inputs: DecisionInputs, holder: str | None) -> list[Interruption]:
+    found = []
+    if inputs.operator_absence:
+        found.append(Interruption(HoldReason.OPERATOR_LOST, inputs.operator_absence))
+    if inputs.disarm_requested_by is not None:
+        found.append(Interruption(HoldReason.DISARMED, f"{inputs.disarm_requested_by} disarms"))
+    if holder is not None:
+        found.append(Interruption(HoldReason.OPERATOR_HOLD, f"held by {holder}"))
+    return found
