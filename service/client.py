@@ -41,10 +41,10 @@ MAX_EXPORT_BYTES: Final = 16 * 1024 * MIB
 MAX_EVENT_BYTES: Final = MIB
 CHUNK_BYTES: Final = 64 * 1024
 LONGEST_WAIT_S: Final = 30.0
-"""Whoever is told to come back later than this is told so, instead of waiting."""
+"""Longest ``Retry-After`` that is waited for; a longer one is raised to the caller."""
 
 HOLD_TIMEOUT_S: Final = 2.0
-"""A hold that nobody answers is asked for again sooner than anything else."""
+"""A hold without an answer is repeated sooner than other calls."""
 
 FIRST_WAIT_S: Final = 0.2
 KEPT_FOR_S: Final = 2.0
@@ -1259,7 +1259,7 @@ Query = Mapping[str, str | int | float | bool | None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SentCall:
-    """One request; ``is_repeatable`` says whether it may be sent again when nobody knows what became of it."""
+    """One request; with ``is_repeatable`` it may be sent again when its outcome is unknown."""
 
     method: str
     path: str
@@ -1273,8 +1273,8 @@ class SentCall:
     @property
     def target(self) -> str:
         """Path and query."""
-        told = {name: _told(value) for name, value in self.query.items() if value is not None}
-        return f"{self.path}?{urlencode(told)}" if told else self.path
+        arguments = {name: _query_text(value) for name, value in self.query.items() if value is not None}
+        return f"{self.path}?{urlencode(arguments)}" if arguments else self.path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -1359,7 +1359,7 @@ class TidegateClient:
         self._secrets.pop("Cookie", None)
 
     def change_password(self, old_password: str, new_password: str) -> None:
-        """Change the password of whoever is logged in."""
+        """Change the password of the logged-in person."""
         body = {"old_password": old_password, "new_password": new_password}
         self._act("/api/v1/me/password", body)
 
@@ -1482,12 +1482,12 @@ class TidegateClient:
         operator: str | None = None,
         if_match: str | None = None,
     ) -> "SessionDetail":
-        """Move the window by a drift that a person saw and confirms; disarms. Never repeated."""
-        told = {"by_mm": by_mm, "drift_mm": drift_mm}
-        return self._do(session_id, "baseline-correction", SessionDetail, operator, if_match, told)
+        """Move the window by a drift that a person confirms; disarms. Never repeated."""
+        arguments = {"by_mm": by_mm, "drift_mm": drift_mm}
+        return self._do(session_id, "baseline-correction", SessionDetail, operator, if_match, arguments)
 
     def note_presence(self, session_id: str, *, operator: str | None = None) -> None:
-        """Say that a person looks at this session now. Never on a timer of its own: somebody has to be there."""
+        """Report that a person watches this session now. Call it on the person's action, never on a timer."""
         self._act(f"{_session(session_id)}/presence", self._for_whom(operator))
 
     def hold(self, session_id: str, *, operator: str | None = None) -> "SessionDetail":
@@ -1526,11 +1526,11 @@ class TidegateClient:
 
     def retrain(self, session_id: str, *, keeps_reference: bool = True, operator: str | None = None) -> "SessionDetail":
         """Learn a new model in the background. Never repeated."""
-        told = {"keeps_reference": keeps_reference}
-        return self._do(session_id, "models/retrain", SessionDetail, operator, None, told)
+        arguments = {"keeps_reference": keeps_reference}
+        return self._do(session_id, "models/retrain", SessionDetail, operator, None, arguments)
 
     def apply_model(self, session_id: str, *, operator: str | None = None) -> "SessionDetail":
-        """Let the model that waits take over; disarms. Never repeated."""
+        """Apply the model that was learned; disarms. Never repeated."""
         return self._do(session_id, "models/apply", SessionDetail, operator, None)
 
     # -- taking along
@@ -1575,7 +1575,7 @@ class TidegateClient:
     # -- QA
 
     def qa_status(self) -> "QaStatus":
-        """Tell whether the site's QA lets anybody arm."""
+        """Return whether the site's QA permits arming."""
         return self._read("/api/v1/qa/status", QaStatus)
 
     def qa_checks(self) -> "QaCheckList":
@@ -1614,7 +1614,7 @@ class TidegateClient:
 
         The two ask for what was recorded of a session behind a frame (-1: all of it), which comes first. Ends with
         UnreachableError where ``reconnects`` attempts one after another brought nothing. ``silence_s`` is how long
-        nothing may come (the service says something every second or two, whatever runs). Close the iterator, or leave
+        the stream may be silent (the service sends something every one or two seconds). Close the iterator, or leave
         its loop, to end it.
         """
         query = {"session_id": session_id, "after_frame": after_frame, "rate_hz": rate_hz, "form": form}
@@ -1695,10 +1695,10 @@ class TidegateClient:
         kind: type[AnswerT],
         operator: str | None,
         if_match: str | None,
-        told: Mapping[str, object] | None = None,
+        arguments: Mapping[str, object] | None = None,
     ) -> AnswerT:
-        """Ask for what could lead to a beam: once."""
-        body = {**self._for_whom(operator), **(told or {})}
+        """Send a call that could lead to a permit: once."""
+        body = {**self._for_whom(operator), **(arguments or {})}
         headers = {} if if_match is None else {"If-Match": if_match}
         return self._send("POST", f"{_session(session_id)}/{action}", kind, body=body, headers=headers)
 
@@ -1837,11 +1837,11 @@ class TidegateClient:
 
     def _take_cookie(self, headers: Mapping[str, str]) -> None:
         """Keep the cookie of a log-in."""
-        told = headers.get("set-cookie")
-        if told is None or "Authorization" in self._secrets:
+        cookie = headers.get("set-cookie")
+        if cookie is None or "Authorization" in self._secrets:
             return
         with contextlib.suppress(CookieError):
-            for name, morsel in SimpleCookie(told).items():
+            for name, morsel in SimpleCookie(cookie).items():
                 self._secrets["Cookie"] = f"{name}={morsel.value}"
 
 
@@ -1915,7 +1915,7 @@ def _events(response: http.client.HTTPResponse) -> Iterator[_Event]:
 def _written(response: http.client.HTTPResponse, to: Path) -> Exported:
     """Write a whole answer under another name, sync it, and give it its name."""
     if response.length is None and not response.chunked:
-        raise AnswerError("the export tells neither its length nor its end: nobody could say whether it is whole")
+        raise AnswerError("the export has neither a length nor chunks: whether it it is whole cannot be checked")
     digest, size = hashlib.sha256(), 0
     number, draft = tempfile.mkstemp(dir=to.parent, prefix=f".{to.name}.")
     try:
@@ -1953,13 +1953,13 @@ def _within(size: int, most: int) -> int:
 
 
 def _check_whole(response: http.client.HTTPResponse) -> None:
-    """Refuse an answer that ended before the length that it told; of pieces, the library looks itself."""
+    """Refuse a body shorter than its Content-Length; of chunked bodies the library checks the end."""
     if response.length:
         raise http.client.IncompleteRead(b"", response.length)
 
 
 def _parsed(answer: AnsweredCall, kind: type[AnswerT]) -> AnswerT:
-    """Read JSON, and see that it has what the contract says it has; what is new in it is let be."""
+    """Parse JSON and check that it has the contract's required fields; unknown fields are ignored."""
     found = _document(answer.body, "the answer")
     missing = sorted(getattr(kind, "__required_keys__", frozenset()) - found.keys())
     if missing:
@@ -1978,12 +1978,12 @@ def _document(text: bytes | str, what: str) -> dict[str, Any]:
 
 
 def _problem(answer: AnsweredCall) -> ProblemError:
-    """Read a problem; what a proxy says in other words is one too."""
+    """Parse a problem; an error page of a proxy becomes one too."""
     try:
-        told = _document(answer.body, "the problem")
+        problem = _document(answer.body, "the problem")
     except AnswerError:
-        told = {"detail": f"HTTP {answer.status}, and no problem that Tidegate would tell"}
-    return ProblemError(answer.status, told, answer.headers)
+        problem = {"detail": f"HTTP {answer.status}, without a problem document of Tidegate"}
+    return ProblemError(answer.status, problem, answer.headers)
 
 
 def _headers_of(response: http.client.HTTPResponse) -> dict[str, str]:
@@ -2005,7 +2005,7 @@ def _with(call: SentCall, headers: Mapping[str, str]) -> SentCall:
     return SentCall(method=call.method, path=call.path, query=call.query, headers=headers, is_repeatable=True)
 
 
-def _told(value: object) -> str:
+def _query_text(value: object) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
@@ -2014,7 +2014,7 @@ def _text_of(value: object) -> str | None:
 
 
 def _seconds_of(header: str | None) -> float | None:
-    """Read ``Retry-After`` in seconds; as a date, which this service never sends, it says nothing."""
+    """Read ``Retry-After`` in seconds; a date, which this service never sends, is ignored."""
     try:
         return max(0.0, float(header)) if header is not None else None
     except ValueError:

@@ -1,6 +1,6 @@
 """Every error the engine raises on purpose.
 
-An error is for a broken device, a bad input or a bug. "Cannot tell" is not an error: it is data with a reason
+An error is for a broken device, a bad input or a bug. An unknown value is not an error: it is data with a reason
 (:class:`engine.core.frames.Lost`). Each class carries a stable ``code`` that the outside may rely on.
 """
 
@@ -84,7 +84,7 @@ class ModelMismatchError(ModelError):
 
 
 class TrainingRefusedError(ModelError):
-    """The training frames, or the model learned from them, are not usable; the message says what to do."""
+    """The training frames, or the model learned from them, are not usable; the message has the remedy."""
 
     code = "training_refused"
 
@@ -106,7 +106,7 @@ class BeamLineMismatchError(BeamLineError):
 
 
 class CommandRefusedError(TidegateError):
-    """The engine refuses the command in its present state; the message says why and what to do."""
+    """The engine refuses the command in its present state; the message has the reason and the remedy."""
 
     code = "command_refused"
 

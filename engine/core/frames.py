@@ -216,7 +216,7 @@ class Motion:
     ----------
     regions_mm, regions_depth_mm
         Mean motion and mean depth of each cell of the region grid [mm], shape (rows, columns); NaN where a cell lies
-        outside of what the model knows.
+        outside of what the model covers.
     points_mm
         Motion at the requested grid points [mm], shape (p,).
     named_mm
@@ -277,10 +277,10 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingProgress:
-    """How far the gathering of training frames has come; ``share`` runs from 0 to 1.
+    """Progress of gathering training frames; ``share`` runs from 0 to 1.
 
-    ``amplitude_mm`` is how far the patient has breathed so far, ``shift_mm`` how far the region has moved as a whole
-    since the gathering began; None before that can be told.
+    ``amplitude_mm`` is the breathing's amplitude so far, ``shift_mm`` the shift of the whole region since the gathering
+    began; None until they are measured.
     """
 
     frames: int

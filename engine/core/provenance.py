@@ -55,7 +55,7 @@ QUALITY_BOUNDS: Mapping[str, tuple[float, float]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelOrigin:
-    """Where a model comes from; the caller fills it in, since the engine knows neither patients nor the time of day.
+    """Where a model comes from; the caller fills it in, since the engine has neither patients nor the time of day.
 
     Attributes
     ----------

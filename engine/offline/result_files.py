@@ -234,7 +234,7 @@ class Results:
         )
 
     def summary(self) -> OfflineSummary:
-        """Compute the summary, without the fields that only the pipeline knows."""
+        """Compute the summary, without the fields that only the pipeline has."""
         states = [state for _, _, state in self._measurements]
         times_us = [at for _, at, _ in self._measurements]
         return OfflineSummary(

@@ -41,7 +41,7 @@ from service.engine_host.site_rules.uncalibrated import check_still_allowed
 from service.engine_host.site_rules.window_limits import check_window, gate_limits
 
 STOP_TIMEOUT_S = 3.0
-HUNG = "the engine did not stop when told to; the beam is held"
+HUNG = "the engine did not stop in time; the beam is held"
 RUNTIME_HINT = "the OpenNI2 runtime is missing: apt-get install libopenni2-0"
 
 
@@ -229,9 +229,9 @@ class LoopEngine:
         """Submit a command; for one of another process, with its future and its time of arrival [ns]."""
         return self._loop.submit(command, answer=answer, submitted_ns=submitted_ns)
 
-    def on_turn(self, tell: Callable[[], None]) -> None:
+    def on_turn(self, callback: Callable[[], None]) -> None:
         """Set the function that the engine's thread calls after each turn; it must not wait."""
-        self._loop.on_turn = tell
+        self._loop.on_turn = callback
 
     def note_service(self, alive_ns: int) -> None:
         """Note when the service's process was alive [ns]; after the first call its silence is a fault."""

@@ -225,7 +225,7 @@ Pages200 = Annotated[Paging, Depends(_paged(200))]
 OperatorName = Annotated[
     Name,
     Query(
-        description="Who uploads: whoever is logged in, and may be left out; from a machine, for whom it acts",
+        description="The person who uploads: optional for a logged-in person; for a machine, the person it acts for",
         examples=["A. Physicist"],
     ),
 ]
@@ -239,8 +239,8 @@ async def callers_key(
             min_length=1,
             max_length=255,
             pattern=r"^[\x21-\x7e]+$",
-            description="The same key of the same caller with the same body gives the same answer, for 7 days unless "
-            "the site says otherwise; nothing is done twice",
+            description="A repeated request of one caller with this key and the same body gets the first answer and "
+            "has no second effect; kept for 7 days unless the site sets another time",
             examples=["6b1f0d3c-1c54-4f0e-9c5e-3f6f1b8a2d11"],
         ),
     ] = None,

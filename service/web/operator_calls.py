@@ -1,6 +1,6 @@
 """The two kinds of calls that act on a running session: one needs a name and a condition, the other is never refused.
 
-What may lead to a permit, and everything else that changes a session, is done in the name of whoever is logged in and
+What may lead to a permit, and everything else that changes a session, is done in the name of the logged-in person and
 only where the session's ETag still matches ``If-Match``. What takes permission away (disarm, hold, stop) needs neither:
 it runs on threads of its own, so that no other call can delay it.
 """

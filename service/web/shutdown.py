@@ -24,7 +24,7 @@ Leave = Callable[[int], None]
 def leave_at_once(code: int = 0) -> None:
     """End the process without the interpreter's own tidying up: all that matters is closed, and memory needs none.
 
-    It would wait for worker threads, whoever they wait for, and takes seconds on a machine that is busy.
+    That tidying up would wait for blocked worker threads, and takes seconds on a busy machine.
     """
     flush_log()
     for stream in (sys.stdout, sys.stderr):

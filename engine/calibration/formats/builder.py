@@ -15,7 +15,7 @@ ROLES: tuple[Role, Role] = ("depth", "color")
 LENGTH_UNITS: tuple[LengthUnit, LengthUnit] = ("mm", "m")
 MM_PER_M = 1000.0
 # Two cameras in one housing are 5 to 200 mm apart; the same digits in metres are 0.005 to 0.2. The two do not meet, so
-# the size tells the unit, and whatever lies between or beyond (centimetres, squares of the board) is asked for.
+# the size determines the unit; for sizes between or beyond (centimetres, squares of the board) it must be given.
 SHORTEST_BASELINE_MM, LONGEST_BASELINE_MM = 5.0, 200.0
 
 

@@ -86,10 +86,10 @@ def _is_ours(objects: list[dict[str, Tree]]) -> bool:
 
 def _ours(files: Sequence[bytes], objects: list[dict[str, Tree]], options: ImportOptions) -> Converted:
     if len(objects) != 1:
-        raise CalibrationError("files", f"{len(objects)} documents", f"one, as {SCHEMA} says everything")
+        raise CalibrationError("files", f"{len(objects)} documents", f"one, as {SCHEMA} is complete")
     if options != ImportOptions():
         given = next(each.name for each in fields(options) if getattr(options, each.name) is not None)
-        raise CalibrationError(given, getattr(options, given), f"left out: {SCHEMA} says it")
+        raise CalibrationError(given, getattr(options, given), f"left out: {SCHEMA} contains it")
     return Converted(calibration=parse_calibration(files[0]), format=SCHEMA)
 
 

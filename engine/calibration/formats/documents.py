@@ -115,7 +115,7 @@ class _Builder:
 def _xml(text: str) -> Tree:
     """Read OpenCV's XML: ``<opencv_storage>`` with a child a key."""
     reader = _XmlReader()
-    # Told here, so that no declaration inside can say otherwise.
+    # Set here, so that no declaration in the file can override it.
     parser = expat.ParserCreate("utf-8")
     parser.StartDoctypeDeclHandler = reader.refuse_doctype
     parser.StartElementHandler = reader.start

@@ -7,7 +7,7 @@
 ``depth_camera_matrix`` ``depth_distortion``  and the same with ``color_``; ``rotation`` and ``translation`` (or R, T)
                                         with X_color = R X_depth + T
 ``image_width`` ``image_height``        of both cameras, or ``image_size: [w, h]``, or ``depth_image_width`` and so on
-``translation_unit``                    ``mm`` or ``m``; may be left out where the length tells
+``translation_unit``                    ``mm`` or ``m``; optional where the length determines it
 ``camera``                              the camera's name
 ======================================  ===============================================================
 """
@@ -28,7 +28,7 @@ _OWN_SIZES = {f"{role}_image_{side}" for role in ROLES for side in ("width", "he
 _POSE = {"R", "T", "rotation", "translation"}
 _SAID = {"translation_unit", "first_camera", "camera"}
 _NAMED = {*_MATRICES.values(), *(name for names in _DISTORTIONS.values() for name in names)}
-# What OpenCV's samples write beside it, and nobody needs here.
+# Fields that OpenCV's samples write besides, not needed here.
 _BESIDE = {
     *("E", "F", "R1", "R2", "P1", "P2", "Q", "calibration_time", "nframes", "nr_of_frames", "board_width"),
     *("board_height", "square_size", "aspectRatio", "flags", "avg_reprojection_error", "per_view_reprojection_errors"),
@@ -78,7 +78,7 @@ def _number(role: Role, first: Role) -> int:
 def _given(tree: dict[str, Tree], key: str, option: str | None) -> str:
     """Return the value from the file or the user; raise CalibrationError for both or neither."""
     if key in tree and option is not None:
-        raise CalibrationError(key, option, "left out: the file says it already")
+        raise CalibrationError(key, option, "left out: the file contains it")
     if key in tree:
         return tree_values.text(key, tree[key])
     if option is None:

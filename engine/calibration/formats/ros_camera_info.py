@@ -1,6 +1,6 @@
 """A pair of ROS ``camera_info`` files, one a camera: as calibration tools store them, or as the message is echoed.
 
-Which one is the depth camera's says ``camera_name`` (or the header's ``frame_id``): depth or ir, rgb or color as a word
+The depth camera's is found by ``camera_name`` (or the header's ``frame_id``): depth or ir, rgb or color as a word
 of its own; else ``first_camera`` has to be said. The pose between the cameras is in neither, unless both were rectified
 together: then the fourth column of a projection matrix, Tx = -fx' B in metres, and the two rectifications give it.
 Otherwise it has to be given.
@@ -145,7 +145,7 @@ def _assigned(infos: list[_Info], options: ImportOptions, draft: Draft) -> dict[
     first = options.first_camera
     if first is None:
         if set(roles) != set(ROLES):
-            bound = "depth or color: the names of the two files do not tell which camera is which"
+            bound = "depth or color: the names of the two files do not identify the cameras"
             names = " and ".join(info.name or "no name" for info in infos)
             raise CalibrationError("first_camera", f"missing, and the names are {names}", bound)
         return {role: info for role, info in zip(roles, infos, strict=True) if role is not None}
@@ -153,7 +153,7 @@ def _assigned(infos: list[_Info], options: ImportOptions, draft: Draft) -> dict[
         if first == role and roles[0] in {role, None} and roles[1] != role:
             draft.notes.append(f"{infos[0].label} is the {role} camera's, as said")
             return {role: infos[0], ROLES[1 - ROLES.index(role)]: infos[1]}
-    raise CalibrationError("first_camera", first, f"what {infos[0].their('name')} says ({infos[0].name})")
+    raise CalibrationError("first_camera", first, f"as in {infos[0].their('name')} ({infos[0].name})")
 
 
 def _role_of(info: _Info) -> Role | None:

@@ -14,7 +14,7 @@ from engine.core.frames import FloatArray
 
 SCHEMA = "tidegate.plate-report/1"
 NEAREST_MM, FARTHEST_MM = 400.0, 2000.0
-# Plates nearer to each other than the first are at one distance; nearer than the second they tell no scale.
+# Plates nearer to each other than the first are at one distance; nearer than the second they determine no scale.
 SAME_MM, LEAST_APART_MM = 5.0, 100.0
 LARGEST_RESIDUAL_MM = 5.0
 SMALLEST_DISTANCE_ERROR_MM, LARGEST_DISTANCE_ERROR_MM = 0.05, 10.0

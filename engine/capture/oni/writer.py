@@ -95,7 +95,7 @@ class OniWriter:
         self._write_head(round(fps), depth_fov_rad, color_fov_rad, max_depth_mm)
 
     def write_depth(self, timestamp_us: int, depth_mm: DepthImage, *, frame_id: int | None = None) -> None:
-        """Append a depth frame [mm]; a ``frame_id`` beyond the next one says that frames were lost."""
+        """Append a depth frame [mm]; a ``frame_id`` beyond the next one means that frames were lost."""
         _check_shape(depth_mm.shape, self._depth.size_px, depth_mm.dtype, np.dtype(np.uint16))
         is_coded = self._depth.codec == layout.CODEC_DEPTH
         payload = encode_16zt(depth_mm) if is_coded else _bytes_of(depth_mm, "<u2")

@@ -148,7 +148,7 @@ def library_path() -> str | None:
 class Runtime:
     """The library's calls by their own names, each made on a thread that never ends.
 
-    What the library says of a failure it says to the thread that failed; so it is asked there, and kept for the caller.
+    The library keeps the text of a failure per thread, so it is read in the thread that failed.
     """
 
     def __init__(self, library: ctypes.CDLL) -> None:
@@ -215,7 +215,7 @@ def runtime() -> Runtime:
     Raises
     ------
     RuntimeMissingError
-        Not on this machine, or not usable; says what to install.
+        Not on this machine, or not usable; the message names the package to install.
     """
     with _initialising:
         return _load()

@@ -169,7 +169,7 @@ class OpenNiDevice:
         return bool(self._runtime.oniDeviceIsImageRegistrationModeSupported(self._handle, mode))
 
     def serial(self) -> str:
-        """Return the device's serial number; empty where it tells none."""
+        """Return the device's serial number; empty where it has none."""
         text = ctypes.create_string_buffer(c.MAX_TEXT)
         size = ctypes.c_int(c.MAX_TEXT)
         status = self._runtime.oniDeviceGetProperty(self._handle, c.DEVICE_SERIAL_NUMBER, text, byref(size))
@@ -189,7 +189,7 @@ class OpenNiDevice:
     def _angle(self, stream: c.Handle, name: int) -> float:
         angle, size = ctypes.c_float(0.0), ctypes.c_int(ctypes.sizeof(ctypes.c_float))
         if self._runtime.oniStreamGetProperty(stream, name, byref(angle), byref(size)) != c.STATUS_OK:
-            msg = f"{self.name} does not tell its field of view: {c.last_error()}"
+            msg = f"{self.name} does not report its field of view: {c.last_error()}"
             raise SourceLostError(msg)
         return float(angle.value)
 
@@ -224,7 +224,7 @@ class OpenNiDevice:
 
     @staticmethod
     def _set(call: Callable[..., Any], handle: object, name: int, value: "ctypes._CData") -> None:
-        """Set a property; a device that does not know it keeps its way, and the frames' own heads tell."""
+        """Set a property; a device without it is unchanged, which the frames' heads show."""
         call(handle, name, byref(value), ctypes.sizeof(value))
 
 

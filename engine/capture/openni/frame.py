@@ -1,7 +1,7 @@
-"""One frame copied out of the runtime's memory, or refused: a head that cannot be true says nothing of its picture.
+"""One frame copied out of the runtime's memory, or refused: an implausible head makes the picture unusable.
 
-What is copied is bounded by the size the stream was started with, never by what a frame says of itself: a head that
-lies would otherwise have memory read that is somebody else's.
+The size of the copy is bounded by the size the stream was started with, never by the frame's own head: a wrong head
+would otherwise cause a read beyond the frame's memory.
 """
 
 import ctypes

@@ -62,7 +62,7 @@ class RegionMeans:
     modes
         Means of each mode, shape (cells + 3 + points + named, modes).
     is_known
-        Whether the model knows enough of the region, shape (cells + 3 + points + named,).
+        Whether the model covers enough of the region, shape (cells + 3 + points + named,).
     """
 
     layout: RegionLayout

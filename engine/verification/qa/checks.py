@@ -4,7 +4,7 @@ Bounds follow the field's recommendations where they exist: AAPM TG-142 (gating 
 2 mm, 1 mm for stereotactic treatments), TG-147 and TG-302 (localisation and surface imaging, the same two classes),
 TG-76 (gated and breath-hold treatments). Gating serves breath holds and stereotactic fractions, so a deviation of 1 mm
 fails; a true error of 2 mm is then well beyond the bound. Where no recommendation exists, the bound follows from what
-the system tolerates, and ``source`` says so.
+the system tolerates, and ``source`` names it.
 """
 
 from collections.abc import Mapping

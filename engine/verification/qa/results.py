@@ -100,7 +100,7 @@ class QaBound:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QaFigure:
-    """One measured figure; ``value`` is None where it could not be measured, and ``detail`` says why.
+    """One measured figure; ``value`` is None where it could not be measured, and ``detail`` gives the reason.
 
     ``uncertainty`` is the figure's standard error in its unit, None where it has none to speak of.
     """

@@ -116,7 +116,7 @@ def virtual_inputs(faults: RigFaults = HEALTHY, *, seed: int = 1, plate_s: float
 
 
 def virtual_plate(faults: RigFaults = HEALTHY, *, seed: int = 1, seconds: float = 40.0) -> PlateInput:
-    """Make a plate at rest; the camera drifts only if ``faults`` says so."""
+    """Make a plate at rest; the camera drifts only with such ``faults``."""
 
     def height_mm(at_s: float) -> float:
         return faults.offset_mm + faults.drift_mm_per_min * at_s / 60.0

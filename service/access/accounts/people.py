@@ -135,14 +135,14 @@ class AccountService:
 
     def _refuse_taken(self, name: str) -> None:
         if name_key(name) in self._store.users:
-            msg = "somebody has this name, or had it"
-            raise NameTakenError(msg, field="name", value=name, bound="a name that nobody had")
+            msg = "this name is or was in use"
+            raise NameTakenError(msg, field="name", value=name, bound="a name that was never used")
 
     def _refuse_no_admin(self, after: User) -> None:
         """Raise LastAdminError if the change leaves no active administrator with a password."""
         others = (user for user in self._store.users.values() if user.key != after.key)
         if not any(_is_active_admin(user) for user in (*others, after)):
-            msg = "nobody would be left who may administer: give somebody else the role first"
+            msg = "this is the last active administrator: give another person the role first"
             raise LastAdminError(msg, field="name", value=after.name)
 
     @staticmethod

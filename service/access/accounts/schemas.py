@@ -70,7 +70,7 @@ class LoginList(Answer):
 
 
 class UserRequest(Request):
-    """A new person; the password is made here, and told once."""
+    """A new person; the service makes the password and returns it once."""
 
     name: Name
     roles: Roles
@@ -81,7 +81,7 @@ class UserChange(Request):
     """What is changed of a person; what is left out stays."""
 
     roles: Roles | None = None
-    is_disabled: bool | None = Field(default=None, description="Ends every log-in; nobody is ever deleted")
+    is_disabled: bool | None = Field(default=None, description="Ends every log-in; accounts are never deleted")
     is_break_glass: bool | None = None
     reset_password: bool = Field(default=False, description="Make a new one, to be changed at the next log-in")
 

@@ -76,7 +76,7 @@ class KeyService:
         detail = {"key_id": key.id, "key": name, "scopes": sorted(chosen), "expires_at": expires_at.isoformat()}
         with self._store.changing:
             if any(name_key(other.name) == name_key(name) for other in self._store.keys.values()):
-                msg = "a key has this name, or had it: the audit must tell them apart"
+                msg = "this name is or was a key's: names in the audit must be unique"
                 raise NameTakenError(msg, field="name", value=name, bound="a name that no key had")
             self._store.write(save=[key], event=Event(actor=by, action=CREATE, detail=detail))
         return CreatedKey(key=key, secret=f"{TOKEN_PREFIX}{key.id}_{secret}")

@@ -271,8 +271,8 @@ def _summarise(api: TidegateClient, ran: _Ran, recording: Path, console: Console
     table.add_row("duty cycle while armed", "never armed" if duty is None else f"{duty:.0%}")
     table.add_row("gate transitions", str(summary["transitions"]))
     latency = summary["latency"]
-    told = {"p50": latency["p50_ms"], "p99": latency["p99_ms"], "longest": latency.get("max_ms")}
-    times = ", ".join(f"{name} {value or 0.0:.1f} ms" for name, value in told.items())
+    values = {"p50": latency["p50_ms"], "p99": latency["p99_ms"], "longest": latency.get("max_ms")}
+    times = ", ".join(f"{name} {value or 0.0:.1f} ms" for name, value in values.items())
     table.add_row("latency, camera to beam line", times)
     console.print(table)
 

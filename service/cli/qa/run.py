@@ -96,7 +96,7 @@ def _carried_out(options: RunOptions, settings: Settings, database: Database) ->
     files = _files(options)
     job = EngineRig(settings).job(request, files, calibration)
     run_id = uuid.uuid4().hex
-    close_interrupted(database)  # whose folder this is alone, nobody else is at a run
+    close_interrupted(database)  # the folder's lock is held, so no other process has a run
     with database.write() as db:
         if calibration is not None:
             _keep(db, calibration, options)
@@ -134,7 +134,7 @@ def _kept(database: Database, run_id: str, options: RunOptions) -> schemas.QaRun
 
 def _request(options: RunOptions, calibration: Calibration | None) -> schemas.QaRunRequest:
     """Build the request of the API from the options, so that the same bounds apply."""
-    told: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "kind": options.kind,
         "operator": options.operator,
         "beam": {"repeats": options.repeats, "pulse_ms": options.pulse_ms},
@@ -148,17 +148,17 @@ def _request(options: RunOptions, calibration: Calibration | None) -> schemas.Qa
             "delay_ms": options.fault_delay_ms,
             "duty_change_percent": options.fault_duty_percent,
         }
-        told["simulation"] = {"seed": options.seed, "faults": faults}
+        fields["simulation"] = {"seed": options.seed, "faults": faults}
     if options.plate is not None:
-        told["plate"] = {"source": _source(options.plate), "part": options.part, **seconds}
+        fields["plate"] = {"source": _source(options.plate), "part": options.part, **seconds}
     if options.phantom is not None:
-        told["phantom"] = {"source": _source(options.phantom), **_trace(options), **_window(options), **seconds}
+        fields["phantom"] = {"source": _source(options.phantom), **_trace(options), **_window(options), **seconds}
     if calibration is not None:
-        told["calibration_id"] = calibration.sha256[:32]
+        fields["calibration_id"] = calibration.sha256[:32]
     try:
-        return schemas.QaRunRequest.model_validate(told)
+        return schemas.QaRunRequest.model_validate(fields)
     except ValidationError as error:
-        # Told as the API tells it: the field, and the bound.
+        # Reported as in the API: the field and its bound.
         details = [{**one, "loc": ("body", *one["loc"])} for one in error.errors()]
         problem = problem_of(RequestValidationError(details))
         raise BoundError(problem.detail, field=problem.field, bound=problem.bound) from error
@@ -173,7 +173,7 @@ def _source(text: str) -> dict[str, Any]:
 
 def _trace(options: RunOptions) -> dict[str, Any]:
     if options.trace is None:
-        msg = "--trace is missing: what the phantom was told"
+        msg = "--trace is missing: the motion that the phantom executed"
         raise BoundError(msg, field="trace", bound="given with --phantom")
     return {"trace": str(options.trace), **({} if options.starts_us is None else {"starts_us": options.starts_us})}
 
@@ -220,9 +220,9 @@ def _keep(db: Session, calibration: Calibration, options: RunOptions) -> None:
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """Take a polite end of the process as Ctrl-C: the line is held and the run told before it is over.
+    """Handle SIGTERM and SIGINT as Ctrl-C: the line is held and the run recorded before the process ends.
 
-    Ctrl-C itself too: whoever starts a process in the background may have it ignore that, and this one permits a beam.
+    SIGINT explicitly too: a shell starts background processes with it ignored, and this process permits a beam.
     """
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:

@@ -38,7 +38,7 @@ def print_runs(runs: Sequence[QaRun]) -> None:
     """Print runs, newest first."""
     table = _table("", ["run", "began", "kind", "operator"], ["verdict"])
     for run in runs:
-        # A service may be at it in this moment; or it was killed, which the next start with the folder will tell.
+        # A service may be running it now, or was killed during it; the next start with the folder marks the latter.
         state = "not ended" if run.status == "running" else run.verdict or run.status
         note = " (simulated)" * run.is_simulated
         began = run.created_at.strftime("%Y-%m-%d %H:%M:%S UTC")

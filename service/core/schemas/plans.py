@@ -11,7 +11,7 @@ from service.core.schemas.windows import Window
 PlanKind = Literal["RT Plan", "RT Ion Plan"]
 Prescribed = Literal["not_stated", "none", "breath_hold", "gating", "unknown", "mixed", "other"]
 GATING_WORDS = (
-    "What the plan says about breathing (Motion Synchronization Sequence of its patient setups). `gating`: a window of "
+    "The plan's breathing technique (Motion Synchronization Sequence of its patient setups). `gating`: a window of "
     "amplitude or phase; `breath_hold`: one with a breath hold; `not_stated`: nothing; `none`: no compensation; "
     "`unknown`: that it is not known; `mixed`: not the same for all beams; `other`: a technique that is not done here"
 )

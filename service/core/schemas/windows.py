@@ -111,19 +111,19 @@ class Condition(Request):
         """Insert the defaults of fields that are left out, so that a stored window is complete."""
         if not isinstance(given, dict):
             return given
-        told = {name: value for name, value in given.items() if value is not None}
+        values = {name: value for name, value in given.items() if value is not None}
         usual: dict[str, object] = {}
-        kind = told.get("kind", "amplitude")
+        kind = values.get("kind", "amplitude")
         if kind in ("amplitude", "breath_hold"):
-            units = [unit for unit in HYSTERESIS if f"lower_{unit}" in told or f"upper_{unit}" in told]
+            units = [unit for unit in HYSTERESIS if f"lower_{unit}" in values or f"upper_{unit}" in values]
             usual |= {f"hysteresis_{unit}": HYSTERESIS[unit] for unit in units[:1]}
         if kind == "breath_hold":
-            unit = "l" if told.get("signal") == "volume" else "mm"
+            unit = "l" if values.get("signal") == "volume" else "mm"
             usual |= {"hold": "inspiration", "settle_ms": 1_000.0, "timeout_s": 25.0}
             usual |= {f"still_{unit}": STILL[unit], f"max_drift_{unit}": MAX_DRIFT[unit]}
         if kind == "phase":
             usual["min_confidence"] = 0.6
-        return {**given, **{name: value for name, value in usual.items() if name not in told}}
+        return {**given, **{name: value for name, value in usual.items() if name not in values}}
 
     @model_validator(mode="after")
     def _is_one(self) -> Self:

@@ -26,7 +26,9 @@ class AccessSettings(BaseSettings):
         description="Addresses or networks whose X-Forwarded-For is trusted, comma-separated; default: loopback",
     )
     login_hours: float = Field(default=12.0, ge=0.25, le=24.0, description="Longest log-in")
-    login_idle_min: float = Field(default=30.0, ge=1.0, le=720.0, description="A log-in ends after this time without a request")
+    login_idle_min: float = Field(
+        default=30.0, ge=1.0, le=720.0, description="A log-in ends after this time without a request"
+    )
     key_max_days: int = Field(default=365, ge=1, le=1825, description="Longest lifetime of an API key")
 
     @field_validator("trusted_proxies", mode="before")

@@ -38,16 +38,12 @@ class AuditSettings(BaseSettings):
     audit_syslog_ca_file: Path | None = Field(
         default=None, description="CA certificates (PEM) for the syslog server; required with a host"
     )
-    audit_syslog_cert_file: Path | None = Field(
-        default=None, description="Client certificate for the syslog server"
-    )
+    audit_syslog_cert_file: Path | None = Field(default=None, description="Client certificate for the syslog server")
     audit_syslog_key_file: Path | None = Field(default=None, description="Key of the client certificate")
     audit_syslog_timeout_s: float = Field(
         default=10.0, ge=0.5, le=60.0, description="Longest wait for the syslog server"
     )
-    audit_syslog_patients: bool = Field(
-        default=False, description="Forwarded events contain the patient's reference"
-    )
+    audit_syslog_patients: bool = Field(default=False, description="Forwarded events contain the patient's reference")
 
     @model_validator(mode="after")
     def _is_complete_server(self) -> Self:

@@ -52,12 +52,20 @@ class BeamSettings(BaseSettings):
 
     mode: Mode = Field(default="research", description="Clinical mode refuses a simulated beam line")
     beam_line: LineKind = "simulated"
-    beam_line_2: LineKind | None = Field(default=None, description="A second line of another kind; the beam is on only if both permit")
+    beam_line_2: LineKind | None = Field(
+        default=None, description="A second line of another kind; the beam is on only if both permit"
+    )
     beam_answer_ms: float = Field(
-        default=100.0, ge=TIME_BOUNDS["answer_ms"][0], le=TIME_BOUNDS["answer_ms"][1], description="Longest wait for a reply"
+        default=100.0,
+        ge=TIME_BOUNDS["answer_ms"][0],
+        le=TIME_BOUNDS["answer_ms"][1],
+        description="Longest wait for a reply",
     )
     beam_settle_ms: float = Field(
-        default=60.0, ge=TIME_BOUNDS["settle_ms"][0], le=TIME_BOUNDS["settle_ms"][1], description="Longest time until the read-back follows"
+        default=60.0,
+        ge=TIME_BOUNDS["settle_ms"][0],
+        le=TIME_BOUNDS["settle_ms"][1],
+        description="Longest time until the read-back follows",
     )
     beam_modbus_host: str = Field(default="", max_length=253)
     beam_modbus_port: int = Field(default=502, ge=1, le=65_535)
@@ -230,9 +238,8 @@ def _check_http_target(target: str) -> None:
     _ = parts.port
     is_plain = parts.scheme in {"http", "https"} and parts.hostname and parts.username is None and not parts.fragment
     if not is_plain or len(target) > MAX_TARGET_LENGTH or any(sign.isspace() for sign in target):
-        msg = (
-            f"a target must be http://host/path or https://host/path, without a password, of at most {MAX_TARGET_LENGTH} characters"
-        )
+        address = "http://host/path or https://host/path"
+        msg = f"a target must be {address}, without a password, of at most {MAX_TARGET_LENGTH} characters"
         raise ValueError(msg)
 
 

@@ -34,7 +34,7 @@ class ConnectionLimits:
         For TLS.
     max_connections, max_connections_per_address
         Beyond them the connection goes that has been waited for longest: for a request, the rest of one, or for its
-        client to read; strangers first. One whose request is worked on is never closed for another.
+        client to read; unauthenticated ones first. One with a request in progress is never closed for another.
     """
 
     header_s: float = 10.0

@@ -33,7 +33,9 @@ MACHINES = ("oidc_machine_audience", "oidc_machine_scopes")
 class OidcSettings(BaseSettings):
     """Settings of the provider; a part of :class:`service.core.settings.settings.Settings`."""
 
-    oidc_issuer: str = Field(default="", max_length=MAX_ADDRESS, description="The provider, exactly as in its tokens' iss")
+    oidc_issuer: str = Field(
+        default="", max_length=MAX_ADDRESS, description="The provider, exactly as in its tokens' iss"
+    )
     oidc_client_id: str = Field(default="", max_length=MAX_WORD, description="This service's client id at the provider")
     oidc_client_secret_file: Path | None = Field(
         default=None, description="A file with the client secret; without it the client is public (PKCE)"
@@ -43,12 +45,18 @@ class OidcSettings(BaseSettings):
         default="", max_length=MAX_ADDRESS, description=f"Redirect URI: https://NAME{RETURN_PATH}"
     )
     oidc_scopes: Words = Field(default=("openid", "profile"), max_length=20, description="Comma-separated")
-    oidc_name_claim: str = Field(default="name", min_length=1, max_length=MAX_WORD, description="Claim with the name for the audit")
+    oidc_name_claim: str = Field(
+        default="name", min_length=1, max_length=MAX_WORD, description="Claim with the name for the audit"
+    )
     oidc_groups_claim: str = Field(default="groups", min_length=1, max_length=MAX_WORD)
     oidc_group_roles: GroupRoles = Field(
-        default=(), max_length=MAX_ENTRIES, description="group=role, comma-separated; a person without a role is refused"
+        default=(),
+        max_length=MAX_ENTRIES,
+        description="group=role, comma-separated; a person without a role is refused",
     )
-    oidc_label: str = Field(default="the hospital's log-in", min_length=1, max_length=40, description="Label of the button")
+    oidc_label: str = Field(
+        default="the hospital's log-in", min_length=1, max_length=40, description="Label of the button"
+    )
     oidc_local_accounts: LocalAccounts = Field(
         default="break-glass", description="Local accounts that may still log in by password"
     )

@@ -89,7 +89,9 @@ class Settings(
     )
 
     port: int = Field(default=8000, ge=0, le=65535)
-    allowed_hosts: NameList = Field(default=(), description="Names accepted in the Host header; default: loopback names")
+    allowed_hosts: NameList = Field(
+        default=(), description="Names accepted in the Host header; default: loopback names"
+    )
     allowed_origins: NameList = Field(default=(), description="Origins of other pages that may open the live stream")
 
     recordings_dirs: FolderList = Field(
@@ -148,9 +150,7 @@ class Settings(
     max_breath_hold_s: float = Field(
         default=HOLD_BOUNDS["timeout_s"][1], ge=HOLD_BOUNDS["timeout_s"][0], le=HOLD_BOUNDS["timeout_s"][1]
     )
-    max_baseline_correction_mm: float = Field(
-        default=5.0, ge=0.0, le=50.0, description="Largest baseline correction"
-    )
+    max_baseline_correction_mm: float = Field(default=5.0, ge=0.0, le=50.0, description="Largest baseline correction")
     min_phase_confidence: float = Field(
         default=0.6, ge=0.1, le=1.0, description="Lowest confidence of the phase in a session's window"
     )

@@ -118,7 +118,7 @@ class StandbyProcess:
             child = self._starting = start_child()
         except OSError as error:
             self._trouble = f"the engine's process does not start: {error.strerror}"
-            logger.error("%s", self._trouble)  # noqa: TRY400 - the sentence says it
+            logger.error("%s", self._trouble)  # noqa: TRY400 - the text is complete
             return False
         try:
             child.bulk.set_timeout(START_S)
@@ -131,7 +131,7 @@ class StandbyProcess:
             self._starting = None
             self._trouble = f"the engine's process ended before it was ready (status {status})"
             if not self._is_closed:
-                logger.error("%s", self._trouble)  # noqa: TRY400 - the sentence says it
+                logger.error("%s", self._trouble)  # noqa: TRY400 - the text is complete
             return False
         self._starting = None
         with self._change:

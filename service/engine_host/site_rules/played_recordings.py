@@ -1,6 +1,6 @@
 """Rule for a played recording with a real beam line: refused unless the site states that no patient can be in the beam.
 
-Whoever lies on the couch is not who was recorded, and a film breathes on whatever the patient does.
+The patient on the couch is not the recorded one, and the recording breathes independently of the patient.
 """
 
 from service.core.errors import BoundError

@@ -1,4 +1,4 @@
-"""Rule for sessions without a measured calibration: the camera registers depth to colour, and every result says so."""
+"""Rule for sessions without a measured calibration: the camera registers depth to colour; every result is marked."""
 
 from engine.calibration.camera_calibration import Calibration
 from service.core.errors import BoundError
@@ -40,7 +40,7 @@ def refuse_reserved_name(calibration: Calibration) -> None:
 def check_allowed(request: sessions.SessionRequest, settings: Settings) -> None:
     """Refuse a session on a camera's own registration where that cannot be, or may not; raise BoundError."""
     if isinstance(request.source, sessions.RecordingSource):
-        bound = "a measured calibration: nothing in a recording tells whether the camera registered depth to colour"
+        bound = "a measured calibration: a recording does not contain whether the camera registered depth to colour"
     elif not settings.allow_device_registration:
         bound = FORBIDDEN
     else:

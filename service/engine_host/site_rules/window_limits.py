@@ -1,7 +1,7 @@
 """A session's window within the site's limits: it may narrow them, never widen them.
 
-Edges in per cent are of a range that nobody knows yet: whether they lie inside the site's is asked when they are
-turned into mm, at arming (`engine.control.gate_controller`). The site's edges are mm. A phase and a volume bound no
+Edges in per cent refer to a range that is not learned yet: they are checked against the site's edges when they are
+converted to mm, at arming (`engine.control.gate_controller`). The site's edges are mm. A phase and a volume bound no
 position: where the
 site has set its edges, every way into the beam needs a condition on a length beside them.
 """
@@ -18,7 +18,7 @@ from service.core.settings.beam import PREFIX
 from service.core.settings.settings import Settings
 
 NO_REGIONS = sessions.Regions()
-TOLD_OF_HELD_BREATH = frozenset(
+EVENTS_OF_A_BREATH_HOLD = frozenset(
     {BreathEventKind.APNOEA, BreathEventKind.IRREGULAR, BreathEventKind.SIGH, BreathEventKind.TALKING}
 )
 """Breath events that a deliberate breath hold, or the breath before and after it, may resemble."""
@@ -48,9 +48,9 @@ def gate_limits(
     Raises
     ------
     InvalidValueError
-        The engine knows no such window.
+        The engine has no such window.
     BoundError
-        A condition looks at a named region that the session does not have.
+        A condition refers to a named region that the session does not have.
     """
     return GateLimits(
         window=gate_window(window, regions),
@@ -96,12 +96,12 @@ def _check_condition(path: str, condition: Condition, settings: Settings) -> Non
 
 
 def _refuse_hold_that_holds(path: str, condition: Condition, settings: Settings) -> None:
-    """Refuse a breath hold where the site holds the beam for what a held breath is."""
-    told = [kind for kind in settings.holding_events if kind in TOLD_OF_HELD_BREATH]
-    if condition.kind == "breath_hold" and told:
+    """Refuse a breath hold where the site holds the beam for events that a breath hold causes."""
+    events = [kind for kind in settings.holding_events if kind in EVENTS_OF_A_BREATH_HOLD]
+    if condition.kind == "breath_hold" and events:
         bound = (
-            f"amplitude or phase: this site holds the beam for {' and '.join(told)} ({PREFIX}HOLDING_EVENTS), "
-            "which a breath that is held may look like"
+            f"amplitude or phase: this site holds the beam for {' and '.join(events)} ({PREFIX}HOLDING_EVENTS), "
+            "which a breath hold can cause"
         )
         raise _broken(f"{path}.kind", condition.kind, bound)
 

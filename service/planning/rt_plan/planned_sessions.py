@@ -139,7 +139,7 @@ class _Fraction:
             )
 
     def _refuse_again(self, db: DbSession) -> None:
-        """Refuse a fraction that was started before: only the treatment machine knows the dose it delivered."""
+        """Refuse a fraction that was started before: only the treatment machine records the delivered dose."""
         same = (SessionRow.rt_plan_id == self.plan_id, SessionRow.fraction_id == self.name)
         started = db.scalar(select(SessionRow.id).where(*same, SessionRow.started_at.is_not(None)).limit(1))
         if started is not None:

@@ -39,14 +39,14 @@ class SessionCounters:
         self._latency = _histogram(
             registry,
             "tidegate_latency_seconds",
-            "From the camera taking a frame to the beam line told",
+            "From the camera's exposure to the command at the beam line",
             LATENCY_BUCKETS_S,
         )
         self._decision = _histogram(
             registry, "tidegate_decision_seconds", "From a frame in our hands to the gate's decision on it"
         )
         self._assertion = _histogram(
-            registry, "tidegate_assertion_seconds", "From the gate's decision to the beam line told"
+            registry, "tidegate_assertion_seconds", "From the gate's decision to the command at the beam line"
         )
         self._last: FrameRecord | None = None
         for state in MeasurementState:

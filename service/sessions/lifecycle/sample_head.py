@@ -1,4 +1,4 @@
-"""What a new session's sample file says of itself: with which software, settings, calibration and model it was made."""
+"""The metadata of a session's sample file: software, settings, calibration and model."""
 
 from engine import __version__
 from service.core.settings.settings import Settings

@@ -111,7 +111,7 @@ class SessionStarter:
 
     def _stored_model(self, db: Session, model_id: str, patient_reference: str) -> MotionModel:
         model = self.models.load(queries.model_row(db, model_id).sha256)
-        check_patient(model.provenance.origin, patient_reference)  # as its file says too, not the table alone
+        check_patient(model.provenance.origin, patient_reference)  # by its file too, not by the table alone
         return model
 
     def _open(self, plan: SessionPlan) -> RunningSession:

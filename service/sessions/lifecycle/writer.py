@@ -1,8 +1,8 @@
 """The writer thread: from the engine's bounded queues to the database and the sample file.
 
-Nothing in the gate's way waits for it. Transitions are committed at once, samples are written in batches. When the
-database or the disk does not take them the writer tells the engine to hold, stops draining, and tries again: the queues
-fill and the gate holds by itself too.
+The gate never waits for it. Transitions are committed at once, samples are written in batches. When the database or
+the disk fails, the writer requests a hold of the engine, stops draining, and tries again: the queues fill, and the gate
+holds by itself too.
 """
 
 import contextlib

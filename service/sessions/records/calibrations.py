@@ -68,7 +68,7 @@ class CalibrationRepository:
 
 
 def kept_row(db: Session, calibration: Calibration, operator: str) -> tuple[CalibrationRow, bool]:
-    """Find or insert a calibration's row, by its content; the second value tells whether it existed."""
+    """Find or insert a calibration's row, by its content; the second value is whether it existed."""
     row = db.scalar(select(CalibrationRow).where(CalibrationRow.sha256 == calibration.sha256))
     if row is not None:
         return row, True

@@ -1,9 +1,9 @@
 """ETags of sessions: each is made from the number of the newest decision about the session in the audit.
 
 A running session's figures change with every frame; what a person or a machine decided does not. Each decision is a row
-of the audit, so that the newest row's number says whether anything was decided since somebody looked. What takes
-permission away is done first and written down after: it is counted besides (`service.sessions.records.withdrawals`),
-before it is done.
+of the audit, so that the newest row's number says whether anything was decided since it was read. A call that takes
+permission away is executed first and recorded after, so `service.sessions.records.withdrawals` counts it before it is
+executed.
 """
 
 import threading
@@ -58,7 +58,7 @@ class SessionRevisions:
     def only_if(self, session_id: str, wanted: Precondition) -> Iterator[None]:
         """Execute the body if the session's ETag still matches; raise PreconditionFailedError otherwise.
 
-        Whoever sends no ``If-Match`` waits for nobody. What takes the beam away never comes here. Where it comes
+        A call without ``If-Match`` does not wait. Calls that take permission away are not checked. Where one comes
         between look and act, the engine refuses what it takes back: an arm that was asked for before a disarming, a
         release before a hold (`engine.control.command_queue`). An arm beside a hold is done, and the beam stays held.
         """

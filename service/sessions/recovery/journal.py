@@ -1,9 +1,9 @@
 """Recovery at the start: write the transitions in a killed process's journal to the audit, where it lacks them.
 
-So does whoever closes a session whose engine's process died alone. Each is appended once, in its order, at its own
-time, and says that it was recovered. A start that is killed in the middle leaves the file to the next one; a file goes
-only after its transitions are committed. What cannot be believed is kept aside, and said. An engine that still writes
-after a start's patience is killed; where that does not help, the service does not start: two could tell one line.
+Closing a session whose engine process died does the same. Each transition is appended once, in its order, at its own
+time, marked as recovered. A start that is killed leaves the file to the next one; a file is removed only after its
+transitions are committed. A damaged file is kept aside and reported. An engine that still writes after a time-out is
+killed; if that fails, the service does not start, because two engines could command one line.
 """
 
 import json
@@ -33,7 +33,7 @@ logger = logging.getLogger(__name__)
 
 RECOVERED, DAMAGED, MISSING = "journal.recovered", "journal.damaged", "journal.missing"
 LEFT_BEHIND, IN_USE = "engine.left_behind", "journal.in_use"
-FORESEEN = "kept before the line was to be told; whether it was told is not known"
+FORESEEN = "recorded before the command to the beam line; whether the command was sent is not known"
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -147,8 +147,8 @@ def _recovered(session_id: str, entry: Entry) -> Event:
         detail = f"{transition.detail}; {FORESEEN}" if transition.detail else FORESEEN
         transition = replace(transition, detail=detail)
     event = transition_event(session_id, transition)
-    told = {} if entry.is_committed else {"asserted_ns": None, "latency_ms": None}
-    return replace(event, detail={**event.detail, **told, "recovered": True})
+    unknown = {} if entry.is_committed else {"asserted_ns": None, "latency_ms": None}
+    return replace(event, detail={**event.detail, **unknown, "recovered": True})
 
 
 def _account(kept: RecoveredJournal, lacking: list[Entry]) -> Event:

@@ -99,7 +99,7 @@ class AuditService:
     def _refuse_unknown(self, session_id: str) -> None:
         page = self._log.page(None, 1, session_id)
         if not page.items:
-            msg = "the audit knows no such session"
+            msg = "the audit has no such session"
             raise NotFoundError(msg, field="session_id", value=session_id)
 
 

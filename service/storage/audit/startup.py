@@ -17,7 +17,7 @@ from service.storage.database.tables import AuditRow
 START = "service.start"
 SETTINGS_CHANGED = "settings.changed"
 CLOCK_CHANGED = "clock.changed"
-NOT_TOLD = "(not told)"
+REDACTED = "(not told)"
 NO_SETTING = "(there was no such setting)"
 SECRET_NAME = re.compile(r"(?:^|_)(?:password|secret|token|key)(?:_|$)")
 
@@ -96,4 +96,4 @@ def clock_event(*, before: datetime, after: datetime, seen: str) -> Event:
 
 def _redacted(name: str, value: object) -> object:
     is_secret = SECRET_NAME.search(name) is not None and not name.endswith(("_file", "_dir"))
-    return NOT_TOLD if is_secret and isinstance(value, str) else value
+    return REDACTED if is_secret and isinstance(value, str) else value

@@ -88,7 +88,7 @@ class AuditSupervision:
             before = start.last_start(db)
             went_back = start.clock_went_back(db, self._now(), self._settings.audit_clock_jump_ms / 1000)
             seen = head_sequence(db)
-        told = start.redacted_settings(self._settings)
+        settings = start.redacted_settings(self._settings)
         anchors = self._with_timeout(self._check)
         self._write(
             Event(
@@ -96,13 +96,13 @@ class AuditSupervision:
                 action=start.START,
                 detail={
                     **detail,
-                    "settings": told,
-                    "settings_sha256": start.settings_sha256(told),
+                    "settings": settings,
+                    "settings_sha256": start.settings_sha256(settings),
                     "anchors": anchors,
                 },
             )
         )
-        changed = start.changes(before, told)
+        changed = start.changes(before, settings)
         self._report(went_back, changed)
         self._start_workers(seen)
 

@@ -45,7 +45,7 @@ class BackupFile:
                 rows += 1
                 yield line
         if (rows, digest.hexdigest()) != (table.rows, table.sha256):
-            msg = f"table {table.name} of the backup is not what its manifest says"
+            msg = f"table {table.name} of the backup differs from its manifest"
             raise BackupError(msg)
 
     def copy(self, file: FilePart, out: BinaryIO) -> None:
@@ -58,7 +58,7 @@ class BackupFile:
                 size += len(piece)
                 out.write(piece)
         if (size, digest.hexdigest()) != (file.bytes, file.sha256):
-            msg = f"{file.path} of the backup is not what its manifest says"
+            msg = f"{file.path} of the backup differs from its manifest"
             raise BackupError(msg)
 
     @contextmanager

@@ -128,7 +128,7 @@ def _chain_trouble(db: Session, manifest: Manifest) -> str | None:
     if not found.is_intact:
         return f"the backup's audit log is broken: {found.detail}"
     if (found.rows, found.head_hash) != (manifest.audit_rows, manifest.audit_head):
-        return "the backup's audit log does not end where its manifest says"
+        return "the end of the backup's audit log differs from its manifest"
     return None
 
 
@@ -137,7 +137,7 @@ def _refuse_newer(manifest: Manifest) -> None:
     if manifest.revision not in known:
         msg = (
             f"the backup is of revision {manifest.revision}, made by a newer version ({manifest.software}); "
-            f"this one knows up to {known[-1]}"
+            f"this version supports up to {known[-1]}"
         )
         raise BackupError(msg)
 
@@ -162,7 +162,7 @@ def _write_file(backup: BackupFile, file: FilePart, target: Target) -> None:
         if not is_anchors and file_sha256(path) != file.sha256:
             msg = f"{path} is there already, and another: a backup is restored into an empty data folder"
             raise BackupError(msg)
-        return  # a file of heads only grows: the one that is there knows more than the backup
+        return  # a file of anchors only grows: the existing one has more than the backup
     path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     with whole_file(path, mode=OWNER_ONLY, is_durable=True) as out:
         backup.copy(file, out)

@@ -40,9 +40,9 @@ def check(store: SampleStore, session_id: str, known: Registered, *, is_open: bo
     except (NoSamplesError, pa.ArrowException, OSError) as error:
         return _found(session_id, "none", 0, 0, f"cannot be read: {error}", is_good=False)
     if known.is_removed:
-        return _found(session_id, "removed", known.rows, 0, "removed, as the audit says", is_good=True)
+        return _found(session_id, "removed", known.rows, 0, "removed, as recorded in the audit", is_good=True)
     if known.sha256 is not None:
-        return _found(session_id, "none", known.rows, 0, "the file that the audit knows is missing", is_good=False)
+        return _found(session_id, "none", known.rows, 0, "the file recorded in the audit is missing", is_good=False)
     return _found(session_id, "none", 0, 0, "nothing was measured", is_good=True)
 
 
@@ -61,10 +61,10 @@ def _check_parquet(store: SampleStore, session_id: str, known: Registered) -> Fi
     path = store.parquet_path(session_id)
     size, sha256 = path.stat().st_size, file_sha256(path)
     if known.sha256 is None:
-        return _found(session_id, "parquet", 0, size, "the audit knows no such file", is_good=False)
+        return _found(session_id, "parquet", 0, size, "the audit has no record of this file", is_good=False)
     if sha256 != known.sha256:
         return _found(session_id, "parquet", 0, size, "was changed: its SHA-256 is not the audit's", is_good=False)
-    return _found(session_id, "parquet", parquet_head(path)[1], size, "as the audit knows it", is_good=True)
+    return _found(session_id, "parquet", parquet_head(path)[1], size, "as recorded in the audit", is_good=True)
 
 
 def _found(session_id: str, form: str, rows: int, size: int, detail: str, *, is_good: bool) -> Finding:

@@ -39,7 +39,7 @@ INSERT = text(
 def move_out(connection: Connection, folder: Path | None) -> None:
     """Write every session's samples to a Parquet file, and read it back before the table is dropped.
 
-    A file that is there with as many rows is one that an earlier downgrade left: it knows more and stays.
+    An existing file with as many rows is of an earlier downgrade: it has more columns and stays.
     """
     sessions = connection.execute(SESSIONS).all()
     if not sessions:
@@ -82,7 +82,7 @@ def _names(regions: str) -> tuple[str, ...]:
 
 def _store(folder: Path | None) -> SampleStore:
     if folder is None:
-        msg = "there are samples in the database, and nobody said which folder they go to"
+        msg = "the database has samples, and no folder for them was given"
         raise ValueError(msg)
     return SampleStore(folder)
 

@@ -72,7 +72,7 @@ class SampleStream:
         self._memory.held.clear()
 
     def finish(self) -> None:
-        """Mark the end, so that a reader knows that no more comes, and let go of the file."""
+        """Write the end mark for readers, and close the file."""
         if not self._is_finished:
             self._writer.close()
             self._is_finished = True

@@ -1,8 +1,7 @@
 """The newest end of a session's samples, for a client of the live stream that was away: rows after a frame, in pages.
 
 A stream is followed as it grows: where its batches lie is found once and remembered, so that the end of a long session
-is read without the rest. Seals are not checked here: what is shown again was shown before, and whoever wants a proof
-exports or verifies.
+is read without the rest. Seals are not checked here; export and ``verify`` check them.
 """
 
 import threading

@@ -17,27 +17,27 @@ router = APIRouter(prefix="/keys", tags=["access"])
 @router.get("")
 def list_keys(desk: dependencies.Access) -> schemas.KeyList:
     """List the keys, newest first; secrets are not stored."""
-    return schemas.KeyList(items=[schemas.KeyView(**_told(key)) for key in desk.keys.all()])
+    return schemas.KeyList(items=[schemas.KeyView(**_public(key)) for key in desk.keys.all()])
 
 
 @router.post("", status_code=201, name="key.create", responses=problems(BoundError, NameTakenError))
 def create_key(body: schemas.KeyRequest, caller: dependencies.Caller, desk: dependencies.Access) -> schemas.MadeKeyView:
     """Create a key; only this answer contains its secret."""
     made = desk.keys.create(body.name, body.scopes, body.expires_at, by=caller.name)
-    return schemas.MadeKeyView(**_told(made.key), secret=made.secret)
+    return schemas.MadeKeyView(**_public(made.key), secret=made.secret)
 
 
 @router.get("/{key_id}", responses=problems(NotFoundError))
 def read_key(key_id: schemas.KeyId, desk: dependencies.Access, fresh: dependencies.IfNoneMatch) -> schemas.KeyView:
     """Read a key, without its secret. The ETag changes when the key is revoked, not when it is used."""
     key = desk.keys.find_id(key_id)
-    return fresh.answer(schemas.KeyView(**_told(key)), key_etag(key))
+    return fresh.answer(schemas.KeyView(**_public(key)), key_etag(key))
 
 
 @router.post("/{key_id}/revoke", name="key.revoke", responses=problems(NotFoundError))
 def revoke_key(key_id: schemas.KeyId, caller: dependencies.Caller, desk: dependencies.Access) -> schemas.KeyView:
     """Revoke a key permanently; its open streams close within seconds."""
-    return schemas.KeyView(**_told(desk.keys.revoke(key_id, by=caller.name)))
+    return schemas.KeyView(**_public(desk.keys.revoke(key_id, by=caller.name)))
 
 
 def key_etag(key: ApiKey) -> str:
@@ -45,7 +45,7 @@ def key_etag(key: ApiKey) -> str:
     return etag_of("key", key.id, sorted(key.scopes), key.expires_at, key.revoked_at)
 
 
-def _told(key: ApiKey) -> dict[str, object]:
-    told = asdict(key) | {"scopes": sorted(key.scopes)}
-    told.pop("secret_sha256")
-    return told
+def _public(key: ApiKey) -> dict[str, object]:
+    fields = asdict(key) | {"scopes": sorted(key.scopes)}
+    fields.pop("secret_sha256")
+    return fields

@@ -26,7 +26,7 @@ PAGE: dict[int | str, dict[str, object]] = {
     200: {"description": "Never", "content": {"text/html": {}}},
     303: {"description": "Redirect to the provider", "headers": {"Location": {"schema": {"type": "string"}}}},
     403: {"description": "A page with the reason of the refusal", "content": {"text/html": {}}},
-    503: {"description": "A page that says that the provider is unavailable", "content": {"text/html": {}}},
+    503: {"description": "A page with the reason why the provider is unavailable", "content": {"text/html": {}}},
 }
 SENTENCE = {
     OidcReason.NO_ROLE: "None of your groups has access to this system. Ask the administrator of the groups.",

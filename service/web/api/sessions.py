@@ -142,7 +142,9 @@ def read_session(
 
     The ETag covers what callers change, not the statistics; a running session is therefore never answered with 304.
     """
-    etag = services.revisions.etag(session_id)  # before it is read: it may be older than what is told, never newer
+    etag = services.revisions.etag(
+        session_id
+    )  # before the session is read: it may be older than the answer, never newer
     detail = services.sessions.detail(session_id)
     return fresh.answer(detail, etag, may_be_304=detail.status != "running")
 

@@ -89,7 +89,7 @@ class BoundedHttp(H11Protocol):
         if self._head_since_s is not None:  # a call's body comes with its head or within moments
             self._head_since_s = None
             self._registry.note_waiting(self.transport)
-        # Uvicorn stops reading ahead of a request, and reads on whenever the application asks whether anybody left.
+        # Uvicorn stops reading ahead of a request, and resumes whenever the application checks for a disconnect.
         if not self.cycle.more_body and len(self.conn.trailing_data[0]) > MOST_AHEAD_BYTES:
             self._registry.refusals.add("too_far_ahead")
             abort(self.transport)
@@ -193,7 +193,7 @@ class BoundedHttp(H11Protocol):
             for event in (response, h11.Data(data=body), h11.EndOfMessage()):
                 self.transport.write(self.conn.send(event) or b"")
         self._head_since_s = None
-        if not self._is_between_requests:  # the application hears that nobody listens any more
+        if not self._is_between_requests:  # report the disconnect to the application
             self.cycle.disconnected = True
             self.cycle.message_event.set()
         self.transport.close()

@@ -46,14 +46,14 @@ def problem_answer(status: int, detail: str) -> tuple[str, list[tuple[bytes, byt
     """Return code, headers and body of the answer to a refused connection."""
     problem = problem_of(HTTPException(status, detail))
     body = problem.model_dump_json(exclude_none=True).encode()
-    told = {
+    headers = {
         **SECURITY_HEADERS,
         "Content-Type": MEDIA_TYPE,
         "Content-Length": str(len(body)),
         "Cache-Control": "no-cache",
         "Connection": "close",
     }
-    return problem.code, [(name.lower().encode(), value.encode()) for name, value in told.items()], body
+    return problem.code, [(name.lower().encode(), value.encode()) for name, value in headers.items()], body
 
 
 def phrase_of(status: int) -> bytes:

@@ -69,8 +69,8 @@ class _Answer:
             "bytes": self.sent_bytes,
             "caller": self._caller(),
         }
-        told = "%(method)s %(route)s %(status)d %(duration_ms).1f ms %(bytes)d bytes %(caller)s"
-        logger.info(told, fields, extra={FIELDS: fields})
+        message = "%(method)s %(route)s %(status)d %(duration_ms).1f ms %(bytes)d bytes %(caller)s"
+        logger.info(message, fields, extra={FIELDS: fields})
 
     def _caller(self) -> str:
         identity = identity_in(self.scope)

@@ -101,7 +101,7 @@ def _host_name(host: str) -> str:
 
 
 def _bounded(scope: Scope, receive: Receive, max_bytes: int) -> Receive:
-    """Refuse a body that is too large; if Content-Length says so, nothing of it is read."""
+    """Refuse a body that is too large, unread if its Content-Length is."""
     declared = Headers(scope=scope).get("content-length", "0")
     seen_bytes = 0
 

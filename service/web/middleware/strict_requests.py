@@ -58,7 +58,7 @@ def _walk(dependant: Dependant) -> Iterator[str]:
     for field in dependant.query_params:
         model = field.field_info.annotation
         if isinstance(model, type) and issubclass(model, BaseModel):  # each of its fields is a parameter
-            yield from (told.alias or name for name, told in model.model_fields.items())
+            yield from (parameter.alias or name for name, parameter in model.model_fields.items())
         else:
             yield field.alias
     for further in dependant.dependencies:
@@ -70,7 +70,10 @@ def _offered(route: Any) -> tuple[str, ...]:  # noqa: ANN401 - whatever the rout
     if not isinstance(route, APIRoute):
         return ()
     content = [
-        media for status, told in route.responses.items() if _is_good(status) for media in told.get("content", ())
+        media
+        for status, response in route.responses.items()
+        if _is_good(status)
+        for media in response.get("content", ())
     ]
     if content:
         return tuple(dict.fromkeys(content))

@@ -2,9 +2,8 @@
 
 docs/4-integrate/problems.md is made from it.
 
-Codes, statuses and titles come from the table in `service.core.errors`, "when" from what the error's class says of
-itself;
-only what to do is written here.
+Codes, statuses and titles come from the table in `service.core.errors`, "when" from the docstring
+of the error's class; only what to do is written here.
 """
 
 import inspect
@@ -132,8 +131,8 @@ class Entry:
     @property
     def example(self) -> dict[str, object]:
         """Return a problem with this code."""
-        told = {"type": f"{PROBLEM_TYPE}{self.code}", "title": self.title, "status": self.status}
-        example: dict[str, object] = {**told, "detail": self.when, "code": self.code}
+        common = {"type": f"{PROBLEM_TYPE}{self.code}", "title": self.title, "status": self.status}
+        example: dict[str, object] = {**common, "detail": self.when, "code": self.code}
         if self.code == "invalid_value":
             broken = {"field": "window.lower_mm", "value": "-400.0", "bound": "at least -100"}
             example |= {"detail": "window.lower_mm: at least -100", **broken, "errors": [broken]}

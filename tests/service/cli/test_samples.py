@@ -1,4 +1,4 @@
-"""`tidegate samples`: sizes, and whether samples are what the audit says."""
+"""`tidegate samples`: sizes, and verification against the audit."""
 
 import pytest
 from typer.testing import CliRunner
@@ -37,7 +37,7 @@ def test_what_the_audit_knows_is_good(run):
     for words in (("verify", SESSION), ("verify", "--all")):
         done = run(*words)
         assert done.exit_code == 0
-        assert "as the audit knows it" in done.stdout
+        assert "as recorded in the audit" in done.stdout
         assert "1 sessions, 0 not intact" in done.stdout
 
 

@@ -69,7 +69,7 @@ def test_a_short_password_and_a_name_that_is_taken_are_said_in_one_line(shell):
     assert "12 to 256 characters" in said
     assert "short" not in said
     shell("users", "add", "root", "--role", "admin", "--password-stdin", says=f"{PASSWORD}\n")
-    assert "somebody has this name" in shell("users", "add", "ROOT", "--role", "admin", code=2)
+    assert "this name is or was in use" in shell("users", "add", "ROOT", "--role", "admin", code=2)
 
 
 def test_keys_are_made_shown_once_and_revoked(shell, kept):

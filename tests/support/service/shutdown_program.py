@@ -40,7 +40,7 @@ class StubbornRunning(FakeRunning):
         self.transition(GateState.HOLD, HoldReason.ENGINE_STOPPED)
         if self.hang_s:
             time.sleep(self.hang_s)
-            self.run_state, self.error = LoopStatus.FAILED, "the engine did not stop when told to; the beam is held"
+            self.run_state, self.error = LoopStatus.FAILED, "the engine did not stop in time; the beam is held"
         else:
             self.run_state = LoopStatus.ENDED
         tell("held", time.monotonic_ns())

@@ -58,8 +58,7 @@ def page(heading: Heading, tables: list[Table], figures: list[Picture]) -> str:
         "<h1>Accuracy of the measurement</h1>",
         "<p>Accuracy of Tidegate's motion measurement on virtual volunteers, whose true motion is known, compared with "
         "the article's figures (Wijenayake and Park, Sensors 2017, 17, 1840), with a plain implementation of the "
-        "article on the same frames, and with an oracle that knows each body's motion and is limited by the sensor's "
-        "noise alone.</p>",
+        "article on the same frames and an oracle that has each body's true motion and only the sensor's noise.</p>",
         f'<p class="verdict {"missed" if missed else "met"}">{verdict}.</p>',
         f"<p class=soft>{heading.recordings} recordings, {heading.frames} depth frames, seed {heading.seed}, Tidegate "
         f"{html.escape(heading.version)}. Printed by <code>{html.escape(heading.command)}</code></p>",

@@ -158,7 +158,7 @@ class _ExportCheck:
             return
         fields = (end.get("rows"), end.get("last_hash"))
         if fields != (self.rows, None if self.before is None else self.before.hash):
-            text = f"the file says that it holds {fields[0]} rows; these are {self.rows}, or they end with another one"
+            text = f"the file's end gives {fields[0]} rows; it has {self.rows}, or another last row"
             self.broken = (None, Breakage.MISSING, text)
         is_whole = all(end.get(name) is None for name in ("since", "until", "session_id"))
         if self.broken is None and is_whole and self.gaps:

@@ -112,14 +112,14 @@ def _agents(link: Link, detail: Mapping[str, object]) -> list[dict[str, object]]
 
 def _agent(name: str, roles: object, *, is_requestor: bool) -> dict[str, object]:
     kind = _dcm(APPLICATION_ROLE) if name == SYSTEM else HUMAN
-    told = [str(role) for role in roles] if isinstance(roles, list) else []
+    names = [str(role) for role in roles] if isinstance(roles, list) else []
     agent: dict[str, object] = {
         "type": {"coding": [kind]},
         "who": {"identifier": {"system": USERS, "value": name}, "display": name},
         "name": name,
         "requestor": is_requestor,
     }
-    return {**agent, "role": [{"coding": [{"system": ROLES, "code": role}]} for role in told]} if told else agent
+    return {**agent, "role": [{"coding": [{"system": ROLES, "code": role}]} for role in names]} if names else agent
 
 
 def _entities(link: Link, patient: Patient | None) -> list[dict[str, object]]:

@@ -156,7 +156,7 @@ def test_a_field_of_view_that_cannot_be_is_refused(runtime, angle):
 
 def test_a_device_that_does_not_tell_its_view_is_refused(runtime):
     runtime.angles = {}
-    with pytest.raises(SourceLostError, match="does not tell its field of view"):
+    with pytest.raises(SourceLostError, match="does not report its field of view"):
         registered_calibration(URI)
     assert (runtime.destroyed, runtime.is_open) == (1, False)
 

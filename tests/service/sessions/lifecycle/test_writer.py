@@ -173,7 +173,7 @@ def test_a_session_a_killed_process_left_running_is_closed_at_the_next_start(set
 
 def test_a_hung_engine_counts_as_failed(client, session_id, running):
     running.run_state = LoopStatus.FAILED
-    running.error = "the engine did not stop when told to; the beam is held"
+    running.error = "the engine did not stop in time; the beam is held"
     eventually(lambda: client.get(f"/api/v1/sessions/{session_id}").json()["status"] == "failed")
 
 

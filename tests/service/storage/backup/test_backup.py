@@ -305,9 +305,9 @@ def _leading_elsewhere(name, content):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (_other_table, "table calibrations of the backup is not what its manifest says"),
+        (_other_table, "table calibrations of the backup differs from its manifest"),
         (_without_model, r"models/ab12\.npz is missing"),
-        (_other_model, r"models/ab12\.npz of the backup is not what its manifest says"),
+        (_other_model, r"models/ab12\.npz of the backup differs from its manifest"),
         (_without_manifest, "no backup of ours"),
         (_with("schema", "tidegate.backup/2"), "of a newer version"),
         (_with("revision", "9999"), "made by a newer version"),
