@@ -140,7 +140,7 @@ def test_a_hold_whose_body_follows_its_head_gets_in_on_an_old_connection_too(ser
         assert read_all(old).status == 200
 
 
-def test_an_upload_of_somebody_known_outlasts_any_crowd_of_strangers(served):
+def test_an_upload_of_a_known_caller_outlasts_any_number_of_unknown_callers(served):
     with contextlib.ExitStack() as stack:
         (upload,) = crowd(stack, served, "127.0.0.2", head("/hold", 50, "X-Known: yes"), 1)
         for _ in range(5):
@@ -152,7 +152,7 @@ def test_an_upload_of_somebody_known_outlasts_any_crowd_of_strangers(served):
     assert reply.content.endswith(b"50")
 
 
-def test_what_is_worked_on_is_not_closed_for_anybody(served):
+def test_a_request_in_progress_is_not_closed_for_another(served):
     with contextlib.ExitStack() as stack:
         busy = crowd(stack, served, "127.0.0.2", head("/work", 2) + b"{}")
         until(lambda: served.working == EACH)

@@ -85,7 +85,7 @@ def test_a_path_that_leads_out_or_to_no_plain_file_is_refused(folder, path):
 
 
 @pytest.mark.parametrize("path", OUTSIDE)
-def test_of_what_lies_outside_nothing_is_told_not_even_whether_it_is_there(folder, path):
+def test_nothing_is_revealed_of_paths_outside_not_even_their_existence(folder, path):
     with pytest.raises(BoundError) as refusal:
         find_recording(path, (folder,))
     with pytest.raises(BoundError) as other:

@@ -52,7 +52,7 @@ def _post(attacked) -> bytes:
     return head.encode() + b"\r\n{"
 
 
-def test_who_sends_slowly_is_told_so_and_hung_up_on(attacked):
+def test_a_slow_sender_is_answered_and_disconnected(attacked):
     ways = {
         "nothing at all": (b"", b""),
         "headers, letter by letter": (GET, b"X"),

@@ -71,7 +71,7 @@ def test_what_is_no_tls_ends_at_once_and_the_next_is_served(spoken, noise):
     assert httpx2.get(f"https://127.0.0.1:{port}/healthz", verify=trusted).status_code == 200
 
 
-def test_who_says_nothing_behind_the_handshake_is_told_so_and_hung_up_on(spoken):
+def test_a_client_that_is_silent_after_the_handshake_is_closed_with_the_reason(spoken):
     port, cert = spoken
     trusted = ssl.create_default_context(cafile=cert)
     with connection(port) as raw, trusted.wrap_socket(raw, server_hostname="127.0.0.1") as talk:

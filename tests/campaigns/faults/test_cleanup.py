@@ -25,7 +25,7 @@ with Rig(Path(sys.argv[1]), ANYBODY, None) as rig:
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="a small file system is mounted, which takes root")
 
 
-def test_whoever_kills_a_rig_ends_its_service_its_engine_its_receiver_and_its_watchman(tmp_path):
+def test_killing_a_rig_ends_its_service_its_engine_its_receiver_and_its_watchman(tmp_path):
     rig = subprocess.Popen([sys.executable, "-c", HELD, str(tmp_path)], cwd=ROOT, stdout=subprocess.PIPE, text=True)
     with rig:
         try:

@@ -93,7 +93,7 @@ def test_a_bound_is_kept_by_what_comes_at_it():
     assert judge(EXPECTED, replace(GOOD, told_by_ns=at(38.0))) == []
 
 
-def test_several_troubles_are_all_told():
+def test_several_troubles_are_all_reported():
     worst = replace(GOOD, edges=(edge(False, 200.0), edge(True, 300.0)), told=(), is_chain_intact=False)
     found = [Trouble.OFF_LATE, Trouble.BACK_EARLY, Trouble.UNTOLD, Trouble.CHAIN_BROKEN]
     assert judge(EXPECTED, worst) == found

@@ -120,7 +120,7 @@ def test_a_dwell_is_counted_by_when_its_frames_came_and_not_by_when_they_were_de
     assert judge(replace(GOOD, steps=(*STEPS[:4], late, STEPS[5]))) == ()
 
 
-def test_a_permit_on_record_that_the_line_never_heard_of_is_no_trouble():
+def test_a_recorded_permit_that_was_never_sent_is_no_trouble():
     assert judge(replace(GOOD, edges=EDGES[:2])) == ()
 
 
@@ -130,7 +130,7 @@ def test_a_machine_that_stood_still_excuses_so_much_and_no_more():
     assert judge(replace(late, stall_ms=15.0)) == (Trouble.OFF_LATE,)
 
 
-def test_only_a_machine_that_stood_still_before_the_kill_excuses_an_off_that_nobody_decided():
+def test_only_a_machine_stall_before_the_kill_excuses_an_off_without_a_decision():
     lapsed = replace(GOOD, edges=(*EDGES[:3], LineEdge(is_on=False, at_ns=KILLED - 79 * MS, cause="told")))
     assert judge(replace(lapsed, stall_before_ms=50.0)) == ()
     assert judge(replace(lapsed, stall_ms=50.0)) == (Trouble.OFF_UNTOLD,)
@@ -157,7 +157,7 @@ def test_a_session_that_was_never_measured_has_no_samples_to_lose():
     assert lost_ms(Evidence(killed_ns=KILLED)) is None
 
 
-def test_what_hurts_is_told_apart_from_what_is_only_wrong():
+def test_what_hurts_is_distinguished_from_what_is_only_wrong():
     assert Trouble.ON_UNASKED.is_unsafe
     assert not Trouble.SAMPLES_LOST.is_unsafe
 

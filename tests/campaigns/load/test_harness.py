@@ -82,13 +82,13 @@ def test_a_run_that_is_asked_to_end_tells_what_it_has(quickly_learned):
     assert text_of(figures).startswith("Ended early, as asked")
 
 
-def test_what_was_found_is_told_as_text(found):
+def test_what_was_found_is_reported_as_text(found):
     text = text_of(found)
     assert "received to decided" in text
     assert "frames lost | 0 | none | yes" in text
 
 
-def test_a_mark_that_is_not_met_is_told(found):
+def test_a_missed_mark_is_reported(found):
     slow = {**found, "frames": {**found["frames"], "loaded": {**found["frames"]["loaded"], "decision_p99_ms": 10.1}}}
     assert next(mark["is_met"] for mark in marks_of(slow)) is False
 

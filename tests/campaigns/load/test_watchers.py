@@ -64,20 +64,20 @@ def test_numbers_left_out_are_gaps_and_those_that_go_back_are_said():
     assert (seen.gaps, seen.lost_to_gaps, seen.backwards) == (1, 2, 1)
 
 
-def test_what_was_told_as_skipped_is_counted():
+def test_messages_reported_as_skipped_are_counted():
     dropped = json.dumps({"type": "dropped", "skipped": 7}).encode()
     seen = heard(sent(dropped), sent(sample(9, 9))).seen
     assert (seen.skipped_told, dict(seen.other), seen.samples) == (7, {"dropped": 1}, 1)
 
 
-def test_a_client_is_behind_the_newest_that_any_other_has_heard_of():
+def test_a_client_is_behind_the_newest_frame_sent_to_any_other():
     newest = Newest()
     heard(sent(sample(0, 10)), newest=newest)
     seen = heard(sent(sample(0, 7)), sent(sample(1, 9)), newest=newest).seen
     assert (seen.worst_lag_frames, seen.behind_two) == (3, 1)
 
 
-def test_a_ping_is_answered_and_a_close_is_told():
+def test_a_ping_is_answered_and_a_close_is_reported():
     watcher = heard(sent(b"hi", opcode=9), sent(b"\x03\xf4too slow", opcode=8))
     assert watcher._transport.written.endswith(PONG_OF_HI)
     assert watcher.seen.closed == "closed with 1012 too slow"

@@ -45,7 +45,7 @@ def test_nobody_learns_from_it_when_where_or_from_which_registry_it_was_made():
     assert "serialNumber" not in KEPT
 
 
-def test_the_time_is_told_where_somebody_gives_it(monkeypatch):
+def test_the_time_is_included_where_given(monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1000000000")
     assert document()["metadata"]["timestamp"] == "2001-09-09T01:46:40+00:00"
 

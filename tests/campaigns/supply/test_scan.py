@@ -3,7 +3,7 @@
 from tests.campaigns.supply.scan import judged
 
 
-def test_an_audit_that_could_ask_nobody_says_that_nothing_was_audited(capsys):
+def test_an_audit_without_a_source_reports_that_nothing_was_audited(capsys):
     assert judged("a.lock", [{"name": "a", "skip_reason": "not found"}]) == 0
     assert "NOTHING WAS AUDITED" in capsys.readouterr().out
 

@@ -41,7 +41,7 @@ def test_a_pulse_measures_the_edges_and_ends_off():
     assert not world.line.is_on()
 
 
-def test_a_line_that_never_reads_on_is_held_and_told():
+def test_a_line_that_never_reads_on_is_held_and_reported():
     class Dead(SimulatedBeamLine):
         holds = 0
 
@@ -63,7 +63,7 @@ def test_a_line_that_never_reads_on_is_held_and_told():
     assert not line._deadman.is_on(clock.now_ns())
 
 
-def test_a_line_that_never_reads_off_is_held_and_told():
+def test_a_line_that_never_reads_off_is_held_and_reported():
     class Stuck(SimulatedBeamLine):
         def is_on(self):
             return True

@@ -237,7 +237,7 @@ def test_closing_holds_both_as_stopped_and_closes_the_second_whatever_the_first_
 
 
 @pytest.mark.parametrize("which", [0, 1])
-def test_what_one_of_them_finds_holds_the_other_for_that_reason_and_is_told_with_its_words(which):
+def test_what_one_of_them_finds_holds_the_other_for_that_reason_and_is_reported_with_its_words(which):
     held, heard = Pair().armed(), []
     held.pair.on_trouble = lambda reason, detail: heard.append((reason, detail))
     held.lines[which].on_trouble(HoldReason.BEAM_LINE_FAILED, "silent")

@@ -72,7 +72,7 @@ def test_a_hold_is_an_edge_with_its_reason_only_where_the_line_was_on(line, cloc
 
 
 @pytest.mark.parametrize(("granted_ms", "goes_on"), [(4, False), (5, False), (6, True)])
-def test_a_permit_that_lost_to_another_thread_s_hold_is_no_edge_and_what_follows_is_still_told(
+def test_a_permit_that_lost_to_another_thread_s_hold_is_no_edge_and_what_follows_is_still_reported(
     line, clock, granted_ms, goes_on
 ):
     clock.advance_ns(5 * MS)

@@ -19,7 +19,9 @@ def received(gate, at_ns):
 
 
 @pytest.mark.parametrize(("told_ns", "is_on"), [(LEASE_NS - 1, True), (LEASE_NS, False)])
-def test_a_decision_in_time_that_is_told_once_the_line_has_gone_off_by_itself_holds_and_costs_a_dwell(told_ns, is_on):
+def test_a_decision_in_time_that_is_reported_once_the_line_has_gone_off_by_itself_holds_and_costs_a_dwell(
+    told_ns, is_on
+):
     """The gate found its lease alive when it decided; the line had lapsed when it was told."""
     gate = stream_in(GateState.BEAM_ON).gate
     first_ns = gate.last.received_ns

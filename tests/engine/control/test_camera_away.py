@@ -54,7 +54,7 @@ def test_acknowledging_while_it_is_away_faults_again_at_once():
     assert bench.beam.edges[-1].is_on is False
 
 
-def test_it_is_told_to_the_pipeline_once_before_the_first_frame_that_is_back():
+def test_the_pipeline_is_notified_once_before_the_first_frame_after_the_return():
     bench = armed_bench([good] * 5 + [away] * 3 + [good] * 4 + [away, good])
     bench.run()
     assert bench.pipeline.calls == ["camera_returned", "camera_returned"]
@@ -92,7 +92,7 @@ def test_the_fault_stays_when_frames_come_again_until_a_person_acknowledges():
     assert {record.hold_reason for record in after_return} == {HoldReason.SOURCE_LOST}
 
 
-def test_the_page_is_told_that_it_is_back_and_what_a_person_has_to_do():
+def test_the_page_gets_the_return_and_the_next_steps():
     bench = armed_bench([good] * 5)
     shown = []
     look = after(lambda: shown.append(bench.loop.status.view.detail))

@@ -149,7 +149,7 @@ def test_acknowledging_nothing_is_refused():
     [Disarm(operator=OPERATOR), SetReference(operator=OPERATOR), ActivateModel(operator=OPERATOR, model=object())],
     ids=lambda command: type(command).__name__,
 )
-def test_the_line_is_off_and_the_gate_disarmed_before_the_asker_is_told(command):
+def test_the_line_is_off_and_the_gate_disarmed_before_the_caller_is_answered(command):
     bench = armed_bench([*[good] * 6])
     at_answer = []
 
@@ -211,7 +211,7 @@ def test_a_bug_behind_a_command_holds_tells_the_asker_and_fails_the_session():
     assert bench.beam.edges[-1].is_on is False
 
 
-def test_whoever_asked_for_what_turned_out_a_bug_is_told_when_the_line_is_off():
+def test_a_command_that_raised_is_answered_once_the_line_is_off():
     bench = armed_bench([*[good] * 6])
     at_answer = []
 

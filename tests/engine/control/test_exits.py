@@ -80,7 +80,7 @@ def test_stopping_holds_and_is_no_failure():
     assert bench.loop.stop(timeout_s=5.0) is True
 
 
-def test_a_source_that_cannot_be_opened_is_told_with_its_own_words():
+def test_a_source_that_cannot_be_opened_is_reported_with_its_own_words():
     bench = Bench([good])
 
     def refuse():
@@ -178,7 +178,7 @@ def test_even_a_thread_that_is_torn_down_holds_first():
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_the_line_is_held_before_the_end_is_decided_on_or_told():
+def test_the_line_is_held_before_the_end_is_decided_on_or_reported():
     bench = armed_bench([*[good] * 6, raising(SourceLostError("gone"))])
 
     def fail(*_arguments):

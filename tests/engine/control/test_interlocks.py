@@ -141,7 +141,7 @@ def test_a_camera_that_was_never_calibrated_is_armed_but_never_permitted():
     assert seen_of(records[LEARNED + 1 :]) == {(GateState.HOLD, HoldReason.CALIBRATION_MISSING, False)}
 
 
-def test_a_line_that_is_told_too_late_faults_and_is_held_at_once():
+def test_a_command_that_is_sent_too_late_faults_and_the_line_is_held_at_once():
     bench = live(on_bench([good] * 5, limits=replace(LIMITS, max_latency_ms=100.0, max_frame_age_ms=90.0)))
     slow = ON + 2
 
@@ -252,7 +252,7 @@ def test_an_arming_shows_at_once_what_stands_against_the_beam(limits, reason):
     assert seen == [reason]
 
 
-def test_pictures_are_looked_at_even_while_nobody_is_armed():
+def test_pictures_are_checked_even_while_disarmed():
     """Who arms onto a frozen picture finds it held, not on for a dwell."""
     bench = Bench([good] * 3)
     bench.source.script += [

@@ -66,7 +66,7 @@ class Contrary(WatchedBeamLine):
         (Contrary, HoldReason.BEAM_LINE_MISMATCH),
     ],
 )
-def test_a_line_that_does_not_do_as_told_is_held_and_faults(line, reason):
+def test_a_line_that_does_not_follow_its_command_is_held_and_faults(line, reason):
     bench = armed_bench([good] * 10, beam=line).run()
     records = bench.records()
     assert [record.line_on for record in records[ON_AT : ON_AT + 2]] == [True, True]
@@ -76,7 +76,7 @@ def test_a_line_that_does_not_do_as_told_is_held_and_faults(line, reason):
     assert not SimulatedBeamLine.is_on(bench.beam)
 
 
-def test_a_line_that_does_not_answer_is_told_of_as_perhaps_on():
+def test_a_line_that_does_not_answer_is_reported_as_perhaps_on():
     bench = armed_bench([good] * 10, beam=Mute).run()
     assert bench.records()[ON_AT + 3].line_on
 
@@ -199,7 +199,7 @@ def test_a_decision_that_outlived_its_lease_is_not_carried_out():
     assert bench.beam.edges[1].is_on is False
 
 
-def test_a_line_that_was_told_too_late_is_held_by_the_decision_that_finds_it_out():
+def test_after_a_command_sent_too_late_the_line_is_held_by_the_decision_that_finds_it_out():
     """The lease would still run, and the next frame is a period away."""
     limits = replace(LIMITS, max_latency_ms=100.0, camera_latency_ms=60.0)
     bench = armed_bench([good] * 6, limits=limits)
@@ -217,7 +217,7 @@ def test_a_line_that_was_told_too_late_is_held_by_the_decision_that_finds_it_out
     assert bench.beam._deadman._is_latched
 
 
-def test_a_permit_that_was_told_too_late_is_on_record_before_the_fault_that_took_it_back():
+def test_a_permit_that_was_sent_too_late_is_on_record_before_the_fault_that_took_it_back():
     limits = replace(LIMITS, max_latency_ms=100.0, camera_latency_ms=60.0)
     bench = armed_bench([good] * 6, limits=limits)
 

@@ -111,7 +111,7 @@ def test_a_frame_is_awaited_until_it_is_missing_but_never_for_less_than_a_millis
     assert asked_s == [pytest.approx(asked_ns / NS_PER_S, rel=1e-12)]
 
 
-def test_its_queues_are_as_long_as_told_and_by_default_half_a_minute_of_samples():
+def test_its_queues_have_the_set_length_and_by_default_half_a_minute_of_samples():
     loop = plain_loop()
     assert (loop.samples.maxsize, loop.transitions.maxsize, loop.notices.maxsize) == (900, 256 + 4, 64)
     small = plain_loop(sample_capacity=7, transition_capacity=9, command_capacity=2)
@@ -256,7 +256,7 @@ def test_a_camera_that_does_not_open_leaves_a_line_that_was_held_and_closed():
     assert bench.clock.now_ns() - START_NS < PERIOD_NS
 
 
-def test_a_camera_that_is_away_is_told_in_its_own_words():
+def test_a_camera_that_is_away_is_reported_in_its_own_words():
     def away(source, timeout_s):
         source.clock.advance_ns(round(timeout_s * NS_PER_S))
         raise SourceAwayError("pulled out of port 3")

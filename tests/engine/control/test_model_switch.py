@@ -17,7 +17,7 @@ def notice(number: int = 0) -> LearningEvent:
     return LearningEvent(kind=LearningEventKind.READY, detail="ready", timestamp_us=number, figures={"frames": number})
 
 
-def test_the_pipeline_is_told_before_every_frame_whether_an_armed_gate_decides_by_its_model():
+def test_the_pipeline_gets_before_every_frame_whether_an_armed_gate_decides_by_its_model():
     bench = armed_bench([*[good] * 6])
     bench.source.script += [after(bench.ask(Disarm(operator=OPERATOR))), *[good] * 3]
     records = bench.run().records()
@@ -83,7 +83,7 @@ def test_what_the_learning_tells_leaves_in_order_and_none_is_lost():
     assert [told.timestamp_us for told in drained(bench.loop.notices)] == list(range(16))
 
 
-def test_notices_that_nobody_takes_hold_with_a_fault_and_are_offered_again():
+def test_notices_that_are_not_taken_hold_with_a_fault_and_are_offered_again():
     bench = armed_bench([*[good] * 8])
     bench.source.script += [after(lambda: bench.pipeline.notices.extend(map(notice, range(NOTICE_CAPACITY + 5))))]
     bench.source.script += [good] * 3

@@ -52,7 +52,7 @@ def test_a_hold_by_hand_stops_even_the_frame_that_is_being_measured_when_it_come
     assert (held.operator, held.detail) == ("bob", "held by bob")
 
 
-def test_whoever_holds_and_whoever_releases_is_named():
+def test_the_person_who_holds_and_the_one_who_releases_are_named():
     bench = _on_bench([])
     seen = []
     bench.source.script += [
@@ -91,7 +91,7 @@ def test_a_hold_by_hand_its_asker_gave_up_is_carried_out_all_the_same():
     assert bench.run().records()[-1].hold_reason is HoldReason.OPERATOR_HOLD
 
 
-def test_holding_a_gate_that_is_not_armed_holds_the_beam_of_whoever_arms():
+def test_a_hold_before_arming_still_holds_after_it():
     bench = Bench([good] * 3)
     bench.source.script += [after(bench.ask(HOLD)), after(bench.ask(Arm(operator="ann"))), *[good] * 8]
     last = bench.run().records()[-1]
@@ -127,7 +127,7 @@ def test_a_frame_that_was_on_its_way_when_somebody_wanted_off_turns_nothing_on(w
     assert bench.beam.permits[-1].granted_ns < records[-1].received_ns
 
 
-def test_releasing_what_nobody_holds_is_refused():
+def test_releasing_without_a_hold_is_refused():
     bench = _on_bench([])
     bench.source.script += [after(bench.ask(RELEASE)), good]
     records = bench.run().records()
@@ -180,7 +180,7 @@ def test_a_corrected_baseline_disarms_moves_the_window_and_the_audit_names_both(
     assert bench.pipeline.calls == ["correct whole 1.5"]  # drift is told against the same level
 
 
-def test_the_audit_hears_of_a_correction_even_where_nobody_is_armed():
+def test_a_correction_is_audited_even_while_disarmed():
     bench = Bench([good] * 3)
     bench.source.script += [after(bench.ask(_correct(1.5))), good]
     bench.run()
@@ -205,7 +205,7 @@ def test_corrections_add_up_and_their_sum_is_bounded():
     assert bench.pipeline.calls == ["correct whole 4", "correct whole 5", "correct whole 2"]
 
 
-def test_setting_the_reference_returns_to_the_window_as_told():
+def test_setting_the_reference_returns_to_the_window_as_requested():
     bench = Bench([good] * 3)
     bench.source.script += [after(bench.ask(_correct(4.0))), after(bench.ask(SetReference(operator="bob"))), good]
     bench.run()

@@ -139,7 +139,7 @@ def test_a_reset_forgets_both_that_it_fired_and_since_when_somebody_was_armed():
     assert len(fired) == 1
 
 
-def test_its_end_is_waited_for_a_second_or_as_long_as_told_and_no_longer():
+def test_its_end_is_waited_for_a_second_or_the_given_time_and_no_longer():
     class Hanging:
         joined: list[float] = []  # noqa: RUF012 - one for one test
 
@@ -223,7 +223,7 @@ def _hang(loop: EngineLoop, source: PacedSource, line: SimulatedBeamLine) -> Non
         _turn_on(loop, line, "ann")
 
 
-def test_a_source_that_hangs_in_its_driver_ends_in_beam_off_and_a_told_fault(running):
+def test_a_source_that_hangs_in_its_driver_ends_in_beam_off_and_a_reported_fault(running):
     loop, source, line = running
     _hang(loop, source, line)
     fault = _wait_for(loop.transitions, GateState.FAULT)

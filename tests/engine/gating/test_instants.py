@@ -101,7 +101,7 @@ def test_a_frame_decided_on_at_the_end_of_the_lease_before_it_finds_the_line_off
         )
 
 
-def test_how_long_ago_a_lease_had_lapsed_is_told_in_milliseconds():
+def test_how_long_ago_a_lease_had_lapsed_is_reported_in_milliseconds():
     stream = stream_in(GateState.BEAM_ON)
     frame = stream.upcoming()
     gate = stream.feed(frame, age_ns=stream.gate.last.received_ns + 87 * MS - frame.received_ns)
@@ -139,7 +139,7 @@ def test_the_shortest_off_is_over_at_its_end(rested_ns, is_on):
 
 
 @pytest.mark.parametrize("off_ms", [-500, 0, 400])
-def test_how_long_the_beam_was_off_is_told(off_ms):
+def test_how_long_the_beam_was_off_is_reported(off_ms):
     stream = stream_in(GateState.DWELL, limits=replace(EASY, min_off_ms=1_000.0))
     now_ns = stream.gate.last.received_ns + PERIOD_NS
     stream.gate = replace(stream.gate, off_since_ns=now_ns - off_ms * MS)
@@ -256,7 +256,7 @@ def test_the_first_cause_of_a_fault_keeps_its_time_and_its_words():
 
 
 @pytest.mark.parametrize("state", [GateState.HOLD, GateState.DWELL, GateState.BEAM_ON])
-def test_an_end_is_told_with_its_reason_and_a_disarming_as_itself(state):
+def test_an_end_is_reported_with_its_reason_and_a_disarming_as_such(state):
     gate = stream_in(state).step(Ending(HoldReason.SOURCE_ENDED, "the last frame"))
     assert (gate.state, gate.reason, gate.detail) == (GateState.DISARMED, HoldReason.SOURCE_ENDED, "the last frame")
     gate = stream_in(state).step(Disarm(operator="ann"))
@@ -281,7 +281,7 @@ def test_something_unknown_is_named_by_its_kind():
     assert (gate.reason, gate.detail) == (HoldReason.UNKNOWN, "str is no event of the gate")
 
 
-def test_a_frame_outside_is_told_with_what_it_was_and_the_window():
+def test_a_frame_outside_is_reported_with_what_it_was_and_the_window():
     stream = stream_in(GateState.BEAM_ON)
     gate = stream.feed(replace(stream.upcoming(), motion=motion_of(3.2)))
     assert (gate.reason, gate.detail) == (
@@ -308,7 +308,7 @@ def test_what_the_window_remembers_is_kept_while_inside_left_when_outside_and_be
 
 
 @pytest.mark.parametrize("state", [GateState.DISARMED, GateState.FAULT])
-def test_nobody_is_inside_while_nobody_asks(state):
+def test_no_request_is_counted_without_requests(state):
     stream = stream_in(state)
     stream.feed()
     assert not any(condition.is_inside for condition in stream.gate.conditions)

@@ -92,7 +92,7 @@ def test_cycles_count_for_a_whole_minute():
     assert stream.gate.turned_on_ns[-1] - first_ns >= 60_000 * MS
 
 
-def test_the_cycle_limit_is_told():
+def test_the_cycle_limit_is_reported():
     limits = replace(EASY, max_cycles_per_min=1)
     stream = on(limits)
     leave(stream)

@@ -100,7 +100,7 @@ def test_more_volume_is_a_surface_nearer_to_the_camera(motions):
     assert np.corrcoef(volumes, depths)[0, 1] < -0.999
 
 
-def test_the_split_is_the_middle_unless_told_otherwise(motions):
+def test_the_split_is_the_middle_unless_requested_otherwise(motions):
     assert motions[-1].split_rows == (174.5, 174.5)
 
 

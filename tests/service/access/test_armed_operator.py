@@ -36,7 +36,7 @@ def holds(running):
     return [command for command in running.commands if isinstance(command, HoldBeam)]
 
 
-def test_while_whoever_armed_is_there_nothing_is_held(client, armed):
+def test_while_the_person_who_armed_is_present_nothing_is_held(client, armed):
     look(client)
     assert holds(armed) == []
 
@@ -156,9 +156,7 @@ def fail_to_write(client, monkeypatch, action):
     monkeypatch.setattr(log, "write", refuse)
 
 
-def test_whoever_armed_answers_for_the_gate_though_no_row_could_say_that_they_did(
-    client, session_id, running, monkeypatch
-):
+def test_the_arming_person_is_responsible_though_the_audit_row_is_missing(client, session_id, running, monkeypatch):
     client.app.state.armed_operator.close()
     client.headers_as("B. Physicist")
     fail_to_write(client, monkeypatch, "session.arm")
@@ -169,9 +167,7 @@ def test_whoever_armed_answers_for_the_gate_though_no_row_could_say_that_they_di
     assert holds(running) == [HoldBeam(operator="tidegate")]
 
 
-def test_whoever_released_answers_for_the_gate_though_no_row_could_say_that_they_did(
-    client, session_id, armed, monkeypatch
-):
+def test_the_releasing_person_is_responsible_though_the_audit_row_is_missing(client, session_id, armed, monkeypatch):
     act(client, session_id, "hold")
     fail_to_write(client, monkeypatch, "session.release")
     assert act(client, session_id, "release", operator="B. Physicist").status_code == 503
@@ -180,9 +176,7 @@ def test_whoever_released_answers_for_the_gate_though_no_row_could_say_that_they
     assert holds(armed) == [HoldBeam(operator=ARMS)]
 
 
-def test_whoever_s_arming_was_not_answered_in_time_answers_for_a_gate_that_is_armed_all_the_same(
-    client, session_id, running
-):
+def test_a_person_whose_arm_timed_out_is_responsible_if_the_gate_is_armed(client, session_id, running):
     client.app.state.armed_operator.close()
     client.headers_as("B. Physicist")
     running.is_silent = True
@@ -233,7 +227,7 @@ def test_a_hold_that_fails_is_tried_again_at_the_next_look():
     assert tried == ["s", "s"]
 
 
-def test_whoever_releases_while_the_gate_is_being_held_answers_for_it():
+def test_a_person_who_releases_during_a_hold_is_responsible():
     held = []
 
     def hold(_session_id, identity):
@@ -249,7 +243,7 @@ def test_whoever_releases_while_the_gate_is_being_held_answers_for_it():
     assert held == ["a", "b"]
 
 
-def test_whoever_answers_again_after_a_hold_in_their_name_is_looked_for_again():
+def test_presence_is_required_again_after_it_returned_from_a_hold():
     held = []
     looks = ArmedOperator(is_present=lambda _identity: False, is_armed=lambda _id: True, hold=lambda *_: held.append(1))
     identity = Identity(kind="user", name="x", permissions=frozenset())

@@ -61,7 +61,7 @@ def test_the_newest_hop_that_is_no_proxy_of_ours_is_who_asks(peer, forwarded, fo
     assert BEHIND.address(scope(peer, *forwarded)) == found
 
 
-def test_without_a_proxy_nobody_says_who_they_are():
+def test_without_a_proxy_forwarded_addresses_are_ignored():
     callers = ClientAddresses(behind_proxy=False, trusted_proxies=())
     assert callers.address(scope("127.0.0.1", "6.6.6.6")) == "127.0.0.1"
     assert ClientAddresses(behind_proxy=True, trusted_proxies=()).address(scope("127.0.0.1", "6.6.6.6")) == "6.6.6.6"

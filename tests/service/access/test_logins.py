@@ -145,7 +145,7 @@ def test_a_lock_survives_a_restart(logins, person, database, clock, hashing, ref
     assert (again.users, again.logins, again.keys) == (logins._store.users, logins._store.logins, logins._store.keys)
 
 
-def test_a_wall_clock_that_was_set_back_locks_nobody_for_longer_than_the_longest(logins, person, clock):
+def test_a_wall_clock_that_was_set_back_extends_no_lock_beyond_the_longest(logins, person, clock):
     fail(logins, FREE_PER_NAME)
     clock.go_on(days=-300)
     with pytest.raises(LockedOutError) as locked:
@@ -197,7 +197,7 @@ def test_nobody_comes_in_by_a_log_in_that_the_database_did_not_take(logins, pers
     assert store.users[person.key] == person
 
 
-def test_a_log_in_ends_at_its_longest_and_when_nobody_uses_it(logins, door, person, clock):
+def test_a_log_in_ends_at_its_longest_lifetime_and_when_idle(logins, door, person, clock):
     used, idle = logins.log_in(attempt()), logins.log_in(attempt())
     while clock() < used.login.created_at + LASTS - IDLE / 2:
         assert door.identify(sent(used.token)) is not None

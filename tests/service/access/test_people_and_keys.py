@@ -104,7 +104,7 @@ def test_a_reset_makes_a_new_password_and_ends_the_log_ins(people, logins, hashi
     assert logins._store.logins == {}
 
 
-def test_somebody_must_have_a_role_and_nobody_unknown_is_changed(people):
+def test_a_person_must_have_a_role_and_an_unknown_one_is_not_changed(people):
     with pytest.raises(BoundError, match="roles must be"):
         people.add("none", [], by="admin")
     with pytest.raises(NotFoundError):

@@ -121,7 +121,7 @@ def opens_a_stream(client, path, headers):
 
 
 @pytest.mark.parametrize("call", CALLS, ids=" ".join)
-def test_a_call_is_open_to_those_whom_the_table_names_and_to_nobody_else(client, credentials, call):
+def test_a_call_is_open_only_to_the_roles_in_the_table(client, credentials, call):
     # Whoever logs out is not there for the next call: a log-in of its own for each.
     headers = {who: dict(credentials[who]) for who in EVERYBODY}
     if call[1].endswith(("/logout", "/me/password")):
@@ -165,7 +165,7 @@ def test_what_is_taken_from_a_machine_is_never_let_in_by_a_key_that_has_it_all_t
     assert not identity.permissions & {Permission.GATE_ACKNOWLEDGE, Permission.USERS_MANAGE}
 
 
-def test_whoever_administers_does_not_arm_and_nobody_but_people_who_treat_do():
+def test_only_roles_that_treat_can_arm_and_administrators_cannot():
     may_arm = {role for role in Role if Permission.GATE_ARM in ROLE_PERMISSIONS[role]}
     assert may_arm == {Role.THERAPIST, Role.PHYSICIST}
     may_take_away = {role for role in Role if Permission.GATE_HOLD in ROLE_PERMISSIONS[role]}

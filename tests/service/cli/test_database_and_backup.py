@@ -105,7 +105,7 @@ def test_what_was_backed_up_is_restored_into_an_empty_folder_and_a_filled_one_is
     assert (tmp_path / "new/models/ab12.npz").read_bytes() == FILES["models/ab12.npz"]
 
 
-def test_a_restore_counts_who_is_let_in_again_and_nobody_else(run, data, database, tmp_path, monkeypatch):
+def test_a_restore_counts_exactly_the_accounts_that_are_active_again(run, data, database, tmp_path, monkeypatch):
     others = ("users", "api_keys", "calibrations")
     with database.write() as db:
         connection = db.connection()

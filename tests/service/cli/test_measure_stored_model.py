@@ -71,14 +71,14 @@ def test_a_stored_model_measures_from_the_first_frames_on_and_is_as_true_as_one_
     assert load_model(tmp_path / "out" / "model.npz").provenance == load_model(learned / "model.npz").provenance
 
 
-def test_without_a_patient_to_compare_the_command_says_that_nobody_did(learned, short_volunteer, tmp_path):
+def test_without_a_patient_to_compare_the_command_reports_no_comparison(learned, short_volunteer, tmp_path):
     result = invoke(short_volunteer, tmp_path / "out", "--model", str(learned / "model.npz"))
     assert "not checked" in result.output
     assert rows_of(tmp_path / "out")[-1]["state"] == "measuring"
 
 
 @pytest.mark.parametrize("origin", ["another", "none"])
-def test_a_model_of_another_patient_or_of_nobody_is_refused_before_anything_is_written(
+def test_a_model_of_another_or_no_patient_is_refused_before_anything_is_written(
     learned, short_volunteer, tmp_path, origin
 ):
     provenance = load_model(learned / "model.npz").provenance

@@ -40,7 +40,7 @@ def test_info_of_a_cut_recording_shows_what_is_left_one_line_and_code_2(tmp_path
     assert result.stderr.count("\n") == 1
 
 
-def test_info_finds_a_picture_that_does_not_decode_unless_told_to_be_quick(tmp_path):
+def test_info_finds_a_picture_that_does_not_decode_unless_quick(tmp_path):
     path = write_recording(tmp_path / "a.oni", frames=2, color_codec="NONE")
     content = bytearray(path.read_bytes())
     at = content.index(b"NIR\0\x0a") + 40  # the first picture's table of depths

@@ -25,7 +25,7 @@ def test_measuring_loads_nothing_that_only_other_commands_need():
     assert ran.stdout.strip() == "[]"
 
 
-def test_no_bar_is_drawn_where_nobody_looks(capsys):
+def test_no_progress_bar_is_drawn_without_a_terminal(capsys):
     with frame_bar() as bar:
         task = bar.add_task("training", total=None)
         bar.update(task, completed=3, total=9, description="measuring")

@@ -71,7 +71,7 @@ def test_a_stream_that_breaks_often_and_brings_something_each_time_is_not_given_
     assert frames(client.live(reconnects=1), 5) == [1, 2, 3, 4, 5]
 
 
-def test_who_may_not_watch_is_told_and_does_not_ask_again(client, house):
+def test_a_page_without_the_permission_shows_it_and_does_not_retry(client, house):
     house.steps = [refuses(403, "permission_missing")]
     with pytest.raises(ProblemError, match="permission_missing"):
         next(client.live())

@@ -75,7 +75,7 @@ def test_a_key_of_the_caller_s_own_is_sent(client, house):
     assert house.heard[0].json == {"operator": "A. Therapist"}
 
 
-def test_reading_waits_as_long_as_it_is_told_and_gives_up_when_that_is_too_long(client, house, waits):
+def test_reading_waits_for_the_given_time_and_raises_if_that_is_too_long(client, house, waits):
     house.steps = [refuses(503, "login_busy", Retry_After="7"), refuses(429, "locked_out", Retry_After="900")]
     with pytest.raises(ProblemError) as refused:
         client.me()
@@ -114,7 +114,7 @@ def test_a_connection_that_the_server_closed_meanwhile_is_replaced(client, house
     assert list(client.sessions()) == []
 
 
-def test_a_certificate_that_cannot_be_verified_is_told_at_once(house, waits):
+def test_a_certificate_that_cannot_be_verified_is_reported_at_once(house, waits):
     client = TidegateClient(f"https://127.0.0.1:{house.port}", key=KEY, timeout_s=2.0, sleep=waits.append)
     house.steps = [says({})]
     with pytest.raises(UnreachableError):

@@ -103,7 +103,7 @@ def test_two_lines_are_a_pair_and_no_simulation_only_if_neither_is_one(site):
     assert not settings.is_simulated_beam
 
 
-def test_whoever_is_told_is_told_of_the_whole_line(site):
+def test_every_recipient_gets_the_whole_line(site):
     settings = site(
         **TCP,
         BEAM_LINE_2="serial-relay",

@@ -89,7 +89,7 @@ def test_a_full_disk_and_a_missing_folder_have_theirs(probe_of, tmp_path, monkey
     assert "5 MiB" in found.not_ready[0]
 
 
-def test_a_database_that_takes_nothing_has_its_own_and_its_message_is_not_told(probe_of, database, monkeypatch):
+def test_a_database_that_takes_nothing_has_its_own_and_its_message_is_not_reported(probe_of, database, monkeypatch):
     def refuse():
         raise OperationalError("INSERT 'P-0001'", {}, Exception("P-0001"))
 
@@ -163,7 +163,7 @@ def test_asked_often_it_looks_once(probe_of, database, monkeypatch):
     assert len(writes) == 2
 
 
-def test_the_way_out_is_told_at_once_whatever_was_kept(probe_of):
+def test_the_way_out_is_reported_at_once_whatever_was_kept(probe_of):
     stopping = threading.Event()
     probe = probe_of(readiness_keep_ms=10_000.0, is_stopping=stopping.is_set)
     assert probe.readiness().is_ready
@@ -171,7 +171,7 @@ def test_the_way_out_is_told_at_once_whatever_was_kept(probe_of):
     assert codes(probe.readiness().reasons) == [ReadinessCode.SERVICE_STOPPING]
 
 
-def test_who_asks_while_a_look_hangs_is_told_what_was_found_before_and_then_that_nothing_is_known(probe_of):
+def test_while_a_check_hangs_the_previous_result_is_returned_and_then_not_known(probe_of):
     clock, go_on, hangs = HandClock(), threading.Event(), threading.Event()
 
     def troubles():
@@ -212,7 +212,7 @@ def test_every_code_there_is_can_be_come_to():
     assert [code.name for code in ReadinessCode if f"ReadinessCode.{code.name}" not in text] == []
 
 
-def test_strangers_learn_that_it_lives_and_nothing_else(client):
+def test_unknown_callers_get_only_the_health(client):
     client.speaks_as = None
     try:
         assert client.get("/healthz").json() == {"status": "ok"}

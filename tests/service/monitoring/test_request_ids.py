@@ -21,7 +21,7 @@ def test_a_valid_id_is_kept(client, given):
 @pytest.mark.parametrize(
     "given", [b"", b"x" * 65, b"two words", b"line\nbreak", b"\x1b[31mred", b"../..", "ä".encode(), b'"']
 )
-def test_an_id_that_might_be_meant_for_whoever_reads_the_log_is_replaced(given):
+def test_an_id_that_could_forge_a_log_line_is_replaced(given):
     assert MADE.fullmatch(request_id_of([given]))
 
 
@@ -51,7 +51,7 @@ def test_so_has_one_that_was_refused_at_the_door(client):
     assert MADE.fullmatch(client.get("/healthz", headers={"Host": "elsewhere"}).headers["X-Request-ID"])
 
 
-def test_so_has_a_failure_that_nobody_foresaw_and_it_keeps_the_headers_of_all_others(client, monkeypatch):
+def test_an_unexpected_failure_has_one_too_and_the_same_headers(client, monkeypatch):
     def broken():
         raise ZeroDivisionError
 

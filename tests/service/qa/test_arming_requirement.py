@@ -85,7 +85,7 @@ def test_a_site_that_does_not_ask_lets_everybody_arm(database):
     assert why(database, Settings()) is None
 
 
-def test_without_any_qa_nobody_arms(database):
+def test_without_any_qa_arming_is_refused(database):
     assert "none was ever done" in why(database)
 
 

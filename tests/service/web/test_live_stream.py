@@ -182,7 +182,7 @@ def test_regions_and_corners_go_out_in_order(plan):
     }
 
 
-def test_breath_hold_and_who_holds_are_told_with_the_reason_in_figures(plan):
+def test_breath_hold_and_holding_person_are_reported_with_the_reason_in_figures(plan):
     running = FakeRunning(plan)
     running.window = BreathHoldWindow(level=AmplitudeWindow(lower=-1.0, upper=3.0))
     running.conditions = (ConditionState(stage=HoldStage.SETTLING, holds=2),)
@@ -207,7 +207,7 @@ def test_a_beam_that_is_on_is_not_held_for_any_reason(plan):
     assert (message["hold_reason"], message["hold_text"], message["hold_detail"]) == (None, None, "")
 
 
-def test_training_is_told(plan):
+def test_training_is_reported(plan):
     view = view_of(plan)
     progress = TrainingProgress(
         frames=10, cycles=1, seconds=3.0, share=0.3, note="breathe on", amplitude_mm=6.54321, shift_mm=float("nan")

@@ -115,7 +115,7 @@ def test_an_answer_counts_until_the_time_for_it_is_over(far, clock, left_ns):
     line.close()
 
 
-def test_a_far_end_that_takes_nothing_more_is_told_at_once_and_waited_for_by_nobody(tmp_path, clock):
+def test_a_full_peer_is_reported_at_once_without_waiting(tmp_path, clock):
     path = tmp_path / "full"
     with far_end(path, clock) as far:
         line = DatagramBeamLine(path, clock)

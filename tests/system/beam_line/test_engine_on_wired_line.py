@@ -138,7 +138,7 @@ def test_a_trouble_of_the_line_faults_the_gate_by_name_and_after_acknowledging_a
     room.arm()
 
 
-def test_a_line_that_is_pulled_out_while_nobody_is_armed_faults_too(room):
+def test_a_line_that_is_unplugged_while_disarmed_faults_too(room):
     room.arm()
     room.insist(Disarm(operator="ann"))
     assert room.far.next_edge()[0] == "off"

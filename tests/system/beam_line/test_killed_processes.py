@@ -162,7 +162,7 @@ def test_a_watchdog_hold_sent_by_another_thread_latches_the_far_line(line):
         assert not beam.is_on()
 
 
-def test_a_line_that_is_not_there_is_told_at_opening_and_holding_it_is_harmless(tmp_path):
+def test_a_line_that_is_not_there_is_reported_at_opening_and_holding_it_is_harmless(tmp_path):
     beam = DatagramBeamLine(tmp_path / "nobody", ManualClock())
     with pytest.raises(BeamLineError, match="no beam line at nobody"):
         beam.open()

@@ -80,7 +80,7 @@ def test_the_receiver_sees_on_while_it_is_permitted_and_off_when_held(far, lit, 
     assert lit.troubles.empty()
 
 
-def test_the_receiver_sees_off_when_nobody_renews_the_lease(far, lit, busy):
+def test_the_receiver_sees_off_when_the_lease_is_not_renewed(far, lit, busy):
     lit.off()
     ended_ns = time.monotonic_ns()
     off_ns, cause = _off_edge(far)
@@ -138,7 +138,7 @@ def test_a_receiver_that_answers_late_latches_the_line_and_sees_off(far, lit, bu
     _off_edge(far)
 
 
-def test_a_contact_that_stays_off_latches_the_line_and_is_told_off(far, lit, busy):
+def test_a_contact_that_stays_off_latches_the_line_and_is_commanded_off(far, lit, busy):
     far.spoil("stuck off")
     spoiled_ns = time.monotonic_ns()
     at_ns, reason, detail = lit.trouble()
@@ -196,7 +196,7 @@ def test_a_receiver_that_is_replaced_is_connected_to_again_and_stays_off_until_a
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_nobody_at_the_other_end_is_told_at_opening(kind):
+def test_a_missing_peer_is_reported_at_opening(kind):
     where = "1" if kind == "tcp" else "/dev/tidegate-none"
     line = WiredBeamLine(wire_to(kind, where), MonotonicClock())
     with pytest.raises(BeamLineError, match=r"does not answer"):

@@ -70,7 +70,7 @@ def test_a_fraction_with_c_sharp(room, program, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["curl", "c_sharp"])
-def test_a_refusal_is_told_by_its_code_and_leaves_no_session_open(kind, room, program, tmp_path):
+def test_a_refusal_is_reported_by_its_code_and_leaves_no_session_open(kind, room, program, tmp_path):
     command = ["bash", str(SAMPLES / "curl.sh")] if kind == "curl" else ["mono", str(program)]
     ran = run(room, tmp_path, command, number=3 if kind == "curl" else 4, recording="../../etc/passwd")
     assert ran.returncode == 1

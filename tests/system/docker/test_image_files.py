@@ -53,7 +53,7 @@ def test_every_package_is_pinned_by_its_hash():
         assert "--require-hashes" in install or "--no-index --no-deps /wheel" in install, install
 
 
-def test_it_runs_as_nobody_in_particular():
+def test_it_runs_as_an_unprivileged_user():
     user = final("USER")[-1].split()[1]
     uid, gid = (int(part) for part in user.split(":"))
     assert uid >= 1000

@@ -120,7 +120,7 @@ def test_an_engine_s_process_that_was_stopped_goes_off_by_itself_shows_as_a_faul
     held.turn_on()
 
 
-def test_one_that_does_not_stop_when_told_to_is_ended_and_its_tape_is_torn(tmp_path, line):
+def test_an_engine_that_does_not_stop_on_request_is_killed_and_its_tape_is_torn(tmp_path, line):
     with bench(tmp_path, line) as held:
         held.turn_on()
         pid = held.pid
@@ -164,7 +164,7 @@ def test_an_arm_that_was_given_up_while_the_process_stood_still_is_not_carried_o
     assert all(one.operator != "late" for one in held.transitions)
 
 
-def test_an_arm_that_took_too_long_on_its_way_is_refused_though_nobody_gave_it_up(held):
+def test_an_arm_that_waited_too_long_is_refused_though_it_was_not_abandoned(held):
     held.send(signal.SIGSTOP)
     asked = held.engine.submit(Arm(operator="late"))
     time.sleep(1.1)
@@ -234,7 +234,7 @@ def test_more_orders_than_there_are_places_are_refused_at_once(held):
     assert not [one for one in held.transitions if "reference" in one.detail], "none was wanted any more"
 
 
-def test_who_waits_for_an_answer_of_a_process_that_dies_is_told_so(tmp_path, line):
+def test_a_request_to_a_process_that_dies_fails_with_that_reason(tmp_path, line):
     with bench(tmp_path, line) as held:
         eventually(lambda: held.engine.status.view is not None)
         held.send(signal.SIGSTOP)

@@ -130,7 +130,7 @@ def test_a_session_s_camera_is_listed_before_it_begins_and_not_asked_about_while
     assert answering(asked.devices()) != answering(during)
 
 
-def test_beside_a_session_without_a_camera_nobody_looks_for_any(asked):
+def test_beside_a_session_without_a_camera_none_is_searched_for(asked):
     engine = asked.open(make_plan())
     during = asked.devices()
     assert (during.items, during.detail) == ([], NEVER_LISTED)
@@ -138,7 +138,7 @@ def test_beside_a_session_without_a_camera_nobody_looks_for_any(asked):
     assert [one.uri for one in asked.devices().items] == list(two_cameras_program.ALL)
 
 
-def test_whoever_lists_cameras_does_not_wait_behind_a_question_that_hangs(asked, monkeypatch):
+def test_listing_cameras_does_not_wait_behind_a_query_that_hangs(asked, monkeypatch):
     before = asked.devices()
     monkeypatch.setattr(port_module, "LIST_TURN_S", 0.0)
     monkeypatch.setattr(port_module, "OPEN_TURN_S", 0.0)

@@ -72,14 +72,14 @@ def test_a_process_that_ends_anyhow_lets_go(holder, tmp_path, number):
         pass
 
 
-def test_a_folder_that_cannot_be_locked_is_nobody_s(tmp_path):
+def test_a_folder_that_cannot_be_locked_is_not_used(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(FolderInUseError, match="cannot be locked"), alone_in(tmp_path / "file"):
         pytest.fail("a file is no folder")
 
 
 @pytest.mark.parametrize("arguments", [PULSE, ()], ids=["pulse", "check"])
-def test_no_line_is_told_anything_beside_a_service(monkeypatch, tmp_path, holder, arguments):
+def test_no_line_is_commanded_beside_a_service(monkeypatch, tmp_path, holder, arguments):
     with receiver("tcp") as far:
         monkeypatch.setenv("TIDEGATE_BEAM_LINE", "modbus-tcp")
         monkeypatch.setenv("TIDEGATE_BEAM_MODBUS_HOST", "127.0.0.1")

@@ -120,7 +120,7 @@ def test_the_live_stream_over_a_real_socket_comes_at_the_engine_s_rate(self_driv
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=str)
-def test_the_command_ends_with_0_when_told_to_stop(tmp_path, number):
+def test_the_command_ends_with_0_on_a_stop_signal(tmp_path, number):
     port = free_port()
     arguments = ("service.cli", "serve", "--port", str(port), "--data", str(tmp_path / "data"))
     with service_process(*arguments, port=port, log=tmp_path / "log") as (process, client):

@@ -88,7 +88,7 @@ def held():
     return threading.Event()
 
 
-def test_the_beam_is_held_although_the_event_loop_serves_nobody(held):
+def test_the_beam_is_held_although_the_event_loop_is_blocked(held):
     app = FastAPI()
     app.state.hold_and_close_session = held.set
     server = make_server(app, host="127.0.0.1", port=0)
@@ -182,7 +182,7 @@ def test_a_session_that_could_not_be_closed_is_said_and_the_process_ends_with_an
     assert "NOT closed" in caplog.text
 
 
-def test_a_failure_on_the_way_out_keeps_nobody_waiting():
+def test_a_failure_while_closing_does_not_block():
     left = Left()
     stop = Shutdown(lambda: 1 / 0, leave=left, within_s=0.2)
     stop.watch()

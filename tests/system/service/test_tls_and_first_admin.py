@@ -59,7 +59,7 @@ def tls(tmp_path_factory):
         yield port, log, cert, folder
 
 
-def test_the_first_password_is_told_once_and_has_to_be_changed_over_tls(tls):
+def test_the_first_password_is_shown_once_and_has_to_be_changed_over_tls(tls):
     port, log, cert, folder = tls
     password = re.search(r"^    (\S{20})$", log.read_text(), re.MULTILINE)[1]
     url = f"https://127.0.0.1:{port}"

@@ -28,7 +28,7 @@ def frame_of(onlooker, index):
     return next((frame for frame in onlooker.frames if frame["device_index"] == index), None)
 
 
-def test_frames_are_lost_exactly_where_told_and_their_numbers_say_so(camera, onlooker):
+def test_frames_are_lost_exactly_where_requested_and_their_numbers_show_it(camera, onlooker):
     first = soon(camera)
     receipt = camera.skip(5, from_frame=first)
     onlooker.until_frame(first + 10)
@@ -53,7 +53,7 @@ def test_a_receipt_tells_when_the_first_affected_frame_was_raised(camera, onlook
 
 
 @pytest.mark.parametrize("streams", [Streams.DEPTH, Streams.COLOR, Streams.BOTH], ids=lambda one: one.name)
-def test_a_stalled_stream_stands_still_until_it_is_told_to_go_on(camera, onlooker, streams):
+def test_a_stalled_stream_stands_still_until_it_is_resumed(camera, onlooker, streams):
     receipt = camera.stall(streams)
     before = camera.status.raised
     time.sleep(0.3)
@@ -222,7 +222,7 @@ def test_a_camera_that_is_not_there_is_not_listed_and_cannot_be_opened(tmp_path)
         assert look(camera, "devices") == []
 
 
-def test_an_order_nobody_can_carry_out_is_said_so(camera):
+def test_an_order_that_cannot_be_executed_is_reported(camera):
     with pytest.raises(CameraSilentError, match="STALL"):
         camera.receipt(camera.order(Kind.STALL), Kind.STALL, timeout_s=0.1)
 

@@ -162,7 +162,7 @@ def test_a_shift_moves_both_pictures(camera, tmp_path):
 @pytest.mark.parametrize(
     ("name", "low", "high"), [("flat", 0, 0), ("far", 65535, 65535), ("noise", 400, 4000)], ids=["flat", "far", "noise"]
 )
-def test_nonsense_depth_is_delivered_as_told(camera, tmp_path, name, low, high):
+def test_nonsense_depth_is_delivered_as_requested(camera, tmp_path, name, low, high):
     orders = {"flat": lambda: camera.flat(0), "far": lambda: camera.flat(65535), "noise": camera.noise}
     _, depth_mm, _ = shot(camera, tmp_path, orders[name])
     assert low <= int(depth_mm.min()) <= int(depth_mm.max()) <= high

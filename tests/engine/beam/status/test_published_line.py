@@ -69,7 +69,7 @@ class Told:
         return [(m["kind"], m["beam"], m["permitted"], m["reason"], m["trouble"]) for m in self.sender.messages]
 
 
-def test_every_change_is_told_once_with_what_was_read_back_and_why():
+def test_every_change_is_reported_once_with_what_was_read_back_and_why():
     held = Told()
     held.permit()
     for _ in range(3):
@@ -95,7 +95,7 @@ def test_messages_are_numbered_and_carry_time_and_age():
     assert held.sender.messages[-1]["sent_at"] == "2026-11-21T03:00:00.000Z"
 
 
-def test_an_on_that_nobody_confirms_any_more_becomes_unknown():
+def test_an_on_that_is_no_longer_confirmed_becomes_unknown():
     held = Told()
     held.permit()
     assert held.told.is_on()
@@ -124,7 +124,7 @@ class Troubled(SimulatedBeamLine):
         return super().is_on()
 
 
-def test_a_trouble_is_told_as_unknown_and_passed_on_unchanged():
+def test_a_trouble_is_reported_as_unknown_and_passed_on_unchanged():
     held = Told(Troubled)
     held.line.is_in_trouble = True
     with pytest.raises(BeamLineMismatchError, match="stuck"):
@@ -137,7 +137,7 @@ def test_a_trouble_is_told_as_unknown_and_passed_on_unchanged():
     assert held.messages()[-1] == ("change", "unknown", False, "beam_line_failed", "silent")
 
 
-def test_a_trouble_that_the_line_finds_while_it_is_on_is_told_as_unknown_at_once():
+def test_a_trouble_that_the_line_finds_while_it_is_on_is_reported_as_unknown_at_once():
     held = Told()
     held.permit()
     assert held.told.is_on()
@@ -145,7 +145,7 @@ def test_a_trouble_that_the_line_finds_while_it_is_on_is_told_as_unknown_at_once
     assert held.messages()[-1] == ("change", "unknown", False, "beam_line_failed", "silent")
 
 
-def test_the_line_is_told_first_and_acts_alike_told_of_or_not():
+def test_the_line_is_commanded_first_and_acts_alike_published_or_not():
     held = Told()
     held.permit()
     assert held.line.is_on()
@@ -169,7 +169,7 @@ def test_what_finds_no_room_pushes_the_oldest_out_and_is_counted(room):
     assert held.announcer.dropped == 5 - room
 
 
-def test_who_does_not_listen_is_counted_and_told_again_at_the_next_heartbeat():
+def test_a_recipient_without_an_answer_is_counted_and_sent_again_at_the_next_heartbeat():
     held = Told()
     held.sender.fails = True
     held.announcer.send_pending()
@@ -261,7 +261,7 @@ def test_an_answer_that_is_not_2xx_is_a_failure(listener, status):
 
 
 @pytest.mark.timeout(15)
-def test_a_listener_that_never_answers_holds_nobody_up_and_is_given_up_in_time():
+def test_a_listener_that_never_answers_does_not_block_and_times_out():
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))
         silent.listen()
@@ -270,6 +270,6 @@ def test_a_listener_that_never_answers_holds_nobody_up_and_is_given_up_in_time()
             sender.send(b"{}")
 
 
-def test_a_datagram_to_a_name_that_nobody_has_is_a_failure():
+def test_a_datagram_to_an_unresolvable_name_is_a_failure():
     with pytest.raises(OSError, match=r"."):
         UdpSender("no-such-host.invalid", 9).send(b"{}")

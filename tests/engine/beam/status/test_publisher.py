@@ -218,7 +218,7 @@ def test_an_on_is_good_for_a_quarter_of_a_second(beam, at_ns, now_ns, known):
     assert news(beam, at_ns=at_ns).aged(now_ns).beam is known
 
 
-def test_news_of_another_time_are_the_same_and_their_age_is_told_to_a_tenth_of_a_millisecond():
+def test_news_of_another_time_are_the_same_and_their_age_is_given_to_a_tenth_of_a_millisecond():
     assert news(at_ns=1).is_same(news(at_ns=2))
     assert not news(at_ns=1).is_same(news(reason=HoldReason.JUMP, at_ns=1))
     document = news(at_ns=MS).document(kind="change", sequence=1, sent_at="now", now_ns=3_460_000)

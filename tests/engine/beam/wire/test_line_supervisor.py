@@ -95,7 +95,7 @@ def test_nobody_is_late_who_was_not_asked():
 
 
 @pytest.mark.parametrize(("late_ns", "is_late"), [(0, False), (1, True)])
-def test_a_line_told_on_has_its_time_to_read_on(late_ns, is_late):
+def test_a_line_commanded_on_has_its_time_to_read_on(late_ns, is_late):
     held = Told().after(20)
     assert held.exchange(commands_on=True, reads_on=False) is None
     commanded_ns = held.now_ns
@@ -110,7 +110,7 @@ def test_a_line_told_on_has_its_time_to_read_on(late_ns, is_late):
 
 @pytest.mark.parametrize(("late_ns", "is_late"), [(0, False), (1, True)])
 @pytest.mark.parametrize("reads_on", [True, False])
-def test_a_hold_counts_from_when_it_was_given_and_not_from_when_it_was_told(late_ns, is_late, reads_on):
+def test_a_hold_counts_from_when_it_was_given_and_not_from_when_it_was_sent(late_ns, is_late, reads_on):
     """The exchange that is to tell it may hang; what was read before says on in either case."""
     held = lit().after(20)
     if not reads_on:
@@ -150,7 +150,7 @@ def test_a_line_that_reads_on_of_itself_is_contrary_at_once():
 
 
 @pytest.mark.parametrize(("since_ms", "is_proved"), [(59.999, False), (60, True)])
-def test_off_is_no_proof_while_a_contact_that_was_told_on_may_still_be_on_its_way(since_ms, is_proved):
+def test_off_is_no_proof_while_a_contact_that_was_commanded_on_may_still_be_on_its_way(since_ms, is_proved):
     held = Told().after(20)
     held.exchange(commands_on=True, reads_on=False)
     held.after(since_ms)
@@ -186,7 +186,7 @@ def test_edges_count_from_the_first_order_and_are_noted_once():
 
 
 @pytest.mark.parametrize(("held_before_ns", "may"), [(1, True), (0, False), (-1, False)])
-def test_a_line_told_on_may_be_told_so_again_unless_a_hold_came_since(held_before_ns, may):
+def test_a_line_commanded_on_may_be_commanded_again_unless_a_hold_came_since(held_before_ns, may):
     held = Told().after(20)
     on_ns = held.now_ns
     held.exchange(commands_on=True, reads_on=True)
@@ -194,7 +194,7 @@ def test_a_line_told_on_may_be_told_so_again_unless_a_hold_came_since(held_befor
     assert held.judge.may_command_on(held_at_ns=on_ns - held_before_ns) is may
 
 
-def test_a_line_that_is_wanted_off_may_not_be_told_on_before_that_was_read():
+def test_a_line_that_is_wanted_off_may_not_be_commanded_on_before_that_was_read():
     held = lit().after(5)
     held.check(wants_on=False)
     assert not held.judge.may_command_on(held_at_ns=None)
@@ -204,7 +204,7 @@ def test_a_line_that_is_wanted_off_may_not_be_told_on_before_that_was_read():
     assert held.judge.may_command_on(held_at_ns=None)
 
 
-def test_an_exchange_that_came_to_nothing_may_have_told_it_all_the_same():
+def test_a_failed_exchange_may_have_delivered_its_command():
     held = Told().after(20)
     held.begin(commands_on=True).after(4)
     held.judge.failed(now_ns=held.now_ns)
@@ -284,7 +284,7 @@ def test_times_out_of_their_bounds_are_refused_by_name_and_value(answer_ms, sett
     assert (refused.value.field, refused.value.value) == (field, repr(given))
 
 
-def test_times_at_their_bounds_are_taken_and_what_both_may_be_together_is_told():
+def test_times_at_their_bounds_are_taken_and_what_both_may_be_together_is_reported():
     for answer_ms, settle_ms in ((20.0, 140.0), (150.0, 10.0), (150.0, 0.0), (20.0, 0.0), (100, 60)):
         times = LineTimes(answer_ms=answer_ms, settle_ms=settle_ms)
         assert (times.answer_ns, times.settle_ns) == (round(answer_ms * MS), round(settle_ms * MS))

@@ -87,7 +87,7 @@ def _kill_watch(line, monkeypatch) -> None:
     _end("tidegate-beam-watch", lambda: monkeypatch.setattr(line, "watch_once", die))
 
 
-def test_a_line_that_nobody_watches_any_more_is_latched_where_it_is_asked(lit, monkeypatch):
+def test_a_line_without_its_supervising_thread_is_latched_when_polled(lit, monkeypatch):
     line, wire = lit
     troubles = []
     line.on_trouble = lambda reason, detail: troubles.append((reason, detail))
@@ -112,7 +112,7 @@ def test_it_is_never_armed_again_until_it_was_opened_again(lit, monkeypatch):
     _eventually(lambda: _rearms(line))
 
 
-def test_one_that_nobody_tells_any_more_is_latched_and_says_so_to_who_arms(lit):
+def test_a_line_without_its_exchange_thread_is_latched_and_reported_at_arming(lit):
     """Its silence may be found first: then that is the cause on show, and who arms is told what is behind it."""
     line, wire = lit
     _end("tidegate-beam-line", lambda: setattr(wire, "is_deadly", True))

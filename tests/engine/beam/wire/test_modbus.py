@@ -125,13 +125,13 @@ def test_a_connection_that_went_between_two_requests_is_not_made_again(client):
     ("name", "asked"), [("told", "the permit"), ("kept", "the heartbeat"), ("read", "the read back")]
 )
 @pytest.mark.parametrize(("code", "shown"), [({"exception_code": 2}, "2"), ({}, r"\?")])
-def test_a_refusal_is_told_by_what_was_refused_and_its_code(client, name, asked, code, shown):
+def test_a_refusal_is_reported_by_what_was_refused_and_its_code(client, name, asked, code, shown):
     setattr(client, name, Answer(is_refusal=True, **code))
     with pytest.raises(BeamLineError, match=rf"^it refuses {asked} \(Modbus exception {shown}\)$"):
         wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1)
 
 
-def test_what_the_library_raises_is_told_in_its_own_words(client):
+def test_what_the_library_raises_is_reported_in_its_own_words(client):
     client.error = ModbusException("no response")
     with pytest.raises(BeamLineError, match="no response"):
         wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1)

@@ -71,7 +71,7 @@ def _wired(kind: str, request: pytest.FixtureRequest) -> WiredBeamLine:
 
 
 @pytest.mark.parametrize("kind", ["tcp", "rtu", "lcus", "lcus-text", "numato"])
-def test_a_wired_line_that_nobody_answers_leaves_nothing_open(kind, request):
+def test_a_wired_line_without_an_answer_leaves_nothing_open(kind, request):
     line = _wired(kind, request)
     with _nothing_left_open(), pytest.raises(BeamLineError, match="does not answer"):
         line.open()
@@ -114,7 +114,7 @@ def mute_line(tmp_path) -> Iterator[Path]:
         yield path
 
 
-def test_a_datagram_line_that_nobody_answers_leaves_nothing_open_and_no_file(mute_line):
+def test_a_datagram_line_without_an_answer_leaves_nothing_open_and_no_file(mute_line):
     line = DatagramBeamLine(mute_line, MonotonicClock(), reply_ms=5.0)
     with _nothing_left_open(), pytest.raises(BeamLineError, match="does not answer"):
         line.open()
@@ -202,7 +202,7 @@ def _announcer(kind: Callable[..., StatusPublisher]) -> StatusPublisher:
     return kind(_Kept(), MonotonicClock(), utc_now=lambda: "2026-11-21T03:00:00.000Z")
 
 
-def test_a_line_that_cannot_be_told_of_is_closed_again_and_nobody_goes_on_telling():
+def test_a_line_without_a_publisher_is_closed_and_no_publisher_keeps_running():
     clock = ManualClock()
     line = SimulatedBeamLine(clock)
     told = PublishedBeamLine(line, [_announcer(StatusPublisher), _announcer(_Unstartable)], clock)
@@ -211,7 +211,7 @@ def test_a_line_that_cannot_be_told_of_is_closed_again_and_nobody_goes_on_tellin
     assert not line._is_open
 
 
-def test_a_line_that_does_not_open_is_told_of_by_nobody():
+def test_a_line_that_does_not_open_is_not_published():
     told = PublishedBeamLine(_Deaf(ManualClock()), [_announcer(StatusPublisher)], ManualClock())
     with _nothing_left_open(), pytest.raises(BeamLineError, match="does not answer"):
         told.open()

@@ -30,7 +30,7 @@ def lit(times: LineTimes | None = None, *, until_ms: int = 500, **wire: int) -> 
     return world
 
 
-def test_a_permit_is_told_at_once_and_counts_as_on_only_when_read_back():
+def test_a_permit_is_sent_at_once_and_counts_as_on_only_when_read_back():
     world = lit(answer_ms=5)
     world.run(to_ms=ON_MS)
     assert (world.line.is_on(), world.line.is_settling) == (False, True)
@@ -41,7 +41,7 @@ def test_a_permit_is_told_at_once_and_counts_as_on_only_when_read_back():
     assert [edge.is_on for edge in world.line.edges] == [False, True]
 
 
-def test_a_hold_is_told_at_once_and_counts_as_on_until_read_back_off():
+def test_a_hold_is_sent_at_once_and_counts_as_on_until_read_back_off():
     world = lit(answer_ms=5, until_ms=300)
     world.at(300, world.hold)
     world.run(to_ms=300)
@@ -79,7 +79,7 @@ def test_a_hold_between_deciding_to_tell_on_and_telling_it_is_seen():
 
 
 @pytest.mark.parametrize("answer_ms", [1, 7, 30])
-def test_a_lease_that_nobody_renews_lapses_in_the_line_within_one_exchange(answer_ms):
+def test_a_lease_that_is_not_renewed_lapses_in_the_line_within_one_exchange(answer_ms):
     for length_ms in range(60, 130, 3):
         world = World(answer_ms=answer_ms).opened()
         world.at(ON_MS, lambda world=world, length_ms=length_ms: world.permit(length_ms))
@@ -248,7 +248,7 @@ def test_a_line_that_comes_back_stays_off_until_a_person_arms_again():
     assert world.line.is_on()
 
 
-def test_a_trouble_that_is_over_before_anybody_asked_is_told_once_and_stays_latched():
+def test_a_trouble_that_is_over_before_the_poll_is_reported_once_and_stays_latched():
     world = lit(until_ms=3_000)
     world.at(500, lambda: setattr(world.wire, "stuck", False))
     world.at(690, lambda: setattr(world.wire, "stuck", None))
@@ -270,7 +270,7 @@ def test_arming_needs_some_good_answers_in_a_row_after_a_trouble():
     world.line.rearm()
 
 
-def test_a_line_that_nobody_asks_any_more_is_told_as_failed():
+def test_a_line_that_is_no_longer_polled_is_reported_as_failed():
     world = lit().run(to_ms=400)
     assert world.line.is_on()
     world.clock.advance_ns(int(DETECTION_MS * MS) + 1)
@@ -318,7 +318,7 @@ def test_a_listener_that_fails_does_not_disturb_the_line():
         world.line.is_on()
 
 
-def test_on_is_not_told_again_before_the_last_off_was_read_back():
+def test_on_is_not_sent_again_before_the_last_off_was_read_back():
     world = World(answer_ms=3, lag_ms=50).opened()
     world.permit_each_frame(ON_MS, 400)
     world.at(400, world.hold)
@@ -357,7 +357,7 @@ def _trouble(world: World, reason: HoldReason, detail: str) -> Trouble:
     return Trouble(reason=reason, detail=detail, at_ns=world.clock.now_ns())
 
 
-def test_the_first_cause_stays_on_show_until_it_was_told_and_only_then_another_takes_its_place():
+def test_the_first_cause_is_shown_until_it_was_reported_and_only_then_replaced():
     world = lit().run(to_ms=400)
     world.line._latch(_trouble(world, FAILED, "the first"))
     world.line._latch(_trouble(world, MISMATCH, "the second"))
@@ -377,7 +377,7 @@ def test_the_first_cause_stays_on_show_until_it_was_told_and_only_then_another_t
         world.line.is_on()
 
 
-def test_a_failure_without_words_is_told_by_its_kind(monkeypatch):
+def test_a_failure_without_words_is_reported_by_its_kind(monkeypatch):
     def fail():
         raise ConnectionResetError
 
@@ -387,14 +387,14 @@ def test_a_failure_without_words_is_told_by_its_kind(monkeypatch):
         world.line.open()
 
 
-def test_a_lease_that_ended_while_the_line_was_told_on_is_told_off_without_any_rest():
+def test_a_lease_that_ended_while_the_line_was_commanded_on_is_commanded_off_without_any_rest():
     world = lit(until_ms=ON_MS + 1).run(to_ms=ON_MS + 60)
     assert world.line._supervisor.commands_on
     world.clock.advance_ns(20 * MS)
     assert world.line.rest_ns() == 0
 
 
-def test_a_permit_that_ended_before_it_could_be_told_brings_no_exchange_forward():
+def test_a_permit_that_ended_before_it_could_be_sent_brings_no_exchange_forward():
     world = World().opened()
     world.permit(length_ms=5)
     world.clock.advance_ns(5 * MS - 1)
@@ -416,7 +416,7 @@ def test_times_that_together_break_the_promise_are_refused():
         LineTimes(answer_ms=100.0, settle_ms=MAX_ANSWER_AND_SETTLE_MS - 99.9)
 
 
-def test_a_wire_is_given_the_time_for_an_answer_and_no_more_also_to_be_told_off_when_it_is_given_up(monkeypatch):
+def test_a_wire_is_given_the_time_for_an_answer_and_no_more_also_to_be_commanded_off_when_it_is_given_up(monkeypatch):
     world = World(LineTimes(answer_ms=80, settle_ms=60)).opened()
     given = []
 

@@ -132,7 +132,7 @@ class _HungWire(_InstantWire):
         return super().exchange(is_on=is_on)
 
 
-def test_a_driver_that_hangs_is_latched_by_the_other_thread_and_nobody_waits_for_it():
+def test_a_driver_that_hangs_is_latched_by_the_other_thread_without_waiting():
     wire, heard = _HungWire(), queue.SimpleQueue()
     line = WiredBeamLine(wire, MonotonicClock())
     line.on_trouble = lambda reason, detail: heard.put((reason, detail))

@@ -139,7 +139,7 @@ def test_a_line_that_is_opened_anew_is_latched_whatever_it_was_before():
         world.permit()
 
 
-def test_a_line_that_nobody_asks_any_more_says_so_in_these_words():
+def test_a_line_that_is_no_longer_polled_has_this_text():
     world = World(answer_ms=2).opened()
     world.clock.advance_ns(201 * MS)
     with pytest.raises(BeamLineError, match=r"^the exchanges with the line have stopped$"):

@@ -131,7 +131,7 @@ def test_a_board_that_says_nothing_or_chatters_without_end_is_given_up():
 @pytest.mark.parametrize("is_on", [True, False])
 @pytest.mark.parametrize("board", [True, False])
 @pytest.mark.parametrize("contact", [True, False])
-def test_board_and_contact_must_both_say_what_was_told_and_who_contradicts_wins(line, is_on, board, contact):
+def test_board_and_contact_must_both_confirm_the_command(line, is_on, board, contact):
     port = FakePort([b"\xa0\x01\x01\xa2" if board else b"\xa0\x01\x00\xa1"], **{line: contact})
     read = relay(port, contact=line).exchange(is_on=is_on, heartbeat=1, within_s=0.1)
     assert read is (is_on if board is is_on and contact is is_on else not is_on)
@@ -164,7 +164,7 @@ ECHOED_QUESTION = b"\xa0\x01\x05\xa6"
 
 @pytest.mark.parametrize("protocol", RELAY_PROTOCOLS)
 @pytest.mark.parametrize("pieces", [1, 2, 100], ids=["whole", "halves", "bytes"])
-def test_a_port_that_echoes_the_question_is_no_board_and_is_told_off_and_closed(monkeypatch, protocol, pieces):
+def test_a_port_that_echoes_the_question_is_no_board_and_is_commanded_off_and_closed(monkeypatch, protocol, pieces):
     question = RELAY_PROTOCOLS[protocol].request(1)
     size = max(len(question) // pieces, 1)
     port = FakePort([b"", *(question[at : at + size] for at in range(0, len(question), size))])
@@ -177,7 +177,7 @@ def test_a_port_that_echoes_the_question_is_no_board_and_is_told_off_and_closed(
         wire.exchange(is_on=True, heartbeat=1, within_s=0.1)
 
 
-def test_a_board_that_hears_itself_beside_its_answers_is_refused(monkeypatch):
+def test_a_board_that_echoes_beside_its_answers_is_refused(monkeypatch):
     wire = connecting(FakePort([b"", ECHOED_QUESTION + STATUS_OFF]), monkeypatch)
     with pytest.raises(BeamLineError, match="returns what is sent to it"):
         wire.connect()
@@ -245,7 +245,7 @@ def echoing_port():
 
 
 @pytest.mark.parametrize("protocol", RELAY_PROTOCOLS)
-def test_a_real_port_that_only_hears_itself_makes_no_line(echoing_port, protocol):
+def test_a_real_port_that_only_echoes_makes_no_line(echoing_port, protocol):
     wire = RelayWire(device=echoing_port, baud=9_600, protocol=protocol, channel=1, heartbeat_channel=2)
     line = WiredBeamLine(wire, MonotonicClock())
     with pytest.raises(BeamLineError, match="returns what is sent to it"):
@@ -276,7 +276,7 @@ def test_an_address_that_no_device_has_is_refused(name, value):
         RegisterMap(**{name: value})
 
 
-def test_unit_0_would_tell_everybody_and_be_answered_by_nobody():
+def test_unit_0_would_be_a_broadcast_without_an_answer():
     with pytest.raises(InvalidValueError, match="unit"):
         RegisterMap(unit=0)
 
@@ -307,7 +307,7 @@ def connected(wire):
     ],
     ids=["coil", "register", "input"],
 )
-def test_a_device_that_has_no_such_address_is_told_of_by_what_it_refuses(registers, refused):
+def test_a_device_without_the_address_is_reported_by_its_refusal(registers, refused):
     with receiver("tcp") as far:
         wire = tcp_wire(host="127.0.0.1", port=int(far.where), registers=registers)
         connected(wire)
@@ -316,7 +316,7 @@ def test_a_device_that_has_no_such_address_is_told_of_by_what_it_refuses(registe
         wire.close()
 
 
-def test_a_device_that_confirms_another_permit_than_it_was_told_is_not_believed(monkeypatch):
+def test_a_device_that_confirms_another_permit_than_commanded_is_refused(monkeypatch):
     write_coil = ModbusTcpClient.write_coil
     with receiver("tcp") as far:
         wire = tcp_wire(host="127.0.0.1", port=int(far.where), registers=REGISTERS)
@@ -339,7 +339,7 @@ def test_a_wire_that_lost_its_connection_does_not_make_one_by_itself():
         assert far.seen == []
 
 
-def test_what_was_decided_before_this_process_was_stopped_is_not_told_when_it_goes_on():
+def test_what_was_decided_before_this_process_was_stopped_is_not_reported_when_it_goes_on():
     with receiver("tcp") as far:
         wire = tcp_wire(host="127.0.0.1", port=int(far.where), registers=REGISTERS)
         connected(wire)
@@ -353,7 +353,7 @@ def test_what_was_decided_before_this_process_was_stopped_is_not_told_when_it_go
     assert port.written == []
 
 
-def test_the_library_does_not_log_what_is_told_as_a_trouble(caplog):
+def test_the_library_does_not_log_what_is_reported_as_a_trouble(caplog):
     wire = tcp_wire(host="127.0.0.1", port=1, registers=REGISTERS)
     with pytest.raises(BeamLineError, match="cannot connect"):
         wire.connect()

@@ -45,7 +45,7 @@ def path(journal: TransitionJournal) -> list[str]:
     return [f"{entry.transition.to_state}{'' if entry.is_committed else '?'}" for entry in kept(journal).entries]
 
 
-def test_a_permit_is_in_the_file_before_the_line_hears_of_it(journal):
+def test_a_permit_is_in_the_file_before_the_command_to_the_line(journal):
     seen: list[list[str]] = []
 
     class Looking(WatchedBeamLine):
@@ -58,7 +58,7 @@ def test_a_permit_is_in_the_file_before_the_line_hears_of_it(journal):
     assert seen[1] == ["hold", "dwell", "beam_on"]
 
 
-def test_a_hold_waits_for_nothing_and_is_in_the_file_when_the_line_was_told(journal):
+def test_a_hold_waits_for_nothing_and_is_in_the_file_when_the_line_was_commanded(journal):
     seen: list[str] = []
 
     class Looking(WatchedBeamLine):
@@ -96,7 +96,7 @@ def test_what_was_prepared_and_aborted_is_no_transition(journal):
     assert path(journal) == []
 
 
-def test_a_permit_that_cannot_be_kept_is_never_told(journal):
+def test_a_permit_that_cannot_be_kept_is_never_sent(journal):
     def broken(_transition):
         raise RuntimeError("no journal")
 
@@ -216,7 +216,7 @@ def test_the_file_goes_when_the_audit_has_everything_and_stays_when_it_lacks_one
         assert journal.path.exists() is remains
 
 
-def test_a_closed_journal_is_written_to_by_nobody(journal):
+def test_a_closed_journal_is_not_written_to(journal):
     journal.close()
     assert journal.commit(transition()) == 1
     assert not journal.path.exists()
@@ -240,7 +240,7 @@ def test_no_room_for_it_is_said_and_leaves_nothing(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_permit_that_the_watchdog_was_quicker_than_is_taken_back_and_its_fault_told_once(journal):
+def test_a_permit_that_the_watchdog_was_quicker_than_is_taken_back_and_its_fault_reported_once(journal):
     bench = armed_bench([good] * 6, journal=journal)
     bench.beam.before_permit = lambda lease: bench.watchdog.check(lease.expires_ns + 10**10)
     bench.run()

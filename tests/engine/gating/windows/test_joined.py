@@ -62,7 +62,7 @@ def test_the_reason_names_the_first_condition_that_is_not_met():
     assert stream.feed().reason is HoldReason.OUTSIDE_WINDOW
 
 
-def test_whoever_left_enters_by_the_hysteresis_also_while_another_keeps_the_gate_inside():
+def test_a_condition_that_was_left_is_entered_by_its_hysteresis_also_while_another_keeps_the_gate_inside():
     stream = armed(JoinedWindow(conditions=(CHEST, BELLY), join="or"))
     stream.good(6)
     stream.chest_mm = 2.1  # the chest leaves; the belly keeps the beam on

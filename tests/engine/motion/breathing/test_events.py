@@ -37,7 +37,7 @@ def course(kind, volunteer, seed, fps=30.0, **wanted):
 @pytest.mark.parametrize("fps", [10.0, 30.0, 60.0])
 @pytest.mark.parametrize(("count", "height", "width"), [(2, 5.0, 0.4), (3, 8.0, 0.3), (4, 20.0, 0.2)])
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.7])
-def test_a_cough_is_told_within_a_second_and_over_two_seconds_after(fps, count, height, width, share):
+def test_a_cough_is_reported_within_a_second_and_over_two_seconds_after(fps, count, height, width, share):
     at, value, _ = regular(80.0, fps=fps)
     start = 40.0 + 4.0 * share
     told = follow(at, value + spikes(at, start, count, height, width))
@@ -63,7 +63,7 @@ def test_more_bends_make_a_cough_surer():
 
 @pytest.mark.parametrize("kind", ["sigh", "apnoea", "talking", "irregular", "cough"])
 @pytest.mark.parametrize("volunteer", [1, 5, 9, 10])
-def test_labelled_events_are_told_by_their_name(kind, volunteer):
+def test_labelled_events_are_reported_by_their_name(kind, volunteer):
     at, value, episode = course(kind, volunteer, seed=50)
     found = first(follow(at, value), at, kind)
     assert found is not None
@@ -147,7 +147,7 @@ def test_one_exhale_that_ends_elsewhere_is_no_drift(offset):
     assert "drift" not in {kind for kind, _ in onsets(told, at)}
 
 
-def test_an_event_that_was_under_way_is_not_told_behind_a_gap_but_a_drift_is():
+def test_an_event_that_was_under_way_is_not_reported_behind_a_gap_but_a_drift_is():
     at, value, _ = regular(80.0)
     value = value + np.where(at > 30.0, 4.0, 0.0) + spikes(at, 60.0, 3, 10.0)
     kept = (at < 61.3) | (at > 62.3)

@@ -37,7 +37,7 @@ def test_the_phase_never_goes_back_within_a_breath():
     assert len(back) == pytest.approx(len(phases) / 30.0 / 4.0, abs=1.5)
 
 
-def test_rate_depth_and_level_are_told_in_the_signals_own_unit():
+def test_rate_depth_and_level_are_reported_in_the_signals_own_unit():
     at, value, _ = regular(40.0, amplitude=10.0, period=4.0)
     last = follow(at, value + 3.0)[-1]
     assert last.rate_per_min == pytest.approx(15.0, rel=0.02)
@@ -49,7 +49,7 @@ def test_rate_depth_and_level_are_told_in_the_signals_own_unit():
     assert last.regularity > 0.9
 
 
-def test_a_volume_is_told_in_litres():
+def test_a_volume_is_reported_in_litres():
     at, value, _ = regular(40.0, amplitude=6.0, period=4.0)
     choice = SignalChoice(signal="volume")
     last = follow(at, 0.1 * value + 2.0, choice)[-1]
@@ -59,7 +59,7 @@ def test_a_volume_is_told_in_litres():
     assert last.phase_percent is not None
 
 
-def test_nothing_is_told_before_breaths_were_seen_and_then_why():
+def test_nothing_is_reported_before_breaths_were_seen_except_the_reason():
     at, value, _ = regular(3.0)
     last = follow(at, value)[-1]
     assert (last.phase_percent, last.rate_per_min, last.note) == (None, None, "too little seen yet")
@@ -78,7 +78,7 @@ def test_a_doll_does_not_breathe(what):
 
 
 @pytest.mark.parametrize("way", ["missing", "nan"])
-def test_after_a_gap_no_phase_is_told_until_breaths_are_found_again(way):
+def test_after_a_gap_no_phase_is_reported_until_breaths_are_found_again(way):
     at, value, _ = regular(80.0)
     is_gap = (at >= 40.0) & (at < 41.0)
     if way == "nan":
@@ -138,7 +138,7 @@ def test_a_zero_that_is_set_twice_in_a_second_is_no_cough():
     assert onsets(told, at) == []
 
 
-def test_a_shift_that_nobody_told_of_is_seen():
+def test_an_unannounced_shift_is_detected():
     at, value, _ = regular(80.0)
     told = follow(at, np.where(at > 40.0, value - 6.0, value))
     assert told[-1].drift == pytest.approx(-6.0, abs=0.3)
@@ -171,7 +171,7 @@ def test_a_correction_counts_from_where_the_level_was_learned_and_can_be_taken_b
     assert correct_baseline(twice, 0.0).breath.drift == pytest.approx(drift)
 
 
-def test_what_was_not_measured_is_told_as_such():
+def test_what_was_not_measured_is_reported_as_such():
     at, value, _ = regular(40.0)
     value[-1] = math.nan
     last = follow(at, value)[-1]

@@ -215,7 +215,7 @@ def test_a_patient_the_present_model_does_not_know_any_more_keeps_no_zero_silent
     assert patient.learner.status.has_reference
 
 
-def test_a_refusal_is_shown_for_half_a_minute_and_a_doll_costs_nobody_the_present_model(patient):
+def test_a_refusal_is_shown_for_half_a_minute_and_a_refused_model_leaves_the_present_one(patient):
     first = patient.learner.active
     patient.learner.retrain()
     patient.see_until(lambda: patient.told(LearningEventKind.REFUSED), excursion=(0.0, 0.0))
@@ -383,7 +383,7 @@ def resumed(learned, *, limits=None, most=400, **surface):
     return patient
 
 
-def test_a_stored_model_measures_at_once_but_nobody_may_arm_until_it_was_compared(learned):
+def test_a_stored_model_measures_at_once_but_arming_is_refused_until_it_was_compared(learned):
     patient = Patient()
     patient.learner.resume(learned)
     assert patient.see() is not None
@@ -414,7 +414,7 @@ def test_a_retraining_before_the_zero_was_set_does_not_set_it(learned):
 
 
 @pytest.mark.parametrize("shift_mm", [(0.0, 0.0, 0.0), (6.0, -4.0, 0.0), (0.0, 0.0, 9.0)], ids=str)
-def test_shift_is_told_in_mm_and_small_ones_are_accepted(learned, shift_mm):
+def test_shift_is_reported_in_mm_and_small_ones_are_accepted(learned, shift_mm):
     patient = resumed(learned, limits=PatientMatchLimits(seconds=4.0), shift_mm=shift_mm)
     likeness = patient.learner.status.patient_match
     assert likeness.refusal is None

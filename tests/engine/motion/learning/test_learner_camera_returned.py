@@ -25,7 +25,7 @@ def patient(learned):
     return patient
 
 
-def test_the_model_measures_on_but_nobody_may_arm_until_it_was_compared_and_a_person_has_set_the_zero(patient):
+def test_the_model_measures_on_but_arming_is_refused_until_it_was_compared_and_a_person_has_set_the_zero(patient):
     active, generation = patient.learner.active, patient.learner.generation
     patient.learner.restart_after_disconnection()
     assert patient.learner.generation > generation, "what was armed is armed no more"
@@ -143,14 +143,14 @@ def dropped(patient):
     return [one for one in patient.told(LearningEventKind.REFUSED) if DROPPED in one.detail]
 
 
-def test_a_model_that_somebody_has_just_activated_is_told_to_be_dropped(patient, learned):
+def test_dropping_a_model_that_was_just_activated_is_reported(patient, learned):
     patient.learner.activate(replace(learned, cycles=learned.cycles + 1))
     patient.see()
     patient.learner.restart_after_disconnection()
     assert len(dropped(patient)) == 1
 
 
-def test_a_model_that_waited_is_told_to_be_dropped(patient):
+def test_dropping_a_waiting_model_is_reported(patient):
     patient.learner.keep_model(is_kept=True)
     patient.learner.retrain()
     patient.see_until(lambda: patient.learner.status.is_model_waiting)
@@ -158,14 +158,14 @@ def test_a_model_that_waited_is_told_to_be_dropped(patient):
     assert len(dropped(patient)) == 1
 
 
-def test_a_training_under_way_is_told_to_be_dropped(patient):
+def test_dropping_a_running_training_is_reported(patient):
     patient.learner.retrain()
     patient.see()
     patient.learner.restart_after_disconnection()
     assert len(dropped(patient)) == 1
 
 
-def test_a_fit_under_way_is_told_to_be_dropped_once(learned):
+def test_dropping_a_running_fit_is_reported_once(learned):
     trainer = HeldTrainer()
     patient = Patient(trainer=trainer)
     patient.see_until(lambda: trainer.is_busy)
@@ -174,7 +174,7 @@ def test_a_fit_under_way_is_told_to_be_dropped_once(learned):
     assert len(dropped(patient)) == 1
 
 
-def test_where_nothing_was_dropped_nothing_is_told(patient):
+def test_where_nothing_was_dropped_nothing_is_reported(patient):
     patient.learner.restart_after_disconnection()
     patient.see()
     patient.learner.restart_after_disconnection()

@@ -169,7 +169,7 @@ def test_a_cell_that_was_never_seen_is_empty_not_zero(model):
     assert np.isfinite(values[1:]).all()
 
 
-def test_a_point_in_a_small_hole_is_told_by_its_surroundings_and_one_in_a_large_hole_is_empty(model):
+def test_a_point_in_a_small_hole_is_interpolated_and_one_in_a_large_hole_is_empty(model):
     known = np.ones((ROI_ROWS, ROI_COLUMNS), dtype=bool)
     known[98:103, 58:63] = False
     known[200:260, 80:140] = False

@@ -91,7 +91,7 @@ def test_it_follows_a_lag_that_changes_within_the_window():
     assert follow(seconds, both)[-1].lags[0].lag_s == pytest.approx(0.9, abs=0.02)
 
 
-def test_it_is_told_anew_about_once_a_second_and_not_more_often():
+def test_it_is_reported_anew_about_once_a_second_and_not_more_often():
     states = follow(*signals(0.3))
     changes = sum(a.lags is not b.lags and a.lags != b.lags for a, b in itertools.pairwise(states))
     assert 15 <= changes <= 30
@@ -109,7 +109,7 @@ def test_the_same_frames_give_the_same_lags():
     assert follow(*signals(0.3))[-1].lags == follow(*signals(0.3))[-1].lags
 
 
-def test_many_pairs_are_each_told():
+def test_many_pairs_are_each_reported():
     seconds, both = signals(0.3)
     pairs = tuple((f"r{i}", i % 2, "abdomen", 1) for i in range(23))
     lags = follow(seconds, both, pairs)[-1].lags
@@ -127,30 +127,30 @@ def note_of(seconds, both):
     return lag.note
 
 
-def test_nothing_is_told_of_a_part_that_hardly_moves():
+def test_nothing_is_reported_of_a_part_that_hardly_moves():
     assert note_of(*signals(0.3, thorax_mm=0.3)) == "thorax moves by less than 0.8 mm"
     assert note_of(*signals(0.3, abdomen_mm=0.3)) == "abdomen moves by less than 0.8 mm"
 
 
-def test_nothing_is_told_of_less_than_two_cycles():
+def test_nothing_is_reported_of_less_than_two_cycles():
     assert note_of(*signals(0.3, length_s=1.0)) == "too little seen yet"
     assert note_of(*signals(0.3, length_s=6.0)) == "too little seen yet"
     assert note_of(*signals(0.3, period_s=14.0)) == "no regular breathing"
 
 
-def test_nothing_is_told_of_a_breath_hold():
+def test_nothing_is_reported_of_a_breath_hold():
     seconds, both = signals(0.0, noise_mm=0.0)
     held = np.minimum((seconds - seconds[0])[:, None] / 3.0, 1.0) * (12.0, 4.0) + 0.0 * both
     assert note_of(seconds, held + np.random.default_rng(1).normal(0.0, 0.1, held.shape)) != ""
 
 
-def test_nothing_is_told_of_breathing_that_does_not_repeat():
+def test_nothing_is_reported_of_breathing_that_does_not_repeat():
     seconds, both = signals(0.0)
     walk = np.cumsum(np.random.default_rng(5).normal(0.0, 0.3, both.shape), axis=0)
     assert note_of(seconds, walk) in {"no regular breathing", "the two do not move alike"}
 
 
-def test_nothing_is_told_of_two_that_do_not_move_alike():
+def test_nothing_is_reported_of_two_that_do_not_move_alike():
     seconds, both = signals(0.0)
     both[:, 0] = 4.0 * breath(seconds, period_s=1.1) + np.random.default_rng(5).normal(0.0, 0.1, len(seconds))
     both[:, 1] = 4.0 * breath(seconds, period_s=4.4)
@@ -159,7 +159,7 @@ def test_nothing_is_told_of_two_that_do_not_move_alike():
     assert lag.note
 
 
-def test_nothing_is_told_while_a_region_is_not_measured():
+def test_nothing_is_reported_while_a_region_is_not_measured():
     seconds, both = signals(0.3)
     both[-200:-100, 0] = np.nan
     assert note_of(seconds, both) == "a region is not measured"

@@ -119,7 +119,7 @@ def test_a_camera_that_comes_back_nearer_is_no_drift_of_the_patient(patient):
     assert {kind for one in after for breath in one.breaths for kind in kinds(breath)} == set()
 
 
-def test_drift_is_told_against_the_zero_a_person_set_even_where_no_end_of_exhale_was_known_then(patient):
+def test_drift_is_relative_to_the_reference_even_where_no_end_of_exhale_was_known_then(patient):
     dark = {"color": 0 * patient.frames[0].color}
     for _ in range(30):
         patient.next(**dark)
@@ -130,7 +130,7 @@ def test_drift_is_told_against_the_zero_a_person_set_even_where_no_end_of_exhale
     assert abs(after[-1].breaths[0].drift) < 0.5
 
 
-def test_a_confirmed_correction_moves_what_drift_is_told_against(patient):
+def test_a_confirmed_correction_moves_the_baseline_of_drift(patient):
     before = patient.next().breaths
     patient.pipeline.correct_baseline(SignalChoice(), 1.5)
     after = patient.next().breaths

@@ -77,7 +77,7 @@ def test_a_patient_who_takes_the_markers_along_is_followed(continuity):
     assert continuity.rejection(seen(sheet(18.0), 2, moved_px=9.0), BREATH, NOISE_MM)
 
 
-def test_frames_that_nobody_saw_allow_for_what_they_hid_but_not_for_everything(continuity):
+def test_unseen_frames_allow_for_what_they_could_hide_but_not_for_everything(continuity):
     assert not continuity.rejection(seen(sheet(4.0), 4), BREATH, NOISE_MM)
     assert continuity.rejection(seen(sheet(30.0), 400), BREATH, NOISE_MM)
 

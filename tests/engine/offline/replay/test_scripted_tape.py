@@ -110,7 +110,7 @@ def test_a_session_made_by_chance_replays_the_same(tmp_path, seed):
     assert again.transitions, "it was armed now and then"
 
 
-def test_the_second_session_asks_nobody_and_turns_nothing_on(busy, monkeypatch):
+def test_the_second_session_has_no_commands_and_turns_nothing_on(busy, monkeypatch):
     _one, path = busy
     asked = []
     monkeypatch.setattr("tests.support.replay.scripted_tape.WatchedBeamLine.permit", lambda *_: asked.append("permit"))
@@ -214,7 +214,7 @@ def test_what_other_threads_ask_is_not_on_the_tape(tmp_path):
     assert replayed(path).difference is None
 
 
-def test_a_tape_that_nobody_writes_ends_where_its_queue_was_full_and_the_beam_stays_on(tmp_path):
+def test_a_tape_without_a_writer_ends_where_its_queue_was_full_and_the_beam_stays_on(tmp_path):
     one = taped(turns_kept=20)
     lived([good, after(lambda: one.loop.submit(ARM)), *(good for _ in range(60))], one)
     assert "in time" in one.tap.torn

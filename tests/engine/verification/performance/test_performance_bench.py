@@ -279,7 +279,7 @@ def test_work_runs_on_the_cores_it_was_given_and_the_caller_keeps_its_own():
     assert os.sched_getaffinity(0) == mine
 
 
-def test_what_a_process_cannot_do_is_told_in_its_words(tmp_path):
+def test_what_a_process_cannot_do_is_reported_in_its_words(tmp_path):
     missing = Recording(folder=tmp_path, training=HURRIED)
     cores = tuple(os.sched_getaffinity(0))
     with pytest.raises(SpeedBenchError, match=r"calibration\.json.*No such file"):
@@ -414,7 +414,7 @@ def test_an_hour_is_what_sixty_minutes_are():
     assert full_sizes(60.0).memory.session_s == 3600.0
 
 
-def test_a_command_that_fails_is_told_in_its_last_line(tmp_path):
+def test_a_command_that_fails_is_reported_in_its_last_line(tmp_path):
     with pytest.raises(SpeedBenchError, match=r"tidegate measure failed: .*calibration\.json"):
         bench_command.run_measure([tmp_path / "missing.oni"], tmp_path / "out", tuple(os.sched_getaffinity(0)), 1)
 

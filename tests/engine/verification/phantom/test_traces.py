@@ -90,7 +90,7 @@ def test_motion_between_samples_never_overshoots():
     assert trace.at(trace.time_s) == pytest.approx(trace.motion_mm)
 
 
-def test_a_turned_marker_session_is_told_by_the_axis_that_moves(tmp_path):
+def test_a_turned_marker_session_is_reported_by_the_axis_that_moves(tmp_path):
     rows = [f"{6 * i};{100 * i};-490,1;{10 + i % 7},5;60,{i % 2}" for i in range(30)]
     path = written(tmp_path, [MARKER_HEAD, *rows])
     assert read_trace(path).axis == "y"

@@ -75,7 +75,7 @@ def test_each_fault_of_a_line_fails_its_drill_and_is_named(line, drills, says):
     assert any(says in results[code].detail for code in codes)
 
 
-def test_how_late_a_hold_and_a_lease_are_is_told_from_when_they_should_have_been_obeyed():
+def test_how_late_a_hold_and_a_lease_are_is_reported_from_when_they_should_have_been_obeyed():
     assert drilled(beam_of(SlowToHold))["fail_safe_hold_ms"].value == pytest.approx(130.0, abs=2.0)
     assert drilled(beam_of(SlowLeases))["fail_safe_lease_ms"].value == pytest.approx(130.0, abs=2.0)
 
@@ -87,7 +87,7 @@ def test_the_slowest_of_all_times_is_what_counts():
     assert failed(results) <= {"fail_safe_hold_ms", "beam_readback_off_ms"}
 
 
-def test_an_engine_that_stops_with_nobody_watching_fails_though_the_lease_takes_the_beam_off():
+def test_an_unsupervised_engine_that_stops_fails_though_the_lease_takes_the_beam_off():
     results = drilled(beam_of(has_watchdog=False))
     assert failed(results) == {"fail_safe_watchdog_ms", "beam_readback_errors"}
     assert "lease ended" in results["fail_safe_watchdog_ms"].detail
@@ -131,7 +131,7 @@ def test_a_drill_that_is_cancelled_ends_with_the_line_held_and_closed(cancelled_
     assert "permit" not in given.line.told[-4:]
 
 
-def test_whoever_wants_to_know_is_told_after_every_drill():
+def test_progress_is_reported_after_every_drill():
     done = []
     drill_line(beam_of(repeats=6), done.append)
     assert done == list(range(6 * len(DRILLS) + 1))

@@ -60,7 +60,7 @@ def test_the_95th_percentile_sees_what_the_mean_does_not():
 
 
 @pytest.mark.parametrize("gain", [0.9, 1.1])
-def test_an_amplitude_is_told_as_a_ratio_of_measured_to_commanded(gain):
+def test_an_amplitude_is_reported_as_a_ratio_of_measured_to_commanded(gain):
     assert compared(measured(gain=gain)).ratio == pytest.approx(gain, abs=2e-3)
 
 

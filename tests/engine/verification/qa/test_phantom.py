@@ -217,7 +217,7 @@ def test_what_the_camera_itself_takes_is_in_the_lag_and_in_the_gate(phantom):
     assert found["motion_offset_mm"] == pytest.approx(0.0, abs=0.02)
 
 
-def test_the_trace_s_time_0_is_the_first_frame_s_unless_it_is_told(phantom):
+def test_the_trace_s_time_0_is_the_first_frame_s_unless_it_is_given(phantom):
     given, frames = watched(phantom, phase_s=0.12)
     assert values(given, frames)["motion_lag_ms"] == pytest.approx(0.0, abs=1.0)
     assert values(replace(given, starts_us=None), frames)["motion_lag_ms"] == pytest.approx(-120.0, abs=1.5)
@@ -290,7 +290,7 @@ def test_a_window_that_says_nothing_of_timing_is_refused(phantom, window_mm):
         replace(phantom, window_mm=window_mm)
 
 
-def test_a_trace_of_another_amplitude_is_told_as_a_ratio(phantom):
+def test_a_trace_of_another_amplitude_is_reported_as_a_ratio(phantom):
     given, frames = watched(phantom)
     larger = CommandedTrace(time_s=given.trace.time_s.copy(), position_mm=1.25 * given.trace.position_mm)
     found = values(replace(given, trace=larger, window_mm=(-60.0, 12.5)), frames)

@@ -83,7 +83,7 @@ def test_a_camera_that_was_knocked_fails_the_angle_of_its_axis(axis, code):
     assert results[code].deviation == pytest.approx(1.5, abs=0.2)
 
 
-def test_a_camera_that_has_not_warmed_up_fails_and_its_way_is_told_with_its_sign():
+def test_a_camera_that_has_not_warmed_up_fails_and_its_way_is_reported_with_its_sign():
     results = results_of(plate(faults=RigFaults(drift_mm_per_min=-0.4), seconds=30.0))
     assert results["warm_up_drift_mm_per_min"].verdict is QaVerdict.FAIL
     assert results["warm_up_drift_mm_per_min"].value == pytest.approx(0.4, abs=0.06)
@@ -205,7 +205,7 @@ def test_no_more_is_read_than_was_asked_for():
     assert made.source.closed == 1
 
 
-def test_whoever_cancels_closes_the_source():
+def test_cancelling_closes_the_source():
     made = plate()
 
     def cancel(_frames):

@@ -47,7 +47,7 @@ def test_a_window_from_above_has_its_turning_points_at_the_top():
 
 @pytest.mark.parametrize("window", [BELOW, ABOVE], ids=["exhale", "inhale"])
 @pytest.mark.parametrize(("on_ms", "off_ms"), [(0, 0), (60, 60), (150, 150), (120, 20), (20, 120), (-40, 10)])
-def test_delays_are_told_apart_with_their_signs(window, on_ms, off_ms):
+def test_delays_are_distinguished_with_their_signs(window, on_ms, off_ms):
     cycles = cycles_of(window)
     found = time_gate_by_sines(cycles, beam(cycles, on_ms, off_ms))
     assert found.mean_s.value == pytest.approx((on_ms + off_ms) / 2e3, abs=1e-3)
@@ -74,7 +74,7 @@ def test_with_one_period_the_level_is_in_the_difference_and_that_is_said():
 
 
 @pytest.mark.parametrize("percent", [-3.0, 3.0])
-def test_a_change_of_duty_is_told_with_its_sign(percent):
+def test_a_change_of_duty_is_reported_with_its_sign(percent):
     cycles = cycles_of()
     changed = [(cycle.on_s, cycle.off_s + percent / 100.0 * cycle.span_s) for cycle in cycles]
     assert 100.0 * time_gate_by_sines(cycles, changed).duty_change == pytest.approx(percent, abs=0.01)

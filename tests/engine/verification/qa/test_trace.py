@@ -23,7 +23,7 @@ def read(tmp_path, text):
     return read_commanded(path)
 
 
-def test_a_trace_is_where_it_was_told_to_be_between_its_samples(tmp_path):
+def test_a_trace_is_interpolated_between_its_samples(tmp_path):
     trace = read(tmp_path, csv_of())
     at = np.array([1.234, 9.876])
     assert trace.at(at) == pytest.approx(5.0 * np.sin(at), abs=1e-3)
@@ -70,7 +70,7 @@ def test_a_damaged_file_is_refused_by_line_and_field(tmp_path, text, says):
     ],
     ids=["few", "still", "far", "backwards", "gap", "no time", "no place"],
 )
-def test_what_no_phantom_was_told_is_refused(time_s, position_mm):
+def test_a_trace_that_no_phantom_executed_is_refused(time_s, position_mm):
     with pytest.raises(InvalidValueError, match="trace"):
         CommandedTrace(time_s=time_s.copy(), position_mm=position_mm)
 

@@ -33,7 +33,7 @@ def test_keys_are_read(provider):
     assert WIRE.get_json(f"{provider.issuer}/jwks")["keys"][0]["kid"] == "first"
 
 
-def test_nobody_there_is_told_as_that():
+def test_a_missing_server_is_reported_as_such():
     with running() as gone:
         pass
     assert "cannot be reached" in unavailable(gone)
@@ -102,7 +102,7 @@ def test_no_redirect_is_followed(provider):
 @pytest.mark.parametrize(
     "body", [b"", b"[]", b"<html>", b"\xff", b"[" * 100_000, b"7"], ids=lambda body: repr(body[:8])
 )
-def test_what_is_no_json_object_is_told_as_that(provider, body):
+def test_what_is_no_json_object_is_reported_as_that(provider, body):
     provider.trouble["/jwks"] = lambda: (200, {"Content-Type": "application/json"}, body)
     assert "no JSON" in unavailable(provider)
 
@@ -122,7 +122,7 @@ def test_a_code_that_the_provider_does_not_take_is_refused(provider):
     [(500, b"{}"), (200, b"<html>"), (429, b"slow down"), (200, b"[1]"), (302, b""), (200, b"[" * 100_000)],
     ids=lambda answer: str(answer)[:20],
 )
-def test_an_exchange_that_no_provider_would_answer_so_is_told_as_unavailable(provider, answer):
+def test_an_exchange_that_no_provider_would_answer_so_is_reported_as_unavailable(provider, answer):
     status, body = answer
     provider.trouble["/token"] = lambda: (status, {"Content-Type": "application/json"}, body)
     with pytest.raises(OidcUnavailableError):

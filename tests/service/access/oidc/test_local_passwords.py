@@ -46,7 +46,7 @@ def test_a_site_may_keep_its_other_accounts(oidc):
     assert local.check(Account(is_break_glass=True), REASON)
 
 
-def test_a_break_glass_account_gets_in_and_it_is_told_that_it_was_used(local):
+def test_a_break_glass_account_gets_in_and_it_is_reported_that_it_was_used(local):
     assert local.check(Account(is_break_glass=True), REASON)
 
 

@@ -271,7 +271,7 @@ def test_what_came_back_once_does_not_come_back_again(client):
     assert client.get("/api/v1/me").status_code == 401
 
 
-def test_a_link_to_somebody_else_s_way_back_logs_nobody_in(client, start):
+def test_a_return_address_of_another_browser_starts_no_log_in(client, start):
     back = go(client)
     client.cookies.clear()  # the victim's browser has never begun anything
     assert client.get(back).status_code == 403
@@ -290,7 +290,7 @@ def test_a_link_to_somebody_else_s_way_back_logs_nobody_in(client, start):
         "?state[]=x",
     ],
 )
-def test_a_way_back_that_nobody_went_out_by_lets_nobody_in_and_costs_the_audit_no_row(client, query):
+def test_a_return_without_a_pending_log_in_grants_no_access_and_writes_no_audit_row(client, query):
     answer = client.get(BACK + query)
     assert answer.status_code in {403, 422}
     assert refusals(client) == []
@@ -371,7 +371,7 @@ def test_without_a_provider_the_page_offers_a_password_and_the_routes_lead_nowhe
     assert "does not use the provider" in client.get(f"{BACK}?state=x&code=y").text
 
 
-def test_the_page_is_told_what_to_offer(client):
+def test_the_page_gets_the_permitted_controls(client):
     assert client.get(WAYS).json() == {
         "password": True,
         "local_accounts": "break-glass",

@@ -117,7 +117,7 @@ def test_nobody_gets_in_before_the_provider_has_ever_answered():
     assert house.refused(machine_token()) == "unknown_key"
 
 
-def test_judging_asks_nobody_and_an_unknown_key_only_asks_for_a_renewal(house):
+def test_verification_makes_no_request_and_an_unknown_key_only_triggers_a_renewal(house):
     asked = house.source.asked
 
     def fail(_address):
@@ -146,7 +146,7 @@ def test_bad_tokens_that_name_known_keys_ask_for_nothing(house):
     assert house.provider.due_s() == 300.0
 
 
-def test_a_renewal_that_fails_is_told_as_unavailable_and_nothing_else(house):
+def test_a_renewal_that_fails_is_reported_as_unavailable_and_nothing_else(house):
     house.source.is_down = True
     with pytest.raises(OidcUnavailableError):
         house.source.get_json("x")

@@ -83,7 +83,7 @@ def test_a_provider_that_wants_the_secret_in_the_form_gets_it_there_and_not_in_a
     assert Site(OidcSettings(**oidc(outside))).log_in().subject == "u-1"
 
 
-def test_a_wrong_secret_lets_nobody_in(outside, oidc, secret_file):
+def test_a_wrong_secret_grants_no_access(outside, oidc, secret_file):
     secret_file.write_text("another")
     assert Site(OidcSettings(**oidc(outside))).refused() == "code"
 
@@ -123,12 +123,12 @@ def test_nobody_without_a_mapped_group_gets_in_and_it_is_known_who_it_was(site, 
     ],
     ids=str,
 )
-def test_a_token_with_one_lie_lets_nobody_in(site, outside, changes, reason):
+def test_a_token_with_one_lie_grants_no_access(site, outside, changes, reason):
     outside.changes = changes
     assert site.refused() == reason
 
 
-def test_a_token_that_is_not_signed_lets_nobody_in(site, outside):
+def test_a_token_that_is_not_signed_grants_no_access(site, outside):
     def unsigned(token: str) -> str:
         return f"{part({'alg': 'none'})}.{token.split('.')[1]}."
 
@@ -136,12 +136,12 @@ def test_a_token_that_is_not_signed_lets_nobody_in(site, outside):
     assert site.refused() == "algorithm"
 
 
-def test_a_huge_token_lets_nobody_in(site, outside):
+def test_a_huge_token_grants_no_access(site, outside):
     outside.person["groups"] = [f"group-{number}" for number in range(2_000)]
     assert site.refused() == "malformed"
 
 
-def test_a_state_that_nobody_gave_out_lets_nobody_in(site):
+def test_an_unissued_state_grants_no_access(site):
     returned, browser = site.out()
     assert (
         site.refused(
@@ -189,14 +189,14 @@ def test_a_code_from_another_provider_is_not_shown_to_ours(site, outside):
     assert "/token" not in outside.asked
 
 
-def test_a_provider_that_says_no_is_told_as_that(site, outside):
+def test_a_provider_that_says_no_is_reported_as_that(site, outside):
     outside.on_return = {"error": "access_denied", "code": ""}
     assert site.refused() == "provider_refused"
     outside.on_return = {"code": ""}
     assert site.refused() == "provider_refused"
 
 
-def test_tokens_without_an_id_token_let_nobody_in(site, outside):
+def test_tokens_without_an_id_token_grant_no_access(site, outside):
     outside.trouble["/token"] = lambda: (200, {}, b'{"access_token": "a", "token_type": "Bearer"}')
     assert site.refused() == "malformed"
 
@@ -211,13 +211,13 @@ def test_a_key_that_was_rotated_a_minute_ago_is_fetched_while_the_person_waits(s
         site.provider.stop()
 
 
-def test_a_key_that_was_never_published_lets_nobody_in(site, outside):
+def test_a_key_that_was_never_published_grants_no_access(site, outside):
     outside.keys = [OTHER_KEY]
     outside.trouble["/jwks"] = lambda: (200, {}, b'{"keys": []}')
     assert site.refused() == "unknown_key"
 
 
-def test_a_provider_that_is_gone_is_told_as_unavailable(oidc):
+def test_a_provider_that_is_gone_is_reported_as_unavailable(oidc):
     with running() as gone:
         site = Site(OidcSettings(**oidc(gone)))
         returned = site.out()
@@ -225,20 +225,20 @@ def test_a_provider_that_is_gone_is_told_as_unavailable(oidc):
         site.people.finish(*returned)
 
 
-def test_a_provider_that_was_never_there_sends_nobody_out(oidc):
+def test_a_provider_that_was_never_reached_gives_no_redirect(oidc):
     with running() as gone:
         pass
     with pytest.raises(OidcUnavailableError, match="does not answer"):
         Site(OidcSettings(**oidc(gone))).people.begin("127.0.0.1")
 
 
-def test_a_clock_that_is_wrong_by_more_than_the_site_allows_lets_nobody_in(outside, oidc):
+def test_a_clock_that_is_wrong_by_more_than_the_site_allows_grants_no_access(outside, oidc):
     ahead = Site(OidcSettings(**oidc(outside)), now=lambda: utc_now() + timedelta(seconds=400))
     behind = Site(OidcSettings(**oidc(outside)), now=lambda: utc_now() - timedelta(seconds=40))
     assert (ahead.refused(), behind.refused()) == ("expired", "not_yet_valid")
 
 
-def test_two_people_of_one_name_are_told_apart_by_who_they_are():
+def test_two_people_of_one_name_are_distinguished_by_who_they_are():
     mine, theirs = names_of("Jane Doe", "i", "u-1"), names_of("Jane Doe", "i", "u-2")
     assert mine[0] == theirs[0] == "Jane Doe"
     assert mine[1] != theirs[1]
@@ -248,7 +248,7 @@ def test_two_people_of_one_name_are_told_apart_by_who_they_are():
 @pytest.mark.parametrize(
     "sign", "\u115f\u1160\u2800\u3164\uffa0\u200b\u00ad\u202e\u0000", ids=lambda sign: f"U+{ord(sign):04X}"
 )
-def test_no_name_has_a_sign_that_nobody_sees(sign):
+def test_no_name_has_an_invisible_character(sign):
     with pytest.raises(OidcRefusedError):
         names_of(f"Jane {sign}Doe", "i", "u")
 
@@ -259,7 +259,7 @@ def test_a_name_fits_into_the_audit_whatever_the_provider_calls_people():
     assert len(marked) <= 80
 
 
-def test_more_groups_than_anybody_is_in_are_none():
+def test_too_many_groups_count_as_none():
     mapped = {"radiotherapy": frozenset({Role.THERAPIST})}
     assert roles_of(["radiotherapy"] * 1_000, mapped) == {Role.THERAPIST}
     assert roles_of(["radiotherapy"] * 1_001, mapped) == frozenset()

@@ -90,7 +90,7 @@ def test_an_answer_that_cannot_be_used_leaves_what_is_known(provider, source):
     assert kids(provider) == ["first"]
 
 
-def test_the_thread_renews_by_itself_and_is_not_stopped_by_what_nobody_foresaw(source):
+def test_the_thread_renews_by_itself_and_survives_unexpected_errors(source):
     provider = Provider(issuer=ISSUER, client=source, clock=MonotonicClock(), refresh_s=300.0, max_age_s=3600.0)
     odd = threading.Event()
     honest = source.get_json
@@ -107,7 +107,7 @@ def test_the_thread_renews_by_itself_and_is_not_stopped_by_what_nobody_foresaw(s
     assert not provider._thread.is_alive()
 
 
-def test_whoever_may_wait_gets_the_newer_keys_and_nobody_waits_who_cannot_get_any(source, clock):
+def test_only_calls_that_may_wait_wait_for_newer_keys(source, clock):
     provider = Provider(issuer=ISSUER, client=source, clock=clock, refresh_s=300.0, max_age_s=3600.0)
     provider.refresh()
     known = provider.state()

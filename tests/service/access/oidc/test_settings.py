@@ -84,7 +84,7 @@ def test_an_issuer_alone_is_refused():
 @pytest.mark.parametrize(
     "content", [b"", b" \n", b"two\nlines", b"\xff\xfe", b"x" * 5_000], ids=lambda text: repr(text[:9])
 )
-def test_a_secret_file_without_a_secret_is_refused_and_its_content_is_not_told(oidc, secret_file, content):
+def test_a_secret_file_without_a_secret_is_refused_and_its_content_is_not_reported(oidc, secret_file, content):
     secret_file.write_bytes(content)
     told = refused(**oidc(HTTPS))
     assert "OIDC_CLIENT_SECRET_FILE" in told

@@ -183,7 +183,7 @@ def test_a_token_signed_by_another_key_of_that_name_is_refused():
     assert refused(person, signed(person_claims(), key=mine)) == "signature"
 
 
-def test_a_key_that_is_not_published_is_told_apart_since_that_is_what_a_rotation_looks_like():
+def test_a_key_that_is_not_published_is_distinguished_since_that_is_what_a_rotation_looks_like():
     assert refused(person, signed(person_claims(), key=OTHER_KEY)) == "unknown_key"
 
 

@@ -154,7 +154,7 @@ def test_a_machine_that_may_is_obeyed_and_acts_for_whom_it_legibly_says(client, 
 
 
 @pytest.mark.parametrize("action", AWAY)
-def test_whoever_may_not_is_refused_whatever_the_body(client, session_id, running, action):
+def test_a_caller_without_the_permission_is_refused_with_any_body(client, session_id, running, action):
     client.headers_as("B. Viewer", {"viewer"})
     client.speaks_as = "B. Viewer"
     assert send(client, session_id, action, b"", None).status_code == 403

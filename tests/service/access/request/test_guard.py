@@ -93,7 +93,7 @@ def test_behind_a_proxy_the_cookie_travels_by_tls_alone_and_only_for_this_host(s
         assert log_in(client, "root", Origin="http://testserver").status_code == 403
 
 
-def test_what_is_wrong_with_a_log_in_nobody_is_told(quick):
+def test_a_failed_log_in_does_not_reveal_the_reason(quick):
     answers = [log_in(quick, password="wrong password"), log_in(quick, name="nobody at all")]
     assert [answer.status_code for answer in answers] == [401, 401]
     assert answers[0].json() == answers[1].json()
@@ -131,7 +131,7 @@ def test_what_was_sent_as_a_password_is_never_shown_again(quick, body):
     assert "hunter" not in json.dumps(audit_rows(quick))
 
 
-def test_whoever_has_a_password_that_was_made_for_them_may_change_it_and_nothing_else(quick):
+def test_with_a_generated_password_only_changing_it_is_allowed(quick):
     one_time = quick.post(
         "/api/v1/users",
         json={"name": "C. Nurse", "roles": ["therapist"]},
@@ -157,7 +157,7 @@ def test_a_wrong_old_password_is_no_end_of_the_log_in(quick):
     assert quick.get("/api/v1/me").status_code == 200
 
 
-def test_a_person_ends_their_other_log_ins_and_an_administrator_anybody_s(quick):
+def test_a_person_ends_their_other_log_ins_and_an_administrator_any_person_s(quick):
     log_in(quick)
     there = headers_of(open_login(quick.desk.store, "B. Physicist"))
     listed = quick.get("/api/v1/me/logins").json()["items"]
@@ -260,7 +260,7 @@ def test_a_socket_is_no_way_to_a_call_and_a_call_none_to_a_socket(door):
     assert door.get("/api/v1/live").status_code == 404
 
 
-def test_the_body_of_whom_nobody_knows_is_not_read(nobody, monkeypatch):
+def test_the_body_of_an_unknown_caller_is_not_read(nobody, monkeypatch):
     read = []
 
     async def inner(_scope, receive, _send):
@@ -285,7 +285,7 @@ def test_the_body_of_whom_nobody_knows_is_not_read(nobody, monkeypatch):
     assert read == []
 
 
-def test_the_page_is_read_by_anybody_and_nothing_else_beside_it(door):
+def test_the_page_is_public_and_nothing_else_beside_it(door):
     assert door.get("/").status_code == 200
     assert door.get("/index.html").status_code == 200
     assert door.get("/nothing.html").status_code == 401
@@ -307,7 +307,7 @@ def test_a_refusal_names_what_is_missing_and_is_audited_with_who_and_what(nobody
     assert row["detail"]["path"] == "/api/v1/sessions/{session_id}/arm"
 
 
-def test_a_flood_of_strangers_costs_one_row_that_counts_them(quick):
+def test_a_flood_of_unknown_callers_costs_one_row_that_counts_them(quick):
     for _ in range(30):
         assert quick.get("/api/v1/sessions").status_code == 401
     log_in(quick, "nobody at all", "wrong password")

@@ -73,7 +73,7 @@ def test_a_process_that_is_there_for_a_session_says_so_on_every_line():
     assert json.loads(JsonFormatter("1" * 32).format(record_of("done")))["session_id"] == "1" * 32
 
 
-def test_an_exception_is_told_by_kind_and_place_alone():
+def test_an_exception_is_reported_by_kind_and_place_alone():
     try:
         try:
             int("P-0001")

@@ -41,7 +41,7 @@ def written(plain_servers):
     logging.root.setLevel(kept[1])
 
 
-def test_an_exception_is_told_by_its_kind_and_its_place(written):
+def test_an_exception_is_reported_by_its_kind_and_its_place(written):
     try:
         fail(SECRET)
     except ValueError:
@@ -84,7 +84,7 @@ def test_what_the_event_loop_tells_of_a_task_is_cut_to_its_first_line(written):
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_thread_that_fails_is_told_without_its_message(written):
+def test_a_thread_that_fails_is_reported_without_its_message(written):
     thread = threading.Thread(target=fail, args=(SECRET,), name="tidegate-writer")
     thread.start()
     thread.join()
@@ -92,7 +92,7 @@ def test_a_thread_that_fails_is_told_without_its_message(written):
     assert SECRET not in written.getvalue()
 
 
-def test_what_nobody_catches_is_told_without_its_message(written):
+def test_an_uncaught_error_is_logged_without_its_message(written):
     try:
         fail(SECRET)
     except ValueError:

@@ -64,7 +64,7 @@ def test_listening_beyond_this_machine_has_to_be_asked_for(monkeypatch, host):
         assert load_settings(host=host).is_secure
 
 
-def test_the_setting_that_let_anybody_in_is_gone_and_says_what_to_set(monkeypatch):
+def test_the_removed_setting_for_open_access_names_its_replacement(monkeypatch):
     monkeypatch.setenv("TIDEGATE_ALLOW_REMOTE", "true")
     with pytest.raises(SettingsError, match=r"ALLOW_REMOTE was removed.*TLS_CERT.*BEHIND_PROXY"):
         load_settings()

@@ -75,13 +75,13 @@ def mailbox():
     return CommandQueue(clock=clock, capacity=4, longest_silence_ns=500 * MS), clock
 
 
-def test_an_engine_that_never_heard_of_a_service_has_none_that_could_be_silent(mailbox):
+def test_an_engine_without_a_service_has_no_silence_check(mailbox):
     box, clock = mailbox
     clock.advance_ns(10_000 * MS)
     assert box.take_report(is_armed=True) is None
 
 
-def test_a_service_is_silent_from_its_bound_on_for_an_armed_gate_and_until_it_is_heard(mailbox):
+def test_a_service_is_silent_from_its_bound_on_for_an_armed_gate_until_the_next_heartbeat(mailbox):
     box, clock = mailbox
     box.note_service(clock.now_ns())
     clock.advance_ns(500 * MS)
@@ -106,7 +106,7 @@ def test_what_was_on_its_way_for_long_makes_no_service_younger(mailbox):
     assert box.take_report(is_armed=True) is None, "the newest counts"
 
 
-def test_a_fault_that_was_left_is_told_first(mailbox):
+def test_a_fault_that_was_left_is_reported_first(mailbox):
     box, clock = mailbox
     box.note_service(clock.now_ns())
     clock.advance_ns(600 * MS)
@@ -179,7 +179,7 @@ def test_an_answer_that_comes_while_the_rest_is_read_waits_for_the_next_news(ser
     assert [one.number for one in sender._next_update(LoopStatus.RUNNING).answers] == [1]
 
 
-def test_the_end_is_told_once_even_what_had_found_its_queue_full_was_told(served):
+def test_the_end_is_emitted_once_even_if_its_queue_was_full_before(served):
     _, server, _, _ = served
     kept = ["three", "two"]
 
@@ -273,7 +273,7 @@ def test_a_service_that_is_gone_has_the_line_held_before_anything_that_may_take_
     assert isinstance(bulk.receive(), Opened)
 
 
-def test_a_service_that_is_gone_before_it_heard_of_the_beginning_leaves_no_engine_behind(served):
+def test_a_service_that_ends_before_the_start_message_leaves_no_engine_behind(served):
     engine, server, bulk, control = served
     bulk.close()
     control.close()

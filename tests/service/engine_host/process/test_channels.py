@@ -92,7 +92,7 @@ def test_every_error_of_ours_arrives_as_its_class_with_its_fields(channels, erro
         )
 
 
-def test_an_error_that_nobody_raised_on_purpose_arrives_by_its_kind_alone():
+def test_an_unexpected_error_arrives_by_its_kind_alone():
     found = portable(KeyError("P-0001"))
     assert type(found) is EngineFailedError
     assert str(found) == "KeyError", "its message may be about a patient"
@@ -143,7 +143,7 @@ def test_a_plan_arrives_as_it_was(channels):
     assert (found.window, found.regions, found.source) == (plan.window, plan.regions, plan.source)
 
 
-def test_a_whisper_that_finds_no_room_is_not_sent_and_nobody_waits():
+def test_a_control_message_that_does_not_fit_is_dropped_without_waiting():
     here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     control, other = ControlChannel(here), ControlChannel(there)
     order = CommandMessage(number=1, slot=0, command=Arm(operator="ann"), submitted_ns=0)
@@ -162,7 +162,7 @@ def test_a_whisper_that_finds_no_room_is_not_sent_and_nobody_waits():
     other.close()
 
 
-def test_who_hangs_up_is_heard_at_once(channels):
+def test_a_disconnect_is_noticed_at_once(channels):
     here, there = channels
     here.close()
     with pytest.raises(ChannelClosedError):

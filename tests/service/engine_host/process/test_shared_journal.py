@@ -63,7 +63,7 @@ def test_a_start_waits_a_while_for_an_engine_that_is_on_its_way_out(shared, monk
 
 
 @pytest.mark.parametrize("acknowledged", [0, 1, 2])
-def test_the_file_goes_once_all_that_was_told_is_acknowledged(shared, acknowledged):
+def test_the_file_is_removed_once_all_entries_are_acknowledged(shared, acknowledged):
     journal, owner, client = shared
     client.commit(_transition(5))
     client.commit(_transition(6))

@@ -101,7 +101,7 @@ def test_a_camera_that_does_not_register_needs_a_calibration(client, device_body
     assert_refused(client, client.post(URL, json=device_body), "cannot register")
 
 
-def test_a_camera_that_is_gone_is_told(client, device_body, engine):
+def test_a_camera_that_is_gone_is_reported(client, device_body, engine):
     engine.fail_with = SourceLostError("the OpenNI2 runtime sees no such camera")
     assert client.post(URL, json=device_body).status_code == 503
     assert client.get("/api/v1/calibrations").json()["items"][1:] == []
@@ -127,7 +127,7 @@ def test_nobody_uploads_a_calibration_under_that_name(client):
     assert (answer.status_code, answer.json()["field"]) == (422, "camera")
 
 
-def test_a_camera_that_takes_its_time_to_answer_keeps_nobody_from_the_database(client, device_body, engine):
+def test_a_slow_camera_does_not_block_the_database(client, device_body, engine):
     engine.while_probed = lambda: answers.append(upload(client, make_calibration("meanwhile").to_json()).status_code)
     answers = []
     assert client.post(URL, json=device_body).status_code == 201
@@ -217,7 +217,7 @@ def test_the_engine_leaves_a_running_session_s_camera_alone(camera, monkeypatch)
 @pytest.mark.parametrize(
     ("may_gate", "is_nominal", "expected"), [(False, True, False), (False, False, True), (True, True, True)]
 )
-def test_the_gate_is_told_whether_the_camera_was_calibrated(camera, monkeypatch, may_gate, is_nominal, expected):
+def test_the_gate_gets_whether_the_camera_was_calibrated(camera, monkeypatch, may_gate, is_nominal, expected):
     monkeypatch.setattr(local_engine, "OpenNiSource", lambda *_args, **_named: StillSource())
     taken = []
 

@@ -136,6 +136,6 @@ def test_the_document_names_every_code_of_the_readiness():
     assert [code.value for code in ReadinessCode if f"`{code.value}`" not in text] == []
 
 
-def test_everything_that_is_told_has_words():
+def test_every_event_has_a_text():
     assert [one.name for one in described() if len(one.words) < 8] == []
     assert "P-0001" not in scraped()

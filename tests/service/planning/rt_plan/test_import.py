@@ -146,7 +146,7 @@ def test_only_dicom_is_taken(client):
         assert (answer.status_code, answer.json()["bound"]) == (415, "application/dicom")
 
 
-def test_a_plan_is_imported_by_whoever_may_and_by_nobody_else(client):
+def test_a_plan_is_imported_only_with_the_permission(client):
     client.headers_as("V. Iewer", ["viewer"])
     client.headers_as("T. Herapist", ["therapist"])
     for name in ("V. Iewer", "T. Herapist"):

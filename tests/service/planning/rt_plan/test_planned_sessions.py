@@ -97,7 +97,7 @@ def test_a_window_of_another_technique_is_refused_and_audited(client, plan, aske
     assert (row["outcome"], row["detail"]["code"]) == ("refused", "plan_gating")
 
 
-def test_a_person_may_override_with_a_reason_that_is_kept_and_told(client, plan, asked):
+def test_a_person_may_override_with_a_reason_that_is_kept_and_reported(client, plan, asked):
     reason = "patient cannot hold; physicist A agreed"
     answer = prepare(client, plan, asked | {"window": AMPLITUDE, "overrides_plan_gating": reason})
     assert answer.status_code == 201
@@ -114,7 +114,7 @@ def test_an_override_needs_a_reason(client, plan, asked):
             assert prepare(client, plan, asked | {name: reason}).status_code == 422
 
 
-def test_a_machine_does_not_go_against_a_plan_whoever_it_says_that_it_acts_for(client, plan, asked):
+def test_a_machine_cannot_override_a_plan_for_any_person(client, plan, asked):
     until = datetime.now(UTC) + timedelta(days=1)
     key = client.desk.keys.create("planning", KEY_PERMISSIONS, until, by="A. Therapist")
     headers = {"Authorization": f"Bearer {key.secret}"}
@@ -134,7 +134,7 @@ def test_no_fraction_is_treated_that_is_not_planned(client, plan, asked):
     assert prepare(client, plan, asked | {"fraction_number": 30}).status_code == 201
 
 
-def test_a_plan_that_does_not_say_how_many_fractions_is_told_and_bounded_all_the_same(client, asked):
+def test_a_plan_that_does_not_say_how_many_fractions_is_reported_and_bounded_all_the_same(client, asked):
     plan = kept(client, FractionGroupSequence=[group(fractions=None)])
     answer = prepare(client, plan, asked | {"fraction_number": 200})
     assert answer.status_code == 201
@@ -177,7 +177,7 @@ def test_a_fraction_that_was_never_begun_or_is_another_one_is_free(client, plan,
     assert prepare(client, plan, asked | {"fraction_number": 4}).status_code == 201
 
 
-def test_a_rejected_plan_gives_no_session_whoever_asks(client, asked):
+def test_a_rejected_plan_gives_no_session_to_any_role(client, asked):
     plan = kept(client, ApprovalStatus="REJECTED")
     answer = prepare(client, plan, asked | {"overrides_plan_gating": "because"})
     assert (answer.status_code, answer.json()["code"]) == (409, "plan_rejected")
@@ -190,7 +190,7 @@ def say_otherwise(client, **changes):
 
 
 @pytest.mark.both_databases
-def test_a_plan_that_was_rejected_after_its_import_gives_no_session_whoever_asks(client, plan, asked):
+def test_a_plan_that_was_rejected_after_its_import_gives_no_session_to_any_role(client, plan, asked):
     say_otherwise(client, ApprovalStatus="REJECTED")
     say_otherwise(client, RTPlanName="another")
     for reason in ({}, {"overrides_contradiction": "because"}):
@@ -226,7 +226,7 @@ def test_an_approval_that_comes_later_is_no_contradiction(client, asked):
     assert any("UNAPPROVED" in warning for warning in answer.json()["warnings"])
 
 
-def test_what_the_plan_does_not_settle_is_told_with_the_session(client, asked):
+def test_what_the_plan_does_not_settle_is_reported_with_the_session(client, asked):
     plan = kept(client, **of(None), ApprovalStatus="UNAPPROVED", PlanIntent="RESEARCH")
     told = " / ".join(prepare(client, plan, asked).json()["warnings"])
     for word in ("prescribes no gating", "UNAPPROVED", "RESEARCH"):

@@ -138,7 +138,7 @@ GATINGS = [
 
 
 @pytest.mark.parametrize(("setups", "prescribed"), GATINGS)
-def test_what_the_plan_prescribes_about_breathing_is_told_in_our_words(setups, prescribed):
+def test_what_the_plan_prescribes_about_breathing_is_reported_in_our_words(setups, prescribed):
     number = None if setups is None else 1
     plan = photon_plan(PatientSetupSequence=setups, BeamSequence=[beam(setup_number=number)])
     assert read_plan(written(plan)).gating == prescribed
@@ -201,7 +201,7 @@ def test_a_plan_that_cannot_be_true_is_refused_by_its_tag(changes, code, field):
     assert field in str(error.field)
 
 
-def test_where_in_the_file_it_is_wrong_is_told():
+def test_where_in_the_file_it_is_wrong_is_reported():
     plan = photon_plan(
         BeamSequence=[beam(1), beam(2, energies=(6.0, 1e6))], FractionGroupSequence=[group(beams=(1, 2))]
     )
@@ -233,7 +233,7 @@ def test_no_whole_number_is_taken_that_is_none_or_overflows(written_as):
     assert "Number" in str(error.field)
 
 
-def test_characters_that_are_not_told_of_are_refused_and_never_guessed():
+def test_undeclared_characters_are_refused_and_never_guessed():
     content = written(photon_plan())
     error = refused(patched(content, b"LUNG_DIBH", b"LUNG_D\xd6BH"))
     assert error.field == "(300A,0002) RT Plan Label"
@@ -249,7 +249,7 @@ def test_characters_that_are_not_told_of_are_refused_and_never_guessed():
         assert refused(content).field == "(0008,0005) Specific Character Set"
 
 
-def test_characters_are_those_that_were_told_and_no_others():
+def test_characters_are_exactly_those_declared():
     told = photon_plan(SpecificCharacterSet="ISO_IR 6")
     assert "Specific" in str(refused(patched(written(told), b"LUNG_DIBH", b"LUNG_D\xd6BH")).bound)
     japanese = photon_plan(SpecificCharacterSet=["", "ISO 2022 IR 87"], RTPlanLabel="肺")

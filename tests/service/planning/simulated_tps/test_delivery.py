@@ -26,7 +26,7 @@ def test_beam_on_time_runs_from_a_frame_with_the_beam_on_to_the_next_frame():
 
 
 @pytest.mark.parametrize(("before", "behind"), [(True, True), (True, False), (False, True)])
-def test_what_nobody_saw_counts_as_on_where_either_end_of_it_was(before, behind):
+def test_an_unseen_interval_counts_as_on_if_either_end_was_on(before, behind):
     clock = counted((0, before), (10, behind))
     assert clock.on_s == pytest.approx(10 * FRAME_US / 1e6)
     assert clock.unseen_s == clock.on_s

@@ -188,7 +188,7 @@ def test_a_start_whose_answer_was_lost_is_not_started_twice():
     assert room.done() == WHOLE
 
 
-def test_a_hold_that_nobody_answered_is_asked_for_at_the_next_frame():
+def test_a_hold_without_an_answer_is_repeated_at_the_next_frame():
     room = Room()
     room.becomes["hold"] = UnreachableError("lost")
     treat(room)
@@ -254,7 +254,7 @@ def test_somebody_else_s_hold_is_theirs_to_release():
     assert room.done() == WHOLE
 
 
-def test_a_hold_that_is_nobody_s_to_release_ends_in_impatience():
+def test_a_hold_that_no_person_can_release_ends_in_a_time_out():
     room = Room()
     room.at_frame[10] = lambda: setattr(room, "operator_hold", "C. Nurse")
     with pytest.raises(FractionEndedError, match="no beam for 5 s"):
@@ -351,7 +351,7 @@ def test_a_service_that_does_not_come_back_is_given_up():
         treat(Gone())
 
 
-def test_a_session_that_a_restart_interrupted_is_told_with_its_status():
+def test_a_session_that_a_restart_interrupted_is_reported_with_its_status():
     room = Room()
     room.at_frame[12] = lambda: setattr(room, "status", "interrupted")
     with pytest.raises(SessionOverError) as over:

@@ -61,7 +61,7 @@ def test_a_daily_run_fits_on_one_page():
     assert len(report_pages(detail, trends(detail))) == 1
 
 
-def test_a_failure_is_told_by_its_word_its_place_and_why(tmp_path):
+def test_a_failure_is_reported_by_its_word_its_place_and_why(tmp_path):
     detail = run_detail(made=report(plate_noise_mm=9.0, camera_distance_mm=None))
     text = read(report_pdf(detail, trends(detail)), tmp_path)
     lines = text.splitlines()

@@ -92,7 +92,7 @@ def test_what_takes_the_beam_away_is_never_too_late_and_minds_no_query(
 
 
 @pytest.mark.parametrize("action", ["disarm", "hold"])
-def test_what_takes_the_beam_away_takes_back_all_that_came_in_before_the_engine_is_told(
+def test_taking_permission_away_withdraws_all_earlier_calls_before_the_engine_is_commanded(
     client, session_id, running, action
 ):
     """As young as the telling: an arming that arrived after this call, and looked before it was told, is older."""

@@ -147,7 +147,7 @@ def test_a_start_that_is_killed_in_the_middle_leaves_all_of_it_to_the_next(datab
     assert path(database) == ["hold", "dwell", "beam_on", "hold"]
 
 
-def test_a_permit_that_was_only_foreseen_is_told_as_one_that_may_not_have_been(database, journals):
+def test_a_permit_that_was_only_foreseen_is_reported_as_one_that_may_not_have_been(database, journals):
     add_session(database)
     journal = journals.begin("s1", ManualClock(BEGAN_NS))
     journal.prepare(STEPS[2])
@@ -279,7 +279,7 @@ def test_a_session_that_ran_and_has_no_journal_any_more_is_said_once(database, j
     assert "may be lacking" in detail["detail"]
 
 
-def test_a_journal_made_where_another_setting_told_is_found_too(database, tmp_path):
+def test_a_journal_in_the_folder_of_an_earlier_setting_is_found_too(database, tmp_path):
     add_session(database)
     (tmp_path / "memory").mkdir()
     before = Journals(tmp_path / "data", None, memory=tmp_path / "memory")

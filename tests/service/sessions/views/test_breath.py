@@ -21,7 +21,7 @@ def view_of(**options):
     return running.latest
 
 
-def test_the_breath_told_is_that_of_the_first_gated_signal():
+def test_the_reported_breath_is_that_of_the_first_gated_signal():
     breaths = (Breath(signal=THORAX, rate_per_min=9.0), Breath(rate_per_min=14.0))
     assert live_breath(view_of(breaths=breaths)).rate_per_min == 14.0
     assert live_breath(view_of(breaths=breaths[:1])) is None

@@ -60,7 +60,7 @@ def test_a_removed_line_breaks_the_next_one(file):
     assert "line 2" in file.report().trouble
 
 
-def test_a_torn_line_is_ended_told_and_followed(file):
+def test_a_torn_line_is_ended_reported_and_followed(file):
     file.append("start", sequence=1, head_hash=HASH)
     with file.path.open("ab") as raw:
         raw.write(b'{"at":"2026-')
@@ -78,7 +78,7 @@ def test_rows_that_go_back_without_a_restore_are_trouble(file):
     assert "anchors row 4 after row 9" in file.report().trouble
 
 
-def test_a_restore_is_told_and_only_what_follows_it_counts(file):
+def test_a_restore_is_reported_and_only_what_follows_it_counts(file):
     file.append("time", sequence=9, head_hash=HASH)
     note_restore(file.path, sequence=4, head_hash="cd" * 32, source="backup of Monday")
     report = file.report()
@@ -104,7 +104,7 @@ def test_a_file_that_was_cut_or_replaced_does_not_reach_where_it_did(file):
     assert not file.still_reaches(reached)
 
 
-def test_a_file_of_many_lines_is_told_from_its_end(file):
+def test_a_file_of_many_lines_is_reported_from_its_end(file):
     for number in range(1, 600):
         file.append("time", sequence=number, head_hash=HASH)
     assert file.last().sequence == 599

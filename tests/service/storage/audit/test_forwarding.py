@@ -154,7 +154,7 @@ def test_the_schema_refuses_a_message_that_lacks_what_it_needs(tmp_path):
     assert judged.returncode != 0
 
 
-def test_hours_of_outage_cost_nothing_and_are_told(desk, daemon, database):
+def test_hours_of_outage_cost_nothing_and_are_reported(desk, daemon, database):
     desk.turns()
     received(daemon, 7)
     desk.settle()

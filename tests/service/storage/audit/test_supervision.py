@@ -71,7 +71,7 @@ def test_a_setting_that_came_or_went_with_another_version_is_a_change():
     assert changes({"settings": {"one": 1}}, {"one": 1}) is None
 
 
-def test_no_secret_is_told(tmp_path):
+def test_no_secret_is_recorded(tmp_path):
     url = "postgresql://gate:topsecret@localhost/tidegate"
     told = redacted_settings(Settings(data_dir=tmp_path, database_url=url))
     assert "topsecret" not in json.dumps(told)
@@ -85,12 +85,12 @@ class Careless(BaseSettings):
     keyboard: str = "qwerty"
 
 
-def test_a_secret_that_is_only_called_one_is_not_told_either():
+def test_a_setting_named_like_a_secret_is_redacted_too():
     assert redacted_settings(Careless()) == {"api_token": "(not told)", "key_file": "key.pem", "keyboard": "qwerty"}
 
 
 @pytest.mark.parametrize("cut", [8, 5, 1])
-def test_newest_rows_cut_off_are_told_loudly_at_the_next_start(house, raw, caplog, cut):
+def test_newest_rows_cut_off_are_reported_loudly_at_the_next_start(house, raw, caplog, cut):
     house.run()
     cut_off(raw, cut)
     house.run()
@@ -101,7 +101,7 @@ def test_newest_rows_cut_off_are_told_loudly_at_the_next_start(house, raw, caplo
     assert not found.is_intact
 
 
-def test_another_database_in_its_place_is_told_at_the_next_start(house, database, tmp_path):
+def test_another_database_in_its_place_is_reported_at_the_next_start(house, database, tmp_path):
     house.run()
     other = database.twin(busy_timeout_s=1.0, answer_timeout_s=None)
     other.close()
@@ -115,7 +115,7 @@ def test_another_database_in_its_place_is_told_at_the_next_start(house, database
     assert (found.breakage, found.first_broken_sequence) == (Breakage.REPLACED, 9)
 
 
-def test_a_row_changed_since_the_newest_head_is_told_at_the_next_start(house, raw):
+def test_a_row_changed_since_the_newest_head_is_reported_at_the_next_start(house, raw):
     house.run()
     fill(house.database, 3)
     raw.execute("UPDATE audit SET actor = 'you' WHERE sequence = 11")
@@ -132,7 +132,7 @@ def test_a_row_changed_before_the_newest_head_is_left_to_the_whole_check(house, 
 
 
 @pytest.mark.parametrize("way", ["gone", "cut", "another"])
-def test_a_file_of_heads_that_lost_lines_is_told(house, way):
+def test_a_file_of_heads_that_lost_lines_is_reported(house, way):
     house.run()
     house.run()
     lines = house.file.path.read_text().splitlines(keepends=True)
@@ -146,7 +146,7 @@ def test_a_file_of_heads_that_lost_lines_is_told(house, way):
     assert found.breakage is Breakage.ANCHORS
 
 
-def test_a_restored_backup_is_told_apart_from_rows_cut_off(house, raw, database):
+def test_a_restored_backup_is_distinguished_from_rows_cut_off(house, raw, database):
     house.run()
     cut_off(raw, 5)
     with database.read() as db:
@@ -291,7 +291,7 @@ def test_many_rows_at_once_are_one_head(keeping, monkeypatch):
     assert keeping.look(*["session.start"] * 10) == [17]
 
 
-def test_a_share_that_is_away_is_told_once_and_asked_no_more_often(keeping, caplog):
+def test_a_share_that_is_away_is_reported_once_and_asked_no_more_often(keeping, caplog):
     (share := keeping.file.path.parent).rmdir()
     assert keeping.look("session.start") == []
     assert "cannot be kept" in keeping.keeper.trouble
@@ -306,7 +306,7 @@ def test_a_share_that_is_away_is_told_once_and_asked_no_more_often(keeping, capl
     assert [event.action for event in keeping.events] == ["audit.anchors_failed", "audit.anchors_resumed"]
 
 
-def test_a_share_that_never_answers_is_told_while_it_hangs(keeping, monkeypatch):
+def test_a_share_that_never_answers_is_reported_while_it_hangs(keeping, monkeypatch):
     told = []
 
     def hang(*_, **__):

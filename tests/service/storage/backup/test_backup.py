@@ -101,7 +101,7 @@ def test_a_restored_database_keeps_its_triggers_its_chain_and_its_place_among_th
             db.execute(text("UPDATE audit SET actor = 'you'"))
 
 
-def test_a_restore_on_the_same_machine_is_told_apart_from_rows_cut_off(database, made, out, folder, tmp_path):
+def test_a_restore_on_the_same_machine_is_distinguished_from_rows_cut_off(database, made, out, folder, tmp_path):
     write_rows(database)
     with database.read() as db:
         later = audit.verify(db)
@@ -364,7 +364,7 @@ def test_a_check_leaves_nothing_behind(made, out, tmp_path):
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_a_log_that_was_broken_before_is_restored_only_by_whoever_says_so(database, folder, out, tmp_path):
+def test_a_log_that_was_broken_before_is_restored_only_on_confirmation(database, folder, out, tmp_path):
     write_rows(database)
     with database.write() as db:
         db.execute(text("DROP TRIGGER audit_no_update"))

@@ -42,7 +42,7 @@ def test_another_file_in_its_place_is_not_the_database(settings, looks, running)
     _hears_no_more(running, looks)
 
 
-def test_a_full_disk_is_told_again_and_again_so_that_no_acknowledgement_leads_to_a_beam(
+def test_a_full_disk_is_reported_again_and_again_so_that_no_acknowledgement_leads_to_a_beam(
     client, session_id, engine, monkeypatch
 ):
     """Were it told once a second, somebody quick could have the beam on for most of it."""

@@ -61,7 +61,7 @@ def is_whole(place):
 
 
 @pytest.mark.parametrize("end", ["stop", "kill"])
-def test_a_server_that_goes_is_heard_of_while_it_is_away_and_nothing_is_lost(
+def test_a_server_that_goes_is_reported_while_it_is_away_and_nothing_is_lost(
     client, session_id, running, server, place, quick_looks, end
 ):
     running.transition(GateState.HOLD, HoldReason.DWELL)
@@ -83,9 +83,7 @@ def test_a_server_that_goes_is_heard_of_while_it_is_away_and_nothing_is_lost(
     assert is_whole(place)
 
 
-def test_a_server_that_stands_still_is_heard_of_and_keeps_nobody_from_holding(
-    client, session_id, running, server, quick_looks
-):
+def test_a_server_that_stands_still_is_reported_and_prevents_no_hold(client, session_id, running, server, quick_looks):
     server.pause()
     try:
         running.transition(GateState.HOLD, HoldReason.DWELL)
@@ -129,7 +127,7 @@ def test_a_statement_that_takes_too_long_is_ended_by_the_server_itself(place):
     database.close()
 
 
-def test_one_writes_at_a_time_and_who_waits_too_long_is_told(place):
+def test_one_writes_at_a_time_and_a_long_wait_is_refused(place):
     one, other = Database(place), Database(place, busy_timeout_s=0.2)
     with one.write(), pytest.raises(SQLAlchemyError, match="lock timeout"), other.write():
         pass
@@ -221,7 +219,7 @@ def test_a_lock_whose_connection_ended_is_taken_again_at_the_next_look(place):
     _close(writers, one, other)
 
 
-def test_a_lock_that_another_service_took_meanwhile_is_told_for_as_long_as_it_has_it(place):
+def test_a_lock_that_another_service_took_meanwhile_is_reported_for_as_long_as_it_has_it(place):
     one, other = Database(place), Database(place)
     one.claim()
     writers = one.twin(busy_timeout_s=0.5, answer_timeout_s=1.0)

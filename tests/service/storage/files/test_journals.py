@@ -90,7 +90,7 @@ def test_a_journal_that_lies_on_a_disk_because_memory_is_full_is_said_with_the_r
 
 
 @pytest.mark.parametrize("told", [None, "told"])
-def test_a_journal_in_memory_or_where_it_was_told_to_be_says_nothing(tmp_path, caplog, told):
+def test_a_journal_in_memory_or_in_the_set_folder_gives_no_warning(tmp_path, caplog, told):
     (tmp_path / "memory").mkdir()
     journals = Journals(tmp_path / "data", told and tmp_path / told, memory=tmp_path / "memory")
     with caplog.at_level(logging.WARNING, "service.storage.files.journals"):

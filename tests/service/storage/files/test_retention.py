@@ -77,7 +77,7 @@ def test_a_day_is_a_day(database, data_dir, days, is_gone):
     assert f"samples/{OLD}.parquet" in left(data_dir)
 
 
-def test_an_open_session_s_files_and_strangers_stay_however_old(database, data_dir):
+def test_an_open_session_s_files_and_foreign_files_stay_however_old(database, data_dir):
     settings = site(data_dir, retain_samples_days=1, retain_raw_days=1)
     remove_old(database, data_dir, settings, NOW + timedelta(days=9999))
     assert {path.split("/")[1][0] for path in left(data_dir) if not path.endswith(".db")} == {"2", "3"}
@@ -166,7 +166,7 @@ def _newest(client):
     return client.get("/api/v1/sessions").json()["items"][0]["id"]
 
 
-def test_what_may_go_goes_before_anybody_is_refused(settings, tmp_path, monkeypatch):
+def test_removable_files_are_removed_before_a_session_is_refused(settings, tmp_path, monkeypatch):
     from service.storage.files.capacity import refuse_without_room
 
     free = [0]

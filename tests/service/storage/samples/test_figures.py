@@ -20,7 +20,7 @@ def test_the_duty_cycle_is_of_the_armed_frames_alone_and_latency_counts_from_the
     assert summary.latency.p50_ms == pytest.approx(6.001), "the frames without a capture count from the reception"
 
 
-def test_latencies_of_a_second_and_more_are_told_as_they_were():
+def test_latencies_of_a_second_and_more_are_reported_as_they_were():
     figures = Figures()
     late = record(0)
     figures.add(batch_of(HEAD.schema, [replace(late, asserted_ns=late.received_ns + 3_000_000_000)]))

@@ -24,7 +24,7 @@ def places_of(path):
         return [walk.end for _ in walk]
 
 
-def test_a_file_explains_itself_to_whoever_opens_it_with_arrow_alone(tmp_path):
+def test_a_file_describes_its_columns_to_readers_that_use_arrow_alone(tmp_path):
     path = write_stream(tmp_path).path
     with pa.OSFile(str(path)) as file, pa.ipc.open_stream(file) as reader:
         schema, table = reader.schema, reader.read_all()

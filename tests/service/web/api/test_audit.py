@@ -117,7 +117,7 @@ def test_canonical_json_is_one_text_for_one_value(detail):
     assert audit.canonical_json(detail) == audit.canonical_json(turned)
 
 
-def test_a_broken_chain_is_told_over_http(client, settings):
+def test_a_broken_chain_is_reported_over_http(client, settings):
     connection = sqlite3.connect(settings.data_dir / "tidegate.db")
     connection.execute("DROP TRIGGER audit_no_update")
     connection.execute("UPDATE audit SET actor = 'you' WHERE sequence = 1")
@@ -160,7 +160,7 @@ def test_an_export_of_an_unknown_session_is_refused(client):
     assert (answer.status_code, answer.json()["field"]) == (404, "session_id")
 
 
-def test_samples_that_leave_the_house_are_audited(client, session_id, running):
+def test_exported_samples_are_audited(client, session_id, running):
     running.frame()
     act(client, session_id, "stop")
     assert client.get(f"/api/v1/sessions/{session_id}/samples").status_code == 200
@@ -242,7 +242,7 @@ def test_a_bad_question_to_the_audit_is_refused(client, name, value):
     assert (answer.status_code, answer.json()["field"]) == (422, name)
 
 
-def test_an_audit_that_is_not_as_it_should_be_is_told_by_the_readiness(client, settings):
+def test_an_audit_that_is_not_as_it_should_be_is_reported_by_the_readiness(client, settings):
     ready = client.get("/readyz").json()
     assert not [reason for reason in ready["not_ready"] if "audit" in reason]
     settings.anchor_file.unlink(missing_ok=True)
@@ -252,7 +252,7 @@ def test_an_audit_that_is_not_as_it_should_be_is_told_by_the_readiness(client, s
     assert row["outcome"] == "failed"
 
 
-def test_a_log_that_was_cut_off_while_nothing_ran_is_told_by_the_readiness(settings, engine):
+def test_a_log_that_was_cut_off_while_nothing_ran_is_reported_by_the_readiness(settings, engine):
     with PeopleClient(create_app(settings, lambda _settings: engine)):
         pass
     connection = sqlite3.connect(settings.data_dir / "tidegate.db")

@@ -39,7 +39,7 @@ def test_every_route_that_changes_something_is_named_after_its_action():
     assert len(names) > 20
 
 
-def test_every_way_out_of_the_house_is_a_route():
+def test_every_export_is_a_route():
     assert {("GET", path) for path in EXPORTS} <= set(operations())
     assert set(NOT_AUDITED) <= set(operations())
 

@@ -68,7 +68,7 @@ def test_what_takes_the_beam_away_is_done_whatever_is_asked_for(client, session_
 
 
 @pytest.mark.parametrize("action", ["hold", "disarm", "stop"])
-def test_a_look_from_before_it_is_worth_nothing_from_when_the_engine_is_told_on(
+def test_a_look_from_before_it_is_worth_nothing_from_when_the_engine_is_commanded_on(
     client, session_id, running, monkeypatch, action
 ):
     revisions, met = client.app.state.services.revisions, []
@@ -139,7 +139,7 @@ def test_of_two_corrections_at_once_with_one_etag_one_is_done(client, session_id
 
 
 @pytest.mark.parametrize("kind", ["calibrations", "users", "keys", "qa/baseline", "sessions"])
-def test_what_is_known_is_not_told_again(client, calibration_id, session_id, kind):
+def test_a_known_state_is_not_reported_again(client, calibration_id, session_id, kind):
     key = client.desk.keys.create("one", ["sessions.read"], datetime.now(UTC) + timedelta(days=1), by="test").key
     ids = {"calibrations": calibration_id, "users": "A. Therapist", "keys": key.id, "sessions": session_id}
     path = f"/{kind}/{ids[kind]}" if kind in ids else f"/{kind}"

@@ -44,7 +44,7 @@ def test_a_hold_is_done_before_it_is_written_down_and_a_release_after(client, se
     assert [row["outcome"] for row in audit_rows(client, "session.release")] == ["requested", "done"]
 
 
-def test_who_holds_is_told_in_the_session(client, session_id, running):
+def test_who_holds_is_reported_in_the_session(client, session_id, running):
     act(client, session_id, "hold", operator="C. Nurse")
     running.frame()
     gate = client.get(f"/api/v1/sessions/{session_id}").json()["gate"]
@@ -148,7 +148,7 @@ def test_a_window_on_the_volume_is_corrected_in_litres(client, session_id, runni
     assert running.commands == [CorrectBaseline(operator="B. Physicist", by=0.1)]
 
 
-def test_what_the_engine_refuses_of_a_correction_is_told(client, session_id, drifting):
+def test_what_the_engine_refuses_of_a_correction_is_reported(client, session_id, drifting):
     drifting.refuse_with = REFUSED
     assert correct(client, session_id).status_code == 409
     assert audit_rows(client, ACTION)[-1]["outcome"] == "refused"

@@ -120,7 +120,7 @@ def test_what_is_older_than_the_site_keeps_it_is_forgotten(tables):
 
 
 @pytest.mark.both_databases
-def test_a_caller_s_oldest_keys_go_when_there_are_too_many_and_nobody_else_s(tables, monkeypatch):
+def test_too_many_keys_evict_only_the_oldest_of_the_same_caller(tables, monkeypatch):
     monkeypatch.setattr(idempotency, "MAX_KEYS", 5)
     kept(tables, of("b"))
     for number in range(8):
@@ -131,7 +131,7 @@ def test_a_caller_s_oldest_keys_go_when_there_are_too_many_and_nobody_else_s(tab
         assert db.scalar(select(func.count()).select_from(IdempotencyRow)) == 6
 
 
-def test_a_key_is_stored_so_that_nobody_reads_it_back(client, session_body):
+def test_a_key_is_stored_so_that_no_one_reads_it_back(client, session_body):
     client.post(f"{V1}/sessions", json=session_body, headers=KEY)
     with client.app.state.services.sessions._database.read() as db:
         row = db.scalars(select(IdempotencyRow)).one()

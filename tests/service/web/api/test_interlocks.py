@@ -36,7 +36,7 @@ def test_numbers_are_the_site_s_with_the_bounds_that_a_site_has():
     }
 
 
-def test_what_is_no_number_is_told_as_it_is():
+def test_what_is_no_number_is_reported_as_it_is():
     found = listed(holding_events=("cough", "apnoea"), beam_without_calibration=False)
     (events,) = found["breathing_irregular"].settings
     assert (events.value, events.low, events.high) == (["cough", "apnoea"], None, None)

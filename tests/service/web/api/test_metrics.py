@@ -14,7 +14,7 @@ def test_without_a_session_there_are_counts_and_no_states(client):
     assert not [name for name, *_ in found if name in {"tidegate_line_on", "tidegate_fps", "tidegate_gate_state"}]
 
 
-def test_a_running_session_is_counted_and_told(client, session_id, running):
+def test_a_running_session_is_counted_and_reported(client, session_id, running):
     running.camera_ms = 20.0
     running.frame()
     running.frame(whole_mm=None)
@@ -49,7 +49,7 @@ def test_counts_outlive_a_session_and_states_do_not(client, session_id, running)
     assert ("tidegate_line_on",) not in found
 
 
-def test_nothing_about_a_patient_is_told(client, session_id, running, session_body):
+def test_nothing_about_a_patient_is_revealed(client, session_id, running, session_body):
     running.frame()
     act(client, session_id, "hold", operator="A. Therapist")
     text = client.get("/metrics").text

@@ -62,7 +62,7 @@ def test_retraining_says_whether_the_zero_is_kept_and_is_audited(client, session
     assert rows[-1]["detail"] == {"keeps_reference": keeps}
 
 
-def test_retraining_keeps_the_zero_unless_told_otherwise(client, session_id, running):
+def test_retraining_keeps_the_zero_unless_requested_otherwise(client, session_id, running):
     act(client, session_id, "models/retrain")
     assert running.commands[0].keeps_zero
 
@@ -78,7 +78,7 @@ def test_a_waiting_model_is_applied_by_a_named_person_and_a_refusal_is_audited(c
     ]  # fmt: skip
 
 
-def test_what_the_learning_tells_is_audited_with_both_values_and_nobody_in_particular(client, session_id, running):
+def test_notices_of_the_learning_are_audited_with_both_values_and_no_person(client, session_id, running):
     running.notices.put(SWAPPED)
     running.notices.put(REFUSED)
     eventually(lambda: audit_rows(client, "model.refused"))
@@ -91,7 +91,7 @@ def test_what_the_learning_tells_is_audited_with_both_values_and_nobody_in_parti
     assert client.get("/api/v1/audit/verify").json()["is_intact"]
 
 
-def test_what_is_told_at_the_very_end_is_written_before_the_session_closes(client, session_id, running):
+def test_what_is_reported_at_the_very_end_is_written_before_the_session_closes(client, session_id, running):
     running.notices.put(SWAPPED)
     running.end()
     eventually(lambda: detail_of(client, session_id)["status"] == "ended")

@@ -52,7 +52,7 @@ def test_a_session_from_its_start_to_its_end_is_in_no_log_and_no_metric(client, 
     nothing_told(client, caplog, capfd)
 
 
-def test_refusals_that_show_the_patient_to_the_caller_show_nobody_else(client, body, caplog, capfd):
+def test_refusals_that_show_the_patient_to_the_caller_show_no_other_patient(client, body, caplog, capfd):
     caplog.set_level(logging.DEBUG)
     client.post("/api/v1/sessions", json=body)
     for name, value in [*((name, value * 50) for name, value in ABOUT.items()), ("source", ABOUT["plan_id"])]:

@@ -106,14 +106,14 @@ TAKEN = [
 
 
 @pytest.mark.parametrize(("told", "made"), TAKEN, ids=lambda part: str(part)[:40])
-def test_every_kind_of_window_reaches_the_engine_as_told(told, made):
+def test_every_kind_of_window_reaches_the_engine_as_requested(told, made):
     window = Window.model_validate(told)
     assert gate_window(window, REGIONS) == made
     again = Window.model_validate_json(window.model_dump_json())
     assert again == window, "what was stored, or sent back by a client, is the same window"
 
 
-def test_every_kind_of_window_makes_a_session_and_is_told_back(client, session_body, subtests):
+def test_every_kind_of_window_makes_a_session_and_is_returned(client, session_body, subtests):
     for told, _ in TAKEN:
         with subtests.test(str(told)):
             answer = client.post(URL, json=session_body | {"window": told, "regions": {"named": [CHEST, BELLY]}})

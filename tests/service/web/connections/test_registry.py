@@ -75,7 +75,7 @@ async def test_when_all_places_are_taken_the_address_with_most_gives_one_up():
 
 
 @pytest.mark.anyio
-async def test_a_known_caller_goes_only_where_no_stranger_waits_anywhere():
+async def test_a_known_caller_is_closed_only_if_no_unknown_one_is_connected():
     connections = registry()
     known = [add(connections, "192.0.2.1", is_authenticated=True)[0] for _ in range(3)]
     strangers = [add(connections, f"192.0.2.{i}")[0] for i in (2, 3, 4)]
@@ -123,7 +123,7 @@ async def test_who_left_makes_room_and_may_leave_twice():
     assert len(connections) == 3
 
 
-def test_refusals_are_told_at_once_and_then_together(caplog):
+def test_refusals_are_reported_at_once_and_then_together(caplog):
     now_s = 100.0
     count = RefusalCount(lambda: now_s)
     with caplog.at_level(logging.WARNING):

@@ -96,7 +96,7 @@ def test_nothing_else_takes_a_connection_that_is_theirs(client, session_id, runn
 
 
 @pytest.mark.parametrize("action", ["hold", "disarm"])
-def test_nobody_is_told_that_nothing_was_changed_where_it_was_done_and_no_row_could_say_so(
+def test_an_executed_call_without_its_audit_row_is_not_reported_as_unchanged(
     client, session_id, running, monkeypatch, action
 ):
     def gone(*_arguments: object) -> None:

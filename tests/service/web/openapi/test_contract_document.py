@@ -64,7 +64,7 @@ def test_a_call_has_one_tag_and_the_tag_is_explained(subtests):
             assert set(operation["tags"]) <= explained
 
 
-def test_everything_that_is_sent_and_told_has_an_example(subtests):
+def test_every_message_has_an_example(subtests):
     for _, _, operation in OPERATIONS:
         with subtests.test(operation["operationId"]):
             for where, media_type, part in contents(operation):
@@ -94,7 +94,7 @@ def test_examples_of_problems_are_true():
         assert example["value"]["code"] == code
 
 
-def test_problems_are_told_by_code_and_each_code_is_in_the_catalogue_with_that_status(subtests):
+def test_problems_are_reported_by_code_and_each_code_is_in_the_catalogue_with_that_status(subtests):
     for _, path, operation in OPERATIONS:
         with subtests.test(operation["operationId"]):
             for status, answer in operation["responses"].items():

@@ -117,7 +117,7 @@ def test_the_page_is_served_from_here(client):
     assert answer.headers["content-type"].startswith("text/html")
 
 
-def test_the_page_asks_nobody_else(client):
+def test_the_page_makes_no_request_to_other_hosts(client):
     text = client.get("/").text
     assert "https://" not in text
     assert "http://" not in text

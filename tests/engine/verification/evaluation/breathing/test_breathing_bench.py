@@ -74,7 +74,7 @@ def test_a_label_is_found_by_its_own_kind_while_it_lasts_or_a_little_later(said,
     assert finding.cycles == (None if delay is None else pytest.approx(delay / 4.0))
 
 
-def test_what_is_told_elsewhere_is_a_false_alarm_of_whatever_kind():
+def test_an_event_outside_of_the_truth_is_a_false_alarm_of_any_kind():
     said = (span("sigh", 39.0, 41.0), span("drift", 41.0, 99.0), span("sigh", 42.0 + AFTER_S + 0.1, 70.0))
     assert false_alarms(trial(COUGH), output(*said)) == [said[0], said[2]]
     assert len(false_alarms(trial(), output(*said))) == 3
@@ -152,7 +152,7 @@ def test_a_mark_that_is_missed_is_red_and_one_that_is_met_is_not():
     assert many[2].rows[3] == ("false alarms in ten minutes", 1.5)
 
 
-def test_a_made_cough_is_heard():
+def test_a_simulated_cough_is_detected():
     made = make_trial(1, FIRST_SEED, ("cough",), 60.0)
     said = run_monitor(made.time_s, made.value_mm)
     (finding,) = match_episodes(made, said)

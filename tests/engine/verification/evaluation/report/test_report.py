@@ -153,7 +153,7 @@ def test_a_silently_wrong_frame_of_a_sweep_is_shown_in_red(report):
     assert "coverage_low 7" in table.to_csv()
 
 
-def test_a_smaller_report_takes_the_larger_ones_files_away_and_nobody_elses(report, everything, tmp_path):
+def test_a_smaller_report_removes_the_larger_one_s_files_and_no_others(report, everything, tmp_path):
     out = shutil.copytree(report[0], tmp_path / "out")
     (out / "mine.csv").write_text("mine")
     write_report(everything[1:2], out, command=COMMAND, version="1", seed=1, settings={})
