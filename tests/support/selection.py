@@ -18,7 +18,7 @@ LONGEST = tuple(
         "campaigns/faults/test_short_campaign",
         "campaigns/kills/test_short_campaign",
         "engine/verification/qa/test_run",
-        "campaigns/fuzz/test_minute",
+        "campaigns/fuzz/test_short_run",
         "engine/verification/performance/test_performance_bench",
         "engine/verification/evaluation/runs/test_bench",
         "engine/verification/phantom/test_recording",

@@ -103,12 +103,12 @@ def test_a_run_brings_what_its_plots_show(healthy):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("offset_mm", [2.0, -2.0])
-def test_a_seeded_offset_of_2_mm_fails_where_the_camera_hangs_and_how_true_the_motion_is(offset_mm):
-    report = run(quick(RigFaults(offset_mm=offset_mm)))
+def test_a_seeded_offset_of_2_mm_fails_where_the_camera_hangs_and_how_true_the_motion_is():
+    """One sign each of offset and duty: both signs are tested in test_plate.py, test_motion.py and test_sine.py."""
+    report = run(quick(RigFaults(offset_mm=2.0)))
     assert {"camera_distance_mm", "motion_offset_mm", "motion_error_mm"} <= beyond(report, QaVerdict.FAIL)
     assert report.verdict is QaVerdict.FAIL
-    assert np.sign(values(report)["motion_offset_mm"]) == np.sign(offset_mm)
+    assert values(report)["motion_offset_mm"] > 0.0
     assert not {"motion_lag_ms", "gate_mean_delay_ms", "camera_tilt_x_deg"} & beyond(report, QaVerdict.FAIL)
 
 
@@ -121,11 +121,10 @@ def test_a_seeded_delay_of_150_ms_fails_the_lag_and_the_gate_s_delays_and_nothin
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("change", [3.0, -3.0])
-def test_a_seeded_change_of_the_duty_cycle_by_3_percent_fails_it_and_nothing_else(change):
-    report = run(quick(RigFaults(duty_change_percent=change)))
+def test_a_seeded_change_of_the_duty_cycle_by_3_percent_fails_it_and_nothing_else():
+    report = run(quick(RigFaults(duty_change_percent=-3.0)))
     assert beyond(report, QaVerdict.FAIL) == {"duty_cycle_change_percent"}
-    assert values(report)["duty_cycle_change_percent"] == pytest.approx(change, abs=0.8)
+    assert values(report)["duty_cycle_change_percent"] == pytest.approx(-3.0, abs=0.8)
 
 
 @pytest.mark.slow
