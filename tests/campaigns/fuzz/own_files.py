@@ -1,5 +1,6 @@
 """Targets: files of our own that may come back damaged or forged: models, tapes, journals, samples, backups."""
 
+import contextlib
 import hashlib
 import io
 import json
@@ -23,12 +24,14 @@ from engine.control.journal.format import (
     slot_offset,
 )
 from engine.core.errors import ModelError, RecordingError
+from engine.core.input_tap import InputKind
 from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
 from engine.motion.learning.model_file import ARRAYS, header_text, load_model
 from engine.motion.settings import PipelineSettings
 from engine.offline.replay.encoding import TapeEncoding
 from engine.offline.replay.header import Frames, TapeHeader, read_head, this_software
+from engine.offline.replay.readings import OtherReadingError
 from engine.offline.replay.tape_file import TapeFile, read_tape
 from service.storage.backup.archive import opened
 from service.storage.backup.layout import BackupError
@@ -37,10 +40,12 @@ from tests.campaigns.fuzz.target import Target, as_file
 from tests.support.calibration.foreign_calibrations import CAMERAS
 from tests.support.control.transitions import transition
 from tests.support.replay.scripted_tape import NO_MODELS
+from tests.support.repository import DATA
 from tests.support.samples.records import write_stream
 from tests.support.service.fake_engine import make_model
 
 HEADER_FIELDS = 4 + 8 + 4 + 4 + 64 + 48 + 16
+SEED_TURNS = 12
 JOURNAL_SLOTS = 2
 ROWS, FILE = b"[]\n", b"model"
 
@@ -76,6 +81,10 @@ def read_any_tape(content: bytes) -> None:
     for turn in tape.turns():
         for _kind, reading in turn.observed:
             encoding.decode(reading)
+        readings = turn.readings(encoding.decode)
+        for kind in InputKind:
+            with contextlib.suppress(OtherReadingError):
+                readings.take(kind)
 
 
 def _no_model(name: str) -> None:
@@ -100,8 +109,14 @@ def tapes() -> Iterator[bytes]:
         file = TapeFile(path, head.encoded(NO_MODELS), NO_MODELS)
         file.end(None)
         content = path.read_bytes()
-        yield b"t" + zlib.decompress(content)
+        text = zlib.decompress(content)
+        yield b"t" + text
         yield b"f" + content
+    own_head, end = (json.loads(line) for line in text.splitlines())
+    for kept in (DATA / "tapes" / "scripted.tape", DATA / "written_by_92d6c8d" / "scripted.tape"):
+        head, *turns = (json.loads(line) for line in zlib.decompress(kept.read_bytes()).splitlines())
+        lines = [own_head | {"tape": head["tape"]}, *turns[:SEED_TURNS], end]
+        yield b"t" + "".join(json.dumps(line) + "\n" for line in lines).encode()
 
 
 def try_journal(content: bytes) -> None:

@@ -86,6 +86,14 @@ def test_each_field_of_a_decision_holds_its_own_reading(name):
     assert parts.reader.decision(is_armed=False) == DecisionInputs(at_ns=now_ns, **{name: value})
 
 
+def test_the_silence_of_the_service_is_a_fault_while_armed_only():
+    parts = Parts()
+    parts.commands.note_service(parts.clock.now_ns())
+    parts.clock.advance_ns(MS)
+    assert parts.reader.decision(is_armed=False).reported_fault is None
+    assert parts.reader.decision(is_armed=True).reported_fault.reason is HoldReason.SERVICE_SILENT
+
+
 def test_what_waits_too_long_for_the_disk_is_read_while_armed_only():
     parts = Parts()
     parts.fill_samples()
