@@ -6,7 +6,9 @@ from typing import Any
 
 import pytest
 
+from engine.core.clock import NS_PER_S
 from service.core.settings.settings import Settings
+from service.sessions.lifecycle import commands
 from service.web.app import create_app
 from tests.support.database.migrated import with_tables
 from tests.support.service.accounts import PeopleClient
@@ -35,7 +37,10 @@ def engine() -> FakeEngine:
 
 
 @pytest.fixture
-def client(settings: Settings, engine: FakeEngine, migrated_file: Path) -> Iterator[PeopleClient]:
+def client(
+    settings: Settings, engine: FakeEngine, migrated_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[PeopleClient]:
+    monkeypatch.setattr(commands, "MAX_WAIT_NS", 60 * NS_PER_S)  # a slow machine makes no call too old
     with PeopleClient(create_app(with_tables(settings, migrated_file), lambda _settings: engine)) as client:
         yield client
 

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.control.command_queue import MAX_WAIT_NS
 from engine.core.commands import Acknowledge, ActivateModel, Arm, Disarm, Retrain, SetReference
 from engine.core.errors import RuntimeMissingError, SourceLostError
 from engine.core.gate_state import GateState, HoldReason
@@ -74,7 +73,7 @@ def test_a_silent_engine_gives_a_time_out_and_the_arming_is_withdrawn(client, se
 def test_what_waited_too_long_since_its_call_arrived_is_refused_before_it_is_written_down(
     client, session_id, running, monkeypatch, action
 ):
-    monkeypatch.setattr(f"{commands.__name__}.request_time_ns", lambda: time.monotonic_ns() - 2 * MAX_WAIT_NS)
+    monkeypatch.setattr(f"{commands.__name__}.request_time_ns", lambda: time.monotonic_ns() - 2 * commands.MAX_WAIT_NS)
     answer = act(client, session_id, action)
     assert (answer.status_code, answer.json()["code"]) == (409, "command_refused")
     assert running.commands == []
@@ -85,7 +84,7 @@ def test_what_waited_too_long_since_its_call_arrived_is_refused_before_it_is_wri
 def test_what_takes_the_beam_away_is_never_too_late_and_minds_no_query(
     client, session_id, running, monkeypatch, action
 ):
-    monkeypatch.setattr(f"{commands.__name__}.request_time_ns", lambda: time.monotonic_ns() - 60 * MAX_WAIT_NS)
+    monkeypatch.setattr(f"{commands.__name__}.request_time_ns", lambda: time.monotonic_ns() - 60 * commands.MAX_WAIT_NS)
     answer = client.post(f"/api/v1/sessions/{session_id}/{action}?_=1", json={"operator": "A. Therapist"})
     assert answer.status_code == 200
     assert len(running.commands) == 1
@@ -95,7 +94,7 @@ def test_what_takes_the_beam_away_is_never_too_late_and_minds_no_query(
 def test_taking_permission_away_withdraws_all_earlier_calls_before_the_engine_is_commanded(
     client, session_id, running, action
 ):
-    """As young as the telling: an arming that arrived after this call, and looked before it was told, is older."""
+    """As young as the telling: an arming that arrived after this call, and looked before it was reported, is older."""
     assert act(client, session_id, action).status_code == 200
     assert running.asked_ns == [None]
 
@@ -371,8 +370,8 @@ def test_a_start_that_breaks_on_the_way_leaves_a_failed_session_and_room_for_ano
     engine.fail_with = error
     with pytest.raises(type(error)):
         act(client, session_id, "start")
-    told = detail_of(client, session_id)
-    assert (told["status"], told["status_detail"]) == (
+    reported = detail_of(client, session_id)
+    assert (reported["status"], reported["status_detail"]) == (
         "failed",
         f"the engine could not be opened ({type(error).__name__})",
     )
