@@ -4,6 +4,7 @@ import asyncio
 import copy
 import json
 import math
+import re
 import socket
 import threading
 import time
@@ -249,6 +250,25 @@ ONE_TIME = "quiet-otter-plays-1729"
 SECRET = "tg_plan_0123456789abcdef"
 
 
+RELAXED_MS = {
+    "js/stream/live_stream.js": {"STALE_MS": 60_000, "IDLE_STALE_MS": 60_000, "GIVE_UP_MS": 60_000},
+    "js/panels/picture.js": {"OLD_MS": 60_000},
+    "js/panels/click_guard.js": {"IGNORE_MS": 100},
+    "js/api.js": {"TIMEOUT_MS": 60_000, "PRESENCE_TIMEOUT_MS": 60_000},
+}
+"""Times of the page for tests that are not about them: nothing is old because the machine is slow."""
+KEPT = {"Cache-Control": "max-age=3600"}
+
+
+def relaxed(path: str) -> str:
+    """Return a script of the page with these times instead of its own."""
+    text = (DASHBOARD / path).read_text()
+    for name, milliseconds in RELAXED_MS[path].items():
+        text, count = re.subn(rf"\bconst {name} = \d+;", f"const {name} = {milliseconds};", text)
+        assert count == 1, f"{name} is not in {path}"
+    return text
+
+
 UNKNOWN = JSONResponse({"code": "not_logged_in", "detail": "log in first"}, 401)
 ABOUT_LOG_INS = {"/login", "/login/ways", "/logout", "/me", "/me/password"}
 
@@ -263,8 +283,13 @@ class FakeService:
         self.is_up = True
         self.lag_s = 0.0
         self.clock: Callable[[], float] = time.time
-        self.period_s = 1.0 / 30.0
+        self.period_s = 1.0 / 20.0
+        self.is_relaxed = True  # serves RELAXED_MS
+        self.is_stepped = False  # sends one message per turn, not one per period
+        self.turns = self.turns_done = 0
         self.sent = 0
+        self.open_sockets = 0
+        self.is_hung = threading.Event()  # while set, the page that asked for /hang waits
         self.schema = "tidegate.live/1"
         self.sessions: list[dict[str, Any]] = [copy.deepcopy(SESSION)]
         self.calibrations: list[dict[str, Any]] = [dict(CALIBRATION)]
@@ -281,8 +306,7 @@ class FakeService:
         self.connections = 0
         self.pictures = 0
         self._jpeg = chest_jpeg()
-        self._frame_index = 0
-        self._began_s = time.monotonic()
+        self.frame_index = 0
 
     def posts(self) -> list[tuple[str, Any]]:
         """Return the calls that change something, as (path under the API, body)."""
@@ -294,6 +318,8 @@ class FakeService:
             WebSocketRoute("/api/v1/live", self._live),
             Route("/api/v1/sessions/{id}/picture", self._picture),
             Route("/api/v1/{rest:path}", self._api, methods=["GET", "POST", "PATCH"]),
+            Route("/hang", self._hang),
+            *(Route(f"/{path}", self._script) for path in RELAXED_MS),
             Mount("/", StaticFiles(directory=DASHBOARD, html=True)),
         ]
         return Starlette(routes=routes, middleware=[Middleware(BaseHTTPMiddleware, dispatch=_with_policy)])
@@ -304,37 +330,64 @@ class FakeService:
             return
         await websocket.accept()
         self.connections += 1
+        self.open_sockets += 1
+        gone = asyncio.create_task(websocket.receive())
         try:
             await websocket.send_json({"type": "hello", "schema": self.schema, "version": "0.1.0"})
-            while self.is_up and self.person is not None:
-                message = self._next_message()
-                if message is not None:
-                    await websocket.send_text(message)
-                    self.sent += 1
-                await asyncio.sleep(0.5 if self.mode == "idle" else self.period_s)
-            await websocket.close(1001 if self.person else 1008)
+            await self._send_messages(websocket, gone)
+            if not gone.done():
+                await websocket.close(1001 if self.person else 1008)
         except (WebSocketDisconnect, RuntimeError):
             return
+        finally:
+            gone.cancel()
+            self.open_sockets -= 1
+
+    async def _send_messages(self, websocket: WebSocket, gone: asyncio.Task[Any]) -> None:
+        turn = -1
+        while self.is_up and self.person is not None and not gone.done():
+            if self.is_stepped and turn == self.turns:
+                await asyncio.sleep(0.002)
+                continue
+            turn = self.turns
+            message = self._next_message()
+            if message is not None:
+                await websocket.send_text(message)
+                self.sent += 1
+            self.turns_done = turn
+            if not self.is_stepped:
+                await asyncio.sleep(0.5 if self.mode == "idle" else self.period_s)
 
     def _next_message(self) -> str | None:
+        """Return the next message; None in silence, in which the camera goes on all the same."""
         sent_at = datetime.fromtimestamp(self.clock() - self.lag_s, UTC).isoformat().replace("+00:00", "Z")
+        stamp = {"sent_at": sent_at, "sequence": self.sent + 1}
+        if self.mode == "idle":
+            return json.dumps({"type": "idle"} | stamp)
+        self.frame_index += 1
         if self.mode == "silent":
             return None
-        if self.mode == "idle":
-            return json.dumps({"type": "idle", "sent_at": sent_at})
-        elapsed_s = time.monotonic() - self._began_s
-        self._frame_index = int(elapsed_s * 30.0)
+        elapsed_s = self.frame_index / 30.0
         moving = motion_at(elapsed_s) if self.is_breathing else {}
         if self.is_breathing and self.sample["is_armed"]:
             moving |= _gate_for(moving["signal_mm"])
-        stamp = {"sent_at": sent_at, "frame_index": self._frame_index, "timestamp_us": int(elapsed_s * 1e6)}
+        stamp |= {"frame_index": self.frame_index, "timestamp_us": int(elapsed_s * 1e6)}
         return json.dumps(self.sample | moving | stamp)
+
+    def _hang(self, _request: Request) -> Response:
+        eventually(lambda: not self.is_hung.is_set())
+        return Response()
+
+    def _script(self, request: Request) -> Response:
+        path = request.url.path.removeprefix("/")
+        text = relaxed(path) if self.is_relaxed else (DASHBOARD / path).read_text()
+        return Response(text, media_type="text/javascript")
 
     def _picture(self, _request: Request) -> Response:
         if self.person is None:
             return UNKNOWN
         self.pictures += 1
-        return Response(self._jpeg, media_type="image/jpeg", headers={"X-Frame-Index": str(self._frame_index)})
+        return Response(self._jpeg, media_type="image/jpeg", headers={"X-Frame-Index": str(self.frame_index)})
 
     async def _api(self, request: Request) -> Response:
         text = (await request.body()).decode()
@@ -430,6 +483,8 @@ async def _with_policy(request: Request, call_next: RequestResponseEndpoint) -> 
     response = await call_next(request)
     response.headers["Content-Security-Policy"] = POLICY
     response.headers["X-Content-Type-Options"] = "nosniff"
+    if not request.url.path.startswith("/api/"):
+        response.headers.update(KEPT)  # the tabs of one context load the page once
     return response
 
 

@@ -1,5 +1,6 @@
 """One Chromium for these tests, a fresh tab and a fresh fake controller for each."""
 
+import contextlib
 from collections.abc import Iterator
 
 import pytest
@@ -8,9 +9,11 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from tests.support.browser.chromium import launch_chromium
 from tests.support.browser.fake_service import FakeService, ServerThread
+from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 
-expect.set_options(timeout=8_000)
+PATIENCE_MS = 60_000
+expect.set_options(timeout=PATIENCE_MS)
 
 
 # Not for the whole run: while open, Playwright keeps an event loop in this thread, which other tests must not meet.
@@ -27,9 +30,24 @@ def fake() -> FakeService:
     return FakeService()
 
 
+def make_context(chromium: Browser) -> BrowserContext:
+    context = chromium.new_context(viewport={"width": 1280, "height": 800})
+    context.set_default_timeout(PATIENCE_MS)
+    return context
+
+
 @pytest.fixture
 def context(chromium: Browser) -> Iterator[BrowserContext]:
-    context = chromium.new_context(viewport={"width": 1280, "height": 800})
+    """A context of the test's own, with cookies and a clock of its own."""
+    context = make_context(chromium)
+    yield context
+    context.close()
+
+
+@pytest.fixture(scope="package")
+def shared_context(chromium: Browser) -> Iterator[BrowserContext]:
+    """One context for the tabs of the fake controller: it sets no cookies, and the page's files are loaded once."""
+    context = make_context(chromium)
     yield context
     context.close()
 
@@ -51,8 +69,8 @@ def door() -> Iterator[tuple[Door, str]]:
         yield door, server.url
 
 
-@pytest.fixture
-def tab(fake: FakeService, context: BrowserContext, door: tuple[Door, str]) -> Iterator[Tab]:
+@contextlib.contextmanager
+def opened_tab(fake: FakeService, context: BrowserContext, door: tuple[Door, str]) -> Iterator[Tab]:
     door[0].app = fake.app()
     tab = Tab(page=context.new_page(), url=door[1])
     tab.watch()
@@ -60,3 +78,17 @@ def tab(fake: FakeService, context: BrowserContext, door: tuple[Door, str]) -> I
     tab.page.close()
     fake.is_up = False
     assert tab.complaints == []
+
+
+@pytest.fixture
+def tab(fake: FakeService, shared_context: BrowserContext, door: tuple[Door, str]) -> Iterator[Tab]:
+    """A tab on a page that finds nothing old because the machine is slow."""
+    with opened_tab(fake, shared_context, door) as tab:
+        yield tab
+
+
+@pytest.fixture
+def stepped(fake: FakeService, context: BrowserContext, door: tuple[Door, str]) -> Iterator[SteppedPage]:
+    """A page as it is, whose time the test moves."""
+    with opened_tab(fake, context, door) as tab:
+        yield SteppedPage(fake, tab)

@@ -17,6 +17,7 @@ from tests.support.browser.fake_service import (
     sample,
     window,
 )
+from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 
 pytestmark = pytest.mark.browser
@@ -85,11 +86,13 @@ def test_nothing_known_is_a_dash_and_never_quiet_breathing(fake: FakeService, ta
     expect(page.locator("#do-correct")).to_be_disabled()
 
 
-def test_a_stream_that_stops_leaves_no_figure_of_the_breath(fake: FakeService, tab: Tab):
-    page = show(fake, tab, window=window(breath_hold()), breath_hold=hold("held", 11.3))
+def test_a_stream_that_stops_leaves_no_figure_of_the_breath(fake: FakeService, stepped: SteppedPage):
+    page = stepped.open(sample(window=window(breath_hold()), breath_hold=hold("held", 11.3)))
+    stepped.advance(200)
     expect(page.locator("#hold-seconds")).to_have_text("11.3")
     fake.mode = "silent"
-    tab.sees("stale")
+    stepped.advance_until(lambda: stepped.kind == "stale")
+    stepped.advance(200)
     for name in ("phase-value", "figure-rate", "hold-seconds", "hold-count", "hold-stage"):
         expect(page.locator(f"#{name}")).to_have_text(NONE)
 
@@ -103,8 +106,7 @@ def test_events_are_told_in_words_with_time_and_confidence(fake: FakeService, ta
     rows = page.locator("#breath-events li")
     expect(rows).to_have_text(["No breath, 12 s · 91 % sure", "The baseline drifts, 30 s · 80 % sure · 0.2 mm/s"])
     expect(page.locator("#figure-drift")).to_have_attribute("data-bad", "yes")
-    page.wait_for_timeout(400)
-    assert page.evaluate(COUNT_COLOR, EVENT_RGB) > 100
+    tab.await_that(lambda: page.evaluate(COUNT_COLOR, EVENT_RGB) > 100, "no event is drawn")
 
 
 def hold(stage: str, seconds: float | None) -> dict[str, Any]:
@@ -138,13 +140,13 @@ def test_a_window_without_a_breath_hold_shows_none(fake: FakeService, tab: Tab):
 
 def test_the_window_drawn_is_the_settled_one_and_the_baseline_is_drawn(fake: FakeService, tab: Tab):
     page = show(fake, tab, window=window(condition(lower=2.5, upper=6.0)), breath=BREATH | {"baseline": 1.5})
-    page.wait_for_timeout(800)
-    assert page.evaluate(COUNT_COLOR, WINDOW_RGB) > 100
-    assert page.evaluate(COUNT_COLOR, BASELINE_RGB) > 5
+    tab.await_that(lambda: page.evaluate(COUNT_COLOR, WINDOW_RGB) > 100, "no window is drawn")
+    tab.await_that(lambda: page.evaluate(COUNT_COLOR, BASELINE_RGB) > 5, "no baseline is drawn")
     unsettled = condition(unit="percent", lower=0.0, upper=30.0, hysteresis=2.0)
     fake.sample = sample(window=window(unsettled), breath=None)
     page.reload()
-    page.wait_for_timeout(800)
+    tab.sees("hold")
+    tab.draws(fake, 20)
     assert page.evaluate(COUNT_COLOR, WINDOW_RGB) == 0, "per cent of a range that is not known are not drawn"
     assert page.evaluate(COUNT_COLOR, BASELINE_RGB) == 0
 
@@ -172,19 +174,20 @@ def test_a_drift_is_corrected_by_two_clicks_of_a_named_person_and_by_what_they_s
     expect(button).to_have_text("Confirm: shift the window by +1.7 mm? Disarms")
     assert corrections(fake) == []
     fake.sample = sample(breath=BREATH | {"drift": 2.3})
-    page.wait_for_timeout(400)
+    tab.draws(fake)
+    expect(page.locator("#figure-drift")).to_have_text("+2.3")
     expect(button).to_have_text("Confirm: shift the window by +1.7 mm? Disarms")
     button.click()
     expect(page.locator("#outcome")).to_have_text("Disarmed. The window was shifted.")
     assert corrections(fake) == [{"operator": "Ada L.", "by_mm": 1.7, "drift_mm": 1.74}]
 
 
-def test_a_correction_that_is_not_confirmed_is_forgotten(fake: FakeService, tab: Tab):
-    fake.mode, fake.sample = "samples", DRIFTED
-    page = tab.open("hold")
+def test_a_correction_that_is_not_confirmed_is_forgotten(fake: FakeService, stepped: SteppedPage):
+    page = stepped.open(DRIFTED)
     page.click("#do-correct")
+    stepped.advance(5_400)
     expect(page.locator("#do-correct")).to_contain_text("Confirm")
-    page.wait_for_timeout(6_200)
+    stepped.advance(800)
     expect(page.locator("#do-correct")).to_have_text("Correct baseline by +1.7 mm")
     assert corrections(fake) == []
 
@@ -202,7 +205,7 @@ def test_a_small_drift_and_a_phase_alone_offer_no_correction(fake: FakeService, 
     page = show(fake, tab)
     expect(page.locator("#do-correct")).to_be_disabled()
     fake.sample = DRIFTED | {"window": window(phase())}
-    page.wait_for_timeout(400)
+    tab.draws(fake)
     expect(page.locator("#do-correct")).to_be_disabled()
 
 

@@ -121,7 +121,8 @@ def test_a_key_hit_after_arming_does_not_press_the_button_again(fake: FakeServic
     expect(page.locator("#outcome")).to_have_attribute("data-kind", "done")
     page.keyboard.press("Space")
     page.keyboard.press("Enter")
-    page.wait_for_timeout(200)
+    tab.draws(fake)
+    tab.is_answered()
     assert len(calls_to(fake, "arm")) == 1
 
 
@@ -172,12 +173,13 @@ def test_nothing_the_page_can_send_names_a_beam(fake: FakeService, tab: Tab):
     for message in (DISARMED, sample(gate="hold", training=WAITING), FAULT):
         fake.sample = message
         page = tab.open(message["gate"])
-        for button in page.locator(".controls button:visible:enabled").all():
-            button.click(timeout=10_000, trial=False)
-            page.wait_for_timeout(30)
+        offered = page.locator(".controls button:visible:enabled").evaluate_all("all => all.map((one) => one.id)")
+        for button in offered:
+            page.click(f"#{button}")
     allowed = re.compile(
         rf"/sessions/{SESSION_ID}/(arm|disarm|hold|release|presence|reference|acknowledge|stop|models/retrain|models/apply)$"
     )
+    tab.is_answered()
     paths = [path for path, _ in fake.posts()]
     assert len(set(paths)) >= 4
     assert all(allowed.match(path) for path in paths), paths

@@ -6,6 +6,7 @@ import pytest
 from playwright.sync_api import expect
 
 from tests.support.browser.fake_service import FakeService, sample
+from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 
 pytestmark = pytest.mark.browser
@@ -32,12 +33,11 @@ LOOK = """() => {
 
 
 def look(tab: Tab, kind: str) -> dict[str, Any]:
-    """What the gate looks like in one glance while it shows `kind`; a busy machine may show it stale between two."""
-    while True:
-        tab.sees(kind)
-        seen: dict[str, Any] = tab.page.evaluate(LOOK)
-        if seen["kind"] == kind:
-            return seen
+    """What the gate looks like in one glance once it shows `kind`."""
+    tab.sees(kind)
+    seen: dict[str, Any] = tab.page.evaluate(LOOK)
+    assert seen["kind"] == kind
+    return seen
 
 
 @pytest.mark.parametrize("gate", STATES)
@@ -50,16 +50,16 @@ def test_each_gate_state_shows_its_word_and_its_shape_alone(fake: FakeService, t
         expect(page.locator("#gate-reason")).to_have_text(STATES[gate]["hold_text"])
 
 
-def test_no_two_states_share_word_shape_or_colour(fake: FakeService, tab: Tab):
-    fake.mode, fake.sample = "samples", STATES["hold"]
-    tab.open("hold")
+def test_no_two_states_share_word_shape_or_colour(fake: FakeService, stepped: SteppedPage):
+    stepped.open(STATES["hold"])
     seen = []
     for gate, message in STATES.items():
-        fake.sample = message
-        seen.append(look(tab, gate))
+        stepped.shows(message)
+        seen.append(look(stepped.tab, gate))
     for mode, kind in (("idle", "idle"), ("silent", "stale")):
         fake.mode = mode
-        seen.append(look(tab, kind))
+        stepped.advance_until(lambda kind=kind: stepped.kind == kind)
+        seen.append(look(stepped.tab, kind))
     for aspect in ("word", "shapes", "colors"):
         shown = [str(one[aspect]) for one in seen]
         assert len(set(shown)) == len(STATES) + 2, shown

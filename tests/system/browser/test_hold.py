@@ -4,6 +4,7 @@ import pytest
 from playwright.sync_api import expect
 
 from tests.support.browser.fake_service import SESSION, SESSION_ID, FakeService, person, sample
+from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 
 pytestmark = pytest.mark.browser
@@ -70,12 +71,15 @@ def test_release_is_never_where_hold_was(fake: FakeService, tab: Tab):
     """A second click on Hold must not let go what the first one held."""
     fake.mode, fake.sample = "samples", BEAM_ON
     page = tab.open("beam_on")
+    tab.draws(fake)
     before = page.locator("#do-hold").bounding_box()
     fake.sample = HELD
     tab.sees("hold")
     expect(page.locator("#do-release")).to_be_enabled()
+    tab.draws(fake)
     assert page.locator("#do-hold").bounding_box() == before
     page.click("#do-hold")
+    expect(page.locator("#outcome")).to_have_text("Held until released.")
     assert calls_to(fake, "release") == []
 
 
@@ -87,52 +91,46 @@ def test_who_holds_is_said_also_where_another_reason_is_told(fake: FakeService, 
     expect(page.locator("#gate-detail")).to_have_text("4.10 mm is not inside -1 to 3 mm · Also held by C. Nurse.")
 
 
-def test_the_page_of_whoever_armed_tells_every_second_that_they_are_there(fake: FakeService, tab: Tab):
+def test_the_page_of_whoever_armed_tells_every_second_that_they_are_there(fake: FakeService, stepped: SteppedPage):
     fake.person = ADA
-    fake.mode, fake.sample = "samples", DISARMED
-    page = tab.open("disarmed")
-    page.wait_for_timeout(1_300)
+    page = stepped.open_settled(DISARMED)
+    stepped.advance(1_400)
     assert calls_to(fake, "presence") == [], "nobody armed"
     page.click("#do-arm")
-    fake.sample = BEAM_ON
-    tab.sees("beam_on")
-    page.wait_for_timeout(2_500)
+    stepped.shows(BEAM_ON)
+    before = len(calls_to(fake, "presence"))
+    stepped.advance(5_000)
     heard = calls_to(fake, "presence")
-    assert 2 <= len(heard) <= 4
+    assert 4 <= len(heard) - before <= 5
     assert set(map(str, heard)) == {"{'operator': 'Ada L.'}"}
     fake.person = person("B. Other")
     page.evaluate(LOOKED_AT_AGAIN)
+    stepped.advance(400)
     expect(page.locator("#person-name")).to_have_text("B. Other")
-    page.wait_for_timeout(300)
     told = len(calls_to(fake, "presence"))
-    page.wait_for_timeout(1_500)
+    stepped.advance(3_000)
     assert len(calls_to(fake, "presence")) == told, "another person at the page is not the one who armed"
 
 
-def test_presence_is_kept_over_a_reload_and_ends_with_the_arming(fake: FakeService, tab: Tab):
+def test_presence_is_kept_over_a_reload_and_ends_with_the_arming(fake: FakeService, stepped: SteppedPage):
     fake.person = ADA
-    fake.mode, fake.sample = "samples", DISARMED
-    page = tab.open("disarmed")
+    page = stepped.open_settled(DISARMED)
     page.click("#do-arm")
-    fake.sample = BEAM_ON
-    tab.sees("beam_on")
+    stepped.shows(BEAM_ON)
     page.reload()
-    tab.sees("beam_on")
+    stepped.advance_until(lambda: stepped.kind == "beam_on")
     before = len(calls_to(fake, "presence"))
-    page.wait_for_timeout(1_600)
+    stepped.advance(1_600)
     assert len(calls_to(fake, "presence")) > before
-    fake.sample = DISARMED
-    tab.sees("disarmed")
-    page.wait_for_timeout(300)
+    stepped.shows(DISARMED)
     told = len(calls_to(fake, "presence"))
-    page.wait_for_timeout(1_500)
+    stepped.advance(3_000)
     assert len(calls_to(fake, "presence")) == told
 
 
-def test_a_page_that_did_not_arm_speaks_for_nobody(fake: FakeService, tab: Tab):
+def test_a_page_that_did_not_arm_speaks_for_nobody(fake: FakeService, stepped: SteppedPage):
     fake.person = ADA
-    fake.mode, fake.sample = "samples", BEAM_ON
-    page = tab.open("beam_on")
-    page.wait_for_timeout(1_500)
+    stepped.open(BEAM_ON)
+    stepped.advance(3_000)
     assert calls_to(fake, "presence") == []
     assert SESSION["operator"] != "Ada L."

@@ -2,6 +2,7 @@
 
 import base64
 import time
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -9,10 +10,16 @@ import pytest
 
 from tests.support.browser.fake_service import FakeService, sample
 from tests.support.browser.tab import Tab
+from tests.support.waiting import eventually
 
 pytestmark = pytest.mark.browser
 
-HANG = "setTimeout(() => { const end = performance.now() + 2500; while (performance.now() < end); }, 0)"
+# The script stands still until the service answers; the browser's compositor goes on.
+HANG = """setTimeout(() => {
+  const call = new XMLHttpRequest();
+  call.open('GET', '/hang', false);
+  call.send();
+}, 0)"""
 
 
 class Screen:
@@ -30,12 +37,21 @@ class Screen:
         self._newest = base64.b64decode(str(event["data"]))
         self._unanswered.append(int(str(event["sessionId"])))
 
+    def await_green(self, is_so: Callable[[float], bool], detail: str) -> None:
+        """Wait until the gate panel's green share is so."""
+        eventually(lambda: self._goes_on() and is_so(self.green_share()), detail=lambda: detail)
+
     def watch(self, seconds: float) -> None:
         deadline_s = time.monotonic() + seconds
         while time.monotonic() < deadline_s:
-            while self._unanswered:
-                self._session.send("Page.screencastFrameAck", {"sessionId": self._unanswered.pop()})
-            self._page.wait_for_timeout(20)
+            self._goes_on()
+
+    def _goes_on(self) -> bool:
+        """Let the next pictures come; return whether there was one."""
+        while self._unanswered:
+            self._session.send("Page.screencastFrameAck", {"sessionId": self._unanswered.pop()})
+        self._page.wait_for_timeout(20)
+        return self._newest != b""
 
     def green_share(self) -> float:
         """Return the share of the gate panel (the upper left of the screen) that is green."""
@@ -51,12 +67,14 @@ def test_the_cover_closes_over_a_green_gate_when_the_script_hangs(fake: FakeServ
     fake.mode, fake.sample = "samples", sample(gate="beam_on", hold_reason=None, hold_text=None, line_on=True)
     tab.open("beam_on")
     screen = Screen(tab)
-    screen.watch(0.6)
-    assert screen.green_share() > 0.7
-    tab.page.evaluate(HANG)
-    screen.watch(1.8)
-    assert screen.green_share() < 0.01
-    screen.watch(1.6)
+    screen.await_green(lambda share: share > 0.7, "the gate is not shown")
+    fake.is_hung.set()
+    try:
+        tab.page.evaluate(HANG)
+        screen.await_green(lambda share: share < 0.01, "the cover does not close")
+        screen.watch(1.0)
+        assert screen.green_share() < 0.01, "it stays closed"
+    finally:
+        fake.is_hung.clear()
     tab.sees("beam_on")
-    screen.watch(0.3)
-    assert screen.green_share() > 0.7, "the cover opens again once the page is alive"
+    screen.await_green(lambda share: share > 0.7, "the cover does not open again once the page is alive")

@@ -20,7 +20,7 @@ from service.core.settings.oidc import RETURN_PATH
 from service.core.settings.settings import Settings
 from service.storage.database.engine import Database
 from tests.support.service.processes import free_port, service_process
-from tests.support.waiting import eventually
+from tests.support.waiting import PATIENCE_S, eventually
 
 BREAK_GLASS, PASSWORD = "Night Shift", "for when it is down"
 START_S = 30.0
@@ -68,7 +68,7 @@ class Site:
     provider: subprocess.Popen
 
     def browser(self) -> httpx2.Client:
-        return httpx2.Client(base_url=self.url, follow_redirects=True, trust_env=False, timeout=20.0)
+        return httpx2.Client(base_url=self.url, follow_redirects=True, trust_env=False, timeout=PATIENCE_S)
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +141,7 @@ def test_in_chromium_the_button_leads_there_and_back_to_a_page_that_knows_the_pe
     page.get_by_role("button", name="Log in with the clinic").click()
     page.get_by_role("button", name="jdoe").click()
     page.wait_for_url(f"{site.url}/")
-    expect(page.locator("body")).to_contain_text("Jane Doe", timeout=15_000)
+    expect(page.locator("body")).to_contain_text("Jane Doe")
     kept = {cookie["name"]: cookie for cookie in context.cookies(site.url)}
     assert set(kept) == {"tidegate_login"}
     assert (kept["tidegate_login"]["sameSite"], kept["tidegate_login"]["httpOnly"]) == ("Strict", True)

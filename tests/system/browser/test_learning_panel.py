@@ -8,6 +8,7 @@ from playwright.sync_api import expect
 from engine.core.frames import TrainingProgress
 from service.core.schemas import sessions
 from tests.support.browser.fake_service import SESSION, SESSION_ID, WAITING, FakeService, sample
+from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 from tests.support.motion.training_frames import Patient
 
@@ -95,21 +96,23 @@ def test_what_the_learning_has_to_say_moves_no_button(fake: FakeService, tab: Ta
     buttons = [
         page.locator(f"#do-{name}") for name in ("disarm", "arm", "reference", "retrain", "start", "stop", "setup")
     ]
+    tab.draws(fake)
     before = [button.bounding_box() for button in buttons]
     fake.sample = sample(gate="hold", training=training)
     expect(page.locator("#learning")).to_have_attribute("data-stage", "waiting" if training is WAITING else "refused")
+    tab.draws(fake)
     assert page.locator("#do-apply").is_visible() == (training is WAITING)
     assert [button.bounding_box() for button in buttons] == before
     spills = "e => e.scrollHeight > e.clientHeight && getComputedStyle(e).overflowY === 'visible'"
     assert not page.locator("#learning").evaluate(spills), "the text lies over the buttons"
 
 
-def test_apply_is_gone_when_the_stream_is_silent(fake: FakeService, tab: Tab):
-    fake.mode, fake.sample = "samples", sample(gate="hold", training=WAITING)
-    page = tab.open("hold")
+def test_apply_is_gone_when_the_stream_is_silent(fake: FakeService, stepped: SteppedPage):
+    page = stepped.open(sample(gate="hold", training=WAITING))
     expect(page.locator("#do-apply")).to_be_enabled()
     fake.mode = "silent"
-    tab.sees("stale")
+    stepped.advance_until(lambda: stepped.kind == "stale")
+    stepped.advance(200)
     expect(page.locator("#do-apply")).to_be_hidden()
     expect(page.locator("#keep-reference")).to_be_disabled()
 
@@ -190,16 +193,18 @@ def test_nobody_is_offered_to_arm_while_the_stored_model_is_compared(fake: FakeS
         expect(page.locator(f"#do-{action}")).to_be_disabled()
 
 
-def test_likeness_to_the_stored_model_is_shown_and_is_a_dash_when_stale(fake: FakeService, tab: Tab):
+def test_likeness_to_the_stored_model_is_shown_and_is_a_dash_when_stale(fake: FakeService, stepped: SteppedPage):
     fake.sessions = [detail(likeness=LIKENESS)]
-    fake.mode, fake.sample = "samples", DISARMED
-    page = tab.open("disarmed")
+    page = stepped.open(DISARMED)
+    stepped.advance(400)
     figure = page.locator("#figure-likeness")
     expect(figure).to_have_text("3.0 mm · 0.4° · 0.8 mm")
     fake.sessions = [detail(likeness=LIKENESS | {"is_accepted": False, "refusal": "model.shift_mm: 31 mm"})]
+    stepped.advance(2_400)
     expect(page.locator("#likeness-name")).to_contain_text("Refused model")
     fake.mode = "silent"
-    tab.sees("stale")
+    stepped.advance_until(lambda: stepped.kind == "stale")
+    stepped.advance(200)
     expect(figure).to_have_text(NONE)
 
 

@@ -3,10 +3,11 @@
 from typing import Any
 
 import pytest
-from playwright.sync_api import BrowserContext, Page, expect
+from playwright.sync_api import Page, expect
 
 from service.core.permissions import Role
 from tests.support.browser.fake_service import SESSION_ID, FakeService, person, sample
+from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 
 pytestmark = pytest.mark.browser
@@ -39,11 +40,13 @@ def shows_nothing_of_a_session(page: Page) -> None:
     expect(page.locator("body")).to_have_attribute("data-fresh", "no")
 
 
-def test_a_page_without_a_log_in_asks_for_one_and_shows_nothing(fake: FakeService, locked: Page):
-    expect(locked.locator("#gate-word")).to_have_text("Logged out")
-    expect(locked.locator("#log-in").get_by_label("Name", exact=True)).to_be_focused()
-    shows_nothing_of_a_session(locked)
-    locked.wait_for_timeout(300)
+def test_a_page_without_a_log_in_asks_for_one_and_shows_nothing(fake: FakeService, stepped: SteppedPage):
+    fake.mode, fake.sample, fake.person = "samples", BEAM_ON, None
+    page = stepped.open(None, "out")
+    expect(page.locator("#gate-word")).to_have_text("Logged out")
+    expect(page.locator("#log-in").get_by_label("Name", exact=True)).to_be_focused()
+    shows_nothing_of_a_session(page)
+    stepped.advance(3_000)
     assert {path for _, path, _ in fake.calls} == {"/api/v1/me", "/api/v1/login/ways"}, "it asks for nothing else"
     assert (fake.connections, fake.pictures) == (0, 0)
 
@@ -84,20 +87,24 @@ def test_what_is_missing_is_said_without_asking_the_controller(fake: FakeService
     assert fake.posts() == []
 
 
-def test_a_lock_out_counts_down_and_then_lets_one_try_again(fake: FakeService, tab: Tab, locked: Page):
-    fake.locked_s = 2
-    log_in(locked)
-    expect(locked.locator("#log-in-outcome")).to_have_text("Too many attempts.")
-    expect(locked.locator("#log-in-wait")).to_have_text("Try again in 2 s.")
-    expect(locked.locator("#log-in [type=submit]")).to_be_disabled()
-    log_in(locked)
+def test_a_lock_out_counts_down_and_then_lets_one_try_again(fake: FakeService, stepped: SteppedPage):
+    fake.mode, fake.sample, fake.person, fake.locked_s = "samples", BEAM_ON, None, 2
+    fake.passwords["Ada L."] = (PASSWORD, ADA)
+    page = stepped.open(None, "out")
+    log_in(page)
+    expect(page.locator("#log-in-outcome")).to_have_text("Too many attempts.")
+    expect(page.locator("#log-in-wait")).to_have_text("Try again in 2 s.")
+    expect(page.locator("#log-in [type=submit]")).to_be_disabled()
+    log_in(page)
+    stepped.advance(1_200)
     assert len(fake.posts()) == 1, "nothing is sent while locked out"
-    expect(locked.locator("#log-in-wait")).to_have_text("Try again in 1 s.")
-    expect(locked.locator("#log-in [type=submit]")).to_be_enabled()
-    expect(locked.locator("#log-in-wait")).to_have_text("")
+    expect(page.locator("#log-in-wait")).to_have_text("Try again in 1 s.")
+    stepped.advance(1_200)
+    expect(page.locator("#log-in [type=submit]")).to_be_enabled()
+    expect(page.locator("#log-in-wait")).to_have_text("")
     fake.locked_s = 0
-    log_in(locked)
-    tab.sees("beam_on")
+    log_in(page)
+    stepped.advance_until(lambda: stepped.kind == "beam_on")
 
 
 def test_a_controller_that_is_away_is_no_wrong_password(fake: FakeService, tab: Tab, locked: Page):
@@ -198,35 +205,35 @@ def test_a_password_can_be_changed_at_will_and_a_wrong_old_one_ends_nothing(fake
     expect(page.locator("[name=new_password]")).to_have_value("")
 
 
-def test_logging_out_leaves_nothing_of_the_patient_on_the_page(fake: FakeService, tab: Tab):
+def test_logging_out_leaves_nothing_of_the_patient_on_the_page(fake: FakeService, stepped: SteppedPage):
     row = {"at": "2026-11-21T03:00:00Z", "session_id": SESSION_ID, "previous_hash": "", "hash": "", "outcome": "done"}
     fake.audit = [row | {"sequence": 3, "actor": "Ada L.", "action": "session.arm", "detail": {}}]
-    fake.mode, fake.sample, fake.person = "samples", DISARMED, person()
-    page = tab.open("disarmed")
+    fake.person = person()
+    page = stepped.open(DISARMED)
+    stepped.advance_until(lambda: page.locator("#events li").count() == 1 and fake.pictures > 0)
     expect(page.locator("#who-patient")).to_have_text("P-0117")
-    expect(page.locator("#events li")).to_have_count(1)
     page.click("#do-log-out")
-    tab.sees("out")
+    stepped.advance_until(lambda: stepped.kind == "out")
+    stepped.advance(400)
     expect(page.locator("#access-reason")).to_contain_text("The gate that you armed is held until a person releases it")
     shows_nothing_of_a_session(page)
     expect(page.locator("#person")).to_be_hidden()
     pictures = fake.pictures
-    page.wait_for_timeout(600)
+    stepped.advance(2_000)
     shows_nothing_of_a_session(page)
-    assert fake.pictures <= pictures + 1
+    assert fake.pictures == pictures
     assert "P-0117" not in page.inner_text("body")
 
 
-def test_a_page_that_was_logged_out_tries_no_stream_any_more(fake: FakeService, tab: Tab):
-    fake.mode, fake.sample = "samples", DISARMED
-    tab.page.clock.install()
-    page = tab.open("disarmed")
+def test_a_page_that_was_logged_out_tries_no_stream_any_more(stepped: SteppedPage):
+    page, requests = stepped.open(DISARMED), stepped.tab.requests
     page.click("#do-log-out")
-    tab.sees("out")
-    sockets = len([url for url in tab.requests if url.startswith("ws")])
+    stepped.advance_until(lambda: stepped.kind == "out")
+    sockets = len([url for url in requests if url.startswith("ws")])
     page.clock.run_for(20_000)
-    tab.sees("out")
-    assert len([url for url in tab.requests if url.startswith("ws")]) == sockets == 1
+    stepped.advance(400)
+    assert stepped.kind == "out"
+    assert len([url for url in requests if url.startswith("ws")]) == sockets == 1
 
 
 def test_a_log_out_that_is_not_heard_is_said_and_the_person_stays_logged_in(fake: FakeService, tab: Tab):
@@ -250,14 +257,16 @@ def test_logging_out_while_a_gate_is_armed_asks_once_more(fake: FakeService, tab
     assert [path for path, _ in fake.posts()] == ["/logout"]
 
 
-def test_a_log_in_that_ends_while_the_beam_is_on_is_said_at_once(fake: FakeService, tab: Tab):
+def test_a_log_in_that_ends_while_the_beam_is_on_is_said_at_once(fake: FakeService, stepped: SteppedPage):
     """The socket closes with 1008 and every call is refused: nothing that was live stays on the screen."""
-    fake.mode, fake.sample, fake.person, fake.is_breathing = "samples", BEAM_ON | {"is_armed": False}, ADA, True
+    fake.person, fake.is_breathing = ADA, True
     fake.passwords["Ada L."] = (PASSWORD, ADA)
-    page = tab.open("beam_on")
+    page = stepped.open(BEAM_ON | {"is_armed": False})
+    stepped.advance(400)
     expect(page.locator("#figure-whole")).not_to_have_text(NONE)
     fake.person = None
-    expect(page.locator("#gate")).to_have_attribute("data-kind", "out", timeout=1_500)
+    stepped.advance_until(lambda: stepped.kind == "out", within_ms=1_000)
+    stepped.advance(200)
     expect(page.locator("#gate-word")).to_have_text("Logged out")
     expect(page.locator("#access-reason")).to_contain_text("this page cannot hold the beam: use the room's interlock.")
     expect(page.locator("#say-now")).to_contain_text("Logged out")
@@ -267,18 +276,17 @@ def test_a_log_in_that_ends_while_the_beam_is_on_is_said_at_once(fake: FakeServi
     page.keyboard.press("F8")
     expect(page.locator("#outcome")).to_have_text("Hold: log in. The page could not hold: use the room's interlock.")
     log_in(page)
-    tab.sees("beam_on")
+    stepped.advance_until(lambda: stepped.kind == "beam_on")
     expect(page.locator("#do-hold")).to_be_enabled()
 
 
-def test_a_closed_stream_alone_is_enough_to_say_that_the_log_in_has_ended(fake: FakeService, tab: Tab):
-    fake.mode, fake.sample = "samples", BEAM_ON
-    page = tab.open("beam_on")
+def test_a_closed_stream_alone_is_enough_to_say_that_the_log_in_has_ended(fake: FakeService, stepped: SteppedPage):
+    page = stepped.open(BEAM_ON)
     for path in ("sessions**", "sessions/**", "audit**", "qa/**"):
         page.route(f"**/api/v1/{path}", lambda route: route.abort())
-    page.wait_for_timeout(300)
+    stepped.advance(400)
     fake.person = None
-    expect(page.locator("#gate")).to_have_attribute("data-kind", "out", timeout=4_000)
+    stepped.advance_until(lambda: stepped.kind == "out", within_ms=1_000)
 
 
 def test_a_refused_call_ends_the_log_in_also_while_the_stream_goes_on(fake: FakeService, tab: Tab):
@@ -314,9 +322,7 @@ def test_less_that_one_may_do_shows_as_soon_as_a_call_is_refused(fake: FakeServi
     expect(page.locator("#do-arm")).to_be_disabled()
 
 
-def test_another_person_s_log_in_in_the_same_browser_shows_when_one_looks_again(
-    fake: FakeService, tab: Tab, context: BrowserContext
-):
+def test_another_person_s_log_in_in_the_same_browser_shows_when_one_looks_again(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", DISARMED
     page = tab.open("disarmed")
     fake.person = person("B. Other")
@@ -327,13 +333,13 @@ def test_another_person_s_log_in_in_the_same_browser_shows_when_one_looks_again(
     assert fake.posts()[-1][1] == {"operator": "B. Other"}
 
 
-def test_somebody_without_any_role_sees_who_they_are_and_nothing_else(fake: FakeService, tab: Tab):
+def test_somebody_without_any_role_sees_who_they_are_and_nothing_else(fake: FakeService, stepped: SteppedPage):
     nobody: dict[str, Any] = person("N. Ew") | {"roles": [], "permissions": []}
     fake.mode, fake.sample, fake.person = "samples", BEAM_ON, nobody
-    page = tab.open("out")
+    page = stepped.open(None, "out")
     expect(page.locator("#gate-word")).to_have_text("Not shown")
     expect(page.locator("#access")).to_be_hidden()
-    page.wait_for_timeout(300)
+    stepped.advance(3_000)
     assert fake.connections == 0
     assert {path for _, path, _ in fake.calls} == {"/api/v1/me"}
 

@@ -65,24 +65,30 @@ def test_what_was_not_measured_is_a_dash_not_a_zero(fake: FakeService, tab: Tab)
     expect(page.locator("#trace-value")).to_have_text(NONE)
 
 
-def test_the_trace_draws_no_line_where_nothing_was_measured(fake: FakeService, tab: Tab):
-    fake.mode, fake.sample = "samples", lost()
-    page = tab.open("hold")
-    page.wait_for_timeout(600)
+@pytest.fixture
+def traced(fake: FakeService, tab: Tab) -> Tab:
+    """A tab whose trace is looked at: 30 messages, one second of the camera, come in less."""
+    fake.mode, fake.period_s = "samples", 0.01
+    return tab
+
+
+def test_the_trace_draws_no_line_where_nothing_was_measured(fake: FakeService, traced: Tab):
+    fake.sample = lost()
+    page = traced.open("hold")
+    traced.draws(fake, 20)
     assert line_columns(page) == []
     fake.sample = sample()
-    page.wait_for_timeout(1_000)
-    assert len(line_columns(page)) > 5
+    traced.await_that(lambda: len(line_columns(page)) > 5, "no line is drawn")
 
 
-def test_the_trace_leaves_a_gap_open_instead_of_bridging_it(fake: FakeService, tab: Tab):
-    fake.mode, fake.sample = "samples", sample(**motion_at(1.0))
-    page = tab.open("hold")
-    page.wait_for_timeout(1000)
+def test_the_trace_leaves_a_gap_open_instead_of_bridging_it(fake: FakeService, traced: Tab):
+    fake.sample = sample(**motion_at(1.0))
+    page = traced.open("hold")
+    traced.draws(fake, 30)
     fake.sample = lost()
-    page.wait_for_timeout(1500)
+    traced.draws(fake, 45)
     fake.sample = sample(**motion_at(1.3))
-    page.wait_for_timeout(1000)
+    traced.draws(fake, 30)
     columns = line_columns(page)
     gaps = [(before, after) for before, after in pairwise(columns) if after - before > 20]
     assert len(gaps) == 1, "one gap of a second and a half, and none beside it"
@@ -90,14 +96,14 @@ def test_the_trace_leaves_a_gap_open_instead_of_bridging_it(fake: FakeService, t
     assert columns[-1] > gaps[0][1]
 
 
-def test_frames_the_camera_missed_are_a_gap_too(fake: FakeService, tab: Tab):
-    fake.mode, fake.sample = "samples", sample()
-    page = tab.open("hold")
-    page.wait_for_timeout(800)
-    fake.mode = "silent"
-    page.wait_for_timeout(1200)
+def test_frames_the_camera_missed_are_a_gap_too(fake: FakeService, traced: Tab):
+    fake.sample = sample()
+    page = traced.open("hold")
+    traced.draws(fake, 30)
+    fake.mode, after_missed = "silent", fake.frame_index + 36
+    traced.await_that(lambda: fake.frame_index >= after_missed)
     fake.mode = "samples"
-    page.wait_for_timeout(800)
+    traced.draws(fake, 30)
     columns = line_columns(page)
     assert max(after - before for before, after in pairwise(columns)) > 15
 
@@ -141,16 +147,28 @@ BRIGHTEST_NEAR = """([x, y]) => {
 }"""
 
 
+MIDDLE = """() => {
+  const canvas = document.querySelector('#picture');
+  return [...canvas.getContext('2d').getImageData(canvas.width / 2, canvas.height / 2, 1, 1).data];
+}"""
+
+
+def sides(page: Page) -> list[int]:
+    """Return the brightness of each side at four places of it."""
+    found = []
+    for corner, (x, y) in enumerate(ROI_PX):
+        next_x, next_y = ROI_PX[(corner + 1) % 4]
+        along = [(x + share * (next_x - x), y + share * (next_y - y)) for share in (0.2, 0.35, 0.65, 0.8)]
+        found += [page.evaluate(BRIGHTEST_NEAR, place) for place in along]
+    return found
+
+
 def test_the_region_lies_on_the_picture_where_the_markers_are(fake: FakeService, tab: Tab):
     """The four sides run from marker to marker; the picture itself is dark there."""
     fake.mode, fake.sample = "samples", sample()
     page = tab.open("hold")
     page.uncheck("#overlay")
-    page.wait_for_timeout(600)
-    for corner, (x, y) in enumerate(ROI_PX):
-        next_x, next_y = ROI_PX[(corner + 1) % 4]
-        along = [(x + share * (next_x - x), y + share * (next_y - y)) for share in (0.2, 0.35, 0.65, 0.8)]
-        assert min(page.evaluate(BRIGHTEST_NEAR, place) for place in along) > 150, f"side {corner}"
+    tab.await_that(lambda: min(sides(page)) > 150, "a side of the region is not where its markers are")
     inside = page.evaluate(BRIGHTEST_NEAR, [323, 250])
     assert inside < 110, "the outline is a line, not a sheet"
 
@@ -158,11 +176,8 @@ def test_the_region_lies_on_the_picture_where_the_markers_are(fake: FakeService,
 def test_a_picture_without_its_region_is_shown_bare(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", lost()
     page = tab.open("hold")
-    page.wait_for_timeout(600)
-    corner = page.evaluate("""() => { const c = document.querySelector('#picture');
-        return [...c.getContext('2d').getImageData(c.width / 2, c.height / 2, 1, 1).data]; }""")
-    assert corner[3] > 200
-    assert max(corner[:3]) < 110, "no colour of motion over the patient"
+    tab.await_that(lambda: page.evaluate(MIDDLE)[3] > 200, "no picture is drawn")
+    assert max(page.evaluate(MIDDLE)[:3]) < 110, "no colour of motion over the patient"
 
 
 def test_learning_shows_how_far_it_has_come(fake: FakeService, tab: Tab):

@@ -20,7 +20,7 @@ from playwright.sync_api import TimeoutError as BrowserTimeoutError
 
 from tests.support.browser.tab import Tab
 from tests.support.service.accounts import EVERY_ROLE, provision
-from tests.support.waiting import eventually
+from tests.support.waiting import PATIENCE_S, eventually
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -43,10 +43,15 @@ WANTED = {("hold", "Hold", "hold"), ("dwell", "Dwell", "dwell"), ("beam_on", "Be
 ATTEMPTS = 3
 START_S = 60.0
 
-# Notes each state of the gate as it is drawn: a dwell may be over before a test looks again.
+# Notes each state of the gate as it is drawn, and whether one can arm in each phase of the learning: a dwell may be
+# over before a test looks again, and on a slow machine all of the learning.
 REMEMBER_STATES = """() => {
   const gate = document.querySelector('#gate');
+  const learning = document.querySelector('#learning');
   window.seen = [];
+  window.armable = {};
+  const learn = () => { window.armable[learning.dataset.phase] = !document.querySelector('#do-arm').disabled; };
+  new MutationObserver(learn).observe(learning, {attributes: true, attributeFilter: ['data-phase']});
   const note = () => {
     const shape = [...gate.querySelectorAll('[data-shape]')].filter(e => getComputedStyle(e).display !== 'none');
     window.seen.push([gate.dataset.kind, gate.querySelector('#gate-word').textContent, shape[0].dataset.shape]);
@@ -81,7 +86,7 @@ class Controller:
             data=None if body is None else json.dumps(body).encode(),
             headers={"Content-Type": "application/json", **self._key},
         )
-        with urllib.request.urlopen(request, timeout=10.0) as response:
+        with urllib.request.urlopen(request, timeout=PATIENCE_S) as response:
             return json.load(response)
 
     def wait_until_up(self) -> None:
@@ -89,14 +94,17 @@ class Controller:
 
     def _answers(self) -> bool:
         assert self._process.poll() is None, "tidegate serve ended"
-        with contextlib.suppress(urllib.error.URLError), urllib.request.urlopen(f"{self.url}/healthz", timeout=1.0):
+        with (
+            contextlib.suppress(urllib.error.URLError),
+            urllib.request.urlopen(f"{self.url}/healthz", timeout=PATIENCE_S),
+        ):
             return True
         return False
 
     def end(self) -> int:
         self._process.terminate()
         try:
-            return self._process.wait(20.0)
+            return self._process.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             raise
@@ -157,18 +165,17 @@ def press_what_is_offered(page: Page) -> None:
         if button.is_visible() and button.is_enabled():
             # What was offered a moment ago may be gone with the next frame.
             with contextlib.suppress(BrowserTimeoutError):
-                button.click(timeout=500)
+                button.click(timeout=3_000)
 
 
 def gate_one_recording(tab: Tab) -> set[tuple[str, str, str]]:
     """Start the waiting session, let it learn, arm, and watch until all states were seen or the recording is over."""
     page = tab.page
     expect(page.locator("#who-status")).to_have_text("created")
-    page.click("#do-start")
-    tab.sees("disarmed")
-    expect(page.locator("#learning")).to_have_attribute("data-phase", "training")
-    expect(page.locator("#do-arm")).to_be_disabled()
     page.evaluate(REMEMBER_STATES)
+    page.click("#do-start")
+    tab.await_that(lambda: page.evaluate("'training' in window.armable"), "it does not learn")
+    assert page.evaluate("window.armable.training") is False, "nothing can be armed while it learns"
     while not seen_on(page) >= WANTED and page.get_attribute("#gate", "data-kind") != "idle":
         press_what_is_offered(page)
         page.wait_for_timeout(50)

@@ -44,7 +44,8 @@ def test_nothing_is_asked_of_anyone_else(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", sample()
     page = tab.open("hold")
     page.click("#do-setup")
-    page.wait_for_timeout(800)
+    tab.await_that(lambda: fake.pictures > 0, "no picture is asked for")
+    tab.draws(fake)
     socket_url = tab.url.replace("http://", "ws://")
     strangers = [url for url in tab.requests if not url.startswith((tab.url + "/", socket_url + "/"))]
     assert strangers == []
