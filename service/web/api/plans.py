@@ -4,29 +4,18 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
 
-from engine.core.errors import (
-    CommandRefusedError,
-    ModelMismatchError,
-    RecordingError,
-    RuntimeMissingError,
-    SourceLostError,
-)
 from service.core.conditional import etag_of
 from service.core.errors import (
     BoundError,
-    EngineProcessError,
     NotFoundError,
     OperatorMismatchError,
-    QaActiveError,
-    ServiceStoppingError,
-    SessionActiveError,
-    StorageLowError,
 )
 from service.core.schemas.base import Name
 from service.core.schemas.plans import Plan, PlanPage, PlanSessionRequest, PreparedSession
 from service.planning.rt_plan import errors
 from service.web import dependencies
 from service.web.api import problems
+from service.web.api.sessions import CREATE_ERRORS
 
 router = APIRouter(prefix="/plans", tags=["plans"])
 IMPORT: dict[int | str, dict[str, Any]] = {
@@ -43,19 +32,7 @@ IMPORT: dict[int | str, dict[str, Any]] = {
     ),
 }
 PREPARE = problems(
-    NotFoundError,
-    BoundError,
-    OperatorMismatchError,
-    RecordingError,
-    SessionActiveError,
-    QaActiveError,
-    ModelMismatchError,
-    CommandRefusedError,
-    RuntimeMissingError,
-    SourceLostError,
-    StorageLowError,
-    ServiceStoppingError,
-    EngineProcessError,
+    *CREATE_ERRORS,
     errors.PlanGatingError,
     errors.PlanRejectedError,
     errors.PlanContradictedError,

@@ -51,7 +51,7 @@ BINARY = {"schema": {"type": "string", "format": "binary"}}
 SampleFormatQuery = Annotated[
     SampleFormat, Query(alias="format", description="`parquet` is available after the session is closed")
 ]
-CREATE = problems(
+SESSION_ERRORS = (
     NotFoundError,
     BoundError,
     OperatorMismatchError,
@@ -62,44 +62,33 @@ CREATE = problems(
     CommandRefusedError,
     RuntimeMissingError,
     SourceLostError,
-    StorageLowError,
     ServiceStoppingError,
     EngineProcessError,
 )
+CREATE_ERRORS = (*SESSION_ERRORS, StorageLowError)
+"""Errors of creating a session, also from a plan."""
+CREATE = problems(*CREATE_ERRORS)
 START = problems(
-    NotFoundError,
-    BoundError,
-    OperatorMismatchError,
+    *SESSION_ERRORS,
     CalibrationError,
-    RecordingError,
     StartError,
     SessionStateError,
-    SessionActiveError,
-    QaActiveError,
     ModelError,
-    ModelMismatchError,
-    CommandRefusedError,
-    RuntimeMissingError,
-    SourceLostError,
     BeamLineError,
-    EngineProcessError,
     JournalError,
     StorageUnwritableError,
-    ServiceStoppingError,
 )
 HOLD = problems(NotFoundError, SessionStateError, CommandRefusedError, EngineTimeoutError, BeamLineError)
-ASK = problems(
-    NotFoundError, OperatorMismatchError, SessionStateError, CommandRefusedError, EngineTimeoutError, BeamLineError
-)
-ARM = problems(
+COMMAND_ERRORS = (
     NotFoundError,
     OperatorMismatchError,
     SessionStateError,
     CommandRefusedError,
     EngineTimeoutError,
     BeamLineError,
-    QaOverdueError,
 )
+ASK = problems(*COMMAND_ERRORS)
+ARM = problems(*COMMAND_ERRORS, QaOverdueError)
 
 
 @router.post("", status_code=201, name="session.create", responses=CREATE)
