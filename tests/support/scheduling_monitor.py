@@ -56,7 +56,7 @@ class Watchman:
 
 def main() -> None:
     last_ns, parent = time.monotonic_ns(), os.getppid()
-    while os.getppid() == parent:  # it ends with whoever started it
+    while os.getppid() == parent:  # ends with its parent
         time.sleep(STEP_S)
         now_ns = time.monotonic_ns()
         if now_ns - last_ns > WORTH_TELLING_NS:

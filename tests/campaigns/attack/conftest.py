@@ -47,9 +47,9 @@ class Attacked:
         due = int((time.monotonic() - begin_s - 0.5) * FRAMES_A_SECOND)
         eventually(lambda: self.frames() > before, within_s=2.0)
         assert self.frames() - before >= due
-        told = self.log.read_text(errors="replace")
-        assert "Traceback" not in told, told[-4000:]
-        assert SECRET not in told
+        reported = self.log.read_text(errors="replace")
+        assert "Traceback" not in reported, reported[-4000:]
+        assert SECRET not in reported
 
 
 @pytest.fixture(scope="session")

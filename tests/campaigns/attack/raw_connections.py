@@ -16,7 +16,7 @@ PATIENCE_S = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reply:
-    """What came back until the connection ended or nobody said more."""
+    """What came back until the connection ended or no one said more."""
 
     content: bytes
     is_closed: bool

@@ -1,4 +1,4 @@
-"""Who gives a place up: whoever waits, and half a body is a request that its sender keeps waiting."""
+"""Which connection is replaced: one that waits for its client; half a body counts as waiting."""
 
 import asyncio
 import contextlib
@@ -26,7 +26,7 @@ PIECES, PIECE = 500, b"x" * 65_536
 
 
 class KnowsWhoSaysSo:
-    """What the guard leaves of a caller whom it knows, for whoever says that it does; counts who came as far."""
+    """Marks callers with a header as known, as the guard does, and counts the requests that passed."""
 
     def __init__(self, app: ASGIApp, served: "Served") -> None:
         self._app = app
@@ -36,7 +36,7 @@ class KnowsWhoSaysSo:
         if (b"x-known", b"yes") in scope.get("headers", ()):
             scope[STATE] = "somebody"
         if scope["type"] == "http":
-            self._served.heard += 1
+            self._served.received += 1
         await self._app(scope, receive, send)
 
 
@@ -49,7 +49,7 @@ class Served:
         self.app.state.hold_and_close_session = lambda: None
         self.release = threading.Event()
         self.working = 0
-        self.heard = 0
+        self.received = 0
         self.app.post("/hold")(self._take)
         self.app.post("/login")(self._take)
         self.app.post("/work")(self._work)
@@ -98,10 +98,10 @@ def crowd(stack, served, source: str, first: bytes, count: int = EACH):
     """As many as may come from an address, who one behind the other say the same and then nothing."""
     raws = []
     for _ in range(count):
-        raw, heard = stack.enter_context(connection(served.port, source)), served.heard
+        raw, received = stack.enter_context(connection(served.port, source)), served.received
         raw.sendall(first)
         if first:
-            until(lambda before=heard: served.heard > before)
+            until(lambda before=received: served.received > before)
         raws.append(raw)
     return raws
 
@@ -132,9 +132,9 @@ def test_a_hold_whose_body_follows_its_head_gets_in_on_an_old_connection_too(ser
     with contextlib.ExitStack() as stack:
         (old,) = crowd(stack, served, "127.0.0.2", b"", 1)
         crowd(stack, served, "127.0.0.2", half, EACH - 1)
-        heard = served.heard
+        received = served.received
         old.sendall(head("/hold", 2))
-        until(lambda: served.heard > heard)
+        until(lambda: served.received > received)
         crowd(stack, served, "127.0.0.2", half, EACH // 2)
         old.sendall(b"{}")
         assert read_all(old).status == 200

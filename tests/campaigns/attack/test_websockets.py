@@ -37,7 +37,7 @@ def test_a_socket_that_does_not_keep_to_the_protocol_is_closed_with_the_reason(a
     assert reply.seconds < 2.0
 
 
-def test_nobody_agrees_to_pack_messages(attacked):
+def test_compression_of_messages_is_not_negotiated(attacked):
     with connection(attacked.port) as raw:
         raw.sendall(upgrade(attacked.key, "Sec-WebSocket-Extensions: permessage-deflate; client_max_window_bits"))
         reply = read_all(raw, 0.3)

@@ -1,1 +1,1 @@
-"""The contract: complete, true, kept, and tried with thousands of calls nobody thought of."""
+"""The contract: complete, true, kept, and tried with thousands of calls no one thought of."""

@@ -89,7 +89,7 @@ def _report(
     (out / "table.md").write_text(markdown(table))
     draw(table, out / "times.png")
     if writes:
-        write_document(table, told=_how(outcomes, seeds))
+        write_document(table, reported=_how(outcomes, seeds))
     unsafe = sum(row.unsafe for row in table)
     console.print(
         f"{len(outcomes)} faults of {len(kinds)} kinds: {unsafe} unsafe", style="red" if exit_code(table) else "green"

@@ -1,4 +1,4 @@
-"""The audit as it lies in the database: read from the file, whoever of the service still lives."""
+"""The audit read from the database's file, whether the service runs or not."""
 
 import json
 import sqlite3
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from service.storage.samples.store import SampleStore
-from tests.campaigns.faults.verdict import Told
+from tests.campaigns.faults.verdict import Reported
 
 TRANSITION, CLOSE = "gate.transition", "session.close"
 BUSY_S = 20.0
@@ -25,10 +25,10 @@ class Ledger:
         """Return the number of the newest audit row."""
         return int(self._rows("SELECT max(sequence) FROM audit")[0][0] or 0)
 
-    def told_since(self, sequence: int) -> list[Told]:
+    def reported_since(self, sequence: int) -> list[Reported]:
         """What was written behind this row: reasons of transitions, ends of sessions, and other actions."""
         rows = self._rows("SELECT action, detail FROM audit WHERE sequence > ? ORDER BY sequence", sequence)
-        return [one for action, detail in rows for one in _told(str(action), json.loads(detail))]
+        return [one for action, detail in rows for one in _reported(str(action), json.loads(detail))]
 
     def first_outside_ns(self, session_id: str, from_ns: int, edge_mm: float) -> int | None:
         """When the first frame came, from this time on, whose signal lies beyond the edge."""
@@ -52,10 +52,12 @@ class Ledger:
                 time.sleep(0.05)
 
 
-def _told(action: str, detail: dict[str, Any]) -> list[Told]:
+def _reported(action: str, detail: dict[str, Any]) -> list[Reported]:
     now_ns = time.monotonic_ns()
     if action == TRANSITION:
-        return [Told(what=str(detail["reason"]), at_ns=int(detail["asserted_ns"] or detail["decided_ns"] or now_ns))]
+        return [
+            Reported(what=str(detail["reason"]), at_ns=int(detail["asserted_ns"] or detail["decided_ns"] or now_ns))
+        ]
     if action == CLOSE:
-        return [Told(what=f"session {detail['status']}", at_ns=now_ns)]
-    return [Told(what=action, at_ns=now_ns)]
+        return [Reported(what=f"session {detail['status']}", at_ns=now_ns)]
+    return [Reported(what=action, at_ns=now_ns)]

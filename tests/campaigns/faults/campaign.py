@@ -23,7 +23,7 @@ from tests.campaigns.faults.verdict import Outcome, Recovery, Trouble
 FILE_NAME = "outcomes.jsonl"
 TRIALS_A_TURN = 10
 ATTEMPTS = 2
-"""A rig that broke in a way nobody foresaw is replaced, and the trial done once more."""
+"""A rig that broke in a way no one foresaw is replaced, and the trial done once more."""
 
 
 def kept_in(folder: Path) -> OutcomeFile[Outcome]:
@@ -131,7 +131,7 @@ class Bench:
     def try_kind(self, kind: FaultKind, seed: int) -> Outcome:
         """Run one trial; where a rig breaks it is thrown away, the trial done again, once, and the first's story kept.
 
-        A service that died though nobody killed it is a result.
+        A service that died though no one killed it is a result.
         """
         stories: list[str] = []
         for _ in range(ATTEMPTS):
@@ -168,7 +168,7 @@ class Bench:
 
 def _failed(kind: FaultKind, seed: int, trouble: Trouble, stories: list[str]) -> Outcome:
     note = "\n".join(stories)
-    return Outcome(kind=kind.code, seed=seed, off_ms=None, troubles=(trouble,), told=(), recovery="", note=note)
+    return Outcome(kind=kind.code, seed=seed, off_ms=None, troubles=(trouble,), reported=(), recovery="", note=note)
 
 
 def stamped(outcome: Outcome, revision: str) -> Outcome:

@@ -12,13 +12,13 @@ from tests.support.repository import ROOT
 DOCUMENT = ROOT / "docs" / "5-evidence" / "faults.md"
 
 
-def write_document(table: Sequence[Row], *, told: str, document: Path = DOCUMENT) -> None:
-    """Write both; ``told`` says where they are from."""
+def write_document(table: Sequence[Row], *, reported: str, document: Path = DOCUMENT) -> None:
+    """Write both; ``reported`` says where they are from."""
     trials = sum(len(row.outcomes) for row in table)
     unsafe = sum(row.unsafe for row in table)
     write_campaign(
         document,
-        said=f"{told}: {trials} faults of {len(table)} kinds, {unsafe} unsafe.",
+        said=f"{reported}: {trials} faults of {len(table)} kinds, {unsafe} unsafe.",
         table=markdown(table),
         picture="times from fault to line off",
         draw=partial(draw, table),

@@ -68,7 +68,7 @@ def take_files(ms: str) -> int:
 
 
 def block_event_loop(ms: str) -> int:
-    """Let uvicorn's event loop serve nobody for so long."""
+    """Let uvicorn's event loop serve no one for so long."""
     loops = [one for one in gc.get_objects() if isinstance(one, asyncio.AbstractEventLoop) and one.is_running()]
     at_ns = time.monotonic_ns()
     for loop in loops:

@@ -16,7 +16,7 @@ from tests.campaigns.faults.kinds import (
     Fault,
     FaultKind,
     Inject,
-    told,
+    reported,
 )
 from tests.campaigns.faults.verdict import Recovery
 from tests.support.virtual_camera.block import Call, State, Streams
@@ -30,10 +30,10 @@ PERIOD_MS = 1000.0 / 29.97
 BREATH_MM = 10.0
 LASTS_S = (0.03, 0.8)
 Act = Callable[[VirtualXtion, random.Random], Receipt]
-LOST = told("marker_lost", "layout_changed", "coverage_low", "residual_high", "jump", "patient_shifted")
-SILENT = told("frame_missing", "frame_timeout", "frame_late", "latency_high", "frame_stale")
-CLOCK = told("clock_backwards", "clock_jumped", "frame_missing", "frame_late", "latency_high", "frame_timeout")
-GONE = told("source_lost", "frame_missing", "frame_timeout")
+LOST = reported("marker_lost", "layout_changed", "coverage_low", "residual_high", "jump", "patient_shifted")
+SILENT = reported("frame_missing", "frame_timeout", "frame_late", "latency_high", "frame_stale")
+CLOCK = reported("clock_backwards", "clock_jumped", "frame_missing", "frame_late", "latency_high", "frame_timeout")
+GONE = reported("source_lost", "frame_missing", "frame_timeout")
 MOVED_RECOVERS = BY_ITSELF | ARMED
 """A surface that moved as no skin can may have to be given its zero by a person."""
 
@@ -112,7 +112,7 @@ def _shift(camera: VirtualXtion, chance: random.Random) -> Receipt:
 def _kind(
     code: str, what: str, inject: Inject, names: frozenset[str], recoveries: frozenset[Recovery] = BY_ITSELF, **more
 ):
-    return FaultKind(code=code, what=what, family=FAMILY, inject=inject, told=names, recoveries=recoveries, **more)
+    return FaultKind(code=code, what=what, family=FAMILY, inject=inject, reported=names, recoveries=recoveries, **more)
 
 
 def _camera(
@@ -141,7 +141,7 @@ KINDS = (
         "body-jumps",
         "the whole body is 8 to 25 mm higher or lower at once",
         lambda camera, chance: camera.offset(chance.choice((-1, 1)) * chance.uniform(8.0, 25.0)),
-        LOST | told("outside_window"),
+        LOST | reported("outside_window"),
         MOVED_RECOVERS,
         is_step=True,
     ),
@@ -150,46 +150,48 @@ KINDS = (
         "breath-too-large",
         "the body rises out of the window at a breath's speed",
         breath_too_large,
-        LOST | told("outside_window"),
+        LOST | reported("outside_window"),
         MOVED_RECOVERS,
     ),
-    _camera("depth-zero", "no pixel of depth is read", lambda camera, _: camera.flat(0), LOST | told("frame_frozen")),
+    _camera(
+        "depth-zero", "no pixel of depth is read", lambda camera, _: camera.flat(0), LOST | reported("frame_frozen")
+    ),
     _camera(
         "depth-holes",
         "half to nine tenths of the pixels read nothing",
         lambda camera, chance: camera.dropout(chance.uniform(0.5, 0.9), is_same=chance.random() < 0.5),
         LOST,
     ),
-    _camera("depth-noise", "depth is noise", lambda camera, _: camera.noise(), LOST | told("value_invalid")),
+    _camera("depth-noise", "depth is noise", lambda camera, _: camera.noise(), LOST | reported("value_invalid")),
     _camera(
         "depth-65535",
         "every pixel reads 65535",
         lambda camera, _: camera.flat(65_535),
-        LOST | told("frame_frozen", "value_invalid"),
+        LOST | reported("frame_frozen", "value_invalid"),
     ),
     _camera(
         "depth-flat",
         "every pixel reads one distance",
         lambda camera, chance: camera.flat(chance.randrange(500, 1500)),
-        LOST | told("frame_frozen"),
+        LOST | reported("frame_frozen"),
     ),
     _camera(
         "picture-frozen",
         "the same pictures with new times",
         lambda camera, _: camera.repeat(),
-        told("frame_frozen", "frame_timeout"),
+        reported("frame_frozen", "frame_timeout"),
     ),
     _camera(
         "depth-frozen",
         "the same depth with new times",
         lambda camera, _: camera.repeat(Streams.DEPTH),
-        told("frame_frozen", "frame_timeout"),
+        reported("frame_frozen", "frame_timeout"),
     ),
     _camera(
         "color-frozen",
         "the same colour with new times",
         lambda camera, _: camera.repeat(Streams.COLOR),
-        told("frame_frozen", "frame_timeout"),
+        reported("frame_frozen", "frame_timeout"),
     ),
     _camera("frame-again", "the same frame again, with its old time", lambda camera, _: camera.again(), CLOCK, LATCHED),
     _camera("both-stall", "no frame comes any more", lambda camera, _: camera.stall(), SILENT),
@@ -227,13 +229,13 @@ KINDS = (
         "rate-halved",
         "5 to 15 frames a second",
         lambda camera, chance: camera.rate(chance.uniform(5.0, 15.0)),
-        SILENT | told("frame_rate_low"),
+        SILENT | reported("frame_rate_low"),
     ),
     _camera(
         "rate-low",
         "17.5 to 18.5 frames a second",
         lambda camera, chance: camera.rate(chance.uniform(17.5, 18.5)),
-        SILENT | told("frame_rate_low"),
+        SILENT | reported("frame_rate_low"),
         bound="counted over a second, then 100 ms",
         bound_ms=1000.0 + FRAME_MS,
     ),
@@ -265,8 +267,8 @@ KINDS = (
     _camera("unplugged", "the camera is unplugged", lambda camera, _: camera.unplug(), GONE, GONE_RECOVERS),
     _camera(
         "unplugged-silently",
-        "the camera is unplugged, and nobody is told",
-        lambda camera, chance: camera.unplug(is_told=False, streams_go_on=chance.random() < 0.5),
+        "the camera is unplugged without an event of the runtime",
+        lambda camera, chance: camera.unplug(is_reported=False, streams_go_on=chance.random() < 0.5),
         GONE | SILENT,
         GONE_RECOVERS | BY_ITSELF,
     ),
@@ -274,7 +276,7 @@ KINDS = (
         "native-read-hangs",
         "a wait for frames hangs in the driver",
         hung_read,
-        SILENT | told("watchdog"),
+        SILENT | reported("watchdog"),
         GONE_RECOVERS | BY_ITSELF,
     ),
 )

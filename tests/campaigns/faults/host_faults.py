@@ -27,7 +27,7 @@ from tests.campaigns.faults.kinds import (
     Fault,
     FaultKind,
     Inject,
-    told,
+    reported,
 )
 from tests.campaigns.faults.masking_fault import beside
 from tests.campaigns.faults.operator import NAME
@@ -57,7 +57,7 @@ MADE_UP: tuple[dict[str, str], ...] = (
     {"Authorization": "Bearer tg_00000000_made-up"},
     {"Cookie": "tidegate=made-up", "Origin": "http://elsewhere.example"},
 )
-"""What somebody sends whom nobody let in."""
+"""What somebody sends whom no one let in."""
 
 
 def wall_clock(hours: int) -> Inject:
@@ -168,7 +168,7 @@ def call_flood(rig: "Rig", chance: random.Random) -> Fault:
 
 
 def stranger_flood(rig: "Rig", chance: random.Random) -> Fault:
-    """The same from eight threads that nobody knows, who try to log in besides, and show keys that they made up."""
+    """The same from eight threads that no one knows, who try to log in besides, and show keys that they made up."""
     calls = _calls(rig, chance) + [("POST", "/api/v1/login", {"name": "Mallory", "password": "let me in, please"})] * 5
     chance.shuffle(calls)
     return _many(CALLERS, lambda number, over: _caller(rig, calls, number, over, MADE_UP[number % len(MADE_UP)]))
@@ -239,10 +239,10 @@ def _many(count: int, work: Callable[[int, threading.Event], None]) -> Fault:
 
 
 def _kind(code: str, what: str, inject: Inject, names: frozenset[str], recoveries: frozenset[Recovery], **more: object):
-    return FaultKind(code=code, what=what, family=FAMILY, inject=inject, told=names, recoveries=recoveries, **more)
+    return FaultKind(code=code, what=what, family=FAMILY, inject=inject, reported=names, recoveries=recoveries, **more)
 
 
-FULL = told("disk_low", "audit_behind", "recorder_behind")
+FULL = reported("disk_low", "audit_behind", "recorder_behind")
 
 KINDS = (
     beside(
@@ -250,7 +250,7 @@ KINDS = (
             "clock-ahead",
             "the wall clock jumps 1 h ahead, then a marker is covered",
             wall_clock(1),
-            told(),
+            reported(),
             BY_ITSELF,
             plan=OWN_CLOCK,
         )
@@ -260,7 +260,7 @@ KINDS = (
             "clock-behind",
             "the wall clock jumps 1 h back, then a marker is covered",
             wall_clock(-1),
-            told(),
+            reported(),
             BY_ITSELF,
             plan=OWN_CLOCK,
         )
@@ -290,7 +290,7 @@ KINDS = (
     beside(
         _kind(
             *("database-busy", "it is locked for less than the patience, then a marker is covered"),
-            *(database_locked(0.40, 0.46), told(), BY_ITSELF),
+            *(database_locked(0.40, 0.46), reported(), BY_ITSELF),
         ),
         latest_s=0.2,
     ),
@@ -302,8 +302,8 @@ KINDS = (
     beside(
         _kind(
             *("processors-busy", "every processor is busy with others, then a marker is covered", processors_busy),
-            told("frame_late", "frame_missing", "frame_stale", "frame_timeout", "latency_high", "watchdog")
-            | told("beam_line_failed", "frame_rate_low"),
+            reported("frame_late", "frame_missing", "frame_stale", "frame_timeout", "latency_high", "watchdog")
+            | reported("beam_line_failed", "frame_rate_low"),
             BY_ITSELF,
             bound="lag of a frame, lease, and the receiver's 200 ms",
             bound_ms=LAG_MS + LEASE_MS + RECEIVER_MS,
@@ -313,21 +313,21 @@ KINDS = (
     beside(
         _kind(
             *("call-flood", "400 API calls from 8 clients, then a marker is covered", call_flood),
-            told("frame_late", "frame_missing", "frame_stale", "latency_high", "watchdog", "beam_line_failed"),
+            reported("frame_late", "frame_missing", "frame_stale", "latency_high", "watchdog", "beam_line_failed"),
             BY_ITSELF,
         )
     ),
     beside(
         _kind(
-            *("stranger-flood", "400 calls and log-ins of 8 strangers, then a marker is covered", stranger_flood),
-            told("frame_late", "frame_missing", "frame_stale", "latency_high", "watchdog", "beam_line_failed"),
+            *("stranger-flood", "400 calls and log-ins of 8 unknown callers, then a marker is covered", stranger_flood),
+            reported("frame_late", "frame_missing", "frame_stale", "latency_high", "watchdog", "beam_line_failed"),
             BY_ITSELF,
         )
     ),
     beside(
         _kind(
-            *("client-flood", "24 live streams that nobody reads, then a marker is covered", client_flood),
-            told("frame_late", "frame_missing", "frame_stale", "latency_high", "watchdog", "beam_line_failed"),
+            *("client-flood", "24 live streams that are not read, then a marker is covered", client_flood),
+            reported("frame_late", "frame_missing", "frame_stale", "latency_high", "watchdog", "beam_line_failed"),
             BY_ITSELF,
         )
     ),

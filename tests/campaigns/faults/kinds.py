@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from tests.campaigns.faults.plan import ANYBODY, Plan
+from tests.campaigns.faults.plan import DEFAULT_PLAN, Plan
 from tests.campaigns.faults.verdict import Expectation, Recovery
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class Fault:
         How long it stays once the line is off.
     meanwhile
         What somebody does while it stays.
-    told_by_ns
+    reported_by_ns
         Until when the audit's account has to be given; None does not ask.
     find_cause
         Looks the cause's time up afterwards, where only then it can be known; ``cause_ns`` is the latest it may be.
@@ -80,7 +80,7 @@ class Fault:
     undo: Callable[[], int | None] = nothing
     lasts_s: float = 0.0
     meanwhile: Callable[[], object] = nothing
-    told_by_ns: int | None = None
+    reported_by_ns: int | None = None
     find_cause: Callable[[], int | None] | None = None
     begun_ns: int | None = None
     is_of_itself: bool = False
@@ -113,20 +113,20 @@ class FaultKind:
     what: str
     family: str
     inject: Inject
-    told: frozenset[str]
+    reported: frozenset[str]
     recoveries: frozenset[Recovery]
     bound: str = "what frames show: 100 ms"
     bound_ms: float = FRAME_MS
-    plan: Plan = field(default=ANYBODY)
+    plan: Plan = field(default=DEFAULT_PLAN)
     may_be_disturbed: bool = True
     is_timed: bool = True
 
     @property
     def expected(self) -> Expectation:
-        return Expectation(bound_ms=self.bound_ms, told=self.told, recoveries=self.recoveries)
+        return Expectation(bound_ms=self.bound_ms, reported=self.reported, recoveries=self.recoveries)
 
 
-def told(*names: str) -> frozenset[str]:
+def reported(*names: str) -> frozenset[str]:
     return frozenset(names)
 
 

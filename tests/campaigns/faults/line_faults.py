@@ -15,15 +15,15 @@ from tests.campaigns.faults.kinds import (
     Fault,
     FaultKind,
     Inject,
-    told,
+    reported,
 )
 
 if TYPE_CHECKING:
     from tests.campaigns.faults.rig import Rig
 
 FAMILY = "line"
-FAILED, MISMATCH = told("beam_line_failed"), told("beam_line_mismatch")
-HEARD_NS = int((LINE_MS + FRAME_MS) * NS_PER_MS)
+FAILED, MISMATCH = reported("beam_line_failed"), reported("beam_line_mismatch")
+REPORT_NS = int((LINE_MS + FRAME_MS) * NS_PER_MS)
 """Found within 200 ms by the line, heard of at the engine's next decision."""
 
 LATE_MS = 180.0
@@ -31,7 +31,7 @@ LATE_MS = 180.0
 
 def killed(rig: "Rig", _random: random.Random) -> Fault:
     cause_ns = rig.kill_receiver()
-    return Fault(cause_ns=cause_ns, undo=rig.replace_receiver, lasts_s=0.4, told_by_ns=cause_ns + HEARD_NS)
+    return Fault(cause_ns=cause_ns, undo=rig.replace_receiver, lasts_s=0.4, reported_by_ns=cause_ns + REPORT_NS)
 
 
 def frozen(rig: "Rig", chance: random.Random) -> Fault:
@@ -41,24 +41,24 @@ def frozen(rig: "Rig", chance: random.Random) -> Fault:
     time.sleep(chance.uniform(0.4, 1.0))
     thawed_ns = time.monotonic_ns()
     rig.receiver.go_on()
-    return Fault(cause_ns=thawed_ns, told_by_ns=begun_ns + HEARD_NS)
+    return Fault(cause_ns=thawed_ns, reported_by_ns=begun_ns + REPORT_NS)
 
 
 def spoiled(words: str, lasts_s: float = 0.3) -> Inject:
     def inject(rig: "Rig", _random: random.Random) -> Fault:
         cause_ns = time.monotonic_ns()
         rig.receiver.spoil(words)
-        return Fault(cause_ns=cause_ns, undo=_well(rig), lasts_s=lasts_s, told_by_ns=cause_ns + HEARD_NS)
+        return Fault(cause_ns=cause_ns, undo=_well(rig), lasts_s=lasts_s, reported_by_ns=cause_ns + REPORT_NS)
 
     return inject
 
 
 def sticks_on(rig: "Rig", _random: random.Random) -> Fault:
-    """Let the input read on whatever is told; that shows when a person holds the beam."""
+    """Let the input read on whatever is commanded; that shows when a person holds the beam."""
     rig.receiver.spoil("stuck on")
     cause_ns = time.monotonic_ns()
     rig.person.act("hold")
-    return Fault(cause_ns=cause_ns, undo=_well(rig), lasts_s=0.3, told_by_ns=cause_ns + HEARD_NS)
+    return Fault(cause_ns=cause_ns, undo=_well(rig), lasts_s=0.3, reported_by_ns=cause_ns + REPORT_NS)
 
 
 def _well(rig: "Rig") -> Callable[[], None]:
@@ -71,7 +71,7 @@ KINDS = (
         what="the receiver is killed, another one takes its place",
         family=FAMILY,
         inject=killed,
-        told=FAILED,
+        reported=FAILED,
         recoveries=LATCHED,
         bound="its contact opens with it",
         is_timed=False,
@@ -82,7 +82,7 @@ KINDS = (
         what="the receiver is frozen for 0.4 to 1 s; from when it thaws",
         family=FAMILY,
         inject=frozen,
-        told=FAILED,
+        reported=FAILED,
         recoveries=LATCHED,
         bound="the receiver's 200 ms",
         bound_ms=RECEIVER_MS,
@@ -92,7 +92,7 @@ KINDS = (
         what="it answers 180 ms late",
         family=FAMILY,
         inject=spoiled(f"late {LATE_MS:g}", lasts_s=0.5),
-        told=FAILED,
+        reported=FAILED,
         recoveries=LATCHED,
         bound="found within 200 ms, then the receiver's own delay",
         bound_ms=LINE_MS + LATE_MS + RECEIVER_MS - 200.0,
@@ -102,17 +102,17 @@ KINDS = (
         what="it refuses what is written",
         family=FAMILY,
         inject=spoiled("refuse"),
-        told=FAILED,
+        reported=FAILED,
         recoveries=LATCHED,
         bound="the receiver's 200 ms",
         bound_ms=RECEIVER_MS,
     ),
     FaultKind(
         code="contact-sticks-off",
-        what="its contact reads off though told on",
+        what="its contact reads off though commanded on",
         family=FAMILY,
         inject=spoiled("stuck off"),
-        told=MISMATCH,
+        reported=MISMATCH,
         recoveries=LATCHED,
         bound="found within 200 ms",
         bound_ms=LINE_MS,
@@ -122,7 +122,7 @@ KINDS = (
         what="its contact reads on though a person holds the beam",
         family=FAMILY,
         inject=sticks_on,
-        told=MISMATCH,
+        reported=MISMATCH,
         recoveries=LATCHED,
         bound="a person's hold: 100 ms",
         bound_ms=PERSON_MS,

@@ -4,13 +4,13 @@ import random
 from collections.abc import Callable
 
 from tests.campaigns.faults.frame_faults import CLOCK, GONE, GONE_RECOVERS, LOST, SILENT, Act, of_camera
-from tests.campaigns.faults.kinds import BY_ITSELF, LATCHED, FaultKind, told
+from tests.campaigns.faults.kinds import BY_ITSELF, LATCHED, FaultKind, reported
 from tests.support.virtual_camera.block import Field, Streams
 from tests.support.virtual_camera.camera import Receipt, VirtualXtion
 
 FAMILY = "malformed"
 RGB888, GRAY8 = 200, 202
-REFUSED = SILENT | CLOCK | LOST | told("value_invalid", "source_lost", "engine_failed")
+REFUSED = SILENT | CLOCK | LOST | reported("value_invalid", "source_lost", "engine_failed")
 
 
 def _field(field: Field, value: Callable[[random.Random], int], streams: Streams) -> Act:
@@ -31,7 +31,7 @@ def _kind(code: str, what: str, act: Act, *, is_step: bool = False, must_latch: 
         what=what,
         family=FAMILY,
         inject=of_camera(act, is_step=is_step),
-        told=REFUSED | GONE,
+        reported=REFUSED | GONE,
         recoveries=LATCHED if must_latch else BY_ITSELF | GONE_RECOVERS,
     )
 

@@ -8,13 +8,13 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from tests.campaigns.faults.kinds import Fault, FaultKind, MissedError, told
+from tests.campaigns.faults.kinds import Fault, FaultKind, MissedError, reported
 from tests.campaigns.faults.verdict import is_on_at
 
 if TYPE_CHECKING:
     from tests.campaigns.faults.rig import Rig
 
-COVERED = told("marker_lost", "layout_changed")
+COVERED = reported("marker_lost", "layout_changed")
 
 
 def beside(kind: FaultKind, latest_s: float = 0.3) -> FaultKind:
@@ -38,4 +38,4 @@ def beside(kind: FaultKind, latest_s: float = 0.3) -> FaultKind:
             raise MissedError("it was over before the marker was covered")
         return replace(second, undo=undo, lasts_s=max(first.lasts_s, second.lasts_s))
 
-    return replace(kind, inject=inject, told=kind.told | COVERED)
+    return replace(kind, inject=inject, reported=kind.reported | COVERED)

@@ -110,7 +110,7 @@ class Person:
             self._present.clear()
 
     def leave_page(self) -> int:
-        """Close the page; returns when it was heard of last."""
+        """Close the page; returns when it was received of last."""
         self._present.clear()
         time.sleep(0.05)
         return self.seen_ns

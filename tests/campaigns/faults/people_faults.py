@@ -4,7 +4,7 @@ import random
 import time
 from typing import TYPE_CHECKING
 
-from tests.campaigns.faults.kinds import ARMED, BY_ITSELF, NEW_SESSION, PERSON_MS, Fault, FaultKind, Inject, told
+from tests.campaigns.faults.kinds import ARMED, BY_ITSELF, NEW_SESSION, PERSON_MS, Fault, FaultKind, Inject, reported
 from tests.campaigns.faults.plan import WATCHED
 from tests.campaigns.faults.verdict import Recovery
 
@@ -44,7 +44,7 @@ def page_closed(rig: "Rig", _random: random.Random) -> Fault:
 def _kind(code: str, what: str, inject: Inject, reason: str, recoveries: frozenset[Recovery], **more: object):
     wanted = {"bound": PERSON, "bound_ms": PERSON_MS, **more}
     return FaultKind(
-        code=code, what=what, family=FAMILY, inject=inject, told=told(reason), recoveries=recoveries, **wanted
+        code=code, what=what, family=FAMILY, inject=inject, reported=reported(reason), recoveries=recoveries, **wanted
     )
 
 
@@ -55,7 +55,7 @@ KINDS = (
     _kind("zero-set", "a person sets the zero anew", ordered("reference"), "disarmed", ARMED),
     _kind("model-activated", "a person takes up a stored model", activated, "disarmed", ARMED),
     _kind(
-        *("operator-lost", "the page of whoever armed falls silent", page_closed, "operator_lost", BY_ITSELF),
+        *("operator-lost", "the page of the person who armed falls silent", page_closed, "operator_lost", BY_ITSELF),
         plan=WATCHED,
         bound="the page's 3 s, then 100 ms",
         bound_ms=PAGE_MS + PERSON_MS,

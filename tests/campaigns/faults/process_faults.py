@@ -17,7 +17,7 @@ from tests.campaigns.faults.kinds import (
     Fault,
     FaultKind,
     Inject,
-    told,
+    reported,
 )
 from tests.campaigns.faults.masking_fault import beside
 from tests.campaigns.faults.verdict import Recovery
@@ -29,17 +29,17 @@ FAMILY = "process"
 RECEIVER = "a process that is dead or frozen: the receiver's 200 ms"
 LEASE = "the engine does not decide: the lease of 80 ms, and one exchange"
 ONE_EXCHANGE_MS = 20.0
-STOPPED = told(
+STOPPED = reported(
     *("frame_stale", "frame_late", "frame_missing", "watchdog", "frame_timeout", "beam_line_failed", "latency_high"),
     "service_silent",  # what it told meanwhile is read a moment after the engine goes on
 )
-SILENT = told("service_silent")
-ENDED = told("engine_failed", "session failed")
+SILENT = reported("service_silent")
+ENDED = reported("engine_failed", "session failed")
 WRITING_MS = 1000.0
 SILENCE = "the service may be silent for 500 ms, and beats every 30; then 100 ms"
 SILENCE_MS = 500.0 + 30.0
 SERVER_TICK_MS = 100.0
-"""Uvicorn looks so often whether it was told to go."""
+"""Uvicorn looks so often whether it was asked to go."""
 
 
 def killed(rig: "Rig", _random: random.Random) -> Fault:
@@ -64,7 +64,7 @@ def stopped(which: Callable[["Rig"], tuple[int, ...]]) -> Inject:
     return inject
 
 
-def told_to_go(rig: "Rig", _random: random.Random) -> Fault:
+def asked_to_go(rig: "Rig", _random: random.Random) -> Fault:
     return Fault(cause_ns=rig.signal(signal.SIGTERM), undo=lambda: _wait_for_end(rig))
 
 
@@ -136,12 +136,12 @@ def writer_hangs(rig: "Rig", chance: random.Random) -> Fault:
 
 
 def _kind(code: str, what: str, inject: Inject, names: frozenset[str], recoveries: frozenset[Recovery], **more: object):
-    return FaultKind(code=code, what=what, family=FAMILY, inject=inject, told=names, recoveries=recoveries, **more)
+    return FaultKind(code=code, what=what, family=FAMILY, inject=inject, reported=names, recoveries=recoveries, **more)
 
 
 KINDS = (
     _kind(
-        *("killed", "kill -9 of the service", killed, told("session interrupted"), RESTARTED),
+        *("killed", "kill -9 of the service", killed, reported("session interrupted"), RESTARTED),
         bound="its engine hears it at once: 100 ms",
     ),
     _kind(
@@ -167,7 +167,7 @@ KINDS = (
         bound_ms=RECEIVER_MS,
     ),
     _kind(
-        *("terminated", "SIGTERM", told_to_go, told("engine_stopped"), RESTARTED),
+        *("terminated", "SIGTERM", asked_to_go, reported("engine_stopped"), RESTARTED),
         bound="the server looks every 100 ms, then 100 ms",
         bound_ms=SERVER_TICK_MS + FRAME_MS,
     ),
@@ -188,7 +188,7 @@ KINDS = (
     ),
     _kind(
         *("engine-hangs", "the engine's thread hangs for 300 to 1500 ms", engine_hangs(300.0, 1500.0)),
-        told("watchdog"),
+        reported("watchdog"),
         LATCHED,
         bound=LEASE,
         bound_ms=LEASE_MS + ONE_EXCHANGE_MS,
@@ -198,7 +198,7 @@ KINDS = (
             "capture-dies",
             "the thread that takes frames dies",
             thread_dies("openni-capture", "_take_frames"),
-            told("source_lost"),
+            reported("source_lost"),
             NEW_SESSION | LATCHED,
         ),
     ),
@@ -207,33 +207,33 @@ KINDS = (
             "watchdog-dies",
             "the watchdog's thread dies",
             thread_dies("tidegate-watchdog"),
-            told("watchdog", "engine_failed"),
+            reported("watchdog", "engine_failed"),
             NEW_SESSION,
         ),
         bound="found at the next decision: 100 ms",
     ),
     _kind(
         *("writer-dies", "the thread that writes the audit dies", thread_dies("tidegate-writer", in_engine=False)),
-        told("audit_behind", "engine_stopped", "session failed"),
+        reported("audit_behind", "engine_stopped", "session failed"),
         NEW_SESSION,
     ),
     _kind(
         *("writer-hangs", "the thread that writes the audit hangs for 1.5 to 3 s", writer_hangs),
-        told("recorder_behind", "audit_behind"),
+        reported("recorder_behind", "audit_behind"),
         LATCHED,
         bound="what waits to be written may wait for 1 s, then 100 ms",
         bound_ms=WRITING_MS + FRAME_MS,
     ),
     _kind(
         *("line-dies", "the thread that tells the line dies", thread_dies("tidegate-beam-line")),
-        told("beam_line_failed"),
+        reported("beam_line_failed"),
         frozenset({Recovery.NEW_SESSION, Recovery.ACKNOWLEDGED}),
         bound=RECEIVER,
         bound_ms=RECEIVER_MS,
     ),
     _kind(
         *("line-watch-dies", "the thread that watches the line dies", thread_dies("tidegate-beam-watch")),
-        told("beam_line_failed"),
+        reported("beam_line_failed"),
         frozenset({Recovery.NEW_SESSION, Recovery.ACKNOWLEDGED}),
         bound="found at the next decision: 100 ms",
     ),
@@ -261,15 +261,15 @@ KINDS = (
         bound_ms=SILENCE_MS + FRAME_MS,
     ),
     _kind(
-        *("news-dies", "the thread that hears the engine's process dies"),
+        *("news-dies", "the thread that receives from the engine's process dies"),
         *(thread_dies("tidegate-engine-news", in_engine=False), SILENT | ENDED, NEW_SESSION),
     ),
     _kind(
         *("teller-dies", "the thread that tells the service dies"),
-        *(thread_dies("tidegate-teller"), SILENT | ENDED | told("recorder_behind", "audit_behind"), NEW_SESSION),
+        *(thread_dies("tidegate-teller"), SILENT | ENDED | reported("recorder_behind", "audit_behind"), NEW_SESSION),
     ),
     _kind(
-        *("hearer-dies", "the thread that hears the service dies"),
+        *("hearer-dies", "the thread that receives from the service dies"),
         *(thread_dies("MainThread"), SILENT | ENDED, NEW_SESSION),
     ),
     beside(
@@ -277,26 +277,26 @@ KINDS = (
             "loop-blocked",
             "the web server's event loop is blocked, then a marker is covered",
             loop_blocked,
-            told(),
+            reported(),
             BY_ITSELF,
         )
     ),
     beside(
         _kind(
             *("files-gone", "the service has no file descriptor left, then a marker is covered"),
-            *(files_gone(in_engine=False), told(), BY_ITSELF),
+            *(files_gone(in_engine=False), reported(), BY_ITSELF),
         )
     ),
     beside(
         _kind(
             *("engine-files-gone", "its engine has no file descriptor left, then a marker is covered"),
-            *(files_gone(in_engine=True), told(), BY_ITSELF),
+            *(files_gone(in_engine=True), reported(), BY_ITSELF),
         )
     ),
     beside(
         _kind(
             *("memory-gone", "the service has no memory left, then a marker is covered", memory_gone(in_engine=False)),
-            ENDED | STOPPED | told("source_lost", "audit_behind", "recorder_behind", "session interrupted"),
+            ENDED | STOPPED | reported("source_lost", "audit_behind", "recorder_behind", "session interrupted"),
             frozenset(Recovery),
             bound=SILENCE,
             bound_ms=SILENCE_MS + FRAME_MS,
@@ -306,7 +306,7 @@ KINDS = (
         _kind(
             *("engine-memory-gone", "its engine has no memory left, then a marker is covered"),
             memory_gone(in_engine=True),
-            ENDED | STOPPED | told("source_lost", "audit_behind", "recorder_behind", "session interrupted"),
+            ENDED | STOPPED | reported("source_lost", "audit_behind", "recorder_behind", "session interrupted"),
             frozenset(Recovery),
             bound=RECEIVER,
             bound_ms=RECEIVER_MS,

@@ -36,7 +36,7 @@ class WayBack:
     Attributes
     ----------
     asked_ns, acted_ns
-        When the beam was first asked for, and when anything was first done; None where nobody had to.
+        When the beam was first asked for, and when anything was first done; None where no one had to.
     refusal
         The newest answer to an arming.
     """

@@ -226,9 +226,9 @@ class Rig:
 
     def _environment(self) -> dict[str, str]:
         settings = {**SETTINGS, "BEAM_MODBUS_PORT": self.line_port, **self.plan.settings}
-        told = {f"TIDEGATE_{name}": str(value) for name, value in settings.items()}
+        reported = {f"TIDEGATE_{name}": str(value) for name, value in settings.items()}
         clock = self.wall_clock.environment if self.plan.has_own_clock else {}
-        return {**os.environ, **self.camera.environment, **told, **clock}
+        return {**os.environ, **self.camera.environment, **reported, **clock}
 
     def _kill_service(self) -> None:
         if self.process is not None:
@@ -241,9 +241,9 @@ class Rig:
     # The camera.
 
     def mend_camera(self) -> int | None:
-        """Undo all that the camera was told; return when the first good frame was raised, if one was."""
+        """Undo all that the camera was reported; return when the first good frame was raised, if one was."""
         if not self.is_alive:
-            return None  # what it was told died with the process
+            return None  # what it was sent died with the process
         with contextlib.suppress(CameraSilentError):
             receipt = self.camera.undo()
             return receipt.raised_ns if receipt.depth_ns is not None else None
@@ -276,6 +276,6 @@ def _small_disk(folder: Path) -> Iterator[None]:
 
 
 def _prefer(pid: int) -> None:
-    """Let a stand-in for hardware be woken in time: a real receiver does not share a processor with anybody."""
+    """Let a stand-in for hardware be woken in time: a real receiver does not share a processor with anyone."""
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, pid, RECEIVER_NICE)

@@ -13,7 +13,7 @@ from tests.campaigns.faults.verdict import Expectation, Outcome
 
 HEAD = (
     *("kind", "what", "n", "unsafe", "other", "median ms", "p95", "worst", "bound"),
-    *("told as", "recovers", "stood still: worst ms", "missed"),
+    *("reason", "recovers", "stood still: worst ms", "missed"),
 )
 RED = "white on red"
 
@@ -70,7 +70,7 @@ class Row:
             str(self.others),
             *(_ms(figure) for figure in _figures(times)),
             f"{self.kind.expected.bound_ms:g}",
-            _counted(name for outcome in self.outcomes for name in outcome.told[:1]),
+            _counted(name for outcome in self.outcomes for name in outcome.reported[:1]),
             _counted(outcome.recovery for outcome in self.outcomes if outcome.recovery),
             f"{len(late)}: {max(late):.0f}" if late else "0",
             str(sum(outcome.missed for outcome in self.outcomes)),

@@ -15,9 +15,9 @@ PATIENCE_S = 20.0
 HELD = """
 import sys, time
 from pathlib import Path
-from tests.campaigns.faults.plan import ANYBODY
+from tests.campaigns.faults.plan import DEFAULT_PLAN
 from tests.campaigns.faults.rig import Rig
-with Rig(Path(sys.argv[1]), ANYBODY, None) as rig:
+with Rig(Path(sys.argv[1]), DEFAULT_PLAN, None) as rig:
     print(rig.pid, rig.engine_pid, rig.receiver.process.pid, rig.watchman.pid, flush=True)
     time.sleep(600)
 """
@@ -47,4 +47,4 @@ def _lives(pid: int) -> bool:
         state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
     except OSError:
         return False
-    return state != "Z"  # whoever inherits it has yet to look
+    return state != "Z"  # its new parent has not reaped it yet

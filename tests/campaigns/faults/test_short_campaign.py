@@ -39,8 +39,8 @@ once."""
 def _part() -> int:
     """Which part of the others is taken: the commit says, so that it is the same for everybody who has it."""
     command = ["git", "rev-parse", "--short=4", "HEAD"]
-    told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
-    return int(told, 16) % PARTS if told else 0
+    reported = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
+    return int(reported, 16) % PARTS if reported else 0
 
 
 PART = _part()
@@ -67,5 +67,5 @@ def test_the_line_is_off_in_time_the_audit_says_why_and_the_beam_comes_back_as_p
     outcomes = []
     while not outcomes or (outcomes[-1].is_red and len(outcomes) < TRIES):
         outcomes.append(bench.try_kind(kind, seed=0))
-    told = [f"{', '.join(one.troubles)} after {one.off_ms} ms: {one.note}" for one in outcomes]
-    assert not outcomes[-1].is_red, told
+    reported = [f"{', '.join(one.troubles)} after {one.off_ms} ms: {one.note}" for one in outcomes]
+    assert not outcomes[-1].is_red, reported

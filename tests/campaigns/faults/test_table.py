@@ -22,7 +22,13 @@ SEEDS = range(1, 4)
 
 def outcome(kind: str, seed: int, *wrong: Trouble, off_ms: float | None = 40.0) -> Outcome:
     return Outcome(
-        kind=kind, seed=seed, off_ms=off_ms, troubles=wrong, told=("marker_lost",), recovery="by itself", revision="r1"
+        kind=kind,
+        seed=seed,
+        off_ms=off_ms,
+        troubles=wrong,
+        reported=("marker_lost",),
+        recovery="by itself",
+        revision="r1",
     )
 
 
@@ -78,7 +84,7 @@ def test_the_document_gets_the_newest_table_between_its_marks_and_keeps_the_rest
     document = tmp_path / "faults.md"
     document.write_text("before\n<!-- made: campaign -->\nyesterday\n<!-- end: campaign -->\nafter\n")
     for _ in range(2):
-        write_document(rows(KINDS, GOOD, wanted=3), told="a test", document=document)
+        write_document(rows(KINDS, GOOD, wanted=3), reported="a test", document=document)
     text = document.read_text()
     assert text.startswith("before\n<!-- made: campaign -->\n\na test: 6 faults of 2 kinds, 0 unsafe.\n")
     assert text.endswith("<!-- end: campaign -->\nafter\n")
@@ -134,7 +140,7 @@ def test_there_are_more_kinds_than_were_asked_for_and_each_says_what_it_promises
     kinds = all_kinds()
     assert len(kinds) >= 25
     for kind in kinds:
-        assert kind.told, kind.code
+        assert kind.reported, kind.code
         assert kind.recoveries, kind.code
         assert 0.0 < kind.bound_ms <= 4000.0, kind.code
 

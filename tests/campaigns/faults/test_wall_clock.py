@@ -1,4 +1,4 @@
-"""The wall clock of a process's own jumps when it is told; what counts by the monotonic clock does not notice."""
+"""The wall clock of a process's own jumps when it is reported; what counts by the monotonic clock does not notice."""
 
 import os
 import subprocess

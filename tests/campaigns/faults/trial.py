@@ -16,13 +16,13 @@ from tests.campaigns.faults.verdict import (
     Expectation,
     LineEdge,
     Outcome,
-    Told,
+    Reported,
     Trouble,
     came_back,
     is_on_at,
     judge,
     off_after_ms,
-    told_as,
+    reported_as,
 )
 
 if TYPE_CHECKING:
@@ -40,10 +40,10 @@ DISTURBED_TRIES = 6
 STALL_MS = 20.0
 """A machine that stood still for so long had that much less time to take a line off, and no more than that."""
 
-OF_ANOTHER_CAUSE = {Trouble.UNTOLD, Trouble.OTHER_RECOVERY}
+OF_ANOTHER_CAUSE = {Trouble.UNREPORTED, Trouble.OTHER_RECOVERY}
 """All that may be wrong where the beam went off in time, and for something else."""
 
-TOLD_WAIT_S = 2.0
+REPORTED_WAIT_S = 2.0
 SLOW_MS = 300.0
 NEAR_NS = 60 * NS_PER_MS
 
@@ -80,7 +80,7 @@ def run_trial(rig: "Rig", kind: FaultKind, seed: int) -> Outcome:
             seed=seed,
             off_ms=off_ms if kind.is_timed and math.isfinite(judged.expected.bound_ms) else None,
             troubles=tuple(judged.troubles),
-            told=told_as(judged.expected, judged.evidence),
+            reported=reported_as(judged.expected, judged.evidence),
             recovery=came_back(judged.evidence) or "",
             stall_ms=judged.evidence.stall_ms,
             disturbed_ms=tuple(disturbed),
@@ -99,7 +99,7 @@ def _is_disturbed(judged: Judged) -> bool:
 
 def _no_result(kind: FaultKind, seed: int, note: str) -> Outcome:
     return Outcome(
-        kind=kind.code, seed=seed, off_ms=None, troubles=(Trouble.NO_RESULT,), told=(), recovery="", note=note
+        kind=kind.code, seed=seed, off_ms=None, troubles=(Trouble.NO_RESULT,), reported=(), recovery="", note=note
     )
 
 
@@ -123,12 +123,12 @@ def _try_once(rig: "Rig", kind: FaultKind, chance: random.Random) -> Judged:
     evidence = Evidence(
         cause_ns=cause_ns,
         edges=[edge for edge in edges if edge.at_ns >= cause_ns],
-        told=_told_since(rig, sequence, expected),
+        reported=_reported_since(rig, sequence, expected),
         recovery=recovery,
         clear_ns=cause_ns if fault.is_step else clear_ns,
         armed_ns=way.asked_ns,
         acted_ns=way.acted_ns,
-        told_by_ns=fault.told_by_ns,
+        reported_by_ns=fault.reported_by_ns,
         is_chain_intact=_is_chain_intact(rig),
         stall_ms=rig.watchman.stalled_ms(cause_ns, gone[0] if gone else time.monotonic_ns()),
     )
@@ -145,11 +145,11 @@ def _refuse_another_s(judged: Judged, gone: list[int]) -> None:
     expected, evidence = judged.expected, judged.evidence
     is_in_time = bool(gone) and Trouble.OFF_LATE not in judged.troubles
     is_slow = math.isfinite(expected.bound_ms) and expected.bound_ms > SLOW_MS
-    is_of_another = Trouble.UNTOLD in judged.troubles and set(judged.troubles) <= OF_ANOTHER_CAUSE
+    is_of_another = Trouble.UNREPORTED in judged.troubles and set(judged.troubles) <= OF_ANOTHER_CAUSE
     if not is_in_time or not (is_slow or is_of_another):
         return
-    near = {one.what for one in evidence.told if one.what in REASONS and abs(one.at_ns - gone[0]) < NEAR_NS}
-    if near and not near & expected.told:
+    near = {one.what for one in evidence.reported if one.what in REASONS and abs(one.at_ns - gone[0]) < NEAR_NS}
+    if near and not near & expected.reported:
         raise MissedError(f"the beam went off for another reason: {', '.join(sorted(near))}")
 
 
@@ -178,7 +178,7 @@ def _await_off(rig: "Rig", kind: FaultKind, fault: Fault) -> int:
 def _found(fault: Fault) -> int | None:
     """Look the cause up; it is written down a moment later."""
     assert fault.find_cause is not None
-    end_s = time.monotonic() + TOLD_WAIT_S
+    end_s = time.monotonic() + REPORTED_WAIT_S
     while (found := fault.find_cause()) is None and time.monotonic() < end_s:
         time.sleep(0.05)
     return found
@@ -188,13 +188,13 @@ def _has_gone_off(edges: list[LineEdge], cause_ns: int) -> bool:
     return any(not edge.is_on and edge.at_ns >= cause_ns for edge in edges)
 
 
-def _told_since(rig: "Rig", sequence: int, expected: Expectation) -> list[Told]:
+def _reported_since(rig: "Rig", sequence: int, expected: Expectation) -> list[Reported]:
     """Read the account; what is written last may take a moment."""
-    end_s = time.monotonic() + TOLD_WAIT_S
+    end_s = time.monotonic() + REPORTED_WAIT_S
     while True:
-        told = rig.ledger.told_since(sequence)
-        if any(one.what in expected.told for one in told) or time.monotonic() > end_s:
-            return told
+        reported = rig.ledger.reported_since(sequence)
+        if any(one.what in expected.reported for one in reported) or time.monotonic() > end_s:
+            return reported
         time.sleep(0.05)
 
 
@@ -214,7 +214,7 @@ def _note(judged: Judged) -> str:
     edges = " ".join(
         f"{'on' if edge.is_on else 'off'}@{(edge.at_ns - began_ns) / NS_PER_S:.3f}" for edge in evidence.edges[:6]
     )
-    told = " ".join(f"{one.what}@{(one.at_ns - began_ns) / NS_PER_S:.3f}" for one in evidence.told[:8])
+    reported = " ".join(f"{one.what}@{(one.at_ns - began_ns) / NS_PER_S:.3f}" for one in evidence.reported[:8])
     cleared = "" if evidence.clear_ns is None else f" clear@{(evidence.clear_ns - began_ns) / NS_PER_S:.3f}"
     asked = "" if evidence.armed_ns is None else f" asked@{(evidence.armed_ns - began_ns) / NS_PER_S:.3f}"
-    return f"line {edges}{cleared}{asked} audit {told} recovery {evidence.recovery or 'none'}"
+    return f"line {edges}{cleared}{asked} audit {reported} recovery {evidence.recovery or 'none'}"

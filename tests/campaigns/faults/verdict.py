@@ -35,8 +35,8 @@ class Trouble(enum.StrEnum):
     OFF_LATE = "off late"
     BACK_EARLY = "back on early"
     ON_UNASKED = "on though nobody armed"
-    UNTOLD = "not told"
-    TOLD_LATE = "told late"
+    UNREPORTED = "not told"
+    REPORTED_LATE = "told late"
     CHAIN_BROKEN = "audit chain broken"
     NOT_RECOVERED = "does not recover"
     OTHER_RECOVERY = "recovers otherwise"
@@ -59,7 +59,7 @@ class LineEdge:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Told:
+class Reported:
     """One row of the audit that says why: a transition's reason, or an action."""
 
     what: str
@@ -74,14 +74,14 @@ class Expectation:
     ----------
     bound_ms
         From the cause to the line off.
-    told
+    reported
         What the audit may call it; one of these has to be there.
     recoveries
         The ways in which the beam may come back.
     """
 
     bound_ms: float
-    told: frozenset[str]
+    reported: frozenset[str]
     recoveries: frozenset[Recovery]
 
 
@@ -96,12 +96,12 @@ class Evidence:
     clear_ns
         When its cause was gone again; None where that is the cause's own time.
     armed_ns
-        When a person asked for the beam again; None where nobody had to.
+        When a person asked for the beam again; None where no one had to.
     acted_ns
         When a person did anything at all on the way back; what the audit says from then on is not the fault's account.
     edges
         The receiver's log, from the on that the fault ended to the next.
-    told_by_ns
+    reported_by_ns
         Until when the audit's account must have been given; None does not ask.
     stall_ms
         How long this machine stood still between cause and off, by a process that only looks.
@@ -109,12 +109,12 @@ class Evidence:
 
     cause_ns: int
     edges: Sequence[LineEdge]
-    told: Sequence[Told]
+    reported: Sequence[Reported]
     recovery: Recovery | None
     clear_ns: int | None = None
     armed_ns: int | None = None
     acted_ns: int | None = None
-    told_by_ns: int | None = None
+    reported_by_ns: int | None = None
     is_chain_intact: bool = True
     stall_ms: float = 0.0
 
@@ -126,7 +126,7 @@ class Outcome(TrialOutcome):
     kind: str
     seed: int
     off_ms: float | None
-    told: tuple[str, ...]
+    reported: tuple[str, ...]
     recovery: str
     stall_ms: float = 0.0
     disturbed_ms: tuple[float, ...] = ()
@@ -164,13 +164,13 @@ def judge(expected: Expectation, evidence: Evidence) -> list[Trouble]:
     ]
 
 
-def told_as(expected: Expectation, evidence: Evidence) -> tuple[str, ...]:
+def reported_as(expected: Expectation, evidence: Evidence) -> tuple[str, ...]:
     """What the audit called it, of what it may."""
-    return tuple(dict.fromkeys(one.what for one in evidence.told if one.what in expected.told))
+    return tuple(dict.fromkeys(one.what for one in evidence.reported if one.what in expected.reported))
 
 
 def came_back(evidence: Evidence) -> Recovery | None:
-    """How the beam came back: by itself where it was on before anybody had asked for it."""
+    """How the beam came back: by itself where it was on before anyone had asked for it."""
     on_ns = _on_again_ns(evidence)
     is_asked_for = evidence.armed_ns is not None and on_ns is not None and on_ns >= evidence.armed_ns
     return evidence.recovery if on_ns is None or is_asked_for else Recovery.BY_ITSELF
@@ -198,20 +198,22 @@ def _of_the_line(expected: Expectation, evidence: Evidence) -> list[Trouble]:
 
 
 def _has_latched(evidence: Evidence, before_ns: int) -> bool:
-    """Whether a fault was told by then."""
-    return any(one.what in FAULTS and evidence.cause_ns <= one.at_ns < before_ns for one in evidence.told)
+    """Whether a fault was reported by then."""
+    return any(one.what in FAULTS and evidence.cause_ns <= one.at_ns < before_ns for one in evidence.reported)
 
 
 def _of_the_account(expected: Expectation, evidence: Evidence) -> list[Trouble]:
-    found = [one.at_ns for one in evidence.told if one.what in expected.told and _is_of_the_fault(one, evidence)]
-    troubles = [] if found else [Trouble.UNTOLD]
-    if found and evidence.told_by_ns is not None and min(found) > evidence.told_by_ns:
-        troubles.append(Trouble.TOLD_LATE)
+    found = [
+        one.at_ns for one in evidence.reported if one.what in expected.reported and _is_of_the_fault(one, evidence)
+    ]
+    troubles = [] if found else [Trouble.UNREPORTED]
+    if found and evidence.reported_by_ns is not None and min(found) > evidence.reported_by_ns:
+        troubles.append(Trouble.REPORTED_LATE)
     return troubles + ([] if evidence.is_chain_intact else [Trouble.CHAIN_BROKEN])
 
 
-def _is_of_the_fault(one: Told, evidence: Evidence) -> bool:
-    """Whether a row may be the fault's account: no reason is, written after anybody acted or the beam was back."""
+def _is_of_the_fault(one: Reported, evidence: Evidence) -> bool:
+    """Whether a row may be the fault's account: no reason is, written after anyone acted or the beam was back."""
     ends = [end for end in (evidence.acted_ns, evidence.armed_ns, _on_again_ns(evidence)) if end is not None]
     return one.what not in REASONS or one.at_ns <= min(ends, default=one.at_ns)
 
@@ -225,5 +227,5 @@ def _of_the_recovery(expected: Expectation, evidence: Evidence) -> list[Trouble]
 
 def _is_for_another(expected: Expectation, evidence: Evidence) -> bool:
     """Whether somebody acknowledged a fault of the machine's own, which had nothing to do with this one."""
-    others = FAULTS - expected.told
-    return came_back(evidence) is Recovery.ACKNOWLEDGED and any(one.what in others for one in evidence.told)
+    others = FAULTS - expected.reported
+    return came_back(evidence) is Recovery.ACKNOWLEDGED and any(one.what in others for one in evidence.reported)

@@ -1,4 +1,4 @@
-"""Targets: calibrations, regions, laser planes, traces, flows; JSON of our own and of strangers."""
+"""Targets: calibrations, regions, laser planes, traces, flows; JSON of our own and of unknown callers."""
 
 import json
 import math
@@ -115,7 +115,7 @@ def flows() -> Iterator[bytes]:
 TARGETS = (
     Target(
         name="strict_json",
-        reads="JSON of strangers, before anybody knows what it is (`engine.core.strict_json`)",
+        reads="untrusted JSON, before its schema is applied (`engine.core.strict_json`)",
         read=read_json,
         refusals=(InvalidValueError,),
         seeds=lambda: (b'{"a": [1, -2.5e3, "x\\u00e9", null, true, {"b": {}}]}', b"[1e999, NaN]", b'{"a":1,"a":2}'),

@@ -1,4 +1,4 @@
-"""What libFuzzer is told about a target, and where its inputs grow."""
+"""What libFuzzer is reported about a target, and where its inputs grow."""
 
 from pathlib import Path
 

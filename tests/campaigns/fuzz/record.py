@@ -12,7 +12,7 @@ from tests.campaigns.fuzz.target import FOLDER
 from tests.campaigns.fuzz.targets import TARGETS
 
 RECORD = FOLDER / "record.json"
-HEAD = "| target | reads | seconds | executions | edges reached | kept inputs | found, and mended |"
+HEAD = "| target | reads | seconds | executions | edges reached | kept inputs | found, and fixed |"
 
 
 def load() -> dict[str, dict[str, Any]]:

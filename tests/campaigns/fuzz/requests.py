@@ -114,7 +114,7 @@ TARGETS = (
     ),
     Target(
         name="address",
-        reads="what a proxy says of where a request comes from (`service.access.request.addresses`)",
+        reads="a proxy's header with the client's address (`service.access.request.addresses`)",
         read=read_address,
         refusals=(),
         seeds=lambda: (b"192.0.2.1, 10.0.0.1", b"[2001:db8::1]:443", b"::ffff:192.0.2.1"),

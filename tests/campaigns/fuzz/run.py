@@ -1,4 +1,4 @@
-"""A run: targets driven, listened to, and told in numbers; what was found is kept with how to see it again."""
+"""A run: targets driven, listened to, and reported in numbers; what was found is kept with how to see it again."""
 
 import os
 import re
@@ -51,7 +51,9 @@ def run(targets: Sequence[Target], *, seconds: int, work: Path, seed: int = 0) -
         timeout=2 * seconds * len(targets) + START_S,
         env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
     )
-    runs = [_told(target, work, before[target.name]) for target in targets if (work / f"{target.name}.log").is_file()]
+    runs = [
+        _reported(target, work, before[target.name]) for target in targets if (work / f"{target.name}.log").is_file()
+    ]
     if len(runs) < len(targets) or (ended.returncode != 0 and not any(one.finding for one in runs)):
         said = ended.stdout.decode(errors="replace") + "".join(one.said[-2000:] for one in runs if not one.executions)
         msg = f"{', '.join(names)} could not be run:\n{said[-6000:]}"
@@ -64,7 +66,7 @@ def _findings(target: Target, work: Path) -> set[Path]:
     return set(folder.iterdir()) if folder.is_dir() else set()
 
 
-def _told(target: Target, work: Path, before: set[Path]) -> Run:
+def _reported(target: Target, work: Path, before: set[Path]) -> Run:
     said = (work / f"{target.name}.log").read_text(encoding="utf-8", errors="replace")
     new = sorted(_findings(target, work) - before)
     return Run(

@@ -13,7 +13,7 @@ MEMORY = Path("/dev/shm")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """A reader of strangers' bytes.
+    """A reader of unknown callers' bytes.
 
     Attributes
     ----------

@@ -12,7 +12,7 @@ from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US, Clock
 from engine.core.errors import FrameTimeoutError
 from engine.core.frames import Measurement, RgbdFrame
 from engine.gating.supervision.patient_shift import CORNERS, NODES
-from tests.support.control.loop_bench import DESCRIPTION, ToldPipeline, color_picture, depth_picture
+from tests.support.control.loop_bench import DESCRIPTION, RecordingPipeline, color_picture, depth_picture
 from tests.support.gating.streams import PERIOD_NS, motion_of
 
 MARKERS_MM = np.array([[-100.0, -150.0, 850.0], [100.0, -150.0, 850.0], [100.0, 150.0, 850.0], [-100.0, 150.0, 850.0]])
@@ -98,7 +98,7 @@ class LiveCamera:
         )
 
 
-class LivePipeline(ToldPipeline):
+class LivePipeline(RecordingPipeline):
     """Measures every frame as good, unless something is wrong; knows where the markers are."""
 
     def __init__(self, clock: Clock, mischief: Mischief) -> None:

@@ -1,6 +1,6 @@
 """Every interlock tripped once in an engine that runs, with the beam line in a process of its own.
 
-The beam is really on before each. What is told of it is what the line's own process wrote down.
+The beam is really on before each. What is reported of it is what the line's own process wrote down.
 """
 
 import contextlib
@@ -150,7 +150,7 @@ class LiveRun:
             if not self.loop.gate.is_armed:
                 self.loop.submit(Arm(operator="ann")).result(timeout=5.0)
 
-    def has_told(self, code: HoldReason, after_ns: int) -> bool:
+    def has_reported(self, code: HoldReason, after_ns: int) -> bool:
         return any(change.reason is code and change.asserted_ns >= after_ns for change in list(self.transitions))
 
     def lease_end_ns(self, off: Edge) -> int:
@@ -227,17 +227,17 @@ def trip_once(run: LiveRun, trip: Trip) -> Outcome:
             assert not run.line.is_on, f"{trip.code}: the line stays on"
             _put_right(trip, run)
             continue
-        is_told = _is_told(run, trip.code, cause_ns)
-        back = _come_back(run, trip, off) if is_told else _put_right(trip, run)
+        is_reported = _is_reported(run, trip.code, cause_ns)
+        back = _come_back(run, trip, off) if is_reported else _put_right(trip, run)
         if back:
             return Outcome(trip=trip, cause_ns=cause_ns, off=off, lease_end_ns=0, back=back)
     raise AssertionError(f"{trip.code} was not told: {[(one.to_state, one.reason) for one in run.transitions[-6:]]}")
 
 
-def _is_told(run: LiveRun, code: HoldReason, after_ns: int) -> bool:
+def _is_reported(run: LiveRun, code: HoldReason, after_ns: int) -> bool:
     """Whether the interlock is named as the cause; while nothing is audited, the gate itself has to say so."""
     for _ in range(60):
-        if run.has_told(code, after_ns) or run.loop.gate.reason is code:
+        if run.has_reported(code, after_ns) or run.loop.gate.reason is code:
             return True
         wait_ns(10 * NS_PER_MS)
     return False

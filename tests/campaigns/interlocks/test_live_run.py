@@ -46,7 +46,7 @@ def test_faults_stayed_off_until_somebody_acknowledged_and_armed_and_holds_came_
 
 
 def test_an_engine_that_hangs_is_taken_off_by_the_line_itself(outcomes):
-    """Nobody held it: the lease lapsed where it is kept."""
+    """No one held it: the lease lapsed where it is kept."""
     assert outcomes[HoldReason.WATCHDOG].off.kind == "lapsed"
     assert outcomes[HoldReason.FRAME_STALE].off.kind == "lapsed"
 

@@ -132,7 +132,7 @@ def _run(**what: bool) -> Callable[[LiveRun], None]:
 
 
 def _fill_audit(run: LiveRun) -> None:
-    """Nobody takes the transitions any more, and as many wait as may: the last of those there were, again and again."""
+    """No one takes the transitions any more, and as many wait as may: the last of those there were, again and again."""
     run.is_auditing = False
     run.frames(3)
     while run.loop.transitions.qsize() < TRANSITIONS_KEPT:

@@ -42,7 +42,7 @@ def main(arguments: list[str] | None = None) -> int:
     if os.geteuid() != 0:
         console.print("tests.campaigns.kills: a small disk cannot be mounted without root: nothing is run", style="red")
         return WRONG_USAGE
-    for number in (signal.SIGINT, signal.SIGTERM):  # whoever started it may have had it ignore them
+    for number in (signal.SIGINT, signal.SIGTERM):  # the parent may have had them ignored
         signal.signal(number, signal.default_int_handler)
     _run(console, file, asked, revision)
     return _report(console, file, asked)
@@ -60,8 +60,8 @@ def _run(console: Console, file: OutcomeFile[Outcome], asked: argparse.Namespace
             file.append(stamped(outcome, revision))
             progress.update(task, advance=1, description=outcome.moment)
             if outcome.is_red:
-                told = f"{outcome.moment} number {outcome.number}: {', '.join(outcome.troubles)} {outcome.note}"
-                progress.console.print(told, style="red", markup=False)
+                reported = f"{outcome.moment} number {outcome.number}: {', '.join(outcome.troubles)} {outcome.note}"
+                progress.console.print(reported, style="red", markup=False)
                 if not asked.go_on:
                     return
 
@@ -78,7 +78,7 @@ def _report(console: Console, file: OutcomeFile[Outcome], asked: argparse.Namesp
     (asked.out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
     draw(outcomes, asked.out / "kills.png")
     if asked.write:
-        write_document(outcomes, told=_how(outcomes, asked))
+        write_document(outcomes, reported=_how(outcomes, asked))
     is_whole = len(outcomes) == asked.moments
     is_green = is_whole and not any(outcome.is_red for outcome in outcomes)
     console.print(f"{len(outcomes)} of {asked.moments} kills, {found['red']} red", style="green" if is_green else "red")

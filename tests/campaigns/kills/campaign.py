@@ -29,7 +29,7 @@ from tests.support.database.postgres import PostgresServer
 FILE_NAME = "kills.jsonl"
 STARTING = "starting"
 ATTEMPTS = 2
-"""A rig that broke in a way nobody foresaw is replaced, and the kill done once more; the first's story is kept."""
+"""A rig that broke in a way no one foresaw is replaced, and the kill done once more; the first's story is kept."""
 
 
 def kept_in(folder: Path) -> OutcomeFile[Outcome]:
@@ -104,7 +104,7 @@ _workers: list[_Worker] = []
 def run(
     numbers: Sequence[int], *, seed: int, jobs: int, code: str | None = None, is_postgresql: bool = False
 ) -> Iterator[Outcome]:
-    """Do these kills with so many rigs side by side; yields outcomes as they come. Whoever stops asking ends it."""
+    """Do these kills with this many rigs in parallel; yield outcomes as they come. Closing the generator ends them."""
     if not numbers:
         return
     with tempfile.TemporaryDirectory(prefix="tidegate-kills-") as folder:

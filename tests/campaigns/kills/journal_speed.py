@@ -4,7 +4,7 @@ Run: ``python -m tests.campaigns.kills.journal_speed --seconds 60 FOLDER...``.
 
 One process a folder writes a transition every 5 ms into a real journal there, while others fill and sync the disk of
 the current folder. What counts is whether a write ever *slept*, that is waited for something: being preempted on a busy
-machine takes as long and is nobody's doing.
+machine takes as long and is no one's doing.
 """
 
 import argparse
@@ -39,9 +39,9 @@ def measure(folder: Path, seconds: float) -> str:
     try:
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
-            told = _transition(time.monotonic_ns())
+            reported = _transition(time.monotonic_ns())
             waits, began_ns = _waits(), time.monotonic_ns()
-            number = journal.commit(told)
+            number = journal.commit(reported)
             took_ns.append(time.monotonic_ns() - began_ns)
             slept_ns += [took_ns[-1]] if _waits() > waits else []
             journal.acknowledge(number or 0)

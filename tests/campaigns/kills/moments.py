@@ -197,7 +197,7 @@ def _first_start(rig: "KillRig", chance: random.Random) -> Strike:
 
 
 def _ask(call: Callable[[], object]) -> threading.Thread:
-    """Ask from a thread of its own; whoever answers is about to be killed."""
+    """Send from a thread of its own, since the server is about to be killed."""
 
     def ask() -> None:
         with contextlib.suppress(httpx2.HTTPError, OSError, PersonGaveUpError, ValueError, RuntimeError):

@@ -1,4 +1,4 @@
-"""The fault campaign's rig, with what a kill needs: a window that makes edges, starts that nobody waits for."""
+"""The fault campaign's rig, with what a kill needs: a window that makes edges, starts that no one waits for."""
 
 import os
 import shutil
@@ -17,7 +17,7 @@ from pydantic import SecretStr
 from service.core.settings.settings import Settings
 from service.storage.files.journals import Journals
 from tests.campaigns.faults.operator import PersonGaveUpError
-from tests.campaigns.faults.plan import ANYBODY
+from tests.campaigns.faults.plan import DEFAULT_PLAN
 from tests.campaigns.faults.rig import DATABASE, MEMORY, Rig, Template
 from tests.campaigns.faults.verdict import LineEdge
 from tests.support.repository import ROOT
@@ -36,7 +36,7 @@ class KillRig(Rig):
     """See the module; a context manager."""
 
     def __init__(self, folder: Path, template: Template, database_url: str | None = None) -> None:
-        plan = ANYBODY if database_url is None else replace(ANYBODY, settings={"DATABASE_URL": database_url})
+        plan = DEFAULT_PLAN if database_url is None else replace(DEFAULT_PLAN, settings={"DATABASE_URL": database_url})
         super().__init__(folder, plan, template)
         self._database_url = database_url
         self.window = {**self.window, "lower_mm": -EDGE_MM, "upper_mm": EDGE_MM}

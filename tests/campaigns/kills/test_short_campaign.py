@@ -31,5 +31,5 @@ def test_a_kill_loses_no_transition_and_the_next_start_puts_everything_in_order(
     outcomes = []
     while not outcomes or (outcomes[-1].is_red and len(outcomes) < TRIES):
         outcomes.append(bench.kill(number, len(outcomes), code))
-    told = [f"{', '.join(one.troubles)}: {one.note}" for one in outcomes]
-    assert not outcomes[-1].is_red, told
+    reported = [f"{', '.join(one.troubles)}: {one.note}" for one in outcomes]
+    assert not outcomes[-1].is_red, reported

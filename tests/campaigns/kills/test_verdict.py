@@ -39,7 +39,7 @@ STEPS = (
 )
 EDGES = (
     LineEdge(is_on=True, at_ns=8214 * MS),
-    LineEdge(is_on=False, at_ns=9003 * MS, cause="told"),
+    LineEdge(is_on=False, at_ns=9003 * MS, cause="command"),
     LineEdge(is_on=True, at_ns=9614 * MS),
     LineEdge(is_on=False, at_ns=10_190 * MS, cause="heartbeat"),
 )
@@ -68,10 +68,10 @@ def test_a_kill_that_left_everything_as_promised_is_no_trouble():
         (replace(GOOD, edges=EDGES[:3]), Trouble.NEVER_OFF),
         (replace(GOOD, edges=(*EDGES[:3], replace(EDGES[3], at_ns=10_215 * MS))), Trouble.OFF_LATE),
         (replace(GOOD, edges=(*EDGES, LineEdge(is_on=True, at_ns=11_000 * MS))), Trouble.ON_UNASKED),
-        (replace(GOOD, steps=without(STEPS, 8)), Trouble.ON_UNTOLD),
+        (replace(GOOD, steps=without(STEPS, 8)), Trouble.ON_UNREPORTED),
         (replace(GOOD, steps=without(STEPS, 6)), Trouble.NO_DWELL),
         (replace(GOOD, steps=(*STEPS[:4], replace(STEPS[4], received_ns=9503 * MS), STEPS[5])), Trouble.NO_DWELL),
-        (replace(GOOD, steps=without(STEPS, 5)), Trouble.OFF_UNTOLD),
+        (replace(GOOD, steps=without(STEPS, 5)), Trouble.OFF_UNREPORTED),
         (replace(GOOD, steps=without(STEPS, 5)), Trouble.STATES_APART),
         (replace(GOOD, steps=STEPS[1:]), Trouble.STATES_APART),
         (replace(GOOD, steps=(*STEPS[:2], replace(STEPS[2], number=2), *STEPS[3:])), Trouble.NUMBERS_APART),
@@ -95,24 +95,26 @@ def test_an_audit_that_lacks_everything_since_the_last_commit_is_red_at_every_ed
     spoiled = replace(
         GOOD, killed_ns=killed_ns, steps=STEPS[:5], edges=(*EDGES[:3], replace(EDGES[3], at_ns=9800 * MS))
     )
-    assert judge(spoiled) == (Trouble.ON_UNTOLD,)
+    assert judge(spoiled) == (Trouble.ON_UNREPORTED,)
 
 
 def test_an_off_in_the_last_instant_is_excused_and_counted_and_one_before_is_not():
-    off = LineEdge(is_on=False, at_ns=KILLED - 25 * MS, cause="told")
+    off = LineEdge(is_on=False, at_ns=KILLED - 25 * MS, cause="command")
     excused = replace(GOOD, edges=(*EDGES[:3], off))
     assert judge(excused) == ()
     assert is_last_instant(excused)
-    told = replace(excused, steps=(*STEPS, step(9, "beam_on", "hold", 9974, "outside_window")))
-    assert judge(told) == ()
-    assert not is_last_instant(told)
-    assert judge(replace(excused, edges=(*EDGES[:3], replace(off, at_ns=KILLED - 35 * MS)))) == (Trouble.OFF_UNTOLD,)
+    reported = replace(excused, steps=(*STEPS, step(9, "beam_on", "hold", 9974, "outside_window")))
+    assert judge(reported) == ()
+    assert not is_last_instant(reported)
+    assert judge(replace(excused, edges=(*EDGES[:3], replace(off, at_ns=KILLED - 35 * MS)))) == (
+        Trouble.OFF_UNREPORTED,
+    )
 
 
 def test_an_on_is_never_excused_however_late_it_was():
     on = LineEdge(is_on=True, at_ns=KILLED - MS)
     off = LineEdge(is_on=False, at_ns=KILLED + 150 * MS)
-    assert judge(replace(GOOD, steps=STEPS[:5], edges=(*EDGES[:2], on, off))) == (Trouble.ON_UNTOLD,)
+    assert judge(replace(GOOD, steps=STEPS[:5], edges=(*EDGES[:2], on, off))) == (Trouble.ON_UNREPORTED,)
 
 
 def test_a_dwell_is_counted_by_when_its_frames_came_and_not_by_when_they_were_decided_on():
@@ -131,10 +133,10 @@ def test_a_machine_that_stood_still_excuses_so_much_and_no_more():
 
 
 def test_only_a_machine_stall_before_the_kill_excuses_an_off_without_a_decision():
-    lapsed = replace(GOOD, edges=(*EDGES[:3], LineEdge(is_on=False, at_ns=KILLED - 79 * MS, cause="told")))
+    lapsed = replace(GOOD, edges=(*EDGES[:3], LineEdge(is_on=False, at_ns=KILLED - 79 * MS, cause="command")))
     assert judge(replace(lapsed, stall_before_ms=50.0)) == ()
-    assert judge(replace(lapsed, stall_ms=50.0)) == (Trouble.OFF_UNTOLD,)
-    assert judge(replace(lapsed, stall_before_ms=48.0)) == (Trouble.OFF_UNTOLD,)
+    assert judge(replace(lapsed, stall_ms=50.0)) == (Trouble.OFF_UNREPORTED,)
+    assert judge(replace(lapsed, stall_before_ms=48.0)) == (Trouble.OFF_UNREPORTED,)
 
 
 def test_a_watchdog_s_fault_may_stand_between_the_engine_s_own_rows_and_is_taken_up_later():

@@ -103,7 +103,7 @@ def _is_ready(rig: KillRig) -> bool:
 
 
 def _fresh(rig: KillRig, strike: Strike) -> Evidence:
-    """Look at a data folder in which nobody can log in yet; then go back to the one before."""
+    """Look at a data folder in which no one can log in yet; then go back to the one before."""
     database = Database(rig.data / DATABASE)
     with database.read() as db:
         is_intact = audit.verify(db).first_broken_sequence is None

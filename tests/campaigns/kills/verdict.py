@@ -10,7 +10,7 @@ from tests.campaigns.faults.kinds import RECEIVER_MS
 from tests.campaigns.faults.outcomes import TrialOutcome
 from tests.campaigns.faults.verdict import LineEdge, is_on_at
 
-TOLD_WITHIN_NS = 300 * NS_PER_MS
+REPORTED_WITHIN_NS = 300 * NS_PER_MS
 """From a decision to the receiver's edge: a lease and a heartbeat's bound are shorter."""
 
 DWELL_NS = 100 * NS_PER_MS
@@ -29,9 +29,9 @@ class Trouble(enum.StrEnum):
     NEVER_OFF = "the line never went off"
     OFF_LATE = "the line went off late"
     ON_UNASKED = "the line came on after the kill"
-    ON_UNTOLD = "the line was on, and the audit does not know"
+    ON_UNREPORTED = "the line was on, and the audit does not know"
     NO_DWELL = "the line was on without a dwell"
-    OFF_UNTOLD = "the line went off, and the audit does not know"
+    OFF_UNREPORTED = "the line went off, and the audit does not know"
     STATES_APART = "a transition is missing between two"
     NUMBERS_APART = "transitions out of order, or twice"
     SAMPLES_LOST = "more than a second of samples is lost"
@@ -78,7 +78,7 @@ class Evidence:
         The session's, after the restart; empty where there was none.
     stall_ms, stall_before_ms
         How long this machine stood still between kill and off, and between the last edge and the kill, by a process
-        that only looks: a line whose engine was not let go on goes off by its lease, and nobody has decided anything.
+        that only looks: a line whose engine was not let go on goes off by its lease, and no one has decided anything.
     """
 
     killed_ns: int
@@ -144,8 +144,8 @@ def edge_ms(evidence: Evidence) -> float | None:
 
 
 def is_last_instant(evidence: Evidence) -> bool:
-    """Whether the newest off was told right before the kill, and not kept any more."""
-    return any(_excused(edge, evidence) and not _off_is_told(edge, evidence.steps) for edge in _offs(evidence))
+    """Whether the newest off was reported right before the kill, and not kept any more."""
+    return any(_excused(edge, evidence) and not _off_is_commanded(edge, evidence.steps) for edge in _offs(evidence))
 
 
 def _of_the_line(evidence: Evidence) -> Iterator[Trouble]:
@@ -166,12 +166,12 @@ def _of_its_account(evidence: Evidence) -> Iterator[Trouble]:
             continue
         index = _cause_of_on(edge, evidence.steps)
         if index is None:
-            yield Trouble.ON_UNTOLD
+            yield Trouble.ON_UNREPORTED
         elif not _has_dwelt(evidence.steps, index):
             yield Trouble.NO_DWELL
     for edge in _offs(evidence):
-        if not _off_is_told(edge, evidence.steps) and not _excused(edge, evidence):
-            yield Trouble.OFF_UNTOLD
+        if not _off_is_commanded(edge, evidence.steps) and not _excused(edge, evidence):
+            yield Trouble.OFF_UNREPORTED
 
 
 def _offs(evidence: Evidence) -> list[LineEdge]:
@@ -186,7 +186,7 @@ def _cause_of_on(edge: LineEdge, steps: Sequence[Step]) -> int | None:
     found = (
         index
         for index, step in enumerate(steps)
-        if step.to_state == "beam_on" and 0 <= edge.at_ns - step.decided_ns <= TOLD_WITHIN_NS
+        if step.to_state == "beam_on" and 0 <= edge.at_ns - step.decided_ns <= REPORTED_WITHIN_NS
     )
     return next(found, None)
 
@@ -200,8 +200,10 @@ def _has_dwelt(steps: Sequence[Step], index: int) -> bool:
     return received_ns is not None and received_ns - before.received_ns >= DWELL_NS
 
 
-def _off_is_told(edge: LineEdge, steps: Sequence[Step]) -> bool:
-    return any(step.from_state == "beam_on" and abs(edge.at_ns - step.decided_ns) <= TOLD_WITHIN_NS for step in steps)
+def _off_is_commanded(edge: LineEdge, steps: Sequence[Step]) -> bool:
+    return any(
+        step.from_state == "beam_on" and abs(edge.at_ns - step.decided_ns) <= REPORTED_WITHIN_NS for step in steps
+    )
 
 
 def _of_the_states(steps: Sequence[Step]) -> Iterator[Trouble]:

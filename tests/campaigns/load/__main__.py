@@ -20,7 +20,7 @@ from tests.campaigns.load.table import text_of
 LOADED_SHARE = 2.0 / 3.0
 LONGEST_ROUND_S = 300.0
 INTERRUPTED = 130
-"""As a shell says it of whoever Ctrl-C ended."""
+"""A shell's exit code after Ctrl-C."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -28,7 +28,7 @@ def main(arguments: list[str] | None = None) -> int:
     asked = _parser().parse_args(arguments)
     ending = Ending()
     try:
-        with ending.heard():
+        with ending.installed():
             found = figures_of(run(_load(asked), _tell, ending))
     except KeyboardInterrupt:
         sys.stderr.write(

@@ -87,7 +87,7 @@ def _is_fine(answer: str) -> bool:
 def _frames(times: FrameTimes) -> dict[str, float]:
     found: dict[str, float] = {"count": times.count, "absent": times.absent, "missed": times.missed}
     found |= {"over_33_ms": times.over, "late_33_ms": times.come_late}
-    for name, values in (("decision", times.decision_ms), ("told", times.told_ms), ("late", times.late_ms)):
+    for name, values in (("decision", times.decision_ms), ("command", times.reported_ms), ("late", times.late_ms)):
         p50, p99, p999, most = np.percentile(values, [50.0, 99.0, 99.9, 100.0]) if times.count else [float("nan")] * 4
         found |= {f"{name}_p50_ms": p50, f"{name}_p99_ms": p99, f"{name}_p999_ms": p999, f"{name}_max_ms": most}
     return {name: round(float(value), 2) for name, value in found.items()}
@@ -106,9 +106,9 @@ def _processor(counted: Counted) -> dict[str, float]:
 
 
 def _clients(loaded: Counted) -> dict[str, Any]:
-    told = [client for block in loaded.watchers for client in block["clients"]]
-    healthy = [client for client in told if not client["is_stalled"]]
-    stalled = [client for client in told if client["is_stalled"]]
+    reported = [client for block in loaded.watchers for client in block["clients"]]
+    healthy = [client for client in reported if not client["is_stalled"]]
+    stalled = [client for client in reported if client["is_stalled"]]
     seconds = max(loaded.seconds, 1e-9)
     rates = [client["samples"] for client in healthy]
     others: defaultdict[str, int] = defaultdict(int)
@@ -123,7 +123,7 @@ def _clients(loaded: Counted) -> dict[str, Any]:
         "samples_per_s_least": round(min(rates, default=0) * blocks / seconds, 2),
         "samples_per_s_most": round(max(rates, default=0) * blocks / seconds, 2),
         "other_messages": dict(others),
-        "skipped_told": sum(client["skipped_told"] for client in healthy),
+        "skipped_reported": sum(client["skipped_reported"] for client in healthy),
         "gaps": sum(client["gaps"] for client in healthy),
         "lost_to_gaps": sum(client["lost_to_gaps"] for client in healthy),
         "backwards": sum(client["backwards"] for client in healthy),
@@ -131,7 +131,7 @@ def _clients(loaded: Counted) -> dict[str, Any]:
         "behind_two": sum(client["behind_two"] for client in healthy),
         "longest_silence_ms": round(max((client["longest_silence_ms"] for client in healthy), default=0.0), 1),
         "closed": sum(client["closed"] is not None for client in healthy),
-        "closed_why": _counts([client["closed"] for client in told if client["closed"]]),
+        "closed_why": _counts([client["closed"] for client in reported if client["closed"]]),
         "watchers_late_ms": round(max((block["late_ms"] for block in loaded.watchers), default=0.0), 1),
         "watchers_latest_ms": round(max((block["latest_ms"] for block in loaded.watchers), default=0.0), 1),
         **_ages(loaded, healthy),

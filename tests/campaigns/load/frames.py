@@ -36,8 +36,8 @@ class FrameTimes:
     ----------
     decision_ms
         From the frame's receipt to the decision.
-    told_ms
-        From the camera (of a recording: the receipt) to the line told.
+    reported_ms
+        From the camera (of a recording: the receipt) to the command at the line.
     late_ms
         How much later than its time a frame was received: of a player that is kept waiting.
     absent
@@ -47,7 +47,7 @@ class FrameTimes:
     """
 
     decision_ms: Times
-    told_ms: Times
+    reported_ms: Times
     late_ms: Times
     absent: int
     missed: int
@@ -75,7 +75,7 @@ def read_frames(exported: bytes) -> pa.Table:
 
 def times_in(table: pa.Table, blocks: list[Block]) -> FrameTimes:
     """Take the frames of some blocks out of a session."""
-    index, received, decided, told = (
+    index, received, decided, reported = (
         table[name].to_numpy() for name in ("frame_index", "received_ns", "decided_ns", "asserted_ns")
     )
     captured = _or(table["captured_ns"], received)
@@ -93,7 +93,7 @@ def times_in(table: pa.Table, blocks: list[Block]) -> FrameTimes:
         absent += int((np.diff(numbers) - 1).clip(0).sum())
     return FrameTimes(
         decision_ms=(decided - received)[inside] / NS_PER_MS,
-        told_ms=(told - captured)[inside] / NS_PER_MS,
+        reported_ms=(reported - captured)[inside] / NS_PER_MS,
         late_ms=late[inside],
         absent=absent,
         missed=int(table["missed_frames"].to_numpy()[inside].sum()),

@@ -19,13 +19,13 @@ class Ending:
         """Say that from now on there is something to tell."""
         self._is_measuring = True
 
-    def hear(self, *_: object) -> None:
+    def handle(self, *_: object) -> None:
         """Be asked.
 
         Raises
         ------
         KeyboardInterrupt
-            There is nothing to tell, or whoever asks has asked before.
+            There is nothing to report, or it is the second request.
         """
         if self.is_asked or not self._is_measuring:
             raise KeyboardInterrupt
@@ -38,9 +38,9 @@ class Ending:
             time.sleep(min(left_s, LOOK_S))
 
     @contextlib.contextmanager
-    def heard(self) -> Iterator[None]:
-        """Hear both signals until the block ends, even where whoever started this had it ignore them."""
-        kept = {number: signal.signal(number, self.hear) for number in (signal.SIGINT, signal.SIGTERM)}
+    def installed(self) -> Iterator[None]:
+        """Handle both signals until the block ends, even if the parent process had them ignored."""
+        kept = {number: signal.signal(number, self.handle) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
             yield
         finally:

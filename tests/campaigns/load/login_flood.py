@@ -2,7 +2,7 @@
 
 Run: ``python -m tests.campaigns.load.login_flood [--rounds 8] [--volunteer FOLDER]``.
 
-A real service plays a recorded volunteer in real time; the time from a frame's receipt to the line told is read from
+A real service plays a recorded volunteer in real time; the time from receipt of a frame to the command is read from
 the live stream, two seconds in peace, two seconds while eight clients try made-up names and passwords from made-up
 addresses, in turn, so that what the session does meanwhile is the same for both. No lock-out spares the service work.
 """
@@ -98,7 +98,7 @@ class Flood:
         client.close()
 
 
-def told(name: str, latencies_ms: np.ndarray) -> str:
+def reported(name: str, latencies_ms: np.ndarray) -> str:
     """Write a line of the table."""
     p50, p99 = np.percentile(latencies_ms, [50, 99])
     return f"| {name} | {len(latencies_ms)} | {p50:.1f} | {p99:.1f} | {latencies_ms.max():.1f} |"
@@ -142,7 +142,10 @@ def _measure(known: Provisioned, folder: Path, data: Path, port: int, rounds: in
         process.terminate()
         process.wait(30.0)
     lines = ["| | frames | p50 [ms] | p99 [ms] | longest [ms] |", "|---|---|---|---|---|"]
-    lines += [told("in peace", np.concatenate(peace)), told(f"{FLOODERS} clients log in", np.concatenate(storm))]
+    lines += [
+        reported("in peace", np.concatenate(peace)),
+        reported(f"{FLOODERS} clients log in", np.concatenate(storm)),
+    ]
     lines += ["", f"passwords checked: {answers[401]}, refused unread: {answers[503] + answers[429]}"]
     lines += [f"load of the machine, 1 min: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"]
     sys.stdout.write("\n".join(lines) + "\n")

@@ -16,7 +16,7 @@ Work = Callable[[dict[str, object], asyncio.StreamReader], Awaitable[dict[str, o
 
 
 def say(line: str) -> None:
-    """Tell whoever started this program."""
+    """Write a line to the parent process."""
     sys.stdout.write(line + "\n")
     sys.stdout.flush()
 

@@ -1,4 +1,4 @@
-"""The programs that make the load, each in a process of its own: started, told to begin and to end, and heard."""
+"""The programs that make the load, each in a process of its own: started, asked to begin and to end, and heard."""
 
 import json
 import subprocess
@@ -23,13 +23,13 @@ class LoadProgram:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            start_new_session=True,  # Ctrl-C is for whoever started it, who still wants to hear the result
+            start_new_session=True,  # Ctrl-C is handled by the parent, which still needs the result
         )
         self._say(json.dumps(asked))
 
     def wait_until_ready(self) -> None:
         """Return when everything it opens is open."""
-        self._hear("ready")
+        self._expect("ready")
 
     def begin(self) -> None:
         """Let it count from now."""
@@ -38,7 +38,7 @@ class LoadProgram:
     def result(self) -> dict[str, Any]:
         """Let it end, and return what it counted."""
         self._say("end")
-        found: dict[str, Any] = json.loads(self._hear(None))
+        found: dict[str, Any] = json.loads(self._expect(None))
         self._process.wait(END_S)
         return found
 
@@ -58,7 +58,7 @@ class LoadProgram:
         self._process.stdin.write(line + "\n")
         self._process.stdin.flush()
 
-    def _hear(self, expected: str | None) -> str:
+    def _expect(self, expected: str | None) -> str:
         assert self._process.stdout is not None
         line = self._process.stdout.readline().strip()
         if not line or (expected is not None and line != expected):

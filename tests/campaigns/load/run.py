@@ -201,7 +201,7 @@ def _rounds(
 
 
 def _loaded_block(load: Load, service: Service, session_id: str, loaded: Counted, ending: Ending) -> Mapping[str, int]:
-    """Let everybody watch and call; what they open is not counted, nor anything of whoever was asked to end before."""
+    """Let everybody watch and call; what they open is not counted, nor anything of clients that were ended before."""
     with _programs(load, service, session_id) as programs, _flood(load, service) as flood:
         for program in programs:
             program.wait_until_ready()

@@ -135,11 +135,11 @@ def stop_session(service: Service, session_id: str) -> dict[str, Any]:
         _done(client.post(f"/api/v1/sessions/{session_id}/stop", json={"operator": "Load"}))
         end_s = time.monotonic() + STOP_S
         while True:
-            told = _done(client.get(f"/api/v1/sessions/{session_id}"))
-            if told["status"] not in {"running", "created"} and told.get("summary") is not None:
-                return told
+            reported = _done(client.get(f"/api/v1/sessions/{session_id}"))
+            if reported["status"] not in {"running", "created"} and reported.get("summary") is not None:
+                return reported
             if time.monotonic() > end_s:
-                raise LoadError(f"the session is not closed: {json.dumps(told)[:500]}")
+                raise LoadError(f"the session is not closed: {json.dumps(reported)[:500]}")
             time.sleep(LOOK_S)
 
 

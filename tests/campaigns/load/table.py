@@ -26,7 +26,7 @@ def _frames(found: dict[str, Any]) -> list[str]:
     ]
     for name, said in (
         ("decision", "received to decided"),
-        ("told", "captured to the line told"),
+        ("command", "capture to the command at the line"),
         ("late", "received later than its time"),
     ):
         cells = [f"{frames[kind][f'{name}_{part}_ms']:.1f}" for kind in ("quiet", "loaded") for part in _PARTS]
@@ -56,7 +56,7 @@ def _clients(found: dict[str, Any]) -> list[str]:
         f"{clients['samples_per_s_least']} to {clients['samples_per_s_most']} samples/s each; "
         f"other messages {clients['other_messages'] or 'none'}.",
         f"Sequence: {clients['gaps']} gaps ({clients['lost_to_gaps']} numbers, "
-        f"{clients['skipped_told']} told as skipped), "
+        f"{clients['skipped_reported']} reported as skipped), "
         f"{clients['backwards']} backwards; closed {clients['closed_why'] or 'none'}.",
     ]
     if clients["healthy"]:

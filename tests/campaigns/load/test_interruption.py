@@ -1,4 +1,4 @@
-"""A run that is asked to end early tells what it has, and a Ctrl-C reaches nobody but the run."""
+"""A run that is asked to end early tells what it has, and a Ctrl-C reaches no one but the run."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ from tests.campaigns.load.programs import LoadProgram
 @pytest.fixture
 def ending():
     ending = Ending()
-    with ending.heard():
+    with ending.installed():
         yield ending
 
 
@@ -47,7 +47,7 @@ def test_a_second_signal_leaves_at_once(ending):
 
 def test_signals_are_given_back():
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
-    with Ending().heard():
+    with Ending().installed():
         assert signal.getsignal(signal.SIGTERM) != before[1]
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
 

@@ -29,11 +29,11 @@ EDGES_MS = (5, 10, 20, 33, 50, 67, 100, 150, 200, 300, 500, 1000, 2000, 5000)
 
 @dataclass(slots=True)
 class Seen:
-    """What one client saw since it was told to count."""
+    """What one client saw since it was asked to count."""
 
     samples: int = 0
     other: Counter[str] = field(default_factory=Counter)
-    skipped_told: int = 0
+    skipped_reported: int = 0
     gaps: int = 0
     backwards: int = 0
     lost_to_gaps: int = 0
@@ -46,7 +46,7 @@ class Seen:
 
 
 class Newest:
-    """The newest frame that any client of this program has heard of, and the last message read."""
+    """The newest frame that any client of this program has received of, and the last message read."""
 
     def __init__(self) -> None:
         self.frame_index = -1
@@ -71,13 +71,13 @@ class Watcher(asyncio.Protocol):
         self._buffer = b""
         self._transport: asyncio.Transport | None = None
         self._sequence: int | None = None
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
         self.seen = Seen()
 
     def begin(self) -> None:
         """Forget what was seen before."""
         closed = self.seen.closed
-        self.seen, self._heard_s = Seen(closed=closed), time.monotonic()
+        self.seen, self._received_s = Seen(closed=closed), time.monotonic()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -155,11 +155,11 @@ class Watcher(asyncio.Protocol):
         head, seen = self._newest.head_of(payload, is_text=is_text), self.seen
         if head.kind != "sample":
             seen.other[head.kind] += 1
-            seen.skipped_told += head.skipped
+            seen.skipped_reported += head.skipped
             return
         now_s = time.monotonic()
-        seen.longest_silence_ms = max(seen.longest_silence_ms, 1e3 * (now_s - self._heard_s))
-        self._heard_s = now_s
+        seen.longest_silence_ms = max(seen.longest_silence_ms, 1e3 * (now_s - self._received_s))
+        self._received_s = now_s
         seen.samples += 1
         self._count_sequence(head.sequence)
         lag = 0 if head.frame_index is None else self._newest.frame_index - head.frame_index
@@ -209,7 +209,7 @@ async def _run(asked: dict[str, object], lines: asyncio.StreamReader) -> dict[st
     await lines.readline()
     ticking.cancel()
     return {
-        "clients": [_told(watcher, number < stalled) for number, watcher in enumerate(watchers)],
+        "clients": [_reported(watcher, number < stalled) for number, watcher in enumerate(watchers)],
         "edges_ms": EDGES_MS,
         "processor_s": processor_s() - before_s,
         "late_ms": sorted(lateness)[-max(1, len(lateness) // 1000) :][0] if lateness else 0.0,
@@ -217,7 +217,7 @@ async def _run(asked: dict[str, object], lines: asyncio.StreamReader) -> dict[st
     }
 
 
-def _told(watcher: Watcher, is_stalled: bool) -> dict[str, object]:
+def _reported(watcher: Watcher, is_stalled: bool) -> dict[str, object]:
     seen = watcher.seen
     return {name: getattr(seen, name) for name in Seen.__slots__} | {"is_stalled": is_stalled}
 

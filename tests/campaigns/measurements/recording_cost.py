@@ -1,4 +1,4 @@
-"""What looking back costs the gate: frames timed from capture to the line told, without a tape, with one, and with raw.
+"""The cost of recording: frames timed from capture to the command, without a tape, with one, and with raw frames.
 
 `python -m tests.campaigns.measurements.recording_cost` plays a volunteer at 30 frames a second through an engine, in
 turns of each kind so that
@@ -45,7 +45,7 @@ GIB = 1024.0**3
 
 
 def latencies_ms(volunteer: Path, kind: str, folder: Path) -> tuple[list[float], float]:
-    """Play one session; return each measured frame's time from receipt to the line told, and the processor's [s]."""
+    """Play one session; return each measured frame's time from receipt to the command, and the processor's time [s]."""
     clock = MonotonicClock()
     raw = RawRecorder(folder / "raw.oni", min_free_bytes=GIB) if "raw" in kind else None
     recorder = RecordingTap(keep_frame=(lambda _frame: None) if raw is None else raw.offer)

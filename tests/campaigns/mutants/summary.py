@@ -77,7 +77,7 @@ def place_of(name: str) -> str:
 
 
 def main(arguments: list[str]) -> int:
-    """Print or write the table; name whoever is not explained."""
+    """Print or write the table; name survivors without an explanation."""
     found = outcomes()
     if not found:
         sys.stderr.write("nothing is left behind in mutants/: run `make mutants`\n")

@@ -1,4 +1,4 @@
-"""The summary of `make mutants`: what mutmut noted is read as it is meant, and nobody who survived is passed over."""
+"""The summary of `make mutants`: what mutmut noted is read as it is meant, and no one who survived is passed over."""
 
 import json
 

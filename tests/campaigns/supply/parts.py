@@ -60,15 +60,15 @@ def debian_parts(dockerfile: str | None = None) -> list[str]:
 def licence_of(name: str, version: str) -> str | None:
     """Read a package's licence from what is installed; only of the very version."""
     try:
-        told = distribution(name)
+        reported = distribution(name)
     except PackageNotFoundError:
         return None
-    if told.version != version:
+    if reported.version != version:
         return None
-    expression = told.metadata.get("License-Expression")
+    expression = reported.metadata.get("License-Expression")
     if expression:
         return str(expression)
-    lines = str(told.metadata.get("License") or "").strip().splitlines()
-    classifiers = [line for line in told.metadata.get_all("Classifier") or [] if line.startswith("License ::")]
+    lines = str(reported.metadata.get("License") or "").strip().splitlines()
+    classifiers = [line for line in reported.metadata.get_all("Classifier") or [] if line.startswith("License ::")]
     words = [lines[0].strip() if len(lines) == 1 else "", *(line.rpartition(" :: ")[2] for line in classifiers)]
     return next((_SHORT_NAMES.get(word, word) for word in words if word), None)

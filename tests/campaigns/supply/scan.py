@@ -1,6 +1,6 @@
 """`make scan`: bandit, ruff's security rules, pip-audit on both lock files, and what every package is licensed under.
 
-Exits with 1 on any finding. Known vulnerabilities are asked for over the network: where nobody answers that is said
+Exits with 1 on any finding. Known vulnerabilities are asked for over the network: where no one answers that is said
 aloud, and nothing was audited.
 """
 
@@ -34,12 +34,12 @@ def _say(text: str) -> None:
 
 def _bandit() -> int:
     done = _tool("bandit", "-q", "-c", "pyproject.toml", "-r", *PACKAGES, "-f", "json")
-    told = json.loads(done.stdout)
-    totals = told["metrics"]["_totals"]
-    _say(f"bandit: {len(told['results'])} findings in {totals['loc']} lines, {totals['skipped_tests']} explained there")
-    for one in told["results"]:
+    reported = json.loads(done.stdout)
+    totals = reported["metrics"]["_totals"]
+    _say(f"bandit: {len(reported['results'])} findings in {totals['loc']} lines, {totals['skipped_tests']} explained")
+    for one in reported["results"]:
         _say(f"  {one['filename']}:{one['line_number']} {one['test_id']} {one['issue_text']}")
-    return min(1, len(told["results"]) + len(told["errors"]))
+    return min(1, len(reported["results"]) + len(reported["errors"]))
 
 
 def _ruff() -> int:
@@ -73,12 +73,12 @@ def judged(name: str, found: list[dict[str, object]]) -> int:
 
 def _licences() -> int:
     parts = python_parts()
-    untold = [part.name for part in parts if part.licence is None]
+    unreported = [part.name for part in parts if part.licence is None]
     counted = Counter(part.licence for part in parts if part.licence is not None)
     _say("licences: " + ", ".join(f"{n} {name}" for name, n in sorted(counted.items(), key=lambda one: -one[1])))
-    if untold:
-        _say(f"  not told by what is installed: {', '.join(untold)}")
-    return min(1, len(untold))
+    if unreported:
+        _say(f"  not told by what is installed: {', '.join(unreported)}")
+    return min(1, len(unreported))
 
 
 if __name__ == "__main__":

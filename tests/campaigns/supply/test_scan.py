@@ -1,4 +1,4 @@
-"""What a scan says when there is something to say, and when nobody could be asked."""
+"""What a scan says when there is something to say, and when no one could be asked."""
 
 from tests.campaigns.supply.scan import judged
 

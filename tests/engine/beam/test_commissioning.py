@@ -35,8 +35,8 @@ def test_a_pulse_measures_the_edges_and_ends_off():
     assert all(0 < on_ms <= 10 for on_ms in times.on_ms)
     assert 0 < times.held_ms <= 10
     assert 0 <= times.lapsed_ms <= 10
-    told = [is_on for _, is_on, _ in world.wire.told]
-    edges = [told[0], *(b for a, b in itertools.pairwise(told) if a is not b)]
+    commands = [is_on for _, is_on, _ in world.wire.commands]
+    edges = [commands[0], *(b for a, b in itertools.pairwise(commands) if a is not b)]
     assert edges == [False, True, False, True, False]
     assert not world.line.is_on()
 
@@ -103,7 +103,7 @@ def test_the_bounds_belong_to_what_is_allowed(pulse_ms):
 
 
 class Slow(SimulatedBeamLine):
-    """Reads back each change a while later, and notes what it was told."""
+    """Reads back each change a while later, and notes what it was sent."""
 
     lag_ns = 7 * MS
 

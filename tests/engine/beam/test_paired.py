@@ -11,7 +11,7 @@ from tests.support.beam.stepped_line import MS, World
 
 
 class Line(SimulatedBeamLine):
-    """The simulated line, with a mind of its own where it is told to have one."""
+    """The simulated line, with a mind of its own where it is asked to have one."""
 
     def __init__(self, clock):
         super().__init__(clock)
@@ -154,11 +154,11 @@ def test_a_hold_reaches_the_second_though_the_first_fails_and_raises_nothing(whi
 def test_what_a_line_finds_out_by_itself_holds_the_other_at_once_and_is_passed_on(which):
     held = Pair().armed()
     held.permit()
-    heard = []
-    held.pair.on_trouble = lambda reason, detail: heard.append((reason, detail))
+    received = []
+    held.pair.on_trouble = lambda reason, detail: received.append((reason, detail))
     held.lines[which].on_trouble(HoldReason.BEAM_LINE_MISMATCH, "stuck")
     assert held.lines[1 - which]._deadman._is_latched
-    assert heard == [(HoldReason.BEAM_LINE_MISMATCH, "stuck")]
+    assert received == [(HoldReason.BEAM_LINE_MISMATCH, "stuck")]
 
 
 def test_a_pair_opens_both_or_leaves_neither_open():
@@ -238,12 +238,12 @@ def test_closing_holds_both_as_stopped_and_closes_the_second_whatever_the_first_
 
 @pytest.mark.parametrize("which", [0, 1])
 def test_what_one_of_them_finds_holds_the_other_for_that_reason_and_is_reported_with_its_words(which):
-    held, heard = Pair().armed(), []
-    held.pair.on_trouble = lambda reason, detail: heard.append((reason, detail))
+    held, received = Pair().armed(), []
+    held.pair.on_trouble = lambda reason, detail: received.append((reason, detail))
     held.lines[which].on_trouble(HoldReason.BEAM_LINE_FAILED, "silent")
-    assert heard == [(HoldReason.BEAM_LINE_FAILED, "silent")]
+    assert received == [(HoldReason.BEAM_LINE_FAILED, "silent")]
     assert held.lines[1 - which].holds[-1] is HoldReason.BEAM_LINE_FAILED
     assert held.lines[which].holds == []
     held.lines[1 - which].fails_at = "hold"
     held.lines[which].on_trouble(HoldReason.BEAM_LINE_MISMATCH, "stuck")
-    assert heard[-1] == (HoldReason.BEAM_LINE_MISMATCH, "stuck")
+    assert received[-1] == (HoldReason.BEAM_LINE_MISMATCH, "stuck")

@@ -34,7 +34,7 @@ def test_readings_become_the_depths_their_steps_stand_for(phase, cuts_off, step_
     assert steps.step_per_mm == pytest.approx(step_per_mm, rel=2e-3)
     reading, stands_for = picture(9, **sensor)
     error = depth_table_mm(steps)[reading] - stands_for
-    # Half a millimetre for all of them alike cannot be told and does not matter to motion.
+    # Half a millimetre for all of them alike cannot be determined and does not matter to motion.
     assert np.abs(error - np.median(error)).max() < 0.25
     assert abs(np.median(error)) < 0.6
     raw = reading - stands_for

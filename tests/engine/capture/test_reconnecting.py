@@ -1,4 +1,4 @@
-"""A camera that is unplugged and comes back: one camera to whoever reads it, and never another one."""
+"""A camera that is unplugged and comes back: its reader sees one camera, and never another one."""
 
 import threading
 from dataclasses import replace

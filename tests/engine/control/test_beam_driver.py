@@ -18,11 +18,11 @@ def received(gate, at_ns):
     return replace(gate, last=replace(gate.last, received_ns=at_ns))
 
 
-@pytest.mark.parametrize(("told_ns", "is_on"), [(LEASE_NS - 1, True), (LEASE_NS, False)])
+@pytest.mark.parametrize(("reported_ns", "is_on"), [(LEASE_NS - 1, True), (LEASE_NS, False)])
 def test_a_decision_in_time_that_is_reported_once_the_line_has_gone_off_by_itself_holds_and_costs_a_dwell(
-    told_ns, is_on
+    reported_ns, is_on
 ):
-    """The gate found its lease alive when it decided; the line had lapsed when it was told."""
+    """The gate found its lease alive when it decided; the line had lapsed when it was reported."""
     gate = stream_in(GateState.BEAM_ON).gate
     first_ns = gate.last.received_ns
     clock = ManualClock(first_ns)
@@ -31,7 +31,7 @@ def test_a_decision_in_time_that_is_reported_once_the_line_has_gone_off_by_itsel
     beam.rearm()
     driver = driver_of(beam, clock)
     assert driver.carry_out(gate, clock.now_ns()).is_on
-    clock.advance_ns(told_ns)
+    clock.advance_ns(reported_ns)
     report = driver.carry_out(received(gate, first_ns + PERIOD_NS), first_ns + PERIOD_NS + 1)
     assert report.is_on is is_on
     assert beam.is_on() is is_on

@@ -1,4 +1,4 @@
-"""A camera that is away: a fault for as long as it is, whoever acknowledges; back, nothing of before is trusted."""
+"""A missing camera faults until it is back, despite acknowledgements; nothing from before is used after its return."""
 
 from engine.control.outputs import LoopStatus
 from engine.core.commands import Acknowledge, Arm
@@ -60,7 +60,7 @@ def test_the_pipeline_is_notified_once_before_the_first_frame_after_the_return()
     assert bench.pipeline.calls == ["camera_returned", "camera_returned"]
 
 
-def test_nobody_arms_before_a_person_has_set_the_zero_again_and_the_beam_pays_a_full_dwell():
+def test_arming_is_refused_until_the_reference_is_set_again_and_the_dwell_is_full():
     bench = armed_bench([good] * 5 + [away] * 3 + [good] * 3)
     bench.source.script += [
         after(bench.ask(Acknowledge(operator=OPERATOR))),

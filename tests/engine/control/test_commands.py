@@ -1,4 +1,4 @@
-"""What may be asked of a running engine, when it is refused, and that the line is told before the asker is."""
+"""What may be asked of a running engine, when it is refused, and that the line is commanded before the asker is."""
 
 from dataclasses import replace
 

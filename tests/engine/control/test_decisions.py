@@ -33,7 +33,7 @@ def test_the_line_gets_one_lease_a_frame_counted_from_when_the_frame_came():
     assert [edge.is_on for edge in bench.beam.edges] == [True, False]
 
 
-def test_nobody_arms_nothing_is_permitted():
+def test_without_arming_nothing_is_permitted():
     bench = Bench([good] * 30).run()
     assert bench.beam.permits == []
     assert {record.gate_state for record in bench.records()} == {GateState.DISARMED}

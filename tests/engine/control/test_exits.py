@@ -1,4 +1,4 @@
-"""Every way out of the engine holds the beam first; then it is closed and told."""
+"""Every way out of the engine holds the beam first; then it is closed and reported."""
 
 import threading
 
@@ -31,7 +31,7 @@ FAILURES = {
 }
 
 
-def _is_held_and_told(bench: Bench, reason: HoldReason, error: str) -> None:
+def _is_held_and_reported(bench: Bench, reason: HoldReason, error: str) -> None:
     assert bench.beam.edges[-1].is_on is False
     assert bench.source.line_was_on_at_close is False
     assert (bench.loop.status.run_state, bench.loop.status.error) == (LoopStatus.FAILED, error)
@@ -45,7 +45,7 @@ def _is_held_and_told(bench: Bench, reason: HoldReason, error: str) -> None:
 @pytest.mark.parametrize(("error", "reason", "text"), FAILURES.values(), ids=FAILURES)
 def test_a_source_that_raises_ends_in_a_held_line_and_a_failed_session(error, reason, text):
     bench = armed_bench([*[good] * 6, raising(error)]).run()
-    _is_held_and_told(bench, reason, text)
+    _is_held_and_reported(bench, reason, text)
     assert bench.hold_reason_of_the_line() is reason
 
 
@@ -58,7 +58,7 @@ def test_a_pipeline_that_raises_ends_in_a_held_line_and_a_failed_session(error, 
 
     bench.pipeline.spoil[9] = fail
     bench.run()
-    _is_held_and_told(bench, reason, text)
+    _is_held_and_reported(bench, reason, text)
 
 
 def test_the_end_of_a_recording_holds_and_is_no_failure():
@@ -134,7 +134,7 @@ def test_a_line_whose_hold_raises_does_not_keep_the_session_from_ending():
     assert bench.loop.status.run_state is LoopStatus.FAILED
     assert bench.source.closed == 1
     bench.clock.advance_ns(100_000_000)
-    assert bench.beam.edges[-1].is_on is False  # nobody renews: the lease has lapsed
+    assert bench.beam.edges[-1].is_on is False  # no one renews: the lease has lapsed
 
 
 def test_what_still_waits_is_refused_at_the_end_and_a_disarming_has_come_true():

@@ -26,8 +26,8 @@ def test_a_camera_whose_frame_numbers_go_back_or_stand_still_faults_though_its_t
     assert records[ON].line_on
     later = {(record.gate_state, record.hold_reason, record.line_on) for record in records[ON + 1 :]}
     assert later == {(GateState.FAULT, HoldReason.CLOCK_BACKWARDS, False)}
-    (told,) = [change for change in bench.transitions() if change.reason is HoldReason.CLOCK_BACKWARDS]
-    assert told.detail == f"the camera's frame {ON + 1 - back} after its frame {ON}"
+    (reported,) = [change for change in bench.transitions() if change.reason is HoldReason.CLOCK_BACKWARDS]
+    assert reported.detail == f"the camera's frame {ON + 1 - back} after its frame {ON}"
 
 
 def test_numbers_that_go_on_from_another_one_are_no_disorder():

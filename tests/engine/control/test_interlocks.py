@@ -40,7 +40,7 @@ def seen_of(records):
 def test_a_frozen_picture_holds_the_line_and_a_new_one_lets_it_on_after_the_dwell():
     records = on_bench([frozen, frozen, frozen, *[good] * 5]).run().records()
     assert records[ON].line_on
-    assert records[ON + 1].line_on  # the first of them: nobody can know yet that it will come again
+    assert records[ON + 1].line_on  # the first of them: no one can know yet that it will come again
     assert seen_of(records[ON + 2 : ON + 4]) == {(GateState.HOLD, HoldReason.FRAME_FROZEN, False)}
     assert [record.line_on for record in records[ON + 4 :]] == [False] * (FRAMES_A_DWELL - 1) + [True] * 2
 
@@ -55,8 +55,10 @@ def test_a_picture_that_stays_frozen_faults_and_still_does_when_it_is_acknowledg
     records = bench.run().records()
     assert seen_of(records[ON + 17 :]) == {(GateState.FAULT, HoldReason.FRAME_TIMEOUT, False)}
     assert bench.answers[-1].exception(timeout=0) is None
-    told = [(change.to_state, change.reason) for change in bench.transitions()]
-    assert told.count((GateState.FAULT, HoldReason.FRAME_TIMEOUT)) == 1  # it never left: nobody was told otherwise
+    reported = [(change.to_state, change.reason) for change in bench.transitions()]
+    assert (
+        reported.count((GateState.FAULT, HoldReason.FRAME_TIMEOUT)) == 1
+    )  # it never left: no one was reported otherwise
 
 
 def test_a_camera_below_its_least_rate_holds_after_a_second_and_a_quicker_one_is_let_on_again():

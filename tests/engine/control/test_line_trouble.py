@@ -49,7 +49,7 @@ class Mute(WatchedBeamLine):
 
 
 class Contrary(WatchedBeamLine):
-    """Says of itself, after the third permit, that it reads back otherwise than told."""
+    """Says of itself, after the third permit, that it reads back otherwise than commanded."""
 
     def is_on(self):
         if self.permits and self.permits[-1].sequence == 3:
@@ -82,7 +82,7 @@ def test_a_line_that_does_not_answer_is_reported_as_perhaps_on():
 
 
 class Stuck(WatchedBeamLine):
-    """Reads back as on, whatever is told, once it was."""
+    """Reads back as on, whatever is commanded, once it was."""
 
     was_on = False
 
@@ -103,7 +103,7 @@ def test_a_line_that_stays_on_though_held_faults():
 
 
 class Slow(WatchedBeamLine):
-    """Reads back what it was told only after two more readings, and says meanwhile that it settles."""
+    """Reads back what it was sent only after two more readings, and says meanwhile that it settles."""
 
     def __init__(self, clock):
         super().__init__(clock)

@@ -21,8 +21,8 @@ from engine.core.gate_state import GateState, HoldReason
 from tests.support.control.armed_bench import armed_bench
 from tests.support.control.loop_bench import (
     Bench,
+    RecordingPipeline,
     ScriptedSource,
-    ToldPipeline,
     WatchedBeamLine,
     after,
     good,
@@ -44,7 +44,7 @@ def quiet_for(duration_ns):
 
 def plain_loop(**options):
     clock = ManualClock(START_NS)
-    pipeline = ToldPipeline(clock)
+    pipeline = RecordingPipeline(clock)
     return EngineLoop(
         source=ScriptedSource(clock, []),
         measurer=pipeline,

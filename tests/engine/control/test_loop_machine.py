@@ -41,7 +41,7 @@ STEPS_NS = st.integers(20 * MS, 50 * MS)
 
 
 class TroubledLine(WatchedBeamLine):
-    """Does as it is told, and says of itself what the test wants: the truth, a lie, or nothing."""
+    """Does as requested, and says of itself what the test wants: the truth, a lie, or nothing."""
 
     answer = "true"
     refuses = False
@@ -369,7 +369,7 @@ class LoopMachine(RuleBasedStateMachine):
         return error is None
 
     def _stand(self) -> None:
-        """What stands against the beam after a decision: a hand, and a line that does not do as it is told."""
+        """What stands against the beam after a decision: a hand, and a line that does not do as requested."""
         now_ns = self.clock.now_ns()
         if self.is_held_by_hand:
             self.oracle.hold(now_ns)

@@ -1,4 +1,4 @@
-"""A watchdog whose thread has died watches nobody: the beam is not left to an engine that nobody watches."""
+"""A watchdog whose thread has died watches no one: the beam is not left to an engine that no one watches."""
 
 from engine.core.commands import Acknowledge, Arm
 from engine.core.errors import CommandRefusedError
@@ -25,8 +25,8 @@ def test_the_line_is_off_at_the_next_decision_and_stays_off(monkeypatch):
     assert records[ON].line_on
     later = {(record.gate_state, record.hold_reason, record.line_on) for record in records[ON + 1 :]}
     assert later == {(GateState.FAULT, HoldReason.WATCHDOG, False)}
-    (told,) = [change for change in bench.transitions() if change.reason is HoldReason.WATCHDOG]
-    assert (told.to_state, told.detail) == (GateState.FAULT, "the watchdog's thread has died")
+    (reported,) = [change for change in bench.transitions() if change.reason is HoldReason.WATCHDOG]
+    assert (reported.to_state, reported.detail) == (GateState.FAULT, "the watchdog's thread has died")
 
 
 def test_who_acknowledges_is_refused_to_arm(monkeypatch):

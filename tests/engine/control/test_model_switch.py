@@ -1,4 +1,4 @@
-"""A new model never takes over under an armed gate; a person may let it, which disarms; all of it is told."""
+"""A new model never takes over under an armed gate; a person may let it, which disarms; all of it is reported."""
 
 import pytest
 
@@ -80,7 +80,7 @@ def test_what_the_learning_tells_leaves_in_order_and_none_is_lost():
     numbers = iter(range(1000))
     bench.pipeline.take_notices = lambda: [*take(), notice(next(numbers)), notice(next(numbers))]
     bench.run()
-    assert [told.timestamp_us for told in drained(bench.loop.notices)] == list(range(16))
+    assert [reported.timestamp_us for reported in drained(bench.loop.notices)] == list(range(16))
 
 
 def test_notices_that_are_not_taken_hold_with_a_fault_and_are_offered_again():
@@ -91,4 +91,6 @@ def test_notices_that_are_not_taken_hold_with_a_fault_and_are_offered_again():
     assert not records[-1].line_on
     assert any(change.reason is HoldReason.AUDIT_BEHIND for change in bench.transitions())
     first = drained(bench.loop.notices)
-    assert [told.timestamp_us for told in [*first, *drained(bench.loop.notices)]] == list(range(NOTICE_CAPACITY + 5))
+    assert [reported.timestamp_us for reported in [*first, *drained(bench.loop.notices)]] == list(
+        range(NOTICE_CAPACITY + 5)
+    )

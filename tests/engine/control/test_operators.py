@@ -158,7 +158,7 @@ def test_only_the_presence_of_the_person_who_armed_counts(who, is_on):
     assert bench.run().records()[-1].line_on is is_on
 
 
-def test_nobody_s_presence_is_asked_for_by_default():
+def test_presence_is_not_required_by_default():
     assert _on_bench([good] * 200).run().records()[-1].line_on
 
 
@@ -177,7 +177,7 @@ def test_a_corrected_baseline_disarms_moves_the_window_and_the_audit_names_both(
     )
     window = bench.loop.status.view.window
     assert (window.lower, window.upper, window.hysteresis) == (0.5, 4.5, 0.2)
-    assert bench.pipeline.calls == ["correct whole 1.5"]  # drift is told against the same level
+    assert bench.pipeline.calls == ["correct whole 1.5"]  # drift is reported against the same level
 
 
 def test_a_correction_is_audited_even_while_disarmed():
@@ -235,7 +235,7 @@ def test_a_correction_beyond_the_site_s_window_is_refused():
 
 
 @pytest.mark.parametrize(("site", "field"), [({"window_lower_mm": -0.9}, "lower"), ({"window_upper_mm": 2.9}, "upper")])
-def test_nobody_arms_with_a_window_beyond_the_site_s(site, field):
+def test_arming_with_a_window_beyond_the_site_s_is_refused(site, field):
     bench = armed_bench([good] * 8, limits=replace(LIMITS, **site)).run()
     error = bench.answers[0].exception(timeout=0)
     assert isinstance(error, InvalidValueError)

@@ -13,7 +13,7 @@ from engine.core.clock import ManualClock, MonotonicClock
 from engine.core.commands import Acknowledge, Arm, Disarm
 from engine.core.errors import BeamLineError, CommandRefusedError
 from engine.core.gate_state import GateState, HoldReason, Lease
-from tests.support.control.loop_bench import ToldPipeline, drained
+from tests.support.control.loop_bench import RecordingPipeline, drained
 from tests.support.control.real_time_source import PATIENT_LIMITS, PacedSource
 from tests.support.waiting import eventually
 
@@ -156,7 +156,7 @@ def test_its_end_is_waited_for_a_second_or_the_given_time_and_no_longer():
     assert Hanging.joined == [1.0, 0.25]
 
 
-def test_nobody_need_listen_to_it():
+def test_it_works_without_a_listener():
     clock = ManualClock(0)
     watchdog = Watchdog(beam=SimulatedBeamLine(clock), clock=clock, deadline_ns=DEADLINE_NS)
     watchdog.feed(0, is_armed=True)
@@ -197,7 +197,7 @@ def running():
     """A real engine with real threads, armed and on, and the source to hang it with."""
     clock = MonotonicClock()
     source, line = PacedSource(clock), SimulatedBeamLine(clock)
-    pipeline = ToldPipeline(clock)
+    pipeline = RecordingPipeline(clock)
     loop = EngineLoop(source=source, measurer=pipeline, learner=pipeline, beam=line, limits=PATIENT_LIMITS, clock=clock)
     loop.start()
     try:
@@ -232,7 +232,7 @@ def test_a_source_that_hangs_in_its_driver_ends_in_beam_off_and_a_reported_fault
     view = loop.status.view
     assert (view.record.gate_state, view.record.hold_reason) == (GateState.FAULT, HoldReason.WATCHDOG)
     assert not view.is_armed
-    assert view.record.line_on  # as it was read last: nobody has read it back since it was held
+    assert view.record.line_on  # as it was read last: no one has read it back since it was held
     assert loop.status.view is view  # readers tell news by identity: a hung engine has none
 
 

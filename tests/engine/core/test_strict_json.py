@@ -1,4 +1,4 @@
-"""What a stranger's JSON gets wrong is said by field, value and bound, in the error of whoever reads."""
+"""What an unknown caller's JSON gets wrong is reported by field, value and bound, in the caller's error."""
 
 import pytest
 

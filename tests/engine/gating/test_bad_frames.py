@@ -255,7 +255,7 @@ IRREGULAR = Breath(
         ({BreathEventKind.COUGH}, HoldReason.BREATHING_IRREGULAR),
         (set(BreathEventKind), HoldReason.BREATHING_IRREGULAR),
     ],
-    ids=lambda told: " ".join(sorted(told)) or "nothing" if isinstance(told, set) else str(told),
+    ids=lambda reported: " ".join(sorted(reported)) or "nothing" if isinstance(reported, set) else str(reported),
 )
 def test_what_happens_in_the_breathing_holds_where_the_site_wants_it(holding, reason):
     stream = stream_in(GateState.BEAM_ON, limits=replace(LIMITS, holding_events=frozenset(holding)))

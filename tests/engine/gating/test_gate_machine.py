@@ -1,6 +1,6 @@
 """The gate as a state machine against a plain reading of its rules: any events, in any order, at any times.
 
-Each step is stated as a fact, told to the gate as an event and to the oracle as itself; both must then agree on where
+Each step is stated as a fact, asked to the gate as an event and to the oracle as itself; both must then agree on where
 the gate is. The histories are made so that most of them have the beam on, again and again, and that is asserted too.
 """
 

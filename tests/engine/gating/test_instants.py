@@ -1,4 +1,4 @@
-"""The gate at the very instant: each bound just kept and just broken, and what is told of it."""
+"""The gate at the very instant: each bound just kept and just broken, and what is reported of it."""
 
 from dataclasses import replace
 
@@ -160,7 +160,7 @@ def test_who_waits_to_go_on_again_stays_inside_up_to_the_very_edges_meanwhile(li
     stream.good(4)
     assert (stream.gate.state, stream.gate.reason) == (GateState.DWELL, reason)
     for _ in range(3):
-        stream.feed(replace(stream.upcoming(), motion=motion_of(2.9)))  # where nobody enters, and nobody leaves
+        stream.feed(replace(stream.upcoming(), motion=motion_of(2.9)))  # where no one enters, and no one leaves
         assert (stream.gate.state, stream.gate.reason) == (GateState.DWELL, reason)
 
 
@@ -231,7 +231,7 @@ def test_a_silence_before_the_first_frame_is_no_fault_and_is_counted_from_when_l
     )
 
 
-# What is told.
+# What is reported.
 
 
 def test_since_when_something_is_so_is_kept_for_as_long_as_state_and_reason_are():

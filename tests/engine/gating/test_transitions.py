@@ -42,7 +42,7 @@ def test_every_pair_of_state_and_event_leads_where_the_design_says(state, kind, 
 
 def by_rule(state: str, kind: str) -> str:
     """Where a pair leads, by the rules in words: read from no table, the code's or the one above."""
-    if state == "fault":  # a fault stays until a person has seen it, which arms nobody
+    if state == "fault":  # a fault stays until a person has seen it, which arms no one
         return "disarmed" if kind == "acknowledge" else "fault"
     if kind == "failure":
         return "fault"

@@ -100,7 +100,7 @@ def test_a_stored_model_is_measured_with_and_accepted_on_the_same_patient(learne
 
 
 class Camera:
-    """A source that hands frames over as fast as they are taken, until it is told to end."""
+    """A source that hands frames over as fast as they are taken, until it is asked to end."""
 
     def __init__(self, frames, clock):
         self.played, self.clock = Played(frames), clock

@@ -21,7 +21,7 @@ ARMS = "A. Therapist"
 
 @pytest.fixture
 def armed(client, session_id, running):
-    client.app.state.armed_operator.close()  # looks when the test says so
+    client.app.state.armed_operator.close()  # looks when the test requests it
     client.headers_as("B. Physicist")
     assert act(client, session_id, "arm").status_code == 200
     running.frame()

@@ -1,4 +1,4 @@
-"""Log-ins: one answer for whatever is wrong, a wait that grows, tokens that nobody can use twice or guess."""
+"""Log-ins: one answer for whatever is wrong, a wait that grows, tokens that no one can use twice or guess."""
 
 from dataclasses import replace
 from datetime import timedelta
@@ -185,7 +185,7 @@ def test_a_failure_counts_although_the_database_does_not_take_it(logins, person,
         logins.log_in(attempt())
 
 
-def test_nobody_comes_in_by_a_log_in_that_the_database_did_not_take(logins, person, store, monkeypatch):
+def test_a_log_in_that_the_database_did_not_store_grants_no_access(logins, person, store, monkeypatch):
     def broken():
         raise OperationalError("down", None, Exception())
 

@@ -37,7 +37,7 @@ def rows(client, person, action):
 
 @pytest.fixture
 def silent(nobody, monkeypatch):
-    """The client as it is: nobody is guessed from a request's words."""
+    """The client as it is: no one is guessed from a request's words."""
     monkeypatch.setattr("tests.support.service.accounts._named", lambda _options: None)
     return nobody
 

@@ -38,10 +38,10 @@ def bearer(secret, scheme="Bearer"):
 
 
 def test_the_first_start_makes_an_administrator_and_no_later_one_does(store, people, hashing, database):
-    told = []
+    reported = []
     for _ in range(2):
-        make_first_admin(store, people, lambda name, password: told.append((name, password)))
-    ((name, password),) = told
+        make_first_admin(store, people, lambda name, password: reported.append((name, password)))
+    ((name, password),) = reported
     admin = store.users["admin"]
     assert (name, admin.roles, admin.must_change_password) == ("admin", frozenset({Role.ADMIN}), True)
     assert hashing.verify(admin.password_hash, password)

@@ -122,7 +122,7 @@ def opens_a_stream(client, path, headers):
 
 @pytest.mark.parametrize("call", CALLS, ids=" ".join)
 def test_a_call_is_open_only_to_the_roles_in_the_table(client, credentials, call):
-    # Whoever logs out is not there for the next call: a log-in of its own for each.
+    # A log-out ends the log-in, so each call gets its own.
     headers = {who: dict(credentials[who]) for who in EVERYBODY}
     if call[1].endswith(("/logout", "/me/password")):
         for who in ROLES:

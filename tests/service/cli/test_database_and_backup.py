@@ -46,9 +46,9 @@ def test_the_tables_go_up_and_where_they_stand_is_printed(run, tmp_path, empty_p
         monkeypatch.setenv("TIDEGATE_DATABASE_URL", empty_place.render_as_string(hide_password=False))
     with closing(Database(empty_place)) as database:
         database.migrate("0004")
-    told = run("database", "status", "--data", tmp_path)
-    assert "revision 0004" in told.output
-    assert "pending: 0005 QA" in told.output
+    reported = run("database", "status", "--data", tmp_path)
+    assert "revision 0004" in reported.output
+    assert "pending: 0005 QA" in reported.output
     assert run("database", "upgrade", "--data", tmp_path).exit_code == 0
     assert "pending" not in run("database", "status", "--data", tmp_path).output
     copies = list(tmp_path.glob("tidegate-before-upgrade-from-0004.db"))
@@ -81,10 +81,10 @@ def test_a_backup_goes_beside_a_service_and_a_restore_does_not(run, data, databa
         assert "restored and compared" in made.output
         assert run("restore", out, "--check").exit_code == 0
         assert "in use" in run("restore", out, "--data", data).output
-    told = rows_at(place)["audit"][-1]
-    assert told["action"] == "backup.made"
-    assert json.loads(told["detail"])["sha256"] in made.output
-    assert json.loads(told["detail"])["is_verified"] is True
+    reported = rows_at(place)["audit"][-1]
+    assert reported["action"] == "backup.made"
+    assert json.loads(reported["detail"])["sha256"] in made.output
+    assert json.loads(reported["detail"])["is_verified"] is True
     assert "exists already" in run("backup", out, "--data", data).output
 
 

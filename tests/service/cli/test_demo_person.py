@@ -1,4 +1,4 @@
-"""The demo's person: real, put there while nobody serves the folder, with a password for one log-in."""
+"""The demo's person: real, put there while no one serves the folder, with a password for one log-in."""
 
 import pytest
 
@@ -28,6 +28,6 @@ def test_the_person_gets_a_new_password_for_every_demo_and_the_old_one_is_void(t
     assert {Permission.GATE_ARM, Permission.CALIBRATIONS_WRITE, Permission.USERS_MANAGE} <= permissions_of(person.roles)
 
 
-def test_nobody_is_put_into_a_folder_that_a_service_has(tmp_path):
+def test_no_account_is_added_to_a_folder_that_a_service_uses(tmp_path):
     with alone_in(tmp_path), pytest.raises(FolderInUseError):
         put_person(tmp_path, "Demo", by="a test")

@@ -85,9 +85,9 @@ def test_the_arrays_say_the_same_as_the_table(out, rows):
 def test_the_lag_is_that_of_the_true_signals(out, rows, truth):
     with np.load(out / "regions.npz") as arrays:
         lag_s = arrays["lag_s"][:, 0]
-    told = np.flatnonzero(np.isfinite(lag_s))
-    assert len(told) > 60
-    start, end = np.flatnonzero(measured(rows))[0], told[-1] + 1
+    reported = np.flatnonzero(np.isfinite(lag_s))
+    assert len(reported) > 60
+    start, end = np.flatnonzero(measured(rows))[0], reported[-1] + 1
     seconds = truth.timestamp_us[start:end] / 1e6
     true = find_lag(
         seconds[::3],
@@ -96,7 +96,7 @@ def test_the_lag_is_that_of_the_true_signals(out, rows, truth):
         first="thorax",
         second="abdomen",
     )
-    assert lag_s[told[-1]] == pytest.approx(true.lag_s, abs=0.05)
+    assert lag_s[reported[-1]] == pytest.approx(true.lag_s, abs=0.05)
 
 
 def test_the_summary_tells_what_a_person_would_compute(out, rows):

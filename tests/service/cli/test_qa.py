@@ -87,14 +87,14 @@ def test_a_plate_is_judged_by_the_baseline_that_a_person_took_over_from_it(run, 
     assert fixed.exit_code == 0, fixed.stderr
     assert "commissioning" in fixed.stdout
     second = run(*daily)
-    told = verdicts(second.stdout)
+    reported = verdicts(second.stdout)
     for title in (
         "Camera distance",
         "Camera angle across the couch",
         "Camera angle along the couch",
         "Noise of a pixel",
     ):
-        assert told[title] == "PASS", second.stdout
+        assert reported[title] == "PASS", second.stdout
     assert 849.0 < float(rows(data, "SELECT value FROM qa_results WHERE code = 'camera_distance_mm'")[0][0]) < 851.0
     camera = rows(data, "SELECT camera FROM calibrations")
     assert camera == [("virtual QA camera",)]
@@ -126,9 +126,9 @@ def test_a_run_that_cannot_be_done_is_no_pass_and_is_kept(run, rig, data):
 def test_every_check_of_the_kind_is_printed_with_its_verdict(run, rig):
     rig.report = report(QaKind.ANNUAL, motion_lag_ms=None)
     done = run("annual", *ME, "--simulated")
-    told = verdicts(done.stdout)
-    assert {check.title for check in checks_of(QaKind.ANNUAL)} <= told.keys()
-    assert told["Lag of the measured motion"] == "FAIL"
+    reported = verdicts(done.stdout)
+    assert {check.title for check in checks_of(QaKind.ANNUAL)} <= reported.keys()
+    assert reported["Lag of the measured motion"] == "FAIL"
     assert "not measured" in done.stdout
 
 
@@ -307,5 +307,5 @@ def _tidegate(*words: str, environment: dict[str, str]) -> subprocess.Popen:
 
 def test_the_calibration_that_was_used_can_be_found_again(run, data, plate, rig):
     run("daily", *ME, "--plate", plate)
-    told = json.loads(rows(data, "SELECT request FROM qa_runs")[0][0])
-    assert rows(data, "SELECT sha256 FROM calibrations") == [(told["calibration_sha256"],)]
+    reported = json.loads(rows(data, "SELECT request FROM qa_runs")[0][0])
+    assert rows(data, "SELECT sha256 FROM calibrations") == [(reported["calibration_sha256"],)]

@@ -1,4 +1,4 @@
-"""A server that does what a test tells it, on a real socket: answers, cuts connections, drips, says nothing."""
+"""A server that follows a test's script, on a real socket: answers, cuts connections, sends slowly or nothing."""
 
 import threading
 from collections.abc import Iterator
@@ -6,18 +6,18 @@ from collections.abc import Iterator
 import pytest
 
 from service.client import TidegateClient
-from tests.support.client.scripted_server import KEY, Handler, House, _Server
+from tests.support.client.scripted_server import KEY, Handler, Script, _Server
 
 
 @pytest.fixture
-def house() -> Iterator[House]:
-    house = House()
+def script() -> Iterator[Script]:
+    script = Script()
     with _Server(("127.0.0.1", 0), Handler) as server:
-        server.house, house.port = house, server.server_address[1]
+        server.script, script.port = script, server.server_address[1]
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         try:
-            yield house
+            yield script
         finally:
             server.shutdown()
             thread.join()
@@ -30,8 +30,8 @@ def waits() -> list[float]:
 
 
 @pytest.fixture
-def client(house: House, waits: list[float]) -> Iterator[TidegateClient]:
+def client(script: Script, waits: list[float]) -> Iterator[TidegateClient]:
     with TidegateClient(
-        f"http://127.0.0.1:{house.port}", key=KEY, operator="A. Therapist", timeout_s=2.0, sleep=waits.append
+        f"http://127.0.0.1:{script.port}", key=KEY, operator="A. Therapist", timeout_s=2.0, sleep=waits.append
     ) as client:
         yield client

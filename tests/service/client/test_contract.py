@@ -70,10 +70,10 @@ def test_every_method_is_in_the_table_of_operations():
 @pytest.mark.parametrize("name", sorted(OPERATIONS))
 def test_a_method_answers_with_the_type_of_its_operation(name):
     schema = schema_of(CALLS[OPERATIONS[name]])
-    told = typing.get_type_hints(METHODS[name], vars(module))["return"]
-    (item,) = typing.get_args(told) or (told,)
+    answer = typing.get_type_hints(METHODS[name], vars(module))["return"]
+    (item,) = typing.get_args(answer) or (answer,)
     if schema is None:
-        assert told in {type(None), module.Exported}
+        assert answer in {type(None), module.Exported}
     elif schema.endswith("Page"):
         items = typing.get_type_hints(getattr(module, schema))["items"]
         assert typing.get_args(items) == (item,)
@@ -82,8 +82,8 @@ def test_a_method_answers_with_the_type_of_its_operation(name):
 
 
 @pytest.mark.parametrize("name", sorted(OPERATIONS))
-def test_a_method_makes_the_call_of_its_operation(name, client, house, tmp_path):
-    house.steps = [refuses(404, "not_found")]
+def test_a_method_makes_the_call_of_its_operation(name, client, script, tmp_path):
+    script.steps = [refuses(404, "not_found")]
     parameters = inspect.signature(METHODS[name]).parameters.values()
     given = {
         one.name: _argument(one.name, tmp_path)
@@ -93,14 +93,14 @@ def test_a_method_makes_the_call_of_its_operation(name, client, house, tmp_path)
     with pytest.raises(ClientError):
         list(METHODS[name](client, **given))
     method, template = OPERATIONS[name]
-    (heard,) = house.heard
-    path = heard.path.partition("?")[0]
-    assert heard.method == method
+    (request,) = script.requests
+    path = request.path.partition("?")[0]
+    assert request.method == method
     assert re.fullmatch(re.sub(r"\\{\w+\\}", r"[0-9a-z]+", re.escape(template)), path)
     allowed = {one["name"].lower(): one for one in CALLS[method, template].get("parameters", ())}
-    queried = re.findall(r"[?&](\w+)=", heard.path)
+    queried = re.findall(r"[?&](\w+)=", request.path)
     assert set(queried) <= {name for name, one in allowed.items() if one["in"] == "query"}
-    if "idempotency-key" in {name.lower() for name in allowed} and heard.headers.get("idempotency-key") is None:
+    if "idempotency-key" in {name.lower() for name in allowed} and request.headers.get("idempotency-key") is None:
         assert name in {"log_in"}, "a call that can have a key has one"
 
 
@@ -110,8 +110,8 @@ IN_OTHER_WORDS = {"cursor", "limit", "format", "with_patients"}
 
 @pytest.mark.parametrize("name", sorted(OPERATIONS))
 def test_every_parameter_of_a_call_can_be_given(name):
-    told = CALLS[OPERATIONS[name]].get("parameters", ())
-    wanted = {one["name"].lower().replace("-", "_"): one for one in told if one["in"] in {"query", "path", "header"}}
+    answer = CALLS[OPERATIONS[name]].get("parameters", ())
+    wanted = {one["name"].lower().replace("-", "_"): one for one in answer if one["in"] in {"query", "path", "header"}}
     left_out = {name for name, one in wanted.items() if one["in"] == "header"} - {"if_match", "idempotency_key"}
     given = set(inspect.signature(METHODS[name]).parameters)
     if name in WITHOUT_A_WORD:

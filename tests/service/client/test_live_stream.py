@@ -26,15 +26,15 @@ def frames(messages, count):
     return found
 
 
-def test_events_come_as_messages_and_comments_are_passed_over(client, house):
-    house.steps = [writes(HEAD + b": ping\n\n" + event(1) + event(2, ends=b"\r\n") + b": ping\n\n" + event(3))]
+def test_events_come_as_messages_and_comments_are_passed_over(client, script):
+    script.steps = [writes(HEAD + b": ping\n\n" + event(1) + event(2, ends=b"\r\n") + b": ping\n\n" + event(3))]
     assert frames(client.live(), 3) == [1, 2, 3]
-    assert house.heard[0].path == "/api/v1/live/events?form=thin"
-    assert house.heard[0].headers["accept"] == "text/event-stream"
+    assert script.requests[0].path == "/api/v1/live/events?form=thin"
+    assert script.requests[0].headers["accept"] == "text/event-stream"
 
 
-def test_a_stream_that_breaks_is_taken_up_behind_its_last_whole_event(client, house, waits):
-    house.steps = [
+def test_a_stream_that_breaks_is_taken_up_behind_its_last_whole_event(client, script, waits):
+    script.steps = [
         writes(HEAD + event(1) + event(2) + b"id: s-3\ndata: {"),
         cuts,
         refuses(503, "service_stopping", Retry_After="1"),
@@ -42,51 +42,51 @@ def test_a_stream_that_breaks_is_taken_up_behind_its_last_whole_event(client, ho
     ]
     messages = client.live(session_id=SESSION, after_frame=0, rate_hz=10)
     assert frames(messages, 4) == [1, 2, 3, 4]
-    assert [one.headers.get("last-event-id") for one in house.heard] == [None, "s-2", "s-2", "s-2"]
+    assert [one.headers.get("last-event-id") for one in script.requests] == [None, "s-2", "s-2", "s-2"]
     assert waits == [0.2, 0.4, 1.0]
-    assert f"session_id={SESSION}&after_frame=0&rate_hz=10&form=thin" in house.heard[3].path
+    assert f"session_id={SESSION}&after_frame=0&rate_hz=10&form=thin" in script.requests[3].path
 
 
-def test_a_stream_that_is_silent_for_too_long_counts_as_broken(client, house):
+def test_a_stream_that_is_silent_for_too_long_counts_as_broken(client, script):
     def silent(handler):
         handler.wfile.write(HEAD + event(1))
         handler.rfile.read(1)  # until the client goes
 
-    house.steps = [silent, writes(HEAD + event(2))]
+    script.steps = [silent, writes(HEAD + event(2))]
     assert frames(client.live(silence_s=0.1), 2) == [1, 2]
 
 
-def test_a_stream_that_brings_nothing_any_more_is_given_up(client, house, waits):
-    house.steps = [writes(HEAD + event(1)), cuts]
+def test_a_stream_that_brings_nothing_any_more_is_given_up(client, script, waits):
+    script.steps = [writes(HEAD + event(1)), cuts]
     messages = client.live(reconnects=3)
     assert next(messages)["frame_index"] == 1
     with pytest.raises(UnreachableError):
         next(messages)
-    assert len(house.heard) == 4
+    assert len(script.requests) == 4
     assert waits == [0.2, 0.4, 0.8]
 
 
-def test_a_stream_that_breaks_often_and_brings_something_each_time_is_not_given_up(client, house):
-    house.steps = [writes(HEAD + event(number)) for number in range(1, 6)]
+def test_a_stream_that_breaks_often_and_brings_something_each_time_is_not_given_up(client, script):
+    script.steps = [writes(HEAD + event(number)) for number in range(1, 6)]
     assert frames(client.live(reconnects=1), 5) == [1, 2, 3, 4, 5]
 
 
-def test_a_page_without_the_permission_shows_it_and_does_not_retry(client, house):
-    house.steps = [refuses(403, "permission_missing")]
+def test_a_page_without_the_permission_shows_it_and_does_not_retry(client, script):
+    script.steps = [refuses(403, "permission_missing")]
     with pytest.raises(ProblemError, match="permission_missing"):
         next(client.live())
-    assert len(house.heard) == 1
+    assert len(script.requests) == 1
 
 
 @pytest.mark.parametrize("data", [b"data: {\n\n", b"data: []\n\n", b"data: " + b"x" * 2000 + b"\n\n"])
-def test_what_is_no_message_ends_the_stream_loudly(client, house, monkeypatch, data):
+def test_what_is_no_message_ends_the_stream_loudly(client, script, monkeypatch, data):
     monkeypatch.setattr(module, "MAX_EVENT_BYTES", 1000)
-    house.steps = [writes(HEAD + data)]
+    script.steps = [writes(HEAD + data)]
     with pytest.raises(AnswerError):
         next(client.live())
 
 
-def test_what_is_no_stream_is_refused(client, house):
-    house.steps = [says({})]
+def test_what_is_no_stream_is_refused(client, script):
+    script.steps = [says({})]
     with pytest.raises(AnswerError, match="application/json"):
         next(client.live())

@@ -71,11 +71,11 @@ def test_what_a_worker_thread_logs_belongs_to_the_request(client, monkeypatch):
     seen = []
     readiness = client.app.state.services.health.readiness
 
-    def told():
+    def reported():
         seen.append((current_request_id(), current_session_id()))
         return readiness()
 
-    monkeypatch.setattr(client.app.state.services.health, "readiness", told)
+    monkeypatch.setattr(client.app.state.services.health, "readiness", reported)
     client.get("/readyz", headers={"X-Request-ID": "mine"})
     client.get("/readyz", headers={"X-Request-ID": "yours"})
     assert seen == [("mine", None), ("yours", None)]
@@ -115,7 +115,7 @@ def test_what_machines_ask_all_the_time_leaves_none_unless_it_fails(client, capl
     assert [line["status"] for line in access_lines(caplog)] == [500]
 
 
-def test_nobody_is_called_by_name(client, caplog):
+def test_no_person_is_named(client, caplog):
     with caplog.at_level(logging.INFO, "service.web.middleware.request_log"):
         client.get("/api/v1/me")
         client.speaks_as = None

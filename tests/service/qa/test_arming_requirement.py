@@ -1,4 +1,4 @@
-"""A daily QA that is overdue, failed or not finished: nobody arms, and everybody is told why."""
+"""A daily QA that is overdue, failed or not finished: no one arms, and everybody is notified why."""
 
 import json
 from collections.abc import Iterator
@@ -150,7 +150,7 @@ REAL = {"beam_line": "modbus-tcp", "beam_modbus_host": "10.0.0.1"}
 
 
 def test_a_run_on_a_simulated_line_says_nothing_of_a_real_one(database):
-    """The command's own line is simulated, and asks for nobody's word."""
+    """The command's own line is simulated, and asks for no one's word."""
     real = Settings(qa_required_daily_h=24.0, **REAL)
     put(database)
     assert "another beam line (simulated) than this service's (modbus-tcp, 10.0.0.1, 502" in why(database, real)
@@ -189,7 +189,7 @@ def client(strict, engine, migrated_file) -> Iterator[PeopleClient]:
         yield client
 
 
-def test_nobody_arms_without_it_the_engine_is_not_even_asked_and_the_audit_says_why(
+def test_arming_without_it_is_refused_before_the_engine_and_audited_with_the_reason(
     client, strict, running, session_id
 ):
     refused = act(client, session_id, "arm")
@@ -203,9 +203,9 @@ def test_nobody_arms_without_it_the_engine_is_not_even_asked_and_the_audit_says_
     ready = client.get("/readyz")
     assert ready.status_code == 503
     assert any("this site asks for a QA" in one for one in ready.json()["not_ready"])
-    told = client.get("/api/v1/qa/status").json()
-    assert (told["is_arming_allowed"], told["required_daily_h"]) == (False, 24.0)
-    assert "none was ever done" in told["refusal"]
+    answer = client.get("/api/v1/qa/status").json()
+    assert (answer["is_arming_allowed"], answer["required_daily_h"]) == (False, 24.0)
+    assert "none was ever done" in answer["refusal"]
 
 
 def test_with_it_people_arm_and_the_service_is_ready(client, strict, running, session_id):
@@ -214,10 +214,10 @@ def test_with_it_people_arm_and_the_service_is_ready(client, strict, running, se
     database.close()
     assert act(client, session_id, "arm").status_code == 200
     assert client.get("/readyz").status_code == 200
-    told = client.get("/api/v1/qa/status").json()
-    assert (told["is_arming_allowed"], told["refusal"]) == (True, None)
-    assert told["newest"]["daily"]["verdict"] == "pass"
-    assert told["newest"]["monthly"] is None
+    answer = client.get("/api/v1/qa/status").json()
+    assert (answer["is_arming_allowed"], answer["refusal"]) == (True, None)
+    assert answer["newest"]["daily"]["verdict"] == "pass"
+    assert answer["newest"]["monthly"] is None
 
 
 def test_what_is_written_of_a_run_is_what_the_requirement_reads(database):

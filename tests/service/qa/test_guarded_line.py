@@ -1,4 +1,4 @@
-"""The line of a QA run: whoever takes it away has the last word, in whatever order they meet."""
+"""The line of a QA run: a hold wins, in any order of calls."""
 
 import threading
 

@@ -52,8 +52,8 @@ def trace(tmp_path):
 def monthly(**phantom) -> QaRunRequest:
     source = {"kind": "recording", "path": "x.oni"}
     moved = {"source": source, "trace": "sine.csv", "window_lower_mm": -60.0, "window_upper_mm": 10.0} | phantom
-    told = {"kind": "monthly", **ME, "calibration_id": "0" * 32, "plate": {"source": source}, "phantom": moved}
-    return QaRunRequest.model_validate(told)
+    calls = {"kind": "monthly", **ME, "calibration_id": "0" * 32, "plate": {"source": source}, "phantom": moved}
+    return QaRunRequest.model_validate(calls)
 
 
 def files(tmp_path, trace) -> QaFiles:

@@ -35,7 +35,7 @@ def engine():
     return WatchedEngine()
 
 
-def threads_of_the_house():
+def container_threads():
     named = {"access-cleanup", "armed-operator", "tidegate-cleanup", "tidegate-anchors", "tidegate-clock"}
     return [thread.name for thread in threading.enumerate() if thread.name in named]
 
@@ -45,14 +45,14 @@ def test_the_session_is_closed_before_its_engine_and_the_stop_is_the_last_row(se
         calibration_id = upload(client, make_calibration().to_json()).json()["id"]
         session_id = client.post("/api/v1/sessions", json=make_session_body(calibration_id)).json()["id"]
         assert act(client, session_id, "start").status_code == 200
-        assert "access-cleanup" in threads_of_the_house()
+        assert "access-cleanup" in container_threads()
     assert engine.found_at_close == [[True]]
     database = Database(settings.database_place)
     with database.read() as db:
         rows = list(db.scalars(text("SELECT action FROM audit ORDER BY sequence DESC LIMIT 2")))
     database.close()
     assert rows == ["service.stop", "session.close"]
-    assert not threads_of_the_house()
+    assert not container_threads()
 
 
 def test_a_start_that_is_refused_before_its_database_leaves_no_engine(settings, engine):
@@ -75,7 +75,7 @@ def test_a_start_that_is_refused_half_way_leaves_no_engine_and_no_thread(setting
     with pytest.raises(TidegateError, match="could not be told"):
         open_container(settings, engine, EngineRig(settings), refuse)
     assert engine.found_at_close == [[]]
-    assert not threads_of_the_house()
+    assert not container_threads()
 
 
 def test_a_start_that_is_refused_by_a_journal_in_use_leaves_no_engine_and_no_thread(settings, engine, monkeypatch):
@@ -84,4 +84,4 @@ def test_a_start_that_is_refused_by_a_journal_in_use_leaves_no_engine_and_no_thr
     with contextlib.closing(Journals(settings.data_dir, None).begin("left")), pytest.raises(JournalInUseError):
         open_container(settings, engine, EngineRig(settings), None)
     assert engine.found_at_close == [[]]
-    assert not threads_of_the_house()
+    assert not container_threads()

@@ -169,8 +169,8 @@ def test_regions_and_corners_go_out_in_order(plan):
     assert edges.items() <= message["window"].items()
     (condition,) = message["window"].pop("conditions")
     assert message["window"] == edges | {"row": None, "column": None, "join": "and"}
-    told = {name: value for name, value in condition.items() if value is not None}
-    assert told == {
+    reported = {name: value for name, value in condition.items() if value is not None}
+    assert reported == {
         "kind": "amplitude",
         "signal": "whole",
         "label": "whole",

@@ -14,7 +14,7 @@ NOW = datetime(2126, 11, 21, 12, tzinfo=UTC)
 """Later than any row that the fixtures write."""
 
 
-class House:
+class SupervisedAudit:
     """A service's care for its audit, started and stopped; its threads look only at their end."""
 
     def __init__(self, database, tmp_path, **settings):

@@ -20,7 +20,7 @@ class Pair:
 
 
 class Authority:
-    """Vouches for whoever asks."""
+    """A certificate authority that signs any request."""
 
     def __init__(self, folder: Path, name: str) -> None:
         self._folder = folder

@@ -80,7 +80,7 @@ class DatagramBeamLine:
         self._asked = 0
 
     def open(self) -> None:
-        """Connect; raise BeamLineError if nobody answers, with nothing left open."""
+        """Connect; raise BeamLineError if no one answers, with nothing left open."""
         self._disconnect()
         try:
             self._socket = self._connected()

@@ -45,7 +45,7 @@ class FarEnd:
             self.said.append(message)
             answer = self.receiver.accept(packet, self.clock.now_ns())
             for said in [] if answer is None else self.answers(message, answer):
-                with contextlib.suppress(FileNotFoundError, ConnectionRefusedError):  # whoever asked has gone
+                with contextlib.suppress(FileNotFoundError, ConnectionRefusedError):  # the sender has gone
                     self._socket.sendto(said, sender)
                 self.has_answered.set()
 

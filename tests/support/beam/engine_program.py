@@ -21,7 +21,7 @@ from engine.core.errors import BeamLineError, CommandRefusedError
 from engine.core.gate_state import GateState
 from tests.support.beam.datagram_line import DatagramBeamLine
 from tests.support.beam.receivers import TIMES, wire_to
-from tests.support.control.loop_bench import ToldPipeline, drained
+from tests.support.control.loop_bench import RecordingPipeline, drained
 from tests.support.control.real_time_source import PATIENT_LIMITS, PacedSource
 
 
@@ -33,13 +33,13 @@ def beam_line(kind: str, where: str, clock: Clock) -> BeamLine:
 
 def main(kind: str, where: str) -> None:
     parent = os.getppid()
-    while os.getppid() == parent:  # whoever wanted it is there
+    while os.getppid() == parent:  # ends with its parent
         run_one_life(kind, where)
 
 
 def run_one_life(kind: str, where: str) -> None:
     clock = MonotonicClock()
-    pipeline = ToldPipeline(clock)
+    pipeline = RecordingPipeline(clock)
     loop = EngineLoop(
         source=PacedSource(clock),
         measurer=pipeline,

@@ -5,7 +5,7 @@ Run: ``python -m tests.support.beam.modbus_server tcp|rtu [PORT]``.
 pymodbus's own server. It says ``ready WHERE``, then ``on NS`` and ``off NS CAUSE`` at every edge of its contact, in
 monotonic time. It drops the permit when the heartbeat stands still for 200 ms, and wants to see it withdrawn before it
 takes one again. A line on standard input spoils it: ``stuck on``, ``stuck off``, ``lag MS``, ``late MS``,
-``refuse``, ``well``. It ends with its standard input: whoever started it is gone.
+``refuse``, ``well``. It ends with its standard input, when its parent is gone.
 """
 
 import asyncio
@@ -70,9 +70,9 @@ class Receiver:
             return
         self.wants_off_first = False
         if self.lag_s:
-            asyncio.get_running_loop().call_later(self.lag_s, self._turn, is_on, "told")
+            asyncio.get_running_loop().call_later(self.lag_s, self._turn, is_on, "command")
         else:
-            self._turn(is_on, "told")
+            self._turn(is_on, "command")
 
     def _turn(self, is_on: bool, cause: str) -> None:
         if is_on is not self.is_on:
@@ -90,7 +90,7 @@ class Receiver:
 
     async def watch_heartbeat(self) -> None:
         parent = os.getppid()
-        while os.getppid() == parent:  # whoever made it is there; nobody's receiver is left behind
+        while os.getppid() == parent:  # ends with its parent
             await asyncio.sleep(TICK_S)
             if self.is_on and time.monotonic_ns() - self.beaten_ns > DROP_NS:
                 self.wants_off_first = True
@@ -146,12 +146,12 @@ async def serve(kind: str, port: int) -> None:
     if kind == "tcp":
         where = str(server.transport.sockets[0].getsockname()[1])
     loop = asyncio.get_running_loop()
-    loop.add_reader(sys.stdin, _hear, loop, receiver)
+    loop.add_reader(sys.stdin, _on_command, loop, receiver)
     say(f"ready {where}")
     await receiver.watch_heartbeat()
 
 
-def _hear(loop: asyncio.AbstractEventLoop, receiver: Receiver) -> None:
+def _on_command(loop: asyncio.AbstractEventLoop, receiver: Receiver) -> None:
     """Act on a line of standard input; at its end there is nobody who spoils any more, and a receiver goes on."""
     line = sys.stdin.readline()
     if not line:

@@ -25,7 +25,7 @@ class Board:
         self.is_closed = self.wants_off_first = False
         self.stuck: bool | None = None
         self.late_s = 0.0
-        self.heard = b""
+        self.received = b""
 
     def spoil(self, words: list[str]) -> None:
         match words:
@@ -36,9 +36,9 @@ class Board:
             case ["well"]:
                 self.stuck, self.late_s = None, 0.0
 
-    def hear(self, heard: bytes) -> bytes:
+    def receive(self, received: bytes) -> bytes:
         """Take bytes; return what the board says to them."""
-        self.heard += heard
+        self.received += received
         said = b""
         while (command := self._next_command()) is not None:
             said += self._numato(command) if self.kind == "numato" else self._lcus(command)
@@ -46,15 +46,15 @@ class Board:
 
     def _next_command(self) -> bytes | None:
         if self.kind == "numato":
-            command, end, rest = self.heard.partition(b"\r")
+            command, end, rest = self.received.partition(b"\r")
             if not end:
                 return None
-            self.heard = rest
+            self.received = rest
             return command
-        length = 1 if self.heard[:1] == b"\xff" else 4
-        if len(self.heard) < length:
+        length = 1 if self.received[:1] == b"\xff" else 4
+        if len(self.received) < length:
             return None
-        command, self.heard = self.heard[:length], self.heard[length:]
+        command, self.received = self.received[:length], self.received[length:]
         return command
 
     def _lcus(self, command: bytes) -> bytes:
@@ -86,7 +86,7 @@ class Board:
         self.relays[number] = is_on
         if number == CHANNEL:
             self.wants_off_first &= is_on
-        self.move("told")
+        self.move("command")
 
     def move(self, cause: str) -> None:
         """Open or close the contact behind the timer."""
@@ -104,18 +104,18 @@ def serve(kind: str) -> None:
     tty.setraw(slave)
     board = Board(kind)
     say(f"ready {os.ttyname(slave)}")
-    parent, heard = os.getppid(), [master, sys.stdin]
-    while os.getppid() == parent:  # whoever made it is there; nobody's board is left behind
-        readable, _, _ = select.select(heard, [], [], 0.005)
+    parent, received = os.getppid(), [master, sys.stdin]
+    while os.getppid() == parent:  # ends with its parent
+        readable, _, _ = select.select(received, [], [], 0.005)
         if sys.stdin in readable:
             line = sys.stdin.readline()
             board.spoil(line.split())
-            heard = heard if line else [master]
+            received = received if line else [master]
         if master in readable:
-            said = board.hear(os.read(master, 256))
+            said = board.receive(os.read(master, 256))
             time.sleep(board.late_s)
             os.write(master, said)
-        board.move("told")
+        board.move("command")
 
 
 if __name__ == "__main__":

@@ -12,11 +12,11 @@ MS = 1_000_000
 
 
 class HeldInTimeError(BaseException):
-    """The story is told up to its end in the middle of an exchange."""
+    """The story is reported up to its end in the middle of an exchange."""
 
 
 class ScriptedWire:
-    """A receiver whose contact does ``lag_ms`` later what it was told, and whose answers take ``answer_ms``."""
+    """A receiver whose contact does ``lag_ms`` later what it was sent, and whose answers take ``answer_ms``."""
 
     name = "the scripted line"
 
@@ -24,7 +24,7 @@ class ScriptedWire:
         self.world, self.answer_ms, self.lag_ms = world, answer_ms, lag_ms
         self.is_silent = self.is_refusing = False
         self.stuck: bool | None = None
-        self.told: list[tuple[int, bool, int]] = []
+        self.commands: list[tuple[int, bool, int]] = []
         self.changes: list[tuple[int, bool]] = []
         self.connects = self.closes = 0
 
@@ -40,7 +40,7 @@ class ScriptedWire:
             self.world.pass_ms(round(within_s * 1000) + 400)
             raise OSError("timed out")
         now_ns = self.world.clock.now_ns()
-        self.told.append((now_ns, is_on, heartbeat))
+        self.commands.append((now_ns, is_on, heartbeat))
         if is_on is not self._at(10**18):
             self.changes.append((now_ns + self.lag_ms * MS, is_on))
         self.world.pass_ms(self.answer_ms)
@@ -57,7 +57,7 @@ class ScriptedWire:
 
     @property
     def commands_on(self) -> bool:
-        return self.told[-1][1]
+        return self.commands[-1][1]
 
 
 class SteppedLine(WiredBeamLine):

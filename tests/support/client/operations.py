@@ -64,7 +64,7 @@ NOT_FOR_PLANNING: dict[str, str] = {
     "/api/v1/sessions/{session_id}/mesh": "for eyes",
     "/api/v1/qa/baseline": "a physicist fixes it",
     "POST /api/v1/qa/runs": "QA permits the beam: a person in the room starts it",
-    "POST /api/v1/qa/runs/{run_id}/cancel": "whoever started it",
+    "POST /api/v1/qa/runs/{run_id}/cancel": "the person who started it",
     "/healthz": "a watchdog's",
     "/metrics": "Prometheus's",
 }

@@ -9,7 +9,7 @@ KEY = "tg_0123456789_a-secret-that-must-not-be-seen"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Heard:
+class ReceivedRequest:
     """A request as it came."""
 
     method: str
@@ -23,26 +23,26 @@ class Heard:
         return json.loads(self.body)
 
 
-Script = Callable[["Handler"], None]
+Step = Callable[["Handler"], None]
 
 
 class Handler(BaseHTTPRequestHandler):
-    """Hears a request, then does what the script's next step says."""
+    """Records a request, then executes the script's next step."""
 
     protocol_version = "HTTP/1.1"
 
     def do_GET(self) -> None:
         size = int(self.headers.get("Content-Length", 0))
         headers = {name.lower(): value for name, value in self.headers.items()}
-        told = Heard(
+        received = ReceivedRequest(
             method=self.command,
             path=self.path,
             headers=headers,
             body=self.rfile.read(size),
             connection=self.client_address[1],
         )
-        self.server.house.heard.append(told)
-        self.server.house.next_step()(self)
+        self.server.script.requests.append(received)
+        self.server.script.next_step()(self)
 
     do_POST = do_GET  # noqa: N815 - the library finds it by this name
 
@@ -60,23 +60,23 @@ class Handler(BaseHTTPRequestHandler):
 
 
 @dataclass(slots=True, kw_only=True)
-class House:
-    """The server's script: one step a request, the last one for ever."""
+class Script:
+    """The server's script: one step a request, the last one repeated."""
 
     port: int = 0
-    steps: list[Script] = field(default_factory=list)
-    heard: list[Heard] = field(default_factory=list)
+    steps: list[Step] = field(default_factory=list)
+    requests: list[ReceivedRequest] = field(default_factory=list)
 
-    def next_step(self) -> Script:
+    def next_step(self) -> Step:
         return self.steps.pop(0) if len(self.steps) > 1 else self.steps[0]
 
 
-def says(document: object, status: int = 200, **headers: str) -> Script:
+def says(document: object, status: int = 200, **headers: str) -> Step:
     """Answer with JSON."""
     return lambda handler: handler.answer(status, json.dumps(document).encode(), **headers)
 
 
-def refuses(status: int, code: str, **headers: str) -> Script:
+def refuses(status: int, code: str, **headers: str) -> Step:
     """Answer with a problem."""
     problem = {"type": f"urn:tidegate:problem:{code}", "title": "t", "status": status, "detail": "d", "code": code}
     return lambda handler: handler.answer(status, json.dumps(problem).encode(), "application/problem+json", **headers)
@@ -88,7 +88,7 @@ def cuts(handler: Handler) -> None:
     handler.connection.shutdown(2)
 
 
-def writes(raw: bytes) -> Script:
+def writes(raw: bytes) -> Step:
     """Answer with these very bytes, then close."""
 
     def step(handler: Handler) -> None:
@@ -100,7 +100,7 @@ def writes(raw: bytes) -> Script:
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
-    house: House
+    script: Script
 
     def handle_error(self, *_: object) -> None:
         pass

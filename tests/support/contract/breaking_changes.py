@@ -63,7 +63,9 @@ def _answers(old: Schema, new: Schema, before: Schema, after: Schema) -> Iterato
             if media_type not in content:
                 yield f"{status} has no {media_type}"
             else:
-                yield from _told(_Pair(old, new), part.get("schema", {}), content[media_type].get("schema", {}), status)
+                yield from _reported(
+                    _Pair(old, new), part.get("schema", {}), content[media_type].get("schema", {}), status
+                )
 
 
 class _Pair:
@@ -102,7 +104,7 @@ def _sent(pair: _Pair, before: Schema, after: Schema, name: str, depth: int = 0)
     yield from _alike(pair, before, after, name, depth, _sent)
 
 
-def _told(pair: _Pair, before: Schema, after: Schema, name: str, depth: int = 0) -> Iterator[str]:
+def _reported(pair: _Pair, before: Schema, after: Schema, name: str, depth: int = 0) -> Iterator[str]:
     """List what was promised and does not come any more."""
     before, after = pair.follow(before, after)
     if depth > DEEPEST:
@@ -117,8 +119,8 @@ def _told(pair: _Pair, before: Schema, after: Schema, name: str, depth: int = 0)
             continue
         if field in before.get("required", ()) and field not in after.get("required", ()):
             yield f"{name}.{field} may be missing"
-        yield from _told(pair, part, there, f"{name}.{field}", depth + 1)
-    yield from _alike(pair, before, after, name, depth, _told)
+        yield from _reported(pair, part, there, f"{name}.{field}", depth + 1)
+    yield from _alike(pair, before, after, name, depth, _reported)
 
 
 def _alike(pair: _Pair, before: Schema, after: Schema, name: str, depth: int, compare: Any) -> Iterator[str]:

@@ -95,7 +95,7 @@ class World:
         return self.app.state.services
 
     def headers(self, caller: str, operation: str = "") -> dict[str, str]:
-        """Return what a caller sends; for what ends a log-in, that of somebody nobody misses."""
+        """Return what a caller sends; for what ends a log-in, that of somebody no one misses."""
         if caller == NOBODY:
             return {"Origin": f"http://{asgi.HOST}"}
         if caller == KEY:
@@ -237,7 +237,7 @@ class World:
         self.rig.report = report(QaKind.DAILY, baseline=BASELINE)
         answers: list[Any] = []
 
-        def is_begun() -> bool:  # whoever had camera and line may be a moment from leaving
+        def is_begun() -> bool:  # the previous owner of camera and line may still be closing
             answers.append(self.send("POST", f"{V1}/qa/runs", self._qa_body()))
             return bool(answers[-1].status_code == 202)
 

@@ -1,4 +1,4 @@
-"""A scripted source, a pipeline that measures what it is told, and lines that fail: enough to run the real loop."""
+"""A scripted source, a pipeline that measures what it is sent, and lines that fail: enough to run the real loop."""
 
 import queue
 from collections.abc import Callable, Iterable, Sequence
@@ -120,8 +120,8 @@ def after(act: Callable[[], object]) -> Step:
     return step
 
 
-class ToldPipeline:
-    """Measures every frame as good unless told to spoil it; takes MEASURING_NS of the manual clock."""
+class RecordingPipeline:
+    """Measures every frame as good unless asked to spoil it; takes MEASURING_NS of the manual clock."""
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
@@ -151,7 +151,7 @@ class ToldPipeline:
         return self.spoil.get(frame.index, lambda same: same)(good_frame)
 
     @property
-    def learner(self) -> "ToldPipeline":
+    def learner(self) -> "RecordingPipeline":
         return self
 
     @property
@@ -251,7 +251,7 @@ class Bench:
         self.beam = beam(self.clock)
         self.source = ScriptedSource(self.clock, script)
         self.source.beam = self.beam
-        self.pipeline = ToldPipeline(self.clock)
+        self.pipeline = RecordingPipeline(self.clock)
         self.watchdog = SteppedWatchdog(beam=self.beam, clock=self.clock, deadline_ns=int(limits.watchdog_ms * MS))
         self.loop = EngineLoop(
             source=self.source,

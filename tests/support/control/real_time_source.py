@@ -1,4 +1,4 @@
-"""A source in real time, for tests with real threads and processes; it can be told to hang as a driver does."""
+"""A source in real time, for tests with real threads and processes; it can be asked to hang as a driver does."""
 
 import threading
 

@@ -24,7 +24,7 @@ OTHERS = {"samples/89.parquet.partial": b"half", "raw/0123.oni": b"frames", "rec
 
 
 class Silent:
-    """Nobody looks on."""
+    """No one looks on."""
 
     def begin(self, what: str, _total: int, /) -> None:
         """Do nothing."""

@@ -46,7 +46,7 @@ def _programs() -> Path:
     return found[-1].parent
 
 
-def _as_nobody_special() -> list[str]:
+def _unprivileged() -> list[str]:
     """PostgreSQL refuses to run as root: the words that make it somebody else's."""
     if os.getuid() != 0:
         return []
@@ -80,7 +80,7 @@ class PostgresServer:
         ways = ["--auth-local=trust", "--auth-host=scram-sha-256", "--no-sync"]
         # A server of people who read: text is ordered as in a dictionary, and not by its bytes.
         ways += ["--encoding=UTF8", "--locale=C.UTF-8", "--locale-provider=icu", "--icu-locale=en-US"]
-        words = _as_nobody_special()
+        words = _unprivileged()
         prefix = ["setpriv", *words] if words else []
         made = subprocess.run(
             [*prefix, str(self._programs / "initdb"), *names, *ways], capture_output=True, check=False
@@ -91,7 +91,7 @@ class PostgresServer:
         """Start it, and wait until it answers."""
         settings = [f"--{name}={value}" for name, value in SETTINGS.items()]
         where = ["-D", str(self.folder / "data"), "-p", str(self.port), "-k", str(self.folder), "-h", "127.0.0.1"]
-        words = ["setpriv", *_as_nobody_special(), "--pdeathsig=QUIT", self._programs / "postgres", *where, *settings]
+        words = ["setpriv", *_unprivileged(), "--pdeathsig=QUIT", self._programs / "postgres", *where, *settings]
         with (self.folder / "log").open("ab") as log:
             self._process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=log)
         end_s = time.monotonic() + 30.0
@@ -120,7 +120,7 @@ class PostgresServer:
         self._reap()
 
     def stop(self) -> None:
-        """Shut it down as an administrator does in a hurry: connections are told."""
+        """Shut it down as an administrator does in a hurry: connections are reported."""
         assert self._process is not None
         self._process.send_signal(signal.SIGINT)
         self._reap()
@@ -171,7 +171,7 @@ class PostgresServer:
         return self.url(name)
 
     def drop(self, url: URL) -> None:
-        """Remove a database, whoever is still connected."""
+        """Remove a database despite open connections."""
         self._create(f"DROP DATABASE IF EXISTS {url.database} WITH (FORCE)")
 
     def _create(self, statement: str) -> None:

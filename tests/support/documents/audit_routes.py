@@ -14,7 +14,7 @@ from tests.support.repository import ROOT
 
 DOCUMENT = ROOT / "docs" / "3-operate" / "audit.md"
 UNSAFE = ("post", "put", "patch", "delete")
-NOT_AUDITED = {("POST", "/api/v1/sessions/{session_id}/presence"): "a page says every second that it is looked at"}
+NOT_AUDITED = {("POST", "/api/v1/sessions/{session_id}/presence"): "sent every second by a displayed page"}
 EXPORTS = {
     "/api/v1/audit/export": "audit.export",
     "/api/v1/sessions/{session_id}/samples": "samples.export",

@@ -76,8 +76,8 @@ def _declared(name: str, schema: dict[str, Any]) -> str:
     required = set(schema.get("required", ()))
     summary = (schema.get("description") or f"{python_name}.").strip().splitlines()[0].replace("\\", "")
     lines = [f"class {python_name}(TypedDict):", *_summary(summary), ""]
-    for field, told in schema["properties"].items():
-        kind = _type(told)
+    for field, reported in schema["properties"].items():
+        kind = _type(reported)
         lines.append(f"    {field}: {kind if field in required else f'NotRequired[{kind}]'}")
     return "\n" + "\n".join(lines)
 

@@ -45,7 +45,7 @@ NO_EXAMPLE = ("image/", "application/pdf", "application/vnd.apache", "applicatio
 
 
 def made_examples(world: World) -> dict[str, dict[str, Any]]:
-    """Ask every operation once, and keep what was sent and told."""
+    """Ask every operation once, and keep what was sent and reported."""
     found: dict[str, dict[str, Any]] = {}
     for path, item in world.app.openapi()["paths"].items():
         for method, operation in item.items():

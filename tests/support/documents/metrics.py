@@ -49,7 +49,7 @@ class _Certificate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Described:
-    """A family as it is told."""
+    """A family as requested."""
 
     name: str
     kind: str
@@ -113,7 +113,7 @@ def described() -> tuple[Described, ...]:
 
 def metric_table() -> str:
     """One row a metric."""
-    rows = ["| metric | type | labels | says |", "|---|---|---|---|"]
+    rows = ["| metric | type | labels | meaning |", "|---|---|---|---|"]
     for one in described():
         labels = ", ".join(f"`{label}`" for label in one.labels)
         rows.append(f"| `{one.name}` | {one.kind} | {labels} | {one.words} |")

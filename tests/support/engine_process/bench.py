@@ -156,7 +156,7 @@ class Bench:
         return self.line.is_on
 
     def calm(self) -> None:
-        """Bring it back to where nobody is armed, whatever a test has left."""
+        """Bring it back to where no one is armed, whatever a test has left."""
         self.send(signal.SIGCONT)
         self.engine._child.control.send = self._control
         self.writes.set()

@@ -1,4 +1,4 @@
-"""Where a service's engine lives: found from outside, by whoever wants to do something to it."""
+"""Where a service's engine lives: found from outside the service."""
 
 from pathlib import Path
 

@@ -13,14 +13,14 @@ from service.engine_host import local_engine
 from service.engine_host.local_engine import LocalEngine, LoopEngine
 from service.engine_host.process.__main__ import main
 from tests.support.beam.datagram_line import DatagramBeamLine
-from tests.support.control.loop_bench import ToldPipeline
+from tests.support.control.loop_bench import RecordingPipeline
 from tests.support.control.real_time_source import PacedSource
 
 LINE = "ENGINE_TEST_LINE"
 REPLY_MS = 500.0
 
 
-class PacedPipeline(ToldPipeline):
+class PacedPipeline(RecordingPipeline):
     """Answers what an engine is asked, too."""
 
     def activate(self, _model):

@@ -1,4 +1,4 @@
-"""Figures of a bench by hand: round numbers, so that what is made of them can be told in one's head."""
+"""Figures of a bench by hand: round numbers, so that what is made of them can be reported in one's head."""
 
 from dataclasses import replace
 

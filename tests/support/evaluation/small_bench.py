@@ -19,7 +19,7 @@ def small_run(name="D01", seconds=7.0, **changes) -> Run:
 
 
 def tiny_run(name="D01", **changes) -> Run:
-    """A run of ten frames, which teach nobody anything."""
+    """A run of ten frames, which teach no one anything."""
     return small_run(name, 2.0, **({"fps": 5.0} | changes))
 
 

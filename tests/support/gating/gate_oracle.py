@@ -150,7 +150,7 @@ class Oracle:
         self.is_armed = False
 
     def acknowledge(self, now_ns: int) -> None:
-        """A person has seen the fault; that arms nobody."""
+        """A person has seen the fault; that arms no one."""
         self.hold(now_ns)
         self.is_faulted = False
 

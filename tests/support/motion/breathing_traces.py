@@ -30,21 +30,21 @@ def regular(seconds, *, amplitude=10.0, period=4.0, fps=FPS, noise=0.1, heart=0.
 def follow(at, value, choice=WHOLE, state=None):
     """Feed a monitor; return the breath after every value."""
     state = start_breathing(choice) if state is None else state
-    told = []
+    reported = []
     for seconds, one in zip(np.asarray(at).tolist(), np.asarray(value).tolist(), strict=True):
         state = follow_breathing(state, seconds, one)
-        told.append(state.breath)
-    return told
+        reported.append(state.breath)
+    return reported
 
 
 def kinds(breath):
     return {event.kind.value for event in breath.events}
 
 
-def onsets(told, at):
-    """When each event began to be told: (kind, seconds)."""
+def onsets(reported, at):
+    """When each event began to be reported: (kind, seconds)."""
     found, before = [], set()
-    for seconds, one in zip(at, told, strict=True):
+    for seconds, one in zip(at, reported, strict=True):
         now = kinds(one)
         found += [(kind, float(seconds)) for kind in sorted(now - before)]
         before = now

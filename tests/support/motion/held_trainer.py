@@ -4,7 +4,7 @@ from engine.motion.learning.trainer import InlineTrainer
 
 
 class HeldTrainer(InlineTrainer):
-    """Finishes a job when the test says so."""
+    """Finishes a job when the test requests it."""
 
     def __init__(self):
         super().__init__()

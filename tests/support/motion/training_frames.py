@@ -69,7 +69,7 @@ STAGES = LearningStages(prepare=lambda model: prepare_model(model, RegionLayout(
 
 
 class Patient:
-    """A learner with a patient in front of it: offers frames, measures them as a pipeline does, keeps what is told."""
+    """A learner with a patient: offers frames, measures them as a pipeline does, keeps the notices."""
 
     def __init__(self, settings=FEW, *, trainer=None, match_limits=None, sha256=SHA256):
         keep_calls_in_their_thread()  # as the pipeline does
@@ -119,7 +119,7 @@ class Patient:
         self.see_until(lambda: self.learner.active is not None, **surface)
         return self.learner.active.model
 
-    def told(self, kind):
+    def reported(self, kind):
         return [notice for notice in self.notices if notice.kind == kind]
 
     @property

@@ -6,7 +6,7 @@ from tests.support.oidc.tokens import ISSUER, KEY, published
 
 
 class FakeSource:
-    """A provider's documents, and how often anybody asked."""
+    """A provider's documents, and how often anyone asked."""
 
     def __init__(self) -> None:
         self.documents = {

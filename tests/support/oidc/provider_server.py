@@ -1,4 +1,4 @@
-"""A small provider on this machine that does what it is told: honest by default, and every kind of trouble on demand.
+"""A small provider on this machine that does what it is sent: honest by default, and every kind of trouble on demand.
 
 It checks what a client owes a provider by itself (PKCE, secret, redirect address, a code for one use), with nothing
 of the code under test: a client that left one out would not get its tokens.
@@ -75,9 +75,9 @@ class Provider:
         assert len(query["nonce"]) >= 40
         code = secrets.token_urlsafe(16)
         self.codes[code] = query
-        told = {"code": code, "state": query["state"], "iss": self.issuer, **self.on_return}
-        told = {name: value for name, value in told.items() if value}
-        return 302, {"Location": f"{query['redirect_uri']}?{urlencode(told)}"}, b""
+        reported = {"code": code, "state": query["state"], "iss": self.issuer, **self.on_return}
+        reported = {name: value for name, value in reported.items() if value}
+        return 302, {"Location": f"{query['redirect_uri']}?{urlencode(reported)}"}, b""
 
     def _token(self, form: dict[str, str], basic: str) -> Answer:
         ways = self.description.get("token_endpoint_auth_methods_supported", ["client_secret_basic"])

@@ -1,4 +1,4 @@
-"""Plans made by somebody else's writer (pydicom), by construction: each says exactly what its builder was told."""
+"""Plans made by somebody else's writer (pydicom), by construction: each says exactly what its builder was reported."""
 
 from io import BytesIO
 from typing import Any

@@ -90,10 +90,10 @@ def treating(folder: Path, *module: str, has_therapist: bool = False, **settings
         password=PASSWORD if has_therapist else None,
         origin=f"http://127.0.0.1:{port}",
     )
-    told = {"data": data, "recordings": folder, "port": port}
+    reported = {"data": data, "recordings": folder, "port": port}
     room = Treating(
         folder=folder,
-        command=[sys.executable, "-m", *(part.format(**told) for part in module)],
+        command=[sys.executable, "-m", *(part.format(**reported) for part in module)],
         port=port,
         key=made.key_secret,
         environment={**os.environ, "TIDEGATE_JOURNAL_DIR": str(folder / "journals"), **settings},

@@ -11,36 +11,36 @@ from engine.verification.qa.rig import StandingTime
 
 
 class Line(SimulatedBeamLine):
-    """A line that notes what it was told last, and whether it is open."""
+    """A line that notes what it was sent last, and whether it is open."""
 
     def __init__(self, clock):
         super().__init__(clock)
         self.now_ns = clock.now_ns
-        self.told = []
+        self.calls = []
 
     def open(self):
-        self.told.append("open")
+        self.calls.append("open")
         super().open()
 
     def rearm(self):
-        self.told.append("rearm")
+        self.calls.append("rearm")
         super().rearm()
 
     def permit(self, lease):
-        self.told.append("permit")
+        self.calls.append("permit")
         super().permit(lease)
 
     def hold(self, reason):
-        self.told.append("hold")
+        self.calls.append("hold")
         super().hold(reason)
 
     def close(self):
-        self.told.append("close")
+        self.calls.append("close")
         super().close()
 
 
 class SlowToHold(Line):
-    """Goes off 130 ms after it was told to; its lease is no slower."""
+    """Goes off 130 ms after it was asked to; its lease is no slower."""
 
     late_ns = 130 * NS_PER_MS
 
@@ -68,7 +68,7 @@ class SlowOnce(SlowToHold):
 
     def hold(self, reason):
         super().hold(reason)
-        if self.told.count("permit") > 1:
+        if self.calls.count("permit") > 1:
             self.held_at_ns = None
 
 
@@ -144,7 +144,7 @@ class OnByItself(Line):
 
     def is_on(self):
         is_back = self.fault_ns is not None and self.now_ns() > self.fault_ns + 30 * NS_PER_MS
-        return super().is_on() or (is_back and "close" not in self.told)
+        return super().is_on() or (is_back and "close" not in self.calls)
 
 
 class OnWhenArmed(Line):
@@ -184,13 +184,13 @@ class DiesOnTheWay(Line):
     """Answers for a while."""
 
     def permit(self, lease):
-        if len(self.told) > 20:
+        if len(self.calls) > 20:
             msg = "the cable is out"
             raise BeamLineError(msg)
         super().permit(lease)
 
     def rearm(self):
-        if len(self.told) > 20:
+        if len(self.calls) > 20:
             msg = "the cable is out"
             raise BeamLineError(msg)
         super().rearm()

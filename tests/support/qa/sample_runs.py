@@ -32,7 +32,7 @@ def report(kind=QaKind.DAILY, share=0.3, series=(), baseline=BASELINE, **values)
 
 def sample_series():
     seconds = tuple(n / 10 for n in range(400))
-    told = tuple(5.0 * math.sin(2.0 * math.pi * s / 4.0) for s in seconds)
+    calls = tuple(5.0 * math.sin(2.0 * math.pi * s / 4.0) for s in seconds)
     seen = tuple(5.1 * math.sin(2.0 * math.pi * (s - 0.06) / 4.0) + 0.1 for s in seconds)
     return (
         QaSeries(
@@ -47,7 +47,7 @@ def sample_series():
             title="Commanded and measured motion",
             x_label="time [s]",
             y_label="motion [mm]",
-            curves=(QaCurve(name="commanded", x=seconds, y=told), QaCurve(name="measured", x=seconds, y=seen)),
+            curves=(QaCurve(name="commanded", x=seconds, y=calls), QaCurve(name="measured", x=seconds, y=seen)),
         ),
     )
 

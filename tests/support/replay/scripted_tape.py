@@ -1,4 +1,4 @@
-"""A scripted loop whose tape is kept, and the same loop heard again from it: no camera, no phantom, no waiting."""
+"""A scripted loop whose tape is kept, and the same loop replayed from it: no camera, no phantom, no waiting."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,10 +15,10 @@ from engine.offline.replay.recording_tap import RecordingTap
 from engine.offline.replay.replaying_tap import ReplayEnded, ReplayingTap
 from engine.offline.replay.tape_file import TapeFile, read_tape
 from tests.support.control.loop_bench import (
+    RecordingPipeline,
     ScriptedSource,
     Step,
     SteppedWatchdog,
-    ToldPipeline,
     WatchedBeamLine,
     color_picture,
     depth_picture,
@@ -29,8 +29,8 @@ from tests.support.gating.streams import LIMITS, MEASURING_NS, MS, START_NS
 NO_MODELS = TapeEncoding(name_of=lambda _model: "", model_of=lambda _name: None)  # type: ignore[arg-type,return-value]
 
 
-class TappedPipeline(ToldPipeline):
-    """Measures what it is told; its clock is heard."""
+class TappedPipeline(RecordingPipeline):
+    """Measures what it is sent; its clock is heard."""
 
     def __init__(self, clock: ManualClock, tap: InputTap) -> None:
         super().__init__(TappedClock(clock, tap))

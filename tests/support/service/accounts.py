@@ -1,6 +1,6 @@
 """Tests speak as somebody: people made on demand through the real store, without what a password costs.
 
-`PeopleClient` sends every request as the person that its body's ``operator`` names, or as the one it was told;
+`PeopleClient` sends every request as the person that its body's ``operator`` names, or as the one it was reported;
 `provision` puts people and keys into a data folder before a real service is started in it.
 """
 
@@ -123,21 +123,21 @@ def contract() -> dict[str, Any]:
 
 
 def check_documented(method: str, answer: Any) -> None:
-    """Fail a test that got a problem of which the contract says nothing: whatever is refused is told beforehand."""
+    """Fail a test that got a problem of which the contract says nothing: whatever is refused is reported beforehand."""
     if answer.headers.get("content-type") != PROBLEM or answer.status_code == 405:
         return
     templates = RuleTable().templates(answer.request.url.path)
     operations = [contract()["paths"].get(template, {}).get(method.lower()) for template in templates]
-    told = next((operation for operation in operations if operation is not None), None)
-    if told is None:
+    reported = next((operation for operation in operations if operation is not None), None)
+    if reported is None:
         return
-    codes = told["responses"].get(str(answer.status_code), {}).get("x-problem-codes", [])
+    codes = reported["responses"].get(str(answer.status_code), {}).get("x-problem-codes", [])
     code = answer.json()["code"]
-    assert code in codes, f"{told['operationId']} answered {answer.status_code} {code}: the contract has {codes}"
+    assert code in codes, f"{reported['operationId']} answered {answer.status_code} {code}: the contract has {codes}"
 
 
 def _named(options: Mapping[str, Any]) -> str | None:
-    """Return the person whom a request names, if anybody can have that name."""
+    """Return the person whom a request names, if anyone can have that name."""
     body = options.get("json")
     if body is None and isinstance(options.get("content"), bytes | str):
         try:

@@ -1,6 +1,6 @@
 """A service process on an engine that breathes, learns in a second and gates by its window.
 
-For whoever calls over HTTP it is the real service; only what lies behind the ports is quick. As a command:
+Over HTTP it is the real service; only the engine behind the ports is fast. As a command:
 ``python -m tests.support.service.breathing_service DATA RECORDINGS PORT [--fault-at FRAME]``, which faults once.
 """
 
@@ -31,7 +31,7 @@ ARMED = frozenset({GateState.HOLD, GateState.DWELL, GateState.BEAM_ON})
 
 
 class BreathingRun(FakeRunning):
-    """One session of it: frames of a breath, and a gate that is on inside the window while nobody holds."""
+    """One session of it: frames of a breath, and a gate that is on inside the window while no one holds."""
 
     def __init__(self, plan, *, fault_at: int | None) -> None:
         super().__init__(plan, sample_capacity=20_000)

@@ -75,8 +75,8 @@ class Crowd:
         return connection
 
     def _head(self, method: str, path: str, headers: Mapping[str, str]) -> bytes:
-        told = {"Host": "127.0.0.1", **self._headers, **headers}
-        lines = [f"{method} {path} HTTP/1.1", *(f"{name}: {value}" for name, value in told.items())]
+        reported = {"Host": "127.0.0.1", **self._headers, **headers}
+        lines = [f"{method} {path} HTTP/1.1", *(f"{name}: {value}" for name, value in reported.items())]
         return "\r\n".join([*lines, "", ""]).encode()
 
     def _read_on(self) -> None:

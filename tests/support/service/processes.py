@@ -24,7 +24,7 @@ PEOPLE: Mapping[str, frozenset[Role]] = dict.fromkeys((SOMEBODY, "A. Physicist",
 
 
 class PeopleOverHttp(httpx2.Client):
-    """A client that speaks as the person whom its request names, else as the first; as nobody without people.
+    """A client that speaks as the person whom its request names, else as the first; as no one without people.
 
     Attributes
     ----------
@@ -55,8 +55,8 @@ class PeopleOverHttp(httpx2.Client):
 
 
 def _named(options: Mapping[str, Any]) -> str:
-    told = [options.get("json"), options.get("params")]
-    names = [one.get("operator") for one in told if isinstance(one, dict)]
+    reported = [options.get("json"), options.get("params")]
+    names = [one.get("operator") for one in reported if isinstance(one, dict)]
     return next((name for name in names if isinstance(name, str)), "")
 
 

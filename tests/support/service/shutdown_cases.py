@@ -2,7 +2,7 @@
 
 Run: ``python -m tests.support.service.shutdown_cases`` prints docs/3-operate/monitoring.md's table.
 
-Each row is a service process that is told to end by SIGTERM while all that its name says goes on.
+Each row is a service process that is asked to end by SIGTERM while all that its name says goes on.
 """
 
 import argparse

@@ -2,7 +2,7 @@
 
 Run: ``python -m tests.support.service.shutdown_program DATA RECORDINGS PORT ROWS HANG_S``.
 
-Its engine has measured ROWS frames as fast as they are taken, and goes on with thirty a second; told to stop it tells
+Its engine has measured ROWS frames as fast as they are taken, and goes on with thirty a second; asked to stop it tells
 ``held NS`` in host monotonic time, after HANG_S, as an engine does whose beam line does not answer.
 """
 
@@ -32,7 +32,7 @@ def tell(*words: object) -> None:
 
 
 class StubbornRunning(FakeRunning):
-    """Holds when told to, and takes its time; then ends, as one that hung."""
+    """Holds on request to, and takes its time; then ends, as one that hung."""
 
     hang_s = 0.0
 

@@ -38,7 +38,7 @@ SAMPLE = sample()
 
 @dataclass(eq=False)
 class FakeRunner:
-    """Gives out what it was told to."""
+    """Gives out what it is set to."""
 
     frame: LiveFrame | None = None
     ns: int = 10_000_000_000

@@ -10,7 +10,7 @@ WIDTH_PX, HEIGHT_PX = 640, 480
 
 
 class Kind(enum.IntEnum):
-    """What the camera can be told."""
+    """What the camera can be reported."""
 
     UNDO = 0
     STALL = 1

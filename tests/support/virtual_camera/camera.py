@@ -36,7 +36,7 @@ Rect = tuple[int, int, int, int]
 
 
 class CameraSilentError(AssertionError):
-    """The driver did not do as told in time: no process has loaded it, or nobody streams."""
+    """The driver did not do as requested in time: no process has loaded it, or no one streams."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -204,7 +204,7 @@ class VirtualXtion:
         return number
 
     def receipt(self, number: int, kind: Kind, *, streams: Streams = Streams.BOTH, timeout_s: float = PATIENCE_S):
-        """Wait until an order has befallen the streams it is for, or has begun while nobody streams."""
+        """Wait until an order has befallen the streams it is for, or has begun while no one streams."""
         words = self._block.receipts[number % block.SLOTS]
         deadline_s = time.monotonic() + timeout_s
         while not self._is_done(words, number, kind, streams):
@@ -303,14 +303,14 @@ class VirtualXtion:
         return self.tell(Kind.STATE, n=(state, int(goes_on)), **when)
 
     def unplug(
-        self, *, is_told: bool = True, streams_go_on: bool = False, is_swapped: bool = False, **when: int
+        self, *, is_reported: bool = True, streams_go_on: bool = False, is_swapped: bool = False, **when: int
     ) -> Receipt:
-        """Pull the cable, until undone; a runtime that is not told hears nothing but silence.
+        """Pull the cable, until undone; a runtime that is not reported hears nothing but silence.
 
-        What comes back has another address, where that is told, and another serial number, where it was swapped.
+        What comes back has another address, where that is reported, and another serial number, where it was swapped.
         ``streams_go_on`` says whether streams opened before deliver again then, without a new start.
         """
-        return self.tell(Kind.UNPLUG, n=(int(is_told), int(streams_go_on), int(is_swapped)), **when)
+        return self.tell(Kind.UNPLUG, n=(int(is_reported), int(streams_go_on), int(is_swapped)), **when)
 
     def hang(self, calls: Call) -> Receipt:
         """Let these calls of the runtime hang until undone; ``raised_ns`` is when the first one hung."""

@@ -146,10 +146,10 @@ def room(folder: Path, film: Film | None = None, **settings: object) -> Iterator
     """Open a room whose camera a person has calibrated."""
     port = free_port()
     with VirtualXtion(folder, film) as camera, receiver("tcp") as far:
-        with contextlib.suppress(OSError):  # a real receiver shares its processor with nobody
+        with contextlib.suppress(OSError):  # a real receiver shares its processor with no one
             os.setpriority(os.PRIO_PROCESS, far.process.pid, -15)
-        told = {**SETTINGS, "BEAM_MODBUS_PORT": far.where, **settings}
-        environment = camera.environment | {f"TIDEGATE_{name}": str(value) for name, value in told.items()}
+        reported = {**SETTINGS, "BEAM_MODBUS_PORT": far.where, **settings}
+        environment = camera.environment | {f"TIDEGATE_{name}": str(value) for name, value in reported.items()}
         arguments = ("service.cli", "serve", "--port", str(port), "--data", str(folder / "data"))
         started = service_process(
             *arguments, port=port, log=folder / "log", environment=environment, data=folder / "data"

@@ -38,7 +38,7 @@ class Onlooker:
                 "tests.support.virtual_camera.viewer_program",
                 "frames",
                 str(seconds),
-                "told",
+                "until-eof",
                 *words,
             ],
             env={**os.environ, **camera.environment},

@@ -50,7 +50,7 @@ def frames(camera: OpenNiSource, seconds: float, words: list[str]) -> None:
     say(kind=about.kind, name=about.name, depth_size=about.depth_size, fps=about.fps, is_live=about.is_live)
     end_s = time.monotonic() + seconds
     is_over = threading.Event()
-    if "told" in words:
+    if "until-eof" in words:
         threading.Thread(target=lambda: (sys.stdin.read(), is_over.set()), daemon=True).start()
     try:
         while time.monotonic() < end_s and not is_over.is_set():

@@ -73,7 +73,7 @@ def test_closing_latches_the_far_end_and_leaves_nothing_behind(far, clock):
     permit(line, clock)
     assert line.is_on()
     line.close()
-    line.hold(HoldReason.OUTSIDE_WINDOW)  # nobody is told any more, and nothing is raised
+    line.hold(HoldReason.OUTSIDE_WINDOW)  # no one is reported any more, and nothing is raised
     assert list(far.path.parent.iterdir()) == [far.path]
     with pytest.raises(BeamLineError, match="the beam line is closed"):
         line.is_on()

@@ -12,7 +12,7 @@ from engine.core.commands import Acknowledge, Arm, Disarm
 from engine.core.errors import BeamLineError, CommandRefusedError
 from engine.core.gate_state import GateState, HoldReason
 from tests.support.beam.receivers import TIMES, receiver, wire_to
-from tests.support.control.loop_bench import ToldPipeline, drained
+from tests.support.control.loop_bench import RecordingPipeline, drained
 from tests.support.control.real_time_source import PATIENT_LIMITS, PacedSource
 from tests.support.waiting import eventually
 
@@ -99,7 +99,7 @@ class Room:
 
 def _engine(wire, times=None):
     clock = MonotonicClock()
-    pipeline = ToldPipeline(clock)
+    pipeline = RecordingPipeline(clock)
     return EngineLoop(
         source=PacedSource(clock),
         measurer=pipeline,
@@ -157,4 +157,4 @@ def test_an_engine_that_ends_turns_the_receiver_off_by_telling_it(room):
     room.arm()
     room.loop.stop(PATIENCE_S)
     edge = room.far.next_edge()
-    assert (edge[0], edge[2]) == ("off", "told")
+    assert (edge[0], edge[2]) == ("off", "command")

@@ -98,8 +98,8 @@ def test_an_engine_that_is_stopped_and_goes_on_later_is_off_in_between_and_pays_
 def _read_until_no_longer_on(engine: subprocess.Popen[str], after_ns: int) -> None:
     """Follow the engine's transitions up to the first after it went on."""
     assert engine.stdout is not None
-    for told in engine.stdout:
-        _state, _reason, at_ns = told.split()
+    for reported in engine.stdout:
+        _state, _reason, at_ns = reported.split()
         if int(at_ns) > after_ns:
             return
     pytest.fail("the engine told nothing after it went on")

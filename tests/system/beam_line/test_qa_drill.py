@@ -33,7 +33,7 @@ def _next_try_is_worth_it(figures):
     return any(figures[f"fail_safe_{name}_ms"].value is None for name in DRILLS)
 
 
-def _await_told_off(far):
+def _await_reported_off(far):
     """Let the receiver's last word come through its pipe."""
     deadline_s = time.monotonic() + PATIENCE_S
     while far.is_on:
@@ -49,7 +49,7 @@ def test_a_receiver_is_never_on_for_longer_than_a_lease_and_off_at_the_end():
                 break
             figures = _drilled(far)
         assert not _next_try_is_worth_it(figures), figures
-        _await_told_off(far)
+        _await_reported_off(far)
         seen = list(far.seen)
         longest_ns = max(int(off[1]) - int(on[1]) for on, off in pairwise(seen) if on[0] == "on" and off[0] == "off")
         assert sum(edge[0] == "on" for edge in seen) >= REPEATS * len(DRILLS)

@@ -74,7 +74,7 @@ def test_the_receiver_sees_on_while_it_is_permitted_and_off_when_held(far, lit, 
     held_ns = time.monotonic_ns()
     lit.line.hold(HoldReason.OUTSIDE_WINDOW)
     off_ns, cause = _off_edge(far)
-    assert cause == "told"
+    assert cause == "command"
     assert off_ns - held_ns <= DETECTION_NS + busy.allowed_ns
     lit.await_reading(is_on=False)
     assert lit.troubles.empty()
@@ -84,7 +84,7 @@ def test_the_receiver_sees_off_when_the_lease_is_not_renewed(far, lit, busy):
     lit.off()
     ended_ns = time.monotonic_ns()
     off_ns, cause = _off_edge(far)
-    assert cause == "told"
+    assert cause == "command"
     assert off_ns - ended_ns <= 200 * NS_PER_MS + busy.allowed_ns
     lit.await_reading(is_on=False)
 
@@ -227,7 +227,7 @@ def test_of_two_real_lines_both_are_on_or_neither(breaks, busy):
             first.spoil("stuck off")
         broken_ns = time.monotonic_ns()
         off_ns, cause = _off_edge(second)
-        assert cause == "told"
+        assert cause == "command"
         assert off_ns - broken_ns <= DETECTION_NS + busy.allowed_ns
         renewing.trouble()
         with pytest.raises(queue.Empty):

@@ -70,12 +70,12 @@ def test_the_client_works_alone_in_an_interpreter_that_sees_nothing_else(served,
         check=False,
     )
     assert ran.returncode == 0, ran.stderr
-    told = json.loads(ran.stdout)
-    assert told.pop("me").startswith("key:")
-    assert told.pop("asked").endswith("Z")
-    assert told.pop("size") == (tmp_path / "audit.jsonl").stat().st_size > 0
-    assert told.pop("refused") == ["invalid_value", 422, "patient_reference"]
-    assert told == {"same": True, "live": "hello", "listed": True, "intact": True, "loaded": []}
+    reported = json.loads(ran.stdout)
+    assert reported.pop("me").startswith("key:")
+    assert reported.pop("asked").endswith("Z")
+    assert reported.pop("size") == (tmp_path / "audit.jsonl").stat().st_size > 0
+    assert reported.pop("refused") == ["invalid_value", 422, "patient_reference"]
+    assert reported == {"same": True, "live": "hello", "listed": True, "intact": True, "loaded": []}
 
 
 def test_a_whole_fraction_of_a_volunteer_is_delivered_with_holds_on_the_way(served, tmp_path):

@@ -1,4 +1,4 @@
-"""The whole service beside its engine's process, killed, stopped and told to stop: the receiver and the audit judge."""
+"""Service and engine process killed, stopped and asked to stop, judged by the receiver and the audit."""
 
 import os
 import signal
@@ -88,8 +88,8 @@ def test_a_service_that_is_killed_has_its_beam_held_at_once_and_its_last_transit
         eventually(lambda: not is_there(running.engine))
     with started() as (_, client):
         assert client.get(f"/api/v1/sessions/{running.session_id}").json()["status"] == "interrupted"
-        told = [row["detail"] for row in audit_rows(client, "gate.transition")]
-        assert "service_silent" in [one["reason"] for one in told if one.get("recovered")]
+        reported = [row["detail"] for row in audit_rows(client, "gate.transition")]
+        assert "service_silent" in [one["reason"] for one in reported if one.get("recovered")]
         assert client.get("/api/v1/audit/verify").json()["is_intact"]
 
 
@@ -140,7 +140,7 @@ def test_a_stopped_engine_does_not_outlive_a_service_that_is_killed(started, lin
         eventually(lambda: not is_there(running.engine))
 
 
-def test_told_to_stop_the_service_alone_decides_when_its_engine_ends(started, line):
+def test_on_a_stop_signal_only_the_service_decides_when_its_engine_ends(started, line):
     with started() as (process, client):
         running = Running(process, client, line)
         running.turn_on()

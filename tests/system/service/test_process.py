@@ -83,7 +83,7 @@ def test_after_a_kill_the_service_starts_again_and_says_the_session_was_interrup
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=str)
-def test_told_to_stop_it_holds_first_although_a_client_stays_then_closes_the_session(self_driving, number):
+def test_on_a_stop_signal_it_holds_first_although_a_client_stays_then_closes_the_session(self_driving, number):
     process, client, _, folder = self_driving
     with live_stream(client) as socket:
         eventually(lambda: json.loads(socket.recv())["type"] == "sample", within_s=20.0)

@@ -80,7 +80,7 @@ ANYWHERE = {
         {"signal": "volume", "lower_l": -5.0, "upper_l": 5.0},
     ],
 }
-"""A window that holds nobody back and looks at a point, a region of the session's own and the volume."""
+"""A window that holds no one back and looks at a point, a region of the session's own and the volume."""
 
 
 def test_a_window_of_many_conditions_is_settled_gated_held_and_released(real_client, regular_volunteer):

@@ -1,4 +1,4 @@
-"""Told to end, the service holds the beam at once, closes the session, and has gone within five seconds."""
+"""Asked to end, the service holds the beam at once, closes the session, and has gone within five seconds."""
 
 import contextlib
 import json
@@ -198,7 +198,7 @@ def test_the_time_runs_from_the_first_signal():
     began_s = time.monotonic()
     stop.ask()
     while not left:
-        stop.ask()  # whoever asks again and again does not put it off
+        stop.ask()  # repeated signals do not delay it
         assert time.monotonic() - began_s < 5.0
         go_on.wait(0.02)
     go_on.set()

@@ -76,8 +76,8 @@ def test_the_second_fraction_begins_with_the_first_one_s_model_and_a_zero_set_by
     eventually(lambda: detail_of(client, session_id)["has_reference"])
     assert act(client, session_id, "arm").status_code == 200
     act(client, session_id, "stop")
-    told = {row["action"]: row["detail"] for row in audit_rows(client) if row["session_id"] == session_id}
-    assert told["model.compared"]["is_accepted"]
-    assert "set it before arming" in told["model.zero_needed"]["detail"]
-    assert told["model.in_use"]["sha256"] == model["sha256"]
-    assert told["session.reference"] == {}
+    reported = {row["action"]: row["detail"] for row in audit_rows(client) if row["session_id"] == session_id}
+    assert reported["model.compared"]["is_accepted"]
+    assert "set it before arming" in reported["model.zero_needed"]["detail"]
+    assert reported["model.in_use"]["sha256"] == model["sha256"]
+    assert reported["session.reference"] == {}

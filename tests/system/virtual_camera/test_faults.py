@@ -212,7 +212,7 @@ def test_an_unplugged_camera_is_lost_at_once(camera, onlooker):
 
 
 def test_a_camera_that_is_pulled_without_a_word_is_silence(camera, onlooker):
-    camera.unplug(is_told=False)
+    camera.unplug(is_reported=False)
     onlooker.until(lambda: onlooker.said[-3:] == [{"timeout": True}] * 3, "silence")
     assert onlooker.is_alive
 

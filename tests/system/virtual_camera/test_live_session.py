@@ -60,7 +60,7 @@ def off_in_time(live, watchman, cause, bound_ms):
         on_ms = (off_ns - receipt.raised_ns) / MS
         if on_ms <= bound_ms:
             return receipt
-        time.sleep(0.05)  # what the watchman has seen takes a moment to be told
+        time.sleep(0.05)  # what the watchman has seen takes a moment to be reported
         stood_ms = watchman.stalled_ms(receipt.raised_ns, off_ns)
         assert on_ms <= bound_ms + stood_ms, f"off {on_ms:.0f} ms after, {bound_ms:g} allowed, {stood_ms:.0f} stood"
         live.camera.undo()
@@ -100,7 +100,7 @@ def test_a_session_is_armed_and_turns_the_receiver_on(live):
 FAULTS = {
     "depth stalls": lambda camera: camera.stall(Streams.DEPTH),
     "both stall": lambda camera: camera.stall(),
-    "silent unplugging": lambda camera: camera.unplug(is_told=False),
+    "silent unplugging": lambda camera: camera.unplug(is_reported=False),
     "unplugging": lambda camera: camera.unplug(),
     "an error state": lambda camera: camera.state(State.ERROR),
     "a hung read": lambda camera: camera.hang(Call.READ),
@@ -179,7 +179,7 @@ def test_another_camera_is_not_taken_for_the_one_that_was_pulled(live, caused):
 
 
 def test_a_camera_pulled_without_a_word_comes_back_too(live, caused):
-    receipt = caused(lambda: live.camera.unplug(is_told=False))
+    receipt = caused(lambda: live.camera.unplug(is_reported=False))
     live.until(lambda: live.act("acknowledge") and "no frame for 3 s" in live.gate["hold_detail"], "a loss")
     live.camera.undo(receipt)
     live.turn_on()

@@ -1,4 +1,4 @@
-"""Those who only want to know are told what was read back and why, and can disturb nothing."""
+"""Those who only want to know are reported what was read back and why, and can disturb nothing."""
 
 import json
 import re
@@ -50,19 +50,19 @@ def announcer_of(sender, clock):
     return Stepped(sender, clock, utc_now=lambda: "2026-11-21T03:00:00.000Z")
 
 
-class Told:
+class Published:
     def __init__(self, line=SimulatedBeamLine, room=64):
         self.clock = ManualClock(100 * MS)
         self.line, self.sender = line(self.clock), Kept(room)
         self.announcer = announcer_of(self.sender, self.clock)
-        self.told = PublishedBeamLine(self.line, [self.announcer], self.clock)
-        self.told.open()
-        self.told.rearm()
+        self.published = PublishedBeamLine(self.line, [self.announcer], self.clock)
+        self.published.open()
+        self.published.rearm()
 
     def permit(self):
         self.clock.advance_ns(MS)
         now_ns = self.clock.now_ns()
-        self.told.permit(Lease(granted_ns=now_ns, expires_ns=now_ns + 80 * MS, sequence=now_ns))
+        self.published.permit(Lease(granted_ns=now_ns, expires_ns=now_ns + 80 * MS, sequence=now_ns))
 
     def messages(self):
         self.announcer.send_pending()
@@ -70,12 +70,12 @@ class Told:
 
 
 def test_every_change_is_reported_once_with_what_was_read_back_and_why():
-    held = Told()
+    held = Published()
     held.permit()
     for _ in range(3):
-        assert held.told.is_on()
-    held.told.hold(HoldReason.OUTSIDE_WINDOW)
-    assert not held.told.is_on()
+        assert held.published.is_on()
+    held.published.hold(HoldReason.OUTSIDE_WINDOW)
+    assert not held.published.is_on()
     assert held.messages() == [
         ("change", "off", False, "disarmed", None),
         ("change", "on", True, None, None),
@@ -85,9 +85,9 @@ def test_every_change_is_reported_once_with_what_was_read_back_and_why():
 
 
 def test_messages_are_numbered_and_carry_time_and_age():
-    held = Told()
+    held = Published()
     held.permit()
-    assert held.told.is_on()
+    assert held.published.is_on()
     held.clock.advance_ns(3 * MS)
     held.announcer.send_pending()
     assert [message["sequence"] for message in held.sender.messages] == [1, 2]
@@ -96,9 +96,9 @@ def test_messages_are_numbered_and_carry_time_and_age():
 
 
 def test_an_on_that_is_no_longer_confirmed_becomes_unknown():
-    held = Told()
+    held = Published()
     held.permit()
-    assert held.told.is_on()
+    assert held.published.is_on()
     assert held.messages()[-1][1] == "on"
     held.clock.advance_ns(GOOD_FOR_NS + 1)
     assert held.messages()[-1][:2] == ("change", "unknown")
@@ -107,7 +107,7 @@ def test_an_on_that_is_no_longer_confirmed_becomes_unknown():
 
 
 def test_a_heartbeat_tells_once_a_second_what_is_known():
-    held = Told()
+    held = Published()
     assert len(held.messages()) == 1
     held.clock.advance_ns(NS_PER_S - 1)
     assert len(held.messages()) == 1
@@ -125,44 +125,44 @@ class Troubled(SimulatedBeamLine):
 
 
 def test_a_trouble_is_reported_as_unknown_and_passed_on_unchanged():
-    held = Told(Troubled)
+    held = Published(Troubled)
     held.line.is_in_trouble = True
     with pytest.raises(BeamLineMismatchError, match="stuck"):
-        held.told.is_on()
+        held.published.is_on()
     assert held.messages()[-1] == ("change", "unknown", False, "disarmed", "stuck")
-    heard = []
-    held.told.on_trouble = lambda reason, detail: heard.append((reason, detail))
+    received = []
+    held.published.on_trouble = lambda reason, detail: received.append((reason, detail))
     held.line.on_trouble(HoldReason.BEAM_LINE_FAILED, "silent")
-    assert heard == [(HoldReason.BEAM_LINE_FAILED, "silent")]
+    assert received == [(HoldReason.BEAM_LINE_FAILED, "silent")]
     assert held.messages()[-1] == ("change", "unknown", False, "beam_line_failed", "silent")
 
 
 def test_a_trouble_that_the_line_finds_while_it_is_on_is_reported_as_unknown_at_once():
-    held = Told()
+    held = Published()
     held.permit()
-    assert held.told.is_on()
+    assert held.published.is_on()
     held.line.on_trouble(HoldReason.BEAM_LINE_FAILED, "silent")
     assert held.messages()[-1] == ("change", "unknown", False, "beam_line_failed", "silent")
 
 
 def test_the_line_is_commanded_first_and_acts_alike_published_or_not():
-    held = Told()
+    held = Published()
     held.permit()
     assert held.line.is_on()
-    held.told.hold(HoldReason.WATCHDOG)
+    held.published.hold(HoldReason.WATCHDOG)
     assert not held.line.is_on()
     held.clock.advance_ns(MS)
     with pytest.raises(BeamLineError, match="latched"):
         held.permit()
-    held.told.close()
+    held.published.close()
     assert held.sender.was_closed is False  # it has no thread here; the real one closes at its end
 
 
 @pytest.mark.parametrize("room", [1, 3])
 def test_what_finds_no_room_pushes_the_oldest_out_and_is_counted(room):
-    held = Told(room=room)
+    held = Published(room=room)
     for reason in (HoldReason.JUMP, HoldReason.DWELL, HoldReason.TRAINING, HoldReason.OUTSIDE_WINDOW):
-        held.told.hold(reason)
+        held.published.hold(reason)
     held.announcer.send_pending()
     newest = ["jump", "dwell", "training", "outside_window"][-room:]
     assert [message["reason"] for message in held.sender.messages] == newest
@@ -170,7 +170,7 @@ def test_what_finds_no_room_pushes_the_oldest_out_and_is_counted(room):
 
 
 def test_a_recipient_without_an_answer_is_counted_and_sent_again_at_the_next_heartbeat():
-    held = Told()
+    held = Published()
     held.sender.fails = True
     held.announcer.send_pending()
     assert (held.announcer.sent, held.announcer.failures, held.announcer.last_error) == (0, 1, "nobody listens")
@@ -185,9 +185,9 @@ def _schema():
 
 def test_the_schema_in_the_documentation_is_what_is_sent():
     validator = jsonschema.Draft202012Validator(_schema())
-    held = Told(Troubled)
+    held = Published(Troubled)
     held.permit()
-    held.told.is_on()
+    held.published.is_on()
     held.line.on_trouble(HoldReason.BEAM_LINE_FAILED, "silent")
     held.announcer.send_pending()
     held.clock.advance_ns(2 * NS_PER_S)
@@ -225,7 +225,7 @@ def test_a_datagram_is_sent_for_each_change():
 class _Listener(BaseHTTPRequestHandler):
     def do_POST(self):
         body = self.rfile.read(int(self.headers["Content-Length"]))
-        self.server.heard.append((self.path, self.headers["Content-Type"], json.loads(body)))
+        self.server.received.append((self.path, self.headers["Content-Type"], json.loads(body)))
         self.send_response(self.server.status)
         self.send_header("Content-Length", "0")
         self.end_headers()
@@ -237,7 +237,7 @@ class _Listener(BaseHTTPRequestHandler):
 @pytest.fixture
 def listener():
     server = HTTPServer(("127.0.0.1", 0), _Listener)
-    server.heard, server.status = [], 204
+    server.received, server.status = [], 204
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
     thread.start()
     yield server
@@ -248,7 +248,7 @@ def listener():
 
 def test_the_newest_state_is_posted_as_json(listener):
     announcer = _announced(HttpSender(f"http://127.0.0.1:{listener.server_port}/beam?room=2", timeout_s=PATIENCE_S))
-    path, content_type, message = listener.heard[-1]
+    path, content_type, message = listener.received[-1]
     assert (path, content_type, message["reason"]) == ("/beam?room=2", "application/json", "dwell")
     assert announcer.failures == 0
 

@@ -1,4 +1,4 @@
-"""How news is sent: each piece once, in time, counted; by a thread that nobody has to wait for."""
+"""How news is sent: each piece once, in time, counted; by a thread that no one has to wait for."""
 
 import http.client
 import queue
@@ -115,7 +115,7 @@ def test_its_thread_is_named_and_keeps_no_process_alive_and_stopping_waits_for_i
 
 
 class Answered:
-    """A connection that answers what it is told to, and keeps what it was asked."""
+    """A connection that answers what it is set to, and keeps what it was asked."""
 
     made: "list[Answered]"
     status = 204
@@ -225,7 +225,7 @@ def test_news_of_another_time_are_the_same_and_their_age_is_given_to_a_tenth_of_
     assert document["age_ms"] == 2.5
 
 
-def test_nobody_is_left_of_those_who_tell():
+def test_no_publisher_thread_remains():
     before = threading.active_count()
     held = made(ManualClock(0))
     held.start()

@@ -13,8 +13,8 @@ START_NS = 1_000 * MS
 FAILED, MISMATCH = HoldReason.BEAM_LINE_FAILED, HoldReason.BEAM_LINE_MISMATCH
 
 
-class Told:
-    """A judge, and the exchanges it is told of."""
+class Supervised:
+    """A judge, and the exchanges it is reported of."""
 
     def __init__(self, *, proved_off=True):
         self.judge = LineSupervisor(TIMES, now_ns=START_NS)
@@ -41,14 +41,14 @@ class Told:
 
 
 def lit():
-    """Told on, and read on."""
-    held = Told().after(20)
+    """Commanded on, and read on."""
+    held = Supervised().after(20)
     assert held.exchange(commands_on=True, reads_on=True) is None
     return held
 
 
 def test_a_line_that_was_just_opened_may_be_on_until_it_was_read_off():
-    held = Told(proved_off=False)
+    held = Supervised(proved_off=False)
     judge = held.judge
     assert (judge.commands_on, judge.reads_on, judge.may_be_on) == (False, False, True)
     assert not judge.may_command_on(held_at_ns=None)
@@ -61,7 +61,7 @@ def test_a_line_that_was_just_opened_may_be_on_until_it_was_read_off():
 
 
 def test_a_line_that_is_never_read_off_after_it_was_opened_is_in_trouble_when_it_should_have_followed():
-    held = Told(proved_off=False)
+    held = Supervised(proved_off=False)
     held.begin(commands_on=False).answered(reads_on=True)
     assert held.after(160).exchange(commands_on=False, reads_on=True) is None
     trouble = held.after(ns=1).exchange(commands_on=False, reads_on=True)
@@ -87,7 +87,7 @@ def test_somebody_who_looks_sees_a_question_that_is_not_answered_in_time(late_ns
         assert (trouble.reason, trouble.detail) == (FAILED, "the beam line has not answered for 100 ms")
 
 
-def test_nobody_is_late_who_was_not_asked():
+def test_an_unrequested_reply_is_not_late():
     held = lit()
     assert held.after(190).check(wants_on=True) is None
     assert held.judge.answered(reads_on=True, now_ns=held.now_ns) is None
@@ -96,7 +96,7 @@ def test_nobody_is_late_who_was_not_asked():
 
 @pytest.mark.parametrize(("late_ns", "is_late"), [(0, False), (1, True)])
 def test_a_line_commanded_on_has_its_time_to_read_on(late_ns, is_late):
-    held = Told().after(20)
+    held = Supervised().after(20)
     assert held.exchange(commands_on=True, reads_on=False) is None
     commanded_ns = held.now_ns
     assert held.after(100).exchange(commands_on=True, reads_on=False) is None
@@ -142,7 +142,7 @@ def test_an_answer_of_the_very_instant_of_a_hold_counts_as_one_behind_it():
 
 
 def test_a_line_that_reads_on_of_itself_is_contrary_at_once():
-    held = Told().after(20)
+    held = Supervised().after(20)
     assert held.exchange(commands_on=False, reads_on=False) is None
     trouble = held.after(20).exchange(commands_on=False, reads_on=True)
     assert (trouble.reason, trouble.at_ns) == (MISMATCH, held.now_ns)
@@ -151,7 +151,7 @@ def test_a_line_that_reads_on_of_itself_is_contrary_at_once():
 
 @pytest.mark.parametrize(("since_ms", "is_proved"), [(59.999, False), (60, True)])
 def test_off_is_no_proof_while_a_contact_that_was_commanded_on_may_still_be_on_its_way(since_ms, is_proved):
-    held = Told().after(20)
+    held = Supervised().after(20)
     held.exchange(commands_on=True, reads_on=False)
     held.after(since_ms)
     held.exchange(commands_on=False, reads_on=False)
@@ -168,7 +168,7 @@ def test_off_is_a_proof_at_once_where_on_was_read_before():
 
 
 def test_edges_count_from_the_first_order_and_are_noted_once():
-    held = Told().after(20)
+    held = Supervised().after(20)
     on_ns = held.now_ns
     held.exchange(commands_on=True, reads_on=False, took_ms=3)
     held.after(17).exchange(commands_on=True, reads_on=True, took_ms=3)
@@ -187,7 +187,7 @@ def test_edges_count_from_the_first_order_and_are_noted_once():
 
 @pytest.mark.parametrize(("held_before_ns", "may"), [(1, True), (0, False), (-1, False)])
 def test_a_line_commanded_on_may_be_commanded_again_unless_a_hold_came_since(held_before_ns, may):
-    held = Told().after(20)
+    held = Supervised().after(20)
     on_ns = held.now_ns
     held.exchange(commands_on=True, reads_on=True)
     assert held.judge.may_command_on(held_at_ns=None)
@@ -205,7 +205,7 @@ def test_a_line_that_is_wanted_off_may_not_be_commanded_on_before_that_was_read(
 
 
 def test_a_failed_exchange_may_have_delivered_its_command():
-    held = Told().after(20)
+    held = Supervised().after(20)
     held.begin(commands_on=True).after(4)
     held.judge.failed(now_ns=held.now_ns)
     assert (held.judge.commands_on, held.judge.may_be_on) == (False, True)
@@ -215,7 +215,7 @@ def test_a_failed_exchange_may_have_delivered_its_command():
 
 def test_it_is_healthy_after_three_good_answers_in_a_row_that_read_off():
     assert GOOD_ANSWERS == 3
-    held = Told()
+    held = Supervised()
     healths = []
     for _ in range(4):
         healths.append(held.judge.is_healthy(held.now_ns))
@@ -230,7 +230,7 @@ def test_it_is_healthy_after_three_good_answers_in_a_row_that_read_off():
 
 
 def test_trouble_begins_the_count_of_good_answers_anew():
-    held = Told()
+    held = Supervised()
     for _ in range(3):
         held.after(20).exchange(commands_on=False, reads_on=False)
     assert held.judge.is_healthy(held.now_ns)
@@ -252,7 +252,7 @@ def test_a_line_that_is_on_is_not_ready_to_be_armed():
 
 @pytest.mark.parametrize(("late_ns", "is_silent"), [(0, False), (1, True)])
 def test_it_is_silent_when_the_newest_answer_is_older_than_any_may_be(late_ns, is_silent):
-    held = Told()
+    held = Supervised()
     for _ in range(3):
         held.after(20).exchange(commands_on=False, reads_on=False)
     later_ns = held.now_ns + int(DETECTION_MS * MS) + late_ns
@@ -261,7 +261,7 @@ def test_it_is_silent_when_the_newest_answer_is_older_than_any_may_be(late_ns, i
 
 
 def test_histories_are_bounded():
-    assert (Told().judge.edges.maxlen, Told().judge.answers_ns.maxlen) == (HISTORY, HISTORY)
+    assert (Supervised().judge.edges.maxlen, Supervised().judge.answers_ns.maxlen) == (HISTORY, HISTORY)
 
 
 @pytest.mark.parametrize(
@@ -310,6 +310,6 @@ def test_a_hold_that_was_not_followed_in_time_begins_the_count_of_good_answers_a
 
 @pytest.mark.parametrize(("old_ns", "reason"), [(FOLLOW_NS + 1, MISMATCH), (FOLLOW_NS + 2, FAILED)])
 def test_a_line_that_read_on_of_itself_and_says_nothing_more_has_failed_to_prove_off(old_ns, reason):
-    held = Told().after(20)
+    held = Supervised().after(20)
     assert held.exchange(commands_on=False, reads_on=True).reason is MISMATCH
     assert held.after(ns=old_ns).check(wants_on=False).reason is reason

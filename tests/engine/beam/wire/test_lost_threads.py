@@ -16,12 +16,12 @@ PATIENCE_S = 10.0
 
 
 class ObedientWire:
-    """Does as told; its thread can be ended inside of it."""
+    """Does as requested; its thread can be ended inside of it."""
 
     name = "an obedient wire"
 
     def __init__(self) -> None:
-        self.is_deadly = self.is_told_on = False
+        self.is_deadly = self.is_commanded_on = False
 
     def connect(self) -> None:
         """Always there."""
@@ -29,7 +29,7 @@ class ObedientWire:
     def exchange(self, *, is_on: bool, heartbeat: int, within_s: float) -> bool:  # noqa: ARG002
         if self.is_deadly:
             raise SystemExit
-        self.is_told_on = is_on
+        self.is_commanded_on = is_on
         return is_on
 
     def close(self) -> None:
@@ -97,7 +97,7 @@ def test_a_line_without_its_supervising_thread_is_latched_when_polled(lit, monke
     assert troubles == [(HoldReason.BEAM_LINE_FAILED, "a thread of the beam line has died: tidegate-beam-watch")]
     with pytest.raises(BeamLineError):
         line.permit(_lease())
-    _eventually(lambda: not wire.is_told_on)
+    _eventually(lambda: not wire.is_commanded_on)
 
 
 def test_it_is_never_armed_again_until_it_was_opened_again(lit, monkeypatch):
@@ -113,7 +113,7 @@ def test_it_is_never_armed_again_until_it_was_opened_again(lit, monkeypatch):
 
 
 def test_a_line_without_its_exchange_thread_is_latched_and_reported_at_arming(lit):
-    """Its silence may be found first: then that is the cause on show, and who arms is told what is behind it."""
+    """Its silence may be found first: then that is the cause on show, and who arms is reported what is behind it."""
     line, wire = lit
     _end("tidegate-beam-line", lambda: setattr(wire, "is_deadly", True))
     with pytest.raises(BeamLineError):

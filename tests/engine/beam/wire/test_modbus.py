@@ -14,7 +14,7 @@ MAP = RegisterMap(unit=9, permit_coil=31, heartbeat_register=47, readback_input=
 
 
 class Answer(SimpleNamespace):
-    """A good answer, unless it is told to be none."""
+    """A good answer, unless it is asked to be none."""
 
     is_refusal = False
 
@@ -28,7 +28,7 @@ class Client:
     def __init__(self, *, reads_on=True):
         self.asked, self.connected, self.connects = [], True, True
         self.comm_params = SimpleNamespace(timeout_connect=None)
-        self.told = Answer(address=31, bits=[True])
+        self.confirmed = Answer(address=31, bits=[True])
         self.kept = Answer()
         self.read = Answer(bits=[reads_on, not reads_on])
         self.takes_s, self.now_s, self.error = 0.0, 100.0, None
@@ -48,7 +48,7 @@ class Client:
 
     def write_coil(self, address, value, **options):
         self._ask("coil", address, value, **options)
-        return self.told
+        return self.confirmed
 
     def write_register(self, address, value, **options):
         self._ask("register", address, value, **options)
@@ -88,13 +88,13 @@ def test_what_is_returned_is_the_first_input(client, reads_on):
 
 @pytest.mark.parametrize("bits", [[True] + [False] * 7, [True]])
 def test_a_device_may_confirm_a_coil_in_a_whole_byte(client, bits):
-    client.told = Answer(address=31, bits=bits)
+    client.confirmed = Answer(address=31, bits=bits)
     assert wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1)
 
 
 @pytest.mark.parametrize(("address", "bits"), [(32, [True]), (31, [False]), (31, [])])
 def test_a_confirmation_of_another_permit_ends_the_exchange_at_once(client, address, bits):
-    client.told = Answer(address=address, bits=bits)
+    client.confirmed = Answer(address=address, bits=bits)
     with pytest.raises(BeamLineError, match=r"^it confirms a different permit than was written$"):
         wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1)
     assert len(client.asked) == 1
@@ -113,7 +113,7 @@ def test_nothing_is_asked_when_the_time_for_the_whole_exchange_is_over(client, t
 def test_a_connection_that_went_between_two_requests_is_not_made_again(client):
     def lose(*_what, **_options):
         client.connected = False
-        return client.told
+        return client.confirmed
 
     client.write_coil = lose
     with pytest.raises(BeamLineError, match=r"^the connection is gone$"):
@@ -122,7 +122,7 @@ def test_a_connection_that_went_between_two_requests_is_not_made_again(client):
 
 
 @pytest.mark.parametrize(
-    ("name", "asked"), [("told", "the permit"), ("kept", "the heartbeat"), ("read", "the read back")]
+    ("name", "asked"), [("confirmed", "the permit"), ("kept", "the heartbeat"), ("read", "the read back")]
 )
 @pytest.mark.parametrize(("code", "shown"), [({"exception_code": 2}, "2"), ({}, r"\?")])
 def test_a_refusal_is_reported_by_what_was_refused_and_its_code(client, name, asked, code, shown):

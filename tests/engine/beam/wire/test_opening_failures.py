@@ -107,7 +107,7 @@ def test_a_line_whose_threads_cannot_be_started_is_closed_again(monkeypatch, sta
 
 @pytest.fixture
 def mute_line(tmp_path) -> Iterator[Path]:
-    """A datagram socket where nobody reads."""
+    """A datagram socket where no one reads."""
     path = tmp_path / "line"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(str(path))
@@ -205,13 +205,13 @@ def _announcer(kind: Callable[..., StatusPublisher]) -> StatusPublisher:
 def test_a_line_without_a_publisher_is_closed_and_no_publisher_keeps_running():
     clock = ManualClock()
     line = SimulatedBeamLine(clock)
-    told = PublishedBeamLine(line, [_announcer(StatusPublisher), _announcer(_Unstartable)], clock)
+    published = PublishedBeamLine(line, [_announcer(StatusPublisher), _announcer(_Unstartable)], clock)
     with _nothing_left_open(), pytest.raises(RuntimeError, match="new thread"):
-        told.open()
+        published.open()
     assert not line._is_open
 
 
 def test_a_line_that_does_not_open_is_not_published():
-    told = PublishedBeamLine(_Deaf(ManualClock()), [_announcer(StatusPublisher)], ManualClock())
+    published = PublishedBeamLine(_Deaf(ManualClock()), [_announcer(StatusPublisher)], ManualClock())
     with _nothing_left_open(), pytest.raises(BeamLineError, match="does not answer"):
-        told.open()
+        published.open()

@@ -24,7 +24,7 @@ ON_MS = 200
 
 
 def lit(times: LineTimes | None = None, *, until_ms: int = 500, **wire: int) -> World:
-    """A line that is permitted every frame from ON_MS on; the story is not told yet."""
+    """A line that is permitted every frame from ON_MS on; the story is not reported yet."""
     world = World(times, **wire).opened()
     world.permit_each_frame(ON_MS, until_ms)
     return world
@@ -73,9 +73,9 @@ def test_a_hold_between_deciding_to_tell_on_and_telling_it_is_seen():
         begin(commands_on=commands_on, now_ns=now_ns)
 
     world.line._supervisor.begin = interrupted
-    told = len(world.wire.told)
+    commands = len(world.wire.commands)
     world.line.exchange_once()
-    assert [is_on for _, is_on, _ in world.wire.told[told:]] == [False]
+    assert [is_on for _, is_on, _ in world.wire.commands[commands:]] == [False]
 
 
 @pytest.mark.parametrize("answer_ms", [1, 7, 30])
@@ -84,8 +84,8 @@ def test_a_lease_that_is_not_renewed_lapses_in_the_line_within_one_exchange(answ
         world = World(answer_ms=answer_ms).opened()
         world.at(ON_MS, lambda world=world, length_ms=length_ms: world.permit(length_ms))
         world.run(to_ms=ON_MS + 300)
-        told_on = [at_ns for at_ns, is_on, _ in world.wire.told if is_on]
-        first_off = next(at_ns for at_ns, is_on, _ in world.wire.told if at_ns > told_on[-1] and not is_on)
+        reported_on = [at_ns for at_ns, is_on, _ in world.wire.commands if is_on]
+        first_off = next(at_ns for at_ns, is_on, _ in world.wire.commands if at_ns > reported_on[-1] and not is_on)
         late_ms = (first_off - world.start_ns) / MS - ON_MS - length_ms
         assert 0 <= late_ms <= answer_ms
         assert world.troubles == []
@@ -93,9 +93,9 @@ def test_a_lease_that_is_not_renewed_lapses_in_the_line_within_one_exchange(answ
 
 def test_the_heartbeat_counts_up_at_every_exchange_and_at_least_every_25_ms():
     world = lit(until_ms=900).run(to_ms=900)
-    beats = [heartbeat for _, _, heartbeat in world.wire.told]
+    beats = [heartbeat for _, _, heartbeat in world.wire.commands]
     assert beats == list(range(1, len(beats) + 1))
-    gaps_ms = [(b - a) / MS for (a, _, _), (b, _, _) in itertools.pairwise(world.wire.told)]
+    gaps_ms = [(b - a) / MS for (a, _, _), (b, _, _) in itertools.pairwise(world.wire.commands)]
     assert max(gaps_ms) <= 25
 
 
@@ -103,8 +103,8 @@ def test_the_heartbeat_fits_a_register():
     world = World().opened()
     world.line._heartbeat = 65_534
     world.run(to_ms=world.now_ms + 60)
-    assert [heartbeat for _, _, heartbeat in world.wire.told[-2:]] != []
-    assert {65_535, 0} <= {heartbeat for _, _, heartbeat in world.wire.told}
+    assert [heartbeat for _, _, heartbeat in world.wire.commands[-2:]] != []
+    assert {65_535, 0} <= {heartbeat for _, _, heartbeat in world.wire.commands}
 
 
 TIMES = [
@@ -156,7 +156,9 @@ def test_whatever_goes_wrong_whenever_it_is_held_and_latched_within_200_ms(times
         noticed_ms, reason, detail = world.troubles[0]
         assert broken_ms <= noticed_ms <= broken_ms + DETECTION_MS
         assert reason is REASON_OF[kind], detail
-        assert not [at_ns for at_ns, is_on, _ in world.wire.told if is_on and at_ns > world.start_ns + noticed_ms * MS]
+        assert not [
+            at_ns for at_ns, is_on, _ in world.wire.commands if is_on and at_ns > world.start_ns + noticed_ms * MS
+        ]
         with pytest.raises(BeamLineError):
             world.permit()
 
@@ -203,7 +205,7 @@ def test_a_hold_during_a_long_exchange_is_not_passed_over_when_permits_come_agai
     world.permit_each_frame(503, 900)
     world.run(to_ms=1_000)
     held_ns = world.start_ns + 502 * MS
-    later = [is_on for at_ns, is_on, _ in world.wire.told if at_ns > held_ns]
+    later = [is_on for at_ns, is_on, _ in world.wire.commands if at_ns > held_ns]
     assert later[0] is False
 
 
@@ -224,7 +226,7 @@ def test_the_heartbeat_stands_still_while_the_line_is_stuck_on_so_that_the_recei
     world.at(300, lambda: _break(world, "stuck on"))
     world.run(to_ms=900)
     noticed_ns = world.start_ns + world.troubles[0][0] * MS
-    beats = {heartbeat for at_ns, _, heartbeat in world.wire.told if at_ns > noticed_ns}
+    beats = {heartbeat for at_ns, _, heartbeat in world.wire.commands if at_ns > noticed_ns}
     assert len(beats) == 1
 
 
@@ -239,7 +241,7 @@ def test_a_line_that_comes_back_stays_off_until_a_person_arms_again():
         world.line.rearm()
     world.run(to_ms=2_000)
     assert world.wire.connects >= 2
-    assert not [at_ns for at_ns, is_on, _ in world.wire.told if is_on and at_ns > world.start_ns + 700 * MS]
+    assert not [at_ns for at_ns, is_on, _ in world.wire.commands if is_on and at_ns > world.start_ns + 700 * MS]
     assert not world.line.is_on()
     with pytest.raises(BeamLineError):
         world.permit()
@@ -325,8 +327,8 @@ def test_on_is_not_sent_again_before_the_last_off_was_read_back():
     world.permit_each_frame(405, 600)
     world.run(to_ms=600)
     held_ns = world.start_ns + 400 * MS
-    told_on_again = next(at_ns for at_ns, is_on, _ in world.wire.told if is_on and at_ns > held_ns)
-    assert held_ns + 50 * MS <= told_on_again <= held_ns + 100 * MS
+    commanded_on_again = next(at_ns for at_ns, is_on, _ in world.wire.commands if is_on and at_ns > held_ns)
+    assert held_ns + 50 * MS <= commanded_on_again <= held_ns + 100 * MS
     assert world.troubles == []
 
 
@@ -347,10 +349,10 @@ def test_a_latched_line_is_off_twice_over_by_its_dead_man_and_by_its_trouble():
     now_ns = world.clock.now_ns() + 1
     world.clock.advance_ns(MS)
     world.line._deadman.grant(Grant(decided_ns=now_ns, expires_ns=now_ns + 80 * MS, sequence=999), now_ns=now_ns)
-    told = len(world.wire.told)
+    commands = len(world.wire.commands)
     for _ in range(3):
         world.line.exchange_once()
-    assert [is_on for _, is_on, _ in world.wire.told[told:]] == [False] * 3
+    assert [is_on for _, is_on, _ in world.wire.commands[commands:]] == [False] * 3
 
 
 def _trouble(world: World, reason: HoldReason, detail: str) -> Trouble:
@@ -364,9 +366,9 @@ def test_the_first_cause_is_shown_until_it_was_reported_and_only_then_replaced()
     assert [detail for _, _, detail in world.troubles] == ["the first"]
     with pytest.raises(BeamLineError, match="the first"):
         world.permit()
-    with pytest.raises(BeamLineError, match="the first") as told:
+    with pytest.raises(BeamLineError, match="the first") as commands:
         world.line.is_on()
-    assert type(told.value) is BeamLineError, "a failure is no mismatch"
+    assert type(commands.value) is BeamLineError, "a failure is no mismatch"
     world.line._latch(_trouble(world, FAILED, "the first, found again"))
     world.line._latch(_trouble(world, MISMATCH, "the third"))
     assert [(reason, detail) for _, reason, detail in world.troubles] == [

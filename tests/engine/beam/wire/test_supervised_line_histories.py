@@ -57,20 +57,20 @@ def test_the_contact_is_on_only_within_a_lease_or_its_way_back_and_never_while_s
     world.run(to_ms=END_MS)
     assert world.troubles == []
     assert not world.wire._at(world.clock.now_ns())
-    assert any(is_on for _, is_on, _ in world.wire.told)
+    assert any(is_on for _, is_on, _ in world.wire.commands)
 
 
 class _InstantWire:
     name = "memory"
 
     def __init__(self):
-        self.told: list[bool] = []
+        self.commands: list[bool] = []
 
     def connect(self):
         """Nothing to do."""
 
     def exchange(self, *, is_on, **_unused):
-        self.told.append(is_on)
+        self.commands.append(is_on)
         return is_on
 
     def close(self):
@@ -111,16 +111,16 @@ def test_holding_from_many_threads_while_permits_rain_on_a_wired_line_ends_off()
     for thread in threads:
         thread.join()
     threading.Event().wait(0.05)
-    told = len(wire.told)
-    assert wire.told[-1] is False
+    commands = len(wire.commands)
+    assert wire.commands[-1] is False
     threading.Event().wait(0.1)
-    assert len(wire.told) > told
-    assert not any(wire.told[told:])
+    assert len(wire.commands) > commands
+    assert not any(wire.commands[commands:])
     line.close()
 
 
 class _HungWire(_InstantWire):
-    """Its driver never comes back, from when it is told to hang."""
+    """Its driver never comes back, from when it is asked to hang."""
 
     def __init__(self):
         super().__init__()
@@ -133,12 +133,12 @@ class _HungWire(_InstantWire):
 
 
 def test_a_driver_that_hangs_is_latched_by_the_other_thread_without_waiting():
-    wire, heard = _HungWire(), queue.SimpleQueue()
+    wire, received = _HungWire(), queue.SimpleQueue()
     line = WiredBeamLine(wire, MonotonicClock())
-    line.on_trouble = lambda reason, detail: heard.put((reason, detail))
+    line.on_trouble = lambda reason, detail: received.put((reason, detail))
     line.open()
     wire.hangs.set()
-    reason, detail = heard.get(timeout=20.0)
+    reason, detail = received.get(timeout=20.0)
     assert reason is HoldReason.BEAM_LINE_FAILED
     assert detail.startswith("the beam line has not answered for")
     with pytest.raises(BeamLineError, match="has not answered"):

@@ -1,4 +1,4 @@
-"""The two threads of a wired line, stepped: how long they rest, what ends them, and that nobody rings in vain twice."""
+"""The two threads of a wired line, stepped: how long they rest, what ends them, and that no one rings in vain twice."""
 
 import queue
 
@@ -30,7 +30,7 @@ class Stop:
 
 
 class Bell:
-    """Nobody rings; notes how long it was waited for."""
+    """No one rings; notes how long it was waited for."""
 
     def __init__(self):
         self.waits = []
@@ -59,11 +59,11 @@ def test_the_exchanger_rests_after_each_exchange_and_tells_off_at_its_end():
     world = opened()
     line = world.line
     line._wakeups, line._stop_requested = Bell(), Stop(4)
-    told = len(world.wire.told)
+    commands = len(world.wire.commands)
     line._work()
-    # Two turns of a look, an exchange, a look and a rest; a third look ends it, and off is told once more.
+    # Two turns of a look, an exchange, a look and a rest; a third look ends it, and off is reported once more.
     assert line._wakeups.waits == [CYCLE_NS / NS_PER_S] * 2
-    assert len(world.wire.told) - told == 3
+    assert len(world.wire.commands) - commands == 3
     assert not world.wire.commands_on
     assert world.wire.closes == 1
 

@@ -21,7 +21,7 @@ QUESTIONS = {RELAY_PROTOCOLS[kind].request(channel) for kind in RELAY_PROTOCOLS 
 
 
 class FakePort:
-    """A board that says what it is told to say, a piece at a time, and a modem line that is what it is set to."""
+    """A board that says what it is set to say, a piece at a time, and a modem line that is what it is set to."""
 
     def __init__(self, answers, **lines):
         self.answers, self.written, self.is_open, self.is_asked = list(answers), [], True, False
@@ -446,11 +446,11 @@ def test_an_answer_that_begins_at_the_very_end_of_its_time_is_not_read_any_more(
     assert port.answers == [STATUS_ON[2:]]
 
 
-@pytest.mark.parametrize(("chatter_bytes", "is_heard"), [(511, True), (512, False), (513, False)])
-def test_a_board_may_say_511_bytes_before_its_answer_and_not_one_more(chatter_bytes, is_heard):
+@pytest.mark.parametrize(("chatter_bytes", "is_accepted"), [(511, True), (512, False), (513, False)])
+def test_a_board_may_say_511_bytes_before_its_answer_and_not_one_more(chatter_bytes, is_accepted):
     port = FakePort([b"x" * chatter_bytes, b"relay read 1\n\ron\n\r>"])
     wire = relay(port, "numato")
-    if is_heard:
+    if is_accepted:
         assert wire.exchange(is_on=True, heartbeat=1, within_s=PATIENCE_S)
         return
     with pytest.raises(BeamLineError, match="received b'x"):

@@ -69,7 +69,7 @@ def test_the_real_runtime_survives_callers_that_have_ended():
 
 @pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt, RuntimeError], ids=lambda one: one.__name__)
 def test_nothing_that_is_raised_ends_the_thread(error):
-    """Not even what nobody catches: the runtime would crash the process when it asks about the thread."""
+    """Not even what no one catches: the runtime would crash the process when it asks about the thread."""
     used = []
 
     def work():

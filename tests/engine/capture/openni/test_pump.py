@@ -15,7 +15,7 @@ PICTURE = np.zeros((2, 2), np.uint16)
 
 
 class PlayedDevice:
-    """A device whose frames come when the test says so."""
+    """A device whose frames come when the test requests it."""
 
     def __init__(self):
         self.is_over = False

@@ -222,7 +222,7 @@ def test_a_closed_journal_is_not_written_to(journal):
     assert not journal.path.exists()
 
 
-def test_nobody_else_reads_it_and_no_link_is_followed(tmp_path, journal):
+def test_only_its_owner_can_read_it_and_no_link_is_followed(tmp_path, journal):
     assert journal.path.stat().st_mode & 0o777 == 0o600
     (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(JournalError):

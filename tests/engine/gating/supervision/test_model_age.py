@@ -11,7 +11,7 @@ LONGEST_NS = int(LIMITS.max_model_age_min * NS_PER_MIN)
 FIRST, SECOND = object(), object()
 
 
-def told(kind: LearningEventKind, **figures: object) -> LearningEvent:
+def event_of(kind: LearningEventKind, **figures: object) -> LearningEvent:
     return LearningEvent(kind=kind, detail="", timestamp_us=0, figures=figures)
 
 
@@ -32,7 +32,9 @@ def test_a_model_is_too_old_beyond_its_limit_counted_from_when_it_was_first_meas
 def test_another_model_begins_anew():
     age = ModelAge(LIMITS)
     is_held(age, 0)
-    assert not is_held(age, LONGEST_NS + 1, SECOND, told(LearningEventKind.READY), told(LearningEventKind.SWAPPED))
+    assert not is_held(
+        age, LONGEST_NS + 1, SECOND, event_of(LearningEventKind.READY), event_of(LearningEventKind.SWAPPED)
+    )
     assert not is_held(age, 2 * LONGEST_NS, SECOND)
     assert is_held(age, 2 * LONGEST_NS + 2, SECOND)
 
@@ -40,8 +42,8 @@ def test_another_model_begins_anew():
 def test_a_model_that_waited_was_learned_before_it_waited():
     age = ModelAge(LIMITS)
     is_held(age, 0)
-    is_held(age, 100, FIRST, told(LearningEventKind.READY))
-    is_held(age, 100 + LONGEST_NS // 2, SECOND, told(LearningEventKind.SWAPPED))
+    is_held(age, 100, FIRST, event_of(LearningEventKind.READY))
+    is_held(age, 100 + LONGEST_NS // 2, SECOND, event_of(LearningEventKind.SWAPPED))
     assert not is_held(age, 100 + LONGEST_NS, SECOND)
     assert is_held(age, 101 + LONGEST_NS, SECOND)
 
@@ -50,7 +52,7 @@ def test_a_model_that_waited_was_learned_before_it_waited():
 def test_a_stored_model_found_alike_is_young_again(is_accepted, is_old):
     age = ModelAge(LIMITS)
     is_held(age, 0)
-    is_held(age, LONGEST_NS, FIRST, told(LearningEventKind.COMPARED, is_accepted=is_accepted))
+    is_held(age, LONGEST_NS, FIRST, event_of(LearningEventKind.COMPARED, is_accepted=is_accepted))
     assert is_held(age, LONGEST_NS + 1) is is_old
 
 
@@ -61,7 +63,7 @@ def test_a_stored_model_found_alike_is_young_again(is_accepted, is_old):
 def test_other_news_makes_no_model_younger(kind):
     age = ModelAge(LIMITS)
     is_held(age, 0)
-    is_held(age, LONGEST_NS, FIRST, told(kind))
+    is_held(age, LONGEST_NS, FIRST, event_of(kind))
     assert is_held(age, LONGEST_NS + 1)
 
 
@@ -82,8 +84,8 @@ def test_a_model_that_took_over_unannounced_is_as_young_as_that():
 def test_a_model_learned_from_nothing_has_nothing_of_the_age_of_one_that_waited_before():
     age = ModelAge(LIMITS)
     is_held(age, 0)
-    is_held(age, 100, FIRST, told(LearningEventKind.READY))
-    is_held(age, 200, SECOND, told(LearningEventKind.SWAPPED))
+    is_held(age, 100, FIRST, event_of(LearningEventKind.READY))
+    is_held(age, 200, SECOND, event_of(LearningEventKind.SWAPPED))
     is_held(age, LONGEST_NS, None)
-    is_held(age, LONGEST_NS + 50, FIRST, told(LearningEventKind.SWAPPED))
+    is_held(age, LONGEST_NS + 50, FIRST, event_of(LearningEventKind.SWAPPED))
     assert not is_held(age, 2 * LONGEST_NS, FIRST)

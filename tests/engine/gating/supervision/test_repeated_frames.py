@@ -90,7 +90,7 @@ def test_one_pixel_anywhere_makes_another_picture(row, column):
 
 
 def test_a_camera_that_sees_nothing_is_not_called_frozen():
-    """A covered lens reads nothing at all, again and again: the frame is lost for that, and says so."""
+    """A covered lens reads nothing at all, again and again: the frame is lost for that, and reports it."""
     empty = [replace(frame(index), depth_mm=np.zeros((48, 64), np.uint16)) for index in range(4)]
     assert reasons(empty) == [None] * 4
 

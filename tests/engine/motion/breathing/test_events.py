@@ -21,8 +21,8 @@ def spikes(at, start, count, height, width=0.3, pause=0.15):
     return value
 
 
-def first(told, at, kind):
-    return next((seconds for found, seconds in onsets(told, at) if found == kind), None)
+def first(reported, at, kind):
+    return next((seconds for found, seconds in onsets(reported, at) if found == kind), None)
 
 
 def course(kind, volunteer, seed, fps=30.0, **wanted):
@@ -40,10 +40,10 @@ def course(kind, volunteer, seed, fps=30.0, **wanted):
 def test_a_cough_is_reported_within_a_second_and_over_two_seconds_after(fps, count, height, width, share):
     at, value, _ = regular(80.0, fps=fps)
     start = 40.0 + 4.0 * share
-    told = follow(at, value + spikes(at, start, count, height, width))
-    found = first(told, at, "cough")
+    reported = follow(at, value + spikes(at, start, count, height, width))
+    found = first(reported, at, "cough")
     assert start < found < start + 1.0
-    by_time = dict(zip(np.round(at, 3), told, strict=True))
+    by_time = dict(zip(np.round(at, 3), reported, strict=True))
     during = by_time[at[np.searchsorted(at, found + 0.1)].round(3)]
     assert (during.phase_percent, during.note) == (None, "cough")
     assert during.events[-1].start_us == pytest.approx(start * 1e6, abs=0.4e6)
@@ -74,12 +74,12 @@ def test_labelled_events_are_reported_by_their_name(kind, volunteer):
 @pytest.mark.parametrize("rate", [0.1, 0.2, 0.4, 0.74, -0.1, -0.2, -0.4, -0.74])
 def test_drift_is_noticed_within_three_cycles(volunteer, rate):
     at, value, episode = course("drift", volunteer, seed=51, drift_mm_s=rate)
-    told = follow(at, value)
-    found = first(told, at, "drift")
+    reported = follow(at, value)
+    found = first(reported, at, "drift")
     assert episode.start_s < found < episode.start_s + 3.0 * find_build(volunteer).period_s
-    later = told[np.searchsorted(at, found + 6.0)]
+    later = reported[np.searchsorted(at, found + 6.0)]
     assert np.sign(later.drift) == np.sign(rate)
-    assert {kind for kind, _ in onsets(told, at)} == {"drift"}  # and breathing that drifts is regular all the same
+    assert {kind for kind, _ in onsets(reported, at)} == {"drift"}  # and breathing that drifts is regular all the same
     assert later.drift_per_s == pytest.approx(rate, rel=0.6)
 
 
@@ -87,13 +87,13 @@ def test_an_apnoea_has_no_phase_and_no_rate_and_is_over_with_the_next_breath():
     at = times(100.0)
     phase = np.where(at < 50.4, at, np.where(at < 64.4, 50.4, at - 14.0)) / 4.0  # rests at 60 %, the end of exhale
     value = 10.0 * breath(phase) + np.random.default_rng(0).normal(0.0, 0.1, len(at))
-    told = follow(at, value)
-    found = first(told, at, "apnoea")
+    reported = follow(at, value)
+    found = first(reported, at, "apnoea")
     assert 54.0 < found < 57.0
-    during = told[np.searchsorted(at, 60.0)]
+    during = reported[np.searchsorted(at, 60.0)]
     assert (during.phase_percent, during.rate_per_min, during.note) == (None, None, "apnoea")
-    assert "apnoea" not in kinds(told[np.searchsorted(at, 67.0)])
-    assert told[-1].phase_percent is not None
+    assert "apnoea" not in kinds(reported[np.searchsorted(at, 67.0)])
+    assert reported[-1].phase_percent is not None
 
 
 @pytest.mark.parametrize("height", [0.7, 1.3])
@@ -102,12 +102,12 @@ def test_a_breath_that_is_held_above_exhale_is_no_apnoea_and_has_no_phase(height
     held = (at >= 51.0) & (at < 70.0)
     value = np.where(held, 10.0 * height, 10.0 * breath(at / 4.0))
     value += np.random.default_rng(0).normal(0.0, 0.1, len(at))
-    told = follow(at, value)
-    during = [one for one, inside in zip(told, held & (at > 57.5), strict=True) if inside]
+    reported = follow(at, value)
+    during = [one for one, inside in zip(reported, held & (at > 57.5), strict=True) if inside]
     assert all(one.phase_percent is None for one in during)
     assert during[-1].note == "held"
-    assert "apnoea" not in {kind for kind, _ in onsets(told, at)}
-    assert "drift" not in {kind for kind, _ in onsets(told, at)}
+    assert "apnoea" not in {kind for kind, _ in onsets(reported, at)}
+    assert "drift" not in {kind for kind, _ in onsets(reported, at)}
 
 
 def test_regular_breathing_for_half_an_hour_has_no_event_at_all():
@@ -126,8 +126,8 @@ def test_a_slow_rest_at_the_end_of_exhale_is_no_apnoea():
 def test_a_patient_who_is_moved_within_a_second_does_not_cough():
     at, value, _ = regular(80.0)
     share = np.clip(at - 40.0, 0.0, 1.0)
-    told = follow(at, value + 10.0 * share**3 * (share * (6.0 * share - 15.0) + 10.0))
-    assert "cough" not in {kind for kind, _ in onsets(told, at)}
+    reported = follow(at, value + 10.0 * share**3 * (share * (6.0 * share - 15.0) + 10.0))
+    assert "cough" not in {kind for kind, _ in onsets(reported, at)}
 
 
 def test_events_of_a_volume_are_found_in_litres():
@@ -143,16 +143,16 @@ def test_events_of_a_volume_are_found_in_litres():
 def test_one_exhale_that_ends_elsewhere_is_no_drift(offset):
     at, value, _ = regular(80.0)
     around = np.exp(-(((at - 42.4) / 1.0) ** 2))  # at 60 %, the end of exhale
-    told = follow(at, value + offset * around)
-    assert "drift" not in {kind for kind, _ in onsets(told, at)}
+    reported = follow(at, value + offset * around)
+    assert "drift" not in {kind for kind, _ in onsets(reported, at)}
 
 
 def test_an_event_that_was_under_way_is_not_reported_behind_a_gap_but_a_drift_is():
     at, value, _ = regular(80.0)
     value = value + np.where(at > 30.0, 4.0, 0.0) + spikes(at, 60.0, 3, 10.0)
     kept = (at < 61.3) | (at > 62.3)
-    told = follow(at[kept], value[kept])
-    before, behind = told[np.searchsorted(at[kept], 61.2)], told[np.searchsorted(at[kept], 62.31)]
+    reported = follow(at[kept], value[kept])
+    before, behind = reported[np.searchsorted(at[kept], 61.2)], reported[np.searchsorted(at[kept], 62.31)]
     assert kinds(before) == {"cough", "drift"}
     assert kinds(behind) == {"drift"}
 

@@ -10,16 +10,16 @@ from engine.motion.breathing import correct_baseline, follow_breathing, shifted,
 from tests.support.motion.breathing_traces import breath, follow, kinds, onsets, regular, times
 
 
-def turn_error(told_percent, true_percent):
-    return abs((told_percent - true_percent + 50.0) % 100.0 - 50.0)
+def turn_error(reported_percent, true_percent):
+    return abs((reported_percent - true_percent + 50.0) % 100.0 - 50.0)
 
 
 @pytest.mark.parametrize("fps", [5.0, 10.0, 30.0, 60.0])
 @pytest.mark.parametrize(("amplitude", "period"), [(4.0, 5.0), (10.0, 4.0), (16.0, 3.0), (12.0, 7.0)])
 def test_the_phase_of_regular_breathing_is_true_to_a_few_per_cent(fps, amplitude, period):
     at, value, true = regular(60.0, amplitude=amplitude, period=period, fps=fps)
-    told = follow(at, value)
-    late = [(one, phase) for one, phase, seconds in zip(told, true, at, strict=True) if seconds > 6.0 * period]
+    reported = follow(at, value)
+    late = [(one, phase) for one, phase, seconds in zip(reported, true, at, strict=True) if seconds > 6.0 * period]
     assert all(one.phase_percent is not None for one, _ in late)
     errors = [turn_error(one.phase_percent, phase) for one, phase in late]
     assert np.mean(errors) < 4.0
@@ -73,8 +73,8 @@ def test_a_doll_does_not_breathe(what):
         "noise": np.random.default_rng(1).normal(0.0, 0.1, len(at)),
         "heart": 0.15 * np.sin(2.0 * np.pi * 1.1 * at) + np.random.default_rng(1).normal(0.0, 0.1, len(at)),
     }[what]
-    told = follow(at, value)
-    assert all(one.phase_percent is None and not one.events for one in told)
+    reported = follow(at, value)
+    assert all(one.phase_percent is None and not one.events for one in reported)
 
 
 @pytest.mark.parametrize("way", ["missing", "nan"])
@@ -82,34 +82,34 @@ def test_after_a_gap_no_phase_is_reported_until_breaths_are_found_again(way):
     at, value, _ = regular(80.0)
     is_gap = (at >= 40.0) & (at < 41.0)
     if way == "nan":
-        told = follow(at, np.where(is_gap, math.nan, value))
+        reported = follow(at, np.where(is_gap, math.nan, value))
     else:
         at = at[~is_gap]
-        told = follow(at, value[~is_gap])
-    after = {round(seconds, 2): one for seconds, one in zip(at, told, strict=True)}
+        reported = follow(at, value[~is_gap])
+    after = {round(seconds, 2): one for seconds, one in zip(at, reported, strict=True)}
     assert after[39.9].phase_percent is not None
     assert after[41.5].phase_percent is None
     assert after[41.5].note == "not measured for a moment"
     assert after[50.0].phase_percent is None  # one breath is not enough
     assert after[58.0].phase_percent is not None
-    assert onsets(told, at) == []
+    assert onsets(reported, at) == []
 
 
 def test_a_frame_or_two_that_are_lost_cost_nothing():
     at, value, true = regular(60.0)
     kept = np.ones(len(at), dtype=bool)
     kept[1200:1203] = kept[1500:1501] = False
-    told = follow(at[kept], value[kept])
-    late = [(one, phase) for one, phase, seconds in zip(told, true[kept], at[kept], strict=True) if seconds > 30.0]
+    reported = follow(at[kept], value[kept])
+    late = [(one, phase) for one, phase, seconds in zip(reported, true[kept], at[kept], strict=True) if seconds > 30.0]
     assert all(one.phase_percent is not None for one, _ in late)
 
 
 def test_quantised_breathing_is_followed_as_well():
     at, value, true = regular(60.0, amplitude=8.0)
-    told = follow(at, np.round(value / 0.5) * 0.5)
-    errors = [turn_error(one.phase_percent, phase) for one, phase in list(zip(told, true, strict=True))[900:]]
+    reported = follow(at, np.round(value / 0.5) * 0.5)
+    errors = [turn_error(one.phase_percent, phase) for one, phase in list(zip(reported, true, strict=True))[900:]]
     assert np.mean(errors) < 4.0
-    assert onsets(told, at) == []
+    assert onsets(reported, at) == []
 
 
 @pytest.mark.parametrize("share", [0.15, 0.55, 0.9], ids=["in", "out", "rest"])
@@ -120,29 +120,29 @@ def test_another_zero_is_no_event_and_keeps_the_phase(share):
     for seconds, one in zip(at[:cut].tolist(), value[:cut].tolist(), strict=True):
         state = follow_breathing(state, seconds, one)
     state = shifted(state, -25.0)
-    told = follow(at[cut:], value[cut:] - 25.0, state=state)
-    assert all(one.phase_percent is not None and not one.events for one in told)
-    assert told[-1].drift == pytest.approx(0.0, abs=0.2)
-    assert told[-1].baseline == pytest.approx(-25.0, abs=0.3)
+    reported = follow(at[cut:], value[cut:] - 25.0, state=state)
+    assert all(one.phase_percent is not None and not one.events for one in reported)
+    assert reported[-1].drift == pytest.approx(0.0, abs=0.2)
+    assert reported[-1].baseline == pytest.approx(-25.0, abs=0.3)
 
 
 def test_a_zero_that_is_set_twice_in_a_second_is_no_cough():
     at, value, _ = regular(44.0)
-    state, told = start_breathing(SignalChoice()), []
+    state, reported = start_breathing(SignalChoice()), []
     for seconds, one in zip(at.tolist(), value.tolist(), strict=True):
         for moment, by in ((40.0, -25.0), (40.5, 25.0)):
             state = shifted(state, by) if abs(seconds - moment) < 0.01 else state
         zero = 25.0 if 39.99 < seconds < 40.49 else 0.0
         state = follow_breathing(state, seconds, one - zero)
-        told.append(state.breath)
-    assert onsets(told, at) == []
+        reported.append(state.breath)
+    assert onsets(reported, at) == []
 
 
 def test_an_unannounced_shift_is_detected():
     at, value, _ = regular(80.0)
-    told = follow(at, np.where(at > 40.0, value - 6.0, value))
-    assert told[-1].drift == pytest.approx(-6.0, abs=0.3)
-    assert "drift" in {kind for kind, _ in onsets(told, at)}
+    reported = follow(at, np.where(at > 40.0, value - 6.0, value))
+    assert reported[-1].drift == pytest.approx(-6.0, abs=0.3)
+    assert "drift" in {kind for kind, _ in onsets(reported, at)}
 
 
 def test_a_baseline_that_a_person_confirmed_ends_the_drift():
@@ -156,8 +156,8 @@ def test_a_baseline_that_a_person_confirmed_ends_the_drift():
     assert kinds(confirmed.breath) == set()
     assert confirmed.breath.drift == pytest.approx(0.0, abs=0.01)
     later, more, _ = regular(120.0)
-    told = follow(later[2400:], more[2400:] + 4.0, state=confirmed)
-    assert onsets(told, later[2400:]) == []
+    reported = follow(later[2400:], more[2400:] + 4.0, state=confirmed)
+    assert onsets(reported, later[2400:]) == []
 
 
 def test_a_correction_counts_from_where_the_level_was_learned_and_can_be_taken_back():
@@ -188,22 +188,22 @@ def test_the_phase_waits_for_a_breath_that_is_late_and_is_given_up_before_long()
     pause = np.clip(at - 50.8, 0.0, 3.0)  # at 70 %, at rest
     value = 10.0 * breath((at - pause) / 4.0) + np.random.default_rng(0).normal(0.0, 0.05, len(at))
     waiting = [one for seconds, one in zip(at, follow(at, value), strict=True) if 51.0 < seconds < 53.7]
-    told = [one for one in waiting if one.phase_percent is not None]
-    assert told
-    assert all(60.0 < one.phase_percent < 85.0 for one in told)
+    reported = [one for one in waiting if one.phase_percent is not None]
+    assert reported
+    assert all(60.0 < one.phase_percent < 85.0 for one in reported)
     assert waiting[-1].phase_percent is None
     assert waiting[-1].note == "the breath is late"
-    assert told[-1].phase_confidence < 0.3 < told[0].phase_confidence
+    assert reported[-1].phase_confidence < 0.3 < reported[0].phase_confidence
 
 
 def test_a_cycle_that_is_longer_by_a_quarter_does_not_run_ahead():
     at = times(60.0)
     stretched = np.where(at < 40.0, at / 4.0, 10.0 + (at - 40.0) / 5.0)
     value = 10.0 * breath(stretched) + np.random.default_rng(0).normal(0.0, 0.05, len(at))
-    told = follow(at, value)
+    reported = follow(at, value)
     errors = [
         turn_error(one.phase_percent, 100.0 * (true % 1.0))
-        for one, true, seconds in zip(told, stretched, at, strict=True)
+        for one, true, seconds in zip(reported, stretched, at, strict=True)
         if 40.0 < seconds < 55.0 and one.phase_percent is not None
     ]
     assert len(errors) > 400

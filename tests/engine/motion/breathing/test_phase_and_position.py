@@ -31,11 +31,11 @@ def level(phase):
 
 @dataclass
 class On:
-    """When the beam would be on [s], the levels then [mm], and all that was told."""
+    """When the beam would be on [s], the levels then [mm], and all that was reported."""
 
     at_s: list
     levels: list
-    told: list
+    reported: list
 
     def seconds(self, is_bad, from_s, to_s=math.inf):
         pairs = zip(self.at_s, self.levels, strict=True)
@@ -51,7 +51,7 @@ def gated(signal, seconds, window):
         verdict = window.judge(WindowInput(MOTION, (state.breath,), round(now_s * 1e6)), states)
         states = verdict.states
         inside = inside + 1 if verdict.is_inside else 0
-        on.told.append(state.breath)
+        on.reported.append(state.breath)
         if inside > 3:
             on.at_s.append(now_s)
             on.levels.append(mm)
@@ -92,7 +92,7 @@ def test_a_breath_of_another_length_has_the_beam_on_elsewhere_for_a_blink_in_all
     )
     assert_was_on_before(on, change_s)
     assert on.seconds(ELSEWHERE[window], change_s) <= BLINK_S
-    assert on.told[-1].phase_percent is not None  # a new habit is learned
+    assert on.reported[-1].phase_percent is not None  # a new habit is learned
 
 
 def lifted(by_mm, begin_s, within_s):
@@ -105,8 +105,8 @@ def test_a_body_that_is_lifted_has_no_phase_until_a_person_confirms(share):
     on = gated(lifted(10.0, begin_s, 0.5), 150.0, EXHALE)
     assert_was_on_before(on, 60.0)
     assert on.seconds(ELSEWHERE[EXHALE], begin_s) <= BLINK_S
-    assert (on.told[-1].phase_percent, on.told[-1].phase_confidence) == (None, 0.0)
-    assert on.told[-1].note == "the baseline has drifted"
+    assert (on.reported[-1].phase_percent, on.reported[-1].phase_confidence) == (None, 0.0)
+    assert on.reported[-1].note == "the baseline has drifted"
 
 
 def test_a_body_that_is_lifted_on_its_way_in_is_no_sigh():
@@ -119,7 +119,7 @@ def test_a_body_that_sinks_has_no_phase_either():
     on = gated(lifted(-10.0, 60.8, 0.5), 100.0, INHALE)
     assert_was_on_before(on, 60.0)
     assert on.seconds(ELSEWHERE[INHALE], 60.8) <= BLINK_S
-    assert on.told[-1].note == "the baseline has drifted"
+    assert on.reported[-1].note == "the baseline has drifted"
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0], ids=["up", "down"])
@@ -135,21 +135,21 @@ def test_a_body_that_drifts_is_not_treated_beyond_a_third_of_its_breath(way):
 
 def test_a_step_within_the_bound_costs_a_breath_or_two_and_no_more():
     on = gated(lifted(2.5, 61.6, 0.5), 100.0, EXHALE)
-    assert "the level does not match the phase" in {one.note for one in on.told}
+    assert "the level does not match the phase" in {one.note for one in on.reported}
     assert on.seconds(lambda _: True, 80.0) > 20.0 * 0.15
 
 
-@pytest.mark.parametrize(("by_mm", "is_told"), [(1.9, True), (2.4, False)])
-def test_a_shallow_breath_may_drift_by_two_millimetres(by_mm, is_told):
+@pytest.mark.parametrize(("by_mm", "is_reported"), [(1.9, True), (2.4, False)])
+def test_a_shallow_breath_may_drift_by_two_millimetres(by_mm, is_reported):
     signal = lifted(by_mm, 60.0, 60.0)
     on = gated(lambda now_s: signal(now_s) - 0.6 * level(now_s / 4.0), 140.0, EXHALE)
-    assert (on.told[-1].phase_percent is not None) is is_told
+    assert (on.reported[-1].phase_percent is not None) is is_reported
 
 
 def test_no_breath_is_so_deep_that_it_may_drift_by_more_than_five_millimetres():
     signal = lifted(5.4, 60.0, 60.0)
     on = gated(lambda now_s: signal(now_s) + level(now_s / 4.0), 140.0, EXHALE)
-    assert on.told[-1].note == "the baseline has drifted"
+    assert on.reported[-1].note == "the baseline has drifted"
 
 
 def test_a_correction_that_a_person_confirms_brings_the_phase_back_and_its_end_takes_it_again():
@@ -177,8 +177,8 @@ def test_a_breath_half_as_deep_again_or_a_third_shallower_keeps_its_phase_until_
         return level(now_s / 4.0) * (times if 62.0 <= now_s < 66.0 else 1.0)  # from one end of exhale to the next
 
     on = gated(signal, 72.0, INHALE)
-    assert all(one.phase_percent is not None for one in on.told[61 * FPS : round(64.6 * FPS)])
-    assert "the level does not match the phase" not in {one.note for one in on.told}
+    assert all(one.phase_percent is not None for one in on.reported[61 * FPS : round(64.6 * FPS)])
+    assert "the level does not match the phase" not in {one.note for one in on.reported}
 
 
 def test_the_body_of_a_volume_is_judged_in_litres():

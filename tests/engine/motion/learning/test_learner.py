@@ -1,4 +1,4 @@
-"""Models take over between two frames: no step, no walking zero, never under an armed gate, and all of it is told."""
+"""Models take over between two frames: no step, no drift of the reference, never while armed, always reported."""
 
 import threading
 from dataclasses import replace
@@ -123,7 +123,7 @@ def test_a_model_that_sees_everything_half_a_millimetre_deeper_still_moves_nothi
 
     patient.learner._stages = replace(STAGES, prepare=deeper)
     retrain(patient)
-    figures = patient.told(LearningEventKind.SWAPPED)[-1].figures
+    figures = patient.reported(LearningEventKind.SWAPPED)[-1].figures
     step = np.abs(steady_mm(patient) - before)
     assert figures["zero_after_mm"] - figures["zero_before_mm"] > 0.4
     assert figures["volume_correction_l"] < -0.01
@@ -142,7 +142,7 @@ def test_the_sign_does_not_flip_over_retrainings(patient):
 def test_zero_does_not_walk_over_twenty_retrainings_of_a_steady_patient(learned):
     patient = hurried(learned)
     before = steady_mm(patient)
-    while len(patient.told(LearningEventKind.SWAPPED)) < 21:
+    while len(patient.reported(LearningEventKind.SWAPPED)) < 21:
         assert patient.index < 3000
         see_quick_breath(patient)
     after = steady_mm(patient)
@@ -156,7 +156,7 @@ def test_zero_does_not_follow_a_patient_who_drifts(learned):
     patient = hurried(learned)
     while patient.index < 500:
         see_quick_breath(patient, shift_mm=(0.0, 0.0, 0.02 * patient.index))
-    assert len(patient.told(LearningEventKind.SWAPPED)) > 6
+    assert len(patient.reported(LearningEventKind.SWAPPED)) > 6
     drift_mm = 0.02 * patient.index
     there = [training_frames.frame(9000 + i, excursion=(0.0, 0.0), shift_mm=(0.0, 0.0, drift_mm)) for i in range(30)]
     seen = np.mean([patient.measured(frame) for frame in there], axis=0)
@@ -188,8 +188,8 @@ def test_a_model_that_disagrees_on_where_the_patient_is_is_refused_and_the_prese
 
     patient.learner._stages = replace(STAGES, prepare=biased)
     patient.learner.activate(shifted)
-    patient.see_until(lambda: patient.told(LearningEventKind.REFUSED))
-    notice = patient.told(LearningEventKind.REFUSED)[0]
+    patient.see_until(lambda: patient.reported(LearningEventKind.REFUSED))
+    notice = patient.reported(LearningEventKind.REFUSED)[0]
     assert notice.figures["field"] == "carry.correction_mm"
     assert float(notice.figures["value"]) == pytest.approx(1.5, abs=0.1)
     assert notice.figures["bound"] == "at most 1"
@@ -201,15 +201,15 @@ def test_a_patient_the_present_model_does_not_know_any_more_keeps_no_zero_silent
     first = patient.learner.active
     patient.learner.retrain()
     other = 25.0 * np.cos(np.linspace(0.0, 9.0 * np.pi, BELLY.shape[1]))
-    patient.see_until(lambda: patient.told(LearningEventKind.REFUSED), shape=other)
-    assert patient.told(LearningEventKind.REFUSED)[0].figures["field"] == "carry.frames"
+    patient.see_until(lambda: patient.reported(LearningEventKind.REFUSED), shape=other)
+    assert patient.reported(LearningEventKind.REFUSED)[0].figures["field"] == "carry.frames"
     assert "without keeping the reference" in patient.learner.progress.note
     assert patient.learner.active is first
     patient.learner.retrain(keeps_zero=False)
     patient.see_until(lambda: patient.learner.active is not first, shape=other)
     patient.see(shape=other)
     assert not patient.learner.status.has_reference
-    assert patient.told(LearningEventKind.ZERO_NEEDED)
+    assert patient.reported(LearningEventKind.ZERO_NEEDED)
     patient.learner.set_reference()
     patient.see(shape=other)
     assert patient.learner.status.has_reference
@@ -218,7 +218,7 @@ def test_a_patient_the_present_model_does_not_know_any_more_keeps_no_zero_silent
 def test_a_refusal_is_shown_for_half_a_minute_and_a_refused_model_leaves_the_present_one(patient):
     first = patient.learner.active
     patient.learner.retrain()
-    patient.see_until(lambda: patient.told(LearningEventKind.REFUSED), excursion=(0.0, 0.0))
+    patient.see_until(lambda: patient.reported(LearningEventKind.REFUSED), excursion=(0.0, 0.0))
     assert "no breathing was measured" in patient.learner.progress.note
     assert not patient.learner.is_gathering
     patient.index += round(31e6 / FRAME_US)
@@ -244,7 +244,7 @@ def test_a_model_waits_while_the_present_one_is_kept_and_takes_over_when_it_is_n
     patient.see()
     assert patient.learner.active is not first
     assert patient.learner.generation == generation + 1
-    assert patient.told(LearningEventKind.SWAPPED)
+    assert patient.reported(LearningEventKind.SWAPPED)
 
 
 def test_a_waiting_model_is_applied_on_a_person_s_word(patient):
@@ -271,8 +271,8 @@ def test_models_are_learned_again_at_intervals_and_only_then(learned):
     patient.learner.activate(learned)
     for _ in range(round(30e6 / FRAME_US)):
         patient.see()
-    started = [notice.timestamp_us / 1e6 for notice in patient.told(LearningEventKind.STARTED)]
-    swapped = [notice.timestamp_us / 1e6 for notice in patient.told(LearningEventKind.SWAPPED)]
+    started = [notice.timestamp_us / 1e6 for notice in patient.reported(LearningEventKind.STARTED)]
+    swapped = [notice.timestamp_us / 1e6 for notice in patient.reported(LearningEventKind.SWAPPED)]
     assert len(started) == 2
     assert started[0] == pytest.approx(10.0, abs=0.1)
     assert started[1] - swapped[1] == pytest.approx(10.0, abs=0.1)
@@ -281,14 +281,14 @@ def test_models_are_learned_again_at_intervals_and_only_then(learned):
     for _ in range(30):
         idle.see()
         idle.index += 900
-    assert not idle.told(LearningEventKind.STARTED)
+    assert not idle.reported(LearningEventKind.STARTED)
 
 
 def test_an_interval_that_was_refused_is_tried_again_after_another(learned):
     patient = Patient(replace(FEWER, retrain_interval_s=10.0, max_seconds=2.0))
     patient.learner.activate(learned)
-    patient.see_until(lambda: len(patient.told(LearningEventKind.REFUSED)) == 2, excursion=(0.0, 0.0))
-    times = [notice.timestamp_us / 1e6 for notice in patient.told(LearningEventKind.STARTED)]
+    patient.see_until(lambda: len(patient.reported(LearningEventKind.REFUSED)) == 2, excursion=(0.0, 0.0))
+    times = [notice.timestamp_us / 1e6 for notice in patient.reported(LearningEventKind.STARTED)]
     assert times[1] - times[0] == pytest.approx(12.0, abs=0.3)
 
 
@@ -297,11 +297,11 @@ def test_a_newer_model_takes_the_place_of_one_that_waits(patient):
     first = patient.learner.active
     for expected in (1, 2):
         patient.learner.retrain()
-        patient.see_until(lambda n=expected: len(patient.told(LearningEventKind.READY)) == n)
+        patient.see_until(lambda n=expected: len(patient.reported(LearningEventKind.READY)) == n)
     patient.learner.keep_model(is_kept=False)
     patient.see()
     assert patient.learner.active is not first
-    assert len(patient.told(LearningEventKind.SWAPPED)) == 2  # the fixture's own, and this one
+    assert len(patient.reported(LearningEventKind.SWAPPED)) == 2  # the fixture's own, and this one
 
 
 def test_frames_are_measured_while_a_model_is_fitted_and_commands_wait(learned):
@@ -348,14 +348,14 @@ def test_no_frame_waits_for_the_trainer_s_thread(learned):
     assert patient.learner.active is first
     enough.set()
     patient.see_until(lambda: patient.learner.active is not first, most=100_000)
-    assert len(patient.told(LearningEventKind.SWAPPED)) == 2
+    assert len(patient.reported(LearningEventKind.SWAPPED)) == 2
 
 
 def test_every_swap_tells_both_zeros_and_the_correction(patient):
     retrain(patient)
     ready, swapped = (
-        patient.told(LearningEventKind.READY)[0].figures,
-        patient.told(LearningEventKind.SWAPPED)[-1].figures,
+        patient.reported(LearningEventKind.READY)[0].figures,
+        patient.reported(LearningEventKind.SWAPPED)[-1].figures,
     )
     assert ready == swapped
     assert abs(swapped["zero_after_mm"] - swapped["zero_before_mm"]) <= swapped["correction_mm"] + 1e-4
@@ -392,14 +392,14 @@ def test_a_stored_model_measures_at_once_but_arming_is_refused_until_it_was_comp
         patient.learner.retrain()
     patient.see_until(lambda: patient.learner.status.patient_match is not None)
     assert patient.learner.status.model_shortcoming is None
-    assert patient.told(LearningEventKind.COMPARED)[0].figures["is_accepted"]
+    assert patient.reported(LearningEventKind.COMPARED)[0].figures["is_accepted"]
 
 
 def test_the_zero_of_another_fraction_is_not_taken_over_a_person_sets_it(learned):
     patient = resumed(learned)
     assert patient.see() is not None
     assert not patient.learner.status.has_reference
-    assert patient.told(LearningEventKind.ZERO_NEEDED)
+    assert patient.reported(LearningEventKind.ZERO_NEEDED)
     patient.learner.set_reference()
     assert not patient.learner.status.has_reference
     patient.see()
@@ -436,7 +436,7 @@ def test_shift_is_reported_in_mm_and_small_ones_are_accepted(learned, shift_mm):
 def test_a_patient_too_far_from_the_model_is_refused_by_figure_and_a_new_model_is_learned(learned, surface, field):
     patient = resumed(learned, **surface)
     assert patient.learner.status.patient_match.refusal.field == field
-    assert patient.told(LearningEventKind.REFUSED)[0].figures["field"] == field
+    assert patient.reported(LearningEventKind.REFUSED)[0].figures["field"] == field
     assert patient.learner.active is None
     assert patient.learner.is_gathering
     assert field in patient.learner.progress.note

@@ -42,7 +42,7 @@ def test_the_model_measures_on_but_arming_is_refused_until_it_was_compared_and_a
     patient.learner.set_reference()
     patient.see()
     assert patient.learner.status.has_reference
-    assert patient.told(LearningEventKind.ZERO_NEEDED)
+    assert patient.reported(LearningEventKind.ZERO_NEEDED)
 
 
 def test_what_an_earlier_comparison_said_is_said_no_more(patient):
@@ -63,7 +63,7 @@ def test_a_camera_that_hangs_far_from_where_it_did_costs_the_model(patient):
     patient.learner.restart_after_disconnection()
     patient.see_until(lambda: patient.learner.active is None, shift_mm=(60.0, 0.0, 0.0))
     assert patient.learner.is_gathering
-    assert patient.told(LearningEventKind.REFUSED)
+    assert patient.reported(LearningEventKind.REFUSED)
 
 
 def test_what_was_being_gathered_or_waited_is_dropped(patient):
@@ -129,7 +129,7 @@ def test_a_model_that_cannot_be_compared_is_learned_again(patient):
     assert patient.learner.is_gathering
 
 
-def test_nobody_learns_while_the_patient_is_compared(patient):
+def test_no_training_while_the_patient_is_compared(patient):
     patient.learner.restart_after_disconnection()
     with pytest.raises(CommandRefusedError, match="compared"):
         patient.learner.retrain()
@@ -140,7 +140,7 @@ DROPPED = "dropped: the camera was disconnected"
 
 def dropped(patient):
     patient.see()
-    return [one for one in patient.told(LearningEventKind.REFUSED) if DROPPED in one.detail]
+    return [one for one in patient.reported(LearningEventKind.REFUSED) if DROPPED in one.detail]
 
 
 def test_dropping_a_model_that_was_just_activated_is_reported(patient, learned):

@@ -28,8 +28,8 @@ def gather(indices, settings=FEW, **surface):
 
 def refusal_of(patient, **surface):
     """What the patient's first training is refused for."""
-    patient.see_until(lambda: patient.told("refused"), **surface)
-    return patient.told("refused")[0]
+    patient.see_until(lambda: patient.reported("refused"), **surface)
+    return patient.reported("refused")[0]
 
 
 # -- completeness -------------------------------------------------------------------------------------------------

@@ -109,9 +109,9 @@ def test_a_patient_lying_across_the_picture_is_taken_to_lie_with_the_head_to_its
     found = find_markers(rgb, SEARCH)
     assert isinstance(found, Markers)
     assert np.abs(found.centers_px - across).max() < 0.1
-    told = find_markers(rgb, MarkerSearch(diameter_px=DIAMETER_PX, superior_px=(1.0, 0.0)))
-    assert isinstance(told, Markers)
-    assert np.abs(told.centers_px - across[[2, 3, 0, 1]]).max() < 0.1
+    reported = find_markers(rgb, MarkerSearch(diameter_px=DIAMETER_PX, superior_px=(1.0, 0.0)))
+    assert isinstance(reported, Markers)
+    assert np.abs(reported.centers_px - across[[2, 3, 0, 1]]).max() < 0.1
 
 
 def test_an_empty_and_a_white_picture_hold_no_markers():

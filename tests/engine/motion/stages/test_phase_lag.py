@@ -117,7 +117,7 @@ def test_many_pairs_are_each_reported():
     assert all(lag.lag_s == pytest.approx(0.0 if i % 2 else 0.3, abs=0.02) for i, lag in enumerate(lags))
 
 
-# -- when it cannot be told ---------------------------------------------------------------------------------------
+# -- when it cannot be determined ---------------------------------------------------------------------------------
 
 
 def note_of(seconds, both):

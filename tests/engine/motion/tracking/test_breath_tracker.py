@@ -62,10 +62,10 @@ def patient(frames):
 
 def test_breaths_come_with_measured_frames_one_a_signal_in_order(frames):
     patient = Patient(frames)
-    told = patient.measure(700)
-    assert {len(one.breaths) for one in told if one.state is MeasurementState.TRAINING} == {0}
-    assert all(tuple(b.signal for b in one.breaths) == CHOICES for one in told if one.motion is not None)
-    last = told[-1].breaths
+    reported = patient.measure(700)
+    assert {len(one.breaths) for one in reported if one.state is MeasurementState.TRAINING} == {0}
+    assert all(tuple(b.signal for b in one.breaths) == CHOICES for one in reported if one.motion is not None)
+    last = reported[-1].breaths
     assert all(breath.phase_percent is not None and not breath.events for breath in last)
     assert [breath.rate_per_min for breath in last] == pytest.approx([15.0] * 3, rel=0.03)
     assert last[1].amplitude < 2.0 < last[0].amplitude < last[2].amplitude

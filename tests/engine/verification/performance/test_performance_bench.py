@@ -390,15 +390,15 @@ def test_bad_options_are_refused_in_one_line(options, said):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=str)
-def test_told_to_end_it_leaves_no_temporary_folder_and_says_so_in_one_line(number, tmp_path, monkeypatch):
+def test_on_sigterm_it_leaves_no_temporary_folder_and_reports_it_in_one_line(number, tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     seen = []
 
-    def told_to_end(work, _seconds, _tell):
+    def asked_to_end(work, _seconds, _tell):
         seen.append(work.parent)
         signal.raise_signal(number)
 
-    monkeypatch.setattr(bench_command, "make_recording", told_to_end)
+    monkeypatch.setattr(bench_command, "make_recording", asked_to_end)
     before = signal.getsignal(signal.SIGTERM)
     # Started in the background, as a test run may be, Python leaves Ctrl-C ignored.
     interrupt = signal.signal(signal.SIGINT, signal.default_int_handler)

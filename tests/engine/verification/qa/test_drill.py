@@ -105,10 +105,10 @@ def test_a_line_that_went_off_otherwise_proves_no_watchdog(line):
 def test_every_line_is_held_before_it_is_closed_and_off_at_the_end(line):
     given = beam_of(line)
     drill_line(given, lambda _done: None)
-    told = given.line.told
-    last_permit = max((n for n, what in enumerate(told) if what == "permit"), default=-1)
-    assert "hold" in told[last_permit + 1 : len(told) - told[::-1].index("close")]
-    assert told.count("close") == 1
+    calls = given.line.calls
+    last_permit = max((n for n, what in enumerate(calls) if what == "permit"), default=-1)
+    assert "hold" in calls[last_permit + 1 : len(calls) - calls[::-1].index("close")]
+    assert calls.count("close") == 1
     given.wait_ns(NS_PER_S)
     assert not given.line.is_on()
 
@@ -127,8 +127,8 @@ def test_a_drill_that_is_cancelled_ends_with_the_line_held_and_closed(cancelled_
     with pytest.raises(Cancelled):
         drill_line(given, on_pulse)
     assert not given.line.is_on()
-    assert given.line.told[-2:] == ["close", "hold"]
-    assert "permit" not in given.line.told[-4:]
+    assert given.line.calls[-2:] == ["close", "hold"]
+    assert "permit" not in given.line.calls[-4:]
 
 
 def test_progress_is_reported_after_every_drill():

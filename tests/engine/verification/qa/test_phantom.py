@@ -40,12 +40,12 @@ def phantom():
     return virtual_phantom()
 
 
-def told(given, frames):
+def calls(given, frames):
     return {figure.code: figure for figure in figures_of(given, run_of(given, frames))}
 
 
 def values(given, frames):
-    return {code: figure.value for code, figure in told(given, frames).items()}
+    return {code: figure.value for code, figure in calls(given, frames).items()}
 
 
 def test_a_perfect_phantom_has_no_error_and_a_gate_that_is_half_a_frame_late(phantom):
@@ -249,7 +249,7 @@ def test_a_patient_s_trace_tells_of_the_motion_and_says_that_it_cannot_tell_of_t
     trace = read_commanded(ROBOT)
     middle_mm = float(np.mean(trace.reach_mm))
     given = replace(phantom, trace=trace, window_mm=(-60.0, middle_mm))
-    found = told(*watched(given))
+    found = calls(*watched(given))
     assert all(found[code].value is not None for code in MOTION_CODES)
     assert found["motion_error_mm"].value < 0.05
     assert all(found[code].value is None and "sines" in found[code].detail for code in GATE_CODES)

@@ -125,7 +125,7 @@ def test_missing_pixels_are_counted_over_all_frames():
         return depth
 
     results = results_of(plate(holes))
-    # In a quarter of the frames a pixel is a hole; 75 % of readings are too few for a mean, and that is told too.
+    # In a quarter of the frames a pixel is a hole; 75 % of readings are too few for a mean, and that is reported too.
     assert results["plate_missing_percent"].verdict is QaVerdict.FAIL
 
     def some(depth, index):

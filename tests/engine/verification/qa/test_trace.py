@@ -1,4 +1,4 @@
-"""What a phantom was told: read strictly, and where it is between samples."""
+"""What a phantom was reported: read strictly, and where it is between samples."""
 
 import numpy as np
 import pytest

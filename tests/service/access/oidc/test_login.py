@@ -81,7 +81,7 @@ def outside(shared):
 
 @pytest.fixture
 def client(shared, outside):
-    """A browser at the shared service, in which nobody has been yet."""
+    """A browser at the shared service, in which no one has been yet."""
     _, client = shared
     store, refused_logins = client.app.state.access.store, client.app.state.access.refused_logins
     store.write(drop=[*store.logins.values(), *store.attempts.values()])
@@ -195,7 +195,7 @@ def test_roles_are_those_of_today_in_every_log_in_of_the_person(client, outside)
     assert client.get("/api/v1/me").json()["roles"] == ["physicist", "viewer"]
 
 
-def test_nobody_without_a_mapped_group_gets_in_and_the_refusal_says_who_it_was(client, outside):
+def test_a_person_without_a_mapped_group_is_refused_and_named_in_the_refusal(client, outside):
     outside.person["groups"] = ["canteen"]
     back = log_in(client)
     assert back.status_code == 403
@@ -308,7 +308,7 @@ def test_nothing_that_comes_from_outside_stands_in_the_page_of_a_refusal(client,
 
 
 @pytest.mark.parametrize("elsewhere", ["next=//evil.example", "redirect_uri=https://evil.example", "return_to=/\\evil"])
-def test_nobody_is_sent_elsewhere_after_the_log_in(client, elsewhere):
+def test_there_is_no_redirect_to_other_sites_after_the_log_in(client, elsewhere):
     assert client.get(f"{go(client)}&{elsewhere}").headers["Location"] == "/"
 
 
@@ -424,11 +424,11 @@ def test_other_accounts_of_our_own_are_refused_once_their_password_was_right(cli
 def test_the_first_administrator_of_a_new_folder_gets_in_although_people_log_in_at_the_provider(
     tmp_path, outside, oidc
 ):
-    told = {}
+    reported = {}
     settings = Settings(data_dir=tmp_path / "data", allowed_hosts=("testserver",), **oidc(outside))
-    app = create_app(settings, lambda _settings: FakeEngine(), tell_first=told.__setitem__)
+    app = create_app(settings, lambda _settings: FakeEngine(), tell_first=reported.__setitem__)
     with TestClient(app) as client:
-        [(name, password)] = told.items()
+        [(name, password)] = reported.items()
         body = {"name": name, "password": password, "reason": "the first start"}
         assert client.post("/api/v1/login", json=body).json()["must_change_password"]
 

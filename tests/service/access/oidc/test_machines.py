@@ -27,7 +27,7 @@ from tests.support.oidc.tokens import (
 )
 
 
-class House:
+class Verifier:
     """Machines at the door of a site whose provider answers, until it does not."""
 
     def __init__(self, **changes) -> None:
@@ -49,29 +49,29 @@ class House:
 
 
 @pytest.fixture
-def house():
-    return House()
+def verifier():
+    return Verifier()
 
 
-def test_a_machine_may_do_what_its_scopes_are_mapped_to(house):
-    identity = house.machines.identify(machine_token(scope="tidegate.read openid tidegate.run"))
+def test_a_machine_may_do_what_its_scopes_are_mapped_to(verifier):
+    identity = verifier.machines.identify(machine_token(scope="tidegate.read openid tidegate.run"))
     assert (identity.kind, identity.name) == ("machine", "machine:rvs")
     assert identity.permissions == {Permission.SESSIONS_READ, Permission.SESSIONS_RUN}
     assert not identity.is_person
-    assert identity.until == NOW + timedelta(seconds=330)  # for its sockets, which nobody asks for a token again
+    assert identity.until == NOW + timedelta(seconds=330)  # for its sockets, which no one asks for a token again
 
 
 def test_scopes_may_come_as_a_list_under_another_claim():
-    house = House(oidc_machine_scope_claim="roles")
-    assert house.machines.identify(machine_token(roles=["tidegate.read"])).permissions == {Permission.SESSIONS_READ}
-    assert house.refused(machine_token()) == "scope"
+    verifier = Verifier(oidc_machine_scope_claim="roles")
+    assert verifier.machines.identify(machine_token(roles=["tidegate.read"])).permissions == {Permission.SESSIONS_READ}
+    assert verifier.refused(machine_token()) == "scope"
 
 
 @pytest.mark.parametrize(
     "scope", ["", ..., "openid", "Tidegate.read", {"tidegate.read": 1}, [["tidegate.read"]], 7], ids=str
 )
-def test_a_token_without_a_mapped_scope_opens_nothing(house, scope):
-    assert house.refused(machine_token(scope=scope)) == "scope"
+def test_a_token_without_a_mapped_scope_opens_nothing(verifier, scope):
+    assert verifier.refused(machine_token(scope=scope)) == "scope"
 
 
 def test_no_mapping_gives_a_machine_what_only_people_may():
@@ -80,74 +80,74 @@ def test_no_mapping_gives_a_machine_what_only_people_may():
     assert Permission.USERS_MANAGE not in permissions_of("all", everything)
 
 
-def test_the_machine_is_named_by_its_client_wherever_the_provider_writes_it(house):
-    assert house.machines.identify(machine_token(client_id=..., azp="planning")).name == "machine:planning"
+def test_the_machine_is_named_by_its_client_wherever_the_provider_writes_it(verifier):
+    assert verifier.machines.identify(machine_token(client_id=..., azp="planning")).name == "machine:planning"
     for client in (..., "", 7, " ", "x" * 73, "a\nb"):
-        assert house.refused(machine_token(client_id=client)) == "claims"
+        assert verifier.refused(machine_token(client_id=client)) == "claims"
 
 
-def test_a_person_s_token_opens_nothing_as_a_bearer(house):
-    assert house.refused(signed(person_claims())) == "type"
-    assert house.refused(signed(person_claims(aud=AUDIENCE), typ="at+jwt")) == "type"
-    assert house.refused(signed(machine_claims(aud=CLIENT), typ="at+jwt")) == "audience"
+def test_a_person_s_token_opens_nothing_as_a_bearer(verifier):
+    assert verifier.refused(signed(person_claims())) == "type"
+    assert verifier.refused(signed(person_claims(aud=AUDIENCE), typ="at+jwt")) == "type"
+    assert verifier.refused(signed(machine_claims(aud=CLIENT), typ="at+jwt")) == "audience"
 
 
-def test_a_token_ends_when_it_says_whatever_is_known_of_the_provider(house):
+def test_a_token_ends_when_it_says_whatever_is_known_of_the_provider(verifier):
     token = machine_token()
-    house.now = NOW + timedelta(seconds=329)
-    assert house.machines.identify(token) is not None
-    house.now = NOW + timedelta(seconds=330)
-    assert house.refused(token) == "expired"
+    verifier.now = NOW + timedelta(seconds=329)
+    assert verifier.machines.identify(token) is not None
+    verifier.now = NOW + timedelta(seconds=330)
+    assert verifier.refused(token) == "expired"
 
 
-def test_tokens_are_judged_while_the_provider_is_down_until_its_keys_are_too_old(house):
+def test_tokens_are_judged_while_the_provider_is_down_until_its_keys_are_too_old(verifier):
     token = machine_token(exp=NOW_S + 80_000)
-    house.source.is_down = True
-    house.clock.advance_ns(3600 * NS_PER_S)
-    house.provider.refresh()
-    assert house.machines.identify(token) is not None
-    house.clock.advance_ns(1)
-    assert house.refused(token) == "unknown_key"
+    verifier.source.is_down = True
+    verifier.clock.advance_ns(3600 * NS_PER_S)
+    verifier.provider.refresh()
+    assert verifier.machines.identify(token) is not None
+    verifier.clock.advance_ns(1)
+    assert verifier.refused(token) == "unknown_key"
 
 
-def test_nobody_gets_in_before_the_provider_has_ever_answered():
-    house = House()
-    fresh = Provider(issuer=ISSUER, client=house.source, clock=house.clock, refresh_s=300.0, max_age_s=3600.0)
-    house.machines._provider = fresh
-    assert house.refused(machine_token()) == "unknown_key"
+def test_no_access_before_the_provider_has_answered_once():
+    verifier = Verifier()
+    fresh = Provider(issuer=ISSUER, client=verifier.source, clock=verifier.clock, refresh_s=300.0, max_age_s=3600.0)
+    verifier.machines._provider = fresh
+    assert verifier.refused(machine_token()) == "unknown_key"
 
 
-def test_verification_makes_no_request_and_an_unknown_key_only_triggers_a_renewal(house):
-    asked = house.source.asked
+def test_verification_makes_no_request_and_an_unknown_key_only_triggers_a_renewal(verifier):
+    asked = verifier.source.asked
 
     def fail(_address):
         raise AssertionError("the guard waited for the network")
 
-    house.source.get_json = fail
-    assert house.machines.identify(machine_token()) is not None
+    verifier.source.get_json = fail
+    assert verifier.machines.identify(machine_token()) is not None
     token = signed(machine_claims(), key=OTHER_KEY, typ="at+jwt")
-    assert house.machines.identify(token) is None
-    assert house.source.asked == asked
-    assert house.provider.due_s() == MIN_INTERVAL_S  # no longer the 300 s of a quiet day
+    assert verifier.machines.identify(token) is None
+    assert verifier.source.asked == asked
+    assert verifier.provider.due_s() == MIN_INTERVAL_S  # no longer the 300 s of a quiet day
 
 
-def test_a_rotated_key_lets_the_machine_in_after_the_next_renewal_and_the_old_key_out(house):
+def test_a_rotated_key_lets_the_machine_in_after_the_next_renewal_and_the_old_key_out(verifier):
     old, new = machine_token(), signed(machine_claims(), key=OTHER_KEY, typ="at+jwt")
-    house.source.documents[f"{ISSUER}/jwks"] = published(OTHER_KEY)
-    assert house.machines.identify(new) is None
-    house.provider.refresh()
-    assert house.machines.identify(new) is not None
-    assert house.refused(old) == "unknown_key"
+    verifier.source.documents[f"{ISSUER}/jwks"] = published(OTHER_KEY)
+    assert verifier.machines.identify(new) is None
+    verifier.provider.refresh()
+    assert verifier.machines.identify(new) is not None
+    assert verifier.refused(old) == "unknown_key"
 
 
-def test_bad_tokens_that_name_known_keys_ask_for_nothing(house):
+def test_bad_tokens_that_name_known_keys_ask_for_nothing(verifier):
     for token in ("", "x.y.z", machine_token(exp=1), machine_token(aud="x")):
-        assert house.machines.identify(token) is None
-    assert house.provider.due_s() == 300.0
+        assert verifier.machines.identify(token) is None
+    assert verifier.provider.due_s() == 300.0
 
 
-def test_a_renewal_that_fails_is_reported_as_unavailable_and_nothing_else(house):
-    house.source.is_down = True
+def test_a_renewal_that_fails_is_reported_as_unavailable_and_nothing_else(verifier):
+    verifier.source.is_down = True
     with pytest.raises(OidcUnavailableError):
-        house.source.get_json("x")
-    assert not house.provider.refresh()
+        verifier.source.get_json("x")
+    assert not verifier.provider.refresh()

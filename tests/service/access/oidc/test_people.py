@@ -43,9 +43,9 @@ class Site:
         with httpx2.Client(trust_env=False) as browser:
             back = browser.get(departure.url).headers["Location"]
         assert back.startswith(f"{self.settings.oidc_redirect_uri}?")
-        told = {name: values[0] for name, values in parse_qs(urlsplit(back).query).items()}
+        reported = {name: values[0] for name, values in parse_qs(urlsplit(back).query).items()}
         returned = AuthorizationResponse(
-            state=told["state"], code=told.get("code"), error=told.get("error"), issuer=told.get("iss")
+            state=reported["state"], code=reported.get("code"), error=reported.get("error"), issuer=reported.get("iss")
         )
         return returned, departure.browser_secret
 
@@ -96,7 +96,7 @@ def test_roles_follow_the_groups_at_every_log_in(site, outside):
 
 
 @pytest.mark.parametrize("groups", [[], ..., ["canteen"], ["Radiotherapy"], {"radiotherapy": 1}, [["radiotherapy"]], 7])
-def test_nobody_without_a_mapped_group_gets_in_and_it_is_known_who_it_was(site, outside, groups):
+def test_a_person_without_a_mapped_group_is_refused_and_identified(site, outside, groups):
     outside.person["groups"] = groups
     with pytest.raises(NoRoleError) as caught:
         site.log_in()

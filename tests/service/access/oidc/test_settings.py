@@ -1,4 +1,4 @@
-"""Half a provider, or one that anybody could listen to, is refused where the settings are read."""
+"""Half a provider, or one that anyone could listen to, is refused where the settings are read."""
 
 import pytest
 from pydantic import ValidationError
@@ -86,9 +86,9 @@ def test_an_issuer_alone_is_refused():
 )
 def test_a_secret_file_without_a_secret_is_refused_and_its_content_is_not_reported(oidc, secret_file, content):
     secret_file.write_bytes(content)
-    told = refused(**oidc(HTTPS))
-    assert "OIDC_CLIENT_SECRET_FILE" in told
-    assert "lines" not in told.partition("input_value")[0]
+    reported = refused(**oidc(HTTPS))
+    assert "OIDC_CLIENT_SECRET_FILE" in reported
+    assert "lines" not in reported.partition("input_value")[0]
 
 
 def test_a_secret_file_that_is_not_there_is_refused(oidc, tmp_path):

@@ -66,7 +66,7 @@ def test_an_honest_token_of_a_machine_is_believed():
         ({"iss": ...}, "issuer"),
         ({"aud": "another-client"}, "audience"),
         ({"aud": ["another-client"]}, "audience"),
-        ({"aud": [CLIENT, "another-client"]}, "audience"),  # nobody says which of the two asked
+        ({"aud": [CLIENT, "another-client"]}, "audience"),  # no one says which of the two asked
         ({"aud": [CLIENT, "another-client"], "azp": "another-client"}, "audience"),
         ({"azp": "another-client"}, "audience"),
         ({"aud": []}, "audience"),
@@ -148,8 +148,8 @@ def _raw(header: dict[str, Any], claims: dict[str, Any]) -> str:
     from cryptography.hazmat.primitives.asymmetric.padding import PKCS1v15
     from cryptography.hazmat.primitives.hashes import SHA256
 
-    told = {name: value for name, value in header.items() if value is not ...}
-    content = f"{part(told)}.{part(claims)}"
+    reported = {name: value for name, value in header.items() if value is not ...}
+    content = f"{part(reported)}.{part(claims)}"
     return f"{content}.{part(KEY.private_key.sign(content.encode(), PKCS1v15(), SHA256()))}"
 
 

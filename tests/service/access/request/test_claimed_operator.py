@@ -1,4 +1,4 @@
-"""What takes permission away is done whatever its body says, by whoever may; what was not read is written down."""
+"""Calls that take permission away are executed with any body for a permitted caller; an unread body is recorded."""
 
 import json
 from datetime import UTC, datetime, timedelta
@@ -78,7 +78,7 @@ def status_of(client, path: str, headers: dict[str, str], messages: list) -> int
     return sent[0]["status"]
 
 
-def was_told(running, action: str) -> bool:
+def was_reported(running, action: str) -> bool:
     return running.status.is_over if action == "stop" else len(running.commands) == 1
 
 
@@ -92,7 +92,7 @@ def test_it_is_done_whatever_its_body_is_and_the_audit_says_what_was_not_read(
     body, media_type, unread = UNREAD[name]
     answer = send(client, session_id, action, body, media_type, **by_key(client))
     assert answer.status_code == 200, answer.text
-    assert was_told(running, action)
+    assert was_reported(running, action)
     client.speaks_as = "A. Therapist"
     row = audit_rows(client, f"session.{action}")[-1]
     assert (row["actor"], row["outcome"]) == ("key:tps", "done")
@@ -105,7 +105,7 @@ def test_it_is_done_though_its_body_does_not_come_whole(client, session_id, runn
     said, messages = UNFINISHED[name]
     headers = by_key(client) | said
     assert status_of(client, f"/api/v1/sessions/{session_id}/{action}", headers, messages) == 200
-    assert was_told(running, action)
+    assert was_reported(running, action)
     client.speaks_as = "A. Therapist"
     row = audit_rows(client, f"session.{action}")[-1]
     assert (row["actor"], row["detail"].get("body_not_read")) == ("key:tps", "it did not come whole")
@@ -121,7 +121,7 @@ def test_of_a_person_s_call_no_body_is_waited_for_nor_read(client, session_id, r
     said, messages = UNFINISHED.get(name, ({} if media_type is None else {"Content-Type": media_type}, [whole]))
     headers = client.headers_as("A. Therapist") | said
     assert status_of(client, f"/api/v1/sessions/{session_id}/{action}", headers, messages) == 200
-    assert was_told(running, action)
+    assert was_reported(running, action)
     row = audit_rows(client, f"session.{action}")[-1]
     assert (row["actor"], row["outcome"]) == ("A. Therapist", "done")
     assert "body_not_read" not in row["detail"], "there is nothing in it that was needed"

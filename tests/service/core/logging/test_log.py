@@ -1,4 +1,4 @@
-"""The log: one object or one line for each record, whatever was put into it, and nobody waits for who reads it."""
+"""The log: one object or one line for each record, whatever was put into it, and no one waits for who reads it."""
 
 import io
 import json
@@ -59,12 +59,12 @@ def test_a_line_says_when_how_bad_who_and_what():
 
 
 def test_a_line_says_which_request_and_which_session_it_belongs_to():
-    def told():
+    def reported():
         begin_request("mine", "/healthz")
         begin_session("0" * 32)
         return JsonFormatter().format(record_of("done")), RedactingFormatter("%(message)s").format(record_of("done"))
 
-    as_json, as_text = copy_context().run(told)
+    as_json, as_text = copy_context().run(reported)
     said = json.loads(as_json)
     assert (said["request_id"], said["session_id"], as_text) == ("mine", "0" * 32, "done [mine]")
 
@@ -117,7 +117,7 @@ def test_a_site_s_level_is_for_our_own_loggers_and_libraries_stay_quiet():
 
 
 @pytest.mark.usefixtures("_loggers_as_before")
-def test_nobody_waits_for_a_reader_that_has_stopped_and_what_finds_no_room_is_counted():
+def test_a_stopped_reader_blocks_no_caller_and_dropped_lines_are_counted():
     reading, writing = os.pipe()
     with os.fdopen(writing, "w") as stream:
         handler = NonblockingHandler(stream, most_lines=16)

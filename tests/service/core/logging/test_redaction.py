@@ -60,9 +60,9 @@ def test_so_are_those_behind_it():
 
     with pytest.raises(KeyError) as caught:
         chain()
-    told = trace_of(caught.value)
-    assert told.index("KeyError") < told.index("ValueError")
-    assert SECRET not in told
+    reported = trace_of(caught.value)
+    assert reported.index("KeyError") < reported.index("ValueError")
+    assert SECRET not in reported
 
 
 def test_an_exception_that_behind_it_is_itself_ends_somewhere():

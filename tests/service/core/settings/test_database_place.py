@@ -1,4 +1,4 @@
-"""Where the database is: the settings that say so, and the password that nobody gets to see."""
+"""Where the database is: the settings that say so, and the password that no one gets to see."""
 
 import subprocess
 import sys

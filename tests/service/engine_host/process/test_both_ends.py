@@ -45,7 +45,7 @@ def test_what_was_sent_stays_where_it_is_until_it_was_taken(source):
     assert list(source.queue) == ["e"]
 
 
-def test_nobody_takes_what_was_not_sent(source):
+def test_nothing_is_received_that_was_not_sent(source):
     outgoing = OutgoingQueue(lambda: source)
     source.put_nowait("a")
     outgoing.acknowledge(9)
@@ -125,7 +125,7 @@ class Recording:
         self.status = EngineStatus(run_state=LoopStatus.RUNNING)
 
     def on_turn(self, _send_updates) -> None:
-        """Nothing is told in between."""
+        """Nothing is reported in between."""
 
     def evidence(self):
         self.calls.append("evidence")

@@ -1,4 +1,4 @@
-"""Without a calibration: only a live camera, only its own registration, and everybody is told."""
+"""Without a calibration: only a live camera, only its own registration, and everybody is notified."""
 
 import threading
 
@@ -121,7 +121,7 @@ def test_a_nominal_calibration_serves_no_recording(client, device_body, session_
     assert client.post(URL, json=device_body | {"calibration_id": made["calibration_id"]}).status_code == 201
 
 
-def test_nobody_uploads_a_calibration_under_that_name(client):
+def test_uploading_a_calibration_under_that_name_is_refused(client):
     nominal = nominal_calibration("Fake Xtion", size_px=(640, 480), field_of_view_rad=(1.02, 0.797))
     answer = upload(client, nominal.to_json())
     assert (answer.status_code, answer.json()["field"]) == (422, "camera")

@@ -1,4 +1,4 @@
-"""Requests are counted by their route's template: nobody can make series by making up paths."""
+"""Requests are counted by their route's template: no one can make series by making up paths."""
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families

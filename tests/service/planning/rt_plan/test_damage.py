@@ -1,4 +1,4 @@
-"""Bytes that are no plan, no plan any more, or a plan against whoever reads it: refused by a code, in bounded work."""
+"""Bytes that are no plan, no plan any more, or a malicious plan: refused by a code, in bounded work."""
 
 import struct
 import tracemalloc

@@ -163,10 +163,10 @@ def test_the_patients_name_is_in_no_answer_row_log_or_file(client, settings, cap
         plan = kept(client)
         send(client, written(photon_plan())[:500])
         send(client, written(photon_plan(FractionGroupSequence=[group(fractions=1)])))
-    told = json.dumps([plan, audit_rows(client), listed(client)]) + caplog.text
+    reported = json.dumps([plan, audit_rows(client), listed(client)]) + caplog.text
     names = [word.encode() for word in PATIENT_NAME.split("^")]
     files = b"".join(path.read_bytes() for path in settings.data_dir.rglob("*") if path.is_file())
-    assert not any(name in told.encode() or name in files for name in [*names, b"19500101"])
+    assert not any(name in reported.encode() or name in files for name in [*names, b"19500101"])
 
 
 def test_the_audit_says_what_came_and_who_sent_it(client, plan):
@@ -189,7 +189,7 @@ def test_an_export_without_patients_says_nothing_of_whose_plan_came(client, plan
 
 
 def test_no_more_files_are_in_memory_than_there_are_places(client):
-    """One of two is held in the middle of its body, both places are taken, and a third is told to come again."""
+    """One of two is held in the middle of its body, both places are taken, and a third is asked to come again."""
     repository = client.app.state.services.plans
     entered, leave = threading.Barrier(3), threading.Event()
 
@@ -221,10 +221,10 @@ def test_a_site_may_keep_a_keyed_hash_in_the_place_of_the_patient_id(settings, e
     hashing = settings.model_copy(update={"plan_patient": "hash", "plan_patient_key": key_file})
     with PeopleClient(create_app(hashing, lambda _settings: engine)) as client:
         plan = kept(client)
-        told = json.dumps([plan, audit_rows(client), listed(client)])
+        reported = json.dumps([plan, audit_rows(client), listed(client)])
     hashed = hmac.new(secret, b"P-0001", hashlib.sha256).hexdigest()
     assert plan["patient_reference"] == f"h-{hashed[:32]}"
-    assert "P-0001" not in told
+    assert "P-0001" not in reported
     files = b"".join(path.read_bytes() for path in settings.data_dir.rglob("*") if path.is_file())
     assert b"P-0001" not in files
     assert secret.decode() not in repr(hashing)

@@ -48,7 +48,7 @@ def test_a_session_without_a_plan_says_so(client, calibration_id):
     assert client.post(SESSIONS, json=make_session_body(calibration_id) | {"rt_plan_id": "0" * 32}).status_code == 422
 
 
-def test_nobody_says_anything_else_of_what_the_plan_says(client, plan, asked):
+def test_values_of_the_plan_cannot_be_overridden(client, plan, asked):
     for name in ("patient_reference", "plan_id", "fraction_id", "rt_plan_id"):
         assert prepare(client, plan, asked | {name: "other"}).status_code == 422
 
@@ -204,9 +204,9 @@ def test_a_plan_that_a_later_file_contradicts_says_so_and_needs_a_person_with_a_
     for _ in range(2):
         say_otherwise(client, FractionGroupSequence=[group(fractions=29)], ApprovalStatus="UNAPPROVED")
     read = client.get(f"{URL}/{plan['id']}", headers={"If-None-Match": etag})
-    told = read.json()["contradicted"]
-    assert (read.status_code, told["approval"], told["imported_by"]) == (200, "UNAPPROVED", "A. Therapist")
-    assert {"approval", "fraction_groups"} <= set(told["differing"])
+    reported = read.json()["contradicted"]
+    assert (read.status_code, reported["approval"], reported["imported_by"]) == (200, "UNAPPROVED", "A. Therapist")
+    assert {"approval", "fraction_groups"} <= set(reported["differing"])
     (row,) = audit_rows(client, "plan.contradicted")
     assert row["detail"]["rt_plan_id"] == plan["id"]
     answer = prepare(client, plan, asked)
@@ -228,9 +228,9 @@ def test_an_approval_that_comes_later_is_no_contradiction(client, asked):
 
 def test_what_the_plan_does_not_settle_is_reported_with_the_session(client, asked):
     plan = kept(client, **of(None), ApprovalStatus="UNAPPROVED", PlanIntent="RESEARCH")
-    told = " / ".join(prepare(client, plan, asked).json()["warnings"])
+    reported = " / ".join(prepare(client, plan, asked).json()["warnings"])
     for word in ("prescribes no gating", "UNAPPROVED", "RESEARCH"):
-        assert word in told
+        assert word in reported
 
 
 def test_one_session_at_a_time_from_plans_too(client, plan, asked):

@@ -102,8 +102,8 @@ def test_an_item_may_be_written_in_other_characters_than_what_is_around_it():
 
 
 def test_the_patients_name_and_birth_date_are_nowhere_in_what_is_read():
-    told = read_plan(written(photon_plan())).model_dump_json()
-    assert not any(one in told for one in (*PATIENT_NAME.split("^"), "1950"))
+    reported = read_plan(written(photon_plan())).model_dump_json()
+    assert not any(one in reported for one in (*PATIENT_NAME.split("^"), "1950"))
 
 
 def test_private_elements_are_stepped_over_whatever_is_in_them():
@@ -242,16 +242,16 @@ def test_undeclared_characters_are_refused_and_never_guessed():
         plan = photon_plan(RTPlanLabel="X")
         plan.SpecificCharacterSet = "ISO_IR 100"
         raw = written(plan)
-        told = "\\".join([terms] if isinstance(terms, str) else terms).encode()
-        told += b" " * (len(told) % 2)
+        reported = "\\".join([terms] if isinstance(terms, str) else terms).encode()
+        reported += b" " * (len(reported) % 2)
         begin = raw.index(b"\x08\x00\x05\x00CS")
-        content = raw[: begin + 6] + len(told).to_bytes(2, "little") + told + raw[begin + 18 :]
+        content = raw[: begin + 6] + len(reported).to_bytes(2, "little") + reported + raw[begin + 18 :]
         assert refused(content).field == "(0008,0005) Specific Character Set"
 
 
 def test_characters_are_exactly_those_declared():
-    told = photon_plan(SpecificCharacterSet="ISO_IR 6")
-    assert "Specific" in str(refused(patched(written(told), b"LUNG_DIBH", b"LUNG_D\xd6BH")).bound)
+    reported = photon_plan(SpecificCharacterSet="ISO_IR 6")
+    assert "Specific" in str(refused(patched(written(reported), b"LUNG_DIBH", b"LUNG_D\xd6BH")).bound)
     japanese = photon_plan(SpecificCharacterSet=["", "ISO 2022 IR 87"], RTPlanLabel="肺")
     other = patched(written(japanese), b"ISO 2022 IR 87", b"ISO 2022 IR 13")
     assert "Specific" in str(refused(other).bound)

@@ -24,7 +24,7 @@ from tests.support.samples.records import SESSION, frames_of, write_stream
 from tests.support.samples.sessions import BEGUN, add_session
 
 
-def told(database, *actions):
+def reported(database, *actions):
     with database.read() as db:
         query = select(AuditRow).where(AuditRow.action.in_(actions)).order_by(AuditRow.sequence)
         return [(row.action, row.outcome, json.loads(row.detail)) for row in db.scalars(query)]
@@ -44,10 +44,10 @@ def test_an_interrupted_session_gets_its_parquet_and_its_figures(database, sampl
     summary = json.loads(row.summary)
     assert (row.status, summary["frames"], summary["lost"]) == ("interrupted", 40, 8)
     assert summary["latency"]["max_ms"] == pytest.approx(6.039)
-    ((_, outcome, detail),) = told(database, "session.close")
+    ((_, outcome, detail),) = reported(database, "session.close")
     assert (outcome, detail["samples"]["rows"], detail["samples"]["ending"]) == ("failed", 40, "open")
     assert detail["samples"]["parquet_sha256"] == parquet.file_sha256(sample_store.parquet_path(SESSION))
-    assert told(database, "samples.repaired") == []
+    assert reported(database, "samples.repaired") == []
     assert (sample_store.left_streams(), frames_of(sample_store)) == ([], list(range(40)))
 
 
@@ -56,7 +56,7 @@ def test_a_torn_tail_is_said_in_the_audit_with_rows_and_bytes(database, sample_s
     path = write_stream(sample_store.folder, is_finished=False).path
     path.write_bytes(path.read_bytes()[:-500])
     close_interrupted(database, sample_store)
-    ((_, outcome, detail),) = told(database, "samples.repaired")
+    ((_, outcome, detail),) = reported(database, "samples.repaired")
     assert (outcome, detail["rows"], detail["ending"]) == ("done", 32, "torn")
     assert detail["lost_bytes"] > 1000
     assert frames_of(sample_store) == list(range(32))
@@ -67,7 +67,7 @@ def test_a_damaged_file_is_kept_aside_and_said_as_a_failure(database, sample_sto
     path = write_stream(sample_store.folder).path
     path.write_bytes(path.read_bytes().replace(b"5" * 64, b"6" * 64, 1))
     close_interrupted(database, sample_store)
-    ((_, outcome, detail),) = told(database, "samples.repaired")
+    ((_, outcome, detail),) = reported(database, "samples.repaired")
     assert (outcome, detail["rows"], detail["kept_aside"]) == ("failed", 0, f"{SESSION}.damaged.arrows")
     assert (sample_store.folder / detail["kept_aside"]).exists()
     assert "kept in" in caplog.text
@@ -80,7 +80,7 @@ def test_a_start_with_nothing_left_says_nothing(database, sample_store):
     sample_store.settle(SESSION)
     sample_store.forget_stream(SESSION)
     close_interrupted(database, sample_store)
-    assert told(database, "session.close", "samples.settled", "samples.repaired") == []
+    assert reported(database, "session.close", "samples.settled", "samples.repaired") == []
 
 
 def test_a_session_that_was_killed_before_its_file_was_there_is_closed_too(database, sample_store):
@@ -105,7 +105,7 @@ def test_a_full_disk_keeps_the_stream_and_the_next_start_settles_it(database, sa
     assert json.loads(session_of(database).summary)["frames"] == 40
     assert frames_of(sample_store) == list(range(40))
     close_interrupted(database, sample_store)
-    ((_, _, detail),) = told(database, "samples.settled")
+    ((_, _, detail),) = reported(database, "samples.settled")
     assert (detail["rows"], sample_store.left_streams()) == (40, [])
     with database.read() as db:
         assert registered(db, SESSION).sha256 == detail["parquet_sha256"]
@@ -120,7 +120,7 @@ def test_a_parquet_file_that_the_audit_does_not_know_is_written_down_once(databa
     adopt(database, sample_store)
     adopt(database, sample_store)
     assert "is no sample file" in caplog.text
-    ((_, _, detail),) = told(database, "samples.adopted")
+    ((_, _, detail),) = reported(database, "samples.adopted")
     assert detail["rows"] == 40
     with database.read() as db:
         assert check(sample_store, SESSION, registered(db, SESSION), is_open=False).is_good
@@ -140,7 +140,7 @@ def test_a_damaged_file_is_kept_aside_as_a_copy_where_a_file_can_have_but_one_na
     spoil_head(path)
     monkeypatch.setattr(os, "link", refuse)
     close_interrupted(database, sample_store)
-    ((_, outcome, detail),) = told(database, "samples.repaired")
+    ((_, outcome, detail),) = reported(database, "samples.repaired")
     assert (outcome, detail["lost_bytes"]) == ("failed", 100)
     assert (sample_store.folder / detail["kept_aside"]).read_bytes() == b"\x00" * 100
     assert session_of(database).status == "interrupted"
@@ -155,7 +155,7 @@ def test_a_stream_that_can_be_neither_read_nor_kept_aside_lets_the_session_be_cl
     monkeypatch.setattr(os, "link", refuse)
     monkeypatch.setattr(shelves.shutil, "copyfile", refuse)
     close_interrupted(database, sample_store)
-    ((_, _, detail),) = told(database, "session.close")
+    ((_, _, detail),) = reported(database, "session.close")
     assert "cannot be read (NoSamplesError)" in detail["samples"]["detail"]
     assert (session_of(database).status, sample_store.left_streams()) == ("interrupted", [SESSION])
 
@@ -176,7 +176,7 @@ def test_a_session_of_which_only_a_damaged_parquet_is_left_is_closed_and_the_aud
         path.write_bytes(content[:-8] + bytes(8) if spoiled == "its end" else bytes(2000) + content[2000:])
     before = path.read_bytes()
     close_interrupted(database, sample_store)
-    ((_, outcome, detail),) = told(database, "session.close")
+    ((_, outcome, detail),) = reported(database, "session.close")
     assert outcome == "failed"
     assert "the sample file cannot be read" in detail["samples"]["detail"]
     assert detail["summary"]["frames"] == json.loads(session_of(database).summary)["frames"] == 0
@@ -199,7 +199,7 @@ def test_a_file_that_cannot_be_read_keeps_no_other_from_being_written_down(datab
 
     monkeypatch.setattr(register, "file_sha256", hashed)
     adopt(database, sample_store)
-    assert len(told(database, "samples.adopted")) == 1
+    assert len(reported(database, "samples.adopted")) == 1
     assert f"{bad.name} cannot be read" in caplog.text
 
 
@@ -217,13 +217,13 @@ STEPS = {
 
 @pytest.mark.parametrize("step", STEPS)
 def test_a_start_that_is_killed_at_any_step_leaves_it_to_the_next(database, sample_store, step):
-    """A process of its own, killed for real between two system calls; and once more; then the truth is told once."""
+    """A process killed twice between two system calls; afterwards the audit has each fact once."""
     add_session(database)
     write_stream(sample_store.folder, is_finished=False)
     assert _killed_at(database.path, sample_store, STEPS[step]) == signal.SIGKILL
     _killed_at(database.path, sample_store, STEPS[step])
     close_interrupted(database, sample_store)
-    ((_, _, detail),) = told(database, "session.close")
+    ((_, _, detail),) = reported(database, "session.close")
     assert detail["samples"]["rows"] == 40
     assert session_of(database).status == "interrupted"
     assert [path.name for path in sample_store.folder.iterdir()] == [f"{SESSION}.parquet"]

@@ -59,7 +59,7 @@ def add_session(database, session_id: str = "s1", status: str = "running") -> No
 
 @pytest.fixture
 def journals(tmp_path):
-    return Journals(tmp_path / "data", tmp_path / "told", memory=tmp_path / "memory")
+    return Journals(tmp_path / "data", tmp_path / "journal", memory=tmp_path / "memory")
 
 
 @pytest.fixture
@@ -265,7 +265,7 @@ def test_an_engine_that_holds_another_file_is_let_be(database, journals, left, t
 
 
 def test_another_data_folder_s_journals_are_not_ours(database, journals, tmp_path, left):
-    others = Journals(tmp_path / "other data", tmp_path / "told", memory=tmp_path / "memory")
+    others = Journals(tmp_path / "other data", tmp_path / "journal", memory=tmp_path / "memory")
     assert list(others.left_behind()) == []
     assert list(journals.left_behind()) == [left]
 

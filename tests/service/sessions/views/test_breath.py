@@ -29,25 +29,30 @@ def test_the_reported_breath_is_that_of_the_first_gated_signal():
 
 
 def test_what_is_not_known_is_null_and_says_why():
-    told = live_breath(view_of(breaths=(Breath(note="too little seen yet", drift=float("nan")),)))
-    assert (told.phase_percent, told.note, told.drift, told.rate_per_min) == (None, "too little seen yet", None, None)
+    reported = live_breath(view_of(breaths=(Breath(note="too little seen yet", drift=float("nan")),)))
+    assert (reported.phase_percent, reported.note, reported.drift, reported.rate_per_min) == (
+        None,
+        "too little seen yet",
+        None,
+        None,
+    )
     known = live_breath(view_of(breaths=(Breath(phase_percent=12.34567, note="stays"),)))
     assert (known.phase_percent, known.note) == (12.3457, "")
-    assert "NaN" not in json.dumps(told.model_dump())
+    assert "NaN" not in json.dumps(reported.model_dump())
 
 
 def test_events_say_since_when_they_are_under_way():
     at_us = 30 * 33_370
     event = BreathEvent(kind=BreathEventKind.APNOEA, start_us=at_us - 2_500_000, confidence=0.81, detail="x")
-    (told,) = live_breath(view_of(breaths=(Breath(events=(event,)),))).events
-    assert (told.kind, told.since_s, told.confidence, told.detail) == ("apnoea", 2.5, 0.81, "x")
+    (reported,) = live_breath(view_of(breaths=(Breath(events=(event,)),))).events
+    assert (reported.kind, reported.since_s, reported.confidence, reported.detail) == ("apnoea", 2.5, 0.81, "x")
 
 
 def test_a_breath_hold_tells_its_stage_its_seconds_and_how_many_there_were():
     at_us = 30 * 33_370
     state = ConditionState(stage=HoldStage.HELD, since_us=at_us - 4_250_000, holds=3)
-    told = live_breath_hold(view_of(window=HOLD, conditions=(state,)))
-    assert told.model_dump() == {
+    reported = live_breath_hold(view_of(window=HOLD, conditions=(state,)))
+    assert reported.model_dump() == {
         "hold": "inspiration",
         "stage": "held",
         "count": 3,
@@ -57,7 +62,7 @@ def test_a_breath_hold_tells_its_stage_its_seconds_and_how_many_there_were():
     }
 
 
-def test_nobody_counts_while_a_hold_is_awaited_and_a_window_without_one_tells_none():
+def test_no_countdown_while_a_hold_is_awaited_and_none_without_a_breath_hold():
     assert live_breath_hold(view_of(window=HOLD, conditions=(ConditionState(),))).seconds is None
     assert live_breath_hold(view_of()) is None
 

@@ -1,4 +1,4 @@
-"""A database with a short chain in it, and ways to do to it what nobody may."""
+"""A database with a short chain in it, and ways to do to it what no one may."""
 
 import shutil
 import sqlite3
@@ -21,7 +21,7 @@ def database(tmp_path: Path, filled_file: Path) -> Iterator[Database]:
 
 @pytest.fixture
 def raw(tmp_path: Path, database: Database) -> Iterator[sqlite3.Connection]:
-    """The file itself, with the triggers gone: whoever owns the file can do that."""
+    """The file itself, without triggers, which its owner can drop."""
     connection = sqlite3.connect(tmp_path / "audit.db")
     for trigger in TRIGGERS:
         connection.execute(f"DROP TRIGGER {trigger}")

@@ -1,4 +1,4 @@
-"""The database itself refuses what nobody may do to what was written, by every statement there is for it."""
+"""The database itself refuses what no one may do to what was written, by every statement there is for it."""
 
 import sqlite3
 

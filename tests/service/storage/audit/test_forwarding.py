@@ -19,7 +19,7 @@ from service.storage.audit.forwarding import forwarder as forwarding
 from service.storage.audit.forwarding.forwarder import FAILED, RESUMED, AuditForwarder, PositionFile
 from service.storage.audit.forwarding.syslog import SyslogConnection, SyslogServer
 from tests.support.audit.rows import fill
-from tests.support.audit.supervised_audit import House
+from tests.support.audit.supervised_audit import SupervisedAudit
 from tests.support.audit.syslog_certificates import Authority
 from tests.support.audit.syslog_server import SyslogDaemon
 from tests.support.waiting import eventually
@@ -47,7 +47,7 @@ def daemon(tmp_path, authority):
 
 
 class Desk:
-    """A forwarder that goes one turn at a time, on a clock that goes when told."""
+    """A forwarder that goes one turn at a time, on a clock that goes on request."""
 
     def __init__(self, database, daemon, tmp_path, *, ca_file, pair):
         self.database, self.daemon, self.clock = database, daemon, ManualClock(NS_PER_S)
@@ -290,10 +290,10 @@ def test_a_service_with_a_syslog_host_passes_on_its_whole_life(database, daemon,
         "audit_syslog_cert_file": our_pair.cert,
         "audit_syslog_key_file": our_pair.key,
     }
-    house = House(database, tmp_path, **settings).run()
+    supervised = SupervisedAudit(database, tmp_path, **settings).run()
     assert received(daemon, 9) == [8, 9]
-    assert house.care.troubles == []
-    house.run()
+    assert supervised.care.troubles == []
+    supervised.run()
     assert received(daemon, 11) == [8, 9, 10, 11]
     assert b"service.stop" in daemon.messages()[-1]
 

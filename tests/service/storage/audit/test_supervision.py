@@ -20,12 +20,12 @@ from service.storage.audit.clock_watch import ClockWatch
 from service.storage.audit.startup import changes, redacted_settings, settings_sha256
 from service.storage.audit.verification import read_links
 from tests.support.audit.rows import fill
-from tests.support.audit.supervised_audit import NOW, House
+from tests.support.audit.supervised_audit import NOW, SupervisedAudit
 
 
 @pytest.fixture
-def house(database, tmp_path):
-    return House(database, tmp_path)
+def supervised(database, tmp_path):
+    return SupervisedAudit(database, tmp_path)
 
 
 def cut_off(raw, after):
@@ -33,32 +33,32 @@ def cut_off(raw, after):
     raw.commit()
 
 
-def test_a_start_says_its_software_its_settings_and_their_hash(house):
-    house.run()
-    (start,) = house.rows("service.start")
+def test_a_start_says_its_software_its_settings_and_their_hash(supervised):
+    supervised.run()
+    (start,) = supervised.rows("service.start")
     assert start["version"] == "1.2.3"
     assert start["settings"]["audit_clock_jump_ms"] == 500.0
     assert start["settings_sha256"] == settings_sha256(start["settings"])
     assert start["anchors"] is None
 
 
-def test_heads_are_kept_at_the_stop_and_the_next_start_finds_all_in_order(house, database):
-    house.run()
-    assert (house.file.last().kind, house.file.last().sequence) == ("stop", 9)
-    house.run()
-    assert house.care.troubles == []
-    assert house.rows("service.start")[1]["anchors"]["size_bytes"] > 0
-    assert house.rows("audit.broken") == []
-    assert check_whole(database, house.file).is_intact
+def test_heads_are_kept_at_the_stop_and_the_next_start_finds_all_in_order(supervised, database):
+    supervised.run()
+    assert (supervised.file.last().kind, supervised.file.last().sequence) == ("stop", 9)
+    supervised.run()
+    assert supervised.care.troubles == []
+    assert supervised.rows("service.start")[1]["anchors"]["size_bytes"] > 0
+    assert supervised.rows("audit.broken") == []
+    assert check_whole(database, supervised.file).is_intact
 
 
-def test_changed_settings_are_written_down_old_and_new(house, database, tmp_path):
-    house.run()
-    House(database, tmp_path, lease_ms=70.0, site_name="Ward 7").run()
-    (changed,) = house.rows("settings.changed")
+def test_changed_settings_are_written_down_old_and_new(supervised, database, tmp_path):
+    supervised.run()
+    SupervisedAudit(database, tmp_path, lease_ms=70.0, site_name="Ward 7").run()
+    (changed,) = supervised.rows("settings.changed")
     assert changed["changed"] == {"lease_ms": {"old": 80.0, "new": 70.0}, "site_name": {"old": "", "new": "Ward 7"}}
-    House(database, tmp_path, lease_ms=70.0, site_name="Ward 7").run()
-    assert len(house.rows("settings.changed")) == 1
+    SupervisedAudit(database, tmp_path, lease_ms=70.0, site_name="Ward 7").run()
+    assert len(supervised.rows("settings.changed")) == 1
 
 
 def test_a_setting_that_came_or_went_with_another_version_is_a_change():
@@ -73,8 +73,8 @@ def test_a_setting_that_came_or_went_with_another_version_is_a_change():
 
 def test_no_secret_is_recorded(tmp_path):
     url = "postgresql://gate:topsecret@localhost/tidegate"
-    told = redacted_settings(Settings(data_dir=tmp_path, database_url=url))
-    assert "topsecret" not in json.dumps(told)
+    reported = redacted_settings(Settings(data_dir=tmp_path, database_url=url))
+    assert "topsecret" not in json.dumps(reported)
 
 
 class Careless(BaseSettings):
@@ -90,112 +90,112 @@ def test_a_setting_named_like_a_secret_is_redacted_too():
 
 
 @pytest.mark.parametrize("cut", [8, 5, 1])
-def test_newest_rows_cut_off_are_reported_loudly_at_the_next_start(house, raw, caplog, cut):
-    house.run()
+def test_newest_rows_cut_off_are_reported_loudly_at_the_next_start(supervised, raw, caplog, cut):
+    supervised.run()
     cut_off(raw, cut)
-    house.run()
-    assert "rows were cut off" in house.rows("audit.broken")[0]["detail"]
-    assert "rows were cut off" in house.care.troubles[0]
+    supervised.run()
+    assert "rows were cut off" in supervised.rows("audit.broken")[0]["detail"]
+    assert "rows were cut off" in supervised.care.troubles[0]
     assert [record.levelno for record in caplog.records if "broken" in record.message] == [logging.CRITICAL]
-    found = check_whole(house.database, house.file)
+    found = check_whole(supervised.database, supervised.file)
     assert not found.is_intact
 
 
-def test_another_database_in_its_place_is_reported_at_the_next_start(house, database, tmp_path):
-    house.run()
+def test_another_database_in_its_place_is_reported_at_the_next_start(supervised, database, tmp_path):
+    supervised.run()
     other = database.twin(busy_timeout_s=1.0, answer_timeout_s=None)
     other.close()
     (tmp_path / "audit.db").unlink()
     database.close()
     database.migrate()
     fill(database, 30)
-    house.run()
-    assert "changed, or replaced" in house.care.troubles[0]
-    found = check_whole(database, house.file)
+    supervised.run()
+    assert "changed, or replaced" in supervised.care.troubles[0]
+    found = check_whole(database, supervised.file)
     assert (found.breakage, found.first_broken_sequence) == (Breakage.REPLACED, 9)
 
 
-def test_a_row_changed_since_the_newest_head_is_reported_at_the_next_start(house, raw):
-    house.run()
-    fill(house.database, 3)
+def test_a_row_changed_since_the_newest_head_is_reported_at_the_next_start(supervised, raw):
+    supervised.run()
+    fill(supervised.database, 3)
     raw.execute("UPDATE audit SET actor = 'you' WHERE sequence = 11")
     raw.commit()
-    assert check_tail(house.database, house.file) == "row 11 was changed after it was written"
+    assert check_tail(supervised.database, supervised.file) == "row 11 was changed after it was written"
 
 
-def test_a_row_changed_before_the_newest_head_is_left_to_the_whole_check(house, raw):
-    house.run()
+def test_a_row_changed_before_the_newest_head_is_left_to_the_whole_check(supervised, raw):
+    supervised.run()
     raw.execute("UPDATE audit SET actor = 'you' WHERE sequence = 3")
     raw.commit()
-    assert check_tail(house.database, house.file) is None
-    assert check_whole(house.database, house.file).first_broken_sequence == 3
+    assert check_tail(supervised.database, supervised.file) is None
+    assert check_whole(supervised.database, supervised.file).first_broken_sequence == 3
 
 
 @pytest.mark.parametrize("way", ["gone", "cut", "another"])
-def test_a_file_of_heads_that_lost_lines_is_reported(house, way):
-    house.run()
-    house.run()
-    lines = house.file.path.read_text().splitlines(keepends=True)
-    house.file.path.unlink()
+def test_a_file_of_heads_that_lost_lines_is_reported(supervised, way):
+    supervised.run()
+    supervised.run()
+    lines = supervised.file.path.read_text().splitlines(keepends=True)
+    supervised.file.path.unlink()
     if way == "cut":
-        house.file.path.write_text("".join(lines[:-2]))
+        supervised.file.path.write_text("".join(lines[:-2]))
     if way == "another":
-        house.file.path.write_text("".join(lines).replace('"stop"', '"STOP"'))
-    assert check_tail(house.database, house.file) == LOST_FILE
-    found = check_whole(house.database, house.file)
+        supervised.file.path.write_text("".join(lines).replace('"stop"', '"STOP"'))
+    assert check_tail(supervised.database, supervised.file) == LOST_FILE
+    found = check_whole(supervised.database, supervised.file)
     assert found.breakage is Breakage.ANCHORS
 
 
-def test_a_restored_backup_is_distinguished_from_rows_cut_off(house, raw, database):
-    house.run()
+def test_a_restored_backup_is_distinguished_from_rows_cut_off(supervised, raw, database):
+    supervised.run()
     cut_off(raw, 5)
     with database.read() as db:
         head = read_links(db, None, 100)[-1]
-    note_restore(house.file.path, sequence=head.sequence, head_hash=head.hash, source="backup-1")
-    house.run()
-    assert house.care.troubles == []
-    found = check_whole(database, house.file)
+    note_restore(supervised.file.path, sequence=head.sequence, head_hash=head.hash, source="backup-1")
+    supervised.run()
+    assert supervised.care.troubles == []
+    found = check_whole(database, supervised.file)
     assert found.is_intact
     assert "a backup that ends with row 5 was restored" in found.notes[0]
 
 
-def test_a_restored_backup_on_another_machine_knows_another_file_of_heads(house, database):
-    house.run()
+def test_a_restored_backup_on_another_machine_knows_another_file_of_heads(supervised, database):
+    supervised.run()
     with database.read() as db:
         head = read_links(db, None, 100)[-1]
-    house.file.path.unlink()
-    note_restore(house.file.path, sequence=head.sequence, head_hash=head.hash, source="backup-1")
-    assert check_tail(database, house.file) is None
-    assert check_whole(database, house.file).is_intact
+    supervised.file.path.unlink()
+    note_restore(supervised.file.path, sequence=head.sequence, head_hash=head.hash, source="backup-1")
+    assert check_tail(database, supervised.file) is None
+    assert check_whole(database, supervised.file).is_intact
 
 
-def test_a_false_restore_that_does_not_fit_the_rows_is_found(house, raw, database):
-    house.run()
+def test_a_false_restore_that_does_not_fit_the_rows_is_found(supervised, raw, database):
+    supervised.run()
     cut_off(raw, 5)
-    note_restore(house.file.path, sequence=5, head_hash="ab" * 32, source="")
-    assert "changed, or replaced" in check_tail(database, house.file)
-    assert check_whole(database, house.file).breakage is Breakage.REPLACED
+    note_restore(supervised.file.path, sequence=5, head_hash="ab" * 32, source="")
+    assert "changed, or replaced" in check_tail(database, supervised.file)
+    assert check_whole(database, supervised.file).breakage is Breakage.REPLACED
 
 
-def test_a_file_that_hangs_holds_no_start_up(house, monkeypatch):
+def test_a_file_that_hangs_holds_no_start_up(supervised, monkeypatch):
     monkeypatch.setattr(care_module, "ANSWER_S", 0.05)
     waiting = care_module.threading.Event()
     monkeypatch.setattr(care_module, "check_tail", lambda *_: waiting.wait(20.0))
-    house.start()
+    supervised.start()
     waiting.set()
-    house.stop()
-    assert house.rows("service.start")[0]["anchors"] == "the anchor file has not answered for 0.05 s"
+    supervised.stop()
+    assert supervised.rows("service.start")[0]["anchors"] == "the anchor file has not answered for 0.05 s"
 
 
-def test_a_clock_set_back_while_nothing_ran_is_written_down(house):
-    house.run(now=datetime(2020, 1, 1, tzinfo=UTC))
-    (told,) = house.rows("clock.changed")
-    assert told["after"] == "2020-01-01T00:00:00+00:00"
-    assert told["jump_ms"] < 0
+def test_a_clock_set_back_while_nothing_ran_is_written_down(supervised):
+    supervised.run(now=datetime(2020, 1, 1, tzinfo=UTC))
+    (reported,) = supervised.rows("clock.changed")
+    assert reported["after"] == "2020-01-01T00:00:00+00:00"
+    assert reported["jump_ms"] < 0
 
 
 class Clocks:
-    """Both clocks, told by hand."""
+    """Both clocks, set by hand."""
 
     def __init__(self):
         self.monotonic, self.wall, self.events = ManualClock(), NOW, []
@@ -247,7 +247,7 @@ def test_a_jump_that_could_not_be_written_down_is_seen_again():
 
 
 class Keeping:
-    """A keeper that looks when told, on a clock told by hand."""
+    """A keeper that looks on request, on a clock set by hand."""
 
     def __init__(self, database, tmp_path):
         self.database, self.clock, self.events = database, ManualClock(), []
@@ -307,18 +307,18 @@ def test_a_share_that_is_away_is_reported_once_and_asked_no_more_often(keeping, 
 
 
 def test_a_share_that_never_answers_is_reported_while_it_hangs(keeping, monkeypatch):
-    told = []
+    reported = []
 
     def hang(*_, **__):
         keeping.clock.advance_ns(9 * NS_PER_S)
-        told.append(keeping.keeper.trouble)
+        reported.append(keeping.keeper.trouble)
         keeping.clock.advance_ns(NS_PER_S)
-        told.append(keeping.keeper.trouble)
+        reported.append(keeping.keeper.trouble)
 
     monkeypatch.setattr(keeping.file, "append", hang)
     keeping.look("test")
-    assert told[0] is None
-    assert "has not answered for 10 s" in told[1]
+    assert reported[0] is None
+    assert "has not answered for 10 s" in reported[1]
     assert keeping.keeper.trouble is None
 
 

@@ -1,4 +1,4 @@
-"""A backup file is read as a stranger's: what it unpacks to is bounded, and whatever is wrong with it is said."""
+"""A backup file is untrusted: its unpacked size is bounded, and every damage is reported."""
 
 import hashlib
 import io

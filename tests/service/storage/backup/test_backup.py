@@ -79,12 +79,12 @@ def test_a_backup_of_either_database_is_restored_into_either_row_by_row(
         made = backed_up(database, folder, out)
     restored(out, other, tmp_path / "new")
     before, after = rows_at(place), rows_at(other)
-    told = after["audit"].pop()
+    reported = after["audit"].pop()
     assert before.pop("logins")
     assert after.pop("logins") == []
     assert after == before
-    assert (told["action"], told["actor"]) == ("backup.restored", "me")
-    assert json.loads(told["detail"])["rows"] == made.manifest.rows == sum(map(len, before.values()))
+    assert (reported["action"], reported["actor"]) == ("backup.restored", "me")
+    assert json.loads(reported["detail"])["rows"] == made.manifest.rows == sum(map(len, before.values()))
     assert {name: (tmp_path / "new" / name).read_bytes() for name in FILES} == FILES
     assert not [name for name in OTHERS if (tmp_path / "new" / name).exists()]
 
@@ -374,8 +374,8 @@ def test_a_log_that_was_broken_before_is_restored_only_on_confirmation(database,
         restored(out, tmp_path / "new.db", tmp_path / "new")
     assert rows_at(tmp_path / "new.db") == {}
     restored(out, tmp_path / "new.db", tmp_path / "new", takes_broken_log=True)
-    told = json.loads(rows_at(tmp_path / "new.db")["audit"][-1]["detail"])
-    assert "row 3" in told["audit_trouble"]
+    reported = json.loads(rows_at(tmp_path / "new.db")["audit"][-1]["detail"])
+    assert "row 3" in reported["audit_trouble"]
 
 
 @pytest.mark.both_databases

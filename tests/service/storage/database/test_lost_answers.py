@@ -1,4 +1,4 @@
-"""A commit nobody heard of, or that was not done: what is written is there once, and nothing goes too early."""
+"""A commit no one heard of, or that was not done: what is written is there once, and nothing goes too early."""
 
 from collections.abc import Callable
 from contextlib import contextmanager

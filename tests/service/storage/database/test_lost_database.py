@@ -1,4 +1,4 @@
-"""The disk fills, or the database's file goes, while a session is written: the gate hears of it while it lasts."""
+"""The disk fills, or the database's file goes, while a session is written: the gate learns of it while it lasts."""
 
 import shutil
 from types import SimpleNamespace
@@ -24,13 +24,13 @@ def looks(monkeypatch):
 
 def test_a_database_whose_file_was_taken_away_faults_the_gate_until_it_is_back(settings, looks, running):
     path = settings.data_dir / "tidegate.db"
-    _hears_no_more(running, looks)
+    _expect_no_more_notices(running, looks)
     path.rename(path.with_suffix(".aside"))
     eventually(lambda: BEHIND in running.faults)
     running.faults.clear()
     eventually(lambda: BEHIND in running.faults)
     path.with_suffix(".aside").rename(path)
-    _hears_no_more(running, looks)
+    _expect_no_more_notices(running, looks)
 
 
 def test_another_file_in_its_place_is_not_the_database(settings, looks, running):
@@ -39,7 +39,7 @@ def test_another_file_in_its_place_is_not_the_database(settings, looks, running)
     shutil.copy(path.with_suffix(".aside"), path)
     eventually(lambda: BEHIND in running.faults)
     path.with_suffix(".aside").replace(path)
-    _hears_no_more(running, looks)
+    _expect_no_more_notices(running, looks)
 
 
 def test_a_full_disk_is_reported_again_and_again_so_that_no_acknowledgement_leads_to_a_beam(
@@ -51,8 +51,8 @@ def test_a_full_disk_is_reported_again_and_again_so_that_no_acknowledgement_lead
     eventually(lambda: engine.running.faults.count(HoldReason.DISK_LOW) >= 5, within_s=writer.DISK_CHECK_S)
 
 
-def _hears_no_more(running, looks):
-    """From the second look on nothing is told."""
+def _expect_no_more_notices(running, looks):
+    """From the second look on nothing is reported."""
     _await_looks(looks, 2)
     running.faults.clear()
     _await_looks(looks, 5)

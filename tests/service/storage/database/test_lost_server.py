@@ -1,4 +1,4 @@
-"""The database's server is restarted, killed or stands still under a running session: the gate hears of it in time.
+"""The database's server is restarted, killed or stands still under a running session: the gate learns of it in time.
 
 On a real server of these tests' own. What is written in the meantime waits, and is there once the server is.
 """
@@ -47,7 +47,7 @@ def quick_looks(monkeypatch):
     monkeypatch.setattr(writer, "DISK_CHECK_S", 0.05)
 
 
-def hears(running):
+def expect_hold(running):
     running.faults.clear()
     eventually(lambda: BEHIND in running.faults, within_s=IN_TIME_S)
 
@@ -67,10 +67,10 @@ def test_a_server_that_goes_is_reported_while_it_is_away_and_nothing_is_lost(
     running.transition(GateState.HOLD, HoldReason.DWELL)
     eventually(lambda: len(audit_rows(client, "gate.transition")) == 1)
     getattr(server, end)()
-    hears(running)
+    expect_hold(running)
     running.transition(GateState.DWELL, None)
     running.frame()
-    hears(running)
+    expect_hold(running)
     assert act(client, session_id, "arm").status_code == 503
     eventually(lambda: client.get("/readyz").status_code == 503)
     server.start()
@@ -87,7 +87,7 @@ def test_a_server_that_stands_still_is_reported_and_prevents_no_hold(client, ses
     server.pause()
     try:
         running.transition(GateState.HOLD, HoldReason.DWELL)
-        hears(running)
+        expect_hold(running)
         asked = threading.Thread(target=act, args=(client, session_id, "hold"))
         asked.start()
         eventually(lambda: any(isinstance(command, HoldBeam) for command in running.commands), within_s=IN_TIME_S)

@@ -89,10 +89,10 @@ def test_a_journal_that_lies_on_a_disk_because_memory_is_full_is_said_with_the_r
     assert "No space left on device" in record.message
 
 
-@pytest.mark.parametrize("told", [None, "told"])
-def test_a_journal_in_memory_or_in_the_set_folder_gives_no_warning(tmp_path, caplog, told):
+@pytest.mark.parametrize("reported", [None, "folder"])
+def test_a_journal_in_memory_or_in_the_set_folder_gives_no_warning(tmp_path, caplog, reported):
     (tmp_path / "memory").mkdir()
-    journals = Journals(tmp_path / "data", told and tmp_path / told, memory=tmp_path / "memory")
+    journals = Journals(tmp_path / "data", reported and tmp_path / reported, memory=tmp_path / "memory")
     with caplog.at_level(logging.WARNING, "service.storage.files.journals"):
         journals.begin("s1").close()
     assert caplog.records == []

@@ -22,7 +22,7 @@ NOW = BEGUN + timedelta(days=31)
 
 @pytest.fixture
 def data_dir(tmp_path, database):
-    """An old session, one of yesterday, one that runs, and files of which nobody knows a session."""
+    """An old session, one of yesterday, one that runs, and files of which no one knows a session."""
     folder = tmp_path / "data"
     add_session(database, OLD, status="ended", ended_at=BEGUN)
     add_session(database, NEW, status="stopped", ended_at=NOW - timedelta(days=1))
@@ -62,9 +62,9 @@ def test_what_is_older_goes_and_the_audit_says_what_and_by_which_rule(database, 
     before = left(data_dir)
     remove_old(database, data_dir, site(data_dir, retain_samples_days=30), NOW)
     assert before - left(data_dir) == {f"samples/{OLD}.parquet", f"replays/{OLD}.tape"}
-    told = {action: (session_id, detail) for action, session_id, detail in removals(database)}
-    assert told.keys() == {"samples.removed", "tape.removed"}
-    session_id, detail = told["samples.removed"]
+    reported = {action: (session_id, detail) for action, session_id, detail in removals(database)}
+    assert reported.keys() == {"samples.removed", "tape.removed"}
+    session_id, detail = reported["samples.removed"]
     assert (session_id, detail["file"], detail["sha256"], detail["bytes"]) == (OLD, gone.name, sha256, size)
     assert detail["rule"] == "retain_samples_days is 30"
     assert remove_old(database, data_dir, site(data_dir, retain_samples_days=30), NOW) == []

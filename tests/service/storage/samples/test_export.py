@@ -72,6 +72,6 @@ def test_the_close_row_tells_what_the_samples_are_known_by(client, session_id, r
         running.frame()
     act(client, session_id, "stop")
     (row,) = audit_rows(client, "session.close")
-    told = row["detail"]["samples"]
-    assert (told["rows"], told["ending"], told["lost_bytes"]) == (5, "closed", 0)
-    assert len(told["parquet_sha256"]) == len(told["stream_sha256"]) == 64
+    reported = row["detail"]["samples"]
+    assert (reported["rows"], reported["ending"], reported["lost_bytes"]) == (5, "closed", 0)
+    assert len(reported["parquet_sha256"]) == len(reported["stream_sha256"]) == 64

@@ -173,8 +173,8 @@ def test_a_whole_treatment_can_be_read_from_the_audit(client, session_id, runnin
     for action in ("reference", "arm", "disarm", "acknowledge", "models/retrain", "stop"):
         act(client, session_id, action)
     rows = audit_rows(client)
-    told = [(row["action"], row["outcome"]) for row in rows if row["action"] != "gate.transition"]
-    assert told == [
+    body = [(row["action"], row["outcome"]) for row in rows if row["action"] != "gate.transition"]
+    assert body == [
         ("service.start", "done"),
         ("calibration.upload", "done"),
         ("session.create", "done"),

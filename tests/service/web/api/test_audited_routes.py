@@ -19,7 +19,7 @@ from tests.support.service.api_calls import audit_rows
 PLACES = dict.fromkeys(("session_id", "plan_id", "model_id", "run_id", "key_id", "login_id"), "0" * 32) | {
     "name": "nobody"
 }
-BEFORE_ANYBODY_IS_KNOWN = ("POST", "/api/v1/login")
+WITHOUT_A_CALLER = ("POST", "/api/v1/login")
 
 
 @pytest.fixture(scope="module")
@@ -45,13 +45,13 @@ def test_every_export_is_a_route():
 
 
 def test_every_call_that_is_refused_where_it_would_have_changed_something_is_written_down(client):
-    asked = [place for place in audited() if place[0].lower() in UNSAFE and place != BEFORE_ANYBODY_IS_KNOWN]
+    asked = [place for place in audited() if place[0].lower() in UNSAFE and place != WITHOUT_A_CALLER]
     for method, path in asked:
         answer = client.request(method, path.format(**PLACES), content=b"x", headers={"Content-Type": "text/plain"})
         refused = {404} if (method, path) in TAKES_PERMISSION_AWAY else {401, 403, 415, 422}  # by what it says: never
         assert answer.status_code in refused, (method, path, answer.text)
-    told = [row["action"] for row in audit_rows(client) if row["outcome"] == "refused"]
-    assert told == [audited()[place] for place in asked]
+    body = [row["action"] for row in audit_rows(client) if row["outcome"] == "refused"]
+    assert body == [audited()[place] for place in asked]
 
 
 def test_the_document_says_what_the_routes_do():

@@ -87,9 +87,9 @@ def test_a_look_from_before_it_is_worth_nothing_from_when_the_engine_is_commande
     monkeypatch.setattr(running, "stop", looking(running.stop))
     monkeypatch.setattr(AuditLog, "write", looking(AuditLog.write))
     assert act(client, session_id, action).status_code == 200
-    told, written = met
+    read_back, written = met
     after = revisions.etag(session_id)
-    assert len({before, told, written, after}) == 4, "before, told, done, written down"
+    assert len({before, read_back, written, after}) == 4, "before, told, done, written down"
     assert revisions.etag(session_id) == after
 
 

@@ -119,7 +119,7 @@ def test_a_correction_out_of_its_bound_is_refused_by_its_field_and_moves_nothing
     ],
     ids=str,
 )
-def test_nobody_confirms_a_drift_that_is_not_there_any_more(client, session_id, running, breaths, said):
+def test_confirming_a_drift_that_is_over_is_refused(client, session_id, running, breaths, said):
     running.breaths = breaths
     running.frame()
     answer = correct(client, session_id)

@@ -29,7 +29,7 @@ def kept(database, key, text="x"):
         keep_answer(db, "r", key, b"request", Answer(text=text))
 
 
-def told(database, key):
+def read_back(database, key):
     with database.read() as db:
         return earlier_answer(db, "r", key, b"request", Answer)
 
@@ -114,9 +114,9 @@ def test_a_key_is_free_again_when_what_it_was_for_failed():
 def test_what_is_older_than_the_site_keeps_it_is_forgotten(tables):
     kept(tables, of("a"))
     assert forget_answers(tables, days=7.0, now=datetime.now(UTC) + timedelta(days=6.9)) == 0
-    assert told(tables, of("a")) == Answer(text="x")
+    assert read_back(tables, of("a")) == Answer(text="x")
     assert forget_answers(tables, days=7.0, now=datetime.now(UTC) + timedelta(days=7.1)) == 1
-    assert told(tables, of("a")) is None
+    assert read_back(tables, of("a")) is None
 
 
 @pytest.mark.both_databases
@@ -125,8 +125,8 @@ def test_too_many_keys_evict_only_the_oldest_of_the_same_caller(tables, monkeypa
     kept(tables, of("b"))
     for number in range(8):
         kept(tables, of("a", str(number)), text=str(number))
-    assert [told(tables, of("a", str(number))) is None for number in range(8)] == [True] * 3 + [False] * 5
-    assert told(tables, of("b")) is not None
+    assert [read_back(tables, of("a", str(number))) is None for number in range(8)] == [True] * 3 + [False] * 5
+    assert read_back(tables, of("b")) is not None
     with tables.read() as db:
         assert db.scalar(select(func.count()).select_from(IdempotencyRow)) == 6
 

@@ -32,10 +32,10 @@ def lines(caplog, capfd):
     return "\n".join([*logged, printed.out, printed.err])
 
 
-def nothing_told(client, caplog, capfd):
-    told = f"{lines(caplog, capfd)}\n{client.get('/metrics').text}"
-    assert not [word for word in UNMISTAKABLE if word.lower() in told.lower()], told
-    return told
+def nothing_reported(client, caplog, capfd):
+    read_back = f"{lines(caplog, capfd)}\n{client.get('/metrics').text}"
+    assert not [word for word in UNMISTAKABLE if word.lower() in read_back.lower()], read_back
+    return read_back
 
 
 def test_a_session_from_its_start_to_its_end_is_in_no_log_and_no_metric(client, engine, body, caplog, capfd):
@@ -49,7 +49,7 @@ def test_a_session_from_its_start_to_its_end_is_in_no_log_and_no_metric(client, 
     client.get(f"/api/v1/sessions/{session_id}/samples")
     client.get("/api/v1/audit/export", params={"format": "fhir", "with_patients": True})
     act(client, session_id, "stop", OPERATOR)
-    nothing_told(client, caplog, capfd)
+    nothing_reported(client, caplog, capfd)
 
 
 def test_refusals_that_show_the_patient_to_the_caller_show_no_other_patient(client, body, caplog, capfd):
@@ -60,7 +60,7 @@ def test_refusals_that_show_the_patient_to_the_caller_show_no_other_patient(clie
     assert client.post("/api/v1/sessions", json=body).status_code == 409
     assert client.post("/api/v1/sessions", content=str(body), headers={"Content-Type": "text/plain"}).status_code == 415
     client.get(f"/api/v1/sessions/{ABOUT['patient_reference']}")
-    nothing_told(client, caplog, capfd)
+    nothing_reported(client, caplog, capfd)
 
 
 def test_a_crash_while_a_session_is_made_or_runs_tells_its_kind_and_not_whom_it_was_about(
@@ -82,5 +82,5 @@ def test_a_crash_while_a_session_is_made_or_runs_tells_its_kind_and_not_whom_it_
     act(client, session_id, "start", OPERATOR)
     engine.running.end(error="the engine failed")
     eventually(lambda: read(client)["tidegate_session_running",] == 0.0)
-    told = nothing_told(client, caplog, capfd)
-    assert "ValueError" in told
+    read_back = nothing_reported(client, caplog, capfd)
+    assert "ValueError" in read_back

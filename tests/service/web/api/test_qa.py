@@ -423,9 +423,9 @@ def test_a_baseline_is_fixed_by_a_named_person_keeps_its_history_and_judges_what
     assert (first.status_code, first.json()["number"], first.json()["expected"]) == (200, 1, expected)
     moved = {"operator": "B. Physicist", "reason": "mounted anew", "expected": {"camera_distance_mm": 900.0}}
     client.put(f"{URL}/baseline", json=moved)
-    told = client.get(f"{URL}/baseline").json()
-    assert (told["number"], told["expected"]) == (2, expected | {"camera_distance_mm": 900.0})
-    assert [one["number"] for one in told["earlier"]] == [1]
+    read_back = client.get(f"{URL}/baseline").json()
+    assert (read_back["number"], read_back["expected"]) == (2, expected | {"camera_distance_mm": 900.0})
+    assert [one["number"] for one in read_back["earlier"]] == [1]
     row = audit_rows(client, "qa.baseline")[-1]
     assert (row["actor"], row["detail"]["before"], row["detail"]["reason"]) == (
         "B. Physicist",
@@ -433,15 +433,15 @@ def test_a_baseline_is_fixed_by_a_named_person_keeps_its_history_and_judges_what
         "mounted anew",
     )
     assert done(client, rig, body)["baseline_number"] == 2
-    assert dict(rig.job_now.given[1].expected) == told["expected"]
+    assert dict(rig.job_now.given[1].expected) == read_back["expected"]
 
 
 def test_a_baseline_is_taken_over_from_a_finished_run_that_measured_it(client, rig, body):
     rig.report = report(QaKind.DAILY, camera_distance_mm=851.25)
     ended = done(client, rig, body)
-    told = client.put(f"{URL}/baseline", json={**ME, "reason": "as measured", "run_id": ended["id"]}).json()
-    assert told["expected"]["camera_distance_mm"] == 851.25
-    assert told["expected"].keys() == BASELINE_BOUNDS.keys()
+    read_back = client.put(f"{URL}/baseline", json={**ME, "reason": "as measured", "run_id": ended["id"]}).json()
+    assert read_back["expected"]["camera_distance_mm"] == 851.25
+    assert read_back["expected"].keys() == BASELINE_BOUNDS.keys()
     rig.report = report(QaKind.DAILY, camera_distance_mm=None)
     blind = done(client, rig, body)
     refused = client.put(f"{URL}/baseline", json={**ME, "reason": "as measured", "run_id": blind["id"]})
@@ -519,14 +519,14 @@ def test_a_run_that_is_being_written_down_while_the_service_holds_the_beam_for_i
 ):
     write_down = records.begin
 
-    def told_to_stop_meanwhile(db, run):
+    def asked_to_stop_meanwhile(db, run):
         row = write_down(db, run)
         stopping = threading.Thread(target=client.app.state.hold_and_close_session)
         stopping.start()
         stopping.join()
         return row
 
-    monkeypatch.setattr(records, "begin", told_to_stop_meanwhile)
+    monkeypatch.setattr(records, "begin", asked_to_stop_meanwhile)
     run_id = begin(client, body)
     eventually(lambda: read(client, run_id)["status"] == "cancelled")
     assert not rig.job_now.is_on.is_set()

@@ -21,7 +21,7 @@ BELLY = {"name": "belly", "vertices": [[220.0, 40.0], [220.0, 160.0], [320.0, 10
 CHEST = {"name": "chest", "vertices": [[40.0, 40.0], [40.0, 160.0], [120.0, 100.0]]}
 REGIONS = {"named": [BELLY, CHEST], "split": {"right_row": 150.0, "left_row": 165.5}, "extra_markers": True}
 LAG = PhaseLag(first="thorax", second="abdomen", lag_s=0.13, lag_deg=12.0, period_s=3.9, confidence=0.99)
-UNTOLD = PhaseLag(first="belly", second="whole", note="too little seen yet")
+UNREPORTED = PhaseLag(first="belly", second="whole", note="too little seen yet")
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def moving(monkeypatch):
         return replace(
             plain(whole_mm),
             named_mm=np.array([2.5, np.nan]),
-            lags=(LAG, UNTOLD),
+            lags=(LAG, UNREPORTED),
             surface_mm=surface,
             split_rows=(150.0, 165.5),
         )

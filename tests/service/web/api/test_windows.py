@@ -1,4 +1,4 @@
-"""Windows of every kind over HTTP: what is taken reaches the engine as told, what is not is refused by its field."""
+"""Windows of every kind over HTTP: accepted ones reach the engine as requested, others are refused by field."""
 
 import pytest
 from pydantic import ValidationError
@@ -105,22 +105,22 @@ TAKEN = [
 ]
 
 
-@pytest.mark.parametrize(("told", "made"), TAKEN, ids=lambda part: str(part)[:40])
-def test_every_kind_of_window_reaches_the_engine_as_requested(told, made):
-    window = Window.model_validate(told)
+@pytest.mark.parametrize(("body", "made"), TAKEN, ids=lambda part: str(part)[:40])
+def test_every_kind_of_window_reaches_the_engine_as_requested(body, made):
+    window = Window.model_validate(body)
     assert gate_window(window, REGIONS) == made
     again = Window.model_validate_json(window.model_dump_json())
     assert again == window, "what was stored, or sent back by a client, is the same window"
 
 
 def test_every_kind_of_window_makes_a_session_and_is_returned(client, session_body, subtests):
-    for told, _ in TAKEN:
-        with subtests.test(str(told)):
-            answer = client.post(URL, json=session_body | {"window": told, "regions": {"named": [CHEST, BELLY]}})
+    for body, _ in TAKEN:
+        with subtests.test(str(body)):
+            answer = client.post(URL, json=session_body | {"window": body, "regions": {"named": [CHEST, BELLY]}})
             assert answer.status_code == 201, answer.text
             shown = answer.json()["window"]
-            assert {name: shown[name] for name in told if name != "further"} == {
-                name: value for name, value in told.items() if name != "further"
+            assert {name: shown[name] for name in body if name != "further"} == {
+                name: value for name, value in body.items() if name != "further"
             }
             assert act(client, answer.json()["id"], "stop").status_code == 200
 
@@ -185,9 +185,9 @@ REFUSED = [
 
 
 def test_a_window_that_is_none_is_refused_by_its_field(client, session_body, subtests):
-    for told, field in REFUSED:
-        with subtests.test(str(told)):
-            answer = client.post(URL, json=session_body | {"window": told, "regions": {"named": [BELLY]}})
+    for body, field in REFUSED:
+        with subtests.test(str(body)):
+            answer = client.post(URL, json=session_body | {"window": body, "regions": {"named": [BELLY]}})
             assert answer.status_code == 422, answer.text
             problem = answer.json()
             assert problem["field"] == field
@@ -197,7 +197,7 @@ def test_a_window_that_is_none_is_refused_by_its_field(client, session_body, sub
 
 
 @pytest.mark.parametrize(
-    ("site", "told", "field"),
+    ("site", "body", "field"),
     [
         ({"window_upper_mm": 11.0}, HOLD, "window.upper_mm"),
         ({"window_upper_mm": 11.0}, MM | {"further": [PHASE, HOLD]}, "window.further.1.upper_mm"),
@@ -213,12 +213,12 @@ def test_a_window_that_is_none_is_refused_by_its_field(client, session_body, sub
     ],
     ids=str,
 )
-def test_no_part_of_a_window_is_wider_than_the_site_s(site, told, field):
+def test_no_part_of_a_window_is_wider_than_the_site_s(site, body, field):
     settings = Settings(**site)
     with pytest.raises(BoundError, match="this site's limit") as caught:
-        check_window(Window.model_validate(told), settings)
+        check_window(Window.model_validate(body), settings)
     assert caught.value.field == field
-    check_window(Window.model_validate(told), Settings())
+    check_window(Window.model_validate(body), Settings())
 
 
 LITRES = {"signal": "volume", "lower_l": -0.1, "upper_l": 0.2}
@@ -239,17 +239,17 @@ WAYS_AROUND = [
 ]
 
 
-@pytest.mark.parametrize(("told", "field"), WAYS_AROUND, ids=lambda part: str(part)[:60])
+@pytest.mark.parametrize(("body", "field"), WAYS_AROUND, ids=lambda part: str(part)[:60])
 @pytest.mark.parametrize("site", [SITE, {"window_lower_mm": -99.0}, {"window_upper_mm": 99.0}], ids=str)
-def test_no_window_is_a_way_around_the_site_s(site, told, field):
+def test_no_window_is_a_way_around_the_site_s(site, body, field):
     with pytest.raises(BoundError, match="bounds no position") as caught:
-        check_window(Window.model_validate(told), Settings(**site))
+        check_window(Window.model_validate(body), Settings(**site))
     assert caught.value.field == field
-    check_window(Window.model_validate(told), Settings())
+    check_window(Window.model_validate(body), Settings())
 
 
 @pytest.mark.parametrize(
-    "told",
+    "body",
     [
         MM,
         HOLD,
@@ -261,13 +261,13 @@ def test_no_window_is_a_way_around_the_site_s(site, told, field):
     ],
     ids=lambda part: str(part)[:60],
 )
-def test_a_window_that_bounds_a_length_wherever_it_is_met_is_within_the_site_s(told):
-    check_window(Window.model_validate(told), Settings(**SITE))
+def test_a_window_that_bounds_a_length_wherever_it_is_met_is_within_the_site_s(body):
+    check_window(Window.model_validate(body), Settings(**SITE))
 
 
 @pytest.mark.parametrize("kind", ["apnoea", "irregular", "sigh", "talking"])
 @pytest.mark.parametrize(
-    ("told", "field"),
+    ("body", "field"),
     [
         (HOLD, "window.kind"),
         (HOLD | {"hold": "expiration"}, "window.kind"),
@@ -275,9 +275,9 @@ def test_a_window_that_bounds_a_length_wherever_it_is_met_is_within_the_site_s(t
     ],
     ids=["alone", "expiration", "joined"],
 )
-def test_no_breath_is_held_where_the_site_holds_the_beam_for_what_that_looks_like(kind, told, field):
+def test_no_breath_is_held_where_the_site_holds_the_beam_for_what_that_looks_like(kind, body, field):
     with pytest.raises(BoundError, match=f"{kind} .TIDEGATE_HOLDING_EVENTS") as caught:
-        check_window(Window.model_validate(told), Settings(holding_events=("cough", kind)))
+        check_window(Window.model_validate(body), Settings(holding_events=("cough", kind)))
     assert caught.value.field == field
     check_window(Window.model_validate(MM | {"further": [PHASE]}), Settings(holding_events=("cough", kind)))
 
@@ -339,10 +339,10 @@ VOLUME = {"lower_mm": None, "upper_mm": None, "lower_l": 0.1, "upper_l": 0.2}
 
 
 def test_the_live_window_is_the_one_the_gate_judges_by_and_says_where_each_condition_stands():
-    told = Window.model_validate(
+    body = Window.model_validate(
         {"lower_percent": 0, "upper_percent": 50, "further": [PHASE, HOLD | {"hold": "inspiration"}]}
     )
-    settled = gate_window(told).resolved({SignalChoice(): LearnedRange(low=-1.0, high=9.0)})
+    settled = gate_window(body).resolved({SignalChoice(): LearnedRange(low=-1.0, high=9.0)})
     states = (ConditionState(), ConditionState(), ConditionState(stage=HoldStage.SETTLING, since_us=33_370))
     shown = live_window(settled, states, make_measurement(1, whole_mm=1.5))
     assert (shown.lower_mm, shown.upper_mm, shown.hysteresis_mm, shown.join) == (-1.0, 4.0, 0.2, "and")
@@ -378,5 +378,5 @@ def test_the_window_of_today_stays_what_it_was(client, calibration_id):
     answer = client.post(URL, json=make_session_body(calibration_id))
     shown = answer.json()["window"]
     assert {name: shown[name] for name in WINDOW} == WINDOW
-    told = {name for name, value in shown.items() if value not in (None, [])}
-    assert told == {*WINDOW, "kind", "join"}
+    body = {name for name, value in shown.items() if value not in (None, [])}
+    assert body == {*WINDOW, "kind", "join"}

@@ -1,4 +1,4 @@
-"""Places are given and taken as said, whoever comes from where; and what is counted is told now and then."""
+"""Connection slots are assigned and replaced by the documented order, and counts are reported periodically."""
 
 import logging
 

@@ -57,7 +57,7 @@ def no_connection_is_left(client, running, monkeypatch):
         assert jam.inside == CONNECTIONS, "they were blocked all the time"
 
 
-def was_told(running, action: str) -> bool:
+def was_reported(running, action: str) -> bool:
     if action == "stop":
         return running.status.is_over
     return [type(command) for command in running.commands] == [{"hold": HoldBeam, "disarm": Disarm}[action]]
@@ -68,14 +68,14 @@ def was_told(running, action: str) -> bool:
 def test_it_is_answered_while_reads_have_every_thread(client, session_id, running, no_thread_is_left, action):
     answer = no_thread_is_left.submit(act, client, session_id, action).result(LONGEST_S)
     assert answer.status_code == 200, answer.text
-    assert was_told(running, action)
+    assert was_reported(running, action)
 
 
 @pytest.mark.parametrize("action", AWAY)
 def test_it_is_answered_while_reads_have_every_connection(client, session_id, running, no_connection_is_left, action):
     answer = no_connection_is_left.submit(act, client, session_id, action).result(LONGEST_S)
     assert answer.status_code == 200, answer.text
-    assert was_told(running, action)
+    assert was_reported(running, action)
 
 
 @pytest.mark.parametrize("action", ["hold", "disarm"])
@@ -85,7 +85,7 @@ def test_its_refusal_too_is_answered_while_reads_have_every_thread(
     running.is_silent = True
     answer = no_thread_is_left.submit(act, client, session_id, action).result(LONGEST_S)
     assert (answer.status_code, answer.json()["code"]) == (503, "engine_timeout")
-    assert was_told(running, action)
+    assert was_reported(running, action)
 
 
 @pytest.mark.parametrize("action", ["presence", "arm", "start"])
@@ -106,7 +106,7 @@ def test_an_executed_call_without_its_audit_row_is_not_reported_as_unchanged(
     answer = act(client, session_id, action)
     assert (answer.status_code, answer.json()["code"]) == (503, "storage_unavailable")
     assert "may have been carried out" in answer.json()["detail"]
-    assert was_told(running, action)
+    assert was_reported(running, action)
 
 
 def test_a_stop_waits_for_no_start_once_its_session_runs(client, session_id, running):
@@ -149,7 +149,7 @@ def test_it_is_answered_while_such_calls_for_sessions_that_do_not_run_wait(
     with nothing_to_take(client, jam, f"/api/v1/sessions/{{}}/{idle}") as pool:
         answer = pool.submit(act, client, session_id, action).result(LONGEST_S)
         assert answer.status_code == 200, answer.text
-        assert was_told(running, action)
+        assert was_reported(running, action)
 
 
 def test_it_is_answered_while_cancellings_of_qa_runs_that_are_over_wait(client, session_id, running, monkeypatch):
@@ -157,7 +157,7 @@ def test_it_is_answered_while_cancellings_of_qa_runs_that_are_over_wait(client, 
     monkeypatch.setattr(records, "run_row", jam.then(records.run_row))
     with nothing_to_take(client, jam, "/api/v1/qa/runs/{}/cancel") as pool:
         assert pool.submit(act, client, session_id, "hold").result(LONGEST_S).status_code == 200
-        assert was_told(running, "hold")
+        assert was_reported(running, "hold")
 
 
 @pytest.mark.parametrize("action", AWAY)

@@ -36,7 +36,7 @@ def _set(name, field, **changes):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [
         (lambda new: new["paths"].pop(SESSIONS), "POST /api/v1/sessions is gone"),
         (lambda new: new["paths"][SESSIONS].pop("get"), "GET /api/v1/sessions is gone"),
@@ -54,10 +54,10 @@ def _set(name, field, **changes):
         (lambda new: new["paths"][SESSIONS]["get"]["parameters"].clear(), "parameter limit is gone"),
     ],
 )
-def test_what_breaks_is_noticed_and_named(change, told):
+def test_what_breaks_is_noticed_and_named(change, reported):
     new = deepcopy(NOW)
     change(new)
-    assert any(told in one for one in broken(NOW, new)), broken(NOW, new)
+    assert any(reported in one for one in broken(NOW, new)), broken(NOW, new)
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ def _absolute(schema):
 
 
 def contents(operation):
-    """Walk what is sent and told, with its schema."""
+    """Walk what is sent and reported, with its schema."""
     for media_type, part in operation.get("requestBody", {}).get("content", {}).items():
         yield "request", media_type, part
     for status, answer in operation["responses"].items():
@@ -51,9 +51,9 @@ def test_ids_of_operations_are_unique_plain_words():
 
 
 def test_every_call_that_has_a_rule_is_in_the_contract_and_no_other():
-    told = {(method, path) for method, path, _ in OPERATIONS}
+    reported = {(method, path) for method, path, _ in OPERATIONS}
     ruled = {call for call in RULES if call[0] not in {SOCKET, "HEAD"} and call[1] != "/api/v1/openapi.json"}
-    assert told == ruled
+    assert reported == ruled
 
 
 def test_a_call_has_one_tag_and_the_tag_is_explained(subtests):

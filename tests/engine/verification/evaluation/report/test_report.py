@@ -210,7 +210,7 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, arguments, field):
 
 
 def test_missed_marks_are_said_and_only_strict_fails(tmp_path, monkeypatch):
-    run = tiny_run()  # teaches nobody anything: every mark is missed
+    run = tiny_run()  # teaches no one anything: every mark is missed
     monkeypatch.setattr(datasets, "quick_plan", lambda _seed, _seconds: [run])
     arguments = ["--quick", "--jobs", "1", "--out", str(tmp_path / "out")]
     lenient = runner.invoke(evaluate, arguments)
