@@ -16,9 +16,9 @@ from service.core.permissions import Role
 from service.core.settings.settings import Settings
 from tests.support.repository import ROOT
 from tests.support.service.accounts import EVERY_ROLE, SOMEBODY, Provisioned, provision
-from tests.support.waiting import eventually
+from tests.support.waiting import PATIENCE_S, eventually
 
-START_S = 30.0
+START_S = 140.0
 PEOPLE: Mapping[str, frozenset[Role]] = dict.fromkeys((SOMEBODY, "A. Physicist", "B. Physicist"), EVERY_ROLE)
 """Whom the tests of this project speak as."""
 
@@ -39,7 +39,7 @@ class PeopleOverHttp(httpx2.Client):
         port: int,
         provisioned: Provisioned | None = None,
         *,
-        timeout_s: float = 20.0,
+        timeout_s: float = PATIENCE_S,
         certificate: Path | None = None,
     ) -> None:
         self.trusted = None if certificate is None else ssl.create_default_context(cafile=certificate)

@@ -23,7 +23,7 @@ from tests.support.service.processes import free_port, service_process
 from tests.support.waiting import PATIENCE_S, eventually
 
 BREAK_GLASS, PASSWORD = "Night Shift", "for when it is down"
-START_S = 30.0
+START_S = 140.0
 # Not the service's own address: to a browser these are two sites, as a hospital's are.
 ISSUER = "http://localhost:{port}"
 PEOPLE = (

@@ -41,7 +41,7 @@ PATIENCE = {
 }
 WANTED = {("hold", "Hold", "hold"), ("dwell", "Dwell", "dwell"), ("beam_on", "Beam on", "beam_on")}
 ATTEMPTS = 3
-START_S = 60.0
+START_S = 140.0
 
 # Notes each state of the gate as it is drawn, and whether one can arm in each phase of the learning: a dwell may be
 # over before a test looks again, and on a slow machine all of the learning.
