@@ -21,7 +21,7 @@ KEPT = 4096
 
 
 class Watchman:
-    """The looking process, and the stalls it told."""
+    """The monitoring process, and the stalls it reported."""
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(

@@ -1,6 +1,6 @@
 """The fault campaign: ``python -m tests.campaigns.faults --seeds 40 --jobs 2 --out DIR``.
 
-Exit code 0 when every trial was safe, told and recovered as promised; 1 when one was not, or is missing; 2 for a usage
+Exit code 0 when every trial was safe, reported and recovered; 1 when one was not, or is missing; 2 for a usage
 that is none. A campaign that was stopped goes on where it was, with the same folder.
 """
 

@@ -99,7 +99,7 @@ class FaultKind:
     ----------
     bound
         In words, where the bound is from.
-    bound_ms, told, recoveries
+    bound_ms, reported, recoveries
         See :class:`tests.campaigns.faults.verdict.Expectation`.
     plan
         What kind of service it needs.

@@ -31,7 +31,7 @@ LEASE = "the engine does not decide: the lease of 80 ms, and one exchange"
 ONE_EXCHANGE_MS = 20.0
 STOPPED = reported(
     *("frame_stale", "frame_late", "frame_missing", "watchdog", "frame_timeout", "beam_line_failed", "latency_high"),
-    "service_silent",  # what it told meanwhile is read a moment after the engine goes on
+    "service_silent",  # its reports meanwhile are read a moment after the engine continues
 )
 SILENT = reported("service_silent")
 ENDED = reported("engine_failed", "session failed")

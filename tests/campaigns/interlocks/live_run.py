@@ -231,7 +231,9 @@ def trip_once(run: LiveRun, trip: Trip) -> Outcome:
         back = _come_back(run, trip, off) if is_reported else _put_right(trip, run)
         if back:
             return Outcome(trip=trip, cause_ns=cause_ns, off=off, lease_end_ns=0, back=back)
-    raise AssertionError(f"{trip.code} was not told: {[(one.to_state, one.reason) for one in run.transitions[-6:]]}")
+    raise AssertionError(
+        f"{trip.code} was not reported: {[(one.to_state, one.reason) for one in run.transitions[-6:]]}"
+    )
 
 
 def _is_reported(run: LiveRun, code: HoldReason, after_ns: int) -> bool:

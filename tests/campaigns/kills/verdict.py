@@ -15,12 +15,12 @@ REPORTED_WITHIN_NS = 300 * NS_PER_MS
 
 DWELL_NS = 100 * NS_PER_MS
 LAST_INSTANT_NS = 30 * NS_PER_MS
-"""An off so shortly before the kill is the last hold's, told and not yet kept; counted."""
+"""An off so shortly before the kill is the last hold's, sent and not yet recorded; counted."""
 
 LOST_SAMPLES_NS = NS_PER_S
 FRAME_NS = 34 * NS_PER_MS
 WATCHDOG = "watchdog"
-"""Told from a thread of its own, beside the engine's own account: its states need not join."""
+"""Written by a thread of its own beside the engine's transitions: its states need not connect."""
 
 
 class Trouble(enum.StrEnum):

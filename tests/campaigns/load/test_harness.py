@@ -53,7 +53,7 @@ def test_every_client_that_reads_gets_samples_in_their_order_and_stays(found):
     assert (clients["healthy"], clients["stalled"]) == (4, 1)
     assert clients["samples_per_s_least"] > 0
     assert clients["backwards"] == clients["closed"] == 0
-    # What a connection did not get it was told of: numbers go on without a gap, or the gap has its message.
+    # A connection's losses were reported: numbers go on without a gap, or the gap has its message.
     assert clients["lost_to_gaps"] <= clients["skipped_reported"]
 
 

@@ -128,7 +128,7 @@ def main() -> None:
             spent_s[kind] += seconds
     typer.echo(f"one answer written down: {microseconds_an_answer():.2f} us more")
     typer.echo(f"coding depth as 16zT: {milliseconds_a_coded_picture(volunteer):.1f} ms of a core a frame")
-    typer.echo("capture to the line told [ms]     p50     p99   p99.9     max   frames   processor [s]")
+    typer.echo("capture to the command [ms]       p50     p99   p99.9     max   frames   processor [s]")
     for kind in KINDS:
         p50, p99, p999 = np.percentile(found[kind], [50, 99, 99.9])
         quantiles = f"{p50:8.2f}{p99:8.2f}{p999:8.2f}{max(found[kind]):8.2f}"

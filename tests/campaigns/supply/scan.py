@@ -77,7 +77,7 @@ def _licences() -> int:
     counted = Counter(part.licence for part in parts if part.licence is not None)
     _say("licences: " + ", ".join(f"{n} {name}" for name, n in sorted(counted.items(), key=lambda one: -one[1])))
     if unreported:
-        _say(f"  not told by what is installed: {', '.join(unreported)}")
+        _say(f"  not declared by what is installed: {', '.join(unreported)}")
     return min(1, len(unreported))
 
 

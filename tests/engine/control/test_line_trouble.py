@@ -53,7 +53,7 @@ class Contrary(WatchedBeamLine):
 
     def is_on(self):
         if self.permits and self.permits[-1].sequence == 3:
-            raise BeamLineMismatchError("off for 160 ms though told on")
+            raise BeamLineMismatchError("off for 160 ms though commanded on")
         return super().is_on()
 
 

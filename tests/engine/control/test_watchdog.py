@@ -245,7 +245,7 @@ def test_an_engine_that_comes_back_stays_faulted_until_acknowledged_and_armed(ru
     drained(loop.samples)
     states = [loop.samples.get(timeout=PATIENCE_S).gate_state for _ in range(8)]
     assert set(states) == {GateState.FAULT}
-    assert drained(loop.transitions) == []  # told once, by the watchdog
+    assert drained(loop.transitions) == []  # emitted once, by the watchdog
     assert not line.is_on()
     loop.submit(Acknowledge(operator="bob")).result(timeout=PATIENCE_S)
     assert _wait_for(loop.transitions, GateState.DISARMED).operator == "bob"

@@ -69,7 +69,7 @@ def site(tmp_path: Path) -> Settings:
 
 
 @pytest.fixture
-def nobody(site: Settings, migrated_file: Path) -> Iterator[PeopleClient]:
+def anonymous(site: Settings, migrated_file: Path) -> Iterator[PeopleClient]:
     """A client that is no one until it says who."""
     with PeopleClient(create_app(with_tables(site, migrated_file), lambda _settings: FakeEngine())) as client:
         client.speaks_as = None

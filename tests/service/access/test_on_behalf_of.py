@@ -13,15 +13,15 @@ JSON = {"Content-Type": "application/json"}
 
 
 @pytest.fixture
-def machine(nobody):
-    desk = nobody.desk
+def machine(anonymous):
+    desk = anonymous.desk
     made = desk.keys.create("planning", KEY_PERMISSIONS, desk.store.now() + timedelta(days=1), by="test")
     return {"Authorization": f"Bearer {made.secret}", **JSON}
 
 
 @pytest.fixture
-def person(nobody):
-    return {**headers_of(open_login(nobody.desk.store, "A. Therapist")), **JSON}
+def person(anonymous):
+    return {**headers_of(open_login(anonymous.desk.store, "A. Therapist")), **JSON}
 
 
 def upload(client, headers, operator=None):
@@ -36,10 +36,10 @@ def rows(client, person, action):
 
 
 @pytest.fixture
-def silent(nobody, monkeypatch):
+def silent(anonymous, monkeypatch):
     """The client as it is: no one is guessed from a request's words."""
     monkeypatch.setattr("tests.support.service.accounts._named", lambda _options: None)
-    return nobody
+    return anonymous
 
 
 def test_a_machine_is_the_actor_and_the_audit_tells_for_whom_it_acts(silent, machine, person):

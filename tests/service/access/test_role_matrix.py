@@ -27,7 +27,7 @@ ROLES = {role.value: ROLE_PERMISSIONS[role] for role in Role}
 KEYS = {f"key with {scope}": frozenset({scope}) for scope in sorted(KEY_PERMISSIONS)}
 NOT_LOGGED_IN = ("nobody", "expired", "idle", "disabled", "revoked key", "expired key", "made-up key", "made-up login")
 EVERYBODY = (*NOT_LOGGED_IN, "must change", *ROLES, *KEYS)
-ASKED_BY_STRANGERS = {"/api/v1/login", "/api/v1/login/oidc", "/api/v1/login/oidc/return"}
+WITHOUT_LOG_IN = {"/api/v1/login", "/api/v1/login/oidc", "/api/v1/login/oidc/return"}
 ENDLESS = {"/api/v1/live/events": "?form=none"}
 """Answers without an end, and what is asked so that they are refused behind the guard instead."""
 FILL = {"login_id": "0" * 32, "key_id": "0" * 12, "name": "nobody"}
@@ -103,7 +103,7 @@ def is_let_in(client, method, path, headers):
     if method == SOCKET:
         return opens_a_stream(client, url(path), headers)
     answer = client.request(method, url(path) + ENDLESS.get(path, ""), headers=headers, follow_redirects=False)
-    if path in ASKED_BY_STRANGERS:
+    if path in WITHOUT_LOG_IN:
         return answer.status_code != 404  # it may answer 401 or 403 to whom it does not know: it was asked
     if answer.status_code in {401, 403}:
         assert answer.headers["content-type"] == "application/problem+json", answer.text

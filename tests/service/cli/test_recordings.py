@@ -83,11 +83,11 @@ def test_ctrl_c_ends_a_recording_that_is_whole(tmp_path):
     script = (
         "import sys; from service.cli import recordings as r; from engine.capture import recorder\n"
         "follow = recorder._follow\n"
-        "def told(camera, seconds, report, stop):\n"
+        "def reporting(camera, seconds, report, stop):\n"
         "    def reported(progress):\n"
         "        report(progress); print(progress.frames, flush=True)\n"
         "    return follow(camera, seconds, reported, stop)\n"
-        "recorder._follow = told\n"
+        "recorder._follow = reporting\n"
         "from service.cli import main; main()\n"
     )
     process = subprocess.Popen(

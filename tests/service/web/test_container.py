@@ -69,10 +69,10 @@ def test_a_start_that_is_refused_before_its_database_leaves_no_engine(settings, 
 
 def test_a_start_that_is_refused_half_way_leaves_no_engine_and_no_thread(settings, engine):
     def refuse(_name, _password):
-        msg = "the first password could not be told"
+        msg = "the first password could not be printed"
         raise TidegateError(msg)
 
-    with pytest.raises(TidegateError, match="could not be told"):
+    with pytest.raises(TidegateError, match="could not be printed"):
         open_container(settings, engine, EngineRig(settings), refuse)
     assert engine.found_at_close == [[]]
     assert not container_threads()

@@ -28,7 +28,7 @@ def look(camera: VirtualXtion, *words: str) -> list[dict[str, Any]]:
 
 
 class Onlooker:
-    """Reads frames until it is told to end; a context manager."""
+    """Reads frames until it is asked to end; a context manager."""
 
     def __init__(self, camera: VirtualXtion, *words: str, seconds: float = 60.0) -> None:
         self._process = subprocess.Popen(

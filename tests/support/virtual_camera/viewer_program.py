@@ -4,8 +4,8 @@ Run: ``python -m tests.support.virtual_camera.viewer_program devices|frames|reco
 
 It speaks in JSON lines. ``recording FILE`` lets the runtime play one, with the virtual camera beside it.
 
-``frames SECONDS [registered] [small] [told]`` says what each frame is, and how reading failed where it did; told, only
-until its input is closed; ``pictures OUT [registered] [small]`` writes the newest frame of half a second to a file.
+``frames SECONDS [registered] [small] [until-eof]`` describes each frame and each failed read; with until-eof, until
+its input is closed. ``pictures OUT [registered] [small]`` writes the newest frame of half a second to a file.
 """
 
 import json

@@ -102,7 +102,7 @@ def _read_until_no_longer_on(engine: subprocess.Popen[str], after_ns: int) -> No
         _state, _reason, at_ns = reported.split()
         if int(at_ns) > after_ns:
             return
-    pytest.fail("the engine told nothing after it went on")
+    pytest.fail("the engine reported nothing after it went on")
 
 
 @contextlib.contextmanager

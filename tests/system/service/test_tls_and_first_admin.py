@@ -1,4 +1,4 @@
-"""A real `tidegate serve`: TLS spoken for real, the first administrator's password told once."""
+"""A real `tidegate serve`: its TLS, and the first administrator's password, shown once."""
 
 import os
 import re

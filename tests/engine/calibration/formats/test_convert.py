@@ -177,10 +177,10 @@ def test_an_echoed_message_is_read_alike(is_lower):
     if is_lower:
         messages = [{k.lower() if len(k) == 1 else k: v for k, v in message.items()} for message in messages]
     files = [as_yaml(message) + b"---\n" for message in messages]
-    heard = convert(files, ImportOptions()).calibration
+    converted = convert(files, ImportOptions()).calibration
     stored = convert([as_yaml(document) for document in documents], ImportOptions()).calibration
-    assert heard.depth == stored.depth
-    assert heard.color_from_depth.rotation.tolist() == stored.color_from_depth.rotation.tolist()
+    assert converted.depth == stored.depth
+    assert converted.color_from_depth.rotation.tolist() == stored.color_from_depth.rotation.tolist()
     np.testing.assert_allclose(stored.color_from_depth.translation_mm, [25.0, 0.0, 0.0], atol=1e-12)
 
 

@@ -70,7 +70,7 @@ def test_a_hold_waits_for_nothing_and_is_in_the_file_when_the_line_was_commanded
     bench.pipeline.spoil[ON_AT + 1] = lambda frame: unmeasured(frame, MeasurementState.TRAINING)
     bench.run()
     first_hold = seen.index("beam_on")
-    assert seen[first_hold : first_hold + 2] == ["beam_on", "hold"]  # told first, kept before the next frame
+    assert seen[first_hold : first_hold + 2] == ["beam_on", "hold"]  # commanded first, recorded before the next frame
 
 
 def test_the_file_tells_the_same_transitions_as_the_queue_under_the_same_numbers(journal):

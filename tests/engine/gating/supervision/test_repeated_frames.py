@@ -18,7 +18,7 @@ COLORS = [NOISE.integers(1, 255, (48, 64, 3)).astype(np.uint8) for _ in range(40
 def frame(
     index: int, *, depth: int | None = None, color: int | None = None, color_time: int | None = None
 ) -> RgbdFrame:
-    """Frame ``index`` with the pictures of the frames told; its own by default."""
+    """Frame ``index`` with the pictures of the given frames; its own by default."""
     return RgbdFrame(
         index=index,
         device_index=index,

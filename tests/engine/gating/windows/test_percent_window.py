@@ -1,4 +1,4 @@
-"""A window told in per cent of the learned range: turned into mm or l once, or never inside."""
+"""A window in per cent of the learned range: converted to mm or l once, or never inside."""
 
 import math
 from dataclasses import replace

@@ -36,9 +36,7 @@ def test_the_model_measures_on_but_arming_is_refused_until_it_was_compared_and_a
     patient.see_until(lambda: patient.learner.status.patient_match is not None)
     assert patient.learner.status.model_shortcoming is None
     assert patient.learner.active is active
-    assert not patient.learner.status.has_reference, (
-        "motion is shown against the first frame, and nobody arms with that"
-    )
+    assert not patient.learner.status.has_reference, "motion is shown against the first frame, and arming is refused"
     patient.learner.set_reference()
     patient.see()
     assert patient.learner.status.has_reference

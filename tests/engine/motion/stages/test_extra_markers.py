@@ -29,8 +29,8 @@ def test_the_line_runs_through_both_stickers_and_on_to_both_edges():
 
 
 def test_two_stickers_among_corners_and_other_blobs_are_found_in_any_order():
-    strangers = [(60.0, 100.0), (200.0, 90.0), (170.0, -80.0), (-60.0, 20.0)]
-    candidates = np.concatenate([in_picture([(190.0, 195.0), (150.0, 4.0), *strangers]), CORNERS])
+    others = [(60.0, 100.0), (200.0, 90.0), (170.0, -80.0), (-60.0, 20.0)]
+    candidates = np.concatenate([in_picture([(190.0, 195.0), (150.0, 4.0), *others]), CORNERS])
     expected = split_between(np.array([[150.0, 4.0], [190.0, 195.0]]))
     for order in range(5):
         shuffled = np.random.default_rng(order).permutation(candidates)

@@ -160,9 +160,9 @@ def lines_of(path):
 def test_the_tapes_hold_every_kind_of_input_every_command_and_faults(folders):
     paths = [TAPE, *(tape_path(folders / "data", one) for one in (LEARNING, RESUMED))]
     turns = [line for path in paths for line in lines_of(path) if "h" in line]
-    heard = [pair for turn in turns for pair in zip(turn["h"][::2], turn["h"][1::2], strict=True)]
-    assert {kind for kind, _ in heard} == set(range(1, INPUTS + 1))
-    commands = set().union(*(names_in(answer, "d") for kind, answer in heard if kind == COMMANDS))
+    observed = [pair for turn in turns for pair in zip(turn["h"][::2], turn["h"][1::2], strict=True)]
+    assert {kind for kind, _ in observed} == set(range(1, INPUTS + 1))
+    commands = set().union(*(names_in(answer, "d") for kind, answer in observed if kind == COMMANDS))
     assert len(commands) == 10, commands
     faults = {
         row["reason"] for turn in turns for row in turn.get("r", []) + turn.get("e", []) if row.get("to") == "fault"

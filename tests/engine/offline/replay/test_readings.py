@@ -226,7 +226,7 @@ def test_commands_frames_and_errors_are_on_the_tape_without_what_cannot_be_store
     source = ScriptedSource(ManualClock(0), [good])
     frame = source.read(1.0)
     queued = QueuedCommand(command=ANNA, answer=Future(), submitted_ns=3)
-    error = BeamLineMismatchError("off though told on")
+    error = BeamLineMismatchError("off though commanded on")
     kept = [
         kept_of(InputKind.TURN, TurnInputs(commands=(queued,))),
         kept_of(InputKind.FRAME, FrameInput(frame=frame, at_ns=8)),
@@ -236,7 +236,7 @@ def test_commands_frames_and_errors_are_on_the_tape_without_what_cannot_be_store
     assert turn.commands == (ANNA,)
     assert (read.frame.index, read.frame.timestamp_us) == (frame.index, frame.timestamp_us)
     again = line.error.again()
-    assert (type(again), str(again)) == (BeamLineMismatchError, "off though told on")
+    assert (type(again), str(again)) == (BeamLineMismatchError, "off though commanded on")
 
 
 def test_recorded_values_come_in_order_and_another_kind_is_named():

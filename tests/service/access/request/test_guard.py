@@ -21,16 +21,16 @@ JSON = {"Content-Type": "application/json"}
 
 
 @pytest.fixture
-def quick(nobody):
+def quick(anonymous):
     """A service whose passwords cost nothing, with one person in it."""
     hashing = QuickHashing()
-    desk = nobody.desk
+    desk = anonymous.desk
     desk.logins._hashing = hashing
     desk.passwords._pause_s = 0.0
     desk.accounts._hash = hashing.hash
     desk.accounts.add("root", [Role.ADMIN], by="test", password=PASSWORD)
     desk.accounts.add("B. Physicist", [Role.PHYSICIST], by="test", password=PASSWORD)
-    return nobody
+    return anonymous
 
 
 @pytest.fixture(scope="module")
@@ -260,7 +260,7 @@ def test_a_socket_is_no_way_to_a_call_and_a_call_none_to_a_socket(door):
     assert door.get("/api/v1/live").status_code == 404
 
 
-def test_the_body_of_an_unknown_caller_is_not_read(nobody, monkeypatch):
+def test_the_body_of_an_unknown_caller_is_not_read(anonymous, monkeypatch):
     read = []
 
     async def inner(_scope, receive, _send):
@@ -273,7 +273,7 @@ def test_the_body_of_an_unknown_caller_is_not_read(nobody, monkeypatch):
         is_secure=False,
         page_files=frozenset(),
     )
-    app = nobody.app
+    app = anonymous.app
 
     async def asked(scope, receive, send):
         if scope["type"] == "http":
@@ -294,15 +294,15 @@ def test_the_page_is_public_and_nothing_else_beside_it(door):
     assert door.get("/api/v1/openapi.json").status_code == 401
 
 
-def test_a_refusal_names_what_is_missing_and_is_audited_with_who_and_what(nobody):
-    headers = headers_of(open_login(nobody.desk.store, "Viewer", [Role.VIEWER]))
-    answer = nobody.post(f"/api/v1/sessions/{'0' * 32}/arm", json={}, headers=headers)
+def test_a_refusal_names_what_is_missing_and_is_audited_with_who_and_what(anonymous):
+    headers = headers_of(open_login(anonymous.desk.store, "Viewer", [Role.VIEWER]))
+    answer = anonymous.post(f"/api/v1/sessions/{'0' * 32}/arm", json={}, headers=headers)
     problem = answer.json()
     assert (answer.status_code, problem["code"], problem["bound"]) == (403, "permission_missing", "gate.arm")
     assert "Viewer does not have the permission gate.arm" in problem["detail"]
-    nobody.desk.cleanup_worker.write_refusals()
-    nobody.speaks_as = "A. Therapist"
-    (row,) = [row for row in audit_rows(nobody, "access.refused") if row["actor"] == "Viewer"]
+    anonymous.desk.cleanup_worker.write_refusals()
+    anonymous.speaks_as = "A. Therapist"
+    (row,) = [row for row in audit_rows(anonymous, "access.refused") if row["actor"] == "Viewer"]
     assert (row["outcome"], row["detail"]["needs"], row["detail"]["method"]) == ("refused", "gate.arm", "POST")
     assert row["detail"]["path"] == "/api/v1/sessions/{session_id}/arm"
 
@@ -321,15 +321,15 @@ def test_a_flood_of_unknown_callers_costs_one_row_that_counts_them(quick):
     assert "nobody at all" not in json.dumps(audit_rows(quick))
 
 
-def test_a_flood_of_refusals_of_somebody_known_is_bounded(nobody):
-    headers = headers_of(open_login(nobody.desk.store, "Viewer", [Role.VIEWER]))
-    nobody.desk.cleanup_worker._worker.stop(30.0)
+def test_a_flood_of_refusals_of_somebody_known_is_bounded(anonymous):
+    headers = headers_of(open_login(anonymous.desk.store, "Viewer", [Role.VIEWER]))
+    anonymous.desk.cleanup_worker._worker.stop(30.0)
     for _ in range(300):
-        assert nobody.get("/api/v1/users", headers=headers).status_code == 403
-    assert len(nobody.desk.refused_logins.take_events()) == 10
-    assert nobody.desk.refused_logins.take_summary().detail["counts"] == {"access.refused of Viewer": 290}
-    assert nobody.get("/api/v1/users", headers=headers).status_code == 403
-    assert len(nobody.desk.refused_logins.take_events()) == 1  # another minute
+        assert anonymous.get("/api/v1/users", headers=headers).status_code == 403
+    assert len(anonymous.desk.refused_logins.take_events()) == 10
+    assert anonymous.desk.refused_logins.take_summary().detail["counts"] == {"access.refused of Viewer": 290}
+    assert anonymous.get("/api/v1/users", headers=headers).status_code == 403
+    assert len(anonymous.desk.refused_logins.take_events()) == 1  # another minute
 
 
 def test_failures_of_a_known_name_are_audited_by_it(quick):
@@ -382,11 +382,11 @@ def test_who_is_in_stays_in_and_holds_while_the_database_does_not_answer(quick, 
     assert log_in(quick, name="root").status_code == 503
 
 
-def test_refusals_are_written_by_the_keeper_itself(nobody):
-    headers = headers_of(open_login(nobody.desk.store, "Viewer", [Role.VIEWER]))
-    nobody.get("/api/v1/users", headers=headers)
-    nobody.speaks_as = "A. Therapist"
-    eventually(lambda: len(audit_rows(nobody, "access.refused")) == 1)
+def test_refusals_are_written_by_the_keeper_itself(anonymous):
+    headers = headers_of(open_login(anonymous.desk.store, "Viewer", [Role.VIEWER]))
+    anonymous.get("/api/v1/users", headers=headers)
+    anonymous.speaks_as = "A. Therapist"
+    eventually(lambda: len(audit_rows(anonymous, "access.refused")) == 1)
 
 
 def test_two_origins_are_none_of_ours(door):

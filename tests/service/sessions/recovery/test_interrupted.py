@@ -1,4 +1,4 @@
-"""What the next start makes of what a killed process left: one truth, told once, even if that start is killed too."""
+"""Recovery of a killed process's session at the next start: recorded once, even if that start is killed too."""
 
 import json
 import os

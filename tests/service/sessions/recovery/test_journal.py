@@ -160,7 +160,7 @@ def test_a_permit_that_was_only_foreseen_is_reported_as_one_that_may_not_have_be
 
 def test_a_damaged_slot_is_said_and_not_believed(database, journals, left):
     content = bytearray(left.read_bytes())
-    content[slot_offset(4, SLOTS) + SLOT_BYTES // 2] ^= 255  # the permit, as told; as foreseen it stands in slot 3
+    content[slot_offset(4, SLOTS) + SLOT_BYTES // 2] ^= 255  # the committed permit; the prepared one is in slot 3
     left.write_bytes(content)
     recover_transitions(database, journals)
     assert path(database) == ["hold", "dwell", "beam_on", "hold"]

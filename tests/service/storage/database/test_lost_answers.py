@@ -1,4 +1,4 @@
-"""A commit no one heard of, or that was not done: what is written is there once, and nothing goes too early."""
+"""A commit without an answer, or not done: each row is written once, and nothing is removed too early."""
 
 from collections.abc import Callable
 from contextlib import contextmanager

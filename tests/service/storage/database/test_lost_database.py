@@ -45,7 +45,7 @@ def test_another_file_in_its_place_is_not_the_database(settings, looks, running)
 def test_a_full_disk_is_reported_again_and_again_so_that_no_acknowledgement_leads_to_a_beam(
     client, session_id, engine, monkeypatch
 ):
-    """Were it told once a second, somebody quick could have the beam on for most of it."""
+    """If it were reported once a second only, quick acknowledgements could have the beam on for most of it."""
     monkeypatch.setattr(shutil, "disk_usage", lambda _path: SimpleNamespace(free=1024))
     act(client, session_id, "start")
     eventually(lambda: engine.running.faults.count(HoldReason.DISK_LOW) >= 5, within_s=writer.DISK_CHECK_S)

@@ -236,7 +236,7 @@ def test_a_connection_that_only_the_server_still_knows_does_not_keep_the_lock_fr
     one, other = Database(place), Database(place)
     one.claim()
     number = one._claim._connection.connection.dbapi_connection.fileno()
-    way = os.dup(number)  # stays open: the server does not hear that we have gone
+    way = os.dup(number)  # stays open: the server gets no end of the connection
     broken, end = socket.socketpair()
     end.close()
     os.dup2(broken.fileno(), number)

@@ -42,7 +42,7 @@ def test_what_is_committed_is_confirmed_and_what_is_not_keeps_its_file(client, j
     kept = replace(lost, from_state=GateState.HOLD, to_state=GateState.DWELL)
     engine.running.transitions.put_nowait(replace(kept, number=journal.commit(kept)))
     eventually(lambda: journal.is_acknowledged)
-    journal.commit(lost)  # of which the writer never hears
+    journal.commit(lost)  # never acknowledged by the writer
     act(client, session_id, "stop")
     assert list(journals.left_behind()) == [journal.path]
 

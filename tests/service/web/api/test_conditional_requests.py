@@ -89,7 +89,7 @@ def test_a_look_from_before_it_is_worth_nothing_from_when_the_engine_is_commande
     assert act(client, session_id, action).status_code == 200
     read_back, written = met
     after = revisions.etag(session_id)
-    assert len({before, read_back, written, after}) == 4, "before, told, done, written down"
+    assert len({before, read_back, written, after}) == 4, "before, read back, done, recorded"
     assert revisions.etag(session_id) == after
 
 

@@ -1,4 +1,4 @@
-"""Regions of a session: asked for strictly, handed to the engine, told live, exported, and the surface as a mesh."""
+"""Regions of a session: validated, passed to the engine, streamed, exported, and the surface as a mesh."""
 
 import csv
 import io

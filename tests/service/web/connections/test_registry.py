@@ -78,10 +78,10 @@ async def test_when_all_places_are_taken_the_address_with_most_gives_one_up():
 async def test_a_known_caller_is_closed_only_if_no_unknown_one_is_connected():
     connections = registry()
     known = [add(connections, "192.0.2.1", is_authenticated=True)[0] for _ in range(3)]
-    strangers = [add(connections, f"192.0.2.{i}")[0] for i in (2, 3, 4)]
+    unknown = [add(connections, f"192.0.2.{i}")[0] for i in (2, 3, 4)]
     for i in (5, 6, 7):
         add(connections, f"192.0.2.{i}", waits=False)
-    assert [one.is_gone for one in strangers] == [True] * 3
+    assert [one.is_gone for one in unknown] == [True] * 3
     assert not any(one.is_gone for one in known)
     assert add(connections, "192.0.2.8", waits=False)[1]
     assert [one.is_gone for one in known] == [True, False, False]
