@@ -20,7 +20,7 @@ from engine.core.gate_state import GateState
 from service.core.schemas import sessions
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
-from service.engine_host.process import child_process
+from service.engine_host.process import child_process, remote_engine, standby
 from service.engine_host.process.process_engine import ProcessEngine
 from service.engine_host.process.remote_engine import RemoteEngine
 from service.engine_host.roles import SessionPlan
@@ -33,7 +33,7 @@ from tests.support.service.api_calls import make_calibration
 MS = 1_000_000
 PACED = "tests.support.engine_process.real_time_program"
 SESSION_ID = "0" * 32
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 SILENCE_MS = 400.0
 PATIENT = {
     "lease_ms": 200.0,
@@ -200,8 +200,10 @@ class Bench:
 
 @contextlib.contextmanager
 def bench(folder: Path, line: Line, **settings: object) -> Iterator[Bench]:
-    os.environ[LINE], before = str(line.path), child_process.MODULE
+    os.environ[LINE] = str(line.path)
+    before = child_process.MODULE, standby.START_S, remote_engine.OPEN_S
     child_process.MODULE = PACED
+    standby.START_S = remote_engine.OPEN_S = PATIENCE_S
     try:
         held = Bench(folder, line, **settings)
         try:
@@ -209,7 +211,7 @@ def bench(folder: Path, line: Line, **settings: object) -> Iterator[Bench]:
         finally:
             held.end()
     finally:
-        child_process.MODULE = before
+        child_process.MODULE, standby.START_S, remote_engine.OPEN_S = before
 
 
 def is_there(pid: int) -> bool:

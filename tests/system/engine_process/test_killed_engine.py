@@ -3,6 +3,7 @@
 import signal
 import threading
 import time
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ from tests.support.engine_process.bench import (
 )
 
 LARGE_MODEL = np.zeros((100, 350, 200), np.float32)
+TRIES = 5
 LEASE_NS = int(PATIENT["lease_ms"] * MS)
 
 
@@ -54,10 +56,27 @@ def lasting(tmp_path_factory):
 
 @pytest.fixture
 def held(lasting):
-    """One engine's process for all tests that leave it alive; nobody is armed."""
+    """One engine's process for all tests that leave it alive; no one is armed."""
     eventually(lambda: lasting.engine.status.view is not None)
     lasting.calm()
     return lasting
+
+
+def held_after(held, begin: Callable[[], object], reasons: set[HoldReason]) -> tuple[int, int]:
+    """Turn the beam on and begin what holds it; return when [ns] that began, and when the receiver saw the hold.
+
+    On a busy machine the lease may lapse first, or a frame be late, which is safe and proves nothing: then once more.
+    """
+    for _ in range(TRIES):
+        held.turn_on()
+        begin()
+        began_ns = time.monotonic_ns()
+        edge, *times_ns = held.line.await_off()
+        eventually(lambda: held.engine.status.view.record.hold_reason is not None)
+        if edge == "held" and held.engine.status.view.record.hold_reason in reasons:
+            return began_ns, int(times_ns[0])
+        held.calm()
+    pytest.fail(f"the beam went off for another reason {TRIES} times")
 
 
 def test_a_session_in_a_process_of_its_own_turns_the_beam_on_obeys_and_ends(tmp_path, line):
@@ -139,14 +158,9 @@ def test_a_silent_service_faults_an_armed_gate_and_no_other(held, lateness):
     eventually(lambda: held.engine.status.view.frames > frames + 1.5 * SILENCE_MS / 33.0)
     assert held.engine.status.view.record.gate_state is GateState.DISARMED, "not armed: nothing is held by it"
     held.calm()
-    held.turn_on()
-    held.silence()
-    silent_ns = time.monotonic_ns()
-    edge, *times_ns = held.line.await_off()
-    assert edge == "held"
+    silent_ns, off_ns = held_after(held, held.silence, {HoldReason.SERVICE_SILENT})
     latest_ns = silent_ns + (SILENCE_MS + 60) * MS + lateness.allowed_ns
-    assert silent_ns + (SILENCE_MS - 100) * MS <= int(times_ns[0]) <= latest_ns
-    eventually(lambda: held.engine.status.view.record.hold_reason is HoldReason.SERVICE_SILENT)
+    assert silent_ns + (SILENCE_MS - 100) * MS <= off_ns <= latest_ns
     held.calm()
     held.turn_on()
 
@@ -183,14 +197,9 @@ def test_a_hold_that_was_given_up_is_carried_out_all_the_same(held):
 
 
 def test_a_writer_that_takes_nothing_holds_the_beam_as_if_it_were_in_the_engine_s_process(held, lateness):
-    held.turn_on()
-    held.writes.clear()
-    hung_ns = time.monotonic_ns()
-    edge, *times_ns = held.line.await_off()
-    assert edge == "held"
-    assert int(times_ns[0]) <= hung_ns + (600 + 60) * MS + 2 * lateness.allowed_ns
-    eventually(lambda: held.engine.status.view.record.hold_reason is not None)
-    assert held.engine.status.view.record.hold_reason in {HoldReason.RECORDER_BEHIND, HoldReason.AUDIT_BEHIND}
+    behind = {HoldReason.RECORDER_BEHIND, HoldReason.AUDIT_BEHIND}
+    hung_ns, off_ns = held_after(held, held.writes.clear, behind)
+    assert off_ns <= hung_ns + (600 + 60) * MS + 2 * lateness.allowed_ns
     assert not held.engine.samples.empty(), "all had come over, and counted as unwritten"
     held.writes.set()
     held.turn_on()
