@@ -19,6 +19,8 @@ WIDTH_PX, HEIGHT_PX = 640, 480
 PROJECTOR_BASELINE_MM = 75.0
 ZERO_PLANE_PX_SIZE = 0.1052
 STEPS_A_MM = 36_000.0 / ZERO_PLANE_PX_SIZE
+# Rotations of a body are about the middle of its chest's surface.
+_PIVOT_MM = np.array([0.0, 0.0, -200.0])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,10 +69,10 @@ def build_rig(build: Build, volunteer: int) -> Rig:
 
 
 def couch_from_body(pose: Pose) -> RigidTransform:
-    """Transform of a pose: a rotation about the vertical, then a translation."""
-    return RigidTransform(
-        rotation=_rotation(0.0, 0.0, pose.turn_rad), translation_mm=np.array([pose.x_mm, pose.y_mm, 0.0])
-    )
+    """Transform of a pose: a rotation about the middle of the chest's surface, then a translation."""
+    rotation = _rotation(pose.tilt_rad, pose.roll_rad, pose.turn_rad)
+    shift_mm = np.array([pose.x_mm, pose.y_mm, pose.z_mm])
+    return RigidTransform(rotation=rotation, translation_mm=shift_mm + _PIVOT_MM - rotation @ _PIVOT_MM)
 
 
 def chain(outer: RigidTransform, inner: RigidTransform) -> RigidTransform:

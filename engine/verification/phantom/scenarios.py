@@ -49,11 +49,17 @@ class Event:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pose:
-    """Position of the body on the couch relative to its first one: translation [mm] and rotation [rad]."""
+    """Position of the body on the couch relative to its first one: translation [mm], z down, and rotations [rad].
+
+    ``turn_rad`` is about the vertical, ``tilt_rad`` about the axis across the body, ``roll_rad`` about its long axis.
+    """
 
     x_mm: float = 0.0
     y_mm: float = 0.0
     turn_rad: float = 0.0
+    z_mm: float = 0.0
+    tilt_rad: float = 0.0
+    roll_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -11,6 +11,7 @@ import numpy as np
 from engine.verification.phantom.anatomy import Anatomy
 from engine.verification.phantom.breathing import Breathing
 from engine.verification.phantom.builds import NO_DEPARTURE, Departure
+from engine.verification.phantom.falsifications import APPEAR_S, Falsification
 from engine.verification.phantom.rig import build_rig
 from engine.verification.phantom.scenarios import Pose, plan
 from engine.verification.phantom.traces import Trace
@@ -31,6 +32,7 @@ class Script:
     departure: Departure = NO_DEPARTURE
     has_laser: bool = False
     has_extra_markers: bool = False
+    falsification: Falsification | None = None
 
     def rng(self, stream: int) -> np.random.Generator:
         """Random generator of one purpose, numbered by ``stream``."""
@@ -53,18 +55,33 @@ class Scene:
             trace=script.trace,
         )
         self.breathing = Breathing(self.timeline.signals, self.anatomy.build)
-        self.skin = Skin(self.anatomy)
+        false = script.falsification
+        self.skin = Skin(self.anatomy, None if false is None else false.blind)
         self.color_rays = Rays.of(self.rig.color)
         # The body moves at most once in a recording: caching the newest poses is enough.
         self._roi_truth = lru_cache(maxsize=3)(self._make_roi_truth)
 
+    def pose(self, time_s: float) -> Pose:
+        """Pose of the body at this time."""
+        false = self.script.falsification
+        elapsed_s = None if false is None else false.elapsed_s(time_s)
+        if false is None or false.body is None or elapsed_s is None:
+            return self.timeline.pose(time_s)
+        return false.body.pose(elapsed_s)
+
     def roi_truth(self, time_s: float) -> RoiTruth:
         """Solver of the ROI's true depth for the pose at this time."""
-        return self._roi_truth(self.timeline.pose(time_s))
+        return self._roi_truth(self.pose(time_s))
+
+    def raised_share(self, time_s: float) -> float:
+        """How much of the rise below a blind area has come, 0 to 1."""
+        false = self.script.falsification
+        elapsed_s = None if false is None or false.blind is None else false.elapsed_s(time_s)
+        return 0.0 if elapsed_s is None else min(elapsed_s / APPEAR_S, 1.0)
 
     def markers_px(self, time_s: float) -> Grid:
         """Return true sticker centres in the colour picture [px], shape (4, 2)."""
-        return sticker_px(self.rig, self.skin, self.breathing.weights(time_s), self.timeline.pose(time_s))
+        return sticker_px(self.rig, self.skin, self.breathing.weights(time_s), self.pose(time_s))
 
     def _make_roi_truth(self, pose: Pose) -> RoiTruth:
         return RoiTruth(self.rig, self.color_rays, self.skin, pose)

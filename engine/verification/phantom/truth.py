@@ -45,6 +45,7 @@ from scipy.ndimage import map_coordinates, spline_filter
 from engine.core.errors import RecordingError
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, FloatArray
 from engine.verification.phantom.anatomy import MODES, Anatomy
+from engine.verification.phantom.falsifications import Blind
 from engine.verification.phantom.rig import Rig
 from engine.verification.phantom.scenarios import Pose
 from engine.verification.phantom.view import Frustum, Rays
@@ -114,7 +115,7 @@ def load_truth(path: Path) -> Truth:
 class Skin:
     """The body's surface as cubic splines, and the stickers on it; the truth is computed from these."""
 
-    def __init__(self, anatomy: Anatomy) -> None:
+    def __init__(self, anatomy: Anatomy, blind: Blind | None = None) -> None:
         self.anatomy = anatomy
         half_x, half_y = _SPLINE_HALF_MM
         x_mm, y_mm = np.meshgrid(
@@ -122,6 +123,10 @@ class Skin:
         )
         self._rest = spline_filter(anatomy.trunk_height(x_mm, y_mm))
         self._modes = np.stack([spline_filter(mode) for mode in anatomy.modes(x_mm, y_mm)])
+        self.rise: Grid = np.zeros_like(self._rest)
+        """Coefficients of the whole rise below a blind area, to be added to those of the surface."""
+        if blind is not None:
+            self.rise += blind.raised_mm * spline_filter(blind.inside(anatomy, y_mm))
         anchors = anatomy.anchors_mm
         self._anchor_rest = anatomy.trunk_height(anchors[:, 0], anchors[:, 1])
         self._anchor_modes = anatomy.modes(anchors[:, 0], anchors[:, 1])
@@ -189,9 +194,12 @@ class RoiTruth:
         self._nodes_rc, self._row_shares, self._band_shares = _node_layout()
         self._start = self._start_from_rest(self._nodes_rc)
 
-    def cells(self, weights_mm: FloatArray) -> tuple[Grid, Grid, Grid]:
-        """Return cell means (35, 20), the means of the superior and the inferior half (2), the five points (5) [mm]."""
-        depth = self._solve(self._nodes_rc, weights_mm, self._start)
+    def cells(self, weights_mm: FloatArray, raised_share: float = 0.0) -> tuple[Grid, Grid, Grid]:
+        """Return cell means (35, 20), the means of the superior and the inferior half (2), the five points (5) [mm].
+
+        ``raised_share`` is how much of the rise below a blind area has come.
+        """
+        depth = self._solve(self._nodes_rc, weights_mm, self._start, raised_share)
         points = depth[-len(POINTS_RC) :]
         nodes = depth[: -len(POINTS_RC)].reshape(len(self._band_shares), 3, ROI_COLUMNS // CELL_PX, 3)
         bands = (nodes * self._row_shares[:, :, None, None] * _RULE_SHARES).sum(axis=(1, 3))
@@ -204,10 +212,15 @@ class RoiTruth:
         """Depth z in the depth camera's frame [mm] at grid points (row, column), shape (N, 2)."""
         return self._solve(grid_rc, weights_mm, self._start_from_rest(grid_rc))
 
-    def _solve(self, grid_rc: FloatArray, weights_mm: FloatArray, start: tuple[Grid, Grid]) -> Grid:
+    def _solve(
+        self, grid_rc: FloatArray, weights_mm: FloatArray, start: tuple[Grid, Grid], raised_share: float = 0.0
+    ) -> Grid:
         directions = self._ray_directions(grid_rc, weights_mm)
         color_depth, step = start
-        color_depth = self._meet(self._skin.spline(weights_mm), directions, color_depth, step, _FRAME_STEPS)
+        surface = self._skin.spline(weights_mm)
+        if raised_share:
+            surface += raised_share * self._skin.rise
+        color_depth = self._meet(surface, directions, color_depth, step, _FRAME_STEPS)
         x, y, z = (c + color_depth * d for c, d in zip(self._frustum.center, directions, strict=True))
         return np.asarray(self._z_row[0] * x + self._z_row[1] * y + self._z_row[2] * z + self._z_offset)
 

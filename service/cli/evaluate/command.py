@@ -5,6 +5,7 @@ from service.cli.evaluate.ablations import ablations
 from service.cli.evaluate.bench import bench
 from service.cli.evaluate.breathing import breathing
 from service.cli.evaluate.gate import gate
+from service.cli.evaluate.integrity import integrity
 from service.cli.evaluate.laser import laser, plane
 from service.cli.evaluate.spirometer import spirometer
 
@@ -15,6 +16,7 @@ evaluate.callback(invoke_without_command=True)(bench)
 evaluate.command("ablations")(ablations)
 evaluate.command("gate")(gate)
 evaluate.command("breathing")(breathing)
+evaluate.command("integrity")(integrity)
 evaluate.command("laser")(laser)
 evaluate.command("plane")(plane)
 evaluate.command("spirometer")(spirometer)

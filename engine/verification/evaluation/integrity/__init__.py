@@ -1,0 +1,1 @@
+"""Evaluation on falsified recordings: whether what is reported as measured is the patient's motion."""

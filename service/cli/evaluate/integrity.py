@@ -1,0 +1,73 @@
+"""``tidegate evaluate integrity``: falsified recordings, and what of them is reported as measured."""
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from engine.core.errors import InvalidValueError, TidegateError
+from engine.core.files import write_whole
+from service.cli.evaluate.bench import STOPPED, rich_table
+from service.cli.terminal import frame_bar, refused, say
+
+WIDTH = 200
+
+
+def integrity(
+    out: Annotated[Path, typer.Option(help="Folder for integrity.csv.")],
+    volunteer: Annotated[
+        list[int] | None, typer.Option(help="Virtual volunteer, 1 to 10; repeatable. 3 and 6 by default.")
+    ] = None,
+    kind: Annotated[
+        list[str] | None, typer.Option(help="Only cases whose name contains this text; repeatable.")
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(help="Seed of the recordings; the same seed gives the same ones on the same processor.")
+    ] = 2017,
+    jobs: Annotated[int | None, typer.Option(help="Number of processes; one per core by default.")] = None,
+    *,
+    is_slow: Annotated[bool, typer.Option("--slow", help="Add moves of body and camera over a minute.")] = False,
+    is_strict: Annotated[
+        bool, typer.Option("--strict", help="Exit code 1 when an error stands as measured for too long.")
+    ] = False,
+) -> None:
+    """Falsify recordings of virtual volunteers, and compare what is reported as measured with the true motion.
+
+    Sheets, re-attached markers, missing depth, moves of body and camera, old pictures, and a patient who lies feet
+    first; one row a case, over all volunteers.
+    """
+    from engine.verification.evaluation.integrity.bench import check_plan, jobs_of, run_all
+    from engine.verification.evaluation.integrity.cases import cases
+    from engine.verification.evaluation.integrity.tables import integrity_table
+
+    volunteers = volunteer or [3, 6]
+    workers = len(os.sched_getaffinity(0)) if jobs is None else jobs
+    try:
+        if out.exists() and not out.is_dir():
+            raise InvalidValueError("out", str(out), "a folder")
+        check_plan(volunteers, seed, workers)
+        chosen = [case for case in cases(is_slow=is_slow) if not kind or any(text in case.name for text in kind)]
+        if not chosen:
+            raise InvalidValueError("kind", ", ".join(kind or []), "a part of the name of a case, such as sheet")
+        with frame_bar() as bar:
+            task = bar.add_task("recordings", total=jobs_of(chosen, volunteers))
+            sessions = run_all(
+                chosen, volunteers, seed=seed, jobs=workers, on_done=lambda done: bar.update(task, completed=done)
+            )
+        table = integrity_table(sessions)
+        out.mkdir(parents=True, exist_ok=True)
+        write_whole(out / "integrity.csv", table.to_csv().encode())
+    except KeyboardInterrupt as stopped:
+        say("tidegate evaluate integrity: stopped; nothing is written", "yellow")
+        raise typer.Exit(STOPPED) from stopped
+    except TidegateError as error:
+        raise refused("evaluate integrity", error) from error
+    except OSError as error:
+        raise refused("evaluate integrity", f"{out} cannot be written ({error.strerror or error})") from error
+    console = Console()
+    (console if console.is_terminal else Console(width=WIDTH)).print(rich_table(table))
+    say(f"Written to {out / 'integrity.csv'}")
+    if is_strict and table.failed:
+        raise typer.Exit(1)
