@@ -2,9 +2,10 @@
 
 A sheet or a hand laid on the patient is smooth, and if it is thin the model explains it as motion. But it appears
 within one or two frames, faster than a chest can move. After such a change a surface is accepted again when its shape
-returns, apart from breathing, or when an operator has set a new reference or learned a new model. A patient moves as a
-whole: a change that a plane describes with a small remainder is accepted at any speed, and so is one in which the
-markers move along.
+returns, apart from breathing, or when an operator has set a new reference or learned a new model. The same holds after
+every interval without an accepted surface, whatever its reason, since something may be laid on the patient in it. A
+patient moves as a whole: a change that a plane describes with a small remainder is accepted at any speed, and so is one
+in which the markers move along.
 
 A cough is also fast, and bends the body as no breath does. Some surfaces during a cough may be accepted, so the shape
 may also return to the last surface before which a whole second was accepted.
@@ -22,7 +23,8 @@ MAX_STEP_OF_NOISE = 0.25
 FRAME_US = 40_000
 # Speed of changes during missed frames; below that of a cough.
 MAX_SPEED_MM_S = 25.0
-MAX_HIDDEN_US = 500_000
+# Longest interval without an accepted surface that does not interrupt continuity: three missed frames.
+MAX_HIDDEN_US = 120_000
 MOVED_PX = 5.0
 CALM_US = 1_000_000
 # Share of a change that a plane may leave when the patient moves as a whole; a sheet over one side leaves half.
@@ -88,13 +90,13 @@ class SurfaceContinuity:
     ) -> float | None:
         """Return the misfit to the last surface and to the last calm one [mm]; None if the surface fits one of them."""
         change: FloatArray = observed.depth_mm - last.depth_mm
-        if not self._is_broken:
-            hidden_us = min(max(observed.timestamp_us - last.timestamp_us - FRAME_US, 0), MAX_HIDDEN_US)
+        hidden_us = max(observed.timestamp_us - last.timestamp_us - FRAME_US, 0)
+        if not self._is_broken and hidden_us <= MAX_HIDDEN_US:
             return _beyond_mm(change, allowed_mm + MAX_SPEED_MM_S * hidden_us / 1e6)
-        misfit_mm = _beyond_mm(_without_fit(change, shapes), allowed_mm)
+        misfit_mm = _beyond_breathing_mm(change, shapes, allowed_mm)
         if misfit_mm is None or self._calm is None or _has_moved(observed, self._calm):
             return misfit_mm
-        is_back = _beyond_mm(_without_fit(observed.depth_mm - self._calm.depth_mm, shapes), allowed_mm) is None
+        is_back = _beyond_breathing_mm(observed.depth_mm - self._calm.depth_mm, shapes, allowed_mm) is None
         return None if is_back else misfit_mm
 
     def _accept(self, observed: ObservedSurface) -> None:
@@ -112,16 +114,21 @@ def _has_moved(observed: ObservedSurface, before: ObservedSurface) -> bool:
 
 def _beyond_mm(change_mm: FloatArray, allowed_mm: float) -> float | None:
     """Return the largest change [mm] if it is too large for skin; None if it is not, or if the whole patient moved."""
-    largest_mm = float(np.abs(change_mm).max())
-    return None if largest_mm <= allowed_mm or _is_rigid(change_mm, allowed_mm) else largest_mm
+    return _beyond_breathing_mm(change_mm, np.empty((0, len(change_mm))), allowed_mm)
 
 
-def _is_rigid(change_mm: FloatArray, allowed_mm: float) -> bool:
-    """Whether a plane describes a change up to a small remainder; False for NaN."""
+def _beyond_breathing_mm(change_mm: FloatArray, shapes: FloatArray, allowed_mm: float) -> float | None:
+    """Return the same for what breathing, whose ``shapes`` have (k, nodes), leaves of a change; NaN is too large.
+
+    The whole patient moved if breathing and a plane together describe the change up to a small remainder.
+    """
     if not np.isfinite(change_mm).all():
-        return False
-    bent_mm = float(np.abs(_without_fit(change_mm, _PLANES)).max())
-    return bent_mm <= min(allowed_mm, BENT_SHARE * float(np.abs(change_mm).max()))
+        return float("nan")
+    largest_mm = float(np.abs(_without_fit(change_mm, shapes)).max())
+    if largest_mm <= allowed_mm:
+        return None
+    bent_mm = float(np.abs(_without_fit(change_mm, np.concatenate([shapes, _PLANES]))).max())
+    return None if bent_mm <= min(allowed_mm, BENT_SHARE * largest_mm) else largest_mm
 
 
 def _without_fit(change_mm: FloatArray, shapes: FloatArray) -> FloatArray:

@@ -79,7 +79,16 @@ def test_a_patient_who_takes_the_markers_along_is_followed(continuity):
 
 def test_unseen_frames_allow_for_what_they_could_hide_but_not_for_everything(continuity):
     assert not continuity.rejection(seen(sheet(4.0), 4), BREATH, NOISE_MM)
-    assert continuity.rejection(seen(sheet(30.0), 400), BREATH, NOISE_MM)
+    assert continuity.rejection(seen(sheet(14.0), 8), BREATH, NOISE_MM)
+
+
+@pytest.mark.parametrize("missed", [4, 20, 400])
+def test_more_than_three_unmeasured_frames_interrupt_continuity_whatever_the_reason(continuity, missed):
+    """A sheet that was laid meanwhile stays lost, however slowly it could have come; the patient is measured again."""
+    for frame in range(missed + 1, missed + 40):
+        breathing = sheet(3.0) - 3.0 * np.sin(frame / 10.0) * BREATH[0]
+        assert continuity.rejection(seen(breathing, frame), BREATH, NOISE_MM)
+    assert not continuity.rejection(seen(REST_MM - 6.0 * BREATH[0], missed + 40), BREATH, NOISE_MM)
 
 
 def test_a_noisier_sensor_is_allowed_more(continuity):
