@@ -30,17 +30,17 @@ test-system:
 	@docker/install-debian-packages.sh libopenni2-0 libopenni2-dev g++ chromium poppler-utils rsyslog rsyslog-openssl libxml2-utils postgresql curl jq \
 		mono-mcs mono-runtime libmono-system-net-http4.0-cil libmono-system-runtime-serialization4.0-cil libmono-system-xml-linq4.0-cil
 
-# Three parts. What computes, where no time is judged, at a low priority. Beside it what starts services, kills them and waits:
-# the times in it are judged, so it goes before the first part wherever both want a core. Then, with a core to itself, what plays
-# through the OpenNI2 runtime in the tests' own process: the runtime's own threads race where they are not run in time, and crash.
-# Beside that goes what trips an engine that runs in real time and needs little, and one process that computes.
+# Three parts, one after the other: beside what computes, sessions in real time were late. First what computes, where no time is
+# judged; then what starts services, kills them and waits; then, with a core to itself, what plays through the OpenNI2 runtime in
+# the tests' own process: the runtime's own threads race where they are not run in time, and crash. Beside that goes what trips an
+# engine that runs in real time and needs little, and one process that computes.
 ALONE := tests/engine/capture/openni tests/system/virtual_camera tests/system/service/test_real_engine.py \
 	tests/service/engine_host/site_rules/test_uncalibrated.py tests/service/cli/test_recordings.py
 BESIDE := tests/campaigns/interlocks/test_live_run.py tests/system/beam_line/test_engine_on_wired_line.py
 FILLING := tests/engine/motion
 WAITING := tests/campaigns/faults tests/campaigns/kills tests/campaigns/load tests/system/engine_process \
 	tests/service/engine_host/process tests/service/web/stream/test_slow_clients.py tests/service/web/stream/test_over_tls.py \
-	tests/system/service/test_shutdown.py tests/system/service/test_process.py tests/system/service/test_folder_lock.py \
+	tests/system/browser/test_real_service.py tests/system/service/test_shutdown.py tests/system/service/test_process.py tests/system/service/test_folder_lock.py \
 	tests/system/client/test_example_programs.py tests/system/client/test_real_service.py tests/system/client/test_whole_fractions.py \
 	tests/system/beam_line/test_killed_processes.py tests/system/beam_line/test_real_receivers.py tests/system/beam_line/test_service_line.py
 # In the order of tests/support/selection.py, the longest files first: by itself xdist begins with those of most tests.
@@ -65,20 +65,17 @@ check-tests:
 	$(BIN)/pytest --fast -q -n 2 --dist loadfile --durations=10
 
 # Every part runs, whatever came of those before it; the slowest tests of all parts and a line per part come last.
-# Lint, types and contracts run beside the first two parts. What runs in the background ignores an interrupt, and is killed by it.
+# Lint, types and contracts run beside the first part. What runs in the background ignores an interrupt, and is killed by it.
 test: $(STAMP) test-system  ## everything that must hold: lint, types, contracts, all tests
-	@trap 'kill $$others $$computing; exit 130' INT; outcomes=; failed=0; rm -rf $(TIMINGS); mkdir -p build; \
+	@trap 'kill $$others; exit 130' INT; outcomes=; failed=0; rm -rf $(TIMINGS); mkdir -p build; \
 	note() { if [ $$2 = 0 ]; then outcomes+="$$1: passed"$$'\n'; else outcomes+="$$1: FAILED"$$'\n'; failed=1; fi; }; \
 	$(LOW_PRIORITY) $(MAKE) --no-print-directory --keep-going lint types contracts >build/check.log 2>&1 & others=$$!; \
-	$(MAKE) --no-print-directory tests-computing >build/computing.log 2>&1 & computing=$$!; \
-	$(MAKE) --no-print-directory tests-waiting; note tests-waiting $$?; \
-	wait $$computing; note tests-computing $$?; cat build/computing.log; \
-	$(MAKE) --no-print-directory tests-alone; note tests-alone $$?; \
+	for part in $(TEST_PARTS); do $(MAKE) --no-print-directory $$part; note $$part $$?; done; \
 	wait $$others; note 'lint, types, contracts' $$?; cat build/check.log; \
 	$(BIN)/python -m tests.support.timings $(TIMINGS)/*.tsv; printf '\n%s' "$$outcomes"; exit $$failed
 
 tests-computing:
-	$(LOW_PRIORITY) $(BIN)/pytest $(BY_THREE) --timings $(TIMINGS)/computing.tsv $(addprefix --ignore=,$(ALONE) $(BESIDE) $(FILLING) $(WAITING))
+	$(BIN)/pytest $(BY_THREE) --timings $(TIMINGS)/computing.tsv $(addprefix --ignore=,$(ALONE) $(BESIDE) $(FILLING) $(WAITING))
 
 tests-waiting:
 	$(BIN)/pytest $(BY_TWO) --timings $(TIMINGS)/waiting.tsv $(WAITING)

@@ -39,6 +39,7 @@ from engine.motion.stages.regions import WIDE
 from engine.motion.stages.surface import end_at_markers, vertices_mm
 from engine.motion.tracking.breath_tracker import BreathTracker
 from engine.motion.tracking.costal_line import CostalLineTracker
+from engine.motion.tracking.marker_layout import MarkerLayout, marker_points_mm
 from engine.motion.tracking.region_tracker import RegionTracker, coverage_lost
 from engine.motion.tracking.surface_continuity import ObservedSurface, SurfaceContinuity
 
@@ -89,6 +90,7 @@ class Pipeline:
         )
         self._recent = RecentFrames()
         self._continuity = SurfaceContinuity()
+        self._marker_layout = MarkerLayout()
         self._coefficients: FloatArray | None = None
         self._projected_model: PreparedModel | None = None
         self._costal_line = CostalLineTracker() if settings.extra_markers else None
@@ -243,11 +245,19 @@ class Pipeline:
     ) -> Projection | Lost:
         """Project a frame and check the continuity of its surface."""
         outcome = self._explain(active, roi)
+        if isinstance(outcome, Lost):
+            return outcome
         return (
-            outcome
-            if isinstance(outcome, Lost)
-            else self._discontinuity(active, outcome, found, timestamp_us) or outcome
+            self._layout_lost(roi, found, timestamp_us)
+            or self._discontinuity(active, outcome, found, timestamp_us)
+            or outcome
         )
+
+    def _layout_lost(self, roi: RoiDepth, found: Markers, timestamp_us: int) -> Lost | None:
+        """Return the loss if a marker is not where it was relative to the others, otherwise None."""
+        self._marker_layout.restart(self.learner.generation)
+        rays = self._calibration.color.rays(found.centers_px)
+        return self._marker_layout.lost(marker_points_mm(rays, roi), timestamp_us)
 
     def _discontinuity(
         self, active: PreparedModel, outcome: Projection, found: Markers, timestamp_us: int

@@ -85,10 +85,10 @@ class TapeWriter(threading.Thread):
         if self._recording is None:
             return
         try:
-            sha256 = sha256_of(self._recording)
+            sha256, size = sha256_of(self._recording), self._recording.stat().st_size
         except OSError:
             return  # the session itself reports a recording that cannot be read
-        self._found.put({"recording_sha256": sha256, "recording_bytes": self._recording.stat().st_size})
+        self._found.put({"recording_sha256": sha256, "recording_bytes": size})
 
 
 def sha256_of(path: Path) -> str:

@@ -97,3 +97,64 @@ def test_a_camera_that_sees_nothing_is_not_called_frozen():
 
 def test_pictures_of_another_size_are_other_pictures():
     assert reasons([frame(0), replace(frame(1), depth_mm=DEPTHS[0][:24].copy())]) == [None, None]
+
+
+LARGE = (480, 640)
+"""Large enough for a share of agreeing readings to tell."""
+
+
+def still(index: int, share: float, seed: int = 0) -> RgbdFrame:
+    """A frame of which about ``share`` of the depth readings are those of the same scene, the others a step away."""
+    scene = np.random.default_rng(seed).integers(700, 900, LARGE).astype(np.uint16)
+    changes = np.random.default_rng((seed, index)).random(LARGE) >= share
+    return replace(frame(index % 40), index=index, **times(index), depth_mm=scene + changes * np.uint16(2 + index % 3))
+
+
+def times(index: int) -> dict[str, int]:
+    return {
+        "timestamp_us": index * PERIOD_US,
+        "color_timestamp_us": index * PERIOD_US,
+        "received_ns": START_NS + index * PERIOD_NS,
+    }
+
+
+def with_own_color(one: RgbdFrame) -> RgbdFrame:
+    color = np.random.default_rng(one.index).integers(1, 255, (48, 64, 3)).astype(np.uint8)
+    return replace(one, color=color)
+
+
+@pytest.mark.parametrize("flicker", [0.0, 0.01, 0.05])
+def test_a_frozen_picture_that_flickers_is_old(flicker):
+    found = reasons(with_own_color(still(index, 1.0 - flicker)) for index in range(12))
+    assert found == [None] + [HoldReason.FRAME_FROZEN] * 11
+
+
+def test_a_still_scene_whose_readings_agree_as_much_as_a_sensors_do_is_not_old():
+    assert reasons(with_own_color(still(index, 0.7)) for index in range(60)) == [None] * 60
+
+
+def test_pictures_with_few_readings_are_compared_exactly():
+    scene = still(0, 1.0).depth_mm
+    mostly_empty = np.where(np.arange(LARGE[0])[:, None] < 60, scene, np.uint16(0))
+    changed = mostly_empty.copy()
+    changed[0, 0] += 1
+    first, second = (replace(frame(index), depth_mm=depth) for index, depth in enumerate((mostly_empty, changed)))
+    assert reasons([first, second]) == [None, None]
+
+
+def test_holes_do_not_count_as_agreeing_readings():
+    scene = still(0, 1.0).depth_mm
+    half = np.where(np.arange(LARGE[1]) < 320, scene, np.uint16(0))
+    other = half + (half > 0) * np.uint16(1)
+    first, second = (replace(frame(index), depth_mm=depth) for index, depth in enumerate((half, other)))
+    assert reasons([first, second]) == [None, None]
+
+
+def test_pictures_in_memory_that_is_used_again_are_compared_with_what_they_were():
+    buffer = np.empty(LARGE, dtype=np.uint16)
+
+    def in_buffer(index):
+        buffer[:] = still(index, 0.5, seed=index).depth_mm
+        return with_own_color(replace(still(index, 0.5), depth_mm=buffer))
+
+    assert reasons(in_buffer(index) for index in range(5)) == [None] * 5

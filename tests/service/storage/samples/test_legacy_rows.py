@@ -100,7 +100,7 @@ def test_a_file_that_a_downgrade_left_stays_when_it_knows_as_many_rows(database,
 
 
 def test_without_a_folder_nothing_moves_and_the_table_stays(database, folder, old):
-    with pytest.raises(ValueError, match="which folder"):
+    with pytest.raises(ValueError, match="no folder for them"):
         database.migrate()
     assert len(table_of(database)) == ROWS + 1
 

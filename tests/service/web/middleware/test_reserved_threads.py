@@ -102,8 +102,9 @@ def test_an_executed_call_without_its_audit_row_is_not_reported_as_unchanged(
     def gone(*_arguments: object) -> None:
         raise OperationalError("", None, Exception())
 
-    monkeypatch.setattr(AuditLog, "write", gone)
-    answer = act(client, session_id, action)
+    with monkeypatch.context() as patch:
+        patch.setattr(AuditLog, "write", gone)
+        answer = act(client, session_id, action)
     assert (answer.status_code, answer.json()["code"]) == (503, "storage_unavailable")
     assert "may have been carried out" in answer.json()["detail"]
     assert was_reported(running, action)

@@ -1,0 +1,97 @@
+"""Distances between the markers in mm: a marker that comes off and is attached elsewhere marks another region.
+
+Breathing changes the distances between the markers slowly and within a range; the skin stretches. So each distance is
+followed while frames are measured, and its range is kept. From one frame to the next, and after an interval without a
+measurement, every distance has to be within that range and a small margin.
+"""
+
+import itertools
+
+import numpy as np
+
+from engine.core.frames import FloatArray, Lost, LostReason, RoiDepth
+
+NAMES = ("superior right", "superior left", "inferior left", "inferior right")
+PAIRS = np.array(list(itertools.combinations(range(4), 2)))
+_HAS_MARKER = np.array([[float(marker in pair) for pair in PAIRS.tolist()] for marker in range(4)])
+MARGIN_MM = 3.0
+"""How far a distance may be outside of its range so far; a marker is found within some tenths of a millimetre."""
+
+MAX_HIDDEN_US = 120_000
+"""Longest interval without a measurement in which the markers are followed from frame to frame."""
+
+CORNER_PX = 20
+LEAST_READINGS = 9
+
+
+def marker_points_mm(rays: FloatArray, roi: RoiDepth) -> FloatArray | None:
+    """Return the markers' places [mm], shape (4, 3): their rays, shape (4, 3), at the depth of the skin beside them.
+
+    None where too little of the skin beside one of them is seen.
+    """
+    reach = max(CORNER_PX // roi.stride_px, 1)
+    first, last = slice(0, reach), slice(-reach, None)
+    depths_mm = []
+    for rows, columns in ((first, first), (first, last), (last, last), (last, first)):
+        readings = roi.depth_mm[rows, columns][roi.valid[rows, columns]]
+        if readings.size < LEAST_READINGS:
+            return None
+        depths_mm.append(float(np.median(readings)))
+    return np.asarray(rays * np.array(depths_mm)[:, None])
+
+
+class MarkerLayout:
+    """Follows the six distances between the markers; owned by the pipeline's thread."""
+
+    def __init__(self) -> None:
+        self._last_mm: FloatArray | None = None
+        self._lowest_mm: FloatArray | None = None
+        self._highest_mm: FloatArray | None = None
+        self._seen_us = 0
+        self._generation = -1
+        self._is_doubted = False
+
+    def restart(self, generation: int) -> None:
+        """Accept the next layout if model or reference have changed, as ``generation`` shows."""
+        if generation != self._generation:
+            self._last_mm, self._is_doubted, self._generation = None, False, generation
+
+    def lost(self, points_mm: FloatArray | None, timestamp_us: int) -> Lost | None:
+        """Return the loss if a marker is not where it was relative to the others; otherwise follow the distances.
+
+        Parameters
+        ----------
+        points_mm
+            The markers' places, shape (4, 3); None where they are not known, which leaves the layout as it was.
+        """
+        if points_mm is None:
+            return None
+        now_mm = distances_mm(points_mm)
+        if self._last_mm is None or self._lowest_mm is None or self._highest_mm is None:
+            self._lowest_mm = self._highest_mm = now_mm
+        else:
+            is_followed = not self._is_doubted and timestamp_us - self._seen_us <= MAX_HIDDEN_US
+            low_mm, high_mm = (self._last_mm, self._last_mm) if is_followed else (self._lowest_mm, self._highest_mm)
+            beyond_mm = np.maximum(np.maximum(low_mm - now_mm, now_mm - high_mm), 0.0)
+            if not beyond_mm.max() <= MARGIN_MM:
+                self._is_doubted = True
+                return Lost(reason=LostReason.LAYOUT_CHANGED, detail=_described(beyond_mm))
+            self._lowest_mm = np.minimum(self._lowest_mm, now_mm)
+            self._highest_mm = np.maximum(self._highest_mm, now_mm)
+        self._last_mm, self._seen_us, self._is_doubted = now_mm, timestamp_us, False
+        return None
+
+
+def distances_mm(points_mm: FloatArray) -> FloatArray:
+    """Return the six distances between four points [mm]."""
+    apart_mm = points_mm[PAIRS[:, 0]] - points_mm[PAIRS[:, 1]]
+    return np.asarray(np.sqrt((apart_mm * apart_mm).sum(axis=1)))
+
+
+def _described(beyond_mm: FloatArray) -> str:
+    """Name the marker whose distances to the three others changed most in sum, and their largest change."""
+    sums = _HAS_MARKER @ beyond_mm
+    return (
+        f"a distance of the {NAMES[int(np.argmax(sums))]} marker is {beyond_mm.max():.0f} mm beyond its range: "
+        "put the marker back, or set the reference again"
+    )
