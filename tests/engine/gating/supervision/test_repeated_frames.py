@@ -154,6 +154,7 @@ def test_pictures_in_memory_that_is_used_again_are_compared_with_what_they_were(
     buffer = np.empty(LARGE, dtype=np.uint16)
 
     def in_buffer(index):
+        buffer.setflags(write=True)
         buffer[:] = still(index, 0.5, seed=index).depth_mm
         return with_own_color(replace(still(index, 0.5), depth_mm=buffer))
 
