@@ -59,7 +59,7 @@ class BeamDriver:
         if answer.error is None and (answer.is_on or answer.is_settling):
             return _report(answer, is_settling=not answer.is_on)
         if not lease.is_live(answer.at_ns):
-            return self._hold_for(Interruption(HoldReason.FRAME_LATE, "the lease lapsed while the line was told"))
+            return self._hold_for(Interruption(HoldReason.FRAME_LATE, "the lease lapsed before the line had answered"))
         return self._hold_for(_trouble_of(answer, "the line is off, though permitted"))
 
     def _hold_for(self, trouble: Interruption) -> LineReport:

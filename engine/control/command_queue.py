@@ -2,7 +2,7 @@
 
 Bounded; no thread waits for it. A disarm or a hold by hand is never refused, overtakes everything, and cancels every
 arming or release that was submitted before it, even one that arrives later. Any other command that waited too long is
-refused, because nobody expects it any more.
+refused, because its caller no longer waits for it.
 """
 
 import threading

@@ -179,7 +179,7 @@ class TransitionJournal:
         self._put(self._number, pack_aborted(self._number, transition, prepared=number))
 
     def acknowledge(self, number: int) -> None:
-        """Hear from the audit that it has everything up to this number."""
+        """Release the slots of all entries up to this number: the audit has committed them."""
         self._acknowledged = max(self._acknowledged, number)
         if self._owner is not None:
             self._owner.acknowledge(number)

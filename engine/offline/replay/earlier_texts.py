@@ -7,6 +7,7 @@ reworded, so that earlier tapes still replay; `tests/engine/offline/replay/test_
 from collections.abc import Mapping
 
 PRESENT_TEXTS: Mapping[str, str] = {
+    "the lease lapsed while the line was told": "the lease lapsed before the line had answered",
     "the body is not where the phase says": "the level does not match the phase",
     "nothing was measured for a moment": "not measured for a moment",
 }

@@ -114,7 +114,7 @@ class Blind:
     Attributes
     ----------
     first, last
-        Inferior and superior end of the area as shares of the region's length: 0 superior, 1 inferior.
+        Superior and inferior end of the area as shares of the region's length: 0 superior, 1 inferior.
     raised_mm
         How far the skin rises there.
     """

@@ -47,7 +47,7 @@ class Me(Answer):
     must_change_password: bool
     is_break_glass: bool = Field(default=False, description="Logged in past the identity provider: to be shown")
     way: Literal["password", "oidc"] | None = None
-    expires_at: AwareDatetime | None = Field(default=None, description="When the log-in ends whatever is done")
+    expires_at: AwareDatetime | None = Field(default=None, description="When the log-in ends, used or not")
     idle_minutes: float | None = Field(default=None, description="It ends sooner where nothing is asked for so long")
 
 

@@ -32,7 +32,7 @@ class RequestCaller:
             A person's request names another operator, for example from a page opened before the log-in changed.
         """
         if self.identity.is_person and operator not in {NOT_GIVEN, self.name}:
-            msg = f"{self.name} is logged in, and asks as somebody else"
+            msg = f"{self.name} is logged in, and the call names another operator"
             bound = f"left out, or {self.name}"
             raise OperatorMismatchError(msg, field="operator", value=operator, bound=bound)
         return self.actor_unchecked(operator)

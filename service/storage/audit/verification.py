@@ -176,7 +176,9 @@ def _explained(link: Link, following: Link | None) -> tuple[Breakage, str]:
     if was is None:
         return Breakage.CHANGED, f"row {here} was changed after it was written"
     if was == here:
-        text = f"row {here} does not follow from the row before it, which was changed or put in and sealed anew"
+        text = (
+            f"row {here} does not follow from the row before it, which was changed or inserted with a recomputed hash"
+        )
         return Breakage.RESEALED, text
     if was == here - 1:
         return Breakage.INSERTED, f"row {here} was written as row {was}: a row was put in before it"

@@ -271,7 +271,7 @@ KINDS = (
         bound_ms=DISK_LOOK_MS + FRAME_MS,
     ),
     _kind(
-        *("disk-full-insisted", "the disk is almost full, and somebody acknowledges and arms all the same"),
+        *("disk-full-insisted", "the disk is almost full, and a person acknowledges and arms"),
         *(disk_full_acknowledged, FULL, LATCHED),
         bound="looked at every second",
         bound_ms=DISK_LOOK_MS + FRAME_MS,

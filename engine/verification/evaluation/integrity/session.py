@@ -42,7 +42,6 @@ WINDOW_SHARE = 0.35
 """Upper end of the exhale window, as a share of the true range of its signal."""
 BELOW_MM = 1.5
 WRONG_MM = 1.0
-STALE_KEPT_S = 12.0
 
 SIGNALS = (
     SignalChoice(signal=GateSignal.WHOLE),
@@ -136,7 +135,7 @@ def _script(number: int, seed: int, falsification: Falsification | None) -> Scri
 
 
 def _turned(falsification: Falsification | None, *, is_turned: bool) -> Falsification | None:
-    """Turn the patient feet first, from long before the recording."""
+    """Turn the patient feet first, from long before the recording; nothing else is false then."""
     if not is_turned:
         return falsification
     return Falsification(start_s=-10.0, body=Move(turn_deg=180.0, over_s=1.0))
