@@ -42,7 +42,7 @@ WAITING := tests/campaigns/faults tests/campaigns/kills tests/campaigns/load tes
 	tests/service/engine_host/process tests/service/web/stream/test_slow_clients.py tests/service/web/stream/test_over_tls.py \
 	tests/system/browser/test_real_service.py tests/system/service/test_shutdown.py tests/system/service/test_process.py tests/system/service/test_folder_lock.py \
 	tests/system/client/test_example_programs.py tests/system/client/test_real_service.py tests/system/client/test_whole_fractions.py \
-	tests/system/beam_line/test_killed_processes.py tests/system/beam_line/test_real_receivers.py tests/system/beam_line/test_service_line.py
+	tests/system/beam_line/test_killed_processes.py tests/system/beam_line/test_qa_drill.py tests/system/beam_line/test_real_receivers.py tests/system/beam_line/test_service_line.py
 # In the order of tests/support/selection.py, the longest files first: by itself xdist begins with those of most tests.
 BY_TWO := -n 2 --dist loadfile --no-loadscope-reorder
 # Three processes on two cores, where no time is judged: one of them often waits for a browser, a database or a service.
