@@ -12,7 +12,7 @@ from tests.support.beam.modbus_server import DROP_NS
 from tests.support.beam.receivers import PATIENCE_S, TIMES, Lateness, receiver, wire_to
 
 PULSE_MS = 200.0
-REPEATS = 2
+REPEATS = 5
 ATTEMPTS = 20
 
 
