@@ -2,8 +2,8 @@
 
 Two pictures of a real sensor never agree in every pixel, and two depth pictures hardly ever in more than 70 % of their
 readings, however still the patient lies: a reading is whole steps of the sensor, which its noise crosses. So a picture
-is old if every pixel of it was seen in one of the last few, since a stuck driver may deliver several buffers in turn;
-and a depth picture also if nearly all of its readings are those of the last new one.
+is old if every pixel of it was seen in one picture of the last three seconds, since a stuck driver may deliver several
+buffers in turn; and a depth picture also if nearly all of its readings are those of one of them.
 """
 
 from collections import deque
@@ -21,11 +21,11 @@ from engine.gating.limits import GateLimits
 THINNING_PX = 16
 """Step of the rows and columns compared first: different pictures differ there, at a hundredth of the cost."""
 
-EARLIER_PICTURES = 8
-"""Number of earlier pictures compared, by their thinned views; as many as a driver has buffers."""
+EARLIER_PICTURES = 96
+"""Number of earlier pictures compared, by their thinned views: about three seconds, more than a driver has buffers."""
 
 OLD_SHARE = 0.88
-"""Share of a depth picture's readings that agree with those of the last new one, from which it is old."""
+"""Share of a depth picture's readings that agree with those of one earlier picture, from which it is old."""
 
 LEAST_READINGS = 200
 """Fewer readings in a thinned view do not tell a share: then only pictures that agree in every pixel are old."""
@@ -38,13 +38,14 @@ class _Stream:
     """The last pictures of one stream.
 
     ``since_ns`` is when the last new picture was received, ``repeats`` the number of repeated ones since. ``views``
-    holds the thinned views of the last new pictures, ``newest`` that of the newest of them as an array.
+    holds the thinned views of the last new pictures, and ``readings`` those of depth, shape (pictures, readings).
     """
 
     is_depth: bool
     picture: Picture | None = None
     views: deque[bytes] = field(default_factory=lambda: deque(maxlen=EARLIER_PICTURES))
-    newest: Picture | None = None
+    readings: Picture | None = None
+    oldest: int = 0
     timestamp_us: int | None = None
     since_ns: int = 0
     repeats: int = 0
@@ -53,15 +54,16 @@ class _Stream:
         if timestamp_us == self.timestamp_us:
             return  # paired with another depth frame, with its time unchanged
         self.timestamp_us = timestamp_us
-        thinned = picture[::THINNING_PX, ::THINNING_PX]
-        view = thinned.tobytes()
-        is_old = any(view) and (self._was_seen(view, picture) or (self.is_depth and self._is_nearly_old(thinned)))
+        readings = np.ascontiguousarray(picture[::THINNING_PX, ::THINNING_PX]).ravel()
+        view = readings.tobytes()
+        is_old = any(view) and (self._was_seen(view, picture) or (self.is_depth and self._is_nearly_old(readings)))
         self.picture = picture
         if is_old:
             self.repeats += 1
             return
         self.views.append(view)
-        self.newest = thinned.copy()  # the picture's memory may be used again
+        if self.is_depth:
+            self._keep(readings)
         self.since_ns, self.repeats = received_ns, 0
 
     def _was_seen(self, view: bytes, picture: Picture) -> bool:
@@ -71,12 +73,23 @@ class _Stream:
         is_next_to_last = self.repeats == 0 and view == self.views[-1]
         return not is_next_to_last or (self.picture is not None and np.array_equal(self.picture, picture))
 
-    def _is_nearly_old(self, thinned: Picture) -> bool:
-        """Whether nearly all of its readings agree with those of the last new picture."""
-        readings = int(np.count_nonzero(thinned))
-        if self.newest is None or self.newest.shape != thinned.shape or readings < LEAST_READINGS:
+    def _is_nearly_old(self, readings: Picture) -> bool:
+        """Whether nearly all of its readings agree with those of one of the last new pictures."""
+        is_read = (readings > 0).astype(np.float32)
+        count = float(is_read.sum())
+        if self.readings is None or self.readings.shape[1] != readings.size or count < LEAST_READINGS:
             return False
-        return bool(np.count_nonzero((self.newest == thinned) & (thinned > 0)) >= OLD_SHARE * readings)
+        # A product of matrices counts the agreeing readings twice as fast as a sum of booleans does.
+        agreeing = (self.readings == readings).astype(np.float32) @ is_read
+        return bool(agreeing.max() >= OLD_SHARE * count)
+
+    def _keep(self, readings: Picture) -> None:
+        """Keep the readings of a new picture in place of the oldest."""
+        if self.readings is None or self.readings.shape[1] != readings.size:
+            self.readings = np.zeros((EARLIER_PICTURES, readings.size), dtype=readings.dtype)
+            self.oldest = 0
+        self.readings[self.oldest] = readings
+        self.oldest = (self.oldest + 1) % EARLIER_PICTURES
 
 
 class RepeatedFrames:

@@ -11,8 +11,8 @@ from engine.gating.supervision.repeated_frames import THINNING_PX, RepeatedFrame
 from tests.support.gating.streams import LIMITS, MS, PERIOD_NS, PERIOD_US, START_NS
 
 NOISE = np.random.default_rng(7)
-DEPTHS = [NOISE.integers(700, 900, (48, 64)).astype(np.uint16) for _ in range(40)]
-COLORS = [NOISE.integers(1, 255, (48, 64, 3)).astype(np.uint8) for _ in range(40)]
+DEPTHS = [NOISE.integers(700, 900, (48, 64)).astype(np.uint16) for _ in range(120)]
+COLORS = [NOISE.integers(1, 255, (48, 64, 3)).astype(np.uint8) for _ in range(120)]
 
 
 def frame(
@@ -47,9 +47,9 @@ def test_the_same_picture_again_holds_and_a_new_one_clears_it(stream):
 
 
 @pytest.mark.parametrize("stream", ["depth", "color"])
-@pytest.mark.parametrize("buffers", [2, 3, 8])
+@pytest.mark.parametrize("buffers", [2, 8, 64, 96])
 def test_old_pictures_that_take_turns_hold_and_then_are_a_silence(stream, buffers):
-    frames = [frame(index, **{stream: index % buffers}) for index in range(40)]
+    frames = [frame(index, **{stream: index % buffers}) for index in range(buffers + 20)]
     found = reasons(frames)
     assert found[:buffers] == [None] * buffers
     assert set(found[buffers : buffers + 10]) == {HoldReason.FRAME_FROZEN}
@@ -127,6 +127,13 @@ def with_own_color(one: RgbdFrame) -> RgbdFrame:
 def test_a_frozen_picture_that_flickers_is_old(flicker):
     found = reasons(with_own_color(still(index, 1.0 - flicker)) for index in range(12))
     assert found == [None] + [HoldReason.FRAME_FROZEN] * 11
+
+
+def test_old_pictures_that_take_turns_and_flicker_are_old():
+    ring = [still(index % 9, 1.0, seed=index % 9).depth_mm for index in range(9)]
+    shown = [replace(still(index, 0.99, seed=index % 9), depth_mm=ring[index % 9]) for index in range(9)]
+    shown += [still(index, 0.99, seed=index % 9) for index in range(9, 20)]
+    assert reasons(map(with_own_color, shown)) == [None] * 9 + [HoldReason.FRAME_FROZEN] * 11
 
 
 def test_a_still_scene_whose_readings_agree_as_much_as_a_sensors_do_is_not_old():

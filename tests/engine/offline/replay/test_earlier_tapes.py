@@ -13,6 +13,7 @@ from engine.capture.source import SourceDescription
 from engine.core.commands import ActivateModel, Arm
 from engine.core.gate_state import GateState
 from engine.core.motion_model import MotionModel
+from engine.gating.supervision import repeated_frames
 from engine.offline.replay.encoding import TapeEncoding
 from engine.offline.replay.tape_file import read_tape
 from service.cli import app
@@ -32,6 +33,12 @@ ENUMS = 7
 INPUTS = 17
 COMMANDS = 5
 """How many kinds of input a turn of ``tidegate.tape/1`` may have, and the number of the one for commands."""
+
+
+@pytest.fixture(autouse=True)
+def method_1(monkeypatch):
+    """Compare as many earlier pictures as the version of the tapes: their recording repeats its noise."""
+    monkeypatch.setattr(repeated_frames, "EARLIER_PICTURES", 8)
 
 
 @pytest.fixture(scope="module")
