@@ -5,6 +5,7 @@ Each is frozen and its arrays are read-only, so stages and threads can share the
 """
 
 import enum
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -167,6 +168,8 @@ class Projection:
         Share of the ROI the sensor saw, 0 to 1.
     inlier_share
         Share of the seen pixels that the model explains, 0 to 1; a hand or a sheet takes pixels out.
+    is_seen
+        Whether each sampled point of the grid has a reading that the model explains, shape (88, 50).
     """
 
     beta: FloatArray
@@ -174,11 +177,42 @@ class Projection:
     residual_mm: float
     valid_share: float
     inlier_share: float
+    is_seen: BoolArray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
 
     def __post_init__(self) -> None:
-        """Make both arrays read-only."""
-        frozen(self.beta)
-        frozen(self.coefficients)
+        """Make the arrays read-only."""
+        for array in (self.beta, self.coefficients, self.is_seen):
+            frozen(array)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SeenShares:
+    """Share of the area of each region that was seen and fits the model, 0 to 1; NaN or absent where it is unknown.
+
+    Attributes
+    ----------
+    whole, thorax, abdomen
+        Of the wide regions.
+    cells
+        Of each cell of the region grid, shape (rows, columns).
+    points, named
+        Of the requested points with their surroundings, shape (p,), and of the named regions, shape (q,).
+    """
+
+    whole: float = math.nan
+    thorax: float = math.nan
+    abdomen: float = math.nan
+    cells: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    points: FloatArray = field(default_factory=lambda: np.empty(0))
+    named: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for array in (self.cells, self.points, self.named):
+            frozen(array)
+
+
+UNKNOWN_SHARES = SeenShares()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,6 +263,9 @@ class Motion:
         The region's surface in the depth camera's frame [mm] at its nodes, from superior right row by row, (n, 3).
     split_rows
         Where the line between thorax and abdomen crosses column 0 and column 199 of the grid [row].
+    seen, reference_seen
+        How much of each region was seen in this frame, and when the reference was set: motion is the difference of
+        both. The model extrapolates the rest.
     """
 
     whole_mm: float
@@ -243,6 +280,8 @@ class Motion:
     lags: tuple[PhaseLag, ...] = ()
     surface_mm: FloatArray = field(default_factory=lambda: frozen(np.empty((0, 3))))
     split_rows: tuple[float, float] | None = None
+    seen: SeenShares = UNKNOWN_SHARES
+    reference_seen: SeenShares = UNKNOWN_SHARES
 
 
 class MeasurementState(enum.StrEnum):

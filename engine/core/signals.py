@@ -1,11 +1,11 @@
-"""Choice of a signal: its value in a measurement, and the check of its place."""
+"""Choice of a signal: its value in a measurement, how much of it was seen, and the check of its place."""
 
 import math
 
 from engine.core.bounds import check_whole_number
 from engine.core.breath import GateSignal, SignalChoice
 from engine.core.errors import InvalidValueError
-from engine.core.frames import ROI_COLUMNS, ROI_ROWS, Motion
+from engine.core.frames import ROI_COLUMNS, ROI_ROWS, FloatArray, Motion, SeenShares
 
 
 def signal_of(choice: SignalChoice, motion: Motion) -> float:
@@ -14,7 +14,7 @@ def signal_of(choice: SignalChoice, motion: Motion) -> float:
         case GateSignal.VOLUME:
             return float(motion.volume_l)
         case GateSignal.REGION:
-            return _cell_mm(choice, motion)
+            return _at_cell(choice, motion.regions_mm)
         case GateSignal.POINT:
             return float(motion.points_mm[choice.index]) if choice.index < len(motion.points_mm) else math.nan
         case GateSignal.NAMED:
@@ -22,12 +22,26 @@ def signal_of(choice: SignalChoice, motion: Motion) -> float:
     return float(getattr(motion, f"{choice.signal}_mm"))
 
 
-def _cell_mm(choice: SignalChoice, motion: Motion) -> float:
-    rows, columns = motion.regions_mm.shape
+def seen_share_of(choice: SignalChoice, seen: SeenShares) -> float:
+    """Return the share of a signal's area that was seen, 0 to 1; NaN where it is unknown."""
+    match choice.signal:
+        case GateSignal.VOLUME:
+            return seen.whole
+        case GateSignal.REGION:
+            return _at_cell(choice, seen.cells)
+        case GateSignal.POINT:
+            return float(seen.points[choice.index]) if choice.index < len(seen.points) else math.nan
+        case GateSignal.NAMED:
+            return float(seen.named[choice.index]) if choice.index < len(seen.named) else math.nan
+    return float(getattr(seen, str(choice.signal)))
+
+
+def _at_cell(choice: SignalChoice, cells: FloatArray) -> float:
+    rows, columns = cells.shape
     row, column = choice.row, choice.column
     if row is None or column is None or row >= rows or column >= columns:
         return math.nan
-    return float(motion.regions_mm[row, column])
+    return float(cells[row, column])
 
 
 def check_choice(choice: SignalChoice) -> None:

@@ -312,6 +312,7 @@ class Pipeline:
         regions = active.regions
         cells, shape = regions.cells, (regions.rows, regions.columns)
         whole, thorax, abdomen = motion_mm[cells : regions.points_from].tolist()
+        weights = active.seen_weights
         return Motion(
             whole_mm=whole,
             thorax_mm=thorax,
@@ -325,6 +326,8 @@ class Pipeline:
             lags=self._lags.lags,
             surface_mm=frozen(surface),
             split_rows=regions.layout.split,
+            seen=weights.by_region(weights.shares(outcome.is_seen)),
+            reference_seen=weights.by_region(reference.seen_shares),
         )
 
     def _reference(
@@ -332,9 +335,10 @@ class Pipeline:
     ) -> Reference:
         """Return the reference; a new one is smoothed over the last frames."""
         if not self.learner.is_reference_due:
-            return self.learner.reference(active, outcome.coefficients, surface)
+            return self.learner.reference(active, outcome.coefficients, surface, outcome.is_seen)
         smoothed = self._recent.smoothed(active, outcome)
-        return self.learner.reference(active, smoothed, _surface(rays, active.node_depth_mm(smoothed)))
+        smooth_surface = _surface(rays, active.node_depth_mm(smoothed.coefficients))
+        return self.learner.reference(active, smoothed.coefficients, smooth_surface, smoothed.seen)
 
 
 def _surface(rays: FloatArray, depth_mm: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from engine.core.breath import SignalChoice
 from engine.core.errors import CommandRefusedError, ModelError, ModelMismatchError, SourceAwayError
-from engine.core.frames import FloatArray, TrainingProgress
+from engine.core.frames import BoolArray, FloatArray, TrainingProgress
 from engine.core.learning_events import Figures, LearningEvent, LearningEventKind
 from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
@@ -159,10 +159,12 @@ class Learner:
         self._is_reference_requested = True
         self._generation += 1
 
-    def reference(self, active: PreparedModel, coefficients: FloatArray, surface: FloatArray) -> Reference:
+    def reference(
+        self, active: PreparedModel, coefficients: FloatArray, surface: FloatArray, seen: FloatArray | BoolArray
+    ) -> Reference:
         """Return the reference; the given position becomes it if there is none or a new one was requested."""
         if self._reference is None or self._is_reference_requested:
-            self._reference = active.reference(coefficients, surface)
+            self._reference = active.reference(coefficients, surface, seen)
             self._reference_number += 1
             self._needs_reference = self._needs_reference and not self._is_reference_requested
             self._is_reference_requested = False

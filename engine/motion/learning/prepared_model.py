@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, frozen
+from engine.core.frames import NODE_COLUMNS, NODE_ROWS, BoolArray, FloatArray, frozen
 from engine.core.motion_model import MotionModel
 from engine.motion.stages.projection import Basis, prepare_basis
 from engine.motion.stages.regions import RegionLayout, RegionMeans, prepare_regions
 from engine.motion.stages.roi import at_nodes
+from engine.motion.learning.seen_shares import SeenWeights, prepare_seen_weights
 from engine.motion.stages.surface import grid_triangles, volume_l
 
 _TRIANGLES = grid_triangles(NODE_ROWS, NODE_COLUMNS)
@@ -29,11 +30,14 @@ class Reference:
         Depth of the plane that volumes are measured from [mm].
     volume_l
         Volume between the reference surface and that plane [l].
+    seen_shares
+        How much of every region was seen when it was set, 0 to 1; the rest was extrapolated.
     """
 
     regions_mm: FloatArray
     plane_mm: float
     volume_l: float
+    seen_shares: FloatArray
 
     def volume_above_l(self, surface: FloatArray) -> float:
         """Volume of a surface relative to the reference [l]; vertices of shape (nodes, 3) [mm]."""
@@ -42,7 +46,7 @@ class Reference:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PreparedModel:
-    """A model with its projection basis, its regions' means and its surface at the nodes.
+    """A model with its projection basis, its regions' means and weights, and its surface at the nodes.
 
     Attributes
     ----------
@@ -53,6 +57,7 @@ class PreparedModel:
     model: MotionModel
     basis: Basis
     regions: RegionMeans
+    seen_weights: SeenWeights
     node_mean_mm: FloatArray
     node_modes: FloatArray
 
@@ -60,12 +65,23 @@ class PreparedModel:
         """Depth at the nodes [mm], shape (nodes,), for coefficients of shape (k + e,)."""
         return np.asarray(self.node_mean_mm + coefficients @ self.node_modes)
 
-    def reference(self, coefficients: FloatArray, surface: FloatArray) -> Reference:
-        """Return the reference at these coefficients; ``surface`` are its vertices [mm], shape (nodes, 3)."""
+    def reference(self, coefficients: FloatArray, surface: FloatArray, seen: FloatArray | BoolArray) -> Reference:
+        """Return the reference at these coefficients.
+
+        Parameters
+        ----------
+        surface
+            Its vertices [mm], shape (nodes, 3).
+        seen
+            Share of the frames in which each sampled point was seen, shape (88, 50).
+        """
         regions_mm = self.regions.model_depth_mm(coefficients)
         plane_mm = float(surface[:, 2].mean())
         return Reference(
-            regions_mm=frozen(regions_mm), plane_mm=plane_mm, volume_l=volume_l(surface, _TRIANGLES, plane_mm)
+            regions_mm=frozen(regions_mm),
+            plane_mm=plane_mm,
+            volume_l=volume_l(surface, _TRIANGLES, plane_mm),
+            seen_shares=self.seen_weights.shares(seen),
         )
 
 
@@ -76,6 +92,7 @@ def prepare_model(model: MotionModel, layout: RegionLayout) -> PreparedModel:
         model=model,
         basis=basis,
         regions=prepare_regions(model.mean_mm, basis.modes, model.known, layout),
+        seen_weights=prepare_seen_weights(layout),
         node_mean_mm=frozen(at_nodes(model.mean_mm)),
         node_modes=frozen(np.stack([at_nodes(mode) for mode in basis.modes])),
     )

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from engine.core.errors import TrainingRefusedError
-from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, Projection, RoiDepth, frozen
+from engine.core.frames import NODE_COLUMNS, NODE_ROWS, BoolArray, FloatArray, Projection, RoiDepth, frozen
 from engine.motion.learning.prepared_model import PreparedModel, Reference
 from engine.motion.learning.training_set import TrainingFrame, Vertices, evenly
 from engine.motion.stages.surface import grid_triangles, volume_l
@@ -45,6 +45,8 @@ class ReferenceTransfer:
         Largest absolute correction of whole, thorax and abdomen, and 90th percentile of the common cells [mm].
     whole_mm
         Correction of the whole region [mm].
+    seen_shares
+        How much of every region was seen on those frames, 0 to 1, in the same order.
     """
 
     regions_mm: FloatArray
@@ -52,17 +54,20 @@ class ReferenceTransfer:
     frames: int
     correction_mm: float
     whole_mm: float
+    seen_shares: FloatArray
 
     def __post_init__(self) -> None:
-        """Make the array read-only."""
+        """Make the arrays read-only."""
         frozen(self.regions_mm)
+        frozen(self.seen_shares)
 
     def applied(self, reference: Reference) -> Reference:
-        """Return the reference corrected for the new model."""
+        """Return the reference corrected for the new model; a region unseen meanwhile is unseen in it."""
         return replace(
             reference,
             regions_mm=frozen(reference.regions_mm + self.regions_mm),
             volume_l=reference.volume_l + self.volume_l,
+            seen_shares=frozen(np.minimum(reference.seen_shares, self.seen_shares)),
         )
 
 
@@ -87,7 +92,7 @@ def compare_models(
     TrainingRefusedError
         Too few frames are explained by both models, so the reference cannot be transferred.
     """
-    regions, volumes = [], []
+    regions, volumes, seen = [], [], []
     coefficients: dict[int, FloatArray | None] = {0: None, 1: None}
     for frame in frames:
         outcomes = []
@@ -99,6 +104,7 @@ def compare_models(
         if old is not None and new is not None:
             regions.append(new[0] - old[0])
             volumes.append(new[1] - old[1])
+            seen.append(old[2] & new[2])
     if len(regions) < MIN_TRANSFER_FRAMES:
         raise TrainingRefusedError(
             "carry.frames",
@@ -114,15 +120,17 @@ def compare_models(
         frames=len(regions),
         correction_mm=_correction_mm(before, after, difference),
         whole_mm=float(difference[before.regions.cells]),
+        seen_shares=after.seen_weights.shares(np.mean(seen, axis=0)),
     )
 
 
 def _measured_by(
     model: PreparedModel, outcome: Projection, frame: TrainingFrame, vertices: Vertices
-) -> tuple[FloatArray, float]:
+) -> tuple[FloatArray, float, BoolArray]:
     surface = vertices(frame.nodes_px, model.node_depth_mm(outcome.coefficients))
     # The plane cancels in the difference of two nearly equal surfaces.
-    return model.regions.model_depth_mm(outcome.coefficients), volume_l(surface, _TRIANGLES, _plane_mm(frame))
+    volume = volume_l(surface, _TRIANGLES, _plane_mm(frame))
+    return model.regions.model_depth_mm(outcome.coefficients), volume, outcome.is_seen
 
 
 def _plane_mm(frame: TrainingFrame) -> float:

@@ -19,10 +19,12 @@ from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, Pro
 from engine.core.motion_model import MotionModel
 
 STRIDE_PX = 4  # every fourth row and column is as accurate as every one: the noise is correlated over nine pixels
+SAMPLED_SHAPE = (-(-ROI_ROWS // STRIDE_PX), -(-ROI_COLUMNS // STRIDE_PX))
 COSINE_ROWS = 6
 COSINE_COLUMNS = 4
 PRIOR_SPREADS_MM = (0.1, 0.5, 3.0)
 OUTLIER_MM = 6.0
+INLIER_MM = 0.9 * OUTLIER_MM
 MAX_REWEIGHTINGS = 12
 CONVERGED_MM = 0.02
 # After a first step this small from the previous frame no second is needed: it is exact without outliers.
@@ -155,12 +157,14 @@ def project(basis: Basis, roi: RoiDepth, start: FloatArray | None) -> Projection
     equations, widest = _settle(basis, frame, start)
     coefficients = _weigh_widths(basis, equations, widest)
     misfit = _misfit(basis, frame, coefficients)
+    is_seen = usable & (np.abs(misfit) < INLIER_MM)
     return Projection(
         beta=coefficients[: basis.components].copy(),
         coefficients=coefficients,
         residual_mm=_largest_cell_misfit(misfit, inside),
         valid_share=seen / max(int(np.count_nonzero(basis.sampled_known)), 1),
-        inlier_share=(int(np.count_nonzero(np.abs(misfit) < 0.9 * OUTLIER_MM)) - usable.size + seen) / seen,
+        inlier_share=int(np.count_nonzero(is_seen)) / seen,
+        is_seen=is_seen.reshape(SAMPLED_SHAPE),
     )
 
 

@@ -15,7 +15,16 @@ from engine.control.outputs import FrameRecord, GateTransition, LatencySummary, 
 from engine.core.breath import Breath
 from engine.core.commands import Acknowledge, Arm, Command, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam
 from engine.core.errors import CommandRefusedError, TidegateError
-from engine.core.frames import Lost, LostReason, Measurement, MeasurementState, Motion, Projection, TrainingProgress
+from engine.core.frames import (
+    Lost,
+    LostReason,
+    Measurement,
+    MeasurementState,
+    Motion,
+    Projection,
+    SeenShares,
+    TrainingProgress,
+)
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.learning_events import LearningEvent
 from engine.core.learning_status import LearningStatus
@@ -26,6 +35,7 @@ from service.core.schemas import sessions
 from service.engine_host.roles import SessionPlan
 
 FRAME_NS = 33_370_000
+SEEN = SeenShares(whole=0.98, thorax=0.97, abdomen=0.99, cells=np.ones((14, 8)))
 
 
 def make_motion(whole_mm: float = 1.5) -> Motion:
@@ -43,6 +53,8 @@ def make_motion(whole_mm: float = 1.5) -> Motion:
         regions_depth_mm=regions,
         points_mm=np.zeros(0),
         projection=projection,
+        seen=SEEN,
+        reference_seen=SEEN,
     )
 
 

@@ -110,6 +110,17 @@ def test_without_carrying_over_the_new_model_would_step(patient):
     assert carry.correction_mm == pytest.approx(0.25, abs=0.05)
 
 
+def test_a_place_unseen_while_the_zero_is_carried_over_is_unseen_in_the_zero(patient):
+    before = patient.learner.active
+    seen_then = patient.reference().seen_shares
+    assert seen_then.min() == 1.0
+    frames = [training_frames.frame(i, hide=np.s_[140:]) for i in range(20)]
+    carry = compare_models(before, before, frames, explain=explain, vertices=vertices)
+    shares = before.seen_weights.by_region(carry.applied(patient.reference()).seen_shares)
+    assert not shares.cells[12:].any()
+    assert (shares.cells[:11] == 1.0).all()
+
+
 def test_a_model_that_sees_everything_half_a_millimetre_deeper_still_moves_nothing(patient):
     """Two models of one patient differ by hundredths; this one by so much that a wrong carry cannot hide."""
     before = steady_mm(patient)

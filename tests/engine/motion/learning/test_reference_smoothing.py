@@ -47,14 +47,14 @@ def test_a_breath_in_full_swing_is_followed_without_lag_and_with_less_noise(acti
         recent = RecentFrames()
         newest = fill(recent, active, amplitudes, seed)
         alone.append(surface_error_mm(active, newest.coefficients, amplitudes[-1]))
-        together.append(surface_error_mm(active, recent.smoothed(active, newest), amplitudes[-1]))
+        together.append(surface_error_mm(active, recent.smoothed(active, newest).coefficients, amplitudes[-1]))
     assert np.mean(together) < 0.9 * np.mean(alone)
 
 
 def test_without_noise_it_is_the_newest_frame(active):
     recent = RecentFrames()
     newest = fill(recent, active, SIGNAL_MM[10 : 10 + FRAMES], noise_mm=0.0)
-    settled = recent.smoothed(active, newest)
+    settled = recent.smoothed(active, newest).coefficients
     assert abs(settled[0] - newest.coefficients[0]) * np.abs(active.model.components[0]).max() < 0.03
 
 
@@ -66,20 +66,33 @@ def test_a_slow_camera_is_not_averaged_over_half_a_breath(active):
         recent.add(newest, index * 99_000)
     found = project(active.basis, newest, None)
     alone_mm = surface_error_mm(active, found.coefficients, amplitudes[19])
-    assert surface_error_mm(active, recent.smoothed(active, found), amplitudes[19]) < alone_mm + 0.02
+    assert surface_error_mm(active, recent.smoothed(active, found).coefficients, amplitudes[19]) < alone_mm + 0.02
 
 
 def test_too_few_frames_or_a_gap_leave_the_newest_alone(active):
     recent = RecentFrames()
     newest = fill(recent, active, SIGNAL_MM[10:16])
-    assert recent.smoothed(active, newest) is newest.coefficients
+    assert recent.smoothed(active, newest).coefficients is newest.coefficients
     fill(recent, active, SIGNAL_MM[10 : 10 + FRAMES])
     recent.add(roi(3.0, 5), 10_000_000)
-    assert recent.smoothed(active, newest) is newest.coefficients
+    assert recent.smoothed(active, newest).coefficients is newest.coefficients
 
 
 def test_what_was_forgotten_has_no_say(active):
     recent = RecentFrames()
     newest = fill(recent, active, SIGNAL_MM[10 : 10 + FRAMES])
     recent.reset()
-    assert recent.smoothed(active, newest) is newest.coefficients
+    assert recent.smoothed(active, newest).coefficients is newest.coefficients
+
+
+def test_a_place_that_was_seen_in_some_of_the_frames_has_their_share(active):
+    recent = RecentFrames()
+    for index in range(FRAMES):
+        valid = np.ones((88, 50), dtype=bool)
+        valid[70:] = index < 9
+        depth = roi(3.0, index, 0.1).depth_mm
+        newest = RoiDepth(depth_mm=depth, valid=valid, stride_px=STRIDE_PX)
+        recent.add(newest, index * FRAME_US)
+    seen = recent.smoothed(active, project(active.basis, newest, None)).seen
+    assert (seen[:70] == 1.0).all()
+    assert seen[70:] == pytest.approx(9 / FRAMES)
