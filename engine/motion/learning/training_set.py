@@ -109,8 +109,9 @@ class TrainingSet:
 
     def _update_progress(self, frame: TrainingFrame) -> None:
         signals, seconds = np.array(self._motion_mm).T, np.array(self._seconds)
-        self._cycles = max(count_cycles(signal, seconds) for signal in signals)
-        self._amplitude_mm = max(excursion_mm(signal, seconds) for signal in signals)
+        excursions_mm = [excursion_mm(signal, seconds) for signal in signals]
+        self._amplitude_mm = max(excursions_mm)
+        self._cycles = count_cycles(signals[int(np.argmax(excursions_mm))], seconds)
         surface = frame.surface(self._vertices)
         seen: BoolArray = np.isfinite(surface[:, 2])
         if seen.mean() >= MIN_SEEN_SHARE:

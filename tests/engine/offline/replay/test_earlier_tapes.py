@@ -14,6 +14,7 @@ from engine.core.commands import ActivateModel, Arm
 from engine.core.gate_state import GateState
 from engine.core.motion_model import MotionModel
 from engine.gating.supervision import repeated_frames
+from engine.motion.learning import training_set
 from engine.offline.replay.encoding import TapeEncoding
 from engine.offline.replay.tape_file import read_tape
 from service.cli import app
@@ -24,7 +25,7 @@ from service.storage.files.motion_models import MODELS_FOLDER, ModelStore
 from service.storage.files.tapes import tape_path
 from tests.support import earlier_files
 from tests.support.earlier_files import KILLED, LEARNING, RESUMED, TAPE
-from tests.support.replay import scripted_tape
+from tests.support.replay import earlier_cycles, scripted_tape
 
 FRAMES = {LEARNING: 281, RESUMED: 238}
 TRANSITIONS = {LEARNING: 21, RESUMED: 33}
@@ -37,8 +38,9 @@ COMMANDS = 5
 
 @pytest.fixture(autouse=True)
 def method_1(monkeypatch):
-    """Compare as many earlier pictures as the version of the tapes: their recording repeats its noise."""
+    """Compare as many earlier pictures as the version of the tapes, and count cycles as it did."""
     monkeypatch.setattr(repeated_frames, "EARLIER_PICTURES", 8)
+    monkeypatch.setattr(training_set, "count_cycles", earlier_cycles.count_cycles)
 
 
 @pytest.fixture(scope="module")
