@@ -9,10 +9,10 @@ import numpy as np
 
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, BoolArray, FloatArray, frozen
 from engine.core.motion_model import MotionModel
+from engine.motion.learning.seen_shares import SeenWeights, prepare_seen_weights
 from engine.motion.stages.projection import Basis, prepare_basis
 from engine.motion.stages.regions import RegionLayout, RegionMeans, prepare_regions
 from engine.motion.stages.roi import at_nodes
-from engine.motion.learning.seen_shares import SeenWeights, prepare_seen_weights
 from engine.motion.stages.surface import grid_triangles, volume_l
 
 _TRIANGLES = grid_triangles(NODE_ROWS, NODE_COLUMNS)

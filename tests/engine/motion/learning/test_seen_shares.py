@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from engine.core.breath import SignalChoice
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, SeenShares
 from engine.core.signals import seen_share_of
+from engine.motion.learning.seen_shares import prepare_seen_weights
 from engine.motion.named_regions import NamedRegion
 from engine.motion.stages.projection import SAMPLED_SHAPE, STRIDE_PX
 from engine.motion.stages.regions import RegionLayout, grid_shape, region_values
-from engine.motion.learning.seen_shares import prepare_seen_weights
 
 NEAREST = (
     np.minimum((np.arange(ROI_ROWS) + STRIDE_PX // 2) // STRIDE_PX, SAMPLED_SHAPE[0] - 1),
