@@ -27,7 +27,7 @@ openni:
 
 # What the tests use for real beside the Python packages: the runtime, what a driver for it is built with, a browser.
 test-system:
-	@docker/install-debian-packages.sh libopenni2-0 libopenni2-dev g++ chromium poppler-utils rsyslog rsyslog-openssl libxml2-utils postgresql curl jq \
+	@docker/install-debian-packages.sh libopenni2-0 libopenni2-dev g++ chromium chromium-headless-shell poppler-utils rsyslog rsyslog-openssl libxml2-utils postgresql curl jq \
 		mono-mcs mono-runtime libmono-system-net-http4.0-cil libmono-system-runtime-serialization4.0-cil libmono-system-xml-linq4.0-cil
 
 # Three parts, one after the other: beside what computes, sessions in real time were late. First what computes, where no time is

@@ -1,9 +1,12 @@
 """A controller that says what a test tells it to: the page and its contracts on a loopback port, nothing behind."""
 
 import asyncio
+import contextlib
 import copy
+import functools
 import json
 import math
+import mimetypes
 import re
 import socket
 import threading
@@ -18,13 +21,12 @@ import cv2
 import numpy as np
 import uvicorn
 from starlette.applications import Starlette
+from starlette.datastructures import MutableHeaders
 from starlette.middleware import Middleware
-from starlette.middleware.base import BaseHTTPMiddleware, RequestResponseEndpoint
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
-from starlette.routing import Mount, Route, WebSocketRoute
-from starlette.staticfiles import StaticFiles
-from starlette.types import ASGIApp
+from starlette.routing import Route, WebSocketRoute
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 import service
@@ -213,6 +215,7 @@ NOTHING_MEASURED = dict.fromkeys(
 )
 
 
+@functools.cache
 def chest_jpeg() -> bytes:
     """Draw a dark shirt with four dots on a bright bed."""
     picture = np.full((480, 640, 3), 120, np.uint8)
@@ -257,7 +260,20 @@ RELAXED_MS = {
     "js/api.js": {"TIMEOUT_MS": 60_000, "PRESENCE_TIMEOUT_MS": 60_000},
 }
 """Times of the page for tests that are not about them: nothing is old because the machine is slow."""
+LOOK_S = 0.05
+"""How often a service between two turns notices that its page has gone."""
 KEPT = {"Cache-Control": "max-age=3600"}
+
+
+@functools.cache
+def page_files(*, is_relaxed: bool) -> dict[str, Response]:
+    """Return the page's files by their path; relaxed with the times above."""
+    files = {}
+    for file in DASHBOARD.rglob("*.*"):
+        path = file.relative_to(DASHBOARD).as_posix()
+        content = relaxed(path).encode() if is_relaxed and path in RELAXED_MS else file.read_bytes()
+        files[path] = Response(content, media_type=mimetypes.guess_type(path)[0])
+    return files | {"": files["index.html"]}
 
 
 def relaxed(path: str) -> str:
@@ -287,6 +303,8 @@ class FakeService:
         self.is_relaxed = True  # serves RELAXED_MS
         self.is_stepped = False  # sends one message per turn, not one per period
         self.turns = self.turns_done = 0
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._has_turned = asyncio.Event()
         self.sent = 0
         self.open_sockets = 0
         self.is_hung = threading.Event()  # while set, the page that asked for /hang waits
@@ -308,6 +326,12 @@ class FakeService:
         self._jpeg = chest_jpeg()
         self.frame_index = 0
 
+    def turn(self) -> None:
+        """Let a stepped service send its next message; called by the test's thread."""
+        self.turns += 1
+        if self._loop is not None:
+            self._loop.call_soon_threadsafe(self._has_turned.set)
+
     def posts(self) -> list[tuple[str, Any]]:
         """Return the calls that change something, as (path under the API, body)."""
         return [(path.removeprefix("/api/v1"), body) for method, path, body in self.calls if method == "POST"]
@@ -319,10 +343,9 @@ class FakeService:
             Route("/api/v1/sessions/{id}/picture", self._picture),
             Route("/api/v1/{rest:path}", self._api, methods=["GET", "POST", "PATCH"]),
             Route("/hang", self._hang),
-            *(Route(f"/{path}", self._script) for path in RELAXED_MS),
-            Mount("/", StaticFiles(directory=DASHBOARD, html=True)),
+            Route("/{path:path}", self._file),
         ]
-        return Starlette(routes=routes, middleware=[Middleware(BaseHTTPMiddleware, dispatch=_with_policy)])
+        return Starlette(routes=routes, middleware=[Middleware(Policy)])
 
     async def _live(self, websocket: WebSocket) -> None:
         if not self.is_up or self.person is None:
@@ -331,6 +354,7 @@ class FakeService:
         await websocket.accept()
         self.connections += 1
         self.open_sockets += 1
+        self._loop = asyncio.get_running_loop()
         gone = asyncio.create_task(websocket.receive())
         try:
             await websocket.send_json({"type": "hello", "schema": self.schema, "version": "0.1.0"})
@@ -347,7 +371,9 @@ class FakeService:
         turn = -1
         while self.is_up and self.person is not None and not gone.done():
             if self.is_stepped and turn == self.turns:
-                await asyncio.sleep(0.002)
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(self._has_turned.wait(), LOOK_S)
+                self._has_turned.clear()
                 continue
             turn = self.turns
             message = self._next_message()
@@ -378,12 +404,10 @@ class FakeService:
         eventually(lambda: not self.is_hung.is_set())
         return Response()
 
-    def _script(self, request: Request) -> Response:
-        path = request.url.path.removeprefix("/")
-        text = relaxed(path) if self.is_relaxed else (DASHBOARD / path).read_text()
-        return Response(text, media_type="text/javascript")
+    async def _file(self, request: Request) -> Response:
+        return page_files(is_relaxed=self.is_relaxed).get(request.path_params["path"], Response(status_code=404))
 
-    def _picture(self, _request: Request) -> Response:
+    async def _picture(self, _request: Request) -> Response:
         if self.person is None:
             return UNKNOWN
         self.pictures += 1
@@ -479,13 +503,23 @@ def _gate_for(signal_mm: float) -> dict[str, Any]:
     }
 
 
-async def _with_policy(request: Request, call_next: RequestResponseEndpoint) -> Response:
-    response = await call_next(request)
-    response.headers["Content-Security-Policy"] = POLICY
-    response.headers["X-Content-Type-Options"] = "nosniff"
-    if not request.url.path.startswith("/api/"):
-        response.headers.update(KEPT)  # the tabs of one context load the page once
-    return response
+class Policy:
+    """Adds the headers of the real service."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                headers["Content-Security-Policy"] = POLICY
+                headers["X-Content-Type-Options"] = "nosniff"
+                if not scope["path"].startswith("/api/"):
+                    headers.update(KEPT)  # the tabs of one context load the page once
+            await send(message)
+
+        await self._app(scope, receive, send_with_headers)
 
 
 class ServerThread:

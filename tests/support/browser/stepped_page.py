@@ -74,7 +74,7 @@ class SteppedPage:
 
     def _exchange(self) -> None:
         """Let the service send its next message, and wait until nothing is on its way to the page or from it."""
-        self.fake.turns += 1
+        self.fake.turn()
         self.tab.await_that(self._is_quiet, "what is on its way to the page or from it does not arrive")
 
     def _is_quiet(self) -> bool:

@@ -176,7 +176,7 @@ def main(out: Path) -> None:
     fake.sessions[0]["window"] = None  # each picture has a window of its own
     fake.mode = "samples"
     with ServerThread(fake.app()) as server, sync_playwright() as playwright:
-        browser = launch_chromium(playwright)
+        browser = launch_chromium(playwright, is_shell=False)
         take(browser.new_page(viewport={"width": 1280, "height": 800}), fake, out, server.url)
         fake.is_up = False
         browser.close()

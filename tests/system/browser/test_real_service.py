@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import BrowserContext, Page, expect
+from playwright.sync_api import Browser, BrowserContext, Page, Playwright, expect
 from playwright.sync_api import TimeoutError as BrowserTimeoutError
 
+from tests.support.browser.chromium import launch_chromium
 from tests.support.browser.tab import Tab
 from tests.support.service.accounts import EVERY_ROLE, provision
 from tests.support.waiting import PATIENCE_S, eventually
@@ -108,6 +109,14 @@ class Controller:
         except subprocess.TimeoutExpired:
             self._process.kill()
             raise
+
+
+@pytest.fixture(scope="module")
+def chromium(playwright: Playwright) -> Iterator[Browser]:
+    """The whole browser, as in a clinic."""
+    browser = launch_chromium(playwright, is_shell=False)
+    yield browser
+    browser.close()
 
 
 @pytest.fixture
