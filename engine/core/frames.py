@@ -25,6 +25,8 @@ NODE_STEP = 25
 """Grid pixels between two nodes, where the region is mapped exactly and the surface's vertices are reported."""
 NODE_ROWS = ROI_ROWS // NODE_STEP + 1
 NODE_COLUMNS = ROI_COLUMNS // NODE_STEP + 1
+NO_DIGEST = {"is_in_digest": False}
+"""Of a field left out of a tape's digests, as earlier tapes lack it; the gate's decisions cover its use."""
 
 
 def frozen(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -177,7 +179,7 @@ class Projection:
     residual_mm: float
     valid_share: float
     inlier_share: float
-    is_seen: BoolArray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
+    is_seen: BoolArray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_), metadata=NO_DIGEST)
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -280,8 +282,8 @@ class Motion:
     lags: tuple[PhaseLag, ...] = ()
     surface_mm: FloatArray = field(default_factory=lambda: frozen(np.empty((0, 3))))
     split_rows: tuple[float, float] | None = None
-    seen: SeenShares = UNKNOWN_SHARES
-    reference_seen: SeenShares = UNKNOWN_SHARES
+    seen: SeenShares = field(default=UNKNOWN_SHARES, metadata=NO_DIGEST)
+    reference_seen: SeenShares = field(default=UNKNOWN_SHARES, metadata=NO_DIGEST)
 
 
 class MeasurementState(enum.StrEnum):

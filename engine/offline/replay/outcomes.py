@@ -81,7 +81,7 @@ def _record_row(record: FrameRecord) -> Row:
 
 
 def digest_of(value: object) -> str:
-    """Return a hash over all bits of a value and everything in it."""
+    """Return a hash over all bits of a value and everything in it, but for fields marked as not part of it."""
     digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
     _add(digest, value)
     return digest.hexdigest()
@@ -93,6 +93,8 @@ def _add(digest: "hashlib.blake2b", value: Any) -> None:  # noqa: ANN401
         digest.update(bits)
     elif dataclasses.is_dataclass(value):
         for field in dataclasses.fields(value):
+            if not field.metadata.get("is_in_digest", True):
+                continue
             digest.update(field.name.encode())
             _add(digest, getattr(value, field.name))
     elif isinstance(value, tuple | list):
