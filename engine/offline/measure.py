@@ -11,19 +11,18 @@ from pathlib import Path
 
 from engine.calibration.camera_calibration import Calibration
 from engine.capture.source import DepthSource
-from engine.core.clock import NS_PER_US, ManualClock
-from engine.core.commands import Arm
+from engine.core.clock import ManualClock
 from engine.core.errors import ModelError, RecordingError, SourceEndedError
-from engine.core.frames import Measurement, MeasurementState
+from engine.core.frames import Measurement, RgbdFrame
 from engine.core.motion_model import MotionModel
 from engine.core.provenance import ModelOrigin
-from engine.gating.gate import Gate, step_gate
 from engine.gating.limits import GateLimits
 from engine.motion.learning.model_file import save_model
 from engine.motion.learning.trainer import InlineTrainer
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
 from engine.offline.mesh_files import MeshOptions, MeshSaver
+from engine.offline.offline_gate import OfflineGate
 from engine.offline.result_files import BreathTable, MotionTable, OfflineSummary, Results
 
 READ_TIMEOUT_S = 5.0
@@ -57,8 +56,8 @@ def measure_recording(
 ) -> OfflineSummary:
     """Measure every frame of ``source``; write the tables, regions.npz, motion_summary.json and model.npz to ``out``.
 
-    With ``limits`` the gate is armed at the first measured frame and the table shows its decisions; without them it
-    stays disarmed. Files are written atomically. A damaged recording is measured up to the damage, which the summary
+    With ``limits`` the table shows the decisions of a session's gate that is armed as soon as it may be; without them
+    it stays disarmed. Files are written atomically. A damaged recording is measured up to the damage, which the summary
     reports.
 
     Parameters
@@ -88,11 +87,13 @@ def measure_recording(
     out.mkdir(parents=True, exist_ok=True)
     results = Results(settings)
     saver = MeshSaver(out, meshes or MeshOptions())
-    gate = _OfflineGate(limits)
+    gate = OfflineGate(limits)
     with _tables(out, settings) as (table, breaths):
 
-        def write(measurement: Measurement) -> None:
-            table.write(measurement, gate.decide(measurement))
+        def write(frame: RgbdFrame, measurement: Measurement) -> None:
+            learner = pipeline.learner
+            table.write(measurement, gate.decide(frame, measurement, learner.status, learner.take_notices()))
+            learner.keep_model(is_kept=gate.is_armed)
             breaths.write(measurement)
             results.add(measurement)
             saver.save(measurement)
@@ -133,13 +134,15 @@ def _tables(out: Path, settings: PipelineSettings) -> Iterator[tuple[MotionTable
         breaths_partial.unlink(missing_ok=True)
 
 
-def _measure_frames(source: DepthSource, pipeline: Pipeline, write: Callable[[Measurement], None]) -> str | None:
+def _measure_frames(
+    source: DepthSource, pipeline: Pipeline, write: Callable[[RgbdFrame, Measurement], None]
+) -> str | None:
     """Measure and write every frame; return the damage that ended the recording early, None if it was complete."""
     frames = 0
     try:
-        for measurement in _measurements(source, pipeline):
+        for frame, measurement in _measurements(source, pipeline):
             _raise_mismatch(pipeline)
-            write(measurement)
+            write(frame, measurement)
             frames += 1
     except RecordingError as error:
         if frames == 0:
@@ -148,7 +151,7 @@ def _measure_frames(source: DepthSource, pipeline: Pipeline, write: Callable[[Me
     return None
 
 
-def _measurements(source: DepthSource, pipeline: Pipeline) -> Iterator[Measurement]:
+def _measurements(source: DepthSource, pipeline: Pipeline) -> Iterator[tuple[RgbdFrame, Measurement]]:
     try:
         source.open()
         while True:
@@ -156,7 +159,7 @@ def _measurements(source: DepthSource, pipeline: Pipeline) -> Iterator[Measureme
                 frame = source.read(READ_TIMEOUT_S)
             except SourceEndedError:
                 return
-            yield pipeline.measure(frame)
+            yield frame, pipeline.measure(frame)
     finally:
         source.close()
 
@@ -166,26 +169,6 @@ def _raise_mismatch(pipeline: Pipeline) -> None:
     match = pipeline.learner.status.patient_match
     if match is not None and match.refusal is not None:
         raise match.refusal
-
-
-class _OfflineGate:
-    """The live gate's reducer on device time, armed at the first measured frame."""
-
-    def __init__(self, limits: GateLimits | None) -> None:
-        self._limits = limits
-        self._gate = Gate()
-        self._is_armed = False
-
-    def decide(self, measurement: Measurement) -> Gate:
-        if self._limits is None:
-            return self._gate
-        now_ns = measurement.timestamp_us * NS_PER_US
-        event = replace(measurement, received_ns=now_ns)
-        if not self._is_armed and measurement.state is MeasurementState.MEASURING:
-            self._gate = step_gate(self._gate, Arm(operator="offline"), now_ns, self._limits)
-            self._is_armed = True
-        self._gate = step_gate(self._gate, event, now_ns, self._limits)
-        return self._gate
 
 
 def _reason_without_model(results: Results) -> str:

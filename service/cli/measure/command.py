@@ -12,6 +12,7 @@ from engine.core.clock import MonotonicClock
 from engine.core.errors import TidegateError
 from engine.core.frames import Measurement
 from engine.gating.limits import GateLimits
+from engine.gating.session_defaults import DWELL_MS
 from engine.motion.learning.trainer import TrainingSettings
 from engine.motion.settings import PipelineSettings
 from engine.offline.measure import FileTask, measure_recording
@@ -114,7 +115,7 @@ def measure(
                 settings=settings,
                 limits=None
                 if window is None
-                else GateLimits(window=options.window(window, settings.points, settings.named)),
+                else GateLimits(window=options.window(window, settings.points, settings.named), dwell_ms=DWELL_MS),
                 meshes=options.meshes(mesh, mesh_format),
                 model=stored,
                 origin=model_origin(recording, patient),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from engine.core.breath import GateSignal, SignalChoice
 from engine.core.errors import InvalidValueError
+from engine.gating.session_defaults import HYSTERESIS
 from engine.gating.windows import AmplitudeWindow, GateWindow, Unit
 from engine.motion.named_region_file import load_regions, parse_region
 from engine.motion.named_regions import NamedRegion, check_regions
@@ -60,7 +61,8 @@ def window(text: str, points: Sequence[tuple[int, int]] = (), named: Sequence[Na
     except ValueError as error:
         raise InvalidValueError("window", text, "SIGNAL:LOWER:UPPER, a name and two numbers") from error
     choice = _signal(signal, points, [region.name for region in named])
-    return AmplitudeWindow(choice=choice, lower=lower, upper=upper, unit=Unit.L if choice.is_volume else Unit.MM)
+    unit = Unit.L if choice.is_volume else Unit.MM
+    return AmplitudeWindow(choice=choice, lower=lower, upper=upper, unit=unit, hysteresis=HYSTERESIS[unit])
 
 
 def _signal(text: str, points: Sequence[tuple[int, int]], names: Sequence[str]) -> SignalChoice:

@@ -3,10 +3,17 @@
 import pytest
 
 from engine.core.breath import SignalChoice
-from engine.core.errors import InvalidValueError
-from engine.gating.windows import AmplitudeWindow
+from engine.core.errors import InvalidValueError, RecordingError
+from engine.gating.session_defaults import HYSTERESIS
+from engine.gating.windows import AmplitudeWindow, Unit
 from engine.motion.named_regions import NamedRegion
+from engine.motion.settings import PipelineSettings
+from service.cli.measure import command
 from service.cli.measure.options import window
+from service.core.schemas.windows import Window
+from service.core.settings.settings import Settings
+from service.engine_host.site_rules.window_limits import gate_limits
+from tests.support.command_line import invoke
 
 POINTS = ((10, 20), (30, 40))
 NAMED = tuple(
@@ -26,7 +33,9 @@ NAMED = tuple(
 )
 def test_every_signal_that_is_measured_can_be_gated_on(text, choice, unit):
     _, lower, upper = text.split(":")
-    made = AmplitudeWindow(choice=choice, lower=float(lower), upper=float(upper), unit=unit)
+    made = AmplitudeWindow(
+        choice=choice, lower=float(lower), upper=float(upper), unit=unit, hysteresis=HYSTERESIS[Unit(unit)]
+    )
     assert window(text, POINTS, NAMED) == made
 
 
@@ -43,3 +52,31 @@ def test_edges_are_bounded_in_their_own_unit(text, field):
     with pytest.raises(InvalidValueError) as caught:
         window(text)
     assert caught.value.field == field
+
+
+SERVICE_WINDOWS = {
+    "whole:-1:3": {"lower_mm": -1.0, "upper_mm": 3.0},
+    "volume:-0.1:0.2": {"signal": "volume", "lower_l": -0.1, "upper_l": 0.2},
+}
+
+
+@pytest.mark.parametrize("text", SERVICE_WINDOWS)
+def test_the_limits_are_those_of_a_session_with_the_defaults_of_the_service(text, tmp_path, monkeypatch):
+    tasks = []
+
+    def refuse(task, **_options):
+        tasks.append(task)
+        raise RecordingError("not measured")
+
+    monkeypatch.setattr(command, "_measure", refuse)
+    invoke(tmp_path, tmp_path / "out", "--window", text)
+    service = gate_limits(Window.model_validate(SERVICE_WINDOWS[text]), Settings.model_construct())
+    assert tasks[0].limits == service
+
+
+def test_the_settings_of_the_measurement_are_the_defaults_of_the_service(tmp_path, monkeypatch):
+    tasks = []
+    monkeypatch.setattr(command, "_measure", lambda task, **_options: tasks.append(task) or 1 / 0)
+    invoke(tmp_path, tmp_path / "out")
+    settings = Settings.model_construct()
+    assert tasks[0].settings == PipelineSettings(training=settings.training, likeness=settings.likeness)

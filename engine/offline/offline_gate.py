@@ -1,0 +1,95 @@
+"""The gate of an offline run: that of a session with the same limits, on device time.
+
+A frame counts as received and decided when the camera captured it. The gate is armed at the first measured frame after
+which a session could be armed, as an operator would do; a fault stays latched, since there is none to acknowledge it.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+
+from engine.core.breath import Breath
+from engine.core.clock import NS_PER_US
+from engine.core.commands import Acknowledge, Arm
+from engine.core.frames import Measurement, MeasurementState, RgbdFrame
+from engine.core.gate_state import GateState, HoldReason
+from engine.core.learning_events import LearningEvent
+from engine.core.learning_status import LearningStatus
+from engine.core.signals import signal_of
+from engine.gating.gate import Ending, Gate, GateEvent, Silence, step_gate
+from engine.gating.interlocks import DecisionInputs, interlocks
+from engine.gating.limits import GateLimits, ns_from_ms
+from engine.gating.supervision.supervisor import FrameSupervisor
+
+OPERATOR = "offline"
+
+
+class OfflineGate:
+    """Decides on every frame of a recording; without limits it stays disarmed."""
+
+    def __init__(self, limits: GateLimits | None) -> None:
+        self._limits = limits
+        self._gate = Gate()
+        self._supervisor = None if limits is None else FrameSupervisor(limits)
+        self._was_armed = False
+        self._generation = 0
+
+    def decide(
+        self, frame: RgbdFrame, measurement: Measurement, status: LearningStatus, notices: Iterable[LearningEvent]
+    ) -> Gate:
+        """Return the gate after a frame; ``status`` and ``notices`` are the learner's after its measurement."""
+        limits, supervisor = self._limits, self._supervisor
+        if limits is None or supervisor is None:
+            return self._gate
+        now_ns = measurement.timestamp_us * NS_PER_US
+        event = replace(measurement, received_ns=now_ns, breaths=_breaths_of(measurement, limits))
+        self._step_silence(now_ns, limits)
+        supervision = supervisor.check(
+            replace(frame, received_ns=now_ns),
+            event,
+            model=status.model,
+            has_reference=status.has_reference or self._was_armed,
+            notices=notices,
+        )
+        self._arm_if_ready(event, status, now_ns, limits)
+        standing = interlocks(
+            DecisionInputs(at_ns=now_ns), is_armed=self._gate.is_armed, limits=limits, supervision=supervision
+        )
+        events: list[GateEvent] = [*standing]
+        if self._was_armed and status.model_generation != self._generation:
+            self._generation = status.model_generation
+            events.append(Ending(reason=HoldReason.DISARMED))
+        for one in (*events, event, *standing):
+            self._gate = step_gate(self._gate, one, now_ns, limits)
+        return self._gate
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether the gate is armed: then a session would not switch models."""
+        return self._gate.is_armed
+
+    def _step_silence(self, now_ns: int, limits: GateLimits) -> None:
+        """Step through the silence before this frame, which a session notes while it lasts."""
+        last = self._gate.last
+        silent_ns = ns_from_ms(limits.max_silence_ms) + 1
+        if last is not None and now_ns - last.received_ns > silent_ns:
+            at_ns = last.received_ns + silent_ns
+            self._gate = step_gate(self._gate, Silence(since_ns=last.received_ns), at_ns, limits)
+
+    def _arm_if_ready(self, event: Measurement, status: LearningStatus, now_ns: int, limits: GateLimits) -> None:
+        """Arm once, where a session could be armed: no shortcoming of the model, and every gated signal is measured."""
+        motion = event.motion
+        if self._was_armed or event.state is not MeasurementState.MEASURING or motion is None:
+            return
+        is_measured = all(math.isfinite(signal_of(choice, motion)) for choice in limits.window.choices)
+        if status.model_shortcoming is not None or not is_measured:
+            return
+        if self._gate.state is GateState.FAULT:
+            self._gate = step_gate(self._gate, Acknowledge(operator=OPERATOR), now_ns, limits)
+        self._gate = step_gate(self._gate, Arm(operator=OPERATOR), now_ns, limits)
+        self._was_armed, self._generation = True, status.model_generation
+
+
+def _breaths_of(measurement: Measurement, limits: GateLimits) -> tuple[Breath, ...]:
+    """Return the breaths of the gated signals: a session monitors no others."""
+    return tuple(breath for breath in measurement.breaths if breath.signal in limits.window.choices)
