@@ -101,6 +101,7 @@ class CommandHandler:
 
     def _set_reference(self, command: SetReference) -> None:
         self._disarm_for("the reference is set", command.operator)
+        self._controller.refuse_unseen_reference()
         self._learner.set_reference()
         self._limits.clear_correction()
         self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], 0.0)

@@ -137,9 +137,19 @@ class GateController:
             raise CommandRefusedError("the newest frame was not measured: see that the patient is in view")
         if not self._limits.is_signal_measured(measurement):
             raise CommandRefusedError("the gated motion is not measured: choose a region inside the grid")
+        unseen = self._limits.unseen_signal(measurement)
+        if unseen is not None:
+            raise CommandRefusedError(f"the camera does not see the gated motion ({unseen}): uncover it")
         age_ms = (self._clock.now_ns() - last.received_ns) / NS_PER_MS
         if age_ms > self._limits.current.max_gap_ms + self._limits.current.max_frame_age_ms:
             raise CommandRefusedError(f"the newest frame is {age_ms:.0f} ms old: see to the camera")
+
+    def refuse_unseen_reference(self) -> None:
+        """Raise CommandRefusedError where the newest frame was measured and does not show a gated signal."""
+        measurement = self._records.newest_measurement
+        unseen = None if measurement is None else self._limits.unseen_signal(measurement)
+        if unseen is not None:
+            raise CommandRefusedError(f"the reference needs a view of the gated motion ({unseen}): uncover it")
 
     def _step(self, gate: Gate, event: GateEvent, decided_ns: int) -> Gate:
         return step_gate(gate, event, decided_ns, self._limits.current)

@@ -11,6 +11,7 @@ from engine.core.frames import Measurement
 from engine.core.ranges import Ranges
 from engine.core.signals import signal_of
 from engine.gating.active_window import ActiveWindow, refuse_wide
+from engine.gating.frame_checks import unseen_signal
 from engine.gating.limits import GateLimits
 from engine.gating.windows import GateWindow
 
@@ -75,6 +76,10 @@ class SessionLimits:
         motion = measurement.motion
         choices = self.current.window.choices
         return motion is not None and all(math.isfinite(signal_of(choice, motion)) for choice in choices)
+
+    def unseen_signal(self, measurement: Measurement) -> str | None:
+        """Return which signal of the window the frame shows too little of; None if none, or nothing was measured."""
+        return None if measurement.motion is None else unseen_signal(measurement.motion.seen, self.current)
 
     def signal_mm(self, measurement: Measurement) -> float | None:
         """Return the first gated signal [mm]; None where it was not measured, or is the volume."""

@@ -22,6 +22,11 @@ def signal_of(choice: SignalChoice, motion: Motion) -> float:
     return float(getattr(motion, f"{choice.signal}_mm"))
 
 
+def is_wide(choice: SignalChoice) -> bool:
+    """Whether a signal is of a large part of the region: the whole, a half, or the volume."""
+    return choice.signal not in {GateSignal.REGION, GateSignal.POINT, GateSignal.NAMED}
+
+
 def seen_share_of(choice: SignalChoice, seen: SeenShares) -> float:
     """Return the share of a signal's area that was seen, 0 to 1; NaN where it is unknown."""
     match choice.signal:

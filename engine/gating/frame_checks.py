@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from engine.core.clock import CLOCK_DRIFT, NS_PER_MS, NS_PER_US
-from engine.core.frames import LostReason, Measurement, MeasurementState, Motion
+from engine.core.frames import LostReason, Measurement, MeasurementState, Motion, SeenShares
 from engine.core.gate_state import HoldReason
-from engine.core.signals import signal_of
+from engine.core.signals import is_wide, seen_share_of, signal_of
 from engine.gating.limits import GateLimits, ns_from_ms
 from engine.gating.windows import ConditionState, GateWindow
 
@@ -78,6 +78,7 @@ def check_frame(last: LastFrame | None, frame: Measurement, now_ns: int, limits:
         or _refuse_poor_fit(frame.motion, limits)
         or _refuse_jump(last, frame, frame.motion, limits)
         or _refuse_irregular(frame, limits)
+        or _refuse_unseen(frame.motion, limits)
     )
 
 
@@ -256,6 +257,27 @@ def _refuse_jump(last: LastFrame | None, frame: Measurement, motion: Motion, lim
         return None
     frames = min(last.signal_age_frames + 1 + frame.missed_frames, MAX_JUMP_FRAMES)
     signals_mm = _jump_signals_mm(motion, limits.window)
+def unseen_signal(seen: SeenShares, limits: GateLimits, when: str = "seen") -> str | None:
+    """Return which gated signal the camera sees too little of, and how much; None if there is none.
+
+    The motion model extrapolates what is not seen, so such a signal has a value that was not measured.
+    """
+    for choice in limits.window.choices:
+        needed = limits.min_wide_share if is_wide(choice) else limits.min_signal_share
+        share = seen_share_of(choice, seen)
+        if not needed <= share <= 1.0:
+            return f"{choice.label}: {share:.2f} of its area {when}, {needed:.2f} needed"
+    return None
+
+
+def _refuse_unseen(motion: Motion, limits: GateLimits) -> Verdict | None:
+    """Hold where any gated signal is not measurable, also one of a window whose other condition would be met."""
+    detail = unseen_signal(motion.seen, limits) or unseen_signal(
+        motion.reference_seen, limits, "seen when the reference was set"
+    )
+    return None if detail is None else unusable(HoldReason.COVERAGE_LOW, detail)
+
+
     step_mm = max(abs(now - before) for now, before in zip(signals_mm, last.signals_mm, strict=True))
     if not step_mm <= limits.max_jump_mm * frames:
         return unusable(HoldReason.JUMP, f"{step_mm:.1f} mm in {frames} frames")

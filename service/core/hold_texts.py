@@ -11,7 +11,7 @@ HOLD_TEXTS: dict[HoldReason, str] = {
     HoldReason.REFERENCE_MISSING: "No reference yet: set the reference",
     HoldReason.MARKER_LOST: "A marker is not visible",
     HoldReason.LAYOUT_CHANGED: "The markers have moved relative to each other",
-    HoldReason.COVERAGE_LOW: "Too little of the region is visible",
+    HoldReason.COVERAGE_LOW: "Too little of the region or of the gated signal is visible",
     HoldReason.RESIDUAL_HIGH: "The surface does not match the motion model",
     HoldReason.JUMP: "The signal jumped",
     HoldReason.FRAME_MISSING: "A camera frame is missing",

@@ -125,6 +125,8 @@ class Settings(
     min_inlier_share: float = _limit("min_inlier_share")
     max_residual_mm: float = _limit("max_residual_mm")
     max_jump_mm: float = _limit("max_jump_mm")
+    min_signal_share: float = _limit("min_signal_share")
+    min_wide_share: float = _limit("min_wide_share")
     min_on_ms: float = _limit("min_on_ms")
     min_off_ms: float = _limit("min_off_ms")
     max_cycles_per_min: int = _limit("max_cycles_per_min")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from engine.core.commands import Acknowledge, Arm
-from engine.core.frames import Lost, LostReason, Measurement, MeasurementState, Motion, Projection
+from engine.core.frames import Lost, LostReason, Measurement, MeasurementState, Motion, Projection, SeenShares
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.gate import Gate, GateEvent, Interruption, step_gate
 from engine.gating.limits import GateLimits
@@ -24,6 +24,7 @@ FRAMES_A_DWELL = 4
 """Three periods are 100.1 ms: the fourth good frame is the first that may turn the beam on."""
 
 
+SEEN = SeenShares(whole=0.98, thorax=0.97, abdomen=0.99, cells=np.ones((14, 8)), points=np.ones(4), named=np.ones(4))
 def motion_of(
     whole_mm: float = LEVEL_MM,
     *,
@@ -39,6 +40,8 @@ def motion_of(
     return Motion(
         whole_mm=whole_mm,
         thorax_mm=thorax_mm,
+    seen: SeenShares = SEEN,
+    reference_seen: SeenShares = SEEN,
         abdomen_mm=abdomen_mm,
         volume_l=0.2,
         regions_mm=np.full((14, 8), regions_mm),
@@ -55,6 +58,8 @@ def motion_of(
 
 
 def measured(index: int, motion: Motion | None = None) -> Measurement:
+        seen=seen,
+        reference_seen=reference_seen,
     """A good frame, on schedule."""
     received_ns = START_NS + index * PERIOD_NS
     return Measurement(
