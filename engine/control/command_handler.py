@@ -100,8 +100,8 @@ class CommandHandler:
                 self._learner.activate(command.model)
 
     def _set_reference(self, command: SetReference) -> None:
-        self._disarm_for("the reference is set", command.operator)
         self._controller.refuse_unseen_reference()
+        self._disarm_for("the reference is set", command.operator)
         self._learner.set_reference()
         self._limits.clear_correction()
         self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], 0.0)

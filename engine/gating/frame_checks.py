@@ -76,9 +76,9 @@ def check_frame(last: LastFrame | None, frame: Measurement, now_ns: int, limits:
     return (
         _refuse_bad_value(frame.motion, limits)
         or _refuse_poor_fit(frame.motion, limits)
+        or _refuse_unseen(frame.motion, limits)
         or _refuse_jump(last, frame, frame.motion, limits)
         or _refuse_irregular(frame, limits)
-        or _refuse_unseen(frame.motion, limits)
     )
 
 
@@ -246,17 +246,6 @@ def _refuse_poor_fit(motion: Motion, limits: GateLimits) -> Verdict | None:
     return None
 
 
-def _jump_signals_mm(motion: Motion, window: GateWindow) -> tuple[float, ...]:
-    """Return the signals checked for jumps: the gated ones in mm, or the whole region for a volume."""
-    lengths = tuple(signal_of(choice, motion) for choice in window.choices if not choice.is_volume)
-    return lengths or (motion.whole_mm,)
-
-
-def _refuse_jump(last: LastFrame | None, frame: Measurement, motion: Motion, limits: GateLimits) -> Verdict | None:
-    if last is None or last.signals_mm is None:
-        return None
-    frames = min(last.signal_age_frames + 1 + frame.missed_frames, MAX_JUMP_FRAMES)
-    signals_mm = _jump_signals_mm(motion, limits.window)
 def unseen_signal(seen: SeenShares, limits: GateLimits, when: str = "seen") -> str | None:
     """Return which gated signal the camera sees too little of, and how much; None if there is none.
 
@@ -278,6 +267,17 @@ def _refuse_unseen(motion: Motion, limits: GateLimits) -> Verdict | None:
     return None if detail is None else unusable(HoldReason.COVERAGE_LOW, detail)
 
 
+def _jump_signals_mm(motion: Motion, window: GateWindow) -> tuple[float, ...]:
+    """Return the signals checked for jumps: the gated ones in mm, or the whole region for a volume."""
+    lengths = tuple(signal_of(choice, motion) for choice in window.choices if not choice.is_volume)
+    return lengths or (motion.whole_mm,)
+
+
+def _refuse_jump(last: LastFrame | None, frame: Measurement, motion: Motion, limits: GateLimits) -> Verdict | None:
+    if last is None or last.signals_mm is None:
+        return None
+    frames = min(last.signal_age_frames + 1 + frame.missed_frames, MAX_JUMP_FRAMES)
+    signals_mm = _jump_signals_mm(motion, limits.window)
     step_mm = max(abs(now - before) for now, before in zip(signals_mm, last.signals_mm, strict=True))
     if not step_mm <= limits.max_jump_mm * frames:
         return unusable(HoldReason.JUMP, f"{step_mm:.1f} mm in {frames} frames")

@@ -42,11 +42,11 @@ class GateLimits:
         Least share of the region the sensor must see, 0 to 1.
     min_inlier_share
         Least share of the visible region that the motion model must explain, 0 to 1.
-    max_residual_mm
     min_signal_share, min_wide_share
         Least share of the area of each gated signal that must be seen and explained, in the frame and when the
         reference was set, 0 to 1. The first is for cells, named regions and points, of which it is the 21 px around
         them; the second for whole, thorax, abdomen and volume, in which a hidden part is large enough to move alone.
+    max_residual_mm
         Largest residual: mean misfit of any cell of the region.
     max_jump_mm
         Largest step of the signal from one frame to the next.
@@ -104,12 +104,12 @@ class GateLimits:
     watchdog_ms: float = 200.0
     min_valid_share: float = 0.8
     min_inlier_share: float = 0.6
+    min_signal_share: float = 0.7
+    min_wide_share: float = 0.9
     max_residual_mm: float = 3.0
     max_jump_mm: float = 4.0
     min_on_ms: float = 0.0
     min_off_ms: float = 0.0
-    min_signal_share: float = 0.7
-    min_wide_share: float = 0.9
     max_cycles_per_min: int = 120
     max_repeated_frames: int = 0
     max_clock_jump_ms: float = 250.0
@@ -156,6 +156,8 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "watchdog_ms": (40.0, 500.0),
     "min_valid_share": (0.1, 1.0),
     "min_inlier_share": (0.1, 1.0),
+    "min_signal_share": (0.5, 1.0),
+    "min_wide_share": (0.7, 1.0),
     "max_residual_mm": (0.1, 20.0),
     "max_jump_mm": (0.1, 20.0),
     "min_on_ms": (0.0, 10_000.0),
@@ -166,8 +168,6 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "min_fps": (5.0, 60.0),
     "max_shift_mm": (1.0, 100.0),
     "max_turn_deg": (0.5, 45.0),
-    "min_signal_share": (0.5, 1.0),
-    "min_wide_share": (0.7, 1.0),
     "warn_latency_ms": (20.0, 500.0),
     "max_latency_ms": (100.0, 1_000.0),
     "camera_latency_ms": (0.0, 300.0),

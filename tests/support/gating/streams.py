@@ -20,11 +20,11 @@ LEVEL_MM = 2.0
 LIMITS = GateLimits(
     window=amplitude_window(lower_mm=-1.0, upper_mm=3.0, hysteresis_mm=0.2), dwell_ms=100.0, max_jump_mm=1.5
 )
+SEEN = SeenShares(whole=0.98, thorax=0.97, abdomen=0.99, cells=np.ones((14, 8)), points=np.ones(4), named=np.ones(4))
 FRAMES_A_DWELL = 4
 """Three periods are 100.1 ms: the fourth good frame is the first that may turn the beam on."""
 
 
-SEEN = SeenShares(whole=0.98, thorax=0.97, abdomen=0.99, cells=np.ones((14, 8)), points=np.ones(4), named=np.ones(4))
 def motion_of(
     whole_mm: float = LEVEL_MM,
     *,
@@ -36,12 +36,12 @@ def motion_of(
     beta: tuple[float, ...] = (3.0, -1.0, 0.2),
     coefficients: tuple[float, ...] = (3.0, -1.0, 0.2, 0.1),
     regions_mm: float = 1.25,
+    seen: SeenShares = SEEN,
+    reference_seen: SeenShares = SEEN,
 ) -> Motion:
     return Motion(
         whole_mm=whole_mm,
         thorax_mm=thorax_mm,
-    seen: SeenShares = SEEN,
-    reference_seen: SeenShares = SEEN,
         abdomen_mm=abdomen_mm,
         volume_l=0.2,
         regions_mm=np.full((14, 8), regions_mm),
@@ -54,12 +54,12 @@ def motion_of(
             valid_share=valid_share,
             inlier_share=inlier_share,
         ),
+        seen=seen,
+        reference_seen=reference_seen,
     )
 
 
 def measured(index: int, motion: Motion | None = None) -> Measurement:
-        seen=seen,
-        reference_seen=reference_seen,
     """A good frame, on schedule."""
     received_ns = START_NS + index * PERIOD_NS
     return Measurement(
