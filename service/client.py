@@ -57,6 +57,13 @@ _VISIBLE: Final = re.compile(r"[\x21-\x7e]+")
 # <made: answers>
 
 
+class ArmRequest(TypedDict):
+    """The operator who arms, and the head direction that the operator confirms."""
+
+    head_direction: NotRequired[Literal["top", "bottom", "left", "right"] | None]
+    operator: NotRequired[str]
+
+
 class AuditEntry(TypedDict):
     """One row of the append-only log."""
 
@@ -370,11 +377,12 @@ class PlanMotion(TypedDict):
 
 
 class PlanSetup(TypedDict):
-    """A patient setup, with its respiratory techniques."""
+    """A patient setup: its position on the couch and its respiratory techniques."""
 
     label: str | None
     motion: list[PlanMotion]
     number: int
+    position: NotRequired[str | None]
 
 
 class Plan(TypedDict):
@@ -527,6 +535,7 @@ class PlanSessionRequest(TypedDict):
     calibration_id: NotRequired[str | None]
     fraction_group: NotRequired[int | None]
     fraction_number: int
+    head_direction: NotRequired[Literal["top", "bottom", "left", "right"] | None]
     model_id: NotRequired[str | None]
     operator: NotRequired[str]
     overrides_contradiction: NotRequired[str | None]
@@ -547,6 +556,7 @@ class PreparedSession(TypedDict):
     ended_at: str | None
     fraction_id: str
     fraction_number: int | None
+    head_direction: NotRequired[Literal["top", "bottom", "left", "right"] | None]
     id: str
     is_simulated_beam: bool
     model_id: NotRequired[str | None]
@@ -967,6 +977,7 @@ class Session(TypedDict):
     ended_at: str | None
     fraction_id: str
     fraction_number: int | None
+    head_direction: NotRequired[Literal["top", "bottom", "left", "right"] | None]
     id: str
     is_simulated_beam: bool
     model_id: NotRequired[str | None]
@@ -1055,6 +1066,7 @@ class SessionDetail(TypedDict):
     gate: GateView | None
     gate_window: NotRequired[LiveWindow | None]
     has_reference: NotRequired[bool | None]
+    head_direction: NotRequired[Literal["top", "bottom", "left", "right"] | None]
     id: str
     is_simulated_beam: bool
     likeness: NotRequired[LikenessView | None]
@@ -1088,6 +1100,7 @@ class SessionRequest(TypedDict):
     calibration_id: NotRequired[str | None]
     fraction_id: str
     fraction_number: NotRequired[int | None]
+    head_direction: NotRequired[Literal["top", "bottom", "left", "right"] | None]
     model_id: NotRequired[str | None]
     operator: NotRequired[str]
     patient_reference: str
@@ -1459,9 +1472,21 @@ class TidegateClient:
         """Make the patient's present position the zero of motion; disarms. Never repeated."""
         return self._do(session_id, "reference", SessionDetail, operator, if_match)
 
-    def arm(self, session_id: str, *, operator: str | None = None, if_match: str | None = None) -> "SessionDetail":
-        """Let the gate decide from now on. Never repeated: where no answer came, read the session."""
-        return self._do(session_id, "arm", SessionDetail, operator, if_match)
+    def arm(
+        self,
+        session_id: str,
+        *,
+        head_direction: Literal["top", "bottom", "left", "right"] | None = None,
+        operator: str | None = None,
+        if_match: str | None = None,
+    ) -> "SessionDetail":
+        """Let the gate decide from now on. Never repeated: where no answer came, read the session.
+
+        ``head_direction`` is the side of the picture at which the operator sees the patient's head; required unless
+        the window is on the whole region or its volume only.
+        """
+        arguments = {} if head_direction is None else {"head_direction": head_direction}
+        return self._do(session_id, "arm", SessionDetail, operator, if_match, arguments)
 
     def release(self, session_id: str, *, operator: str | None = None, if_match: str | None = None) -> "SessionDetail":
         """Let go of a hold by hand; the gate decides again after a full dwell. Never repeated."""

@@ -22,8 +22,9 @@ from engine.core.commands import (
     Retrain,
     SetReference,
 )
-from engine.core.errors import CommandRefusedError
+from engine.core.errors import CommandRefusedError, HeadDirectionError
 from engine.core.gate_state import GateState, HoldReason
+from engine.gating.frame_checks import HEAD_DIRECTION_UNKNOWN
 from engine.gating.gate import Ending
 from engine.gating.supervision.operator_presence import OperatorPresence
 from engine.gating.supervision.supervisor import FrameSupervisor
@@ -120,6 +121,7 @@ class CommandHandler:
         self._generation = self._learner.status.model_generation
         self.resolve_window()
         self._refuse_unless_ready(inputs)
+        self._refuse_other_head(command)
         self._line.rearm()
         self._presence.arm(command.operator)
         self._controller.decide(command, cause=Cause(operator=command.operator))
@@ -144,6 +146,18 @@ class CommandHandler:
         if not inputs.is_watchdog_running:
             raise CommandRefusedError("the watchdog does not run: this engine cannot be armed")
         self._controller.refuse_without_fresh_signal()
+
+    def _refuse_other_head(self, command: Arm) -> None:
+        """Refuse a head direction that is not the session's, and none where the window is on a part of the patient."""
+        limits, confirmed = self._limits.current, command.head_direction
+        lies = "unknown" if limits.head_direction is None else f"at the {limits.head_direction} of the picture"
+        if confirmed is not None and confirmed is not limits.head_direction:
+            raise HeadDirectionError(f"the head is confirmed at the {confirmed}, and in this session it is {lies}")
+        if not limits.needs_head_direction or confirmed is not None:
+            return
+        if limits.head_direction is None:
+            raise HeadDirectionError(f"{HEAD_DIRECTION_UNKNOWN}: create the session with head_direction")
+        raise HeadDirectionError(f"the head is {lies}: see that it is, and confirm head_direction with the arming")
 
     def _acknowledge(self, command: Acknowledge, inputs: CommandInputs) -> None:
         if self._controller.gate.state is not GateState.FAULT:

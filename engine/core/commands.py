@@ -6,14 +6,23 @@ operator, for the audit.
 
 from dataclasses import dataclass
 
+from engine.core.head_direction import HeadDirection
 from engine.core.motion_model import MotionModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Arm:
-    """Let the gate decide from now on; refused without a valid model, a reference and a fresh frame."""
+    """Let the gate decide from now on; refused without a valid model, a reference and a fresh frame.
+
+    Attributes
+    ----------
+    head_direction
+        The side of the picture at which the operator sees the patient's head. It has to be the session's, and is
+        required where the window is on a part of the patient.
+    """
 
     operator: str
+    head_direction: HeadDirection | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

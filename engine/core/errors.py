@@ -111,6 +111,12 @@ class CommandRefusedError(TidegateError):
     code = "command_refused"
 
 
+class HeadDirectionError(CommandRefusedError):
+    """The window is on a part of the patient, and the head direction is missing, unconfirmed, or another one."""
+
+    code = "head_direction_missing"
+
+
 def _short(value: object) -> str:
     shown = str(value)
     return shown if len(shown) <= 80 else f"{shown[:77]}..."

@@ -41,6 +41,7 @@ class HoldReason(enum.StrEnum):
     PATIENT_SHIFTED = "patient_shifted"
     MODEL_OLD = "model_old"
     CALIBRATION_MISSING = "calibration_missing"
+    HEAD_DIRECTION_MISSING = "head_direction_missing"
     BREATHING_IRREGULAR = "breathing_irregular"
     PHASE_UNKNOWN = "phase_unknown"
     RANGE_UNKNOWN = "range_unknown"
@@ -99,6 +100,7 @@ _CLEARS_BY_ITSELF = frozenset(
         HoldReason.PATIENT_SHIFTED,
         HoldReason.MODEL_OLD,
         HoldReason.CALIBRATION_MISSING,
+        HoldReason.HEAD_DIRECTION_MISSING,
         HoldReason.BREATHING_IRREGULAR,
         HoldReason.PHASE_UNKNOWN,
         HoldReason.RANGE_UNKNOWN,

@@ -18,6 +18,7 @@ from engine.core.signals import is_wide, seen_share_of, signal_of
 from engine.gating.limits import GateLimits, ns_from_ms
 from engine.gating.windows import ConditionState, GateWindow
 
+HEAD_DIRECTION_UNKNOWN = "only the whole region and its volume may gate without the head direction"
 MAX_JUMP_FRAMES = 5
 """Most frames that an allowed step counts for: a longer gap does not allow a larger step."""
 
@@ -75,6 +76,7 @@ def check_frame(last: LastFrame | None, frame: Measurement, now_ns: int, limits:
         return _judge_unmeasured(frame)
     return (
         _refuse_bad_value(frame.motion, limits)
+        or _refuse_unknown_part(limits)
         or _refuse_poor_fit(frame.motion, limits)
         or _refuse_unseen(frame.motion, limits)
         or _refuse_jump(last, frame, frame.motion, limits)
@@ -230,6 +232,13 @@ def _refuse_bad_value(motion: Motion, limits: GateLimits) -> Verdict | None:
     if fit.residual_mm < 0.0 or not shares_are:
         bad.append("fit")
     return fault(HoldReason.VALUE_INVALID, f"not a number: {', '.join(bad)}") if bad else None
+
+
+def _refuse_unknown_part(limits: GateLimits) -> Verdict | None:
+    """Hold where the window is on a part of the patient and the head direction is unknown."""
+    if limits.head_direction is not None or not limits.needs_head_direction:
+        return None
+    return unusable(HoldReason.HEAD_DIRECTION_MISSING, HEAD_DIRECTION_UNKNOWN)
 
 
 def _refuse_poor_fit(motion: Motion, limits: GateLimits) -> Verdict | None:

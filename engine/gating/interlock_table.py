@@ -12,6 +12,7 @@ from engine.core.gate_state import HoldReason
 OWN = "own"
 GATING_INTERLOCK = "AAPM TG-142: gating interlock, functional"
 TIMING = "AAPM TG-142: within 100 ms of expected; AAPM TG-76: 0.5 s in all"
+PATIENT_POSITION = "DICOM PS3.3 C.7.3.1.1.2: patient position"
 LOCALIZATION = "AAPM TG-147: calibration of the localization system"
 
 
@@ -93,6 +94,11 @@ INTERLOCKS: tuple[Interlock, ...] = (
         "a camera without a measured calibration",
         "beam_without_calibration",
         source=LOCALIZATION,
+    ),
+    _row(
+        _R.HEAD_DIRECTION_MISSING,
+        "a window on a part of the patient, without a head direction",
+        source=PATIENT_POSITION,
     ),
     _row(_R.RECORDER_BEHIND, "samples cannot be stored, or wait too long", "max_unwritten_ms"),
     _row(_R.AUDIT_BEHIND, "transitions cannot be stored, or wait too long", "max_unwritten_ms"),

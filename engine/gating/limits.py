@@ -10,6 +10,7 @@ from engine.core.bounds import check_numbers
 from engine.core.breath import BreathEventKind
 from engine.core.clock import NS_PER_MS
 from engine.core.errors import InvalidValueError
+from engine.core.head_direction import HeadDirection, depends_on_head
 from engine.gating.windows import GateWindow
 
 
@@ -88,6 +89,9 @@ class GateLimits:
         Bounds of the window's edges, after conversion and correction; arming is refused beyond them.
     holding_events
         Breathing events that hold the beam.
+    head_direction
+        The side of the picture at which the patient's head lies; None if it is unknown: then only the whole region and
+        its volume may gate.
     is_played
         Whether the frames come from a recording. A player may fall behind, so its lag does not indicate the age of a
         frame. The loop sets this from the description of the source.
@@ -127,6 +131,7 @@ class GateLimits:
     window_lower_mm: float = -100.0
     window_upper_mm: float = 100.0
     is_calibrated: bool = True
+    head_direction: HeadDirection | None = None
     holding_events: frozenset[BreathEventKind] = frozenset()
     is_played: bool = False
 
@@ -142,6 +147,11 @@ class GateLimits:
         if self.max_silence_ms < self.max_gap_ms:
             bound = f"at least max_gap_ms ({self.max_gap_ms:g})"
             raise InvalidValueError("max_silence_ms", self.max_silence_ms, bound)
+
+    @property
+    def needs_head_direction(self) -> bool:
+        """Whether the window is on a part of the patient, not only on the whole region or its volume."""
+        return any(depends_on_head(choice) for choice in self.window.choices)
 
 
 # Lowest and highest value each limit may take; a site can only choose within.

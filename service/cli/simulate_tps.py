@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from engine.core.errors import TidegateError
+from engine.core.head_direction import HeadDirection
 from service.cli.terminal import frame_bar, refused, say
 
 if TYPE_CHECKING:
@@ -42,6 +43,13 @@ def simulate_tps(
     ] = None,
     lower_mm: Annotated[float, typer.Option(help="Lower edge of the window [mm].", min=-100.0, max=100.0)] = -1.5,
     upper_mm: Annotated[float, typer.Option(help="Upper edge of the window [mm].", min=-100.0, max=100.0)] = 2.0,
+    head: Annotated[
+        HeadDirection | None,
+        typer.Option(
+            help="Side of the picture at which the patient's head lies; by default it follows from the plan's Patient "
+            "Position, if the service has a gantry side."
+        ),
+    ] = None,
     beam_seconds: Annotated[
         float | None,
         typer.Option(help="Beam-on time of every beam; by default its meterset at 600 MU/min [s].", min=0.1, max=600.0),
@@ -92,6 +100,7 @@ def simulate_tps(
                     source=_source(recording),
                     calibration_id=_calibration(tps, calibration),
                     window={"signal": "whole", "lower_mm": lower_mm, "upper_mm": upper_mm},
+                    head=head,
                     patience_s=patience_s,
                     out=out,
                     bar=bar,
@@ -181,6 +190,7 @@ def _run(
     source: Any,  # noqa: ANN401 - one of two shapes
     calibration_id: str,
     window: "Window",
+    head: HeadDirection | None,
     patience_s: float,
     out: Path,
     bar: Any,  # noqa: ANN401 - rich's bar, or none
@@ -197,7 +207,13 @@ def _run(
     return FractionRun(
         number=number,
         prescription=prescription,
-        settings=FractionSettings(source=source, calibration_id=calibration_id, window=window, delivery=delivery),
+        settings=FractionSettings(
+            source=source,
+            calibration_id=calibration_id,
+            window=window,
+            delivery=delivery,
+            head_direction=None if head is None else head.value,
+        ),
         tps=tps,
         therapist=therapist,
         folder=out,

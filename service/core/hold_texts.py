@@ -23,6 +23,7 @@ HOLD_TEXTS: dict[HoldReason, str] = {
     HoldReason.PATIENT_SHIFTED: "The patient has moved on the couch",
     HoldReason.MODEL_OLD: "The motion model is too old: train again",
     HoldReason.CALIBRATION_MISSING: "This camera is not calibrated",
+    HoldReason.HEAD_DIRECTION_MISSING: "The direction of the patient's head is not known",
     HoldReason.BREATHING_IRREGULAR: "The breathing is irregular",
     HoldReason.PHASE_UNKNOWN: "The breathing phase is unknown",
     HoldReason.RANGE_UNKNOWN: "The patient's breathing range is not known yet",

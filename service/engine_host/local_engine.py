@@ -35,6 +35,7 @@ from service.core.settings.settings import Settings
 from service.engine_host.beam_lines import make_beam_line
 from service.engine_host.roles import RunningEngine, SessionPlan
 from service.engine_host.session_tape import SessionTape
+from service.engine_host.site_rules.head_direction import check_head_direction
 from service.engine_host.site_rules.measuring import measuring_with
 from service.engine_host.site_rules.played_recordings import check_source
 from service.engine_host.site_rules.uncalibrated import check_still_allowed
@@ -77,14 +78,16 @@ class LocalEngine:
         """
         check_source(plan.source, self._settings)
         check_window(plan.window, self._settings)
+        check_head_direction(plan.head_direction, self._settings)
         check_still_allowed(plan.calibration, self._settings)
         limits = gate_limits(
             plan.window,
             self._settings,
             plan.regions,
             is_calibrated=not plan.calibration.is_device_registration,
+            head_direction=plan.head_direction,
         )
-        measuring = measuring_with(self._measuring, plan.regions, plan.window)
+        measuring = measuring_with(self._measuring, plan.regions, plan.window, plan.head_direction)
         tape = SessionTape(plan, self._settings)
         pipeline = Pipeline(
             plan.calibration,

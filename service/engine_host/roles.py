@@ -16,6 +16,7 @@ from engine.control.outputs import FrameRecord, GateTransition
 from engine.core.commands import Command
 from engine.core.frames import ColorImage
 from engine.core.gate_state import HoldReason
+from engine.core.head_direction import HeadDirection
 from engine.core.learning_events import LearningEvent
 from engine.core.motion_model import MotionModel
 from service.core.schemas import sessions
@@ -23,14 +24,14 @@ from service.core.schemas.live_messages import Sample
 from service.core.schemas.windows import Window
 from service.storage.samples.figures import Figures
 
-CommandName = Literal["arm", "disarm", "reference", "acknowledge", "hold", "release"]
+CommandName = Literal["disarm", "reference", "acknowledge", "hold", "release"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionPlan:
     """What an engine needs to run a session; ``recording`` is None for a live camera.
 
-    ``model`` is the stored one to begin with, None to learn one.
+    ``model`` is the stored one to begin with, None to learn one; ``head_direction`` is None if it was not given.
     """
 
     session_id: str
@@ -43,6 +44,7 @@ class SessionPlan:
     model: MotionModel | None = None
     journal: TransitionJournal | None = None
     model_id: str | None = None
+    head_direction: HeadDirection | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -244,7 +244,7 @@ def _services(dependencies: _Dependencies, storage: _Storage, work: _Work, monit
         calibrations=CalibrationRepository(database, log),
         models=ModelRepository(database, dependencies.equipment),
         plans=PlanRepository(database, log, settings),
-        planned_sessions=PlannedSessions(database, log, work.sessions),
+        planned_sessions=PlannedSessions(database, log, work.sessions, settings.gantry_side),
         audit=AuditService(database, log, AnchorFile(settings.anchor_file), site=settings.site_name),
         health=monitoring.health,
         interlocks=InterlockTable(settings),

@@ -12,6 +12,7 @@ from typing import Annotated, TypeVar
 
 from fastapi import Depends
 
+from engine.core.head_direction import HeadDirection
 from service.access.armed_operator import ArmedOperator
 from service.access.request.caller import RequestCaller
 from service.core.conditional import Precondition
@@ -23,8 +24,8 @@ from service.web.dependencies import Services
 from service.web.middleware.reserved_threads import ReservedThreads
 
 AnswerT = TypeVar("AnswerT")
-MAKES_RESPONSIBLE: frozenset[CommandName] = frozenset({"arm", "release"})
-"""Commands whose operator is responsible for the gate from then on: the beam is held when that person's login ends."""
+MAKES_RESPONSIBLE: frozenset[CommandName] = frozenset({"release"})
+"""Like arming, they make their operator responsible for the gate: the beam is held when that person's login ends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,14 +54,23 @@ class OperatorCall:
         """Submit a command to the engine; answer once it is executed, raise where it is refused or late."""
 
         def submit(session_id: str, operator: str) -> sessions.SessionDetail:
-            note = partial(self._note_responsible, session_id, name)
+            note = partial(self._note_responsible, session_id) if name in MAKES_RESPONSIBLE else lambda: None
             return self.services.runner.command(session_id, name, operator, on_possibly_done=note)
 
         return self.act(session_id, claimed, submit)
 
-    def _note_responsible(self, session_id: str, name: CommandName) -> None:
-        if name in MAKES_RESPONSIBLE:
-            self.armed_operator.set_operator(session_id, self.caller.identity)
+    def arm(self, session_id: str, request: sessions.ArmRequest) -> sessions.SessionDetail:
+        """Arm the gate, with the head direction that the operator confirms."""
+        head = None if request.head_direction is None else HeadDirection(request.head_direction)
+
+        def submit(session_id: str, operator: str) -> sessions.SessionDetail:
+            note = partial(self._note_responsible, session_id)
+            return self.services.runner.arm(session_id, operator, head, on_possibly_done=note)
+
+        return self.act(session_id, request.operator, submit)
+
+    def _note_responsible(self, session_id: str) -> None:
+        self.armed_operator.set_operator(session_id, self.caller.identity)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

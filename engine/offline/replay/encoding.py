@@ -26,6 +26,7 @@ from engine.core.commands import (
 )
 from engine.core.errors import InvalidValueError, ModelError, RecordingError
 from engine.core.gate_state import GateState, HoldReason
+from engine.core.head_direction import HeadDirection
 from engine.core.motion_model import MotionModel
 from engine.gating.gate import Interruption
 from engine.gating.interlocks import DecisionInputs
@@ -52,7 +53,8 @@ _CLASSES: dict[str, type] = {
     )
 }
 _ENUMS: dict[str, type[enum.Enum]] = {
-    known.__name__: known for known in (BreathEventKind, GateSignal, GateState, HoldReason, HoldKind, Join, Unit)
+    known.__name__: known
+    for known in (BreathEventKind, GateSignal, GateState, HeadDirection, HoldReason, HoldKind, Join, Unit)
 }
 
 

@@ -38,6 +38,8 @@ from service.planning.simulated_tps.delivery import EndExhale
 OPERATOR = "Demo"
 PASSWORD_BYTES = 12
 WINDOW: Window = {"signal": "whole", "lower_mm": -1.5, "upper_mm": 2.0, "hysteresis_mm": 0.2, "dwell_ms": 200.0}
+HEAD: Literal["top"] = "top"
+"""The virtual volunteers lie with the head at the top of the picture."""
 START_TIMEOUT_S = 30.0
 SILENCE_S = 15.0
 EXHALE_WATCH_S = 4.0
@@ -176,6 +178,7 @@ def _gate(api: TidegateClient, recording: Path, console: Console) -> _Ran:
             "source": {"kind": "recording", "path": str((recording / "recording.oni").resolve()), "player": player},
             "calibration_id": calibration["id"],
             "window": WINDOW,
+            "head_direction": HEAD,
         }
     )
     api.start(session["id"])
@@ -225,7 +228,7 @@ def _arm(api: TidegateClient, session_id: str) -> None:
     """Arm once the next frame has become the reference."""
     for attempt in range(10):
         try:
-            api.arm(session_id)
+            api.arm(session_id, head_direction=HEAD)
         except ProblemError:
             if attempt == 9:
                 raise

@@ -10,12 +10,11 @@ from engine.calibration.camera_calibration import Calibration
 from engine.capture.oni.reader import describe
 from engine.capture.recording_source import OniFileSource
 from engine.core.clock import MonotonicClock
-from engine.core.errors import InvalidValueError
 from engine.core.files import write_whole
 from engine.core.frames import Measurement, RgbdFrame
 from engine.motion.settings import PipelineSettings
 from engine.verification.evaluation.playback import play
-from service.cli.measure.options import HEAD_DIRECTIONS
+from service.cli.measure.options import head_direction
 from service.cli.terminal import frame_bar
 
 
@@ -37,9 +36,8 @@ def watch(
 
 def superior_of(head: str) -> tuple[float, float] | None:
     """Return the direction of the head in the picture; raise InvalidValueError."""
-    if head not in HEAD_DIRECTIONS:
-        raise InvalidValueError("head", head, f"one of {', '.join(HEAD_DIRECTIONS)}")
-    return HEAD_DIRECTIONS[head]
+    side = head_direction(head)
+    return None if side is None else side.superior_px
 
 
 def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

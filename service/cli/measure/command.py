@@ -11,6 +11,7 @@ from engine.capture.recording_source import OniFileSource
 from engine.core.clock import MonotonicClock
 from engine.core.errors import TidegateError
 from engine.core.frames import Measurement
+from engine.gating.frame_checks import HEAD_DIRECTION_UNKNOWN
 from engine.gating.limits import GateLimits
 from engine.gating.session_defaults import DWELL_MS
 from engine.motion.learning.trainer import TrainingSettings
@@ -70,8 +71,8 @@ def measure(
     head: Annotated[
         str,
         typer.Option(
-            help="Direction of the patient's head in the picture: up, down, left or right; auto is up, or left if the "
-            "longer sides of the markers are horizontal."
+            help="Side of the picture at which the patient's head lies: top, bottom, left or right. auto is top, or "
+            "left if the longer sides of the markers are horizontal; a --window on a part of the patient is then held."
         ),
     ] = "auto",
     mesh: Annotated[
@@ -97,13 +98,14 @@ def measure(
     the others.
     """
     try:
+        side = options.head_direction(head)
         settings = PipelineSettings(
             cell_px=cell,
             points=tuple(options.point(text) for text in point or []),
             named=options.regions(region or [], regions),
             split=options.split(split),
             extra_markers=extra_markers,
-            superior_px=options.superior(head),
+            superior_px=None if side is None else side.superior_px,
             training=TrainingSettings(components=components),
         )
         stored = None if model is None else stored_model(model, patient)
@@ -115,7 +117,11 @@ def measure(
                 settings=settings,
                 limits=None
                 if window is None
-                else GateLimits(window=options.window(window, settings.points, settings.named), dwell_ms=DWELL_MS),
+                else GateLimits(
+                    window=options.window(window, settings.points, settings.named),
+                    dwell_ms=DWELL_MS,
+                    head_direction=side,
+                ),
                 meshes=options.meshes(mesh, mesh_format),
                 model=stored,
                 origin=model_origin(recording, patient),
@@ -189,6 +195,8 @@ def _print_summary(summary: OfflineSummary, task: FileTask) -> None:
 def _notes(summary: OfflineSummary, task: FileTask) -> list[str]:
     """Return what was requested and could not be done."""
     notes = [] if summary.shortcoming is None else [summary.shortcoming]
+    if task.limits is not None and task.limits.needs_head_direction and task.limits.head_direction is None:
+        notes.append(f"the window is held: {HEAD_DIRECTION_UNKNOWN}; give --head")
     if task.settings.extra_markers and not summary.is_split_marked:
         notes.append("the two extra stickers were not found often enough: the default line ends the thorax")
     requested = 0 if task.meshes is None else len(task.meshes.frames)

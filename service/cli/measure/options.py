@@ -7,6 +7,7 @@ from pathlib import Path
 
 from engine.core.breath import GateSignal, SignalChoice
 from engine.core.errors import InvalidValueError
+from engine.core.head_direction import HeadDirection
 from engine.gating.session_defaults import HYSTERESIS
 from engine.gating.windows import AmplitudeWindow, GateWindow, Unit
 from engine.motion.named_region_file import load_regions, parse_region
@@ -17,12 +18,11 @@ CALIBRATION_NAME = "calibration.json"
 SUMMARY_NAME = "summary.csv"
 MAX_JOBS = 64
 WITHOUT_PLACE = (GateSignal.WHOLE, GateSignal.THORAX, GateSignal.ABDOMEN, GateSignal.VOLUME)
-HEAD_DIRECTIONS: dict[str, tuple[float, float] | None] = {
+HEAD_DIRECTIONS: dict[str, HeadDirection | None] = {
     "auto": None,
-    "up": (0.0, -1.0),
-    "down": (0.0, 1.0),
-    "left": (-1.0, 0.0),
-    "right": (1.0, 0.0),
+    **{side.value: side for side in HeadDirection},
+    "up": HeadDirection.TOP,
+    "down": HeadDirection.BOTTOM,
 }
 
 
@@ -78,8 +78,8 @@ def _signal(text: str, points: Sequence[tuple[int, int]], names: Sequence[str]) 
     return SignalChoice(signal=text)
 
 
-def superior(head: str) -> tuple[float, float] | None:
-    """Read ``--head`` as a direction in the picture (x, y); None is automatic."""
+def head_direction(head: str) -> HeadDirection | None:
+    """Read ``--head``; None is automatic."""
     if head not in HEAD_DIRECTIONS:
         raise InvalidValueError("head", head, f"one of {', '.join(HEAD_DIRECTIONS)}")
     return HEAD_DIRECTIONS[head]

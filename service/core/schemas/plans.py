@@ -5,7 +5,7 @@ from typing import Literal
 from pydantic import AwareDatetime, ConfigDict, Field
 
 from service.core.schemas.base import Answer, Identifier, Name, Operator, Request
-from service.core.schemas.sessions import Regions, Session, Source
+from service.core.schemas.sessions import HEAD_WORDS, HeadSide, Regions, Session, Source
 from service.core.schemas.windows import Window
 
 PlanKind = Literal["RT Plan", "RT Ion Plan"]
@@ -28,11 +28,16 @@ class PlanMotion(Answer):
 
 
 class PlanSetup(Answer):
-    """A patient setup, with its respiratory techniques."""
+    """A patient setup: its position on the couch and its respiratory techniques."""
 
     number: int
     label: str | None
     motion: list[PlanMotion]
+    position: str | None = Field(
+        default=None,
+        description="Patient Position (0018,5100); null if the file has none, or was imported before it was read",
+        examples=["HFS"],
+    )
 
 
 class PlanBeam(Answer):
@@ -144,6 +149,11 @@ class PlanSessionRequest(Request):
     )
     regions: Regions = Field(default=Regions())
     model_id: Identifier | None = None
+    head_direction: HeadSide | None = Field(
+        default=None,
+        description=f"{HEAD_WORDS}; if left out, it follows from the plan's Patient Position and the site's gantry"
+        " side. It must not contradict them",
+    )
     overrides_plan_gating: Name | None = Field(
         default=None,
         description="Reason for a window that does not match the plan's technique; people "

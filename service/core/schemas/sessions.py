@@ -44,6 +44,10 @@ class DeviceSource(Request):
 Source = Annotated[RecordingSource | DeviceSource, Field(discriminator="kind")]
 
 
+HeadSide = Literal["top", "bottom", "left", "right"]
+HEAD_WORDS = "Side of the camera's picture at which the patient's head lies"
+
+
 GridRow = Annotated[float, Field(ge=-0.5, le=349.5)]
 GridVertex = Annotated[list[GridRow], Field(min_length=2, max_length=2)]
 
@@ -117,6 +121,10 @@ class SessionRequest(Request):
         " of training one; it is compared with the patient first, and a person must set "
         "the reference",
     )
+    head_direction: HeadSide | None = Field(
+        default=None,
+        description=f"{HEAD_WORDS}; if left out, only windows on `whole` or `volume` can be armed",
+    )
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -146,6 +154,16 @@ class OperatorRequest(Request):
     """The body of a call that names only the operator."""
 
     operator: Operator = ""
+
+
+class ArmRequest(OperatorRequest):
+    """The operator who arms, and the head direction that the operator confirms."""
+
+    head_direction: HeadSide | None = Field(
+        default=None,
+        description=f"{HEAD_WORDS}, as the operator sees it; must be the session's. Required unless the window is on"
+        " `whole` or `volume` only",
+    )
 
 
 class RetrainRequest(OperatorRequest):
@@ -259,6 +277,7 @@ class Session(Answer):
     regions: Regions = Field(default=Regions())
     model_id: Identifier | None = Field(default=None, description="The stored model that the session started with")
     rt_plan_id: Identifier | None = Field(default=None, description="The RT Plan that the session was created from")
+    head_direction: HeadSide | None = Field(default=None, description=f"{HEAD_WORDS}; null if unknown")
     is_simulated_beam: bool
     created_at: AwareDatetime
     started_at: AwareDatetime | None

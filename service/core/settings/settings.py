@@ -29,6 +29,7 @@ from service.core.settings.oidc import OidcSettings
 from service.core.settings.plans import PlanSettings
 from service.core.settings.qa import QaSettings
 from service.core.settings.replay import ReplaySettings
+from service.core.settings.room import RoomSettings
 from service.core.settings.storage import StorageSettings
 from service.core.settings.stream import StreamSettings
 
@@ -81,6 +82,7 @@ class Settings(
     PlanSettings,
     ConnectionSettings,
     MonitoringSettings,
+    RoomSettings,
 ):
     """The site's settings."""
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from engine.core.frames import Motion
+from engine.core.head_direction import HeadDirection
 from engine.motion.named_regions import NamedRegion
 from engine.motion.settings import PipelineSettings
 from service.core.schemas import sessions
@@ -16,9 +17,15 @@ DIGITS = 5  # what single precision holds of a length in mm
 
 
 def measuring_with(
-    settings: PipelineSettings, regions: sessions.Regions, window: Window | None = None
+    settings: PipelineSettings,
+    regions: sessions.Regions,
+    window: Window | None = None,
+    head_direction: HeadDirection | None = None,
 ) -> PipelineSettings:
-    """Return how the pipeline measures a session: with its regions, and with the points and breaths of its window."""
+    """Return how the pipeline measures a session: with its regions and head, and the points and breaths of its window.
+
+    Without a head direction the pipeline assumes one: the whole region and its volume do not depend on it.
+    """
     named = tuple(
         NamedRegion(name=region.name, vertices=tuple((row, column) for row, column in region.vertices))
         for region in regions.named
@@ -31,6 +38,7 @@ def measuring_with(
         split=split,
         points=settings.points if window is None else tuple(dict.fromkeys((*window.points, *settings.points))),
         breath_signals=settings.breath_signals if window is None else breath_signals(window, regions),
+        superior_px=settings.superior_px if head_direction is None else head_direction.superior_px,
         extra_markers=regions.extra_markers or settings.extra_markers,
     )
 

@@ -9,6 +9,7 @@ site has set its edges, every way into the beam needs a condition on a length be
 from typing import TypeVar
 
 from engine.core.breath import BreathEventKind, SignalChoice
+from engine.core.head_direction import HeadDirection
 from engine.gating.limits import GateLimits
 from engine.gating.windows import GateWindow, JoinedWindow
 from service.core.errors import BoundError
@@ -41,7 +42,12 @@ def check_window(window: Window, settings: Settings) -> None:
 
 
 def gate_limits(
-    window: Window, settings: Settings, regions: sessions.Regions = NO_REGIONS, *, is_calibrated: bool = True
+    window: Window,
+    settings: Settings,
+    regions: sessions.Regions = NO_REGIONS,
+    *,
+    is_calibrated: bool = True,
+    head_direction: HeadDirection | None = None,
 ) -> GateLimits:
     """Convert the session's window and the site's limits to the engine's gate limits.
 
@@ -60,6 +66,7 @@ def gate_limits(
         max_cycles_per_min=_or(window.max_cycles_per_min, settings.max_cycles_per_min),
         holding_events=frozenset(settings.holding_events),
         is_calibrated=is_calibrated or settings.beam_without_calibration,
+        head_direction=head_direction,
         **settings.gate_limits,
     )
 

@@ -58,6 +58,12 @@ class PlanGatingError(PlanError):
     code = "plan_gating"
 
 
+class PlanPositionError(PlanError):
+    """The plan's Patient Position is not supported, or contradicts the session's head direction."""
+
+    code = "plan_position"
+
+
 class PlanRejectedError(PlanError):
     """The plan's approval status is REJECTED."""
 

@@ -8,10 +8,18 @@ from dataclasses import dataclass
 from sqlalchemy import select
 from sqlalchemy.orm import Session as DbSession
 
+from engine.core.head_direction import HeadDirection
 from service.access.request.caller import RequestCaller
 from service.core.errors import BoundError
 from service.core.schemas import sessions
-from service.core.schemas.plans import PlanFractionGroup, PlanSessionRequest, PreparedSession, Prescribed, RtPlan
+from service.core.schemas.plans import (
+    PlanBeam,
+    PlanFractionGroup,
+    PlanSessionRequest,
+    PreparedSession,
+    Prescribed,
+    RtPlan,
+)
 from service.planning.rt_plan import records
 from service.planning.rt_plan.errors import (
     FractionDoneError,
@@ -21,6 +29,7 @@ from service.planning.rt_plan.errors import (
     PlanRejectedError,
 )
 from service.planning.rt_plan.gating import mismatch, prescribed, remark, waits_for_breath_hold
+from service.planning.rt_plan.position import head_direction, position_notes, position_of
 from service.planning.rt_plan.tags import Tag, named
 from service.sessions.records.sessions import ACTION, FromPlan, SessionRepository
 from service.storage.audit.log import AuditLog
@@ -34,7 +43,10 @@ OVERRIDES = ("overrides_plan_gating", "repeats_fraction", "overrides_contradicti
 class PlannedSessions:
     """Prepares sessions from stored plans."""
 
-    def __init__(self, database: Database, log: AuditLog, sessions: SessionRepository) -> None:
+    def __init__(
+        self, database: Database, log: AuditLog, sessions: SessionRepository, gantry_side: HeadDirection | None
+    ) -> None:
+        self._gantry = gantry_side
         self._database = database
         self._log = log
         self._sessions = sessions
@@ -55,7 +67,8 @@ class PlannedSessions:
                 plan = records.content(records.plan_row(db, plan_id))
             group = _group(plan, request)
             _refuse_machines(request, caller)
-        fraction = _Fraction(plan_id=plan_id, plan=plan, group=group, request=request)
+            fraction = _Fraction(plan_id=plan_id, plan=plan, group=group, request=request, gantry=self._gantry)
+            _ = fraction.head  # refuses a position that is not supported, or contradicts the request
         created = self._sessions.create(fraction.session_request(operator), key, fraction.origin())
         answer = PreparedSession(**dict(created.answer), warnings=fraction.warnings())
         return IdempotentAnswer(answer=answer, is_replay=created.is_replay)
@@ -69,12 +82,29 @@ class _Fraction:
     plan: RtPlan
     group: PlanFractionGroup
     request: PlanSessionRequest
+    gantry: HeadDirection | None
+
+    @property
+    def beams(self) -> list[PlanBeam]:
+        """The fraction's beams; all beams if the fraction refers to none."""
+        numbers = {one.beam_number for one in self.group.beams}
+        return [beam for beam in self.plan.beams if not numbers or beam.number in numbers]
 
     @property
     def gating(self) -> Prescribed:
-        """The technique prescribed for the fraction's beams; for all beams if the fraction refers to none."""
-        numbers = {one.beam_number for one in self.group.beams}
-        return prescribed([beam for beam in self.plan.beams if not numbers or beam.number in numbers], self.plan.setups)
+        """The technique prescribed for the fraction's beams."""
+        return prescribed(self.beams, self.plan.setups)
+
+    @property
+    def position(self) -> str | None:
+        """The patient's position for the fraction's beams; raises PlanPositionError."""
+        return position_of(self.beams, self.plan.setups)
+
+    @property
+    def head(self) -> HeadDirection | None:
+        """The session's head direction; raises PlanPositionError."""
+        requested = self.request.head_direction
+        return head_direction(None if requested is None else HeadDirection(requested), self.position, self.gantry)
 
     @property
     def name(self) -> str:
@@ -84,7 +114,7 @@ class _Fraction:
 
     def session_request(self, operator: str) -> sessions.SessionRequest:
         """Return the request of the session."""
-        request = self.request
+        request, head = self.request, self.head
         return sessions.SessionRequest(
             patient_reference=self.plan.patient_reference,
             plan_id=self.plan.label,
@@ -96,6 +126,7 @@ class _Fraction:
             window=request.window,
             regions=request.regions,
             model_id=request.model_id,
+            head_direction=None if head is None else head.value,
         )
 
     def origin(self) -> FromPlan:
@@ -106,6 +137,7 @@ class _Fraction:
             "rt_plan_id": self.plan_id,
             "sop_instance_uid": self.plan.sop_instance_uid,
             "plan_gating": self.gating,
+            "plan_position": self.position,
         }
         return FromPlan(rt_plan_id=self.plan_id, detail=detail | overrides, check=self.check)
 
@@ -156,7 +188,7 @@ class _Fraction:
             warnings.append("the window does not match the technique that the plan prescribes: overridden")
         if self.request.overrides_contradiction is not None:
             warnings.append("a later file with the plan's UID may differ: overridden")
-        return [*warnings, *notes]
+        return [*warnings, *position_notes(self.head, self.position, self.gantry), *notes]
 
 
 def _group(plan: RtPlan, request: PlanSessionRequest) -> PlanFractionGroup:

@@ -163,6 +163,7 @@ def _setup(item: Elements) -> PlanSetup:
     return PlanSetup(
         number=item.number(Tag.SETUP_NUMBER, 0, MAX_NUMBER),
         label=item.text(Tag.SETUP_LABEL, 64),
+        position=item.code(Tag.PATIENT_POSITION),
         motion=[_motion(one) for one in item.items(Tag.MOTION_SYNCHRONIZATION, most=MAX_MOTIONS)],
     )
 

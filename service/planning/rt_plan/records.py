@@ -1,5 +1,6 @@
 """Database queries on stored plans, and their conversion to answers."""
 
+import json
 from collections.abc import Sequence
 
 from sqlalchemy import ColumnElement, select
@@ -57,6 +58,11 @@ def plan_answer(db: Session, row: PlanRow) -> Plan:
 def content(row: PlanRow) -> RtPlan:
     """Return the content that was read from the file."""
     return RtPlan.model_validate_json(row.document)
+
+
+def has_positions(row: PlanRow) -> bool:
+    """Whether the setups were stored with their positions: earlier versions did not read them."""
+    return all("position" in setup for setup in json.loads(row.document)["setups"])
 
 
 def page(db: Session, cursor: str | None, limit: int, *, patient_reference: str | None, label: str | None) -> PlanPage:

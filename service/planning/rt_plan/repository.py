@@ -73,7 +73,7 @@ class PlanRepository:
                 if earlier is not None:
                     return IdempotentAnswer(answer=earlier, is_replay=True)
                 row, is_known = _stored_row(db, plan, sha256, operator)
-                differing = _differing(records.content(row), plan)
+                differing = _differing(row, plan)
                 if not differing:
                     detail = _detail(row, sha256, is_known=is_known)
                     audit.append(db, Event(actor=operator, action=ACTION, detail=detail))
@@ -121,8 +121,14 @@ def _stored_row(db: Session, plan: RtPlan, sha256: str, operator: str) -> tuple[
     return row, False
 
 
-def _differing(stored: RtPlan, plan: RtPlan) -> list[str]:
-    """Return the names of differing fields; the bytes may differ, because archives rewrite files."""
+def _differing(row: PlanRow, plan: RtPlan) -> list[str]:
+    """Return the names of differing fields; the bytes may differ, because archives rewrite files.
+
+    Positions are not compared with a plan that was stored before they were read.
+    """
+    stored = records.content(row)
+    if not records.has_positions(row):
+        plan = plan.model_copy(update={"setups": [one.model_copy(update={"position": None}) for one in plan.setups]})
     return [name for name in RtPlan.model_fields if getattr(stored, name) != getattr(plan, name)]
 
 

@@ -20,7 +20,13 @@ from service.planning.simulated_tps.delivered_beams import DeliveredBeams
 from service.planning.simulated_tps.errors import FractionEndedError, SessionOverError, TpsError
 from service.planning.simulated_tps.prescription import Prescription
 from service.planning.simulated_tps.report import FractionReport
-from service.planning.simulated_tps.session_driver import DeliverySettings, FractionEvents, Progress, SessionDriver
+from service.planning.simulated_tps.session_driver import (
+    DeliverySettings,
+    FractionEvents,
+    HeadSide,
+    Progress,
+    SessionDriver,
+)
 
 RESUMABLE = frozenset({"interrupted", "failed"})
 MAX_SESSIONS = 5
@@ -34,6 +40,7 @@ class FractionSettings:
     calibration_id: str
     window: Window
     delivery: DeliverySettings
+    head_direction: HeadSide | None = None
 
 
 class FractionRun:
@@ -108,6 +115,7 @@ class FractionRun:
             events=self._events,
             settings=self._settings.delivery,
             on_progress=self._on_progress,
+            head_direction=session.get("head_direction"),
         )
         self._sessions.append(driver)
         return driver
@@ -120,6 +128,8 @@ class FractionRun:
             "calibration_id": self._settings.calibration_id,
             "window": self._settings.window,
         }
+        if self._settings.head_direction is not None:
+            request["head_direction"] = self._settings.head_direction
         if not self._sessions:
             return self._tps.prepare_session(self._prescription.plan_id, request)
         if self._therapist is None:

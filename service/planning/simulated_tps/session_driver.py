@@ -13,12 +13,14 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
+from typing import Literal
 
 from service.client import Gap, LiveMessage, ProblemError, Sample, SessionDetail, TidegateClient, UnreachableError
 from service.planning.simulated_tps.delivered_beams import DeliveredBeams
 from service.planning.simulated_tps.delivery import US_PER_S, BeamClock, EndExhale, Seen
 from service.planning.simulated_tps.errors import FractionEndedError, SessionOverError, TpsError
 
+HeadSide = Literal["top", "bottom", "left", "right"]
 OPEN = frozenset({"created", "running"})
 RETRY_STATUSES = frozenset({409, 429, 503})
 BEFORE_FIRST_FRAME = -1
@@ -105,6 +107,7 @@ class SessionDriver:
         events: FractionEvents,
         settings: DeliverySettings,
         on_progress: Callable[[Progress], None],
+        head_direction: HeadSide | None = None,
         sleep: Callable[[float], None] = time.sleep,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -119,6 +122,7 @@ class SessionDriver:
         self._on_progress = on_progress
         self._sleep = sleep
         self._now_s = now_s
+        self._head_direction = head_direction
         self._least_offset_s = float("inf")
         self._is_fresh = False
         self._stage = Stage.LEARNING
@@ -251,7 +255,7 @@ class SessionDriver:
         elif sample["is_armed"]:
             self._enter(Stage.DELIVERING, sample)
         else:
-            self._call_once(lambda: self._tps.arm(self.session_id))
+            self._call_once(lambda: self._tps.arm(self.session_id, head_direction=self._head_direction))
             self._check_timeout(sample)
 
     def _deliver(self, sample: Sample) -> None:

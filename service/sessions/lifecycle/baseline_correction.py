@@ -96,7 +96,7 @@ def moved_window(engine: RunningEngine, before: LiveView | None) -> dict[str, ob
 
 def window_detail(view: LiveView) -> list[dict[str, object]]:
     """Return the window as the gate applies it, without the state of its conditions."""
-    state = {"is_inside", "stage"}
+    state = {"is_inside", "stage", "seen_share"}
     return [
         one.model_dump(mode="json", exclude=state, exclude_none=True) for one in live_window(view.window).conditions
     ]

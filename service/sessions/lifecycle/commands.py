@@ -25,7 +25,6 @@ from service.storage.database import queries
 from service.storage.database.engine import Database
 
 COMMANDS: dict[CommandName, Callable[[str], Command]] = {
-    "arm": lambda operator: Arm(operator=operator),
     "disarm": lambda operator: Disarm(operator=operator),
     "reference": lambda operator: SetReference(operator=operator),
     "acknowledge": lambda operator: Acknowledge(operator=operator),

@@ -8,7 +8,8 @@ from datetime import UTC, datetime
 import cv2
 
 from engine.control.outputs import LiveView
-from engine.core.commands import ActivateModel, ApplyModel, CorrectBaseline, HoldBeam, Retrain
+from engine.core.commands import ActivateModel, ApplyModel, Arm, CorrectBaseline, HoldBeam, Retrain
+from engine.core.head_direction import HeadDirection
 from service.access.request.identity import Identity
 from service.core.errors import PictureMissingError
 from service.core.schemas import sessions
@@ -98,12 +99,26 @@ class SessionRunner:
 
         ``on_possibly_done`` is called, before anything waits for a database, unless the engine refused.
         """
-        if name == "arm":
-            with self._log.refusals(actor=operator, action="session.arm", session_id=session_id):
-                self._refuse_arming()
         command = COMMANDS[name](operator)
         self._commander.execute(session_id, command, operator, f"session.{name}", on_possibly_done=on_possibly_done)
         return self._records.detail(session_id, self._priority_database if takes_permission_away(command) else None)
+
+    def arm(
+        self,
+        session_id: str,
+        operator: str,
+        head: HeadDirection | None,
+        *,
+        on_possibly_done: Callable[[], None] = lambda: None,
+    ) -> sessions.SessionDetail:
+        """Arm the gate; ``head`` is the head direction that the operator confirms, and the audit records it."""
+        action = "session.arm"
+        detail: dict[str, object] = {} if head is None else {"head_direction": head.value}
+        with self._log.refusals(actor=operator, action=action, session_id=session_id, detail=detail):
+            self._refuse_arming()
+        command = Arm(operator=operator, head_direction=head)
+        self._commander.execute(session_id, command, operator, action, detail, on_possibly_done=on_possibly_done)
+        return self._records.detail(session_id)
 
     def hold_unattended(self, session_id: str, armed_by: Identity) -> None:
         """Hold as an operator does, because the login or key of the person who armed has ended."""

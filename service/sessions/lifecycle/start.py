@@ -25,7 +25,7 @@ from service.sessions.lifecycle.counters import SessionCounters
 from service.sessions.lifecycle.model_origin import model_origin
 from service.sessions.lifecycle.sample_head import sample_head
 from service.sessions.lifecycle.writer import SessionWriter, WriterSettings
-from service.sessions.records.sessions import SOURCE
+from service.sessions.records.sessions import SOURCE, head_of_row
 from service.storage import audit
 from service.storage.audit import Event
 from service.storage.database import queries
@@ -101,6 +101,7 @@ class SessionStarter:
                 regions=sessions.Regions.model_validate_json(row.regions),
                 patient_reference=row.patient_reference,
                 model_id=row.model_id,
+                head_direction=head_of_row(row.head_direction),
                 model=None if row.model_id is None else self._stored_model(db, row.model_id, row.patient_reference),
             )
             row.status, row.started_at = "running", datetime.now(UTC)

@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 from engine.calibration.camera_calibration import Calibration
 from engine.control.outputs import LiveView
 from engine.core.errors import ModelMismatchError
+from engine.core.head_direction import HeadDirection
 from service.core.errors import SessionActiveError
 from service.core.finite import finite_or_none
 from service.core.list_filters import ALL_SESSIONS, ALL_TRANSITIONS, SessionFilter, TransitionFilter
@@ -20,6 +21,7 @@ from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
 from service.engine_host.roles import EnginePort, RunningSession
+from service.engine_host.site_rules.head_direction import check_head_direction
 from service.engine_host.site_rules.played_recordings import check_source, described_source, warning_of_source
 from service.engine_host.site_rules.recording_folders import find_recording
 from service.engine_host.site_rules.uncalibrated import check_allowed, described, kind_of, warning_of
@@ -151,6 +153,7 @@ class SessionRepository:
         check_source(request.source, self._settings)
         check_window(request.window, self._settings)
         gate_limits(request.window, self._settings, request.regions)
+        check_head_direction(head_of_row(request.head_direction), self._settings)
         if isinstance(request.source, sessions.RecordingSource):
             find_recording(request.source.path, self._settings.recording_folders)
 
@@ -226,6 +229,11 @@ def session_answer(row: SessionRow) -> sessions.Session:
     )
 
 
+def head_of_row(stored: str | None) -> HeadDirection | None:
+    """Return a session's head direction, as stored or requested."""
+    return None if stored is None else HeadDirection(stored)
+
+
 def _summary(running: RunningSession | None, view: LiveView | None, stored: str | None) -> sessions.Summary:
     """Return a closed session's stored figures, or a running one's present counts."""
     if stored is not None:
@@ -242,7 +250,7 @@ def _summary(running: RunningSession | None, view: LiveView | None, stored: str 
 
 
 def _refuse_other_model(db: Session, request: sessions.SessionRequest, calibration: CalibrationRow) -> None:
-    """Refuse a model of another patient or calibration; the message does not name the other patient."""
+    """Refuse a model of another patient, calibration or head direction; the message does not name the other patient."""
     if request.model_id is None:
         return
     learned_in = queries.session_row(db, queries.model_row(db, request.model_id).session_id)
@@ -252,6 +260,10 @@ def _refuse_other_model(db: Session, request: sessions.SessionRequest, calibrati
     if learned_in.calibration.sha256 != calibration.sha256:
         bound = f"a model learned with calibration {calibration.id}"
         raise ModelMismatchError("model_id", request.model_id, bound, f"this one was with {learned_in.calibration_id}")
+    if len({learned_in.head_direction, request.head_direction} - {None}) > 1:
+        bound = f"a model learned with the head at the {request.head_direction} of the picture"
+        advice = f"this one was with the head at the {learned_in.head_direction}"
+        raise ModelMismatchError("model_id", request.model_id, bound, advice)
 
 
 def _new_row(request: sessions.SessionRequest, calibration_id: str, *, is_simulated_beam: bool) -> SessionRow:
@@ -269,6 +281,7 @@ def _new_row(request: sessions.SessionRequest, calibration_id: str, *, is_simula
         regions=request.regions.model_dump_json(),
         calibration_id=calibration_id,
         model_id=request.model_id,
+        head_direction=request.head_direction,
         is_simulated_beam=is_simulated_beam,
         created_at=datetime.now(UTC),
     )

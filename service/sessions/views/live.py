@@ -47,6 +47,7 @@ def live_sample(view: LiveView, plan: SessionPlan, *, is_stopping: bool, is_simu
         breath_hold=live_breath_hold(view),
         signal_mm=rounded_or_none(record.signal_mm),
         **(NOT_MEASURED if measurement.motion is None else _motion_fields(measurement.motion, plan)),
+        unseen_cells=None if measurement.motion is None else [list(cell) for cell in view.unseen_cells],
         roi_px=_corners(measurement),
         fps=rounded_or_none(view.fps),
         frames=view.frames,

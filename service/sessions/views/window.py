@@ -2,6 +2,7 @@
 
 from engine.core.breath import SignalChoice
 from engine.core.frames import Measurement
+from engine.core.signals import seen_share_of
 from engine.gating.windows import (
     AmplitudeWindow,
     BreathHoldWindow,
@@ -14,6 +15,7 @@ from engine.gating.windows import (
     WindowInput,
     initial_states,
 )
+from service.core.finite import rounded_or_none
 from service.core.schemas.live_messages import LiveCondition, LiveWindow
 
 DIGITS = 4
@@ -25,7 +27,9 @@ def live_window(
     """Return the window with its conditions, and for each whether the frame meets it."""
     kept = states if len(states) == len(window.leaves) else initial_states(window)
     conditions = [
-        _condition(leaf, state, is_inside=_is_inside(leaf, state, measurement))
+        _condition(leaf, state, is_inside=_is_inside(leaf, state, measurement)).model_copy(
+            update={"seen_share": _seen_share(leaf, measurement)}
+        )
         for leaf, state in zip(window.leaves, kept, strict=True)
     ]
     first = conditions[0]
@@ -48,6 +52,13 @@ def _is_inside(leaf: Condition, state: ConditionState, measurement: Measurement 
         return False
     sight = WindowInput(measurement.motion, measurement.breaths, measurement.timestamp_us)
     return leaf.judge(sight, (state,)).is_inside
+
+
+def _seen_share(leaf: Condition, measurement: Measurement | None) -> float | None:
+    """Return how much of the condition's signal the frame shows; None while nothing is measured."""
+    if measurement is None or measurement.motion is None:
+        return None
+    return rounded_or_none(seen_share_of(leaf.choices[0], measurement.motion.seen))
 
 
 def _condition(leaf: Condition, state: ConditionState, *, is_inside: bool) -> LiveCondition:

@@ -46,6 +46,7 @@ class SessionRow(Base):
     regions: Mapped[str] = mapped_column(Text, default="{}", server_default="{}")
     model_id: Mapped[str | None] = mapped_column(String(32))
     rt_plan_id: Mapped[str | None] = mapped_column(String(32), index=True)
+    head_direction: Mapped[str | None] = mapped_column(String(8))
     calibration: Mapped[CalibrationRow] = relationship(lazy="joined")
 
 

@@ -34,6 +34,7 @@ IMPORT: dict[int | str, dict[str, Any]] = {
 PREPARE = problems(
     *CREATE_ERRORS,
     errors.PlanGatingError,
+    errors.PlanPositionError,
     errors.PlanRejectedError,
     errors.PlanContradictedError,
     errors.FractionDoneError,

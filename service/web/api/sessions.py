@@ -10,6 +10,7 @@ from engine.core.errors import (
     BeamLineError,
     CalibrationError,
     CommandRefusedError,
+    HeadDirectionError,
     ModelError,
     ModelMismatchError,
     RecordingError,
@@ -88,7 +89,7 @@ COMMAND_ERRORS = (
     BeamLineError,
 )
 ASK = problems(*COMMAND_ERRORS)
-ARM = problems(*COMMAND_ERRORS, QaOverdueError)
+ARM = problems(*COMMAND_ERRORS, HeadDirectionError, QaOverdueError)
 
 
 @router.post("", status_code=201, name="session.create", responses=CREATE)
@@ -148,10 +149,13 @@ def start_session(
 
 @router.post("/{session_id}/arm", name="session.arm", responses=ARM)
 def arm_session(
-    session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
+    session_id: dependencies.SessionId, request: sessions.ArmRequest, call: Operated
 ) -> sessions.SessionDetail:
-    """Arm the gate; refused without a motion model, a reference and a fresh frame."""
-    return call.command(session_id, "arm", request.operator)
+    """Arm the gate; refused without a motion model, a reference and a fresh frame.
+
+    If the window is on a part of the patient, `head_direction` confirms on which side of the picture the head lies.
+    """
+    return call.arm(session_id, request)
 
 
 @router.post("/{session_id}/disarm", name="session.disarm", responses=HOLD)

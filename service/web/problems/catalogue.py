@@ -25,6 +25,8 @@ WHAT_TO_DO: Mapping[str, str] = {
     "command_refused": "Read `detail`: it names what is missing (a model, a reference, a fresh frame) and what to do.",
     "engine_missing": "Retry after a few seconds; if it persists, read the service's log.",
     "engine_timeout": "The command was cancelled. Read the session, then retry.",
+    "head_direction_missing": "See on which side of the picture the patient's head lies, and send it as "
+    "`head_direction` with the arming. If the session has another or none, create another session.",
     "headers_too_large": "Send fewer or shorter headers; cookies are included in the limit.",
     "host_refused": "Use one of the service's host names, or have the site allow this one.",
     "idempotency_in_progress": "Repeat the same request with the same key after `Retry-After`.",
@@ -64,6 +66,8 @@ WHAT_TO_DO: Mapping[str, str] = {
     "plan_gating": "Use a window of the plan's technique, or have a person give the reason in `overrides_plan_gating`.",
     "plan_invalid": "Correct the element that `field` names in the planning system, and export the plan again.",
     "plan_not_dicom": "Send the exported file unchanged, with the type `application/dicom`.",
+    "plan_position": "Compare patient, plan and `TIDEGATE_GANTRY_SIDE`. Only HFS and FFS are supported, in one session "
+    "only one of them.",
     "plan_rejected": "Use the approved plan.",
     "plan_too_complex": "Export only the plan; `bound` is the limit.",
     "plan_truncated": "Export or send the file again: its end is missing.",

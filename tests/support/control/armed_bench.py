@@ -8,9 +8,9 @@ import numpy as np
 from engine.core.commands import Arm
 from engine.gating.supervision.patient_shift import CORNERS, NODES
 from tests.support.control.loop_bench import Bench, after, good
-from tests.support.gating.streams import FRAMES_A_DWELL, motion_of
+from tests.support.gating.streams import FRAMES_A_DWELL, LIMITS, motion_of
 
-ARM = Arm(operator="ann")
+ARM = Arm(operator="ann", head_direction=LIMITS.head_direction)
 
 LEARNED = 3
 

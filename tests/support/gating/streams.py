@@ -7,6 +7,7 @@ import numpy as np
 from engine.core.commands import Acknowledge, Arm
 from engine.core.frames import Lost, LostReason, Measurement, MeasurementState, Motion, Projection, SeenShares
 from engine.core.gate_state import GateState, HoldReason
+from engine.core.head_direction import HeadDirection
 from engine.gating.gate import Gate, GateEvent, Interruption, step_gate
 from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
@@ -18,7 +19,10 @@ START_NS = 5_000 * MS
 MEASURING_NS = 5 * MS
 LEVEL_MM = 2.0
 LIMITS = GateLimits(
-    window=amplitude_window(lower_mm=-1.0, upper_mm=3.0, hysteresis_mm=0.2), dwell_ms=100.0, max_jump_mm=1.5
+    window=amplitude_window(lower_mm=-1.0, upper_mm=3.0, hysteresis_mm=0.2),
+    dwell_ms=100.0,
+    max_jump_mm=1.5,
+    head_direction=HeadDirection.TOP,
 )
 SEEN = SeenShares(whole=0.98, thorax=0.97, abdomen=0.99, cells=np.ones((14, 8)), points=np.ones(4), named=np.ones(4))
 FRAMES_A_DWELL = 4

@@ -11,6 +11,8 @@ from tests.support.service.accounts import PeopleClient
 
 OPERATOR = {"operator": "A. Therapist"}
 
+HEAD = {"head_direction": "top"}
+
 WINDOW = {"signal": "whole", "lower_mm": -1.0, "upper_mm": 3.0, "hysteresis_mm": 0.2, "dwell_ms": 200.0}
 
 
@@ -30,6 +32,7 @@ def make_session_body(calibration_id: str) -> dict[str, Any]:
         "source": {"kind": "recording", "path": "chest.oni", "player": "auto"},
         "calibration_id": calibration_id,
         "window": dict(WINDOW),
+        **HEAD,
     }
 
 
@@ -43,7 +46,8 @@ def upload(client: PeopleClient, text: str | bytes, **headers: str):
 
 
 def act(client: PeopleClient, session_id: str, action: str, operator: str = "A. Therapist"):
-    return client.post(f"/api/v1/sessions/{session_id}/{action}", json={"operator": operator})
+    confirmed = HEAD if action == "arm" else {}
+    return client.post(f"/api/v1/sessions/{session_id}/{action}", json={"operator": operator, **confirmed})
 
 
 def audit_rows(client: PeopleClient, action: str | None = None) -> list[dict[str, Any]]:

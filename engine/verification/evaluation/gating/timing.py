@@ -19,6 +19,7 @@ from engine.capture.recording_source import OniFileSource
 from engine.core.breath import WHOLE, Breath, SignalChoice
 from engine.core.clock import ManualClock
 from engine.core.frames import FloatArray, MeasurementState, Motion
+from engine.core.head_direction import HeadDirection
 from engine.core.native_threads import keep_calls_in_their_thread
 from engine.core.signals import signal_of
 from engine.gating.limits import GateLimits
@@ -174,7 +175,7 @@ def time_gate(run: Run, folder: Path, on_done: Callable[[int], None]) -> list[Ed
 def _measure_recording(folder: Path, on_frame: Callable[[int], None]) -> tuple[Pipeline, list[TimedFrame]]:
     """Measure a recording, with each frame's processor time."""
     points = tuple((int(row), int(column)) for row, column in POINTS_RC)
-    settings = PipelineSettings(cell_px=CELL_PX, points=points)
+    settings = PipelineSettings(cell_px=CELL_PX, points=points, superior_px=HeadDirection.TOP.superior_px)
     pipeline = Pipeline(load_calibration(folder / "calibration.json"), settings, ManualClock(), InlineTrainer())
     source = OniFileSource(folder / "recording.oni", clock=ManualClock(), is_helped=False)
     seen = []
@@ -186,7 +187,9 @@ def _measure_recording(folder: Path, on_frame: Callable[[int], None]) -> tuple[P
 
 def _real_edges(window: GateWindow, seen: Sequence[TimedFrame], from_us: int) -> list[Edge]:
     """Edges of a gate on measured frames that are received when they are captured."""
-    limits = GateLimits(window=window, dwell_ms=DWELL_MS, min_good_frames=2, is_played=True)
+    limits = GateLimits(
+        window=window, dwell_ms=DWELL_MS, min_good_frames=2, head_direction=HeadDirection.TOP, is_played=True
+    )
     return gate_edges(limits, seen, from_us, "evaluation")
 
 

@@ -12,6 +12,7 @@ import cv2
 
 from engine.core.bounds import check_whole_number
 from engine.core.errors import InvalidValueError, RecordingError
+from engine.core.head_direction import HeadDirection
 from engine.verification.evaluation.integrity.cases import Case
 from engine.verification.evaluation.integrity.session import Session, Volunteer, learn, run
 from engine.verification.phantom.builds import find_build
@@ -50,12 +51,16 @@ def run_all(
     RecordingError
         A process was killed.
     """
-    poses = sorted({case.is_turned for case in cases})
+    poses = sorted({_pose(case) for case in cases}, key=str)
     # Fresh processes: a fork would copy the locks of the caller's threads.
     pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_prepare_worker)
     try:
         learned = _collect(
-            [partial(learn, volunteer, seed, is_turned=pose) for volunteer in volunteers for pose in poses],
+            [
+                partial(learn, volunteer, seed, is_turned=is_turned, head_direction=head)
+                for volunteer in volunteers
+                for is_turned, head in poses
+            ],
             pool,
             on_done,
         )
@@ -92,8 +97,13 @@ def _prepare_worker() -> None:
 
 def jobs_of(cases: Sequence[Case], volunteers: Sequence[int]) -> int:
     """Return the number of jobs that `run_all` counts."""
-    return len(volunteers) * (len({case.is_turned for case in cases}) + len(cases))
+    return len(volunteers) * (len({_pose(case) for case in cases}) + len(cases))
+
+
+def _pose(of: Case | Volunteer) -> tuple[bool, HeadDirection | None]:
+    """Return how the patient lies, and what of it was given: each needs a model of its own."""
+    return of.is_turned, of.head_direction
 
 
 def _fitting(learned: Sequence[Volunteer], case: Case) -> list[Volunteer]:
-    return [volunteer for volunteer in learned if volunteer.is_turned is case.is_turned]
+    return [volunteer for volunteer in learned if _pose(volunteer) == _pose(case)]

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from engine.core.head_direction import HeadDirection
 from engine.verification.phantom.falsifications import Blind, Cover, Falsification, Move, MovedMarker, Part, Stale
 
 HONEST_S = 3.0
@@ -27,6 +28,8 @@ class Case:
         Whether body or camera move as a whole: then motion is right, and the move has to be named.
     is_turned
         Whether the patient lies feet first from the beginning, while the model is learned.
+    head_direction
+        As given to the measurement; without one it is assumed at the top, and only the whole region may gate.
     """
 
     kind: str
@@ -35,6 +38,7 @@ class Case:
     seconds: float = FALSE_S
     is_rigid: bool = False
     is_turned: bool = False
+    head_direction: HeadDirection | None = HeadDirection.TOP
 
     @property
     def name(self) -> str:
@@ -151,4 +155,5 @@ def _stale() -> Iterator[Case]:
 
 
 def _orientations() -> Iterator[Case]:
-    yield Case(kind="feet first", size="180 deg", falsification=_false(), is_turned=True)
+    for head, size in ((HeadDirection.BOTTOM, "head direction given"), (None, "head direction unknown")):
+        yield Case(kind="feet first", size=size, falsification=_false(), is_turned=True, head_direction=head)

@@ -16,6 +16,7 @@ from engine.core.commands import Arm
 from engine.core.errors import ModelError
 from engine.core.frames import BoolArray, FloatArray, Measurement, MeasurementState, RgbdFrame
 from engine.core.gate_state import GateState
+from engine.core.head_direction import HeadDirection, depends_on_head
 from engine.core.motion_model import MotionModel
 from engine.core.signals import signal_of
 from engine.gating.gate import Gate, GateEvent, Interruption, step_gate
@@ -66,7 +67,8 @@ class Session:
     is_held
         Whether the supervision of the frames held the beam, shape (n,).
     error_mm
-        Measured less true motion of each signal [mm], NaN where not measured, shape (n, signals).
+        Measured less true motion of each signal [mm], shape (n, signals); NaN where not measured, and of a signal that
+        may not gate because the head direction is unknown.
     is_on
         Whether a gate on each signal had the beam on, shape (n, signals).
     outside_mm
@@ -94,9 +96,17 @@ class Volunteer:
     model: MotionModel
     reference_s: float
     is_turned: bool = False
+    head_direction: HeadDirection | None = HeadDirection.TOP
 
 
-def learn(number: int, seed: int, *, is_turned: bool, on_frame: Callable[[], None] = lambda: None) -> Volunteer:
+def learn(
+    number: int,
+    seed: int,
+    *,
+    is_turned: bool,
+    head_direction: HeadDirection | None = HeadDirection.TOP,
+    on_frame: Callable[[], None] = lambda: None,
+) -> Volunteer:
     """Learn a volunteer's model on honest frames.
 
     Raises
@@ -105,14 +115,19 @@ def learn(number: int, seed: int, *, is_turned: bool, on_frame: Callable[[], Non
         The frames were not enough.
     """
     studio = Studio(_script(number, seed, _turned(None, is_turned=is_turned)))
-    pipeline = Pipeline(studio.scene.rig.calibration, SETTINGS, ManualClock(), InlineTrainer())
+    pipeline = Pipeline(studio.scene.rig.calibration, _settings(head_direction), ManualClock(), InlineTrainer())
     for index in range(int(TRAINING_S * FPS)):
         pipeline.measure(_frame(studio, index, index / FPS))
         on_frame()
         model = pipeline.learner.status.model
         if model is not None:
             return Volunteer(
-                number=number, seed=seed, model=model, reference_s=_end_of_exhale(studio), is_turned=is_turned
+                number=number,
+                seed=seed,
+                model=model,
+                reference_s=_end_of_exhale(studio),
+                is_turned=is_turned,
+                head_direction=head_direction,
             )
     raise ModelError(f"volunteer {number}: {TRAINING_S:g} s were not enough to learn a model")
 
@@ -122,12 +137,16 @@ def run(volunteer: Volunteer, case: Case, on_frame: Callable[[], None] = lambda:
     start_s = volunteer.reference_s
     falsification = replace(case.falsification, start_s=start_s + HONEST_S)
     studio = Studio(_script(volunteer.number, volunteer.seed, _turned(falsification, is_turned=volunteer.is_turned)))
-    recorder = _Recorder(studio.scene.rig.calibration, volunteer.model)
+    recorder = _Recorder(studio.scene.rig.calibration, volunteer.model, volunteer.head_direction)
     frames = _frames(studio, start_s, HONEST_S + case.seconds, case.falsification.stale, volunteer.seed)
     for frame, time_s in frames:
         recorder.take(frame, _truth_mm(studio, time_s))
         on_frame()
     return recorder.session(case)
+
+
+def _settings(head_direction: HeadDirection | None) -> PipelineSettings:
+    return replace(SETTINGS, superior_px=None if head_direction is None else head_direction.superior_px)
 
 
 def _script(number: int, seed: int, falsification: Falsification | None) -> Script:
@@ -217,8 +236,9 @@ def _truth_mm(studio: Studio, time_s: float) -> FloatArray:
 class _Recorder:
     """Measures frames, and lets a gate on each signal decide."""
 
-    def __init__(self, calibration: Calibration, model: MotionModel) -> None:
-        self._pipeline = Pipeline(calibration, SETTINGS, ManualClock(), InlineTrainer())
+    def __init__(self, calibration: Calibration, model: MotionModel, head_direction: HeadDirection | None) -> None:
+        self._head_direction = head_direction
+        self._pipeline = Pipeline(calibration, _settings(head_direction), ManualClock(), InlineTrainer())
         self._pipeline.learner.resume(model)
         self._measurements: list[Measurement] = []
         self._holds: list[tuple[Interruption, ...]] = []
@@ -253,6 +273,8 @@ class _Recorder:
         outside_mm = np.stack(
             [np.maximum(low - true_mm[:, i], true_mm[:, i] - high) for i, (low, high) in enumerate(windows)], axis=1
         )
+        may_gate = [self._head_direction is not None or not depends_on_head(choice) for choice in SIGNALS]
+        measured_mm[:, np.logical_not(may_gate)] = np.nan
         is_on = np.stack([self._beam(i, *window) for i, window in enumerate(windows)], axis=1)
         return Session(
             case=case,
@@ -267,7 +289,7 @@ class _Recorder:
 
     def _beam(self, signal: int, lower_mm: float, upper_mm: float) -> BoolArray:
         """Whether a gate on a signal has the beam on, shape (n,)."""
-        limits = _limits(lower_mm, upper_mm, SIGNALS[signal])
+        limits = replace(_limits(lower_mm, upper_mm, SIGNALS[signal]), head_direction=self._head_direction)
         gate, is_armed, found = Gate(), False, []
         for measurement, holds in zip(self._measurements, self._holds, strict=True):
             if not is_armed and measurement.motion is not None:

@@ -248,8 +248,8 @@ function draw() {
 
 function drawPanels(nowMs, view, sample) {
   const rangeMm = range.update(sample?.regions_mm ?? [], nowMs);
-  picture.draw(nowMs, rangeMm, view.isCurrent);
-  grid.draw(sample?.regions_mm ?? null, rangeMm, sample?.window);
+  picture.draw(nowMs, rangeMm, view.isCurrent, session?.id === shownSessionId ? (session?.head_direction ?? null) : null);
+  grid.draw(sample?.regions_mm ?? null, rangeMm, sample?.window, sample?.unseen_cells ?? []);
   isSimulatedBeam = sample?.is_simulated_beam ?? session?.is_simulated_beam ?? isSimulatedBeam;
   renderFigures(sample, isSimulatedBeam);
   renderBreath(sample);

@@ -170,6 +170,7 @@ def test_every_number_among_the_limits_has_a_bound():
         "window",
         "is_played",
         "is_calibrated",
+        "head_direction",
         "holding_events",
     } == set(LIMIT_BOUNDS)
 

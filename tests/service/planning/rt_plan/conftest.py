@@ -4,8 +4,16 @@ from typing import Any
 
 import pytest
 
+from engine.core.head_direction import HeadDirection
+from service.core.settings.settings import Settings
 from tests.support.planning.api_calls import BREATH_HOLD, kept
 from tests.support.service.accounts import PeopleClient
+
+
+@pytest.fixture
+def settings(settings: Settings) -> Settings:
+    """A room whose gantry is at the top of the picture."""
+    return settings.model_copy(update={"gantry_side": HeadDirection.TOP})
 
 
 @pytest.fixture

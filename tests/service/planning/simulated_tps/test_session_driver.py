@@ -78,7 +78,7 @@ class Room:
     def set_reference(self, _session_id):
         return self._call("reference", lambda: None)
 
-    def arm(self, _session_id):
+    def arm(self, _session_id, **_confirmed):
         return self._call("arm", lambda: setattr(self, "is_armed", True))
 
     def hold(self, _session_id):
@@ -305,7 +305,7 @@ def test_frames_from_before_the_arming_was_answered_do_not_arm_again():
 
     room = Late()
     room.armed_at = None
-    room.arm = lambda _: (
+    room.arm = lambda _, **_confirmed: (
         room.calls.append("arm"),
         setattr(room, "is_armed", True),
         setattr(room, "armed_at", room.frame),

@@ -5,7 +5,7 @@
  * they work with one click or their key whenever a running session is known, with or without a fresh connection.
  */
 
-import { act, applyModel, retrain } from "../api.js";
+import { act, applyModel, arm, retrain } from "../api.js";
 import { setText } from "../drawing/elements.js";
 import { needsReference, stageOf } from "./training.js";
 import { obstacle as forbidden } from "../people/permissions.js";
@@ -37,7 +37,7 @@ const DONE = {
 
 /** Why an action is not possible now, in the order to fix it; empty if it is. Permissions are checked before. */
 const OBSTACLES = {
-  arm: (c) => running(c) || still(c) || (c.sample.gate === "fault" ? "acknowledge the fault first" : "") || measuring(c) || compared(c) || hasReference(c),
+  arm: (c) => running(c) || still(c) || (c.sample.gate === "fault" ? "acknowledge the fault first" : "") || measuring(c) || compared(c) || hasReference(c) || hasHead(c),
   release: (c) => running(c) || (c.sample.operator_hold ? "" : "no operator holds the beam"),
   reference: (c) => running(c) || still(c) || measuring(c),
   retrain: (c) => running(c) || compared(c) || (isLearning(c.sample) ? "already training" : ""),
@@ -55,6 +55,11 @@ const compared = (c) => (stageOf(c.sample) === "comparing" ? "the stored model i
 const hasReference = (c) => (needsReference(c.sample, c.selected) ? "set the reference first" : "");
 /** A lost patient adds no training frames while the reference is kept: training may then be restarted. */
 const isLearning = (s) => s.state === "training" || stageOf(s) === "fitting" || (s.state === "measuring" && stageOf(s) === "gathering");
+/** The head direction of the session that is armed; null if unknown, or if the session was not read yet. */
+const headOf = (c) => (c.selected?.id === c.sample?.session_id ? (c.selected?.head_direction ?? null) : null);
+/** Signals that are the same from whichever side the head lies. */
+const SYMMETRIC = new Set(["whole", "volume"]);
+const hasHead = (c) => (headOf(c) !== null || (c.sample.window?.conditions ?? []).every((one) => SYMMETRIC.has(one.signal)) ? "" : "the head direction is unknown: create the session with it, or gate on whole or volume");
 const measuring = (c) => (c.sample.state === "measuring" ? "" : c.sample.state === "training" ? "still training" : "the patient is not visible");
 
 export class Controls {
@@ -104,6 +109,7 @@ export class Controls {
       button(action).disabled = why !== "" || this.busy !== null;
       button(action).title = why === "" ? "" : `Not now: ${why}`;
     }
+    if (!button("arm").disabled && headOf(context) !== null) button("arm").title = `Confirms that the head lies at the ${headOf(context)} of the picture`;
     setText(document.getElementById("hint"), hint(this.context));
     for (const action of Object.keys(HALTS)) {
       const why = this.forbids(action) || (this.lastRunningId === null ? "no running session" : "");
@@ -185,10 +191,10 @@ export class Controls {
 
   async #call(action, id, operator) {
     if (action === "apply") await applyModel(id, operator);
-    else if (action !== "retrain") {
-      await act(id, action, operator);
-      if (action === "arm") rememberArming(id, operator);
-    }
+    else if (action === "arm") {
+      await arm(id, operator, headOf(this.context));
+      rememberArming(id, operator);
+    } else if (action !== "retrain") await act(id, action, operator);
     else {
       await retrain(id, operator, this.keepsReference.checked);
       // Discarding the reference applies to one training only.

@@ -1,7 +1,7 @@
 /** The camera's colour picture with the outline of the region and its motion as a colour overlay. */
 
 import { fetchPicture } from "../api.js";
-import { font, hatch, INK, note, prepare } from "../drawing/canvas.js";
+import { font, hatch, INK, isUnseen, note, prepare, UNSEEN } from "../drawing/canvas.js";
 import { projectiveMap } from "../drawing/projection.js";
 import { colorOf } from "../drawing/color_scale.js";
 
@@ -60,7 +60,8 @@ export class PicturePanel {
     }
   }
 
-  draw(nowMs, rangeMm, isFresh) {
+  /** @param {?string} head side of the picture at which the patient's head lies; null if unknown */
+  draw(nowMs, rangeMm, isFresh, head) {
     const { context, width, height } = prepare(this.canvas);
     if (this.picture === null) {
       note(context, width, height, this.sessionId === null ? "No session." : "Waiting for the camera's picture.");
@@ -78,6 +79,7 @@ export class PicturePanel {
       banner(context, left, top, bitmap.width * zoom, isFresh ? `Picture is old: ${((nowMs - this.picture.atMs) / 1000).toFixed(1)} s` : "Not the present picture");
       return;
     }
+    drawHead(context, { left, top, width: bitmap.width * zoom, height: bitmap.height * zoom }, head);
     const sample = this.#sampleOf(this.picture.frameIndex);
     const map = sample && projectiveMap(sample.roi_px);
     if (!map) {
@@ -89,8 +91,8 @@ export class PicturePanel {
       // Pixel centres are at integers, a canvas counts from the corner of the first pixel.
       return [left + (px + 0.5) * zoom, top + (py + 0.5) * zoom];
     };
-    if (this.overlay.checked && sample.regions_mm) drawCells(context, place, sample.regions_mm, rangeMm);
-    drawOutline(context, place);
+    if (this.overlay.checked && sample.regions_mm) drawCells(context, place, sample.regions_mm, rangeMm, sample.unseen_cells ?? []);
+    drawOutline(context, place, head !== null);
   }
 
   #sampleOf(frameIndex) {
@@ -104,19 +106,30 @@ function gap(sample, frameIndex) {
   return Math.abs(sample.frame_index - frameIndex);
 }
 
-function drawCells(context, place, regionsMm, rangeMm) {
-  const blind = hatch(context, "rgba(235, 240, 245, 0.55)");
+function drawCells(context, place, regionsMm, rangeMm, unseenCells) {
+  const blind = hatch(context, UNSEEN);
   const rows = regionsMm.length;
   for (const [r, row] of regionsMm.entries()) {
     for (const [c, value] of row.entries()) {
       path(context, [place(c / row.length, r / rows), place((c + 1) / row.length, r / rows), place((c + 1) / row.length, (r + 1) / rows), place(c / row.length, (r + 1) / rows)]);
-      context.fillStyle = Number.isFinite(value) ? colorOf(value, rangeMm, 0.62) : blind;
+      context.fillStyle = Number.isFinite(value) && !isUnseen(unseenCells, r, c) ? colorOf(value, rangeMm, 0.62) : blind;
       context.fill();
     }
   }
 }
 
-function drawOutline(context, place) {
+/** Name the side of the head; the person who arms confirms it. */
+function drawHead(context, { left, top, width, height }, head) {
+  if (head === null) {
+    label(context, "head direction unknown", [left + width / 2, top + height - 12], [0, 0]);
+    return;
+  }
+  const edge = { top: [left + width / 2, top + 14], bottom: [left + width / 2, top + height - 14], left: [left + 28, top + height / 2], right: [left + width - 28, top + height / 2] };
+  label(context, "HEAD", edge[head], [0, 0], 16);
+}
+
+/** @param {boolean} isOriented whether the head direction is known: otherwise the region's ends and sides are not */
+function drawOutline(context, place, isOriented) {
   const corners = [place(0, 0), place(1, 0), place(1, 1), place(0, 1)];
   path(context, corners);
   context.strokeStyle = "#e9f3fb";
@@ -127,6 +140,7 @@ function drawOutline(context, place) {
     context.arc(x, y, 5, 0, 2 * Math.PI);
     context.stroke();
   }
+  if (!isOriented) return;
   label(context, "superior", between(corners[0], corners[1]), [0, -10]);
   label(context, "R", between(corners[0], corners[3]), [-12, 0]);
   label(context, "L", between(corners[1], corners[2]), [12, 0]);
@@ -136,8 +150,8 @@ function between([ax, ay], [bx, by]) {
   return [(ax + bx) / 2, (ay + by) / 2];
 }
 
-function label(context, text, [x, y], [dx, dy]) {
-  context.font = font(12, 600);
+function label(context, text, [x, y], [dx, dy], size = 12) {
+  context.font = font(size, 600);
   context.textAlign = "center";
   context.textBaseline = "middle";
   context.lineWidth = 3;

@@ -6,7 +6,7 @@ import { may, obstacle } from "../people/permissions.js";
 
 const SHOWN = 12;
 const MAX_CALIBRATION_BYTES = 1_000_000;
-const OPTIONAL = new Set(["fraction_number", "source.uri", "calibration_id", "regions.named"]);
+const OPTIONAL = new Set(["fraction_number", "head_direction", "source.uri", "calibration_id", "regions.named"]);
 
 export class Setup {
   /**
