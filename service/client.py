@@ -897,6 +897,7 @@ class LiveCondition(TypedDict):
     min_confidence: NotRequired[float | None]
     name: str | None
     row: int | None
+    seen_share: NotRequired[float | None]
     settle_ms: NotRequired[float | None]
     signal: Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]
     stage: NotRequired[Literal["awaited", "settling", "held", "drifted", "over"] | None]
@@ -961,6 +962,7 @@ class Sample(TypedDict):
     timestamp_us: int
     training: LiveTraining | None
     type: NotRequired[Literal["sample"]]
+    unseen_cells: NotRequired[list[list[int]] | None]
     valid_share: float | None
     volume_l: float | None
     whole_mm: float | None

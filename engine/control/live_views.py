@@ -87,6 +87,7 @@ class LiveViews:
     def _show(self, decision: Decision, record: FrameRecord, color: ColorImage, detail: str) -> None:
         if self.description is None:
             return
+        motion, limits = record.measurement.motion, self._limits.current
         self.newest = LiveView(
             record=record,
             color=color,
@@ -100,8 +101,9 @@ class LiveViews:
             description=self.description,
             status=self.run_state,
             error=self.error,
-            window=self._limits.current.window,
+            window=limits.window,
             conditions=decision.gate.conditions,
             operator_hold=decision.operator_hold,
             breath_holds=decision.gate.breath_holds,
+            unseen_cells=() if motion is None else motion.seen.unseen_cells(limits.min_signal_share),
         )

@@ -125,6 +125,8 @@ class LiveView:
         The operator who holds the beam by hand; None where there is none.
     breath_holds
         Number of breath holds since the gate was armed.
+    unseen_cells
+        Row and column of each cell of which the frame shows less than a gated cell needs; its motion is extrapolated.
     """
 
     record: FrameRecord
@@ -143,3 +145,4 @@ class LiveView:
     conditions: tuple[ConditionState, ...] = ()
     operator_hold: str | None = None
     breath_holds: int = 0
+    unseen_cells: tuple[tuple[int, int], ...] = ()

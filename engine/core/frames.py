@@ -213,6 +213,11 @@ class SeenShares:
         for array in (self.cells, self.points, self.named):
             frozen(array)
 
+    def unseen_cells(self, min_share: float) -> tuple[tuple[int, int], ...]:
+        """Return row and column of every cell of which less than ``min_share`` was seen, row by row."""
+        rows, columns = np.nonzero(~(self.cells >= min_share))
+        return tuple(zip(rows.tolist(), columns.tolist(), strict=True))
+
 
 UNKNOWN_SHARES = SeenShares()
 

@@ -16,6 +16,7 @@ from engine.core.gate_state import GateState, HoldReason
 from engine.core.learning_events import LearningEvent
 from engine.core.learning_status import LearningStatus
 from engine.core.signals import signal_of
+from engine.gating.frame_checks import unseen_signal
 from engine.gating.gate import Ending, Gate, GateEvent, Silence, step_gate
 from engine.gating.interlocks import DecisionInputs, interlocks
 from engine.gating.limits import GateLimits, ns_from_ms
@@ -77,12 +78,12 @@ class OfflineGate:
             self._gate = step_gate(self._gate, Silence(since_ns=last.received_ns), at_ns, limits)
 
     def _arm_if_ready(self, event: Measurement, status: LearningStatus, now_ns: int, limits: GateLimits) -> None:
-        """Arm once, where a session could be armed: no shortcoming of the model, and every gated signal is measured."""
+        """Arm once, where a session could be armed: the model has no shortcoming, every gated signal is measured."""
         motion = event.motion
         if self._was_armed or event.state is not MeasurementState.MEASURING or motion is None:
             return
         is_measured = all(math.isfinite(signal_of(choice, motion)) for choice in limits.window.choices)
-        if status.model_shortcoming is not None or not is_measured:
+        if status.model_shortcoming is not None or not is_measured or unseen_signal(motion.seen, limits) is not None:
             return
         if self._gate.state is GateState.FAULT:
             self._gate = step_gate(self._gate, Acknowledge(operator=OPERATOR), now_ns, limits)

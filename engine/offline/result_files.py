@@ -175,7 +175,7 @@ class Results:
         self._unnamed = np.full(len(self._names), np.nan, dtype=np.float32)
         self._measurements: list[tuple[int, int, MeasurementState]] = []
         self._motions: list[Motion | None] = []
-        self._rows: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+        self._rows: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = []
         self._whole_mm: list[float] = []
         self._residual_mm: list[float] = []
         self._lags: list[tuple[PhaseLag, ...]] = []
@@ -196,7 +196,7 @@ class Results:
         self._measurements.append((measurement.frame_index, measurement.timestamp_us, measurement.state))
         motion = measurement.motion
         if motion is None:
-            self._rows.append((self._cells, self._cells, self._unnamed))
+            self._rows.append((self._cells, self._cells, self._unnamed, self._cells))
             self._lags.append(())
             return
         self._rows.append(
@@ -204,6 +204,7 @@ class Results:
                 motion.regions_depth_mm.astype(np.float32),
                 motion.regions_mm.astype(np.float32),
                 motion.named_mm.astype(np.float32),
+                motion.seen.cells.astype(np.float32),
             )
         )
         self._lags.append(motion.lags)
@@ -216,7 +217,7 @@ class Results:
         write_whole(path, self._write)
 
     def _write(self, file: BinaryIO) -> None:
-        depth, motion, named = zip(*self._rows, strict=True) if self._rows else ((), (), ())
+        depth, motion, named, seen = zip(*self._rows, strict=True) if self._rows else ((), (), (), ())
         pairs = len(self._pairs)
         lags = np.array([_lag_numbers(lags, pairs) for lags in self._lags], dtype=np.float32).reshape(-1, pairs, 3)
         np.savez(  # uncompressed: the cells' noise compresses little, and slowly
@@ -225,6 +226,7 @@ class Results:
             timestamp_us=np.array([at_us for _, at_us, _ in self._measurements], dtype=np.int64),
             depth_mm=np.array(depth, dtype=np.float32).reshape(self.frames, *self._cells.shape),
             motion_mm=np.array(motion, dtype=np.float32).reshape(self.frames, *self._cells.shape),
+            seen=np.array(seen, dtype=np.float32).reshape(self.frames, *self._cells.shape),
             named=np.array(self._names, dtype=np.str_),
             named_mm=np.array(named, dtype=np.float32).reshape(self.frames, len(self._names)),
             lag_pairs=np.array(self._pairs, dtype=np.str_),

@@ -14,6 +14,7 @@ SessionStatusName = Literal["running", "ended", "stopped", "failed"]
 StateName = Literal["training", "measuring", "lost"]
 GateName = Literal["disarmed", "hold", "dwell", "beam_on", "fault"]
 Point = Annotated[list[float], Field(min_length=2, max_length=2)]
+Cell = Annotated[list[int], Field(min_length=2, max_length=2)]
 
 
 class Message(BaseModel):
@@ -142,6 +143,9 @@ class LiveCondition(Message):
     to_percent: float | None = None
     min_confidence: float | None = None
     is_inside: bool = Field(description="Whether the newest frame meets the condition")
+    seen_share: float | None = Field(
+        default=None, description="Share of the signal's area that the camera sees in the newest frame, 0 to 1"
+    )
     stage: HoldStageName | None = Field(default=None, description="Stage of a breath hold")
 
 
@@ -256,6 +260,11 @@ class Sample(Message):
     valid_share: float | None
     regions_mm: list[list[float | None]] | None = Field(
         description="Rows from superior, columns from the patient's right"
+    )
+    unseen_cells: list[Cell] | None = Field(
+        default=None,
+        description="Row and column of each cell of `regions_mm` that the camera does not see: its motion is "
+        "extrapolated, and a gate on it holds. null while no frame is measured",
     )
     named_mm: dict[str, float | None] | None = Field(description="Motion of the session's regions, by name")
     split_rows: Point | None = Field(

@@ -48,6 +48,7 @@ _CONDITION = {
     "to_percent": None,
     "min_confidence": None,
     "is_inside": False,
+    "seen_share": 0.98,
     "stage": None,
 }
 _BREATH = {
@@ -117,6 +118,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "residual_mm": 0.7,
         "valid_share": 0.98,
         "regions_mm": [[1.4, 1.5], [None, 1.9]],
+        "unseen_cells": [[1, 0]],
         "named_mm": {"belly": 2.1},
         "split_rows": [174.5, 174.5],
         "lags": [],

@@ -13,13 +13,14 @@ from engine.core.learning_status import LearningStatus
 from engine.offline.offline_gate import OfflineGate
 from tests.support.control.armed_bench import ARM, LEARNED, lying_at
 from tests.support.control.loop_bench import Bench, ScriptedSource, after, good, silent
-from tests.support.gating.streams import LIMITS, motion_of, unmeasured
+from tests.support.gating.streams import LIMITS, SEEN, motion_of, unmeasured
 
 BEFORE = 12
 """Good frames behind the arming, before a case's own: the beam is on."""
 
 FIRST = LEARNED + BEFORE
 AFTER = 20
+HALF_SEEN = replace(SEEN, whole=0.5)
 
 
 def with_motion(frame, **values):
@@ -71,6 +72,8 @@ CASES = {
     "coverage": lost(LostReason.COVERAGE_LOW),
     "residual": lambda bench: spoilt(bench, partial(with_motion, residual_mm=3.5)),
     "share": lambda bench: spoilt(bench, partial(with_motion, valid_share=0.7)),
+    "gated signal not seen": lambda bench: spoilt(bench, partial(with_motion, seen=HALF_SEEN)),
+    "reference without the gated signal": lambda bench: spoilt(bench, partial(with_motion, reference_seen=HALF_SEEN)),
     "not a number": lambda bench: spoilt(bench, partial(with_motion, whole_mm=float("nan")), 1),
     "moved along the couch": lambda bench: lying_at(bench, FIRST, 9.0),
     "frozen": lambda bench: bench.source.script.__setitem__(

@@ -136,6 +136,10 @@ def test_region_and_model_files_say_the_same_as_the_table(regular):
     with np.load(regular.out / "regions.npz") as regions:
         assert regions["motion_mm"].shape == (len(regular.rows), 14, 8)
         assert np.isnan(regions["motion_mm"][~regular.measured]).all()
+        seen = regions["seen"]
+        assert seen.shape == (len(regular.rows), 14, 8)
+        assert np.isnan(seen[~regular.measured]).all()
+        assert 0.9 < seen[regular.measured].mean() <= seen[regular.measured].max() <= 1.0
         mean = np.nanmean(regions["motion_mm"][regular.measured], axis=(1, 2))
     assert np.abs(mean - regular.column("whole_mm")[regular.measured]).max() < 0.2
     model = load_model(regular.out / "model.npz")

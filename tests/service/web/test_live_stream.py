@@ -179,7 +179,17 @@ def test_regions_and_corners_go_out_in_order(plan):
         "upper": 3.0,
         "hysteresis": 0.2,
         "is_inside": True,
+        "seen_share": 0.98,
     }
+
+
+def test_cells_that_the_camera_does_not_see_are_listed(plan):
+    view = replace(view_of(plan), unseen_cells=((12, 0), (13, 7)))
+    message = message_of(view, plan)
+    SCHEMA.validate(message)
+    assert message["unseen_cells"] == [[12, 0], [13, 7]]
+    assert message_of(view_of(plan), plan)["unseen_cells"] == []
+    assert message_of(view_of(plan, whole_mm=None), plan)["unseen_cells"] is None
 
 
 def test_breath_hold_and_holding_person_are_reported_with_the_reason_in_figures(plan):

@@ -137,6 +137,38 @@ def test_the_map_tells_each_cell_and_says_which_were_not_measured(fake: FakeServ
     expect(readout).to_have_text(f"row 0, column 3: {MINUS}2.0 mm")
 
 
+def test_the_map_hatches_the_cells_that_the_camera_does_not_see(fake: FakeService, tab: Tab):
+    regions = [[5.0] * 8 for _ in range(14)]
+    fake.mode, fake.sample = "samples", sample(regions_mm=regions, unseen_cells=[[13, 7]])
+    page = tab.open("hold")
+    readout = page.locator("#grid-readout")
+    expect(readout).to_have_text("hatched: not seen by the camera")
+    box = page.locator("#grid").bounding_box()
+    assert box is not None
+    cell = min((box["width"] - 32) / 8, (box["height"] - 16) / 14)
+    left, top = (box["width"] - 8 * cell) / 2, 16 + (box["height"] - 16 - 14 * cell) / 2
+    page.mouse.move(box["x"] + left + 7.5 * cell, box["y"] + top + 13.5 * cell)
+    expect(readout).to_have_text("row 13, column 7: not seen (+5.0 mm extrapolated)")
+    page.mouse.move(box["x"] + left + 6.5 * cell, box["y"] + top + 13.5 * cell)
+    expect(readout).to_have_text("row 13, column 6: +5.0 mm")
+    colors = page.evaluate(CELL_COLORS, [left, top, cell])
+    assert colors["seen"] == 1
+    assert colors["hidden"] > 1
+
+
+CELL_COLORS = """([left, top, cell]) => {
+  const canvas = document.querySelector('#grid');
+  const ratio = canvas.width / canvas.clientWidth;
+  const colors = (column) => {
+    const [x, y] = [left + column * cell + 3, top + 13 * cell + 3].map((v) => Math.round(v * ratio));
+    const side = Math.round((cell - 6) * ratio);
+    const pixels = canvas.getContext('2d').getImageData(x, y, side, side).data;
+    return new Set(Array.from({length: pixels.length / 4}, (_, i) => pixels.slice(4 * i, 4 * i + 4).join())).size;
+  };
+  return {seen: colors(6), hidden: colors(7)};
+}"""
+
+
 BRIGHTEST_NEAR = """([x, y]) => {
   const canvas = document.querySelector('#picture');
   const zoom = Math.min(canvas.clientWidth / 640, canvas.clientHeight / 480);

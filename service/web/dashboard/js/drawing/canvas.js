@@ -48,6 +48,14 @@ export function hatch(context, color = "rgba(150, 165, 180, 0.35)") {
   return context.createPattern(tile, "repeat");
 }
 
+/** Ink of the hatching of cells that the camera does not see, over a picture or a colour. */
+export const UNSEEN = "rgba(235, 240, 245, 0.55)";
+
+/** Return whether a cell is among those the camera does not see. */
+export function isUnseen(unseenCells, row, column) {
+  return unseenCells.some(([r, c]) => r === row && c === column);
+}
+
 /** Draw a text in the centre of an empty canvas. */
 export function note(context, width, height, text) {
   context.fillStyle = INK.faint;

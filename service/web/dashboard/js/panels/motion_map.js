@@ -1,6 +1,6 @@
 /** The motion map and its legend: one cell per region, superior at the top, the patient's right on the left. */
 
-import { font, hatch, INK, note, prepare } from "../drawing/canvas.js";
+import { font, hatch, INK, isUnseen, note, prepare, UNSEEN } from "../drawing/canvas.js";
 import { signed } from "../drawing/numbers.js";
 import { colorOf } from "../drawing/color_scale.js";
 
@@ -20,7 +20,8 @@ export class GridPanel {
     });
   }
 
-  draw(regionsMm, rangeMm, window) {
+  /** @param {number[][]} unseenCells [row, column] of cells that the camera does not see: their motion is extrapolated */
+  draw(regionsMm, rangeMm, window, unseenCells) {
     this.#drawLegend(rangeMm);
     const { context, width, height } = prepare(this.canvas);
     if (!regionsMm || regionsMm.length === 0) {
@@ -29,17 +30,18 @@ export class GridPanel {
       return;
     }
     const box = layout(width, height, regionsMm);
-    for (const [r, row] of regionsMm.entries()) for (const [c, value] of row.entries()) drawCell(context, box, r, c, value, rangeMm);
+    for (const [r, row] of regionsMm.entries()) for (const [c, value] of row.entries()) drawCell(context, box, r, c, value, rangeMm, isUnseen(unseenCells, r, c));
     if (window?.signal === "region") outline(context, box, window.row, window.column);
     drawSides(context, box);
-    this.#readOut(box, regionsMm);
+    this.#readOut(box, regionsMm, unseenCells);
   }
 
-  #readOut(box, regionsMm) {
+  #readOut(box, regionsMm, unseenCells) {
     const column = this.pointer ? Math.floor((this.pointer[0] - box.left) / box.cell) : -1;
     const row = this.pointer ? Math.floor((this.pointer[1] - box.top) / box.cell) : -1;
     const value = regionsMm[row]?.[column];
-    this.readout.textContent = value === undefined ? "\u00a0" : `row ${row}, column ${column}: ${reading(value)}`;
+    const legend = unseenCells.length > 0 ? "hatched: not seen by the camera" : "\u00a0";
+    this.readout.textContent = value === undefined ? legend : `row ${row}, column ${column}: ${reading(value, isUnseen(unseenCells, row, column))}`;
   }
 
   #drawLegend(rangeMm) {
@@ -66,10 +68,14 @@ function layout(width, height, regionsMm) {
   return { cell, rows, columns, left: (width - cell * columns) / 2, top: LABEL_PX + (height - LABEL_PX - cell * rows) / 2 };
 }
 
-function drawCell(context, box, row, column, value, rangeMm) {
+function drawCell(context, box, row, column, value, rangeMm, isHidden) {
   const [x, y] = [box.left + column * box.cell, box.top + row * box.cell];
-  context.fillStyle = Number.isFinite(value) ? colorOf(value, rangeMm) : hatch(context);
-  context.fillRect(x + 0.5, y + 0.5, box.cell - 1, box.cell - 1);
+  const fills = Number.isFinite(value) ? [colorOf(value, rangeMm, isHidden ? 0.35 : 1)] : [hatch(context)];
+  if (Number.isFinite(value) && isHidden) fills.push(hatch(context, UNSEEN));
+  for (const fill of fills) {
+    context.fillStyle = fill;
+    context.fillRect(x + 0.5, y + 0.5, box.cell - 1, box.cell - 1);
+  }
 }
 
 function outline(context, box, row, column) {
@@ -88,6 +94,7 @@ function drawSides(context, box) {
   context.fillText("L", box.left + box.cell * box.columns + 9, box.top + (box.cell * box.rows) / 2);
 }
 
-function reading(value) {
-  return Number.isFinite(value) ? `${signed(value)} mm` : "not measured";
+function reading(value, isHidden) {
+  if (!Number.isFinite(value)) return "not measured";
+  return isHidden ? `not seen (${signed(value)} mm extrapolated)` : `${signed(value)} mm`;
 }
