@@ -230,7 +230,7 @@ def test_a_page_that_was_logged_out_tries_no_stream_any_more(stepped: SteppedPag
     page.click("#do-log-out")
     stepped.advance_until(lambda: stepped.kind == "out")
     sockets = len([url for url in requests if url.startswith("ws")])
-    page.clock.run_for(20_000)
+    page.clock.fast_forward(20_000)
     stepped.advance(400)
     assert stepped.kind == "out"
     assert len([url for url in requests if url.startswith("ws")]) == sockets == 1

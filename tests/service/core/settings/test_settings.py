@@ -39,13 +39,16 @@ def test_an_unknown_setting_is_refused_by_name(monkeypatch, name):
 NUMBERS = [name for name, field in Settings.model_fields.items() if field.annotation in {int, float}]
 
 
-@pytest.mark.parametrize("value", ["-1e12", "1e12", "nan", "inf", "many", ""])
-def test_every_number_has_a_bound(value, subtests):
-    for name in NUMBERS:
-        with subtests.test(name), pytest.MonkeyPatch.context() as environment:
-            environment.setenv(f"TIDEGATE_{name.upper()}", value)
-            with pytest.raises(SettingsError, match=f"TIDEGATE_{name.upper()}"):
-                load_settings()
+@pytest.mark.parametrize("value", ["-1000000000000", "1000000000000", "nan", "inf", "many", ""])
+def test_every_number_has_a_bound(monkeypatch, value):
+    """All at once: each is refused in a line of its own."""
+    names = {f"TIDEGATE_{name.upper()}" for name in NUMBERS}
+    for name in names:
+        monkeypatch.setenv(name, value)
+    with pytest.raises(SettingsError) as refusal:
+        load_settings()
+    refused = {line.partition(":")[0] for line in str(refusal.value).splitlines()}
+    assert names - refused == set()
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.0.7", "gating.example", ""])

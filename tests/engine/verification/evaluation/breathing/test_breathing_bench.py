@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from engine.core.breath import BreathEventKind
 from engine.core.errors import InvalidValueError
+from engine.verification.evaluation.breathing import bench
 from engine.verification.evaluation.breathing.bench import FIRST_SEED, ScoredSignal, check_plan, plan
 from engine.verification.evaluation.breathing.recorded import RpmConventions, compare_flags, monitor_trace
 from engine.verification.evaluation.breathing.scores import (
@@ -196,7 +197,10 @@ def test_the_command_prints_and_writes_tables_and_pictures(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_bench_runs_in_processes_and_names_every_kind(tmp_path):
+def test_the_bench_runs_in_processes_and_names_every_kind(tmp_path, monkeypatch):
+    """With four of the ten volunteers; `tidegate evaluate breathing` takes all."""
+    few = [job for job in plan(1, 0.4) if job.volunteer in {1, 4, 7, 10}]
+    monkeypatch.setattr(bench, "plan", lambda _seeds, _hours: few)
     arguments = ["evaluate", "breathing", "--seeds", "1", "--hours", "0.4", "--jobs", "2", "--out", str(tmp_path)]
     outcome = CliRunner().invoke(app, arguments)
     assert outcome.exit_code == 0, outcome.output
