@@ -1,15 +1,18 @@
 """Runs a breathing monitor on each configured signal, on measured frames only.
 
-Owned by the pipeline's thread. Lost frames are left out; after more than half a second without a measured frame the
-phase has to be found again. Changes of the measurement must not count as breathing: if an operator sets a new
-reference, the monitors' levels shift with it, and drift is measured from the patient's position then; if a new model
-takes over with a transferred reference, the signals continue; in all other cases the monitors restart.
+Owned by the pipeline's thread. Lost frames are left out, and of each signal those that show less than half of it, since
+the model extrapolates there; after more than half a second without a measured frame the phase has to be found again.
+Changes of the measurement must not count as breathing: if an operator sets a new reference, the monitors' levels shift
+with it, and drift is measured from the patient's position then; if a new model takes over with a transferred reference,
+the signals continue; in all other cases the monitors restart.
 """
+
+import math
 
 from engine.core.breath import Breath, SignalChoice
 from engine.core.errors import InvalidValueError
 from engine.core.frames import Motion
-from engine.core.signals import signal_of
+from engine.core.signals import seen_share_of, signal_of
 from engine.motion.breathing import (
     BreathingState,
     correct_baseline,
@@ -22,6 +25,7 @@ from engine.motion.learning.prepared_model import PreparedModel
 
 US_PER_S = 1e6
 MAX_SIGNALS = 4
+MIN_SEEN_SHARE = 0.5
 
 
 def check_signals(signals: tuple[SignalChoice, ...]) -> None:
@@ -64,10 +68,13 @@ class BreathTracker:
     def follow(self, motion: Motion, timestamp_us: int) -> tuple[Breath, ...]:
         """Add a measured frame; return the breathing figures of each signal."""
         seconds = timestamp_us / US_PER_S
-        self._states = tuple(
-            follow_breathing(state, seconds, signal_of(state.choice, motion)) for state in self._states
-        )
+        self._states = tuple(follow_breathing(state, seconds, _seen_mm(state.choice, motion)) for state in self._states)
         return tuple(state.breath for state in self._states)
+
+
+def _seen_mm(choice: SignalChoice, motion: Motion) -> float:
+    """Return a signal [mm; l for the volume]; NaN where the frame shows too little of it."""
+    return signal_of(choice, motion) if seen_share_of(choice, motion.seen) >= MIN_SEEN_SHARE else math.nan
 
 
 def _with_current_baseline(state: BreathingState) -> BreathingState:

@@ -25,6 +25,7 @@ LOW = NamedRegion(name="low", vertices=((290.0, 40.0), (290.0, 160.0), (340.0, 1
 SETTINGS = PipelineSettings(
     points=((80, 100), (320, 100)),
     named=(HIGH, LOW),
+    breath_signals=(SignalChoice(signal="region", row=3, column=4), SignalChoice(signal="region", row=12, column=4)),
     training=TrainingSettings(min_frames=40, min_seconds=4.0, min_cycles=1, max_seconds=20.0),
 )
 CELL_HIGH, CELL_LOW = (SignalChoice(signal="region", row=row, column=4) for row in (3, 12))
@@ -131,6 +132,14 @@ def test_the_shares_are_those_of_the_places(measurements):
     assert seen_share_of(ABDOMEN, shares) == pytest.approx(0.62, abs=0.05)
     assert shares.cells.shape == (14, 8)
     assert np.asarray(measurements[HONEST - 1].motion.seen.cells).min() > 0.6
+
+
+def test_a_signal_that_is_not_seen_has_no_breathing_meanwhile(measurements):
+    for measurement, is_blind in ((measurements[HONEST - 1], False), (measurements[HONEST + 1], True)):
+        high, low = measurement.breaths
+        assert (high.signal, low.signal) == (CELL_HIGH, CELL_LOW)
+        assert high.note != "not measured"
+        assert (low.note == "not measured") is is_blind
 
 
 def test_a_reference_over_a_place_that_is_not_seen_does_not_count_there(model):
