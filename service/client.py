@@ -996,6 +996,15 @@ class Session(TypedDict):
     window: Window
 
 
+class CameraView(TypedDict):
+    """The camera that a session opened, compared with the calibration's serial number."""
+
+    code: Literal["camera_mismatch", "serial_unknown"] | None
+    name: str
+    serial: str | None
+    warning: str | None
+
+
 class GateView(TypedDict):
     """State of the gate of a running session."""
 
@@ -1061,6 +1070,7 @@ class SessionDetail(TypedDict):
     calibration: NotRequired[Literal["uploaded", "device registration"]]
     calibration_id: str
     calibration_warning: NotRequired[str | None]
+    camera: NotRequired[CameraView | None]
     created_at: str
     ended_at: str | None
     fraction_id: str

@@ -43,7 +43,10 @@ class Disparity:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Calibration:
-    """Both cameras, the pose between them and, where measured, this unit's depth correction."""
+    """Both cameras, the pose between them and, where measured, this unit's depth correction.
+
+    ``serial`` is the serial number of the camera that was calibrated; empty where it is not known.
+    """
 
     camera: str
     depth: Intrinsics
@@ -51,6 +54,7 @@ class Calibration:
     color_from_depth: RigidTransform
     depth_correction: DepthCorrection | None = None
     disparity: Disparity | None = None
+    serial: str = ""
 
     def to_json(self) -> str:
         """Return the canonical text: the content of the file and the input of :attr:`sha256`."""
@@ -64,6 +68,8 @@ class Calibration:
                 "translation_mm": self.color_from_depth.translation_mm.tolist(),
             },
         }
+        if self.serial:
+            document["serial"] = self.serial
         if self.depth_correction is not None:
             document["depth_correction"] = {
                 "scale": self.depth_correction.scale,
@@ -166,7 +172,7 @@ def calibration_of(document: object) -> Calibration:
         ROOT,
         document,
         required=("schema", "camera", "depth", "color", "depth_to_color"),
-        optional=("depth_correction", "disparity"),
+        optional=("depth_correction", "disparity", "serial"),
     )
     if root["schema"] != SCHEMA:
         raise CalibrationError("schema", root["schema"], f'"{SCHEMA}"')
@@ -174,6 +180,7 @@ def calibration_of(document: object) -> Calibration:
     disparity = root.get("disparity")
     return Calibration(
         camera=STRICT.name("camera", root["camera"]),
+        serial=STRICT.name("serial", root["serial"]) if "serial" in root else "",
         depth=_camera("depth", root["depth"]),
         color=_camera("color", root["color"]),
         color_from_depth=_pose("depth_to_color", root["depth_to_color"]),

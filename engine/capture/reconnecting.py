@@ -15,7 +15,7 @@ from typing import Protocol
 
 from engine.capture.source import DepthSource, SourceDescription
 from engine.core.clock import CLOCK_DRIFT, NS_PER_S, NS_PER_US, Clock
-from engine.core.errors import FrameTimeoutError, SourceAwayError, SourceLostError, TidegateError
+from engine.core.errors import CameraMismatchError, FrameTimeoutError, SourceAwayError, SourceLostError, TidegateError
 from engine.core.frames import RgbdFrame
 
 SILENT_NS = 3 * NS_PER_S
@@ -226,6 +226,8 @@ class _Search:
             if described == self._expected:
                 return source, source.read(FIRST_FRAME_S)
             problem = f"another camera is plugged in: {described.name} {described.serial}".rstrip()
+        except CameraMismatchError as error:
+            problem = str(error)
         except TidegateError:
             pass  # absent, or without a picture
         except Exception as error:  # noqa: BLE001 - any failure of the driver means no camera

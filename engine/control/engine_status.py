@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from engine.capture.source import SourceDescription
 from engine.control.outputs import LiveView, LoopStatus
 from engine.core.learning_status import LearningStatus
 
@@ -16,6 +17,8 @@ class EngineStatus:
         Starting, running, ended or failed.
     error
         Why it failed, for a person; None where it did not.
+    source
+        The camera or recording, once it is open.
     view
         The newest view; None before the first frame.
     learning
@@ -24,6 +27,7 @@ class EngineStatus:
 
     run_state: LoopStatus = LoopStatus.STARTING
     error: str | None = None
+    source: SourceDescription | None = None
     view: LiveView | None = None
     learning: LearningStatus = field(default_factory=LearningStatus)
 

@@ -305,6 +305,7 @@ class EngineLoop:
         self._published = EngineStatus(
             run_state=self._views.run_state,
             error=self._views.error,
+            source=self._views.description,
             view=self._views.newest,
             learning=self._learner.status,
         )

@@ -43,6 +43,12 @@ class SourceLostError(TidegateError):
     code = "source_lost"
 
 
+class CameraMismatchError(SourceLostError):
+    """The camera is not the one that was calibrated; the message has both serial numbers."""
+
+    code = "camera_mismatch"
+
+
 class SourceEndedError(TidegateError):
     """A recording has been read to its last frame."""
 

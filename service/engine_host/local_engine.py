@@ -12,7 +12,7 @@ from pathlib import Path
 from engine.calibration.camera_calibration import Calibration
 from engine.calibration.device_registration import registered_calibration
 from engine.capture.openni.source import OpenNiSource, list_devices, runtime_available
-from engine.capture.reconnecting import ReturningSource
+from engine.capture.reconnecting import LiveSource, ReturningSource
 from engine.capture.recording_source import OniFileSource
 from engine.capture.source import DepthSource
 from engine.control.engine_status import EngineStatus
@@ -35,6 +35,7 @@ from service.core.settings.settings import Settings
 from service.engine_host.beam_lines import make_beam_line
 from service.engine_host.roles import RunningEngine, SessionPlan
 from service.engine_host.session_tape import SessionTape
+from service.engine_host.site_rules.camera_serial import checked_camera
 from service.engine_host.site_rules.head_direction import check_head_direction
 from service.engine_host.site_rules.measuring import measuring_with
 from service.engine_host.site_rules.played_recordings import check_source
@@ -152,12 +153,13 @@ class LocalEngine:
             needs_serial=not calibration.is_device_registration,
         )
 
-    def _camera(self, uri: str | None, calibration: Calibration) -> OpenNiSource:
+    def _camera(self, uri: str | None, calibration: Calibration) -> LiveSource:
         is_registered = calibration.is_device_registration
         if is_registered and _registered(uri).sha256 != calibration.sha256:
             msg = "the camera is not the one whose registration this session was created for"
             raise SourceLostError(msg)
-        return OpenNiSource(_listed(uri), clock=self._clock, use_device_registration=is_registered)
+        source = OpenNiSource(_listed(uri), clock=self._clock, use_device_registration=is_registered)
+        return checked_camera(source, calibration, self._settings)
 
     def _player(self, path: Path, player: str) -> DepthSource:
         if player == "reader" or (player == "auto" and not runtime_available()):

@@ -24,6 +24,7 @@ from engine.verification.qa.run import Progress, run_qa
 from engine.verification.qa.trace import read_commanded
 from service.core.settings.settings import Settings
 from service.engine_host.beam_lines import make_beam_line
+from service.engine_host.site_rules.camera_serial import checked_camera
 from service.qa.guarded_line import GuardedLine
 from service.qa.roles import QaFiles
 from service.qa.schemas import QaPhantom, QaPlate, QaRunRequest, QaSimulation
@@ -116,7 +117,8 @@ class EngineRig:
             msg = "the OpenNI2 runtime sees no such camera"
             raise SourceLostError(msg)
         is_registered = calibration.is_device_registration
-        return OpenNiSource(uri or found[0], clock=self._clock, use_device_registration=is_registered)
+        source = OpenNiSource(uri or found[0], clock=self._clock, use_device_registration=is_registered)
+        return checked_camera(source, calibration, self._settings)
 
 
 def virtual_job(kind: QaKind, simulation: QaSimulation) -> EngineJob:

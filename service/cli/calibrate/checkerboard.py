@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from engine.core.files import write_whole
+from service.cli.calibrate.serial_number import SerialOption, with_serial
 from service.cli.terminal import frame_bar, refused, say
 
 if TYPE_CHECKING:  # OpenCV takes its time to import, and `--help` does not need it
@@ -39,10 +40,11 @@ def checkerboard(
         Path,
         typer.Option(help="Calibration file to write; a report and a plot of the residuals are written beside it."),
     ],
-    camera: Annotated[str, typer.Option(help="Name of the camera, preferably with its serial number.")] = "camera",
+    camera: Annotated[str, typer.Option(help="Name of the camera.")] = "camera",
     infrared_offset: Annotated[
         str, typer.Option(help="X,Y: shift of the device's depth picture relative to the infrared picture [px].")
     ] = "0,0",
+    serial: SerialOption = None,
 ) -> None:
     """Calibrate both cameras and the pose between them, without outliers, and report the accuracy at 850 mm.
 
@@ -70,7 +72,7 @@ def checkerboard(
         out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(out.with_suffix(".residuals.png"), draw_residuals(result))
         write_whole(out.with_suffix(".report.json"), report.encode())
-        write_whole(out, result.calibration.to_json().encode())
+        write_whole(out, with_serial(result.calibration, serial).to_json().encode())
     except TidegateError as error:
         raise refused(NAME, error) from error
     except OSError as error:

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from engine.core.files import write_whole
+from service.cli.calibrate.serial_number import SerialOption, with_serial
 from service.cli.terminal import refused, say
 
 NAME = "calibrate convert"
@@ -35,6 +36,7 @@ def convert(
         Path | None,
         typer.Option(help="JSON file with rotation (3 x 3) and translation_mm, if the files contain no pose."),
     ] = None,
+    serial: SerialOption = None,
 ) -> None:
     """Convert a calibration; an ambiguous file is refused until an option resolves it."""
     from engine.calibration.formats import convert as formats
@@ -53,7 +55,7 @@ def convert(
         options = formats.options_of(beside)
         converted = formats.convert([STRICT.read_bytes(file) for file in files], options)
         out.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(out, converted.calibration.to_json().encode())
+        write_whole(out, with_serial(converted.calibration, serial).to_json().encode())
     except TidegateError as error:
         raise refused(NAME, error) from error
     except OSError as error:

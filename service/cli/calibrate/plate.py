@@ -11,6 +11,7 @@ from rich.progress import Progress, TaskID
 from rich.table import Table
 
 from engine.core.files import write_whole
+from service.cli.calibrate.serial_number import SerialOption, with_serial
 from service.cli.terminal import NoBar, frame_bar, refused, say
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ def plate(
         float, typer.Option(help="Central share of the picture's width and height that the plate fills, 0 to 1.")
     ] = 0.5,
     distance_error_mm: Annotated[float, typer.Option(help="Standard uncertainty of the given distances [mm].")] = 1.0,
+    serial: SerialOption = None,
 ) -> None:
     """Determine the depth scale and offset of this camera and report the accuracy of depth at 850 mm."""
     from engine.calibration.camera_calibration import load_calibration
@@ -59,7 +61,7 @@ def plate(
             readings, distance_mm, distance_error_mm=distance_error_mm, is_rounding_undone=steps is not None
         )
         disparity = disparity_of(cameras, steps)
-        made = corrected(cameras, scale, disparity)
+        made = with_serial(corrected(cameras, scale, disparity), serial)
         report = {**scale.report(), "calibration_sha256": made.sha256}
         out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(out.with_suffix(".report.json"), (json.dumps(report, indent=2, sort_keys=True) + "\n").encode())

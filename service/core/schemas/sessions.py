@@ -234,6 +234,18 @@ class LikenessView(Answer):
     shape_mm: float = Field(description="Root mean square difference that remains after shift and tilt")
 
 
+class CameraView(Answer):
+    """The camera that a session opened, compared with the calibration's serial number."""
+
+    name: str
+    serial: str | None = Field(description="Serial number; null for a camera without one and for a recording")
+    code: Literal["camera_mismatch", "serial_unknown"] | None = Field(
+        description="`camera_mismatch`: the calibration belongs to another camera, refused in clinical mode; "
+        "`serial_unknown`: the calibration has no serial number; null if both match, or if there is nothing to compare"
+    )
+    warning: str | None = Field(description="Warning to display beside every result")
+
+
 class LatencyView(Answer):
     """Latency from frame capture to the command at the beam line [ms]."""
 
@@ -299,6 +311,9 @@ class SessionDetail(Session):
     breath_hold: LiveBreathHold | None = Field(default=None, description="null if the window has no breath hold")
     likeness: LikenessView | None = Field(
         default=None, description="null without a stored model, and until the comparison is complete"
+    )
+    camera: CameraView | None = Field(
+        default=None, description="null unless running, and until the source has been opened"
     )
     summary: Summary
 

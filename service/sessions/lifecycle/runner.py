@@ -25,7 +25,7 @@ from service.sessions.lifecycle.commands import COMMANDS, EngineCommander, state
 from service.sessions.lifecycle.start import WRITER_JOIN_S, SessionStarter, await_start
 from service.sessions.records.sessions import SessionRepository, session_answer
 from service.sessions.records.withdrawals import Withdrawals
-from service.sessions.views.live import live_sample
+from service.sessions.views.live import camera_view, live_sample
 from service.sessions.views.surface import mesh_answer
 from service.storage import audit
 from service.storage.audit import Event
@@ -35,6 +35,7 @@ from service.storage.database.engine import ANSWER_TIMEOUT_S, BUSY_TIMEOUT_S
 
 JPEG_QUALITY = 80
 STOP = "session.stop"
+CAMERA = "session.camera"
 
 
 class SessionRunner:
@@ -90,7 +91,17 @@ class SessionRunner:
             with self._session_lock:
                 running = self._starter.start(session_id, operator, action)
             await_start(running)
+        self._record_camera(running)
         return self._records.detail(session_id)
+
+    def _record_camera(self, running: RunningSession) -> None:
+        """Record which camera was opened, and how its serial number compares with the calibration's."""
+        source, calibration = running.engine.status.source, running.plan.calibration
+        camera = camera_view(source, calibration)
+        if source is None or camera is None or not source.is_live:
+            return
+        detail = {**camera.model_dump(), "calibration_serial": calibration.serial or None}
+        self._log.write(Event(actor=audit.SYSTEM, action=CAMERA, session_id=running.plan.session_id, detail=detail))
 
     def command(
         self, session_id: str, name: CommandName, operator: str, *, on_possibly_done: Callable[[], None] = lambda: None

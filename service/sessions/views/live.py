@@ -3,6 +3,8 @@
 from datetime import UTC, datetime
 from typing import Any
 
+from engine.calibration.camera_calibration import Calibration
+from engine.capture.source import SourceDescription
 from engine.control.outputs import LiveView, LoopStatus
 from engine.core.frames import Measurement, Motion, PhaseLag
 from engine.core.patient_match import PatientMatch
@@ -11,6 +13,7 @@ from service.core.hold_texts import hold_text
 from service.core.schemas import sessions
 from service.core.schemas.live_messages import LiveLag, LiveLatency, LiveLost, LiveTraining, Sample
 from service.engine_host.roles import SessionPlan
+from service.engine_host.site_rules.camera_serial import serial_warning
 from service.engine_host.site_rules.uncalibrated import kind_of
 from service.sessions.views.breath import live_breath, live_breath_hold
 from service.sessions.views.window import live_window
@@ -53,6 +56,19 @@ def live_sample(view: LiveView, plan: SessionPlan, *, is_stopping: bool, is_simu
         frames=view.frames,
         missed_frames=view.missed_frames,
         latency_ms=_latency(view),
+    )
+
+
+def camera_view(source: SourceDescription | None, calibration: Calibration) -> sessions.CameraView | None:
+    """Return the opened camera, compared with the calibration; None before it is open."""
+    if source is None:
+        return None
+    found = serial_warning(calibration, source)
+    return sessions.CameraView(
+        name=source.name,
+        serial=source.serial or None,
+        code=None if found is None else found.code,
+        warning=None if found is None else found.text,
     )
 
 

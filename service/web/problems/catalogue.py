@@ -22,6 +22,7 @@ WHAT_TO_DO: Mapping[str, str] = {
     "See docs/3-operate/beam.md.",
     "body_too_large": "Send a smaller body; `bound` is the limit.",
     "calibration_invalid": "Correct the field of the calibration that `field` names, or calibrate the camera again.",
+    "camera_mismatch": "Connect the camera that was calibrated, or calibrate this one.",
     "command_refused": "Read `detail`: it names what is missing (a model, a reference, a fresh frame) and what to do.",
     "engine_missing": "Retry after a few seconds; if it persists, read the service's log.",
     "engine_timeout": "The command was cancelled. Read the session, then retry.",

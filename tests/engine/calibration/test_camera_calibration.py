@@ -139,3 +139,16 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
 def test_any_bytes_give_a_calibration_or_a_refusal(text):
     with pytest.raises(CalibrationError):
         parse_calibration(text)
+
+
+def test_the_serial_number_is_kept_and_changes_the_identity_only_where_there_is_one():
+    without = parse_calibration(json.dumps(GOOD).encode())
+    ours = parse_calibration(json.dumps({**GOOD, "serial": "A1"}).encode())
+    assert (without.serial, ours.serial) == ("", "A1")
+    assert "serial" not in without.to_json()
+    assert parse_calibration(ours.to_json().encode()).serial == "A1"
+    assert ours.sha256 != without.sha256
+    for serial in ("", "a\nb", 7, "x" * 81):
+        with pytest.raises(CalibrationError) as refused:
+            parse_calibration(json.dumps({**GOOD, "serial": serial}).encode())
+        assert refused.value.field == "serial"

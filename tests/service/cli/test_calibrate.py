@@ -14,6 +14,7 @@ from service.cli import app
 from tests.support.calibration.camera_pair import CAMERAS, board_poses, draw
 from tests.support.calibration.foreign_calibrations import as_yaml, camera_info, ros_pair, storage_values, write_storage
 from tests.support.calibration.plate_recordings import plate_depth, record_plate
+from tests.support.service.api_calls import make_calibration
 
 BOARD = ["--columns", "9", "--rows", "6", "--square-mm", "30"]
 
@@ -176,6 +177,16 @@ def test_what_is_ambiguous_is_asked_for_on_the_command_line(tmp_path):
     source = tmp_path / "half.json"
     source.write_text('{"rotation": []}')
     assert "depth_to_color" in refusal_of("convert", *files, "--pose", source, "--out", out)
+
+
+def test_the_serial_number_is_written_and_kept(tmp_path):
+    source, out = tmp_path / "plain.json", tmp_path / "cal.json"
+    source.write_text(make_calibration().to_json())
+    assert run("convert", source, "--serial", "A1", "--out", out).exit_code == 0
+    assert load_calibration(out).serial == "A1"
+    assert run("convert", out, "--out", source).exit_code == 0
+    assert load_calibration(source).serial == "A1"
+    assert "serial" in refusal_of("convert", source, "--serial", "a\nb", "--out", out)
 
 
 def test_a_place_that_cannot_be_written_is_said_in_one_line(tmp_path):

@@ -34,6 +34,14 @@ export function renderSource(warning) {
   document.getElementById("badge-played").hidden = !warning;
 }
 
+/** Show a camera that is not, or may not be, the calibrated one. */
+export function renderCamera(camera) {
+  const badge = document.getElementById("badge-camera");
+  badge.hidden = !camera?.warning;
+  setText(badge, camera?.code === "camera_mismatch" ? "Another camera than calibrated" : "Camera not compared");
+  badge.title = camera?.warning ?? "";
+}
+
 /** Show the comparison of today's patient with the stored model; hidden without one. */
 export function renderLikeness(sample, likeness) {
   const row = document.getElementById("likeness");
