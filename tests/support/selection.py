@@ -31,6 +31,10 @@ LONGEST = tuple(
 )
 """A file is run by one process (``--dist loadfile``): if one of these begins last, every other process waits for it."""
 
+LAST = "tests/system/browser/"
+"""Run by `make test` after what judges times: Chromium has a session of its own, and with it a share of the processors
+beside whatever runs in front."""
+
 SLOW_PATHS = tuple(
     f"tests/{name}"
     for name in (
@@ -124,13 +128,18 @@ def is_slow(item: pytest.Item) -> bool:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Begin with the longest files; leave out slow tests for ``--fast``."""
+    """Begin with the longest files, end with the browser; leave out slow tests for ``--fast``."""
     if config.getoption("--fast"):
         slow = [item for item in items if is_slow(item)]
         config.hook.pytest_deselected(items=slow)
         items[:] = [item for item in items if not is_slow(item)]
     turn = {path: number for number, path in enumerate(LONGEST)}
-    items.sort(key=lambda item: turn.get(item.nodeid.partition("::")[0], len(turn)))
+
+    def place(item: pytest.Item) -> tuple[bool, int]:
+        path = item.nodeid.partition("::")[0]
+        return path.startswith(LAST), turn.get(path, len(turn))
+
+    items.sort(key=place)
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
