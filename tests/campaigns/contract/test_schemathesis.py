@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.campaigns.contract.campaign import Campaign
+from tests.campaigns.contract.campaign import SLOW, Campaign
 from tests.support.contract.populated_service import CALLERS, World
 
 pytestmark = pytest.mark.timeout(1_800)
@@ -40,5 +40,6 @@ def test_so_many_calls_were_tried_in_every_role(campaign):
 
 def test_every_call_succeeded_at_times(campaign):
     told = {str(operation.definition.raw["operationId"]) for operation in campaign.operations()} - GOES_ELSEWHERE
-    rare = {name: campaign.summary.good[name] for name in sorted(told) if campaign.summary.good[name] < LEAST_GOOD}
+    least = {name: 1 if name in SLOW else LEAST_GOOD for name in told}
+    rare = {name: campaign.summary.good[name] for name in sorted(told) if campaign.summary.good[name] < least[name]}
     assert rare == {}, campaign.summary.text()

@@ -8,7 +8,7 @@ from tests.campaigns.faults.template import learned_once
 from tests.campaigns.kills.campaign import Bench
 from tests.support.build_cache import run_folder
 
-WORST = ("behind-edge", "behind-edge", "stopping", "recovering", "session-starts")
+WORST = ("behind-edge", "stopping", "recovering", "session-starts")
 TRIES = 2
 """A busy machine is late by itself now and then: what is wrong here is wrong twice. The whole campaign asks once."""
 

@@ -1,7 +1,7 @@
-"""Whole runs: a healthy set-up passes fifty times of fifty, each seeded fault fails its check, what ends early is safe.
+"""Whole runs: a healthy set-up passes twenty of twenty times, each seeded fault fails its check, an early end is safe.
 
-The seeds and one healthy run go through the very pipeline, frame by frame. For fifty runs that is too long: there the
-plate is one of ten, and the phantom's motion is what the pipeline made of it, with that run's own errors shuffled, at
+The seeds and one healthy run go through the very pipeline, frame by frame. For twenty runs that is too long: there the
+plate is one of four, and the phantom's motion is what the pipeline made of it, with that run's own errors shuffled, at
 other times, with other computing times and another zero. ``python -m tests.campaigns.measurements.qa_runs`` does all
 in full.
 """
@@ -36,7 +36,7 @@ from tests.support.qa.faulty_lines import Line, NeverLatches, beam_of
 from tests.support.qa.phantom_frames import watched
 
 PLATE_S = 12.0
-RUNS, BATCHES, PLATES = 50, 5, 10
+RUNS, BATCHES, PLATES = 20, 2, 4
 FAULTY_RUNS = 4
 BLOCK = 45
 
@@ -131,7 +131,7 @@ def test_a_seeded_change_of_the_duty_cycle_by_3_percent_fails_it_and_nothing_els
 
 @pytest.mark.slow
 @pytest.mark.parametrize("batch", range(BATCHES))
-def test_fifty_healthy_runs_of_fifty_pass(healthy, batch):
+def test_twenty_healthy_runs_of_twenty_pass(healthy, batch):
     errors_mm = _errors_mm(healthy[0])
     seeds = range(batch * RUNS // BATCHES, (batch + 1) * RUNS // BATCHES)
     assert len(seeds) * BATCHES == RUNS
@@ -149,7 +149,7 @@ def test_fifty_healthy_runs_of_fifty_pass(healthy, batch):
         ({"level_mm": 0.94}, "duty_cycle_change_percent"),
     ],
 )
-def test_what_passes_fifty_times_fails_every_time_with_a_fault(healthy, fault, failing):
+def test_what_passes_twenty_times_fails_every_time_with_a_fault(healthy, fault, failing):
     errors_mm = _errors_mm(healthy[0])
     for seed in range(FAULTY_RUNS):
         figures = _phantom_figures(errors_mm, seed, **fault)
