@@ -7,7 +7,7 @@ Each is frozen and its arrays are read-only, so stages and threads can share the
 import enum
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -90,6 +90,8 @@ class LostReason(enum.StrEnum):
     LAYOUT_CHANGED = "layout_changed"
     COVERAGE_LOW = "coverage_low"
     RESIDUAL_HIGH = "residual_high"
+    SURFACE_CHANGED = "surface_changed"
+    CAMERA_MOVED = "camera_moved"
     VALUE_INVALID = "value_invalid"
 
 
@@ -291,6 +293,23 @@ class Motion:
     reference_seen: SeenShares = field(default=UNKNOWN_SHARES, metadata=NO_DIGEST)
 
 
+class BodyPosition(NamedTuple):
+    """Rigid movement of the patient since the reference, by the region's surface; breathing is taken off.
+
+    Attributes
+    ----------
+    height_mm
+        In the middle of the region, positive towards the camera.
+    tilt_deg, roll_deg
+        About the axis across the body, positive where the inferior end rises; about the long axis, positive where the
+        patient's left side rises.
+    """
+
+    height_mm: float
+    tilt_deg: float
+    roll_deg: float
+
+
 class MeasurementState(enum.StrEnum):
     """What the pipeline is doing with frames now."""
 
@@ -305,7 +324,8 @@ class Measurement:
 
     ``motion`` is set if and only if ``state`` is measuring; ``lost`` if and only if it is lost. ``markers`` are those
     of this frame when they were found, also while training. ``breaths`` say where the breath stands, one a signal that
-    is watched; none before there is a motion.
+    is watched; none before there is a motion. ``position`` is how the patient has moved as a whole; None where that is
+    unknown.
     """
 
     frame_index: int
@@ -319,6 +339,7 @@ class Measurement:
     markers: Markers | None = None
     training: "TrainingProgress | None" = None
     breaths: tuple[Breath, ...] = ()
+    position: BodyPosition | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

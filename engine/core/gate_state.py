@@ -31,6 +31,8 @@ class HoldReason(enum.StrEnum):
     LAYOUT_CHANGED = "layout_changed"
     COVERAGE_LOW = "coverage_low"
     RESIDUAL_HIGH = "residual_high"
+    SURFACE_CHANGED = "surface_changed"
+    CAMERA_MOVED = "camera_moved"
     JUMP = "jump"
     FRAME_MISSING = "frame_missing"
     FRAME_LATE = "frame_late"
@@ -90,6 +92,8 @@ _CLEARS_BY_ITSELF = frozenset(
         HoldReason.LAYOUT_CHANGED,
         HoldReason.COVERAGE_LOW,
         HoldReason.RESIDUAL_HIGH,
+        HoldReason.SURFACE_CHANGED,
+        HoldReason.CAMERA_MOVED,
         HoldReason.JUMP,
         HoldReason.FRAME_MISSING,
         HoldReason.FRAME_LATE,

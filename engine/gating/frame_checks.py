@@ -200,6 +200,8 @@ _REASON_OF_LOST = {
     LostReason.LAYOUT_CHANGED: HoldReason.LAYOUT_CHANGED,
     LostReason.COVERAGE_LOW: HoldReason.COVERAGE_LOW,
     LostReason.RESIDUAL_HIGH: HoldReason.RESIDUAL_HIGH,
+    LostReason.SURFACE_CHANGED: HoldReason.SURFACE_CHANGED,
+    LostReason.CAMERA_MOVED: HoldReason.CAMERA_MOVED,
     LostReason.VALUE_INVALID: HoldReason.VALUE_INVALID,
 }
 

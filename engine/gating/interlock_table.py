@@ -73,7 +73,13 @@ INTERLOCKS: tuple[Interlock, ...] = (
     _row(_R.SOURCE_LOST, "the camera is disconnected, or the recording damaged"),
     _row(_R.MARKER_LOST, "fewer than four markers found, or a colour picture too old"),
     _row(_R.LAYOUT_CHANGED, "distances between the markers changed"),
-    _row(_R.PATIENT_SHIFTED, "the markers moved along the couch, or rotated", "max_shift_mm", "max_turn_deg"),
+    _row(
+        _R.PATIENT_SHIFTED,
+        "the markers moved along the couch or rotated, or the surface moved as a whole",
+        "max_shift_mm",
+        "max_turn_deg",
+        "max_height_mm",
+    ),
     _row(
         _R.COVERAGE_LOW,
         "too little of the region or of a gated signal visible",
@@ -82,6 +88,8 @@ INTERLOCKS: tuple[Interlock, ...] = (
         "min_wide_share",
     ),
     _row(_R.RESIDUAL_HIGH, "the surface does not fit the motion model", "max_residual_mm", "min_inlier_share"),
+    _row(_R.SURFACE_CHANGED, "the surface or its colour changed as neither breathing nor a moving patient changes it"),
+    _row(_R.CAMERA_MOVED, "couch and floor are elsewhere than at the reference"),
     _row(_R.JUMP, "a step of a signal larger than skin can move", "max_jump_mm"),
     _row(_R.VALUE_INVALID, "a value that is not a number, or impossible"),
     _row(_R.BREATHING_IRREGULAR, "a cough, speech, an irregular breath: as the site chose", "holding_events"),

@@ -65,7 +65,10 @@ class GateLimits:
     min_fps
         Least rate of frames over the last second [1/s].
     max_shift_mm, max_turn_deg
-        Greatest shift along the couch and rotation of the markers since the reference was set.
+        Greatest shift along the couch and rotation of the markers since the reference was set; also the greatest tilt
+        and roll of the region's surface.
+    max_height_mm
+        Greatest rigid change of the surface's height since the reference was set; breathing is taken off.
     warn_latency_ms, max_latency_ms
         From capture to the command of the line: warning, and fault (AAPM TG-142: gating within 100 ms; TG-76: 500 ms
         in all).
@@ -120,6 +123,7 @@ class GateLimits:
     min_fps: float = 20.0
     max_shift_mm: float = 6.0
     max_turn_deg: float = 3.0
+    max_height_mm: float = 3.0
     warn_latency_ms: float = 100.0
     max_latency_ms: float = 500.0
     camera_latency_ms: float = 0.0
@@ -178,6 +182,7 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "min_fps": (5.0, 60.0),
     "max_shift_mm": (1.0, 100.0),
     "max_turn_deg": (0.5, 45.0),
+    "max_height_mm": (0.5, 50.0),
     "warn_latency_ms": (20.0, 500.0),
     "max_latency_ms": (100.0, 1_000.0),
     "camera_latency_ms": (0.0, 300.0),

@@ -26,6 +26,7 @@ from engine.core.frames import (
 from engine.core.motion_model import MotionModel
 from engine.core.native_memory import keep_freed_memory
 from engine.core.native_threads import keep_calls_in_their_thread
+from engine.motion.cross_check.cross_check import CrossCheck
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.prepared_model import PreparedModel, Reference, prepare_model
 from engine.motion.learning.reference_smoothing import RecentFrames
@@ -91,6 +92,7 @@ class Pipeline:
         self._recent = RecentFrames()
         self._continuity = SurfaceContinuity()
         self._marker_layout = MarkerLayout()
+        self._cross_check = CrossCheck(calibration)
         self._coefficients: FloatArray | None = None
         self._projected_model: PreparedModel | None = None
         self._costal_line = CostalLineTracker() if settings.extra_markers else None
@@ -111,6 +113,7 @@ class Pipeline:
         """Reset all state after the camera was disconnected, as it may have moved."""
         self._reset_tracking()
         self._reset_breathing()
+        self._cross_check.restart()
         self.learner.restart_after_disconnection()
 
     def measure(self, frame: RgbdFrame) -> Measurement:
@@ -132,6 +135,7 @@ class Pipeline:
         nodes, roi = self._tracker.region(frame, found, stride_px, has_model=self.learner.active is not None)
         if not self._tracker.is_settled:
             return self._without_model(frame, roi, found)
+        self._cross_check.observe(frame, found, roi)
         self._find_costal_line(frame, found)
         takes_lost_frames = self.learner.takes_lost_frames
         if takes_lost_frames:
@@ -173,13 +177,14 @@ class Pipeline:
             markers=markers,
             training=self.learner.progress,
             breaths=breaths,
+            position=None if motion is None else self._cross_check.position,
         )
 
     def _lost(self, frame: RgbdFrame, lost: Lost, found: Markers) -> Measurement:
         """Return the measurement of a frame that the model does not explain."""
         self._coefficients = None
         self._recent.reset()
-        if lost.reason is LostReason.RESIDUAL_HIGH:
+        if lost.reason in {LostReason.RESIDUAL_HIGH, LostReason.SURFACE_CHANGED}:
             self._continuity.interrupt()
         return self._measurement(frame, MeasurementState.LOST, lost=lost, markers=found)
 
@@ -206,6 +211,7 @@ class Pipeline:
         if not self._tracker.has_layout:
             self._tracker.fix_layout(found)
         if self.learner.is_gathering:
+            self._cross_check.gather()
             self.learner.learn(TrainingFrame(roi=roi, timestamp_us=timestamp_us, nodes_px=nodes_px))
 
     def _prepare(self, model: MotionModel) -> PreparedModel:
@@ -245,10 +251,12 @@ class Pipeline:
     ) -> Projection | Lost:
         """Project a frame and check the continuity of its surface."""
         outcome = self._explain(active, roi)
+        disagreement = self._cross_check.lost(active.model, is_reference_due=self.learner.is_reference_due)
         if isinstance(outcome, Lost):
             return outcome
         return (
             self._layout_lost(roi, found, timestamp_us)
+            or disagreement
             or self._discontinuity(active, outcome, found, timestamp_us)
             or outcome
         )

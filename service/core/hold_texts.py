@@ -13,6 +13,8 @@ HOLD_TEXTS: dict[HoldReason, str] = {
     HoldReason.LAYOUT_CHANGED: "The markers have moved relative to each other",
     HoldReason.COVERAGE_LOW: "Too little of the region or of the gated signal is visible",
     HoldReason.RESIDUAL_HIGH: "The surface does not match the motion model",
+    HoldReason.SURFACE_CHANGED: "Something may lie on the patient",
+    HoldReason.CAMERA_MOVED: "The camera or the couch has moved",
     HoldReason.JUMP: "The signal jumped",
     HoldReason.FRAME_MISSING: "A camera frame is missing",
     HoldReason.FRAME_LATE: "Camera frames arrive late",

@@ -1,8 +1,9 @@
-"""Shift of the patient on the couch since the reference, by the four markers in the depth camera's frame.
+"""Movement of the patient as a whole since the reference, by the four markers and by the region's surface.
 
 Breathing lifts the markers towards the camera, and tilts their plane about the axis across the body where the abdomen
 rises more than the thorax; both are ignored. Breathing does not move all four along the couch, rotate them on it, or
-roll them about the body's long axis.
+roll them about the body's long axis. Height and tilt are those of the surface, from which the second estimate takes
+breathing off (:mod:`engine.motion.cross_check`).
 """
 
 import math
@@ -10,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, Motion
+from engine.core.frames import NODE_COLUMNS, NODE_ROWS, BodyPosition, FloatArray, Motion
 from engine.core.gate_state import HoldReason
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
@@ -38,8 +39,16 @@ class PatientShift:
         """Use the next measured frame as the position at the reference."""
         self._at_reference = None
 
-    def check(self, motion: Motion | None, *, has_reference: bool) -> Interruption | None:
-        """Return the hold for a shift beyond the limits; a new model with the same reference resets nothing."""
+    def check(
+        self, motion: Motion | None, *, has_reference: bool, position: BodyPosition | None = None
+    ) -> Interruption | None:
+        """Return the hold for a movement beyond the limits; a new model with the same reference resets nothing.
+
+        Parameters
+        ----------
+        position
+            Rigid movement of the surface since the reference; None where it is unknown.
+        """
         if not has_reference:
             self.reset()
             return None
@@ -49,7 +58,8 @@ class PatientShift:
         if self._at_reference is None:
             self._at_reference = MarkersAtReference(markers_mm)
             return None
-        return self._hold_for(self._at_reference.movement(markers_mm))
+        shifted = self._hold_for(self._at_reference.movement(markers_mm))
+        return shifted or (None if position is None else self._hold_for_surface(position))
 
     def _hold_for(self, moved: Movement) -> Interruption | None:
         limits = self._limits
@@ -58,6 +68,18 @@ class PatientShift:
             return Interruption(HoldReason.PATIENT_SHIFTED, detail)
         if not moved.turn_deg <= limits.max_turn_deg:
             detail = f"rotated by {moved.turn_deg:.1f} degrees, {limits.max_turn_deg:g} allowed"
+            return Interruption(HoldReason.PATIENT_SHIFTED, detail)
+        return None
+
+    def _hold_for_surface(self, position: BodyPosition) -> Interruption | None:
+        limits = self._limits
+        if not abs(position.height_mm) <= limits.max_height_mm:
+            way = "lowered" if position.height_mm < 0.0 else "raised"
+            detail = f"{way} by {abs(position.height_mm):.1f} mm, {limits.max_height_mm:g} allowed"
+            return Interruption(HoldReason.PATIENT_SHIFTED, detail)
+        turn_deg = max(abs(position.tilt_deg), abs(position.roll_deg))
+        if not turn_deg <= limits.max_turn_deg:
+            detail = f"tilted by {turn_deg:.1f} degrees, {limits.max_turn_deg:g} allowed"
             return Interruption(HoldReason.PATIENT_SHIFTED, detail)
         return None
 

@@ -41,7 +41,7 @@ class FrameSupervisor:
         found = (
             self._rate.check(frame.received_ns),
             self._age.check(model, notices, frame.received_ns),
-            self._shift.check(measurement.motion, has_reference=has_reference),
+            self._shift.check(measurement.motion, has_reference=has_reference, position=measurement.position),
             self._repeats.check(frame),
             self._order.check(frame.device_index),
         )

@@ -44,12 +44,15 @@ class Cover:
         Width of its edge, over which the height rises; 1 is sharp.
     speed_mm_s
         Speed at which it is drawn over the region; None for one that is laid down.
+    has_color
+        Whether it has a colour of its own; otherwise that of the skin below.
     """
 
     height_mm: float
     part: Part = Part.HALF
     edge_mm: float = 1.0
     speed_mm_s: float | None = None
+    has_color: bool = True
 
     def way_mm(self, anatomy: Anatomy) -> float:
         """Return how far it is drawn until it lies."""

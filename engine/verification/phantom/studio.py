@@ -55,7 +55,7 @@ class Studio:
         scene = Scene(script)
         self.scene = scene
         self._body = sample_body(scene.anatomy)
-        self._sensor = Sensor(Unit.of(scene.anatomy.build), script.seed)
+        self._sensor = Sensor(Unit.of(scene.anatomy.build), script.seed, script.sensor)
         self._color_camera = ColorCamera(scene.rig.color, script.seed)
         self._laser = (
             LaserLight(hang_laser(scene.anatomy, scene.rig, script.volunteer), scene.color_rays, script.seed)
@@ -153,8 +153,8 @@ class Studio:
 
     def _lit_rgb(self, time_s: float) -> npt.NDArray[np.uint8]:
         """Colour of the body under the lamp, with a sheet's where one lies on it."""
-        cover = self._cover(time_s)
-        if cover is None or not cover.any():
+        false, cover = self.scene.script.falsification, self._cover(time_s)
+        if false is None or false.cover is None or not false.cover.has_color or cover is None or not cover.any():
             return self._body.lit_rgb
         lit = self._body.lit_rgb.copy()
         top, left = (round(whole - part) for whole, part in zip(BODY_HALF_MM[::-1], TRUNK_HALF_MM[::-1], strict=True))
