@@ -1,0 +1,51 @@
+"""The region's colour: an object on the patient has another one than the skin or the shirt below it.
+
+Brightness is not compared, since shadows and the camera's exposure change it; nor is a change that the whole picture
+shares, which is the camera's white balance.
+"""
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from engine.core.frames import ColorImage, FloatArray
+
+CELL_ROWS, CELL_COLUMNS = 35, 20
+_WARPED_PX = (4 * CELL_COLUMNS, 4 * CELL_ROWS)
+_CORNERS_PX = np.array(
+    [[0, 0], [_WARPED_PX[0] - 1, 0], [_WARPED_PX[0] - 1, _WARPED_PX[1] - 1], [0, _WARPED_PX[1] - 1]], dtype=np.float32
+)
+OTHER_COLOR = 0.03
+"""Change of the share of red or green from which a cell has another colour; noise and breathing change it by 0.015."""
+LEAST_BRIGHTNESS = 45.0
+"""Sum of red, green and blue below which a cell's colour is noise."""
+PICTURE_STEP_PX = 16
+
+Chroma = npt.NDArray[np.float32]
+
+
+def chroma_of(color: ColorImage, markers_px: FloatArray) -> Chroma:
+    """Return red and green as shares of brightness, at each cell of the region, shape (700, 2); NaN where dark.
+
+    What the whole picture shares with others of its kind is subtracted.
+    """
+    to_region = cv2.getPerspectiveTransform(markers_px.astype(np.float32), _CORNERS_PX)
+    warped = cv2.warpPerspective(color, to_region, _WARPED_PX)
+    cells = cv2.resize(warped, (CELL_COLUMNS, CELL_ROWS), interpolation=cv2.INTER_AREA)
+    picture = _shares(color[PICTURE_STEP_PX // 2 :: PICTURE_STEP_PX, PICTURE_STEP_PX // 2 :: PICTURE_STEP_PX])
+    bright = picture[np.isfinite(picture[:, 0])]
+    balance = np.median(bright, axis=0) if len(bright) else np.zeros(2, dtype=np.float32)
+    return np.asarray(_shares(np.asarray(cells, dtype=np.uint8)) - balance, dtype=np.float32)
+
+
+def changed_share(before: Chroma, now: Chroma) -> float:
+    """Return the share of the region that has another colour than before, 0 to 1."""
+    change = np.abs(now - before).max(axis=1)
+    return float(np.count_nonzero(change > OTHER_COLOR)) / len(change)
+
+
+def _shares(color: ColorImage) -> Chroma:
+    flat = color.reshape(-1, 3).astype(np.float32)
+    brightness = flat.sum(axis=1, keepdims=True)
+    shares = flat[:, :2] / np.maximum(brightness, 1.0)
+    return np.where(brightness >= LEAST_BRIGHTNESS, shares, np.float32(np.nan))

@@ -1,0 +1,198 @@
+"""Compares every frame with the reference without the motion model: the surface, its colour, and the scene beside it.
+
+Three kinds of disagreement are told apart. The scene has moved: that is the camera, or the couch. The surface has
+changed in a way that is neither breathing nor a rigid movement, or has another colour: something lies on the patient.
+The surface has moved rigidly before a scene that stands still: that is the patient, who is still measured.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from engine.calibration.camera_calibration import Calibration
+from engine.core.frames import BodyPosition, FloatArray, Lost, LostReason, Markers, RgbdFrame, RoiDepth
+from engine.core.motion_model import MotionModel
+from engine.motion.cross_check.appearance import Chroma, changed_share, chroma_of
+from engine.motion.cross_check.cell_surface import (
+    BreathingShapes,
+    SurfaceChange,
+    cell_means,
+    learn_shapes,
+    shapes_of,
+)
+from engine.motion.cross_check.static_scene import StaticScene
+from engine.motion.tracking.marker_layout import marker_points_mm
+
+AVERAGED_US = 200_000
+"""Frames of this long are averaged: a fifth of a second lowers the noise by half, and a disagreement lasts longer."""
+MOST_FRAMES = 32
+LEAST_MISFIT_MM = 0.25
+MOST_MISFIT_MM = 0.6
+MISFIT_OF_USUAL = 2.5
+"""Allowed misfit of the surface: this many times that of the training, within the two bounds above."""
+OTHER_COLOR_SHARE = 0.06
+CAMERA_MM = 1.5
+"""Allowed change of the scene's depth at a marker, as the camera's movement changes it."""
+RETURNED = 0.8
+"""A disagreement ends at this share of its limit."""
+MOST_SURFACES = 3000
+ADVICE = "check for objects on the patient, then set the reference again"
+
+
+class _Observed(NamedTuple):
+    """What is compared of one frame: with the markers [mm], None where unknown; ``scene_mm`` is NaN where unknown."""
+
+    timestamp_us: int
+    points_mm: FloatArray | None
+    cells_mm: FloatArray
+    chroma: Chroma
+    scene_mm: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Reference:
+    """Surface and colour at the reference."""
+
+    cells_mm: FloatArray
+    chroma: Chroma
+
+
+class CrossCheck:
+    """Follows surface, colour and scene; owned by the pipeline's thread."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._calibration = calibration
+        self._scene = StaticScene(calibration.depth)
+        self._recent: deque[_Observed] = deque(maxlen=MOST_FRAMES)
+        self._gathered: deque[FloatArray] = deque(maxlen=MOST_SURFACES)
+        self._shapes: BreathingShapes | None = None
+        self._model: MotionModel | None = None
+        self._reference: _Reference | None = None
+        self._disagreements: frozenset[str] = frozenset()
+        self.position: BodyPosition | None = None
+
+    def restart(self) -> None:
+        """Forget the reference: camera or patient may have moved."""
+        self._recent.clear()
+        self._reference, self._disagreements, self.position = None, frozenset(), None
+        self._scene.restart()
+
+    def gather(self) -> None:
+        """Keep the surface of the newest frame, which the model is learned from, to learn the shapes of breathing."""
+        if self._recent:
+            self._gathered.append(self._recent[-1].cells_mm)
+
+    def observe(self, frame: RgbdFrame, found: Markers, roi: RoiDepth) -> None:
+        """Take what is compared of a frame whose markers were found."""
+        recent, now_us = self._recent, frame.timestamp_us
+        while recent and not 0 <= now_us - recent[0].timestamp_us <= AVERAGED_US:
+            recent.popleft()
+        points_mm = marker_points_mm(self._calibration.color.rays(found.centers_px), roi)
+        scene_mm = None
+        if points_mm is not None:
+            in_depth_camera = self._calibration.color_from_depth.inverse.apply(points_mm)
+            scene_mm = self._scene.follow(frame.depth_mm, in_depth_camera, now_us)
+        recent.append(
+            _Observed(
+                timestamp_us=now_us,
+                points_mm=points_mm,
+                cells_mm=cell_means(roi),
+                chroma=chroma_of(frame.color, found.centers_px),
+                scene_mm=np.full(4, np.nan) if scene_mm is None else scene_mm,
+            )
+        )
+
+    def lost(self, model: MotionModel, *, is_reference_due: bool) -> Lost | None:
+        """Return the loss if the frames so far disagree with the reference; the first frame of a reference agrees."""
+        if model is not self._model:
+            self._shapes = learn_shapes(np.array(self._gathered)) or shapes_of(model.components, model.noise_mm)
+            self._model = model
+            self._gathered.clear()
+        cells_mm = _mean([one.cells_mm for one in self._recent])
+        chroma = self._recent[-1].chroma
+        if is_reference_due or self._reference is None:
+            self._reference = _Reference(cells_mm=cells_mm, chroma=chroma)
+            self._disagreements = frozenset()
+            self._scene.restart()
+        return self._compare(self._reference, cells_mm, chroma)
+
+    def _compare(self, reference: _Reference, cells_mm: FloatArray, chroma: Chroma) -> Lost | None:
+        found = [
+            self._camera_moved(_mean([one.scene_mm for one in self._recent])),
+            self._color_changed(changed_share(reference.chroma, chroma)),
+            self._surface_changed(reference, cells_mm),
+        ]
+        self._disagreements = frozenset(one.name for one in found if one is not None)
+        return next((one.lost for one in found if one is not None), None)
+
+    def _camera_moved(self, scene_mm: FloatArray) -> "_Disagreement | None":
+        moved_mm = float(np.abs(scene_mm).max())
+        if not moved_mm > self._bound("camera", CAMERA_MM):
+            return None
+        return _disagreement(
+            "camera",
+            LostReason.CAMERA_MOVED,
+            f"couch and floor are {moved_mm:.1f} mm from where they were at the reference: camera or couch has moved, "
+            "set the reference again",
+        )
+
+    def _color_changed(self, share: float) -> "_Disagreement | None":
+        if not share > self._bound("colour", OTHER_COLOR_SHARE):
+            return None
+        detail = f"{share:.0%} of the region has another colour than at the reference: {ADVICE}"
+        return _disagreement("colour", LostReason.SURFACE_CHANGED, detail)
+
+    def _surface_changed(self, reference: _Reference, cells_mm: FloatArray) -> "_Disagreement | None":
+        """Compare the surface's change with breathing and a rigid movement, which becomes the patient's position."""
+        shapes = self._shapes
+        change = None if shapes is None else shapes.change(reference.cells_mm, cells_mm)
+        if shapes is None or change is None:
+            self.position = None
+            return None
+        self.position = _position(change, self._recent[-1].points_mm)
+        allowed_mm = min(max(MISFIT_OF_USUAL * shapes.misfit_mm, LEAST_MISFIT_MM), MOST_MISFIT_MM)
+        if not change.spread_mm > self._bound("surface", allowed_mm):
+            return None
+        largest_mm = float(np.nanmax(np.abs(change.misfit_mm)))
+        detail = (
+            f"the surface differs by up to {largest_mm:.1f} mm from breathing and from a patient who moved as a whole "
+            f"({change.spread_mm:.2f} mm on average, {allowed_mm:.2f} allowed): {ADVICE}"
+        )
+        return _disagreement("surface", LostReason.SURFACE_CHANGED, detail)
+
+    def _bound(self, name: str, allowed: float) -> float:
+        """Return the limit of a disagreement; lower while it lasts."""
+        return RETURNED * allowed if name in self._disagreements else allowed
+
+
+class _Disagreement(NamedTuple):
+    """What disagrees, and the loss."""
+
+    name: str
+    lost: Lost
+
+
+def _disagreement(name: str, reason: LostReason, detail: str) -> _Disagreement:
+    return _Disagreement(name, Lost(reason=reason, detail=detail))
+
+
+def _position(change: SurfaceChange, points_mm: FloatArray | None) -> BodyPosition | None:
+    """Return the rigid part of a change; ``points_mm`` are the markers, shape (4, 3)."""
+    if points_mm is None:
+        return None
+    superior_right, superior_left, inferior_left, inferior_right = points_mm
+    length_mm = np.linalg.norm(inferior_left + inferior_right - superior_left - superior_right) / 2.0
+    width_mm = np.linalg.norm(superior_left + inferior_left - superior_right - inferior_right) / 2.0
+    return BodyPosition(
+        height_mm=change.height_mm,
+        tilt_deg=math.degrees(math.atan2(2.0 * change.along_mm, length_mm)),
+        roll_deg=math.degrees(math.atan2(2.0 * change.across_mm, width_mm)),
+    )
+
+
+def _mean(values: list[FloatArray]) -> FloatArray:
+    """Return the mean over frames; NaN where a frame has no value."""
+    return np.asarray(np.mean(values, axis=0))

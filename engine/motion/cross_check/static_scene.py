@@ -1,0 +1,150 @@
+"""The scene beside the patient: couch and floor stand still, so that a change of their depth is the camera's.
+
+The depth picture is read in blocks. Blocks that lie behind the patient's chest, stand still for a second and are flat
+are the scene; arms and flanks are round. A small movement of the camera towards it, or a tilt, changes the depth of all
+of them like that of a plane.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.core.frames import BoolArray, DepthImage, FloatArray
+from engine.core.geometry import Intrinsics
+
+BLOCK_PX = 16
+SAMPLE_PX = 4
+BEHIND_MM = 60.0
+"""Least distance of the scene behind the deepest marker: a couch is farther, most of the patient nearer."""
+LEARNING_US = 1_000_000
+LEAST_FRAMES = 10
+STILL_MM = 5.0
+"""Largest standard deviation of a still block at 1 m; with structured light it grows with the square of the depth."""
+FLAT_MM = 1.5
+"""Largest distance of a flat block at 1 m from the middle of its neighbours; it grows like the noise."""
+LEAST_BLOCKS = 40
+INLIER_MM = 15.0
+"""A block that changed more is covered or uncovered: by a person beside the couch, for example."""
+LEAST_INLIERS = 0.5
+ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Reference:
+    """The picked blocks, their depth [mm], the plane's terms, shape (blocks, 3), and the weight of each."""
+
+    is_picked: BoolArray
+    depth_mm: FloatArray
+    terms: FloatArray
+    weights: FloatArray
+
+
+class StaticScene:
+    """Learns the scene in the first second after a restart, then measures how it has moved; owned by the pipeline."""
+
+    def __init__(self, camera: Intrinsics) -> None:
+        self._shape = (camera.height // BLOCK_PX, camera.width // BLOCK_PX)
+        self._rays = _block_rays(camera)
+        self._seen: list[FloatArray] = []
+        self._began_us: int | None = None
+        self._reference: _Reference | None = None
+        self._has_learned = False
+
+    def restart(self) -> None:
+        """Learn the scene anew."""
+        self._seen, self._began_us, self._reference, self._has_learned = [], None, None, False
+
+    def follow(self, depth_mm: DepthImage, points_mm: FloatArray, timestamp_us: int) -> FloatArray | None:
+        """Return how the scene's depth has changed at some points [mm], as a rigid movement of the camera changes it.
+
+        Parameters
+        ----------
+        points_mm
+            The markers in the camera's frame, shape (n, 3). The scene lies behind them.
+
+        Returns
+        -------
+        FloatArray | None
+            Shape (n,); None while the scene is learned, and where too little of it is seen.
+        """
+        blocks_mm = _blocks_mm(depth_mm)
+        if len(blocks_mm) != len(self._rays):
+            return None
+        if not self._has_learned:
+            self._learn(blocks_mm, float(points_mm[:, 2].max()), timestamp_us)
+            return None
+        return None if self._reference is None else _movement(self._reference, blocks_mm, points_mm)
+
+    def _learn(self, blocks_mm: FloatArray, nearest_mm: float, timestamp_us: int) -> None:
+        if self._began_us is None or timestamp_us < self._began_us:
+            self._began_us, self._seen = timestamp_us, []
+        self._seen.append(blocks_mm)
+        if timestamp_us - self._began_us < LEARNING_US or len(self._seen) < LEAST_FRAMES:
+            return
+        seen = np.array(self._seen)
+        self._seen, self._has_learned = [], True
+        is_seen = np.isfinite(seen).all(axis=0)
+        seen = np.where(is_seen, seen, 0.0)
+        mean_mm, deviation_mm = seen.mean(axis=0), seen.std(axis=0)
+        is_behind = mean_mm > nearest_mm + BEHIND_MM
+        noise = (mean_mm / 1000.0) ** 2
+        is_flat = _bend_mm(mean_mm.reshape(self._shape)).ravel() <= FLAT_MM * noise
+        is_picked = is_seen & is_behind & is_flat & (deviation_mm <= STILL_MM * noise)
+        if np.count_nonzero(is_picked) < LEAST_BLOCKS:
+            return
+        depth_mm = mean_mm[is_picked]
+        self._reference = _Reference(
+            is_picked=is_picked,
+            depth_mm=depth_mm,
+            terms=_terms(self._rays[is_picked] * depth_mm[:, None]),
+            weights=1.0 / depth_mm**4,
+        )
+
+
+def _movement(reference: _Reference, blocks_mm: FloatArray, points_mm: FloatArray) -> FloatArray | None:
+    """Fit a plane to the blocks' change robustly; return it at the points [mm]."""
+    change = blocks_mm[reference.is_picked] - reference.depth_mm
+    is_inlier = np.abs(change) <= INLIER_MM  # NaN is none
+    plane: FloatArray = np.zeros(3)
+    for _ in range(ROUNDS):
+        if np.count_nonzero(is_inlier) < LEAST_INLIERS * len(change):
+            return None
+        weighted = reference.terms[is_inlier] * reference.weights[is_inlier, None]
+        plane = np.linalg.solve(weighted.T @ reference.terms[is_inlier], weighted.T @ change[is_inlier])
+        misfit = np.abs(change - reference.terms @ plane)
+        limit = 3.0 * 1.5 * np.median(misfit[is_inlier]) + 0.5
+        is_inlier = misfit <= min(limit, INLIER_MM)
+    return np.asarray(_terms(points_mm) @ plane)
+
+
+def _bend_mm(depth_mm: FloatArray) -> FloatArray:
+    """Return how far each block is from the middle of its neighbours, the larger of both directions; inf at the rim."""
+    bend_mm = np.full(depth_mm.shape, np.inf)
+    inner = depth_mm[1:-1, 1:-1]
+    along, across = depth_mm[:-2, 1:-1] + depth_mm[2:, 1:-1], depth_mm[1:-1, :-2] + depth_mm[1:-1, 2:]
+    bend_mm[1:-1, 1:-1] = np.maximum(np.abs(inner - 0.5 * along), np.abs(inner - 0.5 * across))
+    return bend_mm
+
+
+def _terms(points_mm: FloatArray) -> FloatArray:
+    """Return 1 and the places across and along the picture [m], shape (n, 3)."""
+    return np.stack([np.ones(len(points_mm)), points_mm[:, 0] / 1000.0, points_mm[:, 1] / 1000.0], axis=1)
+
+
+def _blocks_mm(depth_mm: DepthImage) -> FloatArray:
+    """Return the mean depth of each block [mm], row by row; NaN where a reading is missing."""
+    height, width = (size - size % BLOCK_PX for size in depth_mm.shape)
+    thin = depth_mm[SAMPLE_PX // 2 : height : SAMPLE_PX, SAMPLE_PX // 2 : width : SAMPLE_PX].astype(np.float32)
+    side = BLOCK_PX // SAMPLE_PX
+    blocks = thin.reshape(height // BLOCK_PX, side, width // BLOCK_PX, side)
+    sums, least = blocks.sum(axis=(1, 3)), blocks.min(axis=(1, 3))
+    return np.where(least > 0.0, sums / side**2, np.nan).ravel().astype(np.float64)
+
+
+def _block_rays(camera: Intrinsics) -> FloatArray:
+    """Return the rays of unit depth of the blocks' centres, shape (blocks, 3)."""
+    rows, columns = (
+        np.arange(size // BLOCK_PX) * BLOCK_PX + 0.5 * (BLOCK_PX - 1) for size in (camera.height, camera.width)
+    )
+    x, y = np.meshgrid(columns, rows)
+    return camera.rays(np.stack([x.ravel(), y.ravel()], axis=1))

@@ -1,0 +1,47 @@
+"""A change of the region's colour is found; one of brightness or of the white balance is not."""
+
+import numpy as np
+import pytest
+
+from engine.motion.cross_check.appearance import changed_share, chroma_of
+
+MARKERS_PX = np.array([[200.0, 100.0], [440.0, 110.0], [430.0, 380.0], [210.0, 370.0]])
+SKIN, SHEET = (190.0, 140.0, 120.0), (62.0, 112.0, 98.0)
+
+
+def picture(*, sheet=None, gain=(1.0, 1.0, 1.0), seed=1):
+    """A patient in front of a grey couch; ``sheet`` are the rows that a sheet covers."""
+    color = np.full((480, 640, 3), 150.0)
+    color[80:400, 180:460] = SKIN
+    if sheet is not None:
+        color[sheet, 180:460] = SHEET
+    noise = np.random.default_rng(seed).normal(0.0, 4.0, color.shape)
+    return np.clip(color * gain + noise, 0.0, 255.0).astype(np.uint8)
+
+
+BEFORE = chroma_of(picture(), MARKERS_PX)
+
+
+def share(color, markers_px=MARKERS_PX):
+    return changed_share(BEFORE, chroma_of(color, markers_px))
+
+
+def test_a_sheet_changes_its_share_of_the_region():
+    assert share(picture(sheet=slice(240, 400), seed=2)) == pytest.approx(0.5, abs=0.08)
+    assert share(picture(sheet=slice(80, 400), seed=2)) > 0.95
+
+
+@pytest.mark.parametrize("gain", [(1.0, 1.0, 1.0), (0.6, 0.6, 0.6), (1.2, 1.2, 1.2), (1.1, 1.0, 0.9)])
+def test_noise_brightness_and_white_balance_change_nothing(gain):
+    assert share(picture(gain=gain, seed=3)) < 0.01
+
+
+def test_a_patient_who_moves_takes_the_region_along():
+    moved = np.roll(picture(seed=4), (12, 9), axis=(0, 1))
+    assert share(moved, MARKERS_PX + np.array([9.0, 12.0])) < 0.01
+
+
+def test_what_is_too_dark_has_no_colour():
+    dark = np.zeros((480, 640, 3), dtype=np.uint8)
+    assert changed_share(chroma_of(dark, MARKERS_PX), BEFORE) == 0.0
+    assert changed_share(BEFORE, chroma_of(dark, MARKERS_PX)) == 0.0

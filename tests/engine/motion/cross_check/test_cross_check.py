@@ -1,0 +1,164 @@
+"""Camera, cover and patient are told apart on whole frames; each ends when it is gone, or with a new reference."""
+
+from copy import deepcopy
+from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from engine.core.frames import LostReason, Markers, RgbdFrame, RoiDepth
+from engine.motion.cross_check.cross_check import AVERAGED_US, CrossCheck
+from tests.engine.motion.cross_check.test_static_scene import CAMERA, FRAMES, STEP_US, scene_mm
+from tests.support.motion.small_scene import CALIBRATION
+
+MARKERS = Markers(centers_px=np.array([[240.0, 110.0], [400.0, 110.0], [400.0, 380.0], [240.0, 380.0]]))
+ROWS, COLUMNS = np.mgrid[0:88, 0:50]
+CHEST, BELLY = np.exp(-(((ROWS - 20) / 30.0) ** 2)), np.exp(-(((ROWS - 65) / 25.0) ** 2))
+REST_MM = 850.0 + 0.01 * (COLUMNS - 25.0) ** 2
+
+
+def calibration():
+    return replace(CALIBRATION, depth=CAMERA, color=CAMERA)
+
+
+@cache
+def room_mm(camera_mm, number):
+    """One of four depth pictures of the room."""
+    return scene_mm(lowered_mm=camera_mm, seed=number)
+
+
+@cache
+def picture(rgb):
+    color = np.full((480, 640, 3), 150, dtype=np.uint8)
+    color[100:390, 230:320], color[100:390, 320:410] = (150, 140, 120), rgb
+    return color
+
+
+class Session:
+    """Frames of a breathing patient, taken one after the other; what is false about them stays so."""
+
+    def __init__(self):
+        self.check, self.index = CrossCheck(calibration()), 0
+        self.model = SimpleNamespace(components=np.zeros((2, 350, 200), dtype=np.float32), noise_mm=3.0)
+        self.sheet_mm = self.raised_mm = self.camera_mm = 0.0
+        self.color = (150, 140, 120)
+
+    def observe(self):
+        noise = np.random.default_rng(self.index)
+        seconds = self.index * STEP_US / 1e6
+        breath = 2.0 - 2.0 * np.cos(1.5 * seconds - 0.4), 5.0 - 5.0 * np.cos(1.5 * seconds)
+        depth = REST_MM - breath[0] * CHEST - breath[1] * BELLY - self.raised_mm - self.camera_mm
+        depth -= self.sheet_mm * (COLUMNS >= 25)
+        roi = RoiDepth(
+            depth_mm=(depth + noise.normal(0.0, 0.9, depth.shape)).astype(np.float32),
+            valid=np.ones(depth.shape, dtype=bool),
+            stride_px=4,
+        )
+        frame = RgbdFrame(
+            index=self.index,
+            device_index=self.index,
+            timestamp_us=self.index * STEP_US,
+            color_timestamp_us=self.index * STEP_US,
+            received_ns=self.index * STEP_US * 1000,
+            depth_mm=room_mm(self.camera_mm, self.index % 4),
+            color=picture(self.color),
+        )
+        self.check.observe(frame, MARKERS, roi)
+        self.index += 1
+
+    def run(self, frames, *, is_reference_due=False):
+        """Take frames; return the loss of each."""
+        found = []
+        for _ in range(frames):
+            self.observe()
+            found.append(self.check.lost(self.model, is_reference_due=is_reference_due))
+            is_reference_due = False
+        return found
+
+
+@pytest.fixture(scope="module")
+def learned():
+    """A session whose model was learned, and whose reference was set long enough ago for the scene to be known."""
+    found = Session()
+    for _ in range(150):
+        found.observe()
+        found.check.gather()
+    assert found.run(FRAMES + 10, is_reference_due=True) == [None] * (FRAMES + 10)
+    return found
+
+
+@pytest.fixture
+def session(learned):
+    return deepcopy(learned)
+
+
+SOON = AVERAGED_US // STEP_US + 4
+
+
+def reasons(losses):
+    return [None if one is None else one.reason for one in losses]
+
+
+def test_breathing_for_minutes_is_never_lost(session):
+    assert session.run(300) == [None] * 300
+    assert abs(session.check.position.height_mm) < 0.6
+
+
+def test_a_sheet_of_the_patients_colour_is_lost_until_it_is_gone(session):
+    session.sheet_mm = 3.0
+    losses = session.run(40)
+    assert reasons(losses[SOON:]) == [LostReason.SURFACE_CHANGED] * (40 - SOON)
+    assert "3.0 mm" not in losses[-1].detail
+    assert "mm from breathing" in losses[-1].detail
+    session.sheet_mm = 0.0
+    assert session.run(40)[SOON:] == [None] * (40 - SOON)
+
+
+def test_another_colour_is_lost_at_once_however_thin_the_object_is(session):
+    session.color = (62, 112, 98)
+    assert reasons(session.run(5)) == [LostReason.SURFACE_CHANGED] * 5
+    session.color = (150, 140, 120)
+    assert session.run(5) == [None] * 5
+
+
+@pytest.mark.parametrize("camera_mm", [-4.0, 3.0])
+def test_a_camera_that_moved_is_named_although_all_that_it_sees_moves_alike(session, camera_mm):
+    session.camera_mm = camera_mm
+    losses = session.run(40)
+    assert reasons(losses[SOON:]) == [LostReason.CAMERA_MOVED] * (40 - SOON)
+    assert f"{abs(camera_mm):.0f}." in losses[-1].detail or f"{abs(camera_mm) - 0.1:.1f}" in losses[-1].detail
+
+
+@pytest.mark.parametrize("raised_mm", [-4.0, 2.5])
+def test_a_patient_who_moved_as_a_whole_is_measured_and_their_height_known(session, raised_mm):
+    session.raised_mm = raised_mm
+    assert session.run(40) == [None] * 40
+    assert session.check.position.height_mm == pytest.approx(raised_mm, abs=0.6)
+    assert abs(session.check.position.roll_deg) < 0.2
+
+
+def test_a_new_reference_accepts_what_a_person_has_seen(session):
+    session.sheet_mm, session.raised_mm, session.color = 3.0, 4.0, (62, 112, 98)
+    assert session.run(20)[-1] is not None
+    assert session.run(FRAMES + 20, is_reference_due=True) == [None] * (FRAMES + 20)
+    assert abs(session.check.position.height_mm) < 0.6
+
+
+def test_a_new_model_without_a_new_reference_changes_nothing(session):
+    session.sheet_mm = 3.0
+    session.run(20)
+    for _ in range(150):
+        session.observe()
+        session.check.gather()
+    session.model = SimpleNamespace(components=session.model.components, noise_mm=3.0)
+    assert reasons(session.run(1)) == [LostReason.SURFACE_CHANGED]
+
+
+def test_a_restart_forgets_the_reference(session):
+    session.sheet_mm = 3.0
+    session.run(20)
+    session.check.restart()
+    assert session.check.position is None
+    assert session.run(20) == [None] * 20
