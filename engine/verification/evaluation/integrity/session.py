@@ -15,10 +15,11 @@ from engine.core.clock import NS_PER_US, ManualClock
 from engine.core.commands import Arm
 from engine.core.errors import ModelError
 from engine.core.frames import BoolArray, FloatArray, Measurement, MeasurementState, RgbdFrame
-from engine.core.gate_state import GateState
+from engine.core.gate_state import GateState, HoldReason
 from engine.core.head_direction import HeadDirection, depends_on_head
 from engine.core.motion_model import MotionModel
 from engine.core.signals import signal_of
+from engine.gating.frame_checks import unseen_signal
 from engine.gating.gate import Gate, GateEvent, Interruption, step_gate
 from engine.gating.limits import GateLimits
 from engine.gating.supervision.supervisor import FrameSupervisor
@@ -65,10 +66,10 @@ class Session:
     is_measured
         Whether the frame was reported as measured, shape (n,).
     is_held
-        Whether the supervision of the frames held the beam, shape (n,).
+        Whether the supervision of the frames held the beam, or the coverage of a signal does, shape (n,).
     error_mm
         Measured less true motion of each signal [mm], shape (n, signals); NaN where not measured, and of a signal that
-        may not gate because the head direction is unknown.
+        may not gate because the head direction is unknown or the camera sees too little of it.
     is_on
         Whether a gate on each signal had the beam on, shape (n, signals).
     outside_mm
@@ -275,12 +276,14 @@ class _Recorder:
         )
         may_gate = [self._head_direction is not None or not depends_on_head(choice) for choice in SIGNALS]
         measured_mm[:, np.logical_not(may_gate)] = np.nan
+        is_unseen = np.array([[bool(text) for text in _unseen(one)] for one in self._measurements])
+        measured_mm[is_unseen] = np.nan
         is_on = np.stack([self._beam(i, *window) for i, window in enumerate(windows)], axis=1)
         return Session(
             case=case,
             seconds=(np.arange(len(true_mm)) - onset)[onset:] / FPS,
             is_measured=np.array([one.state is MeasurementState.MEASURING for one in self._measurements])[onset:],
-            is_held=np.array([bool(one) for one in self._holds])[onset:],
+            is_held=(np.array([bool(one) for one in self._holds]) | is_unseen.any(axis=1))[onset:],
             error_mm=(measured_mm - true_mm)[onset:],
             is_on=is_on[onset:],
             outside_mm=np.maximum(outside_mm, 0.0)[onset:],
@@ -307,12 +310,20 @@ class _Recorder:
                 found.setdefault(measurement.lost.reason, f"{measurement.lost.reason}: {measurement.lost.detail}")
             for hold in holds:
                 found.setdefault(hold.reason, f"{hold.reason}: {hold.detail}")
+            for text in filter(None, _unseen(measurement)):
+                found.setdefault(HoldReason.COVERAGE_LOW, f"{HoldReason.COVERAGE_LOW}: {text}")
         return tuple(found.values())
 
 
 def _limits(lower_mm: float, upper_mm: float, choice: SignalChoice = SIGNALS[0]) -> GateLimits:
     window = replace(amplitude_window(lower_mm=lower_mm, upper_mm=upper_mm), choice=choice)
     return GateLimits(window=window, is_played=True)
+
+
+def _unseen(measurement: Measurement) -> list[str | None]:
+    """Return for each signal why a gate on it would be held for its coverage; None where it would not."""
+    motion = measurement.motion
+    return [None if motion is None else unseen_signal(motion.seen, _limits(0.0, 1.0, choice)) for choice in SIGNALS]
 
 
 def _signals_mm(measurement: Measurement) -> list[float]:

@@ -106,7 +106,8 @@ def integrity_table(cases: Sequence[Sequence[Session]]) -> Table:
         rows=tuple(rows),
         note=(
             "Errors of whole, thorax, abdomen, one cell and one point, in frames that were reported as measured; of "
-            "whole alone where the head direction is unknown, because no other signal may gate then. "
+            "whole alone where the head direction is unknown, because no other signal may gate then; not of a signal "
+            "of which the camera sees too little to gate on (that is a detection). "
             "Beam on is that of the signal with most of it; outside: true motion more than 1 mm outside of the window."
         ),
         digits=2,

@@ -29,6 +29,10 @@ def test_what_happens_below_a_blind_area_is_measured_against_the_patients_truth(
     assert session.is_measured.any()
     others = np.abs(session.error_mm[:, 1])  # thorax, which the camera sees
     assert np.nanmax(others) < 0.5
+    blind = session.error_mm[2:, 2:]  # abdomen, and the cell and the point in the blind area, may not gate
+    assert np.isnan(blind).all()
+    assert not session.is_on[2:, 2:].any()
+    assert any(reason.startswith("coverage_low: ") for reason in session.reasons)
 
 
 def test_a_frozen_picture_is_held(volunteer):
