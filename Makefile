@@ -8,7 +8,7 @@ STAMP := $(VENV)/.stamp
 export PYTHONDONTWRITEBYTECODE ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup openni test-system check check-tests test tests-computing tests-waiting tests-alone processors lint types contracts openapi demo bench load faults kills mutants fuzz sbom scan safety lock clean
+.PHONY: help setup openni test-system check check-tests test tests-computing tests-waiting tests-alone processors lint security types contracts openapi demo bench load faults kills mutants fuzz sbom scan safety lock clean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -69,7 +69,7 @@ check-tests:
 test: $(STAMP) test-system  ## everything that must hold: lint, types, contracts, all tests
 	@trap 'kill $$others $$computing; exit 130' INT; outcomes=; failed=0; rm -rf $(TIMINGS); mkdir -p build; \
 	note() { if [ $$2 = 0 ]; then outcomes+="$$1: passed"$$'\n'; else outcomes+="$$1: FAILED"$$'\n'; failed=1; fi; }; \
-	$(BEHIND) $(MAKE) --no-print-directory --keep-going lint types contracts >build/check.log 2>&1 & others=$$!; \
+	$(BEHIND) $(MAKE) --no-print-directory --keep-going lint security types contracts >build/check.log 2>&1 & others=$$!; \
 	$(BEHIND) $(MAKE) --no-print-directory tests-computing >build/computing.log 2>&1 & computing=$$!; \
 	for part in $(TEST_PARTS); do $(MAKE) --no-print-directory $$part; note $$part $$?; done; \
 	wait $$computing; note tests-computing $$?; cat build/computing.log; \
@@ -129,9 +129,11 @@ safety: $(STAMP)  ## write the tables that the code makes into docs/2-clinical/s
 openapi: $(STAMP)  ## write the contract to openapi/
 	$(BIN)/tidegate openapi --out openapi
 
-lint: $(STAMP)  ## ruff, rules and format; bandit
+lint: $(STAMP)  ## ruff, rules and format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+security: $(STAMP)  ## bandit; ruff's security rules are in lint
 	$(BIN)/bandit -q -c pyproject.toml -r engine service migrations 2>/dev/null
 
 types: $(STAMP)  ## mypy --strict

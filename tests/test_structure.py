@@ -71,6 +71,17 @@ def test_only_the_listed_test_modules_sleep():
     assert sleeping == SLEEPS.keys()
 
 
+def is_left_out(path):
+    return any(ROOT / slow in (path, *path.parents) for slow in SLOW_PATHS)
+
+
+def test_make_check_runs_some_tests_of_every_package():
+    fast = [path for path in MODULES if path.name.startswith("test_") and not is_left_out(path)]
+    packages = [path for side in ("engine", "service") for path in (TESTS / side).iterdir() if path.is_dir()]
+    without = [path.name for path in packages if not any(path in file.parents for file in fast)]
+    assert set(without) <= {"__pycache__"}
+
+
 def test_every_folder_of_tests_is_a_package():
     """Else two test files of the same name collide."""
     assert [str(path.parent) for path in MODULES if not (path.parent / "__init__.py").exists()] == []
