@@ -15,6 +15,8 @@ from engine.core.provenance import ModelOrigin, Provenance
 
 # Of models of the first schema, which did not measure it.
 USUAL_NOISE_MM = 5.0
+DEPTH_STEPS = 3
+"""Numbers that describe the steps of a sensor's readings."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,6 +46,9 @@ class MotionModel:
     scores_mm
         First coefficients, of the components, of some of the training frames [mm], shape (frames, k): the range the
         patient breathed over. None in models without them.
+    depth_steps
+        The steps of the sensor's readings in the training: offset and step of the inverse depth [1/mm], and rounding
+        [mm]; empty for a sensor without steps, None in models without them.
     provenance
         How good the training was, and where the model comes from.
     """
@@ -59,6 +64,7 @@ class MotionModel:
     noise_mm: float = USUAL_NOISE_MM
     surface_mm: FloatArray | None = None
     scores_mm: FloatArray | None = None
+    depth_steps: tuple[float, ...] | None = None
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:
@@ -77,6 +83,10 @@ class MotionModel:
         scores = self.scores_mm
         if scores is not None and (scores.shape[1:] != (len(self.components),) or not np.isfinite(scores).all()):
             msg = f"a model's scores are one number a component, all finite, not {scores.shape}"
+            raise ModelError(msg)
+        steps = self.depth_steps
+        if steps is not None and len(steps) not in {0, DEPTH_STEPS}:
+            msg = f"a model's depth steps are {DEPTH_STEPS} numbers or none, not {len(steps)}"
             raise ModelError(msg)
         arrays = (self.mean_mm, self.components, self.eigenvalues_mm2, self.known, self.surface_mm, self.scores_mm)
         for array in arrays:

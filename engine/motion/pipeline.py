@@ -27,6 +27,7 @@ from engine.core.motion_model import MotionModel
 from engine.core.native_memory import keep_freed_memory
 from engine.core.native_threads import keep_calls_in_their_thread
 from engine.motion.cross_check.cross_check import CrossCheck
+from engine.motion.learning.depth_steps import stored_steps
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.prepared_model import PreparedModel, Reference, prepare_model
 from engine.motion.learning.reference_smoothing import RecentFrames
@@ -135,6 +136,7 @@ class Pipeline:
         nodes, roi = self._tracker.region(frame, found, stride_px, has_model=self.learner.active is not None)
         if not self._tracker.is_settled:
             return self._without_model(frame, roi, found)
+        self.learner.depth_steps = stored_steps(self._tracker.depth_steps)
         self._cross_check.observe(frame, found, roi)
         self._find_costal_line(frame, found)
         takes_lost_frames = self.learner.takes_lost_frames

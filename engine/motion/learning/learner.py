@@ -15,6 +15,7 @@ from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
 from engine.core.patient_match import PatientMatch
 from engine.core.ranges import Ranges
+from engine.motion.learning.depth_steps import steps_mismatch, with_steps
 from engine.motion.learning.learned_range import learned_ranges
 from engine.motion.learning.patient_match import PatientMatchLimits
 from engine.motion.learning.prepared_model import PreparedModel, Reference
@@ -40,7 +41,10 @@ COMPARING = "the stored model is still being compared with the patient: wait a f
 
 
 class Learner:
-    """The present model, its reference, and the next model in progress."""
+    """The present model, its reference, and the next model in progress.
+
+    ``depth_steps`` are those of the sensor's readings, set before a frame is learned; models are stored with them.
+    """
 
     def __init__(
         self,
@@ -72,6 +76,7 @@ class Learner:
         self._refusal = ""
         self._refused_us = 0
         self._notices: list[LearningEvent] = []
+        self.depth_steps: tuple[float, ...] | None = None
 
     @property
     def active(self) -> PreparedModel | None:
@@ -187,6 +192,9 @@ class Learner:
     def activate(self, model: MotionModel) -> None:
         """Use a stored model of this session after the reference was transferred to it."""
         self._refuse_other_calibration(model)
+        mismatch = steps_mismatch(model, self.depth_steps)
+        if mismatch is not None:
+            raise mismatch
         self._refuse_while_busy()
         self._refusal = ""
         if self._active is not None:
@@ -275,7 +283,8 @@ class Learner:
         task.add(frame)
         if task.is_complete:
             self._task = None
-            self._trainer.start(task.job(self._active))
+            job = task.job(self._active)
+            self._trainer.start(with_steps(job, self.depth_steps) if isinstance(task, FitTask) else job)
             self._collect()
 
     def _retrain_if_due(self) -> None:
@@ -336,6 +345,8 @@ class Learner:
             self._task = CompareTask(candidate.active, self._limits, self._stages)
 
     def _receive_match(self, patient_match: PatientMatch) -> None:
+        if patient_match.refusal is None and self._active is not None:
+            patient_match = replace(patient_match, refusal=steps_mismatch(self._active.model, self.depth_steps))
         self._patient_match = patient_match
         self._is_comparing = False
         self._emit(

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from engine.core.errors import InvalidValueError, ModelError
 from engine.core.files import open_plain, whole_file
 from engine.core.frames import FloatArray
-from engine.core.motion_model import USUAL_NOISE_MM, MotionModel
+from engine.core.motion_model import DEPTH_STEPS, USUAL_NOISE_MM, MotionModel
 from engine.core.provenance import MAX_SETTINGS, QUALITY_BOUNDS, ModelOrigin, Provenance, TrainingQuality, check_text
 from engine.core.strict_json import ROOT, StrictJson
 
@@ -91,6 +91,8 @@ def header_text(model: MotionModel) -> str:
         "settings": {name: float(value) for name, value in provenance.settings.items()},
         "origin": None if provenance.origin is None else asdict(provenance.origin),
     }
+    if model.depth_steps is not None:
+        header["depth_steps"] = list(model.depth_steps)
     return json.dumps(header, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
@@ -121,7 +123,8 @@ def _model(document: object, arrays: dict[str, npt.NDArray[Any]]) -> MotionModel
     extra = () if is_first else ("noise_mm", "quality", "settings", "origin")
     if isinstance(document, dict) and document.get("schema") not in {SCHEMA, FIRST_SCHEMA}:
         raise InvalidValueError("schema", document.get("schema"), f"{SCHEMA} or {FIRST_SCHEMA}")
-    header = _JSON.fields(ROOT, document, required=(*_NUMBERS, *extra))
+    optional = () if is_first else ("depth_steps",)
+    header = _JSON.fields(ROOT, document, required=(*_NUMBERS, *extra), optional=optional)
     components, eigenvalues = arrays["components"], arrays["eigenvalues_mm2"]
     if components.ndim != 3 or not 1 <= len(components) <= MAX_COMPONENTS:
         raise InvalidValueError("components", components.shape, f"1 to {MAX_COMPONENTS} surfaces")
@@ -137,7 +140,19 @@ def _model(document: object, arrays: dict[str, npt.NDArray[Any]]) -> MotionModel
         seconds=_JSON.number("seconds", header["seconds"], 0.0, 100_000.0),
         calibration_sha256=_sha256("calibration_sha256", header["calibration_sha256"]),
         noise_mm=USUAL_NOISE_MM if is_first else _JSON.number("noise_mm", header["noise_mm"], *NOISE_BOUNDS_MM),
+        depth_steps=_depth_steps(header["depth_steps"]) if "depth_steps" in header else None,
         provenance=Provenance() if is_first else _provenance(header),
+    )
+
+
+def _depth_steps(value: object) -> tuple[float, ...]:
+    if value == []:
+        return ()
+    offset, step, rounding = _JSON.vector("depth_steps", value, DEPTH_STEPS, -1.0, 1.0)
+    return (
+        _JSON.number("depth_steps[0]", offset, -1e-3, 1e-3),
+        _JSON.number("depth_steps[1]", step, 1e-8, 1e-4),
+        _JSON.number("depth_steps[2]", rounding, 0.0, 1.0),
     )
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from engine.calibration.camera_calibration import Calibration
+from engine.calibration.quantisation import DepthSteps
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, Lost, LostReason, Markers, RgbdFrame, RoiDepth
 from engine.motion.stages import markers as marker_stage
 from engine.motion.stages.markers import MarkerSearch
@@ -46,6 +47,11 @@ class RegionTracker:
     def is_settled(self) -> bool:
         """Whether the depth table is final."""
         return self._table.is_settled
+
+    @property
+    def depth_steps(self) -> DepthSteps | None:
+        """The steps of the sensor's readings; None before the table is final, and for a sensor without steps."""
+        return self._table.steps
 
     @property
     def has_layout(self) -> bool:
