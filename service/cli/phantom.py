@@ -8,6 +8,7 @@ import typer
 from engine.core.errors import TidegateError
 from engine.verification.phantom.builds import Departure
 from engine.verification.phantom.recording import make_volunteer
+from engine.verification.phantom.sensor_models import USUAL
 from service.cli.terminal import frame_bar, refused, say
 
 
@@ -40,6 +41,10 @@ def phantom(
     laser: Annotated[
         bool, typer.Option("--laser", help="Project a laser line onto the body; also writes plane.json.")
     ] = False,
+    sensor: Annotated[
+        str,
+        typer.Option(help="Model of the sensor's errors: usual, or locking, whose errors follow the sub-pixel phase."),
+    ] = USUAL,
     workers: Annotated[int | None, typer.Option(help="Number of processes; one per core by default.")] = None,
 ) -> None:
     """Generate a recording of a virtual volunteer, with its calibration and true motion.
@@ -60,6 +65,7 @@ def phantom(
                 departure=Departure(camera_mm=camera_mm, amplitude_mm=amplitude_mm, hole_share=hole_share),
                 has_laser=laser,
                 has_extra_markers=extra_markers,
+                sensor=sensor,
                 workers=workers,
                 on_progress=lambda done, total: progress.update(task, completed=done, total=total),
             )

@@ -34,6 +34,7 @@ from engine.verification.phantom.flow import Flow, breathe_through
 from engine.verification.phantom.laser import LaserTruth, hang_laser, truth_columns
 from engine.verification.phantom.scenarios import check_scenario
 from engine.verification.phantom.scene import Scene, Script
+from engine.verification.phantom.sensor_models import USUAL, find_sensor
 from engine.verification.phantom.studio import Studio
 from engine.verification.phantom.traces import Trace, read_trace
 from engine.verification.phantom.truth import POINTS_RC, Grid, Truth, load_truth, roi_nodes
@@ -92,6 +93,7 @@ def make_volunteer(
     departure: Departure = NO_DEPARTURE,
     has_laser: bool = False,
     has_extra_markers: bool = False,
+    sensor: str = USUAL,
     workers: int | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> None:
@@ -115,6 +117,8 @@ def make_volunteer(
         Add a laser line across the abdomen, and write its plane.
     has_extra_markers
         Add two stickers at the costal margin; the truth's labels then hold ``split_rows``.
+    sensor
+        Name of the sensor model: usual or locking.
     workers
         Number of processes; one per processor by default, 1 for this process alone.
     on_progress
@@ -128,6 +132,7 @@ def make_volunteer(
         The trace cannot be read, or a process was killed.
     """
     _check(volunteer=volunteer, seconds=seconds, fps=fps, seed=seed, workers=workers)
+    find_sensor(sensor)
     breathing = None if trace is None else read_trace(trace)
     check_scenario(scenario, seconds, breathing)
     if out.exists() and not out.is_dir():
@@ -142,6 +147,7 @@ def make_volunteer(
         departure=departure,
         has_laser=has_laser,
         has_extra_markers=has_extra_markers,
+        sensor=sensor,
     )
     with _folder(out.resolve()) as draft:
         try:
@@ -365,6 +371,8 @@ def _labels(scene: Scene) -> str:
     head: dict[str, object] = {"scenario": script.scenario, "volunteer": script.volunteer, "seed": script.seed}
     trace: Trace | None = script.trace
     head |= script.departure.labels
+    if script.sensor != USUAL:
+        head |= {"sensor": script.sensor}
     if trace is not None:
         head |= {"trace_kind": trace.kind, "trace_axis": trace.axis}
     if script.has_extra_markers:

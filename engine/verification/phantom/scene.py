@@ -14,6 +14,7 @@ from engine.verification.phantom.builds import NO_DEPARTURE, Departure
 from engine.verification.phantom.falsifications import APPEAR_S, Falsification
 from engine.verification.phantom.rig import build_rig
 from engine.verification.phantom.scenarios import Pose, plan
+from engine.verification.phantom.sensor_models import USUAL
 from engine.verification.phantom.traces import Trace
 from engine.verification.phantom.truth import Grid, RoiTruth, Skin, sticker_px, volume_ratio
 from engine.verification.phantom.view import Rays
@@ -33,6 +34,7 @@ class Script:
     has_laser: bool = False
     has_extra_markers: bool = False
     falsification: Falsification | None = None
+    sensor: str = USUAL
 
     def rng(self, stream: int) -> np.random.Generator:
         """Random generator of one purpose, numbered by ``stream``."""

@@ -3,7 +3,8 @@
 It works in its own unit, shift: ``depth_cm = m * 120 / (7.5 - m) + 120``, ``m = ((shift - 800) / 4 - 0.375) * zpps``.
 In shift, noise is the same at any depth: white in time, correlated over a few pixels, uncorrelated beyond; a fixed
 pattern adds to it, and rare jumps in small clusters, most of them at edges. Readings are rounded to whole shifts, then
-to whole mm. A unit's scale has an error of some per cent and drifts while it warms up.
+to whole mm. A unit's scale has an error of some per cent and drifts while it warms up. Noise and patterns are those of
+one of the :mod:`engine.verification.phantom.sensor_models`.
 
 Noise comes from a bank of fields made once: each frame adds two of them with random offsets, flips and signs, which is
 many times faster than new fields; no two frames use the same pair.
@@ -20,11 +21,10 @@ from engine.verification.phantom.body import Map, blur
 from engine.verification.phantom.builds import Build
 from engine.verification.phantom.holes import Holes
 from engine.verification.phantom.rig import HEIGHT_PX, STEPS_A_MM, WIDTH_PX, ZERO_PLANE_PX_SIZE
+from engine.verification.phantom.sensor_models import STEPS_A_PX, USUAL, WINDOW_PX, SensorModel, find_sensor
 
 SHIFTS = 2048
 NEAREST_MM, FARTHEST_MM = 350, 9500
-NOISE_SHIFTS = 0.34
-PATTERN_SHIFTS = 0.2
 JUMPS_A_FRAME = 200.0
 JUMP_PX = 3
 WARM_UP_SHARE = 0.0012
@@ -68,16 +68,24 @@ class Unit:
 
 
 class Sensor:
-    """Converts true depth to the readings of one unit."""
+    """Converts true depth to the readings of one unit.
 
-    def __init__(self, unit: Unit, seed: int) -> None:
+    Parameters
+    ----------
+    model
+        Name of the sensor model, one of `SENSORS`.
+    """
+
+    def __init__(self, unit: Unit, seed: int, model: str = USUAL) -> None:
         self._unit = unit
         self._seed = seed
+        self._model = find_sensor(model)
         self._table = depth_table_mm()
         rng = np.random.default_rng((seed, 3))
-        self._bank = [_correlated_field(rng) for _ in range(_BANK)]
-        pattern = blur(rng.standard_normal((HEIGHT_PX, WIDTH_PX), dtype=np.float32), 3.0)
-        self._pattern = (pattern * (PATTERN_SHIFTS / pattern.std()) + _FAR_SHIFT).astype(np.float32)
+        self._bank = [_correlated_field(rng, self._model) for _ in range(_BANK)]
+        pattern = blur(rng.standard_normal((HEIGHT_PX, WIDTH_PX), dtype=np.float32), self._model.pattern_blur_px)
+        self._pattern = (pattern * (self._model.pattern_shifts / pattern.std()) + _FAR_SHIFT).astype(np.float32)
+        self._locking = _locking_fields((seed, 7), self._model.locking_shifts)
 
     def read(
         self, depth_mm: Map, holes: Holes, *, frame: int, time_s: float, blocked: BoolArray | None = None
@@ -103,7 +111,10 @@ class Sensor:
         shift += np.float32(offset)
         np.divide(np.float32(-STEPS_A_MM), shift, out=shift)
         shift += self._pattern
-        shift += self._draw(rng) * np.float32(NOISE_SHIFTS)
+        if self._locking is not None:
+            phase = shift * np.float32(2.0 * np.pi / STEPS_A_PX)
+            shift += self._locking[0] * np.cos(phase) + self._locking[1] * np.sin(phase)
+        shift += self._draw(rng) * np.float32(self._model.noise_shifts)
         self._jump(shift, holes, rng)
         index = np.clip(np.rint(shift, out=shift), 0, SHIFTS - 1, out=shift).astype(np.uint16)
         reading = self._table[index]
@@ -133,12 +144,22 @@ class Sensor:
             shift[row : row + JUMP_PX, column : column + JUMP_PX] += np.float32(size)
 
 
-def _correlated_field(rng: np.random.Generator) -> Map:
-    """Noise of unit variance: white noise plus two correlated parts, the coarser of about five pixels."""
+def _locking_fields(seed: tuple[int, int], locking_shifts: float) -> tuple[Map, Map] | None:
+    """Factors of the phase's cosine and sine at each pixel [shifts], each of shape (H, W); None without locking."""
+    if locking_shifts == 0.0:
+        return None
+    rng = np.random.default_rng(seed)
+    fields = [rng.standard_normal((HEIGHT_PX, WIDTH_PX), dtype=np.float32) for _ in range(2)]
+    cosine, sine = (cv2.blur(one, (WINDOW_PX, WINDOW_PX)) for one in fields)
+    scale = np.float32(locking_shifts / np.sqrt(np.mean(cosine**2 + sine**2)))
+    return np.asarray(cosine * scale, dtype=np.float32), np.asarray(sine * scale, dtype=np.float32)
+
+
+def _correlated_field(rng: np.random.Generator, model: SensorModel) -> Map:
+    """Noise of unit variance: white noise plus correlated parts."""
     size = (HEIGHT_PX + _MARGIN_PX, WIDTH_PX + _MARGIN_PX)
-    parts = ((0.22, 0.0), (0.43, 1.1), (0.35, 2.1))
     total = np.zeros(size, np.float32)
-    for share, blur_px in parts:
+    for share, blur_px in model.noise_parts:
         field = rng.standard_normal(size, dtype=np.float32)
         field = blur(field, blur_px) if blur_px else field
         total += field * np.float32(np.sqrt(share) / field.std())

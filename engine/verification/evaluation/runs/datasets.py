@@ -17,6 +17,7 @@ from engine.core.bounds import check_number, check_whole_number
 from engine.core.files import write_whole
 from engine.verification.phantom.builds import NO_DEPARTURE, Departure
 from engine.verification.phantom.recording import make_volunteer
+from engine.verification.phantom.sensor_models import USUAL
 
 SCHEMA = "tidegate.bench/1"
 SEED = 2017
@@ -57,6 +58,7 @@ class Run:
     seconds: float
     fps: float = 30.0
     departure: Departure = NO_DEPARTURE
+    sensor: str = USUAL
     setting: float | None = None
     is_long: bool = False
     is_pictured: bool = False
@@ -88,6 +90,7 @@ class Run:
             "fps": self.fps,
             "departure": asdict(self.departure),
             "has_laser": self.has_laser,
+            "sensor": self.sensor,
             "phantom": fingerprint("verification/phantom/*.py"),
         }
 
@@ -191,6 +194,7 @@ def make_dataset(run: Run, folder: Path, on_progress: Callable[[int, int], None]
         seed=run.seed,
         departure=run.departure,
         has_laser=run.has_laser,
+        sensor=run.sensor,
         out=folder,
         workers=1,
         on_progress=on_progress,
