@@ -142,7 +142,7 @@ def test_the_map_hatches_the_cells_that_the_camera_does_not_see(fake: FakeServic
     fake.mode, fake.sample = "samples", sample(regions_mm=regions, unseen_cells=[[13, 7]])
     page = tab.open("hold")
     readout = page.locator("#grid-readout")
-    expect(readout).to_have_text("hatched: not seen by the camera")
+    expect(readout).to_have_text("hatched: not seen")
     box = page.locator("#grid").bounding_box()
     assert box is not None
     cell = min((box["width"] - 32) / 8, (box["height"] - 16) / 14)

@@ -40,7 +40,7 @@ export class GridPanel {
     const column = this.pointer ? Math.floor((this.pointer[0] - box.left) / box.cell) : -1;
     const row = this.pointer ? Math.floor((this.pointer[1] - box.top) / box.cell) : -1;
     const value = regionsMm[row]?.[column];
-    const legend = unseenCells.length > 0 ? "hatched: not seen by the camera" : "\u00a0";
+    const legend = unseenCells.length > 0 ? "hatched: not seen" : "\u00a0";
     this.readout.textContent = value === undefined ? legend : `row ${row}, column ${column}: ${reading(value, isUnseen(unseenCells, row, column))}`;
   }
 
