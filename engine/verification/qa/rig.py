@@ -26,7 +26,8 @@ from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
 from engine.verification.phantom.body import Map, blur
 from engine.verification.phantom.color import stick
-from engine.verification.phantom.sensor import NOISE_SHIFTS, PATTERN_SHIFTS, SHIFTS, depth_table_mm, shift_of
+from engine.verification.phantom.sensor import SHIFTS, depth_table_mm, shift_of
+from engine.verification.phantom.sensor_models import SENSORS, USUAL
 from engine.verification.phantom.view import Rays
 from engine.verification.qa.bounds import QaBaseline
 from engine.verification.qa.inputs import BeamInput, PhantomInput, PlateInput, QaInputs
@@ -297,8 +298,8 @@ class _Sensor:
     def read(self, depth_mm: Map, rng: np.random.Generator) -> DepthImage:
         """Apply noise and the sensor's depth steps; return whole millimetres, uint16."""
         shift = np.asarray(shift_of(depth_mm), dtype=np.float32)
-        shift += self._pattern * np.float32(PATTERN_SHIFTS)
-        shift += self.draw(rng) * np.float32(NOISE_SHIFTS)
+        shift += self._pattern * np.float32(SENSORS[USUAL].pattern_shifts)
+        shift += self.draw(rng) * np.float32(SENSORS[USUAL].noise_shifts)
         index = np.clip(np.rint(shift), 0, SHIFTS - 1).astype(np.uint16)
         return np.asarray(self._table[index], dtype=np.uint16)
 
