@@ -926,6 +926,7 @@ class Sample(TypedDict):
 
     abdomen_mm: float | None
     age_ms: float
+    body_warning: NotRequired[str | None]
     breath: NotRequired[LiveBreath | None]
     breath_hold: NotRequired[LiveBreathHold | None]
     calibration: NotRequired[Literal["uploaded", "device registration"]]
@@ -994,6 +995,18 @@ class Session(TypedDict):
     status: Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
     status_detail: str
     window: Window
+
+
+class BodyView(TypedDict):
+    """Comparison of the surface that this session learned with that of the patient's newest earlier session."""
+
+    is_position_compared: bool
+    model_id: str
+    session_id: str
+    shape_mm: float
+    shift_mm: list[float]
+    tilt_deg: float
+    warning: str | None
 
 
 class CameraView(TypedDict):
@@ -1065,6 +1078,7 @@ class SessionDetail(TypedDict):
     """A session with gate, training and statistics."""
 
     active_model_id: str | None
+    body: NotRequired[BodyView | None]
     breath: NotRequired[LiveBreath | None]
     breath_hold: NotRequired[LiveBreathHold | None]
     calibration: NotRequired[Literal["uploaded", "device registration"]]

@@ -108,6 +108,22 @@ class RunningEngine(Protocol):
         """
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BodyMatch:
+    """How far today's body is from that of an earlier session; ``shift_mm`` is x right, y down, z away [mm].
+
+    ``is_position_compared`` is false where the camera was calibrated anew, so that shift and tilt tell nothing.
+    """
+
+    session_id: str
+    model_id: str
+    shift_mm: tuple[float, float, float]
+    tilt_deg: float
+    shape_mm: float
+    is_position_compared: bool
+    warning: str | None
+
+
 class RunningWriter(Protocol):
     """The thread that writes one running session to database and sample file."""
 
@@ -118,6 +134,10 @@ class RunningWriter(Protocol):
     @property
     def active_model_id(self) -> str | None:
         """Database id of the model that frames are measured with; None before one is stored."""
+
+    @property
+    def body(self) -> BodyMatch | None:
+        """Comparison with the patient's earlier session; None without one, and before a model was learned."""
 
     @property
     def is_stopping(self) -> bool:

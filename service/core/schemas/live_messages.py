@@ -237,6 +237,9 @@ class Sample(Message):
     is_armed: bool
     is_simulated_beam: bool
     calibration: CalibrationKind = "uploaded"
+    body_warning: str | None = Field(
+        default=None, description="Warning to display if the body differs from that of the patient's earlier session"
+    )
     frame_index: int
     timestamp_us: int
     state: StateName

@@ -246,6 +246,22 @@ class CameraView(Answer):
     warning: str | None = Field(description="Warning to display beside every result")
 
 
+class BodyView(Answer):
+    """Comparison of the surface that this session learned with that of the patient's newest earlier session."""
+
+    session_id: Identifier = Field(description="The earlier session")
+    model_id: Identifier
+    shift_mm: list[float] = Field(
+        description="Shift from the earlier session to today: x right, y down, z away from the camera"
+    )
+    tilt_deg: float
+    shape_mm: float = Field(description="Root mean square difference that remains after shift and tilt")
+    is_position_compared: bool = Field(
+        description="False if the earlier session had another calibration: shift and tilt are then meaningless"
+    )
+    warning: str | None = Field(description="Warning to display: a limit of the patient match is exceeded")
+
+
 class LatencyView(Answer):
     """Latency from frame capture to the command at the beam line [ms]."""
 
@@ -314,6 +330,9 @@ class SessionDetail(Session):
     )
     camera: CameraView | None = Field(
         default=None, description="null unless running, and until the source has been opened"
+    )
+    body: BodyView | None = Field(
+        default=None, description="null without an earlier session of the patient, and until a model was learned"
     )
     summary: Summary
 

@@ -262,6 +262,7 @@ class SessionRunner:
                 running.plan,
                 is_stopping=running.writer.is_stopping,
                 is_simulated_beam=self._engine.is_simulated_beam,
+                body=running.writer.body,
             )
             record = view.record
             frame = LiveFrame(message=message, received_ns=record.received_ns, captured_ns=record.captured_ns)

@@ -20,6 +20,7 @@ from service.engine_host.roles import EnginePort, RunningSession, SessionPlan
 from service.engine_host.site_rules.played_recordings import described_source
 from service.engine_host.site_rules.recording_folders import find_recording
 from service.engine_host.site_rules.uncalibrated import described
+from service.sessions.lifecycle.body_comparison import earlier_body
 from service.sessions.lifecycle.commands import state_error
 from service.sessions.lifecycle.counters import SessionCounters
 from service.sessions.lifecycle.model_origin import model_origin
@@ -116,6 +117,9 @@ class SessionStarter:
         return model
 
     def _open(self, plan: SessionPlan) -> RunningSession:
+        earlier = earlier_body(
+            self.database, self.models, session_id=plan.session_id, patient_reference=plan.patient_reference
+        )
         anchor = TimeAnchor.now()
         recorder = self._recorder(plan, anchor)
         try:
@@ -132,9 +136,11 @@ class SessionStarter:
             recorder=recorder,
             anchor=anchor,
             journal=plan.journal,
+            earlier=earlier,
             settings=WriterSettings(
                 data_dir=self.settings.data_dir,
                 min_free_disk_bytes=self.settings.min_free_disk_mb * MIB,
+                match_limits=self.settings.likeness,
             ),
             counters=self.counters,
             on_over=lambda: self.equipment.leave(plan.session_id),

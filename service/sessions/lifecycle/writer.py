@@ -12,7 +12,7 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -27,7 +27,9 @@ from engine.core.gate_state import HoldReason
 from engine.core.learning_events import LearningEvent
 from engine.core.motion_model import MotionModel
 from engine.core.provenance import ModelOrigin
-from service.engine_host.roles import RunningEngine
+from engine.motion.learning.patient_match import PatientMatchLimits
+from service.engine_host.roles import BodyMatch, RunningEngine
+from service.sessions.lifecycle.body_comparison import EarlierBody, body_event, compare_bodies
 from service.sessions.lifecycle.counters import SessionCounters
 from service.sessions.records.audit_events import closing_event, notice_event, record_model, transition_event
 from service.sessions.recovery.journal import recover_orphan
@@ -59,10 +61,11 @@ RowT = TypeVar("RowT")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WriterSettings:
-    """Which folder is written to, and how much of its disk has to stay free."""
+    """Which folder is written to, how much of its disk has to stay free, and when another body is warned of."""
 
     data_dir: Path
     min_free_disk_bytes: float
+    match_limits: PatientMatchLimits = field(default_factory=PatientMatchLimits)
 
 
 class _AuditBatch(NamedTuple):
@@ -86,6 +89,7 @@ class SessionWriter(threading.Thread):
         recorder: SampleRecorder,
         anchor: TimeAnchor,
         journal: TransitionJournal | None = None,
+        earlier: EarlierBody | None = None,
         settings: WriterSettings,
         counters: SessionCounters,
         on_over: Callable[[], None],
@@ -102,6 +106,7 @@ class SessionWriter(threading.Thread):
         self._recorder = recorder
         self._anchor = anchor
         self._journal = journal
+        self._earlier = earlier
         self._audit_write, self._model_write, self._closing_write = (RetriedWriter(database) for _ in range(3))
         self._pending: _AuditBatch | None = None
         self._transitions: list[GateTransition] = []
@@ -115,6 +120,7 @@ class SessionWriter(threading.Thread):
         self._is_hurried = False
         self._settled: Settlement | None = None
         self.active_model_id: str | None = None
+        self.body: BodyMatch | None = None
 
     @property
     def figures(self) -> Figures:
@@ -242,11 +248,22 @@ class SessionWriter(threading.Thread):
             logger.warning("a model of session %s could not be kept: %s", self._session_id, error.code)
             return
 
+        body = self._compared(model)
+
         def record(db: Session) -> None:
             self.active_model_id = record_model(db, self._session_id, sha256, stored)
+            if body is not None:
+                audit.append(db, body_event(self._session_id, body))
 
         self._model_write.write(model, record)
-        self._model = model
+        self._model, self.body = model, body or self.body
+
+    def _compared(self, model: MotionModel) -> BodyMatch | None:
+        """Compare the first model that this session has learned with the patient's earlier session."""
+        is_learned_here = model.provenance.origin is None
+        if self._earlier is None or self.body is not None or not is_learned_here:
+            return None
+        return compare_bodies(self._earlier, model, self._settings.match_limits)
 
     def _check_disk(self) -> None:
         """Check disk space, the sample file and the database; report a fault for as long as one is found.

@@ -28,7 +28,7 @@ from service.engine_host.site_rules.uncalibrated import check_allowed, described
 from service.engine_host.site_rules.window_limits import check_window, gate_limits
 from service.sessions.records.calibrations import kept_row
 from service.sessions.views.breath import live_breath, live_breath_hold
-from service.sessions.views.live import camera_view, gate_view, likeness_view, training_view
+from service.sessions.views.live import body_view, camera_view, gate_view, likeness_view, training_view
 from service.sessions.views.window import live_window
 from service.storage import audit
 from service.storage.audit import SYSTEM, Event
@@ -138,6 +138,7 @@ class SessionRepository:
             breath=None if view is None else live_breath(view),
             breath_hold=None if view is None else live_breath_hold(view),
             camera=None if running is None else camera_view(running.engine.status.source, running.plan.calibration),
+            body=None if running is None else body_view(running.writer.body),
             summary=_summary(running, view, stored),
         )
 

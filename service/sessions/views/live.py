@@ -12,7 +12,7 @@ from service.core.finite import rounded_or_none
 from service.core.hold_texts import hold_text
 from service.core.schemas import sessions
 from service.core.schemas.live_messages import LiveLag, LiveLatency, LiveLost, LiveTraining, Sample
-from service.engine_host.roles import SessionPlan
+from service.engine_host.roles import BodyMatch, SessionPlan
 from service.engine_host.site_rules.camera_serial import serial_warning
 from service.engine_host.site_rules.uncalibrated import kind_of
 from service.sessions.views.breath import live_breath, live_breath_hold
@@ -22,7 +22,9 @@ DIGITS = 4
 NEVER = datetime(1970, 1, 1, tzinfo=UTC)
 
 
-def live_sample(view: LiveView, plan: SessionPlan, *, is_stopping: bool, is_simulated_beam: bool) -> Sample:
+def live_sample(
+    view: LiveView, plan: SessionPlan, *, is_stopping: bool, is_simulated_beam: bool, body: BodyMatch | None = None
+) -> Sample:
     """Make the live message of a view; the stream fills in sequence number, send time and age."""
     record, measurement = view.record, view.record.measurement
     return Sample(
@@ -34,6 +36,7 @@ def live_sample(view: LiveView, plan: SessionPlan, *, is_stopping: bool, is_simu
         is_armed=view.is_armed,
         is_simulated_beam=is_simulated_beam,
         calibration=kind_of(plan.calibration.camera),
+        body_warning=None if body is None else body.warning,
         frame_index=measurement.frame_index,
         timestamp_us=measurement.timestamp_us,
         state=measurement.state.value,
@@ -56,6 +59,21 @@ def live_sample(view: LiveView, plan: SessionPlan, *, is_stopping: bool, is_simu
         frames=view.frames,
         missed_frames=view.missed_frames,
         latency_ms=_latency(view),
+    )
+
+
+def body_view(match: BodyMatch | None) -> sessions.BodyView | None:
+    """Return the comparison with the patient's earlier session."""
+    if match is None:
+        return None
+    return sessions.BodyView(
+        session_id=match.session_id,
+        model_id=match.model_id,
+        shift_mm=[round(value, 2) for value in match.shift_mm],
+        tilt_deg=round(match.tilt_deg, 2),
+        shape_mm=round(match.shape_mm, 2),
+        is_position_compared=match.is_position_compared,
+        warning=match.warning,
     )
 
 

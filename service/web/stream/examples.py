@@ -99,6 +99,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         **_LIVE,
         **_GATE,
         "calibration": "uploaded",
+        "body_warning": None,
         "lost": None,
         "training": None,
         "hold_detail": "1.5 mm; 8 mm to 12 mm wanted",

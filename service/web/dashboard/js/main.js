@@ -6,7 +6,7 @@ import { BaselineButton } from "./panels/baseline_correction.js";
 import { renderBreath } from "./panels/breath.js";
 import { Controls } from "./panels/controls.js";
 import { EventList } from "./panels/events.js";
-import { renderCalibration, renderCamera, renderFigures, renderLikeness, renderSource } from "./panels/measurement.js";
+import { renderBody, renderCalibration, renderCamera, renderFigures, renderLikeness, renderSource } from "./panels/measurement.js";
 import { setText } from "./drawing/elements.js";
 import { GatePanel } from "./panels/gate.js";
 import { GridPanel } from "./panels/motion_map.js";
@@ -256,6 +256,7 @@ function drawPanels(nowMs, view, sample) {
   renderCalibration(sample?.calibration ?? session?.calibration);
   renderSource(session?.source_warning);
   renderCamera(session?.camera);
+  renderBody(sample?.body_warning ?? session?.body?.warning);
   renderLikeness(sample, session?.likeness);
   renderLearning(sample, session, view.isFresh);
   renderWho(view);

@@ -42,6 +42,13 @@ export function renderCamera(camera) {
   badge.title = camera?.warning ?? "";
 }
 
+/** Show that the body differs from that of the patient's earlier session. */
+export function renderBody(warning) {
+  const badge = document.getElementById("badge-body");
+  badge.hidden = !warning;
+  badge.title = warning ?? "";
+}
+
 /** Show the comparison of today's patient with the stored model; hidden without one. */
 export function renderLikeness(sample, likeness) {
   const row = document.getElementById("likeness");
