@@ -6,7 +6,7 @@ import pytest
 
 from engine.capture.checked_source import CheckedSource
 from engine.core.errors import CameraMismatchError, SourceAwayError, SourceLostError
-from tests.engine.capture.test_reconnecting import OURS, Room
+from tests.support.capture.unplugged_camera import OURS, Room
 
 
 class Refusal:
