@@ -8,6 +8,7 @@ counts as unseen. The weights of the cells are separable, so all shares take a f
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, SeenShares, frozen
 from engine.motion.named_regions import coverage
@@ -96,7 +97,7 @@ def _surroundings(row: int, column: int) -> FloatArray:
     return around
 
 
-def _starts(size: int) -> FloatArray:
+def _starts(size: int) -> npt.NDArray[np.intp]:
     """Return the first grid pixel that is nearest to each sampled one, shape (sampled,)."""
     return np.maximum(np.arange(0, size, STRIDE_PX) - STRIDE_PX // 2, 0)
 
