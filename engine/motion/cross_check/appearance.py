@@ -30,7 +30,7 @@ def chroma_of(color: ColorImage, markers_px: FloatArray) -> Chroma:
     What the whole picture shares with others of its kind is subtracted.
     """
     to_region = cv2.getPerspectiveTransform(markers_px.astype(np.float32), _CORNERS_PX)
-    warped = cv2.warpPerspective(color, to_region, _WARPED_PX)
+    warped = cv2.warpPerspective(color, to_region, _WARPED_PX, flags=cv2.INTER_NEAREST)  # averaged below
     cells = cv2.resize(warped, (CELL_COLUMNS, CELL_ROWS), interpolation=cv2.INTER_AREA)
     picture = _shares(color[PICTURE_STEP_PX // 2 :: PICTURE_STEP_PX, PICTURE_STEP_PX // 2 :: PICTURE_STEP_PX])
     bright = picture[np.isfinite(picture[:, 0])]

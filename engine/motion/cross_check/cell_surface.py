@@ -2,7 +2,8 @@
 
 Nothing of the motion model is used: the means are of the frame's own readings, and the two shapes of breathing are
 learned from such means. Breathing and a rigid movement span only five terms, so that they are told apart in a single
-frame, at any moment of the breath; what they leave is neither.
+frame, at any moment of the breath. A body that breathes more deeply than in the training, or with the abdomen alone,
+bends smoothly: three terms of second order are added for that. What is left then is an edge.
 """
 
 import math
@@ -12,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, FloatArray, RoiDepth, frozen
+from engine.core.motion_model import MotionModel
 
 STRIDE_PX = 4
 CELL_ROWS, CELL_COLUMNS = 8, 10
@@ -22,6 +24,8 @@ BREATHING_SHAPES = 2
 LEAST_CELLS = 20
 LEAST_FRAMES = 60
 """Fewest frames to learn the shapes from: two seconds."""
+AVERAGED_FRAMES = 3
+"""Consecutive frames averaged for the usual misfit: the fewest that are compared, at 15 frames a second."""
 
 
 class SurfaceChange(NamedTuple):
@@ -33,27 +37,42 @@ class SurfaceChange(NamedTuple):
         Rigid change in the middle of the region, positive towards the camera.
     along_mm, across_mm
         Rigid change from the middle to the inferior edge, and to the patient's left edge.
+    breath_mm
+        Root mean square of the change by breathing.
     misfit_mm
-        What breathing and a rigid movement leave of each cell's change, shape (cells,); NaN for cells not seen.
+        What breathing, a rigid movement and a smooth bend leave of each cell's change, shape (cells,); NaN for cells
+        not seen.
     """
 
     height_mm: float
     along_mm: float
     across_mm: float
+    breath_mm: float
     misfit_mm: FloatArray
 
     @property
     def spread_mm(self) -> float:
         """Root mean square of the misfit."""
-        return float(np.sqrt(np.nanmean(self.misfit_mm**2)))
+        return _rms(self.misfit_mm[np.isfinite(self.misfit_mm)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BreathingShapes:
-    """The shapes of breathing at the cells, shape (2, cells), and the usual misfit of a training frame [mm]."""
+    """The shapes of breathing at the cells.
+
+    Attributes
+    ----------
+    shapes
+        Shape (2, cells); NaN for cells that were not seen.
+    misfit_mm
+        The usual misfit in the training.
+    reach_mm
+        Largest change by breathing between two frames of the training, root mean square over the cells.
+    """
 
     shapes: FloatArray
     misfit_mm: float
+    reach_mm: float
 
     def change(self, before_mm: FloatArray, now_mm: FloatArray) -> SurfaceChange | None:
         """Return the change between two surfaces of cell means [mm], shape (cells,); None with too few common cells."""
@@ -62,10 +81,18 @@ class BreathingShapes:
         is_seen = np.isfinite(difference) & np.isfinite(self.shapes).all(axis=0)
         if np.count_nonzero(is_seen) < LEAST_CELLS:
             return None
-        weights = np.linalg.lstsq(terms[:, is_seen].T, difference[is_seen], rcond=None)[0]
-        misfit_mm = np.where(is_seen, difference - weights @ np.nan_to_num(terms), np.nan)
+        weights = _fit(terms[:, is_seen], difference[is_seen])
+        bent = np.concatenate([terms, _BENDS])[:, is_seen]
+        misfit_mm = np.full(CELLS, np.nan)
+        misfit_mm[is_seen] = difference[is_seen] - _fit(bent, difference[is_seen]) @ bent
         height, along, across = (-weights[:3]).tolist()
-        return SurfaceChange(height_mm=height, along_mm=along, across_mm=across, misfit_mm=misfit_mm)
+        return SurfaceChange(
+            height_mm=height,
+            along_mm=along,
+            across_mm=across,
+            breath_mm=_rms(weights[3:] @ self.shapes[:, is_seen]),
+            misfit_mm=misfit_mm,
+        )
 
 
 def learn_shapes(surfaces_mm: FloatArray) -> BreathingShapes | None:
@@ -75,27 +102,37 @@ def learn_shapes(surfaces_mm: FloatArray) -> BreathingShapes | None:
     is_seen = np.isfinite(surfaces_mm).mean(axis=0) > 0.9
     if np.count_nonzero(is_seen) < LEAST_CELLS:
         return None
+    surfaces_mm = np.where(is_seen, surfaces_mm, np.nan)
     mean_mm = np.full(CELLS, np.nan)
     mean_mm[is_seen] = np.nanmean(surfaces_mm[:, is_seen], axis=0)
     changes = np.nan_to_num(surfaces_mm[:, is_seen] - mean_mm[is_seen])
     shapes = np.full((BREATHING_SHAPES, CELLS), np.nan)
     shapes[:, is_seen] = np.linalg.svd(changes, full_matrices=False)[2][:BREATHING_SHAPES]
-    breathing = BreathingShapes(shapes=frozen(shapes), misfit_mm=0.0)
-    found = [breathing.change(mean_mm, surface_mm) for surface_mm in surfaces_mm]
-    spreads_mm = [change.spread_mm for change in found if change is not None]
-    return BreathingShapes(shapes=shapes, misfit_mm=float(np.percentile(spreads_mm, 95.0))) if spreads_mm else None
+    breathing = BreathingShapes(shapes=frozen(shapes), misfit_mm=0.0, reach_mm=0.0)
+    whole = len(surfaces_mm) - len(surfaces_mm) % AVERAGED_FRAMES
+    averaged_mm = surfaces_mm[:whole].reshape(-1, AVERAGED_FRAMES, CELLS).mean(axis=1)
+    found = [change for change in (breathing.change(mean_mm, one) for one in averaged_mm) if change is not None]
+    if not found:
+        return None
+    return BreathingShapes(
+        shapes=shapes,
+        misfit_mm=float(np.percentile([change.spread_mm for change in found], 95.0)),
+        reach_mm=2.0 * max(change.breath_mm for change in found),
+    )
 
 
-def shapes_of(components: FloatArray, noise_mm: float) -> BreathingShapes:
-    """Return the shapes of a stored model's components, shape (k, 350, 200), for a session that learned none itself.
-
-    ``noise_mm`` is that of `engine.core.motion_model.MotionModel`.
-    """
-    found = [_means(one[::STRIDE_PX, ::STRIDE_PX], _ALL) for one in components[:BREATHING_SHAPES]]
+def shapes_of(model: MotionModel) -> BreathingShapes:
+    """Return the shapes of a stored model's first components, for a session that learned none itself."""
+    found = [_means(one[::STRIDE_PX, ::STRIDE_PX], _ALL) for one in model.components[:BREATHING_SHAPES]]
     shapes = np.zeros((BREATHING_SHAPES, CELLS))
     shapes[: len(found)] = np.nan_to_num(np.array(found))
-    pixels = ROI_ROWS * ROI_COLUMNS / CELLS
-    return BreathingShapes(shapes=frozen(shapes), misfit_mm=noise_mm / math.sqrt(pixels))
+    pixels = ROI_ROWS * ROI_COLUMNS
+    scores = model.scores_mm
+    return BreathingShapes(
+        shapes=frozen(shapes),
+        misfit_mm=model.noise_mm / math.sqrt(pixels / CELLS),
+        reach_mm=math.inf if scores is None or not len(scores) else float(np.ptp(scores[:, 0])) / math.sqrt(pixels),
+    )
 
 
 def cell_means(roi: RoiDepth) -> FloatArray:
@@ -124,11 +161,20 @@ _ALL = np.ones((_ROWS.shape[1], _COLUMNS.shape[0]), dtype=np.float32)
 _FULL = _ROWS @ _ALL @ _COLUMNS
 
 
-def _plane() -> FloatArray:
-    """Return height and both tilts at the cells, 1 at the inferior and left edges of the region, shape (3, cells)."""
+def _smooth_terms() -> tuple[FloatArray, FloatArray]:
+    """Return height and both tilts at the cells, 1 at the inferior and left edges, and the second order, (3, cells)."""
     rows, columns = np.mgrid[0:CELL_ROWS, 0:CELL_COLUMNS].reshape(2, -1).astype(np.float64)
     along, across = (2.0 * rows + 1.0) / CELL_ROWS - 1.0, (2.0 * columns + 1.0) / CELL_COLUMNS - 1.0
-    return np.stack([np.ones_like(along), along, across])
+    return np.stack([np.ones_like(along), along, across]), np.stack([along**2, along * across, across**2])
 
 
-_PLANE = _plane()
+_PLANE, _BENDS = _smooth_terms()
+
+
+def _fit(terms: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the least-squares weights of some terms, shape (k, n)."""
+    return np.asarray(np.linalg.lstsq(terms.T, values, rcond=None)[0])
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values * values)))

@@ -31,8 +31,12 @@ AVERAGED_US = 200_000
 MOST_FRAMES = 32
 LEAST_MISFIT_MM = 0.25
 MOST_MISFIT_MM = 0.6
-MISFIT_OF_USUAL = 2.5
+MISFIT_OF_USUAL = 2.0
 """Allowed misfit of the surface: this many times that of the training, within the two bounds above."""
+MISFIT_OF_DEEPER = 0.15
+"""More misfit is allowed in a breath deeper than any of the training: this share of what it is deeper."""
+HEIGHT_OF_DEEPER = 0.6
+"""Such a breath also passes for a rigid movement: up to this share of what it is deeper, which is taken off."""
 OTHER_COLOR_SHARE = 0.06
 CAMERA_MM = 1.5
 """Allowed change of the scene's depth at a marker, as the camera's movement changes it."""
@@ -108,7 +112,7 @@ class CrossCheck:
     def lost(self, model: MotionModel, *, is_reference_due: bool) -> Lost | None:
         """Return the loss if the frames so far disagree with the reference; the first frame of a reference agrees."""
         if model is not self._model:
-            self._shapes = learn_shapes(np.array(self._gathered)) or shapes_of(model.components, model.noise_mm)
+            self._shapes = learn_shapes(np.array(self._gathered)) or shapes_of(model)
             self._model = model
             self._gathered.clear()
         cells_mm = _mean([one.cells_mm for one in self._recent])
@@ -152,8 +156,11 @@ class CrossCheck:
         if shapes is None or change is None:
             self.position = None
             return None
-        self.position = _position(change, self._recent[-1].points_mm)
+        deeper_mm = max(change.breath_mm - shapes.reach_mm, 0.0)
+        self.position = _position(change, deeper_mm, self._recent[-1].points_mm)
         allowed_mm = min(max(MISFIT_OF_USUAL * shapes.misfit_mm, LEAST_MISFIT_MM), MOST_MISFIT_MM)
+        if "surface" not in self._disagreements:
+            allowed_mm += MISFIT_OF_DEEPER * deeper_mm
         if not change.spread_mm > self._bound("surface", allowed_mm):
             return None
         largest_mm = float(np.nanmax(np.abs(change.misfit_mm)))
@@ -179,7 +186,7 @@ def _disagreement(name: str, reason: LostReason, detail: str) -> _Disagreement:
     return _Disagreement(name, Lost(reason=reason, detail=detail))
 
 
-def _position(change: SurfaceChange, points_mm: FloatArray | None) -> BodyPosition | None:
+def _position(change: SurfaceChange, deeper_mm: float, points_mm: FloatArray | None) -> BodyPosition | None:
     """Return the rigid part of a change; ``points_mm`` are the markers, shape (4, 3)."""
     if points_mm is None:
         return None
@@ -187,7 +194,7 @@ def _position(change: SurfaceChange, points_mm: FloatArray | None) -> BodyPositi
     length_mm = np.linalg.norm(inferior_left + inferior_right - superior_left - superior_right) / 2.0
     width_mm = np.linalg.norm(superior_left + inferior_left - superior_right - inferior_right) / 2.0
     return BodyPosition(
-        height_mm=change.height_mm,
+        height_mm=math.copysign(max(abs(change.height_mm) - HEIGHT_OF_DEEPER * deeper_mm, 0.0), change.height_mm),
         tilt_deg=math.degrees(math.atan2(2.0 * change.along_mm, length_mm)),
         roll_deg=math.degrees(math.atan2(2.0 * change.across_mm, width_mm)),
     )

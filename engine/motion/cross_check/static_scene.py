@@ -7,6 +7,7 @@ of them like that of a plane.
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from engine.core.frames import BoolArray, DepthImage, FloatArray
@@ -14,6 +15,8 @@ from engine.core.geometry import Intrinsics
 
 BLOCK_PX = 16
 SAMPLE_PX = 4
+WHOLLY_SEEN = 0.99
+"""Share of seen readings above which none of a block's sixteen is missing."""
 BEHIND_MM = 60.0
 """Least distance of the scene behind the deepest marker: a couch is farther, most of the patient nearer."""
 LEARNING_US = 1_000_000
@@ -135,10 +138,12 @@ def _blocks_mm(depth_mm: DepthImage) -> FloatArray:
     """Return the mean depth of each block [mm], row by row; NaN where a reading is missing."""
     height, width = (size - size % BLOCK_PX for size in depth_mm.shape)
     thin = depth_mm[SAMPLE_PX // 2 : height : SAMPLE_PX, SAMPLE_PX // 2 : width : SAMPLE_PX].astype(np.float32)
-    side = BLOCK_PX // SAMPLE_PX
-    blocks = thin.reshape(height // BLOCK_PX, side, width // BLOCK_PX, side)
-    sums, least = blocks.sum(axis=(1, 3)), blocks.min(axis=(1, 3))
-    return np.where(least > 0.0, sums / side**2, np.nan).ravel().astype(np.float64)
+    size = (width // BLOCK_PX, height // BLOCK_PX)
+    if 0 in size:
+        return np.empty(0)
+    mean_mm = cv2.resize(thin, size, interpolation=cv2.INTER_AREA).astype(np.float64)
+    seen = cv2.resize((thin > 0.0).astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    return np.where(seen > WHOLLY_SEEN, mean_mm, np.nan).ravel()
 
 
 def _block_rays(camera: Intrinsics) -> FloatArray:

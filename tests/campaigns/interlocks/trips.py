@@ -185,6 +185,8 @@ TRIPS: tuple[Trip, ...] = (
     Trip(code=R.PATIENT_SHIFTED, how="all markers lie 7 mm aside", act=_wrong(shift_mm=7.0), undo=_right),
     Trip(code=R.COVERAGE_LOW, how="half of the region is seen", act=_fit(valid_share=0.5), undo=_right),
     Trip(code=R.RESIDUAL_HIGH, how="4 mm are left unexplained", act=_fit(residual_mm=4.0), undo=_right),
+    Trip(code=R.SURFACE_CHANGED, how="a sheet is laid down", act=_lost(LostReason.SURFACE_CHANGED), undo=_right),
+    Trip(code=R.CAMERA_MOVED, how="the camera is pushed", act=_lost(LostReason.CAMERA_MOVED), undo=_right),
     Trip(code=R.JUMP, how="the signal steps by 4.5 mm, inside the window", act=_spoiled(_jumping), undo=_right),
     Trip(code=R.VALUE_INVALID, how="the motion is no number", act=_motion(thorax_mm=math.nan), undo=_right),
     Trip(code=R.BREATHING_IRREGULAR, how="the patient coughs", act=_wrong(breaths=(COUGH,)), undo=_right),

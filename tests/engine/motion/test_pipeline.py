@@ -128,7 +128,7 @@ def test_a_thin_sheet_that_would_pass_for_motion_is_lost_until_it_is_gone(measur
     covered = measure(measuring, range(2, 20), edit=sheet)
     assert {outcome.state for outcome in covered} == {MeasurementState.LOST}
     assert "objects on the patient" in covered[-1].lost.detail
-    assert measure(measuring, [20])[0].state is MeasurementState.MEASURING
+    assert measure(measuring, range(20, 28))[-1].state is MeasurementState.MEASURING
 
 
 def test_a_person_who_sets_the_reference_takes_the_sheet_for_granted(measuring):

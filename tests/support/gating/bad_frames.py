@@ -26,6 +26,8 @@ HOLDS: dict[str, tuple[Spoil, HoldReason]] = {
     "layout changed": (_lost(LostReason.LAYOUT_CHANGED), HoldReason.LAYOUT_CHANGED),
     "lost for coverage": (_lost(LostReason.COVERAGE_LOW), HoldReason.COVERAGE_LOW),
     "lost for residual": (_lost(LostReason.RESIDUAL_HIGH), HoldReason.RESIDUAL_HIGH),
+    "lost for another surface": (_lost(LostReason.SURFACE_CHANGED), HoldReason.SURFACE_CHANGED),
+    "lost for a camera that moved": (_lost(LostReason.CAMERA_MOVED), HoldReason.CAMERA_MOVED),
     "residual too high": (_with_motion(residual_mm=3.001), HoldReason.RESIDUAL_HIGH),
     "too few pixels": (_with_motion(valid_share=0.799), HoldReason.COVERAGE_LOW),
     "too few pixels that fit": (_with_motion(inlier_share=0.599), HoldReason.RESIDUAL_HIGH),

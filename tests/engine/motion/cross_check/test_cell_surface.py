@@ -1,5 +1,7 @@
 """Breathing, a rigid movement and anything else are told apart on measured cell means."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -76,10 +78,21 @@ def test_a_stored_models_components_serve_where_no_training_was_seen():
     rows, columns = np.mgrid[0:350, 0:200]
     along, across = rows / 175.0 - 1.0, columns / 100.0 - 1.0
     components = np.stack([np.exp(-((along + 0.6) ** 2) * 3.0), np.exp(-((along - 0.5) ** 2) * 4.0 - across**2)])
-    shapes = shapes_of(components.astype(np.float32), 3.0)
+    scores_mm = np.array([[-500.0, 0.0], [800.0, 10.0]])
+    model = SimpleNamespace(components=components.astype(np.float32), noise_mm=3.0, scores_mm=scores_mm)
+    shapes = shapes_of(model)
     assert shapes.change(BEFORE, AFTER - 4.0).height_mm == pytest.approx(4.0, abs=0.5)
     assert shapes.misfit_mm == pytest.approx(3.0 / np.sqrt(350 * 200 / CELLS))
-    assert shapes_of(components[:1].astype(np.float32), 3.0).shapes.shape == shapes.shapes.shape
+    assert shapes.reach_mm == pytest.approx(1300.0 / np.sqrt(350 * 200))
+    model.components, model.scores_mm = model.components[:1], None
+    assert shapes_of(model).shapes.shape == shapes.shapes.shape
+    assert shapes_of(model).reach_mm == np.inf
+
+
+def test_the_reach_is_that_of_the_breaths():
+    assert SHAPES.reach_mm == pytest.approx(SHAPES.change(BEFORE, AFTER).breath_mm, rel=0.5)
+    deeper = REST_MM - 10.0 * CHEST - 30.0 * BELLY
+    assert SHAPES.change(BEFORE, deeper).breath_mm > 2.0 * SHAPES.reach_mm
 
 
 def test_the_mean_of_a_cell_is_that_of_its_readings():

@@ -36,19 +36,26 @@ def picture(rgb):
     return color
 
 
+def stored_model():
+    """What is used of a model; without components, so that only the training's frames can teach the shapes."""
+    return SimpleNamespace(components=np.zeros((2, 350, 200), dtype=np.float32), noise_mm=3.0, scores_mm=None)
+
+
 class Session:
     """Frames of a breathing patient, taken one after the other; what is false about them stays so."""
 
     def __init__(self):
         self.check, self.index = CrossCheck(calibration()), 0
-        self.model = SimpleNamespace(components=np.zeros((2, 350, 200), dtype=np.float32), noise_mm=3.0)
+        self.model = stored_model()
         self.sheet_mm = self.raised_mm = self.camera_mm = 0.0
+        self.depth = 1.0
         self.color = (150, 140, 120)
 
     def observe(self):
         noise = np.random.default_rng(self.index)
         seconds = self.index * STEP_US / 1e6
         breath = 2.0 - 2.0 * np.cos(1.5 * seconds - 0.4), 5.0 - 5.0 * np.cos(1.5 * seconds)
+        breath = self.depth * breath[0], self.depth**1.5 * breath[1]
         depth = REST_MM - breath[0] * CHEST - breath[1] * BELLY - self.raised_mm - self.camera_mm
         depth -= self.sheet_mm * (COLUMNS >= 25)
         roi = RoiDepth(
@@ -106,6 +113,11 @@ def test_breathing_for_minutes_is_never_lost(session):
     assert abs(session.check.position.height_mm) < 0.6
 
 
+def test_breaths_deeper_and_of_another_shape_than_in_the_training_are_not_lost(session):
+    session.depth = 2.5
+    assert session.run(150) == [None] * 150
+
+
 def test_a_sheet_of_the_patients_colour_is_lost_until_it_is_gone(session):
     session.sheet_mm = 3.0
     losses = session.run(40)
@@ -152,7 +164,7 @@ def test_a_new_model_without_a_new_reference_changes_nothing(session):
     for _ in range(150):
         session.observe()
         session.check.gather()
-    session.model = SimpleNamespace(components=session.model.components, noise_mm=3.0)
+    session.model = stored_model()
     assert reasons(session.run(1)) == [LostReason.SURFACE_CHANGED]
 
 
