@@ -45,23 +45,23 @@ def frames_of(folder):
     return [f for f in frames if f.is_depth], [f for f in frames if not f.is_depth], frames
 
 
-def test_same_seed_same_recording_with_one_process_and_with_two(short, tmp_path):
+def test_same_seed_same_recording_with_one_process_and_with_two(tiny, tmp_path):
     """Not byte by byte: a process of its own has another number of native threads, which divide a picture otherwise."""
     two = tmp_path / "two"
-    make_volunteer("regular", **SHORT, out=two, workers=2)
-    pairs = list(zip(frames_of(short)[2], frames_of(two)[2], strict=True))
+    make_volunteer("regular", **TINY, out=two, workers=2)
+    pairs = list(zip(frames_of(tiny)[2], frames_of(two)[2], strict=True))
     assert [one.timestamp_us for one, _ in pairs] == [other.timestamp_us for _, other in pairs]
     for one, other in pairs:
         pictures = [(frame.decode_depth() if frame.is_depth else frame.decode_color()) for frame in (one, other)]
         assert np.mean(pictures[0] != pictures[1]) < 1e-3, "a reading may round to the sensor's next step"
-    truths = [np.load(folder / "truth.npz") for folder in (short, two)]
+    truths = [np.load(folder / "truth.npz") for folder in (tiny, two)]
     for name in truths[0].files:
         one, other = (truth[name] for truth in truths)
         if one.dtype.kind == "f":
             assert np.allclose(one, other, rtol=0.0, atol=1e-3, equal_nan=True), name
         else:
             assert np.array_equal(one, other), name
-    assert (two / "calibration.json").read_bytes() == (short / "calibration.json").read_bytes()
+    assert (two / "calibration.json").read_bytes() == (tiny / "calibration.json").read_bytes()
 
 
 def test_another_seed_gives_other_noise_and_another_breath(tiny, tmp_path):
