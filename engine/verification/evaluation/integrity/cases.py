@@ -70,6 +70,12 @@ def _covers() -> Iterator[Case]:
                 size=f"{height_mm:g} mm",
                 falsification=_false(cover=Cover(height_mm=height_mm, part=part)),
             )
+        for height_mm in (2.0, 3.0, 5.0):
+            yield Case(
+                kind=f"sheet of the skin's colour laid over {part}",
+                size=f"{height_mm:g} mm",
+                falsification=_false(cover=Cover(height_mm=height_mm, part=part, has_color=False)),
+            )
     for height_mm in (3.0, 5.0, 8.0, 12.0):
         yield Case(
             kind="sheet laid over half while a marker is hidden",
@@ -83,11 +89,14 @@ def _covers() -> Iterator[Case]:
         (Part.SIDE, 5.0, 60.0),
         (Part.WHOLE, 5.0, 150.0),
     ):
-        yield Case(
-            kind=f"drape with a soft edge drawn over {part}",
-            size=f"{height_mm:g} mm, {speed_mm_s:g} mm/s",
-            falsification=_false(cover=Cover(height_mm=height_mm, part=part, edge_mm=60.0, speed_mm_s=speed_mm_s)),
-        )
+        for has_color in (True, False):
+            cover = Cover(height_mm=height_mm, part=part, edge_mm=60.0, speed_mm_s=speed_mm_s, has_color=has_color)
+            drape = "drape" if has_color else "drape of the skin's colour"
+            yield Case(
+                kind=f"{drape} with a soft edge drawn over {part}",
+                size=f"{height_mm:g} mm, {speed_mm_s:g} mm/s",
+                falsification=_false(cover=cover),
+            )
 
 
 def _markers() -> Iterator[Case]:

@@ -5,7 +5,7 @@ reference is an end of exhale.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from engine.core.breath import GateSignal, SignalChoice
 from engine.core.clock import NS_PER_US, ManualClock
 from engine.core.commands import Arm
 from engine.core.errors import ModelError
-from engine.core.frames import BoolArray, FloatArray, Measurement, MeasurementState, RgbdFrame
+from engine.core.frames import BodyPosition, BoolArray, FloatArray, Measurement, MeasurementState, RgbdFrame
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.head_direction import HeadDirection, depends_on_head
 from engine.core.motion_model import MotionModel
@@ -44,6 +44,7 @@ WINDOW_SHARE = 0.35
 """Upper end of the exhale window, as a share of the true range of its signal."""
 BELOW_MM = 1.5
 WRONG_MM = 1.0
+MOVED_DEG = 0.5
 
 SIGNALS = (
     SignalChoice(signal=GateSignal.WHOLE),
@@ -74,6 +75,8 @@ class Session:
         Whether a gate on each signal had the beam on, shape (n, signals).
     outside_mm
         How far the true motion is outside of the signal's window [mm], shape (n, signals).
+    is_moved
+        Whether a rigid movement of the patient was reported: above 1 mm in height or half a degree, shape (n,).
     reasons
         First text of each kind of loss and hold.
     """
@@ -86,6 +89,7 @@ class Session:
     is_on: BoolArray
     outside_mm: FloatArray
     reasons: tuple[str, ...]
+    is_moved: BoolArray = field(default_factory=lambda: np.empty(0, dtype=np.bool_))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -288,6 +292,7 @@ class _Recorder:
             is_on=is_on[onset:],
             outside_mm=np.maximum(outside_mm, 0.0)[onset:],
             reasons=self._reasons(onset),
+            is_moved=np.array([_is_moved(one.position) for one in self._measurements])[onset:],
         )
 
     def _beam(self, signal: int, lower_mm: float, upper_mm: float) -> BoolArray:
@@ -313,6 +318,13 @@ class _Recorder:
             for text in filter(None, _unseen(measurement)):
                 found.setdefault(HoldReason.COVERAGE_LOW, f"{HoldReason.COVERAGE_LOW}: {text}")
         return tuple(found.values())
+
+
+def _is_moved(position: BodyPosition | None) -> bool:
+    if position is None:
+        return False
+    turn_deg = max(abs(position.tilt_deg), abs(position.roll_deg))
+    return abs(position.height_mm) > WRONG_MM or turn_deg > MOVED_DEG
 
 
 def _limits(lower_mm: float, upper_mm: float, choice: SignalChoice = SIGNALS[0]) -> GateLimits:

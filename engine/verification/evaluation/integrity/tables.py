@@ -27,7 +27,8 @@ class Verdict:
     largest_mm
         Largest error that was reported as measured.
     detected_s
-        Longest time to the first frame that was lost or held; None where one volunteer's never was.
+        Longest time to the first frame that was lost or held, or of a rigid movement to its report; None where one
+        volunteer's never was.
     on_s, wrong_on_s
         Time of beam on, of the signal with most of it, in all and with the true motion more than 1 mm outside of the
         window.
@@ -121,7 +122,10 @@ def _is_wrong(session: Session) -> BoolArray:
 
 
 def _detected_s(session: Session) -> float | None:
-    found = np.flatnonzero(~session.is_measured | session.is_held)
+    is_detected = ~session.is_measured | session.is_held
+    if session.case.is_rigid and session.is_moved.size:
+        is_detected = is_detected | session.is_moved
+    found = np.flatnonzero(is_detected)
     return float(session.seconds[found[0]]) if found.size else None
 
 
