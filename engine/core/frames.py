@@ -339,7 +339,7 @@ class Measurement:
     markers: Markers | None = None
     training: "TrainingProgress | None" = None
     breaths: tuple[Breath, ...] = ()
-    position: BodyPosition | None = None
+    position: BodyPosition | None = field(default=None, metadata=NO_DIGEST)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

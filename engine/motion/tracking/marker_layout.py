@@ -10,15 +10,13 @@ import itertools
 import numpy as np
 
 from engine.core.frames import FloatArray, Lost, LostReason, RoiDepth
+from engine.motion.tracking.surface_continuity import MAX_HIDDEN_US
 
 NAMES = ("superior right", "superior left", "inferior left", "inferior right")
 PAIRS = np.array(list(itertools.combinations(range(4), 2)))
 _HAS_MARKER = np.array([[float(marker in pair) for pair in PAIRS.tolist()] for marker in range(4)])
 MARGIN_MM = 3.0
 """How far a distance may be outside of its range so far; a marker is found within some tenths of a millimetre."""
-
-MAX_HIDDEN_US = 120_000
-"""Longest interval without a measurement in which the markers are followed from frame to frame."""
 
 CORNER_PX = 20
 LEAST_READINGS = 9
