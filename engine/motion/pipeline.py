@@ -4,6 +4,8 @@ Owned by one thread. It keeps the state between frames (tracked region, last coe
 model and reference belong to `engine.motion.learning.learner.Learner`.
 """
 
+from typing import NamedTuple
+
 from engine.calibration.camera_calibration import Calibration
 from engine.core.breath import Breath, SignalChoice
 from engine.core.clock import Clock
@@ -26,8 +28,10 @@ from engine.core.frames import (
 from engine.core.motion_model import MotionModel
 from engine.core.native_memory import keep_freed_memory
 from engine.core.native_threads import keep_calls_in_their_thread
+from engine.motion.cross_check.cell_surface import BreathingShapes
 from engine.motion.cross_check.cross_check import CrossCheck
 from engine.motion.learning.depth_steps import stored_steps
+from engine.motion.learning.learned import Learned
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.prepared_model import PreparedModel, Reference, prepare_model
 from engine.motion.learning.reference_smoothing import RecentFrames
@@ -41,6 +45,7 @@ from engine.motion.stages.regions import WIDE
 from engine.motion.stages.surface import end_at_markers, vertices_mm
 from engine.motion.tracking.breath_tracker import BreathTracker
 from engine.motion.tracking.costal_line import CostalLineTracker
+from engine.motion.tracking.depth_table import DepthTable
 from engine.motion.tracking.marker_layout import MarkerLayout, marker_points_mm
 from engine.motion.tracking.region_tracker import RegionTracker, coverage_lost
 from engine.motion.tracking.surface_continuity import ObservedSurface, SurfaceContinuity
@@ -49,6 +54,14 @@ US_PER_S = 1e6
 MARKERS_BETWEEN_NODES = 1.0 - 1.0 / NODE_STEP
 # Training samples more finely than measuring, since the components are interpolated to the full grid.
 LEARNING_STRIDE_PX = 2
+
+
+class LearnedInPass(NamedTuple):
+    """What a pass over a recording has learned: model and reference, depth of readings, shapes of breathing."""
+
+    learned: Learned
+    table: DepthTable
+    shapes: tuple[MotionModel | None, BreathingShapes | None]
 
 
 class Pipeline:
@@ -116,6 +129,19 @@ class Pipeline:
         self._reset_breathing()
         self._cross_check.restart()
         self.learner.restart_after_disconnection()
+
+    def measure_again(self, earlier: LearnedInPass) -> None:
+        """Measure a recording from its first frame with what an earlier pass has learned."""
+        learned, self._tracker.table = earlier.learned, earlier.table
+        self.learner.use(learned)
+        self._cross_check.use(earlier.shapes)
+        if learned.active is not None:
+            self._tracker.expect_depth(learned.active.node_mean_mm)
+
+    @property
+    def learned_in_pass(self) -> LearnedInPass:
+        """What this pass over a recording has learned."""
+        return LearnedInPass(self.learner.learned, self._tracker.table, self._cross_check.learned)
 
     def measure(self, frame: RgbdFrame) -> Measurement:
         """Measure one frame.

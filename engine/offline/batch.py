@@ -34,7 +34,7 @@ class FileOutcome:
     summary
         None if it could not be measured.
     frames
-        Number of frames processed, also of a failed run.
+        Number of frames processed in the last pass, also of a failed run.
     seconds
         Wall clock time [s]; 0 if its process ended early.
     error
@@ -49,7 +49,7 @@ class FileOutcome:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """Progress of a recording: frames processed, and their total."""
+    """Progress of a recording: frames processed in all passes, and their total."""
 
     frames: int
     total: int
@@ -59,17 +59,21 @@ def measure_file(task: FileTask, on_progress: Callable[[Progress], None]) -> Fil
     """Measure one recording; errors of recording, calibration or output folder are part of the outcome."""
     clock = MonotonicClock()
     started_ns = clock.now_ns()
-    frames = 0
+    frames = earlier = 0
     summary, error = None, None
+
+    def begin(_number: int) -> None:
+        nonlocal earlier
+        earlier = frames
 
     def count(measurement: Measurement) -> None:
         nonlocal frames
         frames = measurement.frame_index + 1
         if frames % PROGRESS_EVERY_FRAMES == 0:
-            on_progress(Progress(frames=frames, total=total))
+            on_progress(Progress(frames=earlier + frames, total=total))
 
     try:
-        total = describe(task.recording).depth_frames
+        total = describe(task.recording).depth_frames * passes_of(task)
         on_progress(Progress(frames=0, total=total))
         summary = measure_recording(
             OniFileSource(task.recording, clock=clock, is_helped=False),  # the other cores measure other recordings
@@ -81,6 +85,8 @@ def measure_file(task: FileTask, on_progress: Callable[[Progress], None]) -> Fil
             model=task.model,
             origin=task.origin,
             on_frame=count,
+            is_single_pass=task.is_single_pass,
+            on_pass=begin,
         )
         error = summary.damage
     except TidegateError as reason:
@@ -89,6 +95,11 @@ def measure_file(task: FileTask, on_progress: Callable[[Progress], None]) -> Fil
         error = f"{task.out} cannot be written ({reason.strerror or reason})"
     seconds = (clock.now_ns() - started_ns) / NS_PER_S
     return FileOutcome(summary=summary, frames=frames, seconds=seconds, error=error)
+
+
+def passes_of(task: FileTask) -> int:
+    """Return how often the frames of a recording are read."""
+    return 1 if task.is_single_pass else 2
 
 
 def measure_files(

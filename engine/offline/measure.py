@@ -1,10 +1,13 @@
-"""Measures a recording as fast as it can be read, with the pipeline of a live session.
+"""Measures a recording as fast as it can be read, with the pipeline of a live session, in two passes.
 
-Training is inline, so a recording gives the same numbers on every run on one processor. The gate's time is the
-device's.
+The first pass does what a live session does: it learns the motion model. The second pass reads the recording again and
+measures every frame with that model, so that the frames of the training are not lost. In both, the first measured frame
+is the reference. Frames are streamed. Training is inline, so a recording gives the same numbers on every run on one
+processor. The gate's time is the device's.
 """
 
-from collections.abc import Callable, Iterator
+import contextlib
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,14 +16,16 @@ from engine.calibration.camera_calibration import Calibration
 from engine.capture.source import DepthSource
 from engine.core.clock import ManualClock
 from engine.core.errors import ModelError, RecordingError, SourceEndedError
-from engine.core.frames import Measurement, RgbdFrame
+from engine.core.frames import Measurement, MeasurementState, RgbdFrame
 from engine.core.motion_model import MotionModel
 from engine.core.provenance import ModelOrigin
 from engine.gating.limits import GateLimits
 from engine.motion.learning.model_file import save_model
+from engine.motion.learning.prepared_model import Reference
 from engine.motion.learning.trainer import InlineTrainer
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
+from engine.offline.first_reference import first_frames
 from engine.offline.mesh_files import MeshOptions, MeshSaver
 from engine.offline.offline_gate import OfflineGate
 from engine.offline.result_files import BreathTable, MotionTable, OfflineSummary, Results
@@ -40,6 +45,37 @@ class FileTask:
     meshes: MeshOptions | None = None
     model: MotionModel | None = None
     origin: ModelOrigin | None = None
+    is_single_pass: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Run:
+    """What both passes have in common."""
+
+    source: DepthSource
+    out: Path
+    settings: PipelineSettings
+    limits: GateLimits | None
+    meshes: MeshOptions
+    on_frame: Callable[[Measurement], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Pass:
+    """What a pass found.
+
+    Attributes
+    ----------
+    live_from
+        Index of the first frame that a live session measures; None if there is none.
+    damage
+        Why the recording was not read to its end; None if it was.
+    """
+
+    results: Results
+    meshes: tuple[str, ...]
+    live_from: int | None
+    damage: str | None
 
 
 def measure_recording(
@@ -53,6 +89,8 @@ def measure_recording(
     on_frame: Callable[[Measurement], None] | None = None,
     model: MotionModel | None = None,
     origin: ModelOrigin | None = None,
+    is_single_pass: bool = False,
+    on_pass: Callable[[int], None] | None = None,
 ) -> OfflineSummary:
     """Measure every frame of ``source``; write the tables, regions.npz, motion_summary.json and model.npz to ``out``.
 
@@ -65,12 +103,16 @@ def measure_recording(
     meshes
         Frames whose surface is written as a mesh.
     on_frame
-        Called with each measurement.
+        Called with each measurement, in both passes.
     model
         A stored model to use instead of learning one; it is compared with the patient of this recording, and the first
         measured frame is the reference.
     origin
         Origin of a model fitted here, stored in ``model.npz``.
+    is_single_pass
+        Write what a live session measures: nothing before it has a model.
+    on_pass
+        Called at the beginning of each pass with its number, 1 or 2.
 
     Raises
     ------
@@ -85,50 +127,132 @@ def measure_recording(
     if model is not None:
         pipeline.learner.resume(model)
     out.mkdir(parents=True, exist_ok=True)
-    results = Results(settings)
-    saver = MeshSaver(out, meshes or MeshOptions())
-    gate = OfflineGate(limits)
-    with _tables(out, settings) as (table, breaths):
+    run = _Run(
+        source=source,
+        out=out,
+        settings=settings,
+        limits=limits,
+        meshes=meshes or MeshOptions(),
+        on_frame=on_frame or _do_nothing,
+    )
+    begin = on_pass or _do_nothing
+    begin(1)
+    found = _first_pass(run, pipeline, is_single=is_single_pass)
+    if not is_single_pass:
+        live_from = found.live_from
+        del found  # its results, which the second pass makes again
+        begin(2)
+        found = _second_pass(run, calibration, pipeline, live_from)
+    return _saved(run, pipeline, found, origin, passes=1 if is_single_pass else 2)
+
+
+def _first_pass(run: _Run, pipeline: Pipeline, *, is_single: bool) -> _Pass:
+    """Measure as a live session does; its tables are kept if they are all there will be."""
+
+    def is_kept() -> bool:
+        return is_single or pipeline.learner.status.model is None
+
+    found = _run_pass(run if is_single else replace(run, meshes=MeshOptions()), pipeline, is_kept, 0)
+    if pipeline.learner.status.model is None:
+        found.results.save(run.out / "regions.npz")
+        frames, reason = found.results.frames, _reason_without_model(found.results)
+        msg = f"{frames} frames were not enough to learn a motion model: {reason}"
+        raise ModelError(msg)
+    return found
+
+
+def _second_pass(run: _Run, calibration: Calibration, earlier: Pipeline, live_from: int | None) -> _Pass:
+    """Measure every frame with the model of the first pass; the first of them is the reference."""
+    settings = replace(run.settings, training=replace(run.settings.training, retrain_interval_s=0.0))
+    learned = earlier.learned_in_pass
+
+    def prepared(reference: Reference | None) -> Pipeline:
+        pipeline = Pipeline(calibration, settings, ManualClock(), InlineTrainer())
+        pipeline.measure_again(learned._replace(learned=replace(learned.learned, reference=reference)))
+        return pipeline
+
+    pipeline = prepared(_first_reference(run.source, prepared(None)))
+    return replace(_run_pass(run, pipeline, lambda: True, live_from), live_from=live_from)
+
+
+def _first_reference(source: DepthSource, pipeline: Pipeline) -> Reference | None:
+    """Measure the first half second of a recording; return its reference, None if nothing is measured."""
+    try:
+        with contextlib.closing(_measurements(source, pipeline)) as measured:
+            first = first_frames(measurement for _, measurement in measured)
+    except RecordingError:
+        return None  # the damage is met again, and reported, by the pass itself
+    reference = pipeline.learner.learned.reference
+    return None if reference is None else first.smoothed(reference)
+
+
+def _run_pass(run: _Run, pipeline: Pipeline, is_kept: Callable[[], bool], live_from: int | None) -> _Pass:
+    """Measure all frames; ``live_from`` is the first one that the gate may judge, None if there is none."""
+    results, saver, gate = Results(run.settings), MeshSaver(run.out, run.meshes), OfflineGate(run.limits)
+    first_measured = None
+    with _tables(run.out, run.settings, is_kept) as (table, breaths):
 
         def write(frame: RgbdFrame, measurement: Measurement) -> None:
-            learner = pipeline.learner
-            table.write(measurement, gate.decide(frame, measurement, learner.status, learner.take_notices()))
+            nonlocal first_measured
+            learner, index = pipeline.learner, measurement.frame_index
+            if live_from is None or index < live_from:
+                decided = gate.hold_untrained(frame, measurement)
+            else:
+                decided = gate.decide(frame, measurement, learner.status, learner.take_notices())
             learner.keep_model(is_kept=gate.is_armed)
+            table.write(measurement, decided)
             breaths.write(measurement)
             results.add(measurement)
             saver.save(measurement)
-            if on_frame is not None:
-                on_frame(measurement)
+            if first_measured is None and measurement.state is MeasurementState.MEASURING:
+                first_measured = index
+            run.on_frame(measurement)
 
-        damage = _measure_frames(source, pipeline, write)
-    results.save(out / "regions.npz")
-    if pipeline.learner.status.model is None:
-        msg = f"{results.frames} frames were not enough to learn a motion model: {_reason_without_model(results)}"
-        raise ModelError(msg)
-    fitted = pipeline.learner.status.model
-    save_model(fitted if origin is None else fitted.from_origin(origin), out / "model.npz")
+        damage = _measure_frames(run.source, pipeline, write)
+    return _Pass(results=results, meshes=tuple(saver.saved), live_from=first_measured, damage=damage)
+
+
+def _saved(run: _Run, pipeline: Pipeline, found: _Pass, origin: ModelOrigin | None, *, passes: int) -> OfflineSummary:
+    """Write regions, model and summary; the model and what is known of it are the first pass's."""
+    status = pipeline.learner.status
+    fitted = status.model
+    assert fitted is not None, "a pass without a model has raised"
+    found.results.save(run.out / "regions.npz")
+    save_model(fitted if origin is None else fitted.from_origin(origin), run.out / "model.npz")
     summary = replace(
-        results.summary(),
+        found.results.summary(),
         training_frames=fitted.training_frames,
         cycles=fitted.cycles,
         is_split_marked=pipeline.marked_split is not None,
-        meshes=tuple(saver.saved),
-        shortcoming=pipeline.learner.status.model_shortcoming,
-        damage=damage,
+        meshes=found.meshes,
+        shortcoming=status.model_shortcoming,
+        damage=found.damage,
+        passes=passes,
+        live_from_frame=found.live_from,
     )
-    summary.save(out / "motion_summary.json")
+    summary.save(run.out / "motion_summary.json")
     return summary
 
 
+def _do_nothing(_value: object) -> None:
+    """Do nothing: the default of ``on_frame`` and ``on_pass``."""
+
+
 @contextmanager
-def _tables(out: Path, settings: PipelineSettings) -> Iterator[tuple[MotionTable, BreathTable]]:
-    """Yield the tables of motion.csv and breathing.csv; the files appear at the end of the block, if it succeeds."""
+def _tables(
+    out: Path, settings: PipelineSettings, is_kept: Callable[[], bool]
+) -> Iterator[tuple[MotionTable, BreathTable]]:
+    """Yield the tables of motion.csv and breathing.csv.
+
+    The files appear at the end of the block, if it succeeds and they are kept.
+    """
     partial, breaths_partial = out / "motion.csv.partial", out / "breathing.csv.partial"
     try:
         with partial.open("w", newline="") as file, breaths_partial.open("w", newline="") as breaths_file:
             yield MotionTable(file, settings), BreathTable(breaths_file)
-        partial.replace(out / "motion.csv")
-        breaths_partial.replace(out / "breathing.csv")
+        if is_kept():
+            partial.replace(out / "motion.csv")
+            breaths_partial.replace(out / "breathing.csv")
     finally:
         partial.unlink(missing_ok=True)
         breaths_partial.unlink(missing_ok=True)
@@ -151,7 +275,7 @@ def _measure_frames(
     return None
 
 
-def _measurements(source: DepthSource, pipeline: Pipeline) -> Iterator[tuple[RgbdFrame, Measurement]]:
+def _measurements(source: DepthSource, pipeline: Pipeline) -> Generator[tuple[RgbdFrame, Measurement]]:
     try:
         source.open()
         while True:

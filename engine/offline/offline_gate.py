@@ -23,6 +23,10 @@ from engine.gating.limits import GateLimits, ns_from_ms
 from engine.gating.supervision.supervisor import FrameSupervisor
 
 OPERATOR = "offline"
+UNTRAINED = Gate(
+    state=GateState.HOLD, reason=HoldReason.TRAINING, detail="a live session had no motion model at this frame"
+)
+"""What is reported of a frame that a second pass measures, and a live session could not."""
 
 
 class OfflineGate:
@@ -63,6 +67,12 @@ class OfflineGate:
         for one in (*events, event, *standing):
             self._gate = step_gate(self._gate, one, now_ns, limits)
         return self._gate
+
+    def hold_untrained(self, frame: RgbdFrame, measurement: Measurement) -> Gate:
+        """Return the hold of a frame before there was a model; the gate sees it as a live session did."""
+        untrained = replace(measurement, state=MeasurementState.TRAINING, motion=None, lost=None, breaths=())
+        gate = self.decide(frame, untrained, LearningStatus(), ())
+        return gate if self._limits is None else UNTRAINED
 
     @property
     def is_armed(self) -> bool:

@@ -99,6 +99,10 @@ class OfflineSummary:
         Why arming with this model would be refused; None if it would not.
     damage
         Why the recording was not read to its end; None if it was.
+    passes
+        2 if every frame was measured with the model that the recording's first pass learned, 1 if as in a live session.
+    live_from_frame
+        Index of the first frame that a live session measures; None if there is none.
     """
 
     frames: int
@@ -118,6 +122,8 @@ class OfflineSummary:
     meshes: tuple[str, ...] = ()
     shortcoming: str | None = None
     damage: str | None = None
+    passes: int = 1
+    live_from_frame: int | None = None
 
     def save(self, path: Path) -> None:
         """Write the summary as JSON, atomically; the same values give the same bytes."""

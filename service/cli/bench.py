@@ -128,7 +128,7 @@ def _folder(work: Path | None) -> Iterator[Path]:
 
 def run_measure(recordings: list[Path], out: Path, cores: tuple[int, ...], jobs: int) -> CommandRun:
     """Run ``tidegate measure`` as a separate process on these cores."""
-    measure = [sys.executable, "-m", "service.cli", "measure", *map(str, recordings)]
+    measure = [sys.executable, "-m", "service.cli", "measure", "--single-pass", *map(str, recordings)]
     before_s = _children_s()
     with pinned(cores):
         started = time.perf_counter()

@@ -79,7 +79,7 @@ def _local_excursion_mm(smooth: FloatArray, seconds: FloatArray) -> FloatArray:
         ordered[np.arange(len(first)), np.round(percentile / 100.0 * (counts - 1)).astype(np.intp)]
         for percentile in LOCAL_PERCENTILES
     )
-    return np.interp(np.arange(len(smooth)), first * step, high - low)
+    return np.asarray(np.interp(np.arange(len(smooth)), first * step, high - low))
 
 
 def _turning_points(smooth: FloatArray, seconds: FloatArray, threshold_mm: FloatArray) -> list[tuple[float, float]]:

@@ -84,6 +84,15 @@ class CrossCheck:
         self._reference, self._disagreements, self.position = None, frozenset(), None
         self._scene.restart()
 
+    @property
+    def learned(self) -> tuple[MotionModel | None, BreathingShapes | None]:
+        """The model in use, and the shapes of breathing learned with it."""
+        return self._model, self._shapes
+
+    def use(self, learned: tuple[MotionModel | None, BreathingShapes | None]) -> None:
+        """Use what an earlier pass over the same recording has learned."""
+        self._model, self._shapes = learned
+
     def gather(self) -> None:
         """Keep the surface of the newest frame, which the model is learned from, to learn the shapes of breathing."""
         if self._recent:

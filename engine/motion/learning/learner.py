@@ -16,6 +16,8 @@ from engine.core.motion_model import MotionModel
 from engine.core.patient_match import PatientMatch
 from engine.core.ranges import Ranges
 from engine.motion.learning.depth_steps import steps_mismatch, with_steps
+from engine.motion.learning.event_figures import match_figures, transfer_figures
+from engine.motion.learning.learned import Learned
 from engine.motion.learning.learned_range import learned_ranges
 from engine.motion.learning.patient_match import PatientMatchLimits
 from engine.motion.learning.prepared_model import PreparedModel, Reference
@@ -27,7 +29,6 @@ from engine.motion.learning.tasks import (
     LearningTask,
     Outcome,
     SwitchTask,
-    quality_figures,
 )
 from engine.motion.learning.trainer import Trainer, TrainingSettings
 from engine.motion.learning.training_set import TrainingFrame
@@ -218,6 +219,24 @@ class Learner:
         self._trainer.start(lambda: Candidate(active=self._stages.prepare(model), needs_reference=True, is_stored=True))
         self._collect()
 
+    def use(self, learned: Learned) -> None:
+        """Use what another learner has learned from the same frames; learn nothing."""
+        self._active, self._reference = learned.active, learned.reference
+        self._reference_number, self._needs_reference = learned.reference_number, learned.needs_reference
+        self._task, self._patient_match = None, learned.patient_match
+        self._generation += 1
+
+    @property
+    def learned(self) -> Learned:
+        """The model and the reference in use, for another learner."""
+        return Learned(
+            active=self._active,
+            reference=self._reference,
+            reference_number=self._reference_number,
+            needs_reference=self._needs_reference,
+            patient_match=self._patient_match,
+        )
+
     def restart_after_disconnection(self) -> None:
         """Restart after the camera was disconnected: camera or patient may have moved.
 
@@ -321,14 +340,14 @@ class Learner:
             self._refuse(ModelError("another model is in use by now"))
             return
         if candidate.before is not None:
-            self._emit(LearningEventKind.READY, "a new model is ready", _transfer_figures(candidate, self._reference))
+            self._emit(LearningEventKind.READY, "a new model is ready", transfer_figures(candidate, self._reference))
         self._candidate = candidate
         if not self._is_model_held:
             self._switch(candidate)
 
     def _switch(self, candidate: Candidate) -> None:
         previous_reference = self._reference
-        figures = _transfer_figures(candidate, previous_reference)
+        figures = transfer_figures(candidate, previous_reference)
         self._candidate = None
         if candidate.transfer is not None and previous_reference is not None:
             self._reference = candidate.transfer.applied(previous_reference)
@@ -350,7 +369,7 @@ class Learner:
         self._patient_match = patient_match
         self._is_comparing = False
         self._emit(
-            LearningEventKind.COMPARED, "the stored model was compared with the patient", _match_figures(patient_match)
+            LearningEventKind.COMPARED, "the stored model was compared with the patient", match_figures(patient_match)
         )
         if patient_match.refusal is not None:
             self._refuse(patient_match.refusal, drops_model=True)
@@ -375,30 +394,3 @@ class Learner:
 
 def _note(text: str, *, share: float) -> TrainingProgress:
     return TrainingProgress(frames=0, cycles=0, seconds=0.0, share=share, note=text)
-
-
-def _transfer_figures(candidate: Candidate, previous_reference: Reference | None) -> Figures:
-    figures = dict(quality_figures(candidate.active.model))
-    transfer = candidate.transfer
-    if transfer is not None:
-        figures |= {"correction_mm": round(transfer.correction_mm, 4), "carry_frames": transfer.frames}
-        figures |= {"volume_correction_l": round(transfer.volume_l, 6)}
-        if previous_reference is not None:
-            reference_mm = float(previous_reference.regions_mm[candidate.active.regions.cells])
-            figures |= {
-                "zero_before_mm": round(reference_mm, 4),
-                "zero_after_mm": round(reference_mm + transfer.whole_mm, 4),
-            }
-    return figures
-
-
-def _match_figures(patient_match: PatientMatch) -> Figures:
-    return {
-        "frames": patient_match.frames,
-        "explained_share": round(patient_match.explained_share, 3),
-        "residual_mm": None if patient_match.residual_mm is None else round(patient_match.residual_mm, 3),
-        **{f"shift_{axis}_mm": round(value, 2) for axis, value in zip("xyz", patient_match.shift_mm, strict=True)},
-        "tilt_deg": round(patient_match.tilt_deg, 3),
-        "shape_mm": round(patient_match.shape_mm, 3),
-        "is_accepted": patient_match.refusal is None,
-    }

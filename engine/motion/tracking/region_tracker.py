@@ -22,7 +22,13 @@ FOLLOWED_SHARE = 0.3
 
 
 class RegionTracker:
-    """Markers and region of the current frame; the keyword arguments are fields of `PipelineSettings`."""
+    """Markers and region of the current frame; the keyword arguments are fields of `PipelineSettings`.
+
+    Attributes
+    ----------
+    table
+        The depth of each reading.
+    """
 
     def __init__(
         self,
@@ -37,7 +43,7 @@ class RegionTracker:
         self._depth_from_color = calibration.color_from_depth.inverse
         self._marker_diameter_mm, self._superior_px = marker_diameter_mm, superior_px
         self._max_pair_gap_ms, self._max_layout_change = max_pair_gap_ms, max_layout_change
-        self._table = DepthTable(calibration.depth_correction)
+        self.table = DepthTable(calibration.depth_correction)
         self._markers: Markers | None = None
         self._layout_px: FloatArray | None = None
         self._node_depth_mm: FloatArray | None = None
@@ -46,12 +52,12 @@ class RegionTracker:
     @property
     def is_settled(self) -> bool:
         """Whether the depth table is final."""
-        return self._table.is_settled
+        return self.table.is_settled
 
     @property
     def depth_steps(self) -> DepthSteps | None:
         """The steps of the sensor's readings; None before the table is final, and for a sensor without steps."""
-        return self._table.steps
+        return self.table.steps
 
     @property
     def has_layout(self) -> bool:
@@ -72,8 +78,8 @@ class RegionTracker:
 
     def find(self, frame: RgbdFrame) -> Markers | Lost:
         """Find the markers, first near their last positions; return the reason if they are lost."""
-        if not self._table.is_settled:
-            self._table.count(frame.depth_mm)
+        if not self.table.is_settled:
+            self.table.count(frame.depth_mm)
         gap_ms = frame.pair_gap_us / 1000.0
         if gap_ms > self._max_pair_gap_ms:
             return Lost(
@@ -150,7 +156,7 @@ class RegionTracker:
             rounds = ROUNDS_AT_FIRST
         for _ in range(rounds):
             nodes = align(color_rays, self._node_depth_mm, self._depth_from_color, self._calibration.depth)
-            roi = cut_out(frame.depth_mm, nodes.pixels_px, self._table.table_mm, stride_px)
+            roi = cut_out(frame.depth_mm, nodes.pixels_px, self.table.table_mm, stride_px)
             if not has_model:
                 self._node_depth_mm = _low_pass(self._node_depth_mm, roi, 1.0 if rounds > 1 else FOLLOWED_SHARE)
         return nodes, roi

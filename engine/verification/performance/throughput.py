@@ -93,6 +93,7 @@ def steady_rate(recording: Recording, work: Path) -> float:
             out,
             settings=PipelineSettings(training=recording.training),
             on_frame=stamp,
+            is_single_pass=True,
         )
     finally:
         shutil.rmtree(out, ignore_errors=True)

@@ -89,6 +89,14 @@ def measure(
     patient: Annotated[
         str | None, typer.Option(help="Pseudonymous patient reference, stored with the model; never a name.")
     ] = None,
+    single_pass: Annotated[
+        bool,
+        typer.Option(
+            "--single-pass",
+            help="Write what a live session measures: nothing before it has learned the model. By default every frame "
+            "is measured with that model, in a second pass.",
+        ),
+    ] = False,
     jobs: Annotated[int, typer.Option(help="Number of recordings measured in parallel; 0 is one per core.")] = 0,
 ) -> None:
     """Measure the breathing motion in every frame of one or more recordings.
@@ -125,6 +133,7 @@ def measure(
                 meshes=options.meshes(mesh, mesh_format),
                 model=stored,
                 origin=model_origin(recording, patient),
+                is_single_pass=single_pass,
             )
             for recording, cameras, folder in zip(
                 recordings,
@@ -152,10 +161,16 @@ def _measure(task: FileTask, *, is_calibration_given: bool) -> OfflineSummary:
     total = describe(task.recording).depth_frames
     with frame_bar() as progress:
         shown = progress.add_task("training", total=total)
+        words = ""
+
+        def begin(number: int) -> None:
+            nonlocal words
+            words = "" if task.is_single_pass else f"pass {number} of 2: "
 
         def show(measurement: Measurement) -> None:
             if measurement.frame_index % 10 == 0:
-                progress.update(shown, completed=measurement.frame_index + 1, description=measurement.state.value)
+                description = f"{words}{measurement.state.value}"
+                progress.update(shown, completed=measurement.frame_index + 1, description=description)
 
         summary = measure_recording(
             OniFileSource(task.recording, clock=MonotonicClock()),
@@ -167,6 +182,8 @@ def _measure(task: FileTask, *, is_calibration_given: bool) -> OfflineSummary:
             model=task.model,
             origin=task.origin,
             on_frame=show,
+            is_single_pass=task.is_single_pass,
+            on_pass=begin,
         )
         progress.update(shown, completed=summary.frames, description="done")
     return summary
@@ -184,12 +201,18 @@ def _print_summary(summary: OfflineSummary, task: FileTask) -> None:
     say(
         f"{summary.frames} frames: {summary.in_training} in training ({'stored model, ' * (task.model is not None)}"
         f"{model}), {summary.measured} measured, {summary.lost} lost. The camera dropped {summary.missed_frames} more. "
-        f"Written to {task.out}"
+        f"{_live_from(summary)}Written to {task.out}"
     )
     for note in _notes(summary, task):
         say(f"Note: {note}", "yellow")
     if summary.damage is not None:
         raise refused("measure", summary.damage)
+
+
+def _live_from(summary: OfflineSummary) -> str:
+    if summary.passes == 1 or summary.live_from_frame is None:
+        return ""
+    return f"A live session would have measured from frame {summary.live_from_frame} on. "
 
 
 def _notes(summary: OfflineSummary, task: FileTask) -> list[str]:

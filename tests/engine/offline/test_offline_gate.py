@@ -161,3 +161,18 @@ def test_a_fault_before_the_model_is_acknowledged_with_the_arming():
     states = [gate.decide(*one, ()).state for one in seen[1:]]
     assert states[-1] is GateState.BEAM_ON
     assert np.isfinite(seen[-1][1].motion.whole_mm)
+
+
+def test_frames_before_the_model_are_held_and_neither_arm_nor_move_the_gate():
+    _, seen = played("nothing", LIMITS)
+    gate, as_live = OfflineGate(LIMITS), OfflineGate(LIMITS)
+    for frame, measurement, status in seen:
+        untrained = replace(measurement, state=MeasurementState.TRAINING, motion=None)
+        if frame.index < FIRST:
+            held = gate.hold_untrained(frame, measurement)
+            assert (held.state, held.reason) == (GateState.HOLD, HoldReason.TRAINING)
+            assert as_live.decide(frame, untrained, LearningStatus(), ()).state is GateState.DISARMED
+        else:
+            assert gate.decide(frame, measurement, status, ()) == as_live.decide(frame, measurement, status, ())
+    assert gate.is_armed
+    assert OfflineGate(None).hold_untrained(*seen[0][:2]).state is GateState.DISARMED

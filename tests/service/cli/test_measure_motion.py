@@ -29,7 +29,7 @@ def out(regular_volunteer, tmp_path_factory):
     file = folder / "regions.json"
     file.write_text(json.dumps({"schema": "tidegate.regions/1", "regions": [{"name": "belly", "vertices": BELLY}]}))
     wedge = "wedge=20,20;20,180;140,100"
-    options = ["--region", wedge, "--regions", str(file), "--mesh", "3,600,700", "--point", "175,100"]
+    options = ["--region", wedge, "--regions", str(file), "--mesh", "600,700,5000", "--point", "175,100"]
     # A short lesson, so that most of a short recording is measured: lags need two cycles.
     quick = functools.partial(TrainingSettings, min_frames=60, min_seconds=5.0, min_cycles=1)
     with pytest.MonkeyPatch.context() as patch:

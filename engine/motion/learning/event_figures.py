@@ -1,0 +1,35 @@
+"""Figures of learning events."""
+
+from engine.core.learning_events import Figures
+from engine.core.patient_match import PatientMatch
+from engine.motion.learning.prepared_model import Reference
+from engine.motion.learning.tasks import Candidate, quality_figures
+
+
+def transfer_figures(candidate: Candidate, previous_reference: Reference | None) -> Figures:
+    """Return the quality of a new model, and how far the reference was corrected for it [mm; l]."""
+    figures = dict(quality_figures(candidate.active.model))
+    transfer = candidate.transfer
+    if transfer is not None:
+        figures |= {"correction_mm": round(transfer.correction_mm, 4), "carry_frames": transfer.frames}
+        figures |= {"volume_correction_l": round(transfer.volume_l, 6)}
+        if previous_reference is not None:
+            reference_mm = float(previous_reference.regions_mm[candidate.active.regions.cells])
+            figures |= {
+                "zero_before_mm": round(reference_mm, 4),
+                "zero_after_mm": round(reference_mm + transfer.whole_mm, 4),
+            }
+    return figures
+
+
+def match_figures(patient_match: PatientMatch) -> Figures:
+    """Return how far the patient is from a stored model."""
+    return {
+        "frames": patient_match.frames,
+        "explained_share": round(patient_match.explained_share, 3),
+        "residual_mm": None if patient_match.residual_mm is None else round(patient_match.residual_mm, 3),
+        **{f"shift_{axis}_mm": round(value, 2) for axis, value in zip("xyz", patient_match.shift_mm, strict=True)},
+        "tilt_deg": round(patient_match.tilt_deg, 3),
+        "shape_mm": round(patient_match.shape_mm, 3),
+        "is_accepted": patient_match.refusal is None,
+    }
