@@ -54,16 +54,17 @@ class SteppedPage:
         """Let this time pass, in steps."""
         self._exchange()
         for _ in range(0, milliseconds, STEP_MS):
-            self._now_s += STEP_MS / 1000
-            self.page.clock.run_for(STEP_MS)
-            self._exchange()
+            self._step()
 
     def advance_until(self, is_so: Callable[[], object], within_ms: int = 10_000) -> None:
         """Let time pass until that is so; fail after this time of the page's clock."""
+        if is_so():
+            return
+        self._exchange()
         for _ in range(0, within_ms, STEP_MS):
+            self._step()
             if is_so():
                 return
-            self.advance(STEP_MS)
         assert is_so(), f"did not happen within {within_ms} ms of the page's clock; the gate shows {self.kind}"
 
     def shows(self, message: dict[str, Any]) -> None:
@@ -71,6 +72,11 @@ class SteppedPage:
         self.fake.mode, self.fake.sample = "samples", message
         self.advance(STEP_MS)
         self.advance_until(lambda: self.kind == message["gate"])
+
+    def _step(self) -> None:
+        self._now_s += STEP_MS / 1000
+        self.page.clock.run_for(STEP_MS)
+        self._exchange()
 
     def _exchange(self) -> None:
         """Let the service send its next message, and wait until nothing is on its way to the page or from it."""
