@@ -17,6 +17,7 @@ from service.core.settings.settings import SettingsError
 from service.sessions.recovery.replay import StoredSession, Verdict
 from service.storage.audit import Event
 from service.storage.database.engine import Database
+from service.storage.database.migrations import MigrationError, schema_status
 
 DIFFERENT = 1
 ACTION = "session.replayed"
@@ -52,6 +53,7 @@ def replay(
     try:
         database, data_dir, is_own = _opened(data)
         try:
+            _refuse_older_schema(database)
             stored = StoredSession(database, data_dir, session)
             if not any_version:
                 stored.refuse_other_version()
@@ -81,6 +83,14 @@ def _opened(data: Path | None) -> tuple[Database, Path, bool]:
         msg = f"there is no database in the data folder {data}"
         raise NotFoundError(msg, field="data")
     return Database(data / DATABASE_NAME), data, False
+
+
+def _refuse_older_schema(database: Database) -> None:
+    with database.connect() as connection:
+        status = schema_status(connection)
+    if status.ahead:
+        found = f"the database is at revision {status.revision}, and {status.head} is needed"
+        raise MigrationError(f"{found}: run `tidegate database upgrade`")
 
 
 def _run(stored: StoredSession, recording: Path | None) -> Verdict:

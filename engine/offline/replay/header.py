@@ -12,6 +12,12 @@ from engine.gating.limits import GateLimits
 from engine.motion.settings import PipelineSettings
 from engine.offline.replay.encoding import TapeEncoding
 
+METHOD = 2
+"""Number of the measuring method, increased with every change by which the same frames may be believed, measured or
+gated otherwise: then an earlier session replays to other results on purpose."""
+FIRST_METHOD = 1
+"""The method of tapes that name none."""
+
 RAW = "raw"
 RECORDING = "recording"
 
@@ -35,6 +41,8 @@ class TapeHeader:
     software, machine
         Version and processor. Equal bits are promised where both are the same; for others see
         :mod:`engine.offline.replay.comparison`.
+    method
+        Number of the method that measured it.
     """
 
     session_id: str
@@ -45,6 +53,7 @@ class TapeHeader:
     frames: Frames
     software: str
     machine: dict[str, str]
+    method: int = METHOD
 
     def encoded(self, encoding: TapeEncoding) -> dict[str, Any]:
         """Return the header encoded for a tape."""
@@ -57,6 +66,7 @@ class TapeHeader:
             "frames": {"kind": self.frames.kind, "path": None if self.frames.path is None else str(self.frames.path)},
             "software": self.software,
             "machine": self.machine,
+            "method": self.method,
         }
 
 
@@ -68,6 +78,10 @@ def read_head(encoded: dict[str, Any], encoding: TapeEncoding) -> TapeHeader:
         if not isinstance(machine, dict):
             msg = "the tape's head is damaged: it names no machine"
             raise RecordingError(msg)
+        method = encoded.get("method", FIRST_METHOD)
+        if isinstance(method, bool) or not isinstance(method, int) or method < FIRST_METHOD:
+            msg = f"the tape's head is damaged: its method is {method!r}"
+            raise RecordingError(msg)
         return TapeHeader(
             session_id=encoded["session_id"],
             limits=encoding.decode(encoded["limits"]),
@@ -77,6 +91,7 @@ def read_head(encoded: dict[str, Any], encoding: TapeEncoding) -> TapeHeader:
             frames=Frames(kind=frames["kind"], path=None if frames["path"] is None else Path(frames["path"])),
             software=encoded["software"],
             machine=machine,
+            method=method,
         )
     except (KeyError, TypeError, AttributeError, InvalidValueError) as error:
         msg = f"the tape's head is damaged: {type(error).__name__}"

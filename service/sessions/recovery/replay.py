@@ -12,7 +12,7 @@ from engine.capture.raw_recorder import part_of
 from engine.control.outputs import FrameRecord
 from engine.core.errors import TidegateError
 from engine.offline.replay.comparison import PROCESSOR, Comparison, comparison_of, this_machine
-from engine.offline.replay.header import RAW, TapeHeader, read_head, this_software
+from engine.offline.replay.header import METHOD, RAW, TapeHeader, read_head, this_software
 from engine.offline.replay.outcomes import Row, same, text_of
 from engine.offline.replay.replay import Replay, replay
 from engine.offline.replay.replaying_tap import Difference
@@ -140,6 +140,8 @@ class StoredSession:
         if self.head.software != this_software():
             msg = f"the session ran as {self.head.software}, this is {this_software()}: run that, or say --any-version"
             raise NotReplayableError(msg)
+        if self.head.method != METHOD:
+            raise NotReplayableError(f"{_method_note(self.head)}: run an earlier version, or use --any-version")
 
     def run_again(self, recording: Path | None, on_frame: Callable[[int], None]) -> Verdict:
         """Run the session again and compare the results with what is stored."""
@@ -232,6 +234,8 @@ class StoredSession:
         notes = _machine_notes(self.head, comparison)
         if self.head.software != this_software():
             notes.append(f"the session ran as {self.head.software}, this is {this_software()}")
+        if self.head.method != METHOD:
+            notes.append(f"{_method_note(self.head)}, so that differences may be intended")
         if outcome.torn is not None:
             notes.append(f"the tape ends early: {outcome.torn}")
         elif not outcome.is_whole:
@@ -244,6 +248,10 @@ class StoredSession:
         if outcome.elsewhere:
             notes.append(f"{len(outcome.elsewhere)} transitions were the watchdog's own: compared, not decided again")
         return notes
+
+
+def _method_note(head: TapeHeader) -> str:
+    return f"the session was measured with method {head.method}, this version measures with method {METHOD}"
 
 
 def _machine_notes(head: TapeHeader, comparison: Comparison) -> list[str]:

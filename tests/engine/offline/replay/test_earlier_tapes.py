@@ -1,10 +1,11 @@
-"""Tapes that an earlier version wrote are read, and replay to the same outcome."""
+"""Tapes that an earlier version wrote are read; they replay up to the first number that a later method changed."""
 
 import dataclasses
 import enum
 import json
 import re
 import zlib
+from contextlib import closing
 
 import pytest
 from typer.testing import CliRunner
@@ -16,10 +17,11 @@ from engine.core.motion_model import MotionModel
 from engine.gating.supervision import repeated_frames
 from engine.motion.learning import training_set
 from engine.offline.replay.encoding import TapeEncoding
+from engine.offline.replay.header import FIRST_METHOD, METHOD
 from engine.offline.replay.tape_file import read_tape
 from service.cli import app
 from service.core.settings.database_place import DATABASE_NAME
-from service.sessions.recovery.replay import StoredSession
+from service.sessions.recovery.replay import NotReplayableError, StoredSession
 from service.storage.database.engine import Database
 from service.storage.files.motion_models import MODELS_FOLDER, ModelStore
 from service.storage.files.tapes import tape_path
@@ -45,7 +47,12 @@ def method_1(monkeypatch):
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
-    return earlier_files.unpacked("folders.tar.xz", tmp_path_factory.mktemp("folders"))
+    """The folders, with their databases upgraded."""
+    found = earlier_files.unpacked("folders.tar.xz", tmp_path_factory.mktemp("folders"))
+    for place in found.rglob(DATABASE_NAME):
+        with closing(Database(place)) as database:
+            database.migrate()
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -137,28 +144,40 @@ def test_an_earlier_scripted_session_comes_out_the_same(encoding, monkeypatch):
 
 
 @pytest.mark.parametrize("session_id", [LEARNING, RESUMED])
-def test_an_earlier_session_replays_to_the_same_decisions_samples_and_audit(folders, recording, session_id):
+def test_an_earlier_session_replays_up_to_the_first_number_of_another_method(folders, recording, session_id):
     data = folders / "data"
-    database = Database(data / DATABASE_NAME)
-    try:
-        verdict = StoredSession(database, data, session_id).run_again(recording, lambda _frames: None)
-    finally:
-        database.close()
-    assert verdict.differences == []
-    assert verdict.replay.is_whole
-    assert verdict.replay.frames == verdict.samples == FRAMES[session_id]
+    with closing(Database(data / DATABASE_NAME)) as database:
+        stored = StoredSession(database, data, session_id)
+        with pytest.raises(NotReplayableError, match=f"measured with method {FIRST_METHOD}, .* method {METHOD}"):
+            stored.refuse_other_version()
+        verdict = stored.run_again(recording, lambda _frames: None)
+    assert verdict.head.method == FIRST_METHOD
+    assert any("differences may be intended" in note for note in verdict.notes)
     assert verdict.audited == TRANSITIONS[session_id]
-    assert "beam_on" in {row["to"] for row in verdict.replay.transitions}
+    assert 0 < verdict.replay.frames <= FRAMES[session_id]
+    assert all(one.is_of_numbers and one.frame > 0 for one in verdict.differences)
+    if not verdict.differences:
+        assert verdict.replay.is_whole
+        assert verdict.replay.frames == verdict.samples == FRAMES[session_id]
 
 
 @pytest.mark.parametrize("session_id", [LEARNING, RESUMED, KILLED])
-def test_the_command_replays_an_earlier_session(folders, recording, session_id):
+def test_the_command_replays_an_earlier_session_and_names_the_methods(folders, recording, session_id):
     data = folders / ("killed/data" if session_id == KILLED else "data")
-    wish = ["replay", session_id, "--data", data, "--recording", recording, "--any-version"]
-    answer = CliRunner().invoke(app, [str(word) for word in wish])
-    assert answer.exit_code == 0, answer.output
-    frames = int(re.search(r"(\d+) frames, \d+ transitions", answer.output)[1])
-    assert frames == FRAMES.get(session_id, frames) > 0
+    wish = ["replay", session_id, "--data", data, "--recording", recording]
+    assert CliRunner().invoke(app, [str(word) for word in wish]).exit_code == 2
+    answer = CliRunner().invoke(app, [*(str(word) for word in wish), "--any-version"])
+    assert answer.exit_code in {0, 1}, answer.output
+    assert f"method {FIRST_METHOD}" in answer.output
+    agreed = re.search(r"(\d+) frames, \d+ transitions|after (\d+) frames that agree", answer.output)
+    assert int(agreed[1] or agreed[2]) > 0
+
+
+def test_the_command_refuses_a_database_that_is_not_upgraded(tmp_path):
+    data = earlier_files.unpacked("folders.tar.xz", tmp_path) / "data"
+    answer = CliRunner().invoke(app, ["replay", LEARNING, "--data", str(data)])
+    assert answer.exit_code == 2, answer.output
+    assert "tidegate database upgrade" in " ".join(answer.output.split())
 
 
 def lines_of(path):
