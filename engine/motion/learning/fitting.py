@@ -1,24 +1,23 @@
 """Fits a motion model to training frames (article, section 4.3.2, equations 1 to 5).
 
-Three deviations from the article, with their effect measured in docs/adr/0004: components are smoothed, with a width
-chosen by cross-validation between two halves of the frames, since a chest moves smoothly and noise in a component
-reduces the measured motion; frames are not filtered by the bilateral filter, which had no benefit; and the sensor's
-noise is estimated, which later sets the weight of the readings in the projection.
+Three deviations from the article, with their effect measured in docs/adr/0004: components are smoothed as far as noise
+and the sensor's fixed errors require (:mod:`engine.motion.learning.shape_smoothing`), since a chest moves smoothly and
+noise in a component reduces the measured motion; frames are not filtered by the bilateral filter, which had no benefit;
+and the sensor's noise is estimated, which later sets the weight of the readings in the projection.
 """
 
-import cv2
 import numpy as np
 
 from engine.core.errors import ModelError
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray
 from engine.core.motion_model import MotionModel
+from engine.motion.learning.shape_smoothing import fill_unknown, scatter, smooth_shapes
 
 MIN_FRAMES = 20
 KNOWN_SHARE = 0.5
 MAX_FILLINGS = 8
 FILLED_CHANGE = 0.003
 CELL_PX = 10
-SMOOTHINGS_PX = (4.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 # Side of the squares for the noise estimate: well above the noise's correlation, well below the motion's structures.
 NOISE_SQUARE_PX = 24
 MIN_NOISE_MM = 0.5
@@ -63,7 +62,7 @@ def fit(
     stride_px = -(-ROI_ROWS // depth_mm.shape[1])
     data, seen = depth_mm[:, known], valid[:, known]
     mean, centred, scores, eigenvalues = _principal_components(data, seen, known, stride_px, components)
-    shapes = _smooth_shapes(centred, scores, known, stride_px)
+    shapes = smooth_shapes(centred, scores, known, stride_px, float(mean.mean()))
     noise_mm = _noise_mm(centred - scores @ (scores.T @ centred), known, stride_px)
     return MotionModel(
         mean_mm=_on_grid(fill_unknown(scatter(mean, known), known), stride_px),
@@ -123,22 +122,6 @@ def _cell_means(centred: FloatArray, known: BoolArray, stride_px: int) -> FloatA
     return np.asarray(np.add.reduceat(centred[:, order], first, axis=1) / np.sqrt(counts, dtype=np.float32))
 
 
-def _smooth_shapes(centred: FloatArray, scores: FloatArray, known: BoolArray, stride_px: int) -> list[FloatArray]:
-    """Map the scores back to shapes, each smoothed by the width with the best cross-validation of the two halves."""
-    halves = [2.0 * (scores[start::2].T @ centred[start::2]) for start in (0, 1)]
-    shapes = []
-    for one, other in zip(*halves, strict=True):
-        whole, first, second = (scatter(values, known) for values in (0.5 * (one + other), one, other))
-        errors = []
-        for smoothing_px in SMOOTHINGS_PX:
-            predictions = [smooth(half, known, smoothing_px / stride_px) for half in (first, second)]
-            errors.append(
-                float(np.square(predictions[0] - second)[known].sum() + np.square(predictions[1] - first)[known].sum())
-            )
-        shapes.append(smooth(whole, known, SMOOTHINGS_PX[int(np.argmin(errors))] / stride_px))
-    return shapes
-
-
 def _noise_mm(unexplained: FloatArray, known: BoolArray, stride_px: int) -> float:
     """Estimate the sensor's noise: the mean of a square of n x n grid pixels has this standard deviation over n [mm].
 
@@ -156,37 +139,6 @@ def _noise_mm(unexplained: FloatArray, known: BoolArray, stride_px: int) -> floa
         return MIN_NOISE_MM * NOISE_SQUARE_PX
     variance = float(np.median(np.square(means))) / _MEDIAN_SQUARE / 2.0
     return max(float(np.sqrt(variance)) * NOISE_SQUARE_PX, MIN_NOISE_MM)
-
-
-def scatter(values: FloatArray, known: BoolArray) -> FloatArray:
-    """Arrange values of the known points on the grid, zero elsewhere."""
-    surface = np.zeros(known.shape, dtype=np.float32)
-    surface[known] = values
-    return surface
-
-
-def smooth(surface: FloatArray, known: BoolArray, sigma_px: float) -> FloatArray:
-    """Apply Gaussian smoothing over known points; slopes are preserved at the edges."""
-    # Padding by point reflection continues a slope; reflection alone would flatten it.
-    margin = int(3.0 * sigma_px) + 1
-    filled = np.pad(fill_unknown(surface, known), margin, mode="reflect", reflect_type="odd")
-    inner = slice(margin, -margin)
-    blurred = cv2.GaussianBlur(filled, (0, 0), sigma_px)[inner, inner]
-    return np.ascontiguousarray(blurred, dtype=np.float32)
-
-
-def fill_unknown(surface: FloatArray, known: BoolArray) -> FloatArray:
-    """Extrapolate a surface smoothly into unknown points, from near to far; unknown cells are not reported."""
-    filled, have = surface.astype(np.float32).copy(), known.copy()
-    sigma = 3.0
-    while not have.all():
-        weight = cv2.GaussianBlur(have.astype(np.float32), (0, 0), sigma)
-        blurred = cv2.GaussianBlur(np.where(have, filled, np.float32(0.0)), (0, 0), sigma)
-        reached = ~have & (weight > 0.05)
-        filled[reached] = blurred[reached] / weight[reached]
-        have |= reached
-        sigma = min(2.0 * sigma, 200.0)
-    return filled
 
 
 def _on_grid(surface: FloatArray, stride_px: int) -> FloatArray:

@@ -23,6 +23,9 @@ SAMPLED_SHAPE = (-(-ROI_ROWS // STRIDE_PX), -(-ROI_COLUMNS // STRIDE_PX))
 COSINE_ROWS = 6
 COSINE_COLUMNS = 4
 PRIOR_SPREADS_MM = (0.1, 0.5, 3.0)
+# The model's noise is that of 24 px squares. Over a whole mode it is 1.3 times as much per root of area, as its
+# correlation reaches farther, and the sensor's fixed errors add to it. With less, cosines follow noise (ADR 0017).
+NOISE_OF_MODES = 1.5
 OUTLIER_MM = 6.0
 INLIER_MM = 0.9 * OUTLIER_MM
 MAX_REWEIGHTINGS = 12
@@ -112,7 +115,7 @@ def prepare_basis(model: MotionModel) -> Basis:
     known = np.ascontiguousarray(model.known[::STRIDE_PX, ::STRIDE_PX]).ravel()
     sampled = np.ascontiguousarray(modes[:, ::STRIDE_PX, ::STRIDE_PX].reshape(len(modes), -1))
     sampled *= known
-    variance_mm2 = (model.noise_mm / STRIDE_PX) ** 2
+    variance_mm2 = (NOISE_OF_MODES * model.noise_mm / STRIDE_PX) ** 2
     widths_mm = np.array([np.concatenate([learned_mm, spread * shares]) for spread in PRIOR_SPREADS_MM])
     stiffness = variance_mm2 / widths_mm**2
     return Basis(

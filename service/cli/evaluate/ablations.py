@@ -21,14 +21,18 @@ def ablations(
     seed: Annotated[
         int, typer.Option(help="Seed of the recordings; the same seed gives the same ones on the same processor.")
     ] = 2017,
+    sensor: Annotated[str, typer.Option(help="Model of the sensor's errors: usual or locking.")] = "usual",
+    scenario: Annotated[
+        list[str] | None, typer.Option(help="Only this scenario: regular, irregular, shift, dibh, isovolume or drift.")
+    ] = None,
 ) -> None:
-    """Measure five virtual volunteers with one part of the method changed at a time and print the errors."""
+    """Measure six virtual volunteers with one part of the method changed at a time and print the errors."""
     from engine.verification.evaluation.runs.ablations import ablate, runs, table
     from engine.verification.evaluation.runs.datasets import SECONDS, check_plan
 
     try:
         check_plan(seed, SECONDS)
-        planned, found = runs(seed), []
+        planned, found = runs(seed, sensor, tuple(scenario or ())), []
         with frame_bar() as bar:
             for run in planned:
                 task = bar.add_task(f"{run.name}, {run.scenario}", total=run.frames)

@@ -7,7 +7,7 @@ it. Every frame is decoded once for all variants.
 import importlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from unittest.mock import patch
 
@@ -16,6 +16,7 @@ import numpy as np
 from engine.calibration.camera_calibration import load_calibration
 from engine.capture.recording_source import OniFileSource
 from engine.core.clock import ManualClock
+from engine.core.errors import InvalidValueError
 from engine.core.frames import BoolArray, FloatArray, RoiDepth
 from engine.core.motion_model import MotionModel
 from engine.core.native_threads import keep_calls_in_their_thread
@@ -27,6 +28,7 @@ from engine.motion.stages.preprocessing import fill_holes, smooth_bilateral
 from engine.verification.evaluation.playback import decoded_frames
 from engine.verification.evaluation.runs.datasets import Run, full_plan, make_dataset
 from engine.verification.evaluation.table import Cell, Table
+from engine.verification.phantom.sensor_models import USUAL, find_sensor
 from engine.verification.phantom.truth import CELL_PX, load_truth
 
 RUNS = ("D02", "I03", "S01", "H01", "V01")
@@ -62,6 +64,7 @@ class Variant:
 
 
 _PROJECTION = "engine.motion.stages.projection"
+_SMOOTHING = "engine.motion.learning.shape_smoothing"
 VARIANTS = (
     Variant(name="as shipped"),
     Variant(
@@ -69,11 +72,15 @@ VARIANTS = (
         patches={("engine.motion.tracking.depth_table", "find_steps"): lambda _: None},
     ),
     Variant(
-        name="components smoothed by 4 px only", patches={("engine.motion.learning.fitting", "SMOOTHINGS_PX"): (4.0,)}
+        name="components smoothed by 4 px only",
+        patches={(_SMOOTHING, "kept_shares"): lambda total, _: np.ones_like(total, dtype=np.float32)},
     ),
     Variant(
-        name="components smoothed by 48 px", patches={("engine.motion.learning.fitting", "SMOOTHINGS_PX"): (48.0,)}
+        name="components smoothed by 32 px",
+        patches={(_SMOOTHING, "kept_shares"): lambda total, _: np.zeros_like(total, dtype=np.float32)},
     ),
+    Variant(name="pixel locking not estimated", patches={(_SMOOTHING, "CAUTION"): 0.0}),
+    Variant(name="modes with the noise of 24 px squares", patches={(_PROJECTION, "NOISE_OF_MODES"): 1.0}),
     Variant(
         name="training frames through the bilateral filter",
         patches={("engine.motion.learning.tasks", "fit"): _filtered_fit},
@@ -103,10 +110,28 @@ class Ablation:
     worst_mm: tuple[float, ...]
 
 
-def runs(seed: int) -> list[Run]:
-    """Return one run each of regular and irregular breathing, patient shift, breath hold and isovolume manoeuvre."""
+def runs(seed: int, sensor: str = USUAL, scenarios: tuple[str, ...] = ()) -> list[Run]:
+    """Return one run of each scenario, recorded by one sensor model, or only those of some scenarios.
+
+    Raises
+    ------
+    InvalidValueError
+        The sensor model or a scenario is unknown; names field, value and bound.
+    """
+    find_sensor(sensor)
     planned = {run.name: run for run in full_plan(seed)}
-    return [planned[name] for name in RUNS]
+    chosen = {run.scenario: run for run in (*(planned[name] for name in RUNS), _drift(seed))}
+    for scenario in scenarios:
+        if scenario not in chosen:
+            raise InvalidValueError("scenario", scenario, "one of " + ", ".join(chosen))
+    wanted = [run for name, run in chosen.items() if name in (scenarios or chosen)]
+    if sensor == USUAL:
+        return wanted
+    return [replace(run, name=f"{run.name}-{sensor}", sensor=sensor) for run in wanted]
+
+
+def _drift(seed: int) -> Run:
+    return Run(name="B01", group="drift", scenario="drift", volunteer=1, seed=seed + 120, seconds=40.0)
 
 
 def ablate(run: Run, folder: Path, on_frame: Callable[[int], None]) -> Ablation:

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from engine.core.errors import ModelError
-from engine.motion.learning.fitting import smooth
-from tests.support.motion.fitting_frames import BREATH, COLUMNS, REST_MM, ROWS, SIGNAL_MM, frames, learn
+from tests.support.motion.fitting_frames import BREATH, REST_MM, SIGNAL_MM, frames, learn
 
 
 def share_of(model):
@@ -17,11 +16,6 @@ def share_of(model):
 @pytest.mark.parametrize("noise_mm", [0.5, 2.0, 6.0])
 def test_noise_does_not_make_motion_look_smaller(noise_mm):
     assert share_of(learn(*frames(noise_mm), components=1)) == pytest.approx(1.0, abs=0.004)
-
-
-def test_a_slope_stays_a_slope_up_to_the_edge():
-    slope = (0.02 * ROWS[::2, ::2] - 0.01 * COLUMNS[::2, ::2]).astype(np.float32)
-    assert np.abs(smooth(slope, np.ones_like(slope, dtype=bool), 12.0) - slope).max() < 1e-3
 
 
 @pytest.mark.parametrize(("stride", "blur_px"), [(2, 0.0), (4, 0.0), (2, 1.2), (4, 0.6)])

@@ -5,6 +5,7 @@ import importlib
 import numpy as np
 import pytest
 
+from engine.core.errors import InvalidValueError
 from engine.verification.evaluation.runs import ablations
 from engine.verification.evaluation.runs.ablations import VARIANTS, Ablation, ablate, runs, table
 
@@ -23,7 +24,23 @@ def test_a_variant_puts_another_value_in_place_and_the_shipped_one_back(variant)
 
 
 def test_each_kind_of_recording_is_measured_once():
-    assert [run.scenario for run in runs(2017)] == ["regular", "irregular", "shift", "dibh", "isovolume"]
+    planned = runs(2017)
+    assert [run.scenario for run in planned] == ["regular", "irregular", "shift", "dibh", "isovolume", "drift"]
+    assert {run.sensor for run in planned} == {"usual"}
+
+
+def test_the_other_sensor_records_the_same_volunteers_in_folders_of_their_own():
+    usual, locking = runs(2017), runs(2017, "locking")
+    assert [run.recipe | {"sensor": "locking"} for run in usual] == [run.recipe for run in locking]
+    assert not {run.name for run in usual} & {run.name for run in locking}
+
+
+def test_some_scenarios_alone_are_measured_and_others_refused():
+    assert [run.name for run in runs(2017, "locking", ("dibh", "regular"))] == ["D02-locking", "H01-locking"]
+    with pytest.raises(InvalidValueError, match="scenario"):
+        runs(2017, "usual", ("cough",))
+    with pytest.raises(InvalidValueError, match="sensor"):
+        runs(2017, "lidar")
 
 
 def test_a_variant_without_what_helps_is_worse(regular_volunteer, monkeypatch):
