@@ -54,7 +54,7 @@ class _Stream:
         if timestamp_us == self.timestamp_us:
             return  # paired with another depth frame, with its time unchanged
         self.timestamp_us = timestamp_us
-        readings = np.ascontiguousarray(picture[::THINNING_PX, ::THINNING_PX]).ravel()
+        readings = picture[::THINNING_PX, ::THINNING_PX].flatten()
         view = readings.tobytes()
         is_old = any(view) and (self._was_seen(view, picture) or (self.is_depth and self._is_nearly_old(readings)))
         self.picture = picture

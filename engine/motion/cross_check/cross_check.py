@@ -56,12 +56,20 @@ class _Observed(NamedTuple):
     scene_mm: FloatArray
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(slots=True, kw_only=True, eq=False)
 class _Reference:
-    """Surface and colour at the reference."""
+    """Surface and colour at the reference; the surface is that of the frames around it, since one frame has noise."""
 
-    cells_mm: FloatArray
+    surfaces_mm: list[FloatArray]
     chroma: Chroma
+    set_us: int
+    cells_mm: FloatArray
+
+    def add(self, cells_mm: FloatArray, timestamp_us: int) -> None:
+        """Take the surface of a later frame, if it is close enough to the reference in time."""
+        if 0 < timestamp_us - self.set_us <= AVERAGED_US:
+            self.surfaces_mm.append(cells_mm)
+            self.cells_mm = _mean_seen(self.surfaces_mm)
 
 
 class CrossCheck:
@@ -126,11 +134,18 @@ class CrossCheck:
             self._gathered.clear()
         cells_mm = _mean([one.cells_mm for one in self._recent])
         chroma = self._recent[-1].chroma
+        newest = self._recent[-1]
         if is_reference_due or self._reference is None:
-            self._reference = _Reference(cells_mm=cells_mm, chroma=chroma)
+            surfaces_mm = [one.cells_mm for one in self._recent]
+            self._reference = _Reference(
+                surfaces_mm=surfaces_mm, chroma=chroma, set_us=newest.timestamp_us, cells_mm=_mean_seen(surfaces_mm)
+            )
             self._disagreements = frozenset()
             self._scene.restart()
-        return self._compare(self._reference, cells_mm, chroma)
+        disagreement = self._compare(self._reference, cells_mm, chroma)
+        if disagreement is None:
+            self._reference.add(newest.cells_mm, newest.timestamp_us)
+        return disagreement
 
     def _compare(self, reference: _Reference, cells_mm: FloatArray, chroma: Chroma) -> Lost | None:
         found = [
@@ -207,6 +222,15 @@ def _position(change: SurfaceChange, deeper_mm: float, points_mm: FloatArray | N
         tilt_deg=math.degrees(math.atan2(2.0 * change.along_mm, length_mm)),
         roll_deg=math.degrees(math.atan2(2.0 * change.across_mm, width_mm)),
     )
+
+
+def _mean_seen(surfaces_mm: list[FloatArray]) -> FloatArray:
+    """Return the mean of each cell over the frames that saw it, NaN where none did."""
+    stacked = np.array(surfaces_mm)
+    is_seen = np.isfinite(stacked)
+    count = is_seen.sum(axis=0)
+    sums = np.where(is_seen, stacked, 0.0).sum(axis=0)
+    return np.where(count > 0, sums / np.maximum(count, 1), np.nan)
 
 
 def _mean(values: list[FloatArray]) -> FloatArray:

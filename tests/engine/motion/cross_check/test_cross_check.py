@@ -10,8 +10,8 @@ import pytest
 
 from engine.core.frames import LostReason, Markers, RgbdFrame, RoiDepth
 from engine.motion.cross_check.cross_check import AVERAGED_US, CrossCheck
-from tests.engine.motion.cross_check.test_static_scene import CAMERA, FRAMES, STEP_US, scene_mm
 from tests.support.motion.small_scene import CALIBRATION
+from tests.support.motion.static_room import CAMERA, FRAMES, STEP_US, scene_mm
 
 MARKERS = Markers(centers_px=np.array([[240.0, 110.0], [400.0, 110.0], [400.0, 380.0], [240.0, 380.0]]))
 ROWS, COLUMNS = np.mgrid[0:88, 0:50]
@@ -166,6 +166,15 @@ def test_a_new_model_without_a_new_reference_changes_nothing(session):
         session.check.gather()
     session.model = stored_model()
     assert reasons(session.run(1)) == [LostReason.SURFACE_CHANGED]
+
+
+def test_a_reference_set_on_the_first_frame_is_no_noisier_than_a_later_one(learned):
+    found = deepcopy(learned)
+    found.check.restart()
+    assert found.run(150) == [None] * 150
+    reference = found.check._reference
+    assert len(reference.surfaces_mm) == AVERAGED_US // STEP_US + 1
+    assert np.abs(reference.cells_mm - np.mean(reference.surfaces_mm, axis=0)).max() < 1e-9
 
 
 def test_a_restart_forgets_the_reference(session):
