@@ -144,7 +144,8 @@ def cell_means(roi: RoiDepth) -> FloatArray:
 def _means(depth_mm: FloatArray, seen: FloatArray) -> FloatArray:
     sums = _ROWS @ np.where(seen > 0.0, depth_mm, 0.0) @ _COLUMNS
     counts = _ROWS @ seen @ _COLUMNS
-    return np.where(counts >= LEAST_SEEN * _FULL, sums / np.maximum(counts, 1.0), np.nan).ravel()
+    means_mm = np.where(counts >= LEAST_SEEN * _FULL, sums / np.maximum(counts, 1.0), np.nan)
+    return means_mm.ravel().astype(np.float64)
 
 
 def _sums() -> tuple[FloatArray, FloatArray]:
