@@ -6,6 +6,7 @@ that one sigh or a slow drift does not hide the breaths beside it, and if it exc
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import median_filter
 
 from engine.core.frames import FloatArray
 from engine.motion.breathing.turning_points import RISING, TurningPoints, follow_turns
@@ -21,6 +22,8 @@ LOCAL_PERCENTILES = (15.0, 85.0)
 LOCAL_SHARE = 0.3
 GLOBAL_SHARE = 0.1
 NOISE_FACTOR = 4.0
+SPIKE_FRAMES = 5
+"""Frames of a median filter that removes single damaged frames before breaths are counted."""
 LOCAL_STEP_S = 0.1
 LOCAL_EVERY = 5
 CYCLE_S = (1.2, 15.0)
@@ -49,7 +52,7 @@ def count_cycles(signal_mm: FloatArray, seconds: FloatArray) -> int:
     if len(signal_mm) < 3 or seconds[-1] - seconds[0] < 1.0:
         return 0
     signal = np.asarray(signal_mm, dtype=np.float64)
-    smooth = smoothed(signal, seconds)
+    smooth = smoothed(median_filter(signal, SPIKE_FRAMES, mode="nearest"), seconds)
     low, high = np.percentile(smooth, [5.0, 95.0])
     if high - low < MIN_EXCURSION_MM:
         return 0

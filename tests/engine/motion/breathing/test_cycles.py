@@ -116,3 +116,12 @@ def test_a_static_plate_has_no_cycles(level):
 def test_a_wander_slower_than_any_breath_has_no_cycles():
     seconds = np.arange(0.0, 200.0, 1 / 30)
     assert count_cycles(noisy(2.0 * np.sin(2.0 * np.pi * seconds / 40.0)), seconds) == 0
+
+
+def test_single_damaged_frames_hide_no_breath_and_are_none():
+    seconds = np.arange(0.0, 20.0, 1.0 / 30.0)
+    rng = np.random.default_rng(4)
+    breathing = 4.0 - 4.0 * np.cos(2.0 * np.pi * seconds / 4.0)
+    damage = np.where(rng.random(len(seconds)) < 0.05, rng.normal(0.0, 2000.0, len(seconds)), 0.0)
+    assert count_cycles(breathing + damage, seconds) == count_cycles(breathing, seconds) == 4
+    assert count_cycles(damage, seconds) == 0
