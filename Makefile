@@ -27,14 +27,14 @@ openni:
 
 # What the tests use for real beside the Python packages: the runtime, what a driver for it is built with, a browser.
 test-system:
-	@docker/install-debian-packages.sh libopenni2-0 libopenni2-dev g++ chromium chromium-headless-shell poppler-utils rsyslog rsyslog-openssl libxml2-utils postgresql curl jq \
+	@docker/install-debian-packages.sh libopenni2-0 libopenni2-dev g++ chromium poppler-utils rsyslog rsyslog-openssl libxml2-utils postgresql curl jq \
 		mono-mcs mono-runtime libmono-system-net-http4.0-cil libmono-system-runtime-serialization4.0-cil libmono-system-xml-linq4.0-cil
+	@docker/install-debian-packages.sh chromium-headless-shell || echo "Browser tests run chromium itself, which takes twice the time."
 
-# Three parts. In front, one after the other: what starts services, kills them and waits; then, with a core to itself, what plays
-# through the OpenNI2 runtime in the tests' own process (the runtime's own threads race where they are not run in time, and crash),
-# and beside that what trips an engine that runs in real time and needs little. Both leave the processors idle for two thirds of
-# their time. Behind them runs what computes, where no time is judged, in the scheduler's idle class: it is interrupted as soon
-# as anything in front wants a core. At a low priority (nice 10) it was not, and sessions in real time were late.
+# Three parts, one after the other: beside what computes, sessions in real time were late, and in the scheduler's idle class what
+# computes starved. First what computes, where no time is judged; then what starts services, kills them and waits; then, with a
+# core to itself, what plays through the OpenNI2 runtime in the tests' own process: the runtime's own threads race where they are
+# not run in time, and crash. Beside that goes what trips an engine that runs in real time and needs little.
 ALONE := tests/engine/capture/openni tests/system/virtual_camera tests/system/service/test_real_engine.py \
 	tests/service/engine_host/site_rules/test_uncalibrated.py tests/service/cli/test_recordings.py
 BESIDE := tests/campaigns/interlocks/test_live_run.py tests/system/beam_line/test_engine_on_wired_line.py
@@ -48,12 +48,10 @@ BY_TWO := -n 2 --dist loadfile --no-loadscope-reorder
 # Three processes on two cores, where no time is judged: one of them often waits for a browser, a database or a service.
 BY_THREE := -n 3 --dist loadfile --no-loadscope-reorder
 TIMINGS := build/timings
-TEST_PARTS := tests-waiting tests-alone
-# Idle class within its session, and a session of least weight: services and browsers that tests start in sessions of their own
-# would share the processors with it half and half.
-BEHIND := setsid sh -c 'echo 19 2>/dev/null >/proc/self/autogroup; exec "$$@"' behind $(if $(shell command -v chrt),chrt --idle 0,nice -n 19)
+TEST_PARTS := tests-computing tests-waiting tests-alone
+LOW_PRIORITY := nice -n 10
 # Hundreds of services and engines are started here: each would compile the whole program anew.
-check check-tests test $(TEST_PARTS) tests-computing: export PYTHONDONTWRITEBYTECODE :=
+check check-tests test $(TEST_PARTS): export PYTHONDONTWRITEBYTECODE :=
 
 # Lint, types and contracts run beside the tests. tests/support/selection.py says which tests are fast.
 check: $(STAMP)  ## two minutes, no system packages: lint, types, contracts and the fast tests of every package
@@ -67,14 +65,12 @@ check-tests:
 	$(BIN)/pytest --fast -q -n 2 --dist loadfile --durations=10
 
 # Every part runs, whatever came of those before it; the slowest tests of all parts and a line per part come last.
-# Lint, types and contracts run behind, too. What runs in the background ignores an interrupt, and is killed by it.
+# Lint, types and contracts run beside the first part. What runs in the background ignores an interrupt, and is killed by it.
 test: $(STAMP) test-system  ## everything that must hold: lint, types, contracts, all tests
-	@trap 'kill $$others $$computing; exit 130' INT; outcomes=; failed=0; rm -rf $(TIMINGS); mkdir -p build; \
+	@trap 'kill $$others; exit 130' INT; outcomes=; failed=0; rm -rf $(TIMINGS); mkdir -p build; \
 	note() { if [ $$2 = 0 ]; then outcomes+="$$1: passed"$$'\n'; else outcomes+="$$1: FAILED"$$'\n'; failed=1; fi; }; \
-	$(BEHIND) $(MAKE) --no-print-directory --keep-going lint security types contracts >build/check.log 2>&1 & others=$$!; \
-	$(BEHIND) $(MAKE) --no-print-directory tests-computing >build/computing.log 2>&1 & computing=$$!; \
+	$(LOW_PRIORITY) $(MAKE) --no-print-directory --keep-going lint security types contracts >build/check.log 2>&1 & others=$$!; \
 	for part in $(TEST_PARTS); do $(MAKE) --no-print-directory $$part; note $$part $$?; done; \
-	wait $$computing; note tests-computing $$?; cat build/computing.log; \
 	wait $$others; note 'lint, types, contracts' $$?; cat build/check.log; \
 	$(BIN)/python -m tests.support.timings $(TIMINGS)/*.tsv; printf '\n%s' "$$outcomes"; exit $$failed
 

@@ -19,8 +19,8 @@ ARGUMENTS = (
 )
 
 
-SHELL = ("chromium-headless-shell",)
 BROWSER = ("chromium", "chromium-browser", "google-chrome")
+SHELL = ("chromium-headless-shell", *BROWSER)
 
 
 def launch_chromium(playwright: Playwright, *, is_shell: bool = True) -> Browser:
