@@ -103,6 +103,7 @@ class Room:
             "source": {"kind": "device", "uri": None},
             "calibration_id": self.calibration_id,
             "model_id": self.model_id,
+            "head_direction": "top",
             "window": WIDE,
         } | changes
         answer = self.client.post("/api/v1/sessions", json=body)
