@@ -14,8 +14,9 @@ from tests.support.gating.streams import MS
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(240)]
 
 BY_ITSELF, BY_A_PERSON, NEVER = "by itself, after the dwell", "acknowledged and armed", "in a new session"
-CANNOT_BE_TRIPPED = {HoldReason.UNKNOWN, HoldReason.CALIBRATION_MISSING}
-"""What has no cause that is known, and what is so from the first frame on: the latter has a test of its own."""
+CANNOT_BE_TRIPPED = {HoldReason.UNKNOWN, HoldReason.CALIBRATION_MISSING, HoldReason.HEAD_DIRECTION_MISSING}
+"""What has no cause that is known, and what is so from the first frame on: the latter have tests of their own, here and
+in tests/engine/control/test_head_direction.py."""
 
 
 @pytest.fixture(scope="module")
