@@ -6,7 +6,6 @@ that one sigh or a slow drift does not hide the breaths beside it, and if it exc
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.ndimage import median_filter
 
 from engine.core.frames import FloatArray
 from engine.motion.breathing.turning_points import RISING, TurningPoints, follow_turns
@@ -52,7 +51,8 @@ def count_cycles(signal_mm: FloatArray, seconds: FloatArray) -> int:
     if len(signal_mm) < 3 or seconds[-1] - seconds[0] < 1.0:
         return 0
     signal = np.asarray(signal_mm, dtype=np.float64)
-    smooth = smoothed(median_filter(signal, SPIKE_FRAMES, mode="nearest"), seconds)
+    padded = np.pad(signal, SPIKE_FRAMES // 2, mode="edge")
+    smooth = smoothed(np.median(sliding_window_view(padded, SPIKE_FRAMES), axis=1), seconds)
     low, high = np.percentile(smooth, [5.0, 95.0])
     if high - low < MIN_EXCURSION_MM:
         return 0

@@ -20,6 +20,8 @@ OTHER_COLOR = 0.03
 LEAST_BRIGHTNESS = 45.0
 """Sum of red, green and blue below which a cell's colour is noise."""
 PICTURE_STEP_PX = 16
+_LEAST_OBJECT = np.ones((4, 4), dtype=np.uint8)
+"""Four centimetres, of a region of 35 by 20 cm."""
 
 Chroma = npt.NDArray[np.float32]
 
@@ -39,9 +41,13 @@ def chroma_of(color: ColorImage, markers_px: FloatArray) -> Chroma:
 
 
 def changed_share(before: Chroma, now: Chroma) -> float:
-    """Return the share of the region that has another colour than before, 0 to 1."""
-    change = np.abs(now - before).max(axis=1)
-    return float(np.count_nonzero(change > OTHER_COLOR)) / len(change)
+    """Return the share of the region that has another colour than before, 0 to 1.
+
+    Lines are left out: a positioning laser that wanders over the skin is no object.
+    """
+    is_changed = (np.abs(now - before).max(axis=1) > OTHER_COLOR).astype(np.uint8)
+    objects = cv2.morphologyEx(is_changed.reshape(CELL_ROWS, CELL_COLUMNS), cv2.MORPH_OPEN, _LEAST_OBJECT)
+    return float(np.count_nonzero(objects)) / objects.size
 
 
 def _shares(color: ColorImage) -> Chroma:

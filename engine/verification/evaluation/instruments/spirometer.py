@@ -26,7 +26,7 @@ from engine.verification.evaluation.instruments.flow_file import Spirometry
 
 MAX_LAG_S = 5.0
 WIDEST_LAG_S = 120.0
-MIN_OVERLAP_S = 10.0
+MIN_OVERLAP_S = 8.0
 PIECE_S = 60.0
 LAG_STEP_S = 0.05
 RIVAL_AWAY_S = 1.0

@@ -36,6 +36,14 @@ def test_noise_brightness_and_white_balance_change_nothing(gain):
     assert share(picture(gain=gain, seed=3)) < 0.01
 
 
+def test_the_lines_of_positioning_lasers_that_wander_are_no_object():
+    before, after = picture(seed=5), picture(seed=6)
+    for color, row, column in ((before, 200, 300), (after, 212, 320)):
+        color[row : row + 5, :] = (250, 60, 50)
+        color[:, column : column + 5] = (250, 60, 50)
+    assert changed_share(chroma_of(before, MARKERS_PX), chroma_of(after, MARKERS_PX)) < 0.03
+
+
 def test_a_patient_who_moves_takes_the_region_along():
     moved = np.roll(picture(seed=4), (12, 9), axis=(0, 1))
     assert share(moved, MARKERS_PX + np.array([9.0, 12.0])) < 0.01

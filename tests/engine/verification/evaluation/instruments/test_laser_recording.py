@@ -55,7 +55,7 @@ def test_the_laser_measures_its_own_true_motion_to_two_tenths_of_a_millimetre(ru
         true.append(scene.roi_truth(time_s).depth(place, scene.breathing.weights(time_s)))
     true = np.array(true)
     error = comparison.line_mm[is_seen] - (true[0] - true)
-    error -= comparison.line_mm[is_seen][0]
+    error -= np.median(error, axis=0)  # both are motion from a frame of their own
     assert np.ptp(true, axis=0).min() > 4.0
     assert np.abs(error).mean(axis=0).max() < 0.2
     assert error.std(axis=0).max() < 0.15

@@ -111,8 +111,8 @@ def test_a_lag_beyond_the_window_is_refused_and_found_in_a_wider_one():
 
 
 def test_too_little_overlap_is_refused():
-    with pytest.raises(InvalidValueError, match=r"overlap is '9\.\d s': must be 10 s or more"):
-        compare_volumes(TIME_S, lung_l(TIME_S), spirometer(0.0, seconds=9.5))
+    with pytest.raises(InvalidValueError, match=r"overlap is '7\.\d s': must be 8 s or more"):
+        compare_volumes(TIME_S, lung_l(TIME_S), spirometer(0.0, seconds=7.5))
     with pytest.raises(InvalidValueError, match="overlap is '0 measured frames'"):
         compare_volumes(TIME_S, np.full(len(TIME_S), np.nan), spirometer(0.0))
 
