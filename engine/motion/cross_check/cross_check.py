@@ -1,8 +1,10 @@
 """Compares every frame with the reference without the motion model: the surface, its colour, and the scene beside it.
 
-Three kinds of disagreement are told apart. The scene has moved: that is the camera, or the couch. The surface has
+Three kinds of disagreement are distinguished. The scene has moved: that is the camera, or the couch. The surface has
 changed in a way that is neither breathing nor a rigid movement, or has another colour: something lies on the patient.
 The surface has moved rigidly before a scene that stands still: that is the patient, who is still measured.
+
+A disagreement and a position stand while they cannot be measured: what is hidden has not come back.
 """
 
 import math
@@ -24,7 +26,6 @@ from engine.motion.cross_check.cell_surface import (
     shapes_of,
 )
 from engine.motion.cross_check.static_scene import StaticScene
-from engine.motion.tracking.marker_layout import marker_points_mm
 
 AVERAGED_US = 200_000
 """Frames of this long are averaged: a fifth of a second lowers the noise by half, and a disagreement lasts longer."""
@@ -36,10 +37,11 @@ MISFIT_OF_USUAL = 2.0
 MISFIT_OF_DEEPER = 0.15
 """More misfit is allowed in a breath deeper than any of the training: this share of what it is deeper."""
 HEIGHT_OF_DEEPER = 0.6
-"""Such a breath also passes for a rigid movement: up to this share of what it is deeper, which is taken off."""
+"""Such a breath also passes for a rigid movement since it began: up to this share of what it is deeper is taken off."""
 OTHER_COLOR_SHARE = 0.06
 CAMERA_MM = 1.5
 """Allowed change of the scene's depth at a marker, as the camera's movement changes it."""
+MARKER_PERCENTILE = 90.0
 RETURNED = 0.8
 """A disagreement ends at this share of its limit."""
 MOST_SURFACES = 3000
@@ -47,10 +49,10 @@ ADVICE = "check for objects on the patient, then set the reference again"
 
 
 class _Observed(NamedTuple):
-    """What is compared of one frame: with the markers [mm], None where unknown; ``scene_mm`` is NaN where unknown."""
+    """What is compared of one frame: ``corners_mm`` and ``scene_mm`` are NaN where unknown."""
 
     timestamp_us: int
-    points_mm: FloatArray | None
+    corners_mm: FloatArray
     cells_mm: FloatArray
     chroma: Chroma
     scene_mm: FloatArray
@@ -64,6 +66,11 @@ class _Reference:
     chroma: Chroma
     set_us: int
     cells_mm: FloatArray
+    newest_chroma: Chroma
+
+    def see_color(self, chroma: Chroma) -> None:
+        """Take the colour of a later frame; a cell that is dark now keeps the colour it was last seen in."""
+        self.newest_chroma = np.where(np.isfinite(chroma), chroma, self.newest_chroma)
 
     def add(self, cells_mm: FloatArray, timestamp_us: int) -> None:
         """Take the surface of a later frame, if it is close enough to the reference in time."""
@@ -83,13 +90,18 @@ class CrossCheck:
         self._shapes: BreathingShapes | None = None
         self._model: MotionModel | None = None
         self._reference: _Reference | None = None
-        self._disagreements: frozenset[str] = frozenset()
+        self._disagreements: dict[str, Lost] = {}
+        self._settled_mm = 0.0
         self.position: BodyPosition | None = None
 
     def restart(self) -> None:
         """Forget the reference: camera or patient may have moved."""
         self._recent.clear()
-        self._reference, self._disagreements, self.position = None, frozenset(), None
+        self._reference = None
+        self._forget_changes()
+
+    def _forget_changes(self) -> None:
+        self._disagreements, self._settled_mm, self.position = {}, 0.0, None
         self._scene.restart()
 
     @property
@@ -111,16 +123,17 @@ class CrossCheck:
         recent, now_us = self._recent, frame.timestamp_us
         while recent and not 0 <= now_us - recent[0].timestamp_us <= AVERAGED_US:
             recent.popleft()
-        points_mm = marker_points_mm(self._calibration.color.rays(found.centers_px), roi)
+        cells_mm = cell_means(roi)
+        corners_mm = self._calibration.color.rays(found.centers_px) * _marker_depth_mm(cells_mm)
         scene_mm = None
-        if points_mm is not None:
-            in_depth_camera = self._calibration.color_from_depth.inverse.apply(points_mm)
+        if np.isfinite(corners_mm).all():
+            in_depth_camera = self._calibration.color_from_depth.inverse.apply(corners_mm)
             scene_mm = self._scene.follow(frame.depth_mm, in_depth_camera, now_us)
         recent.append(
             _Observed(
                 timestamp_us=now_us,
-                points_mm=points_mm,
-                cells_mm=cell_means(roi),
+                corners_mm=corners_mm,
+                cells_mm=cells_mm,
                 chroma=chroma_of(frame.color, found.centers_px),
                 scene_mm=np.full(4, np.nan) if scene_mm is None else scene_mm,
             )
@@ -138,50 +151,54 @@ class CrossCheck:
         if is_reference_due or self._reference is None:
             surfaces_mm = [one.cells_mm for one in self._recent]
             self._reference = _Reference(
-                surfaces_mm=surfaces_mm, chroma=chroma, set_us=newest.timestamp_us, cells_mm=_mean_seen(surfaces_mm)
+                surfaces_mm=surfaces_mm,
+                chroma=chroma,
+                set_us=newest.timestamp_us,
+                cells_mm=_mean_seen(surfaces_mm),
+                newest_chroma=chroma,
             )
-            self._disagreements = frozenset()
-            self._scene.restart()
+            self._forget_changes()
         disagreement = self._compare(self._reference, cells_mm, chroma)
         if disagreement is None:
             self._reference.add(newest.cells_mm, newest.timestamp_us)
         return disagreement
 
     def _compare(self, reference: _Reference, cells_mm: FloatArray, chroma: Chroma) -> Lost | None:
-        found = [
-            self._camera_moved(_mean([one.scene_mm for one in self._recent])),
-            self._color_changed(changed_share(reference.chroma, chroma)),
-            self._surface_changed(reference, cells_mm),
-        ]
-        self._disagreements = frozenset(one.name for one in found if one is not None)
-        return next((one.lost for one in found if one is not None), None)
+        reference.see_color(chroma)
+        found = {
+            "camera": self._camera_moved(_mean_seen([one.scene_mm for one in self._recent])),
+            "colour": self._color_changed(changed_share(reference.chroma, reference.newest_chroma)),
+            "surface": self._surface_changed(reference, cells_mm),
+        }
+        self._disagreements = {name: lost for name, lost in found.items() if lost is not None}
+        return next(iter(self._disagreements.values()), None)
 
-    def _camera_moved(self, scene_mm: FloatArray) -> "_Disagreement | None":
+    def _camera_moved(self, scene_mm: FloatArray) -> Lost | None:
         moved_mm = float(np.abs(scene_mm).max())
-        if not moved_mm > self._bound("camera", CAMERA_MM):
+        if math.isnan(moved_mm):
+            return self._disagreements.get("camera")
+        if moved_mm <= self._bound("camera", CAMERA_MM):
             return None
-        return _disagreement(
-            "camera",
-            LostReason.CAMERA_MOVED,
+        detail = (
             f"couch and floor are {moved_mm:.1f} mm from where they were at the reference: camera or couch has moved, "
-            "set the reference again",
+            "set the reference again"
         )
+        return Lost(reason=LostReason.CAMERA_MOVED, detail=detail)
 
-    def _color_changed(self, share: float) -> "_Disagreement | None":
+    def _color_changed(self, share: float) -> Lost | None:
         if not share > self._bound("colour", OTHER_COLOR_SHARE):
             return None
         detail = f"{share:.0%} of the region has another colour than at the reference: {ADVICE}"
-        return _disagreement("colour", LostReason.SURFACE_CHANGED, detail)
+        return Lost(reason=LostReason.SURFACE_CHANGED, detail=detail)
 
-    def _surface_changed(self, reference: _Reference, cells_mm: FloatArray) -> "_Disagreement | None":
+    def _surface_changed(self, reference: _Reference, cells_mm: FloatArray) -> Lost | None:
         """Compare the surface's change with breathing and a rigid movement, which becomes the patient's position."""
         shapes = self._shapes
         change = None if shapes is None else shapes.change(reference.cells_mm, cells_mm)
         if shapes is None or change is None:
-            self.position = None
-            return None
+            return self._disagreements.get("surface")
         deeper_mm = max(change.breath_mm - shapes.reach_mm, 0.0)
-        self.position = _position(change, deeper_mm, self._recent[-1].points_mm)
+        self.position = self._position(change, deeper_mm)
         allowed_mm = min(max(MISFIT_OF_USUAL * shapes.misfit_mm, LEAST_MISFIT_MM), MOST_MISFIT_MM)
         if "surface" not in self._disagreements:
             allowed_mm += MISFIT_OF_DEEPER * deeper_mm
@@ -192,36 +209,33 @@ class CrossCheck:
             f"the surface differs by up to {largest_mm:.1f} mm from breathing and from a patient who moved as a whole "
             f"({change.spread_mm:.2f} mm on average, {allowed_mm:.2f} allowed): {ADVICE}"
         )
-        return _disagreement("surface", LostReason.SURFACE_CHANGED, detail)
+        return Lost(reason=LostReason.SURFACE_CHANGED, detail=detail)
+
+    def _position(self, change: SurfaceChange, deeper_mm: float) -> BodyPosition:
+        """Return the rigid part of a change; within a deeper breath only what such a breath does not explain."""
+        since_mm = change.height_mm - self._settled_mm
+        unexplained_mm = math.copysign(max(abs(since_mm) - HEIGHT_OF_DEEPER * deeper_mm, 0.0), since_mm)
+        height_mm = self._settled_mm + unexplained_mm
+        if deeper_mm == 0.0:
+            self._settled_mm = height_mm
+        superior_right, superior_left, inferior_left, inferior_right = self._recent[-1].corners_mm
+        length_mm = np.linalg.norm(inferior_left + inferior_right - superior_left - superior_right) / 2.0
+        width_mm = np.linalg.norm(superior_left + inferior_left - superior_right - inferior_right) / 2.0
+        return BodyPosition(
+            height_mm=height_mm,
+            tilt_deg=math.degrees(math.atan2(2.0 * change.along_mm, length_mm)),
+            roll_deg=math.degrees(math.atan2(2.0 * change.across_mm, width_mm)),
+        )
 
     def _bound(self, name: str, allowed: float) -> float:
         """Return the limit of a disagreement; lower while it lasts."""
         return RETURNED * allowed if name in self._disagreements else allowed
 
 
-class _Disagreement(NamedTuple):
-    """What disagrees, and the loss."""
-
-    name: str
-    lost: Lost
-
-
-def _disagreement(name: str, reason: LostReason, detail: str) -> _Disagreement:
-    return _Disagreement(name, Lost(reason=reason, detail=detail))
-
-
-def _position(change: SurfaceChange, deeper_mm: float, points_mm: FloatArray | None) -> BodyPosition | None:
-    """Return the rigid part of a change; ``points_mm`` are the markers, shape (4, 3)."""
-    if points_mm is None:
-        return None
-    superior_right, superior_left, inferior_left, inferior_right = points_mm
-    length_mm = np.linalg.norm(inferior_left + inferior_right - superior_left - superior_right) / 2.0
-    width_mm = np.linalg.norm(superior_left + inferior_left - superior_right - inferior_right) / 2.0
-    return BodyPosition(
-        height_mm=math.copysign(max(abs(change.height_mm) - HEIGHT_OF_DEEPER * deeper_mm, 0.0), change.height_mm),
-        tilt_deg=math.degrees(math.atan2(2.0 * change.along_mm, length_mm)),
-        roll_deg=math.degrees(math.atan2(2.0 * change.across_mm, width_mm)),
-    )
+def _marker_depth_mm(cells_mm: FloatArray) -> float:
+    """Return about how far away the deepest marker is [mm], by the cells; NaN where none was seen."""
+    is_seen = np.isfinite(cells_mm)
+    return float(np.percentile(cells_mm[is_seen], MARKER_PERCENTILE)) if is_seen.any() else math.nan
 
 
 def _mean_seen(surfaces_mm: list[FloatArray]) -> FloatArray:
