@@ -37,10 +37,9 @@ def test_a_window_on_a_part_cannot_be_armed_without_the_head_direction(fake: Fak
 
 
 def test_the_form_sends_the_side_and_leaves_it_out_where_it_is_not_known(fake: FakeService, tab: Tab):
-    fake.mode = "idle"
+    fake.mode, fake.sessions = "idle", []
     page = tab.open("idle")
-    if page.locator("#setup").is_hidden():
-        page.click("#do-setup")
+    expect(page.locator("#setup")).to_be_visible()
     choice = page.locator("select[name=head_direction]")
     assert choice.locator("option").evaluate_all("all => all.map((one) => one.value)") == [
         *("", "top", "bottom", "left", "right")
