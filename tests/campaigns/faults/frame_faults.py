@@ -2,10 +2,12 @@
 
 import math
 import random
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from engine.core.clock import NS_PER_MS
+from engine.motion.cross_check.cross_check import AVERAGED_US
 from tests.campaigns.faults.kinds import (
     ARMED,
     BY_ITSELF,
@@ -18,6 +20,7 @@ from tests.campaigns.faults.kinds import (
     Inject,
     reported,
 )
+from tests.campaigns.faults.plan import ANY_HEIGHT
 from tests.campaigns.faults.verdict import Recovery
 from tests.support.virtual_camera.block import Call, State, Streams
 from tests.support.virtual_camera.camera import Receipt, VirtualXtion
@@ -29,8 +32,13 @@ FAMILY = "frames"
 PERIOD_MS = 1000.0 / 29.97
 BREATH_MM = 10.0
 LASTS_S = (0.03, 0.8)
+AVERAGED_MS = AVERAGED_US / 1000
+AVERAGED_BOUND = "averaged over 200 ms, then 100 ms"
 Act = Callable[[VirtualXtion, random.Random], Receipt]
-LOST = reported("marker_lost", "layout_changed", "coverage_low", "residual_high", "jump", "patient_shifted")
+LOST = reported(
+    *("marker_lost", "layout_changed", "coverage_low", "residual_high", "jump", "patient_shifted"),
+    *("surface_changed", "camera_moved"),
+)
 SILENT = reported("frame_missing", "frame_timeout", "frame_late", "latency_high", "frame_stale")
 CLOCK = reported("clock_backwards", "clock_jumped", "frame_missing", "frame_late", "latency_high", "frame_timeout")
 GONE = reported("source_lost", "frame_missing", "frame_timeout")
@@ -58,13 +66,13 @@ def cover_marker(rig: "Rig", chance: random.Random) -> Fault:
 
 
 def breath_too_large(rig: "Rig", chance: random.Random) -> Fault:
-    """Lift the whole patient as fast as skin may move, until the signal leaves the window.
+    """Lift the patient as fast as skin may move, until the signal leaves the window.
 
     Counted from the first frame that was measured outside; at the latest from the one that is outside wherever in the
     breath the patient, and the person who set the zero, were.
     """
     session_id, mm_a_frame = rig.person.session_id, chance.uniform(2.0, 3.2)
-    receipt = rig.camera.offset(-chance.uniform(55.0, 80.0), mm_a_frame=mm_a_frame)
+    receipt = rig.camera.lift(chance.uniform(55.0, 80.0), mm_a_frame=mm_a_frame)
     frames = math.ceil((rig.window_mm + BREATH_MM) / mm_a_frame)
     latest_ns = receipt.raised_ns + int(frames * PERIOD_MS * NS_PER_MS)
 
@@ -79,6 +87,34 @@ def breath_too_large(rig: "Rig", chance: random.Random) -> Fault:
         lasts_s=chance.uniform(0.05, 0.4),
         find_cause=first_outside_ns,
     )
+
+
+def slow(act: Callable[[VirtualXtion, float, float], Receipt], noticed_mm: float) -> Inject:
+    """Move something slower than skin breathes; counted from the frame in which it is this far away, or from the off.
+
+    The limit lies below, so that the beam may go off earlier than it has to.
+    """
+
+    def inject(rig: "Rig", chance: random.Random) -> Fault:
+        mm_a_frame = chance.uniform(0.2, 1.0)
+        receipt = act(rig.camera, chance.choice((-1.0, 1.0)) * chance.uniform(1.5, 3.0) * noticed_mm, mm_a_frame)
+        latest_ns = receipt.raised_ns + int(math.ceil(noticed_mm / mm_a_frame) * PERIOD_MS * NS_PER_MS)
+
+        def off_or_latest_ns() -> int | None:
+            if time.monotonic_ns() < latest_ns:
+                return None
+            before = [edge for edge in rig.edges if edge.at_ns < latest_ns]
+            return latest_ns if before[-1].is_on else before[-1].at_ns - 1
+
+        return Fault(
+            cause_ns=latest_ns,
+            begun_ns=receipt.raised_ns,
+            find_cause=off_or_latest_ns,
+            undo=rig.mend_camera,
+            lasts_s=chance.uniform(*LASTS_S),
+        )
+
+    return inject
 
 
 def backlog(rig: "Rig", chance: random.Random) -> Fault:
@@ -102,6 +138,26 @@ def _sheet(camera: VirtualXtion, chance: random.Random) -> Receipt:
     share = chance.uniform(0.35, 0.7)
     rect = (left, top, max(round(width * share), 1), max(round(height * share), 1))
     return camera.offset(-chance.uniform(10.0, 40.0), rect=rect)
+
+
+def _thin_sheet(camera: VirtualXtion, chance: random.Random) -> Receipt:
+    """Lay something 3 to 6 mm thin, of the colour of what it lies on, on half of the region."""
+    left, top, width, height = camera.depth_rect(camera.region_rect)
+    half = chance.choice(
+        [
+            (left, top, width // 2, height),
+            (left + width // 2, top, width // 2, height),
+            (left, top + height // 2, width, height // 2),
+        ]
+    )
+    return camera.offset(-chance.uniform(3.0, 6.0), rect=half)
+
+
+def _blind(camera: VirtualXtion, chance: random.Random) -> Receipt:
+    """Read nothing in the lowest fifth to third of the region."""
+    left, top, width, height = camera.depth_rect(camera.region_rect)
+    rows = round(chance.uniform(0.2, 0.33) * height)
+    return camera.dropout(1.0, rect=(left, top + height - rows, width, rows), is_same=True)
 
 
 def _shift(camera: VirtualXtion, chance: random.Random) -> Receipt:
@@ -140,7 +196,7 @@ KINDS = (
     _camera(
         "body-jumps",
         "the whole body is 8 to 25 mm higher or lower at once",
-        lambda camera, chance: camera.offset(chance.choice((-1, 1)) * chance.uniform(8.0, 25.0)),
+        lambda camera, chance: camera.lift(chance.choice((-1, 1)) * chance.uniform(8.0, 25.0)),
         LOST | reported("outside_window"),
         MOVED_RECOVERS,
         is_step=True,
@@ -152,7 +208,45 @@ KINDS = (
         breath_too_large,
         LOST | reported("outside_window"),
         MOVED_RECOVERS,
+        plan=ANY_HEIGHT,
     ),
+    _camera(
+        "sheet-thin",
+        "a sheet of 3 to 6 mm, of the skin's colour, on half of the region",
+        _thin_sheet,
+        LOST,
+        MOVED_RECOVERS,
+        bound=AVERAGED_BOUND,
+        bound_ms=AVERAGED_MS + FRAME_MS,
+    ),
+    _kind(
+        "body-settles",
+        "the body rises or sinks slowly by more than 3 mm",
+        slow(lambda camera, mm, mm_a_frame: camera.lift(mm, mm_a_frame=mm_a_frame), 4.0),
+        LOST,
+        MOVED_RECOVERS,
+        bound=AVERAGED_BOUND,
+        bound_ms=AVERAGED_MS + FRAME_MS,
+    ),
+    _kind(
+        "camera-sinks",
+        "the camera sinks or rises slowly by more than 1.5 mm",
+        slow(lambda camera, mm, mm_a_frame: camera.offset(mm, mm_a_frame=mm_a_frame), 2.5),
+        LOST,
+        MOVED_RECOVERS,
+        bound=AVERAGED_BOUND,
+        bound_ms=AVERAGED_MS + FRAME_MS,
+    ),
+    _camera(
+        "camera-jolted",
+        "the camera is 3 to 20 mm nearer or farther at once",
+        lambda camera, chance: camera.offset(chance.choice((-1, 1)) * chance.uniform(3.0, 20.0)),
+        LOST,
+        MOVED_RECOVERS,
+        bound=AVERAGED_BOUND,
+        bound_ms=AVERAGED_MS + FRAME_MS,
+    ),
+    _camera("part-blind", "the lowest fifth to third of the region is not read", _blind, LOST),
     _camera(
         "depth-zero", "no pixel of depth is read", lambda camera, _: camera.flat(0), LOST | reported("frame_frozen")
     ),

@@ -18,3 +18,6 @@ WATCHED = Plan(name="watched", settings={"OPERATOR_TIMEOUT_S": 3.0})
 
 OWN_CLOCK = Plan(name="own clock", settings={"LOGIN_IDLE_MIN": 120.0}, has_own_clock=True)
 """The wall clock of this process alone can be changed, the monotonic one is the machine's."""
+
+ANY_HEIGHT = Plan(name="any height", settings={"MAX_HEIGHT_MM": 50.0})
+"""A body raised as a whole leaves the window before it is too high."""

@@ -22,6 +22,7 @@ ALWAYS = frozenset(
             "unplugged",
             "native-read-hangs",
         ),
+        *("sheet-thin", "body-settles", "camera-sinks", "part-blind"),
         *("engine-killed", "engine-stopped", "service-held", "beat-dies", "hearer-dies"),
         *("malformed-index-back", "killed", "stopped", "engine-dies", "engine-hangs", "watchdog-dies", "line-dies"),
         *("line-watch-dies", "writer-hangs", "interpreter-held", "disk-full", "database-locked", "receiver-frozen"),

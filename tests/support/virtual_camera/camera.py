@@ -28,6 +28,7 @@ WHOLE = (0, 0, 0, 0)
 
 SKIN_RGB, CLOTH_RGB = 0xE0AC8C, 0x2A2A2E
 _POLL_S = 0.002
+_TRUNK_PX = 24
 _STICKER_PX = 16
 _REACH_MM = 850.0
 
@@ -355,6 +356,12 @@ class VirtualXtion:
     def offset(self, mm: float, *, rect: Rect = WHOLE, mm_a_frame: float = 0.0, **when: int) -> Receipt:
         """Add to depth, within the sensor's steps; negative is towards the camera."""
         return self.tell(Kind.OFFSET, n=rect, x=(mm, mm_a_frame), streams=Streams.DEPTH, **when)
+
+    def lift(self, mm: float, *, mm_a_frame: float = 0.0, **when: int) -> Receipt:
+        """Move the trunk, but neither couch nor floor; positive is towards the camera."""
+        left, top, width, height = self.depth_rect(self.region_rect)
+        trunk = (left - _TRUNK_PX, top - _TRUNK_PX, width + 2 * _TRUNK_PX, height + 2 * _TRUNK_PX)
+        return self.offset(-mm, rect=trunk, mm_a_frame=mm_a_frame, **when)
 
     def flat(self, depth_mm: int = 0, *, rect: Rect = WHOLE, **when: int) -> Receipt:
         """Read one depth everywhere: 0 is no reading, 65535 what no sensor says."""
