@@ -1,8 +1,8 @@
 """The region's surface as means of measured cells, and its change in a few terms: breathing, height and tilt.
 
 Nothing of the motion model is used: the means are of the frame's own readings, and the two shapes of breathing are
-learned from such means. Breathing and a rigid movement span only five terms, so that they are told apart in a single
-frame, at any moment of the breath. A body that breathes more deeply than in the training, or with the abdomen alone,
+learned from such means. Breathing and a rigid movement span only five terms, so that one frame distinguishes
+them, at any moment of the breath. A body that breathes more deeply than in the training, or with the abdomen alone,
 bends smoothly: three terms of second order are added for that. What is left then is an edge.
 """
 

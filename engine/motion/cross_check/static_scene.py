@@ -54,7 +54,7 @@ class StaticScene:
         self._has_learned = False
 
     def restart(self) -> None:
-        """Learn the scene anew."""
+        """Learn the scene again."""
         self._seen, self._began_us, self._reference, self._has_learned = [], None, None, False
 
     def follow(self, depth_mm: DepthImage, points_mm: FloatArray, timestamp_us: int) -> FloatArray | None:

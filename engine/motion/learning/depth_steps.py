@@ -17,7 +17,7 @@ from engine.motion.learning.tasks import Candidate, Outcome
 
 MAX_DIFFERENCE_MM = 0.3
 """Largest root mean square difference of the depths. Three sessions each of three virtual volunteers differ by up to
-0.16 mm, because the steps are found anew; with steps and without differ by 0.53 mm and more."""
+0.16 mm, because the steps are estimated again; with steps and without differ by 0.53 mm and more."""
 MARGIN_MM = 20.0
 ADVICE = "the model was learned with another reading of the sensor's depths: a new one is learned"
 

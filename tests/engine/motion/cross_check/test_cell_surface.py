@@ -1,4 +1,4 @@
-"""Breathing, a rigid movement and anything else are told apart on measured cell means."""
+"""Breathing, a rigid movement and anything else are distinguished on measured cell means."""
 
 from types import SimpleNamespace
 

@@ -53,7 +53,7 @@ def test_nothing_is_measured_where_the_scene_is_covered_or_was_never_seen(scene)
     assert moved_mm(learned(has_room=False), scene_mm(has_room=False, seed=96)) is None
 
 
-def test_a_restart_learns_the_scene_anew():
+def test_a_restart_learns_the_scene_again():
     found = learned()
     found.restart()
     lowered = scene_mm(lowered_mm=5.0, seed=97)

@@ -62,16 +62,16 @@ def values(report):
 
 @pytest.fixture(scope="module")
 def healthy():
-    told = []
+    reported = []
     report = run(
         QaInputs(
             plate=virtual_plate(seed=11, seconds=PLATE_S),
             phantom=virtual_phantom(seed=11, cycles_each=2),
             beam=virtual_beam(),
         ),
-        on_progress=lambda stage, done, total: told.append((stage, done, total)),
+        on_progress=lambda stage, done, total: reported.append((stage, done, total)),
     )
-    return report, told
+    return report, reported
 
 
 @pytest.mark.slow
@@ -84,13 +84,13 @@ def test_a_healthy_set_up_passes_every_check_of_the_annual_run(healthy):
 
 @pytest.mark.slow
 def test_a_run_tells_how_far_it_is_stage_after_stage(healthy):
-    _, told = healthy
-    stages = list(dict.fromkeys(stage for stage, _, _ in told))
+    _, reported = healthy
+    stages = list(dict.fromkeys(stage for stage, _, _ in reported))
     assert stages == [QaNeed.PLATE, QaNeed.PHANTOM, QaNeed.BEAM]
     for stage in stages:
-        done = [number for one, number, _ in told if one is stage]
+        done = [number for one, number, _ in reported if one is stage]
         assert done == sorted(done)
-    assert told[-1] == (QaNeed.BEAM, 40, 40)
+    assert reported[-1] == (QaNeed.BEAM, 40, 40)
 
 
 @pytest.mark.slow
