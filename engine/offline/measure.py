@@ -1,9 +1,10 @@
 """Measures a recording as fast as it can be read, with the pipeline of a live session, in two passes.
 
-The first pass does what a live session does: it learns the motion model. The second pass reads the recording again and
-measures every frame with that model, so that the frames of the training are not lost. In both, the first measured frame
-is the reference. Frames are streamed. Training is inline, so a recording gives the same numbers on every run on one
-processor. The gate's time is the device's.
+The first pass does what a live session does: it learns the motion model from the first breaths. The second pass reads
+the recording again and measures every frame, so that the frames of the training are not lost, with a model of the whole
+recording (`engine.motion.learning.still_stretch`). In both, the first measured frame is the reference. Frames are
+streamed. Training is inline, so a recording gives the same numbers on every run on one processor. The gate's time is
+the device's.
 """
 
 import contextlib
@@ -20,10 +21,11 @@ from engine.core.frames import Measurement, MeasurementState, RgbdFrame
 from engine.core.motion_model import MotionModel
 from engine.core.provenance import ModelOrigin
 from engine.gating.limits import GateLimits
+from engine.motion.learning.learner import Learner
 from engine.motion.learning.model_file import save_model
 from engine.motion.learning.prepared_model import Reference
 from engine.motion.learning.trainer import InlineTrainer
-from engine.motion.pipeline import Pipeline
+from engine.motion.pipeline import LearnedInPass, Pipeline
 from engine.motion.settings import PipelineSettings
 from engine.offline.first_reference import first_frames
 from engine.offline.mesh_files import MeshOptions, MeshSaver
@@ -137,13 +139,15 @@ def measure_recording(
     )
     begin = on_pass or _do_nothing
     begin(1)
-    found = _first_pass(run, pipeline, is_single=is_single_pass)
+    found, learner = _first_pass(run, pipeline, is_single=is_single_pass), pipeline.learner
     if not is_single_pass:
         live_from = found.live_from
         del found  # its results, which the second pass makes again
         begin(2)
-        found = _second_pass(run, calibration, pipeline, live_from)
-    return _saved(run, pipeline, found, origin, passes=1 if is_single_pass else 2)
+        found, learner = _second_pass(run, calibration, pipeline.learned_from_all(), live_from)
+    is_split_marked = pipeline.marked_split is not None
+    passes = 1 if is_single_pass else 2
+    return _saved(run, learner, found, origin, is_split_marked=is_split_marked, passes=passes)
 
 
 def _first_pass(run: _Run, pipeline: Pipeline, *, is_single: bool) -> _Pass:
@@ -152,6 +156,8 @@ def _first_pass(run: _Run, pipeline: Pipeline, *, is_single: bool) -> _Pass:
     def is_kept() -> bool:
         return is_single or pipeline.learner.status.model is None
 
+    if not is_single and pipeline.learner.status.model is None:
+        pipeline.survey()
     found = _run_pass(run if is_single else replace(run, meshes=MeshOptions()), pipeline, is_kept, 0)
     if pipeline.learner.status.model is None:
         found.results.save(run.out / "regions.npz")
@@ -161,10 +167,11 @@ def _first_pass(run: _Run, pipeline: Pipeline, *, is_single: bool) -> _Pass:
     return found
 
 
-def _second_pass(run: _Run, calibration: Calibration, earlier: Pipeline, live_from: int | None) -> _Pass:
-    """Measure every frame with the model of the first pass; the first of them is the reference."""
+def _second_pass(
+    run: _Run, calibration: Calibration, learned: LearnedInPass, live_from: int | None
+) -> tuple[_Pass, Learner]:
+    """Measure every frame with what was learned; the first of them is the reference."""
     settings = replace(run.settings, training=replace(run.settings.training, retrain_interval_s=0.0))
-    learned = earlier.learned_in_pass
 
     def prepared(reference: Reference | None) -> Pipeline:
         pipeline = Pipeline(calibration, settings, ManualClock(), InlineTrainer())
@@ -172,7 +179,7 @@ def _second_pass(run: _Run, calibration: Calibration, earlier: Pipeline, live_fr
         return pipeline
 
     pipeline = prepared(_first_reference(run.source, prepared(None)))
-    return replace(_run_pass(run, pipeline, lambda: True, live_from), live_from=live_from)
+    return replace(_run_pass(run, pipeline, lambda: True, live_from), live_from=live_from), pipeline.learner
 
 
 def _first_reference(source: DepthSource, pipeline: Pipeline) -> Reference | None:
@@ -212,9 +219,11 @@ def _run_pass(run: _Run, pipeline: Pipeline, is_kept: Callable[[], bool], live_f
     return _Pass(results=results, meshes=tuple(saver.saved), live_from=first_measured, damage=damage)
 
 
-def _saved(run: _Run, pipeline: Pipeline, found: _Pass, origin: ModelOrigin | None, *, passes: int) -> OfflineSummary:
-    """Write regions, model and summary; the model and what is known of it are the first pass's."""
-    status = pipeline.learner.status
+def _saved(
+    run: _Run, learner: Learner, found: _Pass, origin: ModelOrigin | None, *, is_split_marked: bool, passes: int
+) -> OfflineSummary:
+    """Write regions, summary and the model that measured."""
+    status = learner.status
     fitted = status.model
     assert fitted is not None, "a pass without a model has raised"
     found.results.save(run.out / "regions.npz")
@@ -223,7 +232,7 @@ def _saved(run: _Run, pipeline: Pipeline, found: _Pass, origin: ModelOrigin | No
         found.results.summary(),
         training_frames=fitted.training_frames,
         cycles=fitted.cycles,
-        is_split_marked=pipeline.marked_split is not None,
+        is_split_marked=is_split_marked,
         meshes=found.meshes,
         shortcoming=status.model_shortcoming,
         damage=found.damage,

@@ -1,9 +1,11 @@
 """The region's surface as means of measured cells, and its change in a few terms: breathing, height and tilt.
 
 Nothing of the motion model is used: the means are of the frame's own readings, and the two shapes of breathing are
-learned from such means. Breathing and a rigid movement span only five terms, so that one frame distinguishes
-them, at any moment of the breath. A body that breathes more deeply than in the training, or with the abdomen alone,
-bends smoothly: three terms of second order are added for that. What is left then is an edge.
+learned from such means. A third term shifts breathing between thorax and abdomen: the first shape, weighted along the
+body, since a breath hold or an isovolume manoeuvre would pass for a movement of the patient otherwise. Breathing and a
+rigid movement span only six terms, so that one frame distinguishes them, at any moment of the breath. A body that
+breathes more deeply than in the training bends smoothly: the second shape along the body and terms of second and third
+order are added for that. What is left then is an edge.
 """
 
 import math
@@ -39,6 +41,8 @@ class SurfaceChange(NamedTuple):
         Rigid change from the middle to the inferior edge, and to the patient's left edge.
     breath_mm
         Root mean square of the change by breathing.
+    redistributed_mm
+        Root mean square of its part that is shifted between thorax and abdomen, other than in the training.
     misfit_mm
         What breathing, a rigid movement and a smooth bend leave of each cell's change, shape (cells,); NaN for cells
         not seen.
@@ -48,6 +52,7 @@ class SurfaceChange(NamedTuple):
     along_mm: float
     across_mm: float
     breath_mm: float
+    redistributed_mm: float
     misfit_mm: FloatArray
 
     @property
@@ -77,12 +82,14 @@ class BreathingShapes:
     def change(self, before_mm: FloatArray, now_mm: FloatArray) -> SurfaceChange | None:
         """Return the change between two surfaces of cell means [mm], shape (cells,); None with too few common cells."""
         difference = now_mm - before_mm
-        terms = np.concatenate([_PLANE, self.shapes])
+        redistributed = self.shapes * _ALONG
+        breathing = np.concatenate([self.shapes, redistributed[:1]])
+        terms = np.concatenate([_PLANE, breathing])
         is_seen = np.isfinite(difference) & np.isfinite(self.shapes).all(axis=0)
         if np.count_nonzero(is_seen) < LEAST_CELLS:
             return None
         weights = _fit(terms[:, is_seen], difference[is_seen])
-        bent = np.concatenate([terms, _BENDS])[:, is_seen]
+        bent = np.concatenate([terms, redistributed[1:], _BENDS])[:, is_seen]
         misfit_mm = np.full(CELLS, np.nan)
         misfit_mm[is_seen] = difference[is_seen] - _fit(bent, difference[is_seen]) @ bent
         height, along, across = (-weights[:3]).tolist()
@@ -90,7 +97,8 @@ class BreathingShapes:
             height_mm=height,
             along_mm=along,
             across_mm=across,
-            breath_mm=_rms(weights[3:] @ self.shapes[:, is_seen]),
+            breath_mm=_rms(weights[3:] @ breathing[:, is_seen]),
+            redistributed_mm=_rms(weights[-1] * breathing[-1, is_seen]),
             misfit_mm=misfit_mm,
         )
 
@@ -163,13 +171,18 @@ _FULL = _ROWS @ _ALL @ _COLUMNS
 
 
 def _smooth_terms() -> tuple[FloatArray, FloatArray]:
-    """Return height and both tilts at the cells, 1 at the inferior and left edges, and the second order, (3, cells)."""
+    """Return height and both tilts at the cells, 1 at the inferior and left edges, shape (3, cells), and the bends.
+
+    Bends are the second order and, along the body, the third, shape (6, cells).
+    """
     rows, columns = np.mgrid[0:CELL_ROWS, 0:CELL_COLUMNS].reshape(2, -1).astype(np.float64)
     along, across = (2.0 * rows + 1.0) / CELL_ROWS - 1.0, (2.0 * columns + 1.0) / CELL_COLUMNS - 1.0
-    return np.stack([np.ones_like(along), along, across]), np.stack([along**2, along * across, across**2])
+    second, third = [along**2, along * across, across**2], [along**3, along**2 * across, along * across**2]
+    return np.stack([np.ones_like(along), along, across]), np.stack([*second, *third])
 
 
 _PLANE, _BENDS = _smooth_terms()
+_ALONG = _PLANE[1]
 
 
 def _fit(terms: FloatArray, values: FloatArray) -> FloatArray:

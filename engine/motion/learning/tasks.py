@@ -141,7 +141,7 @@ class FitTask:
         keeps_zero = self._keeps_zero
 
         def run() -> Candidate:
-            active, frames = _fit_checked(training_set, stages, settings, self._calibration_sha256)
+            active, frames = fit_checked(training_set, stages, settings, self._calibration_sha256)
             transfer = None
             if before is not None and keeps_zero:
                 transfer = _transfer_reference(before, active, recent(frames), stages, settings.max_carry_mm)
@@ -228,9 +228,16 @@ class CompareTask:
         return lambda: compare_with_patient(active, frames, limits, explain=stages.explain, vertices=stages.vertices)
 
 
-def _fit_checked(
+def fit_checked(
     training_set: TrainingSet, stages: LearningStages, settings: TrainingSettings, calibration_sha256: str
 ) -> tuple[PreparedModel, list[TrainingFrame]]:
+    """Check a training set, fit a model without its outliers and describe its quality; return it with the frames used.
+
+    Raises
+    ------
+    ModelError
+        The set is refused, or there is no model of it.
+    """
     frames, signals = training_set.frames, training_set.signals
     amplitude_mm, noise_mm = refuse_breathless(signals, settings)
     shift_mm, tilt_deg = refuse_moving(frames, stages.vertices, settings, amplitude_mm)

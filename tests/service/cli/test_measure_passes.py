@@ -6,6 +6,9 @@ import json
 import numpy as np
 import pytest
 
+from engine.core.errors import ModelError
+from engine.motion import pipeline
+from engine.motion.learning.model_file import load_model
 from engine.verification.phantom.truth import load_truth
 from tests.support.command_line import invoke
 
@@ -72,3 +75,50 @@ def test_a_stored_model_measures_from_the_first_frame_on(twice, regular_voluntee
     rows, summary, _ = run(regular_volunteer, tmp_path, "--model", str(twice[-1] / "model.npz"))
     assert {row["state"] for row in rows} == {"measuring"}
     assert 0 < summary["live_from_frame"] < 30
+
+
+@pytest.fixture(scope="module")
+def held(dibh_volunteer, tmp_path_factory):
+    """A breath hold behind 20 s of free breathing, measured with the model of the whole recording."""
+    out = tmp_path_factory.mktemp("held")
+    run(dibh_volunteer, out, "--cell", "10")
+    return out
+
+
+@pytest.fixture(scope="module")
+def held_live(dibh_volunteer, tmp_path_factory):
+    out = tmp_path_factory.mktemp("held-live")
+    run(dibh_volunteer, out, "--cell", "10", "--single-pass")
+    return out
+
+
+def hold_error_mm(folder, out):
+    """Mean error of the cells' motion in the hold, whatever the reference: its mean over the free breathing is 0."""
+    depth_mm = load_truth(folder / "truth.npz").cell_depth_mm
+    with np.load(out / "regions.npz") as regions:
+        motion_mm, frames = regions["motion_mm"], regions["frame_index"]
+    error_mm = motion_mm + depth_mm[frames]
+    error_mm = error_mm[:, np.isfinite(error_mm[frames > 15 * 30]).all(axis=0)]
+    is_hold = frames > 23 * 30
+    is_free = (frames > 15 * 30) & (frames < 19 * 30)
+    return float(np.abs(error_mm[is_hold] - error_mm[is_free].mean(axis=0)).mean())
+
+
+def test_the_second_pass_has_learned_from_the_whole_recording(dibh_volunteer, held, held_live):
+    whole, training = load_model(held / "model.npz"), load_model(held_live / "model.npz")
+    assert training.seconds < 20.0
+    assert whole.seconds > 30.0
+    assert whole.depth_steps == training.depth_steps
+    assert hold_error_mm(dibh_volunteer, held) < 0.85 * hold_error_mm(dibh_volunteer, held_live)
+
+
+def test_where_the_whole_recording_gives_no_model_that_of_the_training_measures(
+    dibh_volunteer, held_live, tmp_path, monkeypatch
+):
+    def refused(*_arguments):
+        raise ModelError("refused")
+
+    monkeypatch.setattr(pipeline, "fit_checked", refused)
+    run(dibh_volunteer, tmp_path)
+    whole, training = load_model(tmp_path / "model.npz"), load_model(held_live / "model.npz")
+    assert np.array_equal(whole.components, training.components)

@@ -77,13 +77,10 @@ def test_half_size_is_every_second_pixel(camera, tmp_path):
     assert any(np.array_equal(camera.film.pictures(at)[1][::2, ::2], color) for at in range(camera.film.frames))
 
 
-def test_registration_moves_depth_to_where_the_colour_camera_sees_it(camera, tmp_path):
-    _, registered_mm, color = seen(camera, tmp_path, "registered")
-    _, color_at = crcs(camera.film)
-    # The colour picture in hand is the frame before's.
-    at = (color_at[zlib.crc32(np.ascontiguousarray(color))] + 1) % camera.film.frames
-    depth_mm, _ = camera.film.pictures(at)
-    calibration = camera.film.calibration
+def registered(film, at):
+    """The film's depth picture at this frame, moved into the colour camera's view; and the picture itself."""
+    depth_mm, _ = film.pictures(at)
+    calibration = film.calibration
     rows, columns = np.nonzero(depth_mm)
     points = calibration.depth.rays(np.column_stack([columns, rows]).astype(float)) * depth_mm[rows, columns, None]
     pixels = np.rint(calibration.color.project(calibration.color_from_depth.apply(points))).astype(int)
@@ -91,6 +88,16 @@ def test_registration_moves_depth_to_where_the_colour_camera_sees_it(camera, tmp
     expected = np.full((480, 640), 65535, np.uint16)
     np.minimum.at(expected, (pixels[inside, 1], pixels[inside, 0]), depth_mm[rows, columns][inside])
     expected[expected == 65535] = 0
+    return expected, depth_mm
+
+
+def test_registration_moves_depth_to_where_the_colour_camera_sees_it(camera, tmp_path):
+    _, registered_mm, color = seen(camera, tmp_path, "registered")
+    _, color_at = crcs(camera.film)
+    at = color_at[zlib.crc32(np.ascontiguousarray(color))]
+    # The colour picture in hand is that of the depth frame or of an earlier one, by how busy the machine is.
+    found = [registered(camera.film, (at + later) % camera.film.frames) for later in range(4)]
+    expected, depth_mm = max(found, key=lambda one: (one[0] == registered_mm).mean())
     assert (expected == registered_mm).mean() > 0.99
     assert (depth_mm == registered_mm).mean() < 0.6
 

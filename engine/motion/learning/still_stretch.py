@@ -1,0 +1,77 @@
+"""The longest stretch of a recording in which the patient lies still, to learn one model from all of its breaths.
+
+A live session learns from its first breaths. A second pass over a recording can use all of them, and then knows breath
+holds and other patterns too. A patient who moves on the couch comes to lie on other pixels, whose fixed errors differ:
+frames from before and after a movement in one set would teach this difference as breathing.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from engine.core.frames import NODE_COLUMNS, NODE_ROWS
+from engine.motion.learning.trainer import TrainingSettings
+from engine.motion.learning.training_set import MAX_GAP_S, TrainingFrame, TrainingSet, Vertices
+
+STEP_US = 100_000
+"""Least time between two frames: ten a second show every breath, and finer sampling is needed for these only."""
+STILL_MM = 4.0
+STILL_DEG = 2.0
+"""Largest shift and rotation of the region from the stretch's first frame; breathing alone makes half of that."""
+
+
+class Place(NamedTuple):
+    """Where the region lies in the camera's frame: its middle [mm], and the direction of its long axis [degrees]."""
+
+    x_mm: float
+    y_mm: float
+    axis_deg: float
+
+    def is_near(self, other: "Place") -> bool:
+        """Return whether both places are the same but for breathing."""
+        shift_mm = math.hypot(self.x_mm - other.x_mm, self.y_mm - other.y_mm)
+        turn_deg = abs((self.axis_deg - other.axis_deg + 180.0) % 360.0 - 180.0)
+        return shift_mm <= STILL_MM and turn_deg <= STILL_DEG
+
+
+class StillStretch:
+    """Collects the frames of each stretch and keeps the longest; owned by the pipeline's thread."""
+
+    def __init__(self, settings: TrainingSettings, vertices: Vertices) -> None:
+        self._settings, self._vertices = settings, vertices
+        self._stretch = TrainingSet(settings, vertices)
+        self._longest = self._stretch
+        self._place: Place | None = None
+        self._last_us: int | None = None
+
+    def is_due(self, timestamp_us: int) -> bool:
+        """Return whether a frame of this time is taken; it has to be sampled as finely as a training frame."""
+        return self._last_us is None or not 0 <= timestamp_us - self._last_us < STEP_US
+
+    def add(self, frame: TrainingFrame) -> None:
+        """Add a frame that is due; a movement or a gap begins another stretch."""
+        place = _place(frame, self._vertices)
+        has_gap = self._last_us is not None and not 0.0 < (frame.timestamp_us - self._last_us) / 1e6 <= MAX_GAP_S
+        if self._place is None or has_gap or not place.is_near(self._place):
+            self._place = place
+            self._stretch = TrainingSet(self._settings, self._vertices)
+        self._last_us = frame.timestamp_us
+        self._stretch.add(frame)
+        if self._stretch.seconds >= self._longest.seconds:
+            self._longest = self._stretch
+
+    @property
+    def longest(self) -> TrainingSet:
+        """The longest stretch so far; empty without frames."""
+        return self._longest
+
+
+def _place(frame: TrainingFrame, vertices: Vertices) -> Place:
+    """Return where the region lies, by its nodes at its mean depth: holes and breathing do not move it."""
+    roi = frame.roi
+    depth_mm = float(roi.depth_mm[roi.valid].mean()) if roi.valid.any() else 0.0
+    points = vertices(frame.nodes_px, np.full(len(frame.nodes_px), depth_mm)).reshape(NODE_ROWS, NODE_COLUMNS, 3)
+    x_mm, y_mm = points[..., :2].mean(axis=(0, 1)).tolist()
+    right_mm, down_mm = (points[-1, :, :2].mean(axis=0) - points[0, :, :2].mean(axis=0)).tolist()
+    return Place(x_mm, y_mm, math.degrees(math.atan2(down_mm, right_mm)))
