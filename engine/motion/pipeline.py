@@ -205,6 +205,7 @@ class Pipeline:
         outcome = self._explain_continuous(active, roi, found, frame.timestamp_us)
         if isinstance(outcome, Lost):
             return self._lost(frame, outcome, found)
+        self._cross_check.confirm()
         self._coefficients, self._projected_model = outcome.coefficients, active
         self._tracker.expect_depth(active.node_depth_mm(outcome.coefficients))
         motion = self._motion(active, outcome, nodes.rays, frame.timestamp_us)

@@ -160,10 +160,12 @@ class CrossCheck:
                 newest_chroma=chroma,
             )
             self._forget_changes()
-        disagreement = self._compare(self._reference, cells_mm, chroma)
-        if disagreement is None:
-            self._reference.add(newest.cells_mm, newest.timestamp_us)
-        return disagreement
+        return self._compare(self._reference, cells_mm, chroma)
+
+    def confirm(self) -> None:
+        """Average the newest frame into a reference that was just set; call it for measured frames only."""
+        if self._reference is not None and self._recent:
+            self._reference.add(self._recent[-1].cells_mm, self._recent[-1].timestamp_us)
 
     def _compare(self, reference: _Reference, cells_mm: FloatArray, chroma: Chroma) -> Lost | None:
         reference.see_color(chroma)

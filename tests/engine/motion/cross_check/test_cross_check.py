@@ -50,7 +50,7 @@ class Session:
         self.sheet_mm = self.raised_mm = self.camera_mm = 0.0
         self.depth, self.has_depth, self.has_room = 1.0, True, True
         self.color = (150, 140, 120)
-        self.hidden_corner, self.has_shoulders = False, False
+        self.hidden_corner, self.has_shoulders, self.is_lost_otherwise = False, False, False
 
     def observe(self):
         noise = np.random.default_rng(self.index)
@@ -85,6 +85,8 @@ class Session:
         for _ in range(frames):
             self.observe()
             found.append(self.check.lost(self.model, is_reference_due=is_reference_due))
+            if found[-1] is None and not self.is_lost_otherwise:
+                self.check.confirm()
             is_reference_due = False
         return found
 
@@ -238,6 +240,18 @@ def test_a_reference_set_on_the_first_frame_is_no_noisier_than_a_later_one(learn
     reference = found.check._reference
     assert len(reference.surfaces_mm) == AVERAGED_US // STEP_US + 1
     assert np.abs(reference.cells_mm - np.mean(reference.surfaces_mm, axis=0)).max() < 1e-6
+
+
+def test_what_is_lost_for_another_reason_is_no_part_of_the_reference(learned):
+    found = deepcopy(learned)
+    found.check.restart()
+    found.run(2)
+    found.sheet_mm, found.is_lost_otherwise = 5.0, True
+    found.run(20)
+    found.sheet_mm, found.is_lost_otherwise = 0.0, False
+    assert found.run(40)[SOON:] == [None] * (40 - SOON)
+    assert np.abs(found.check._reference.cells_mm - np.mean(found.check._reference.surfaces_mm, axis=0)).max() < 1e-6
+    assert len(found.check._reference.surfaces_mm) < 4
 
 
 def test_a_restart_forgets_the_reference(session):
