@@ -240,7 +240,9 @@ def test_a_transition_that_is_missing_from_the_audit_or_was_altered_there_is_fou
         assert difference.recorded != difference.replayed
         altered = [*audited[:place], audited[place] | {"decided_ns": audited[place]["decided_ns"] + 1}]
         assert differences(verdict, altered + audited[place + 1 :])
-        assert differences(verdict, [*without, audited[place]]) or place == len(audited) - 1, "another order"
+        # The watchdog's own transitions, those of a busy machine, have no place among the decisions of the frames.
+        has_place = audited[place]["reason"] != "watchdog" and place < len(audited) - 1
+        assert differences(verdict, [*without, audited[place]]) or not has_place, "another order"
     assert differences(verdict, [*audited, audited[-1]])
 
 
