@@ -112,7 +112,8 @@ class RunningEngine(Protocol):
 class BodyMatch:
     """How far today's body is from that of an earlier session; ``shift_mm`` is x right, y down, z away [mm].
 
-    ``is_position_compared`` is false where the camera has another calibration: its positions are in another frame.
+    ``is_position_compared`` is false where the camera has another calibration: positions are then
+    in another coordinate system.
     """
 
     session_id: str

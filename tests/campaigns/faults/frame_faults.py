@@ -32,8 +32,8 @@ FAMILY = "frames"
 PERIOD_MS = 1000.0 / 29.97
 BREATH_MM = 10.0
 LASTS_S = (0.03, 0.8)
-AVERAGED_MS = AVERAGED_US / 1000
-AVERAGED_BOUND = "averaged over 200 ms, then 100 ms"
+AVERAGED = {"bound": "averaged over 200 ms, then 100 ms", "bound_ms": AVERAGED_US / 1000 + FRAME_MS}
+"""The bound of what the second estimate finds."""
 Act = Callable[[VirtualXtion, random.Random], Receipt]
 LOST = reported(
     *("marker_lost", "layout_changed", "coverage_low", "residual_high", "jump", "patient_shifted"),
@@ -216,8 +216,7 @@ KINDS = (
         _thin_sheet,
         LOST,
         MOVED_RECOVERS,
-        bound=AVERAGED_BOUND,
-        bound_ms=AVERAGED_MS + FRAME_MS,
+        **AVERAGED,
     ),
     _kind(
         "body-settles",
@@ -225,8 +224,7 @@ KINDS = (
         slow(lambda camera, mm, mm_a_frame: camera.lift(mm, mm_a_frame=mm_a_frame), 4.0),
         LOST,
         MOVED_RECOVERS,
-        bound=AVERAGED_BOUND,
-        bound_ms=AVERAGED_MS + FRAME_MS,
+        **AVERAGED,
     ),
     _kind(
         "camera-sinks",
@@ -234,8 +232,7 @@ KINDS = (
         slow(lambda camera, mm, mm_a_frame: camera.offset(mm, mm_a_frame=mm_a_frame), 2.5),
         LOST,
         MOVED_RECOVERS,
-        bound=AVERAGED_BOUND,
-        bound_ms=AVERAGED_MS + FRAME_MS,
+        **AVERAGED,
     ),
     _camera(
         "camera-jolted",
@@ -243,8 +240,7 @@ KINDS = (
         lambda camera, chance: camera.offset(chance.choice((-1, 1)) * chance.uniform(3.0, 20.0)),
         LOST,
         MOVED_RECOVERS,
-        bound=AVERAGED_BOUND,
-        bound_ms=AVERAGED_MS + FRAME_MS,
+        **AVERAGED,
     ),
     _camera("part-blind", "the lowest fifth to third of the region is not read", _blind, LOST),
     _camera(
