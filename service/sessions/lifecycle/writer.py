@@ -119,6 +119,7 @@ class SessionWriter(threading.Thread):
         self._is_complete = False
         self._is_hurried = False
         self._settled: Settlement | None = None
+        self._recorded_model_id: str | None = None
         self.active_model_id: str | None = None
         self.body: BodyMatch | None = None
 
@@ -251,12 +252,13 @@ class SessionWriter(threading.Thread):
         body = self._compared(model)
 
         def record(db: Session) -> None:
-            self.active_model_id = record_model(db, self._session_id, sha256, stored)
+            self._recorded_model_id = record_model(db, self._session_id, sha256, stored)
             if body is not None:
                 audit.append(db, body_event(self._session_id, body))
 
         self._model_write.write(model, record)
         self._model, self.body = model, body or self.body
+        self.active_model_id = self._recorded_model_id  # last: with the model, readers see its comparison
 
     def _compared(self, model: MotionModel) -> BodyMatch | None:
         """Compare the first model that this session has learned with the patient's earlier session."""

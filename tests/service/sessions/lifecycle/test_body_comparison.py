@@ -1,5 +1,6 @@
 """The body is compared with the patient's earlier session, always: shown, audited and streamed, and nothing is held."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from engine.motion.learning.patient_match import PatientMatchLimits
 from service.sessions.lifecycle.body_comparison import EarlierBody, compare_bodies, earlier_body
 from service.sessions.views.live import live_sample
 from service.storage.database.engine import Database
+from service.storage.database.retried_write import RetriedWriter
 from service.storage.files.motion_models import MODELS_FOLDER, ModelStore
 from tests.support.service.api_calls import act, audit_rows, make_session_body
 from tests.support.service.fake_engine import make_model
@@ -99,6 +101,19 @@ def test_a_later_session_of_the_patient_is_compared_and_nothing_is_held(client, 
     assert engine.running.faults == []
     same, (row,) = learned_session(client, engine, calibration_id, OTHER_BODY, 3)
     assert (same["body"]["warning"], row["warning"], row["earlier_session_id"]) == (None, None, second["id"])
+
+
+def test_a_model_is_shown_together_with_its_comparison(client, engine, calibration_id, monkeypatch):
+    learned_session(client, engine, calibration_id, SURFACE, 1)
+    write = RetriedWriter.write
+
+    def slow_to_return(*arguments):
+        write(*arguments)
+        time.sleep(0.2)
+
+    monkeypatch.setattr(RetriedWriter, "write", slow_to_return)
+    second, _ = learned_session(client, engine, calibration_id, OTHER_BODY, 2)
+    assert "another patient" in second["body"]["warning"]
 
 
 def test_another_patient_s_sessions_are_not_compared(client, engine, calibration_id):
