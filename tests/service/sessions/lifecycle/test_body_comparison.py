@@ -1,11 +1,12 @@
 """The body is compared with the patient's earlier session, always: shown, audited and streamed, and nothing is held."""
 
-import time
+import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from engine.core.motion_model import MotionModel
 from engine.motion.learning.patient_match import PatientMatchLimits
 from service.sessions.lifecycle.body_comparison import EarlierBody, compare_bodies, earlier_body
 from service.sessions.views.live import live_sample
@@ -104,16 +105,27 @@ def test_a_later_session_of_the_patient_is_compared_and_nothing_is_held(client, 
 
 
 def test_a_model_is_shown_together_with_its_comparison(client, engine, calibration_id, monkeypatch):
+    """Between the commit of both and the writer's next statement a reader sees neither."""
     learned_session(client, engine, calibration_id, SURFACE, 1)
-    write = RetriedWriter.write
+    write, is_written, is_read = RetriedWriter.write, threading.Event(), threading.Event()
 
-    def slow_to_return(*arguments):
-        write(*arguments)
-        time.sleep(0.2)
+    def stopped_after(writer, subject, record):
+        write(writer, subject, record)
+        if isinstance(subject, MotionModel):
+            is_written.set()
+            assert is_read.wait(30.0)
 
-    monkeypatch.setattr(RetriedWriter, "write", slow_to_return)
-    second, _ = learned_session(client, engine, calibration_id, OTHER_BODY, 2)
-    assert "another patient" in second["body"]["warning"]
+    monkeypatch.setattr(RetriedWriter, "write", stopped_after)
+    session_id = client.post(URL, json=make_session_body(calibration_id)).json()["id"]
+    assert act(client, session_id, "start").status_code == 200
+    engine.running.frame()
+    engine.running.model = model(OTHER_BODY, 2)
+    assert is_written.wait(30.0)
+    between = client.get(f"{URL}/{session_id}").json()
+    is_read.set()
+    assert (between["active_model_id"], between["body"]) == (None, None)
+    eventually(lambda: client.get(f"{URL}/{session_id}").json()["active_model_id"] is not None)
+    assert "another patient" in client.get(f"{URL}/{session_id}").json()["body"]["warning"]
 
 
 def test_another_patient_s_sessions_are_not_compared(client, engine, calibration_id):
