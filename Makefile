@@ -48,6 +48,7 @@ BY_TWO := -n 2 --dist loadfile --no-loadscope-reorder
 # Three processes on two cores, where no time is judged: one of them often waits for a browser, a database or a service.
 BY_THREE := -n 3 --dist loadfile --no-loadscope-reorder
 TIMINGS := build/timings
+PART := $(BIN)/python -m tests.support.part
 TEST_PARTS := tests-computing tests-waiting tests-alone
 LOW_PRIORITY := nice -n 10
 # Hundreds of services and engines are started here: each would compile the whole program anew.
@@ -67,23 +68,24 @@ check-tests:
 # Every part runs, whatever came of those before it; the slowest tests of all parts and a line per part come last.
 # Lint, types and contracts run beside the first part. What runs in the background ignores an interrupt, and is killed by it.
 test: $(STAMP) test-system  ## everything that must hold: lint, types, contracts, all tests
-	@trap 'kill $$others; exit 130' INT; outcomes=; failed=0; rm -rf $(TIMINGS); mkdir -p build; \
+	@trap 'kill $$others; exit 130' INT; outcomes=; failed=0; rm -rf $(TIMINGS) build/unsteady.txt; mkdir -p build; \
 	note() { if [ $$2 = 0 ]; then outcomes+="$$1: passed"$$'\n'; else outcomes+="$$1: FAILED"$$'\n'; failed=1; fi; }; \
 	$(LOW_PRIORITY) $(MAKE) --no-print-directory --keep-going lint security types contracts >build/check.log 2>&1 & others=$$!; \
 	for part in $(TEST_PARTS); do $(MAKE) --no-print-directory $$part; note $$part $$?; done; \
 	wait $$others; note 'lint, types, contracts' $$?; cat build/check.log; \
-	$(BIN)/python -m tests.support.timings $(TIMINGS)/*.tsv; printf '\n%s' "$$outcomes"; exit $$failed
+	$(BIN)/python -m tests.support.timings $(TIMINGS)/*.tsv; printf '\n%s' "$$outcomes"; \
+	[ ! -e build/unsteady.txt ] || { echo 'UNSTEADY, failed beside others and passed alone:'; cat build/unsteady.txt; }; exit $$failed
 
 tests-computing:
-	$(BIN)/pytest $(BY_THREE) --timings $(TIMINGS)/computing.tsv $(addprefix --ignore=,$(ALONE) $(BESIDE) $(WAITING))
+	$(PART) computing $(BY_THREE) $(addprefix --ignore=,$(ALONE) $(BESIDE) $(WAITING))
 
 tests-waiting:
-	$(BIN)/pytest $(BY_TWO) --timings $(TIMINGS)/waiting.tsv $(WAITING)
+	$(PART) waiting $(BY_TWO) $(WAITING)
 
 tests-alone:
 	@mkdir -p build; \
-	$(BIN)/pytest --timings $(TIMINGS)/beside.tsv $(BESIDE) >build/beside.log 2>&1 & beside=$$!; \
-	$(BIN)/pytest --timings $(TIMINGS)/alone.tsv $(ALONE); failed=$$?; \
+	$(PART) beside $(BESIDE) >build/beside.log 2>&1 & beside=$$!; \
+	$(PART) alone $(ALONE); failed=$$?; \
 	wait $$beside || failed=1; cat build/beside.log; exit $$failed
 
 processors: $(STAMP)  ## the numeric tests under other processor features (x86): no AVX-512, no AVX at all

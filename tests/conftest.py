@@ -13,5 +13,6 @@ pytest_plugins = [
     "tests.support.fixtures.samples",
     "tests.support.selection",
     "tests.support.temporary_folder",
+    "tests.support.part",
     "tests.support.timings",
 ]

@@ -1,0 +1,67 @@
+"""A part of `make test` runs what failed once more, alone, and no more than that."""
+
+import subprocess
+import sys
+
+import pytest
+
+from tests.support import part
+from tests.support.repository import ROOT
+
+PLUGIN = "-p tests.support.part -p tests.support.timings -p no:cacheprovider"
+BROKEN = "def test_broken_{number}():\n    assert False\n\n"
+UNSTEADY = """from pathlib import Path
+
+def test_passes_the_second_time():
+    seen = Path("seen")
+    was_there = seen.exists()
+    seen.touch()
+    assert was_there
+
+"""
+GREEN = "def test_green():\n    assert True\n\n"
+
+
+@pytest.fixture
+def run(tmp_path):
+    def run(source):
+        (tmp_path / "test_it.py").write_text(source)
+        (tmp_path / "pytest.ini").write_text(f"[pytest]\naddopts = -q {PLUGIN}\npythonpath = {ROOT}\n")
+        environment = {"PYTHONPATH": str(ROOT), "PATH": "", "PYTHONDONTWRITEBYTECODE": "1"}
+        command = [sys.executable, "-m", "tests.support.part", "some", "test_it.py"]
+        return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+
+    return run
+
+
+def unsteady(tmp_path):
+    path = tmp_path / part.UNSTEADY
+    return path.read_text().splitlines() if path.exists() else []
+
+
+def test_a_green_part_names_nothing(run, tmp_path):
+    assert run(GREEN).returncode == 0
+    assert unsteady(tmp_path) == []
+
+
+def test_a_test_that_passes_alone_is_named_and_the_part_passes(run, tmp_path):
+    outcome = run(GREEN + UNSTEADY)
+    assert outcome.returncode == 0, outcome.stdout
+    assert "some: 1 failed and run once more, alone" in outcome.stdout
+    assert unsteady(tmp_path) == ["test_it.py::test_passes_the_second_time"]
+
+
+def test_a_test_that_fails_again_fails_the_part(run, tmp_path):
+    assert run(GREEN + UNSTEADY + BROKEN.format(number=1)).returncode == part.TESTS_FAILED
+    assert unsteady(tmp_path) == []
+
+
+def test_many_failures_are_not_run_again(run, tmp_path):
+    fickle = "".join(UNSTEADY.replace("second_time", f"time_{number}") for number in range(part.MOST + 1))
+    outcome = run(fickle.replace('Path("seen")', 'Path(__import__("sys")._getframe().f_code.co_name)'))
+    assert outcome.returncode == part.TESTS_FAILED
+    assert "once more" not in outcome.stdout
+
+
+def test_a_part_whose_tests_cannot_be_read_fails(run, tmp_path):
+    assert run("import nothing_of_this_name\n").returncode not in {0, part.TESTS_FAILED}
