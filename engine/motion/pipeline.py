@@ -4,13 +4,11 @@ Owned by one thread. It keeps the state between frames (tracked region, last coe
 model and reference belong to `engine.motion.learning.learner.Learner`.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 from engine.calibration.camera_calibration import Calibration
 from engine.core.breath import Breath, SignalChoice
 from engine.core.clock import Clock
-from engine.core.errors import ModelError
 from engine.core.frames import (
     NODE_COLUMNS,
     NODE_ROWS,
@@ -37,8 +35,7 @@ from engine.motion.learning.learned import Learned
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.prepared_model import PreparedModel, Reference, prepare_model
 from engine.motion.learning.reference_smoothing import RecentFrames
-from engine.motion.learning.still_stretch import StillStretch
-from engine.motion.learning.tasks import LearningStages, Outcome, fit_checked
+from engine.motion.learning.tasks import LearningStages, Outcome
 from engine.motion.learning.trainer import BackgroundTrainer, Trainer
 from engine.motion.learning.training_set import TrainingFrame
 from engine.motion.settings import PipelineSettings
@@ -57,8 +54,6 @@ US_PER_S = 1e6
 MARKERS_BETWEEN_NODES = 1.0 - 1.0 / NODE_STEP
 # Training samples more finely than measuring, since the components are interpolated to the full grid.
 LEARNING_STRIDE_PX = 2
-WORTHWHILE = 1.5
-"""Least length of a whole recording's stretch, as a multiple of the training's, for a model of its own."""
 
 
 class LearnedInPass(NamedTuple):
@@ -116,7 +111,6 @@ class Pipeline:
         self._coefficients: FloatArray | None = None
         self._projected_model: PreparedModel | None = None
         self._costal_line = CostalLineTracker() if settings.extra_markers else None
-        self._stretch: StillStretch | None = None
         self._reset_breathing()
 
     def _reset_breathing(self) -> None:
@@ -145,33 +139,11 @@ class Pipeline:
         if learned.active is not None:
             self._tracker.expect_depth(learned.active.node_mean_mm)
 
-    def survey(self) -> None:
-        """Collect frames of the whole recording from now on, for `learned_from_all`."""
-        self._stretch = StillStretch(self._settings.training, self._vertices)
-
-    def learned_from_all(self) -> LearnedInPass:
-        """Return what this pass has learned, with a model of the longest stretch in which the patient lay still.
-
-        The model of the training stays where that stretch is hardly longer, or is refused.
-        """
-        found = self.learned_in_pass
-        first, stretch = found.learned.active, self._stretch
-        if first is None or stretch is None or stretch.longest.seconds < WORTHWHILE * first.model.seconds:
-            return found
-        # Drift and breath holds belong to such a stretch, and its frames were measured.
-        settings = replace(self._settings.training, max_shift_mm=50.0, max_tilt_deg=20.0, max_outlier_share=0.5)
-        try:
-            active, _ = fit_checked(stretch.longest, self._stages, settings, self._calibration.sha256)
-        except ModelError:
-            return found
-        active = replace(active, model=replace(active.model, depth_steps=first.model.depth_steps))
-        _, shapes = found.shapes
-        return found._replace(learned=replace(found.learned, active=active), shapes=(active.model, shapes))
-
-    @property
     def learned_in_pass(self) -> LearnedInPass:
-        """What this pass over a recording has learned."""
-        return LearnedInPass(self.learner.learned, self._tracker.table, self._cross_check.learned)
+        """Return what this pass over a recording has learned; fits a model of all of it if its frames were kept."""
+        learned = self.learner.learned_from_recording()
+        model = None if learned.active is None else learned.active.model
+        return LearnedInPass(learned, self._tracker.table, (model, self._cross_check.shapes))
 
     def measure(self, frame: RgbdFrame) -> Measurement:
         """Measure one frame.
@@ -200,7 +172,7 @@ class Pipeline:
         self._recent.add(roi, frame.timestamp_us)
         active = self.learner.active
         if active is None:
-            self._add_to_survey(roi, frame.timestamp_us, nodes.pixels_px)
+            self._keep(roi, frame.timestamp_us, nodes.pixels_px)
             return self._without_model(frame, roi, found)
         outcome = self._explain_continuous(active, roi, found, frame.timestamp_us)
         if isinstance(outcome, Lost):
@@ -211,7 +183,7 @@ class Pipeline:
         motion = self._motion(active, outcome, nodes.rays, frame.timestamp_us)
         if not takes_lost_frames:
             self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
-        self._add_to_survey(roi, frame.timestamp_us, nodes.pixels_px)
+        self._keep(roi, frame.timestamp_us, nodes.pixels_px)
         breaths = self._breaths.follow(motion, frame.timestamp_us)
         return self._measurement(frame, MeasurementState.MEASURING, motion=motion, markers=found, breaths=breaths)
 
@@ -276,17 +248,12 @@ class Pipeline:
 
     def _stride_px(self, timestamp_us: int) -> int:
         is_learning = self.learner.active is None or self.learner.is_gathering
-        return LEARNING_STRIDE_PX if is_learning or self._is_surveyed(timestamp_us) else STRIDE_PX
+        return LEARNING_STRIDE_PX if is_learning or self.learner.is_kept(timestamp_us) else STRIDE_PX
 
-    def _is_surveyed(self, timestamp_us: int) -> bool:
-        return self._stretch is not None and self._stretch.is_due(timestamp_us)
-
-    def _add_to_survey(self, roi: RoiDepth, timestamp_us: int, nodes_px: FloatArray) -> None:
-        stretch = self._stretch
-        if stretch is None or not stretch.is_due(timestamp_us):
-            return
-        if roi.valid.mean() >= self._settings.min_valid_share:
-            stretch.add(TrainingFrame(roi=roi, timestamp_us=timestamp_us, nodes_px=nodes_px))
+    def _keep(self, roi: RoiDepth, timestamp_us: int, nodes_px: FloatArray) -> None:
+        """Keep a measured or training frame for a refit."""
+        if self.learner.is_kept(timestamp_us) and roi.valid.mean() >= self._settings.min_valid_share:
+            self.learner.keep(TrainingFrame(roi=roi, timestamp_us=timestamp_us, nodes_px=nodes_px))
 
     def _prepare(self, model: MotionModel) -> PreparedModel:
         """Prepare a model for measuring; called in the trainer's thread."""
@@ -337,7 +304,7 @@ class Pipeline:
 
     def _layout_lost(self, roi: RoiDepth, found: Markers, timestamp_us: int) -> Lost | None:
         """Return the loss if a marker is not where it was relative to the others, otherwise None."""
-        self._marker_layout.restart(self.learner.generation)
+        self._marker_layout.restart(self.learner.position_generation)
         rays = self._calibration.color.rays(found.centers_px)
         return self._marker_layout.lost(marker_points_mm(rays, roi), timestamp_us)
 
@@ -345,7 +312,7 @@ class Pipeline:
         self, active: PreparedModel, outcome: Projection, found: Markers, timestamp_us: int
     ) -> Lost | None:
         """Return the loss if the surface is not continuous with the previous one, otherwise None."""
-        self._continuity.restart(self.learner.generation)
+        self._continuity.restart(self.learner.position_generation)
         depth_mm = active.node_depth_mm(outcome.coefficients)
         observed = ObservedSurface(depth_mm=depth_mm, markers_px=found.centers_px, timestamp_us=timestamp_us)
         detail = self._continuity.rejection(

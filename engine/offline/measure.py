@@ -144,7 +144,7 @@ def measure_recording(
         live_from = found.live_from
         del found  # its results, which the second pass makes again
         begin(2)
-        found, learner = _second_pass(run, calibration, pipeline.learned_from_all(), live_from)
+        found, learner = _second_pass(run, calibration, pipeline.learned_in_pass(), live_from)
     is_split_marked = pipeline.marked_split is not None
     passes = 1 if is_single_pass else 2
     return _saved(run, learner, found, origin, is_split_marked=is_split_marked, passes=passes)
@@ -157,7 +157,7 @@ def _first_pass(run: _Run, pipeline: Pipeline, *, is_single: bool) -> _Pass:
         return is_single or pipeline.learner.status.model is None
 
     if not is_single and pipeline.learner.status.model is None:
-        pipeline.survey()
+        pipeline.learner.keep_recording()
     found = _run_pass(run if is_single else replace(run, meshes=MeshOptions()), pipeline, is_kept, 0)
     if pipeline.learner.status.model is None:
         found.results.save(run.out / "regions.npz")
@@ -171,7 +171,7 @@ def _second_pass(
     run: _Run, calibration: Calibration, learned: LearnedInPass, live_from: int | None
 ) -> tuple[_Pass, Learner]:
     """Measure every frame with what was learned; the first of them is the reference."""
-    settings = replace(run.settings, training=replace(run.settings.training, retrain_interval_s=0.0))
+    settings = replace(run.settings, training=replace(run.settings.training, retrain_interval_s=0.0, refit_until_s=0.0))
 
     def prepared(reference: Reference | None) -> Pipeline:
         pipeline = Pipeline(calibration, settings, ManualClock(), InlineTrainer())

@@ -107,9 +107,9 @@ class CrossCheck:
         self._scene.restart()
 
     @property
-    def learned(self) -> tuple[MotionModel | None, BreathingShapes | None]:
-        """The model in use, and the shapes of breathing learned with it."""
-        return self._model, self._shapes
+    def shapes(self) -> BreathingShapes | None:
+        """The shapes of breathing learned with the model in use."""
+        return self._shapes
 
     def use(self, learned: tuple[MotionModel | None, BreathingShapes | None]) -> None:
         """Use what an earlier pass over the same recording has learned."""
@@ -144,9 +144,7 @@ class CrossCheck:
     def lost(self, model: MotionModel, *, is_reference_due: bool) -> Lost | None:
         """Return the loss if the frames so far disagree with the reference; the first frame of a reference agrees."""
         if model is not self._model:
-            self._shapes = learn_shapes(np.array(self._gathered)) or shapes_of(model)
-            self._model = model
-            self._gathered.clear()
+            self._learn_shapes(model)
         cells_mm = _mean([one.cells_mm for one in self._recent])
         chroma = self._recent[-1].chroma
         newest = self._recent[-1]
@@ -161,6 +159,13 @@ class CrossCheck:
             )
             self._forget_changes()
         return self._compare(self._reference, cells_mm, chroma)
+
+    def _learn_shapes(self, model: MotionModel) -> None:
+        """Learn the shapes of breathing from what was gathered; a refit, for which nothing was, changes none."""
+        if self._gathered or self._shapes is None:
+            self._shapes = learn_shapes(np.array(self._gathered)) or shapes_of(model)
+        self._model = model
+        self._gathered.clear()
 
     def confirm(self) -> None:
         """Average the newest frame into a reference that was just set; call it for measured frames only."""

@@ -21,6 +21,7 @@ from engine.motion.learning.learned import Learned
 from engine.motion.learning.learned_range import learned_ranges
 from engine.motion.learning.patient_match import PatientMatchLimits
 from engine.motion.learning.prepared_model import PreparedModel, Reference
+from engine.motion.learning.refit import Refits
 from engine.motion.learning.tasks import (
     Candidate,
     CompareTask,
@@ -60,7 +61,9 @@ class Learner:
         self._settings, self._limits = settings, match_limits
         self._stages = stages
         self._trainer = trainer
-        self._task: LearningTask | None = self._learning()
+        self._task: LearningTask | None = None
+        self._refits: Refits | None = None
+        self._begin_learning()
         self._candidate: Candidate | None = None
         self._active: PreparedModel | None = None
         self._reference: Reference | None = None
@@ -72,6 +75,7 @@ class Learner:
         self._discards_outcome = False
         self._patient_match: PatientMatch | None = None
         self._generation = 0
+        self._position_generation = 0
         self._now_us = 0
         self._learned_us = 0
         self._refusal = ""
@@ -123,6 +127,11 @@ class Learner:
         return self._generation
 
     @property
+    def position_generation(self) -> int:
+        """Number that changes with every change except that to a model which takes the reference over."""
+        return self._position_generation
+
+    @property
     def is_gathering(self) -> bool:
         """Whether a task collects frames."""
         return self._task is not None
@@ -163,7 +172,7 @@ class Learner:
             msg = "there is no motion model yet: a reference needs one"
             raise CommandRefusedError(msg)
         self._is_reference_requested = True
-        self._generation += 1
+        self._change()
 
     def reference(
         self, active: PreparedModel, coefficients: FloatArray, surface: FloatArray, seen: FloatArray | BoolArray
@@ -187,7 +196,7 @@ class Learner:
     def retrain(self, *, keeps_zero: bool = True) -> None:
         """Collect frames for a new model; the present one stays in use until the new one is ready."""
         self._refuse_while_busy()
-        self._task = self._learning(keeps_zero=keeps_zero)
+        self._begin_learning(keeps_zero=keeps_zero)
         self._refusal = ""
 
     def activate(self, model: MotionModel) -> None:
@@ -197,13 +206,19 @@ class Learner:
         if mismatch is not None:
             raise mismatch
         self._refuse_while_busy()
-        self._refusal = ""
+        self._refusal, self._refits = "", None
         if self._active is not None:
             self._task = SwitchTask(model, self._settings, self._stages)
             return
         self._task = None
         self._trainer.start(lambda: Candidate(active=self._stages.prepare(model)))
         self._collect()
+
+    def _change(self, *, is_position_new: bool = True) -> None:
+        """Count a change of model or reference; the position is the same where the reference was transferred."""
+        self._generation += 1
+        if is_position_new:
+            self._position_generation += 1
 
     def resume(self, model: MotionModel) -> None:
         """Start with a model of an earlier fraction; it is compared with the patient before the gate can be armed.
@@ -215,7 +230,7 @@ class Learner:
         self._refuse_while_busy()
         if model.surface_mm is None:
             raise ModelMismatchError("model", "of an older version", "one that stores its patient's surface")
-        self._task = None
+        self._task, self._refits = None, None
         self._trainer.start(lambda: Candidate(active=self._stages.prepare(model), needs_reference=True, is_stored=True))
         self._collect()
 
@@ -223,8 +238,8 @@ class Learner:
         """Use what another learner has learned from the same frames; learn nothing."""
         self._active, self._reference = learned.active, learned.reference
         self._reference_number, self._needs_reference = learned.reference_number, learned.needs_reference
-        self._task, self._patient_match = None, learned.patient_match
-        self._generation += 1
+        self._task, self._refits, self._patient_match = None, None, learned.patient_match
+        self._change()
 
     @property
     def learned(self) -> Learned:
@@ -250,11 +265,12 @@ class Learner:
         self._discards_outcome = self._trainer.is_busy
         self._reference, self._is_reference_requested = None, False
         self._patient_match = None
-        self._generation += 1
+        self._change()
         if self._active is None or self._active.model.surface_mm is None:
             self._active, self._is_comparing = None, False
-            self._task = self._learning()
+            self._begin_learning()
             return
+        self._refits = None
         self._needs_reference, self._is_comparing = True, True
         self._task = CompareTask(self._active, self._limits, self._stages)
         self._emit(LearningEventKind.ZERO_NEEDED, "the camera was disconnected: set the reference before arming")
@@ -306,20 +322,53 @@ class Learner:
             self._trainer.start(with_steps(job, self.depth_steps) if isinstance(task, FitTask) else job)
             self._collect()
 
+    # -- refits to all of the session so far --------------------------------------------------------------------
+
+    def is_kept(self, timestamp_us: int) -> bool:
+        """Whether a frame of this time is kept for a refit: it has to be sampled as finely as a training frame."""
+        return self._refits is not None and self._refits.is_due(timestamp_us)
+
+    def keep(self, frame: TrainingFrame) -> None:
+        """Keep a measured or training frame if it is due, and start a refit that has become due."""
+        if self._refits is None or not self._refits.is_due(frame.timestamp_us):
+            return
+        self._refits.add(frame)
+        is_free = not self._is_model_held and self._task is None and not self._trainer.is_busy
+        job = self._refits.job(self._active) if is_free and self._active is not None else None
+        if job is not None:
+            self._emit(LearningEventKind.STARTED, "the model is refitted to the session so far")
+            self._trainer.start(with_steps(job, self.depth_steps))
+            self._collect()
+
+    def keep_recording(self) -> None:
+        """Keep frames of a whole recording, for `learned_from_recording`; refit nothing before its end."""
+        self._refits = self._new_refits(is_survey=True)
+
+    def learned_from_recording(self) -> Learned:
+        """Return what was learned, with a model of the longest stretch without movement where that is worthwhile."""
+        if self._refits is None or self._active is None:
+            return self.learned
+        return replace(self.learned, active=self._refits.of_longest(self._active) or self._active)
+
     def _retrain_if_due(self) -> None:
         interval_us = self._settings.retrain_interval_s * 1e6
         self._learned_us = min(self._learned_us, self._now_us)  # the device's clock may restart
         is_free = self._active is not None and self._task is None and not self._trainer.is_busy
         if interval_us > 0.0 and is_free and self._now_us - self._learned_us >= interval_us:
-            self._task = self._learning()
+            self._begin_learning()
             self._emit(
                 LearningEventKind.STARTED,
                 "the retraining interval has passed",
                 {"interval_s": self._settings.retrain_interval_s},
             )
 
-    def _learning(self, *, keeps_zero: bool = True) -> FitTask:
-        return FitTask(self._settings, self._stages, self._calibration_sha256, keeps_zero=keeps_zero)
+    def _begin_learning(self, *, keeps_zero: bool = True) -> None:
+        self._task = FitTask(self._settings, self._stages, self._calibration_sha256, keeps_zero=keeps_zero)
+        if self._refits is None or not self._refits.is_survey:
+            self._refits = self._new_refits()
+
+    def _new_refits(self, *, is_survey: bool = False) -> Refits:
+        return Refits(self._settings, self._stages, self._calibration_sha256, is_survey=is_survey)
 
     def _collect(self) -> None:
         outcome = self._trainer.collect() if self._trainer.is_busy else None
@@ -354,7 +403,7 @@ class Learner:
         elif candidate.needs_reference:
             self._reference, self._needs_reference = None, True
         self._active = candidate.active
-        self._generation += 1
+        self._change(is_position_new=candidate.transfer is None or previous_reference is None)
         self._refusal = ""
         self._emit(LearningEventKind.SWAPPED, "a new model is in use", figures)
         if candidate.needs_reference:
@@ -383,9 +432,9 @@ class Learner:
         if drops_model or self._is_comparing:
             self._active, self._reference, self._is_comparing = None, None, False
             self._is_reference_requested = False
-            self._generation += 1
+            self._change()
         if self._active is None:
-            self._task = self._learning()
+            self._begin_learning()
 
     def _emit(self, kind: LearningEventKind, detail: str, figures: Figures | None = None) -> None:
         notice = LearningEvent(kind=kind, detail=detail, timestamp_us=self._now_us, figures=figures or {})

@@ -1,8 +1,8 @@
-"""The longest stretch of a recording in which the patient lies still, to learn one model from all of its breaths.
+"""Stretches in which the patient lies still, to learn a better model than that of the first breaths.
 
-A live session learns from its first breaths. A second pass over a recording can use all of them, and then knows breath
-holds and other patterns too. A patient who moves on the couch comes to lie on other pixels, whose fixed errors differ:
-frames from before and after a movement in one set would teach this difference as breathing.
+A session refits its model to the present stretch while that grows. A second pass over a recording uses the longest one,
+and then knows breath holds and other patterns too. A patient who moves on the couch comes to lie on other pixels, whose
+fixed errors differ: frames from before and after a movement in one set would teach this difference as breathing.
 """
 
 import math
@@ -60,6 +60,11 @@ class StillStretch:
         self._stretch.add(frame)
         if self._stretch.seconds >= self._longest.seconds:
             self._longest = self._stretch
+
+    @property
+    def present(self) -> TrainingSet:
+        """The stretch that the newest frame belongs to; empty without frames."""
+        return self._stretch
 
     @property
     def longest(self) -> TrainingSet:

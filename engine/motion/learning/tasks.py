@@ -137,19 +137,14 @@ class FitTask:
 
     def job(self, before: PreparedModel | None) -> Callable[[], Outcome]:
         """Return the job that checks the set, fits the model and transfers the reference."""
-        training_set, stages, settings = self._set, self._stages, self._settings
-        keeps_zero = self._keeps_zero
-
-        def run() -> Candidate:
-            active, frames = fit_checked(training_set, stages, settings, self._calibration_sha256)
-            transfer = None
-            if before is not None and keeps_zero:
-                transfer = _transfer_reference(before, active, recent(frames), stages, settings.max_carry_mm)
-            return Candidate(
-                active=active, before=before, transfer=transfer, needs_reference=before is not None and not keeps_zero
-            )
-
-        return run
+        return fit_job(
+            self._set,
+            self._stages,
+            self._settings,
+            self._calibration_sha256,
+            before=before,
+            keeps_zero=self._keeps_zero,
+        )
 
 
 class SwitchTask:
@@ -226,6 +221,29 @@ class CompareTask:
         frames, limits, stages = list(self._frames), self._limits, self._stages
         active = before or self._active
         return lambda: compare_with_patient(active, frames, limits, explain=stages.explain, vertices=stages.vertices)
+
+
+def fit_job(
+    training_set: TrainingSet,
+    stages: LearningStages,
+    settings: TrainingSettings,
+    calibration_sha256: str,
+    *,
+    before: PreparedModel | None,
+    keeps_zero: bool,
+) -> Callable[[], Candidate]:
+    """Return the job that checks a set, fits a model and transfers the reference; nothing else adds to the set."""
+
+    def run() -> Candidate:
+        active, frames = fit_checked(training_set, stages, settings, calibration_sha256)
+        transfer = None
+        if before is not None and keeps_zero:
+            transfer = _transfer_reference(before, active, recent(frames), stages, settings.max_carry_mm)
+        return Candidate(
+            active=active, before=before, transfer=transfer, needs_reference=before is not None and not keeps_zero
+        )
+
+    return run
 
 
 def fit_checked(

@@ -30,6 +30,9 @@ class TrainingSettings:
         Largest number of frames kept; a longer set is thinned evenly.
     components
         Number of principal components.
+    refit_until_s
+        A model learned in the session is refitted each time the stretch without movement is twice as long as the one
+        it was learned from, until the stretch is this long [s]; 0 for never.
     retrain_interval_s
         Time from one model to the next training; 0 for never.
     min_amplitude_mm
@@ -48,6 +51,7 @@ class TrainingSettings:
     max_seconds: float = 40.0
     max_frames: int = 450
     components: int = 3
+    refit_until_s: float = 80.0
     retrain_interval_s: float = 0.0
     min_amplitude_mm: float = 0.6
     max_shift_mm: float = 3.0
@@ -76,6 +80,7 @@ TRAINING_BOUNDS: Mapping[str, tuple[float, float]] = {
     "max_seconds": (0.5, 600.0),
     "max_frames": (40, 2000),
     "components": (1, 10),
+    "refit_until_s": (0.0, 600.0),
     "retrain_interval_s": (0.0, 14_400.0),
     "min_amplitude_mm": (0.2, 10.0),
     "max_shift_mm": (0.5, 50.0),

@@ -88,6 +88,13 @@ class TrainingSet:
         self._cycles = 0
         self._amplitude_mm: float | None = None
 
+    def snapshot(self) -> "TrainingSet":
+        """Return the set as it is now, for another thread; frames added later are not in it."""
+        same = TrainingSet(self._settings, self._vertices)
+        for name, value in vars(self).items():
+            setattr(same, name, list(value) if isinstance(value, list) else value)
+        return same
+
     def add(self, frame: TrainingFrame) -> None:
         """Add a frame; a full set drops every second frame, so it stays evenly thinned."""
         seconds = frame.timestamp_us / 1e6

@@ -50,7 +50,7 @@ class MarkerLayout:
         self._is_doubted = False
 
     def restart(self, generation: int) -> None:
-        """Accept the next layout if model or reference have changed, as ``generation`` shows."""
+        """Accept the next layout if the reference has changed, as ``generation`` shows."""
         if generation != self._generation:
             self._last_mm, self._is_doubted, self._generation = None, False, generation
 

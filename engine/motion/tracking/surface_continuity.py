@@ -2,10 +2,10 @@
 
 A sheet or a hand laid on the patient is smooth, and if it is thin the model explains it as motion. But it appears
 within one or two frames, faster than a chest can move. After such a change a surface is accepted again when its shape
-returns, apart from breathing, or when an operator has set a new reference or learned a new model. The same holds after
-every interval without an accepted surface, whatever its reason, since something may be laid on the patient in it. A
-patient moves as a whole: a change that a plane describes with a small remainder is accepted at any speed, and so is one
-in which the markers move along.
+returns, apart from breathing, or when an operator has set a new reference. A new model that takes the reference over
+changes nothing of this. The same holds after every interval without an accepted surface, whatever its reason, since
+something may be laid on the patient in it. A patient moves as a whole: a change that a plane describes with a small
+remainder is accepted at any speed, and so is one in which the markers move along.
 
 A cough is also fast, and bends the body as no breath does. Some surfaces during a cough may be accepted, so the shape
 may also return to the last surface before which a whole second was accepted.
@@ -51,7 +51,7 @@ class SurfaceContinuity:
         self._is_broken = False
 
     def restart(self, generation: int) -> None:
-        """Accept the next surface if model or reference have changed, as ``generation`` shows."""
+        """Accept the next surface if the reference has changed, as ``generation`` shows."""
         if generation != self._generation:
             self._last, self._is_broken, self._generation = None, False, generation
 

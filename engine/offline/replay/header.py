@@ -1,6 +1,6 @@
 """The header of a tape: everything an engine was made of, so that a replay can make the same one."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,13 @@ from engine.gating.limits import GateLimits
 from engine.motion.settings import PipelineSettings
 from engine.offline.replay.encoding import TapeEncoding
 
-METHOD = 3
+METHOD = 4
 """Number of the measuring method, increased with every change by which the same frames may be believed, measured or
 gated otherwise: then an earlier session replays to other results on purpose."""
 FIRST_METHOD = 1
 """The method of tapes that name none."""
+REFITTING_METHOD = 4
+"""The first method that refits a session's model; earlier tapes name no such setting."""
 
 RAW = "raw"
 RECORDING = "recording"
@@ -82,10 +84,11 @@ def read_head(encoded: dict[str, Any], encoding: TapeEncoding) -> TapeHeader:
         if isinstance(method, bool) or not isinstance(method, int) or method < FIRST_METHOD:
             msg = f"the tape's head is damaged: its method is {method!r}"
             raise RecordingError(msg)
+        measuring = encoding.decode(encoded["measuring"])
         return TapeHeader(
             session_id=encoded["session_id"],
             limits=encoding.decode(encoded["limits"]),
-            measuring=encoding.decode(encoded["measuring"]),
+            measuring=_without_refits(measuring) if method < REFITTING_METHOD else measuring,
             calibration=parse_calibration(encoded["calibration"].encode()),
             model=encoding.decode(encoded["model"]),
             frames=Frames(kind=frames["kind"], path=None if frames["path"] is None else Path(frames["path"])),
@@ -101,3 +104,7 @@ def read_head(encoded: dict[str, Any], encoding: TapeEncoding) -> TapeHeader:
 def this_software() -> str:
     """Return the name and version of this software."""
     return f"tidegate {__version__}"
+
+
+def _without_refits(measuring: PipelineSettings) -> PipelineSettings:
+    return replace(measuring, training=replace(measuring.training, refit_until_s=0.0))

@@ -185,6 +185,7 @@ class Settings(
     training_max_tilt_deg: float = _training("max_tilt_deg")
     training_max_outlier_share: float = _training("max_outlier_share")
     training_max_carry_mm: float = _training("max_carry_mm")
+    training_refit_until_s: float = _training("refit_until_s")
     retrain_interval_min: float = Field(
         default=0.0, ge=0.0, le=240.0, description="Interval of learning a new model during a session; 0 is never"
     )

@@ -184,7 +184,10 @@ def test_retraining_moves_neither_zero_nor_sign(measuring):
         assert measuring.measure(small_scene.frame(index)).state is MeasurementState.MEASURING
         index += 1
         assert index < 600
-    after = measure(measuring, [60])[0].motion
+    while (index - 60) % 120 != 0:  # whole breaths later
+        measuring.measure(small_scene.frame(index))
+        index += 1
+    after = measuring.measure(small_scene.frame(index, excursion=small_scene.breath(60))).motion
     assert measuring.learner.status.model_generation != generation
     assert after.whole_mm == pytest.approx(before.whole_mm, abs=0.05)
 

@@ -13,7 +13,7 @@ from engine.control.loop import EngineLoop
 from engine.core.clock import MonotonicClock
 from engine.core.commands import Retrain
 from engine.core.errors import SourceEndedError
-from engine.core.frames import MeasurementState
+from engine.core.frames import LostReason, MeasurementState
 from engine.core.learning_events import LearningEventKind
 from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
@@ -83,6 +83,48 @@ def test_a_sheet_that_lies_on_the_patient_is_not_learned_behind_the_zero_s_back(
     assert set(lost[3:]) == {MeasurementState.LOST}
     assert pipeline.learner.status.model is first
     assert not [notice for notice in pipeline.learner.take_notices() if notice.kind is LearningEventKind.READY]
+
+
+def waits_for_a_switch(learned, frames):
+    """A pipeline that measures with another model waiting, and the camera it looks through."""
+    pipeline, camera = measuring(learned, frames)
+    pipeline.learner.keep_model(is_kept=True)
+    pipeline.learner.retrain()
+    while not pipeline.learner.status.is_model_waiting:
+        pipeline.measure(next(camera))
+        assert camera.index < 1000
+    return pipeline, camera
+
+
+def switch_while_covered(pipeline, camera):
+    first = pipeline.learner.status.model
+    pipeline.learner.keep_model(is_kept=False)
+    for _ in range(3):
+        hidden = small_scene.frame(camera.index, corners_px=small_scene.CORNERS_PX[:3])
+        assert pipeline.measure(camera.stamped(hidden)).state is MeasurementState.LOST
+    assert pipeline.learner.status.model is not first
+
+
+def test_a_marker_put_elsewhere_while_a_model_takes_over_is_lost(learned, frames):
+    pipeline, camera = waits_for_a_switch(learned, frames)
+    switch_while_covered(pipeline, camera)
+    moved = small_scene.CORNERS_PX.copy()
+    moved[3] += (0.0, 8.0)  # 12 mm: a share of the distances in the picture that passes
+    outcome = pipeline.measure(camera.stamped(small_scene.frame(camera.index, corners_px=moved)))
+    assert outcome.lost.reason is LostReason.LAYOUT_CHANGED
+    assert "12 mm" in outcome.lost.detail
+
+
+def test_a_sheet_laid_while_a_model_takes_over_is_lost(learned, frames):
+    def sheet(depth):
+        depth[200:300, 270:370] -= 5
+
+    pipeline, camera = waits_for_a_switch(learned, frames)
+    pipeline._cross_check.lost = lambda *_, **__: None  # what is tested works without it
+    switch_while_covered(pipeline, camera)
+    for index in range(30):
+        outcome = pipeline.measure(camera.stamped(small_scene.frame(camera.index, edit=sheet)))
+        assert outcome.state is MeasurementState.LOST, index
 
 
 def test_a_stored_model_is_measured_with_and_accepted_on_the_same_patient(learned, frames):

@@ -19,7 +19,9 @@ FRAME_US = 33_367
 STRIDE_PX = 2
 SHA256 = "c" * 64
 FOCAL_PX = 550.0
-FEW = TrainingSettings(min_frames=60, min_seconds=4.0, min_cycles=1, max_seconds=12.0, max_frames=200)
+FEW = TrainingSettings(
+    min_frames=60, min_seconds=4.0, min_cycles=1, max_seconds=12.0, max_frames=200, refit_until_s=0.0
+)
 """Small sets: what is tested does not depend on their size."""
 FEWER = replace(FEW, min_frames=40, min_seconds=2.0, min_cycles=0)
 """One quick breath, for tests that learn many times."""
@@ -90,8 +92,11 @@ class Patient:
         self.learner.collect(seen.timestamp_us)
         if self.learner.is_gathering:
             self.learner.learn(seen)
+        motion = self.measured(seen)
+        if motion is not None or self.learner.active is None:
+            self.learner.keep(seen)
         self.notices += self.learner.take_notices()
-        return self.measured(seen)
+        return motion
 
     def measured(self, seen):
         active = self.learner.active

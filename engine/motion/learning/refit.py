@@ -1,0 +1,83 @@
+"""Refits a model that was learned in the session to the present stretch in which the patient lies still.
+
+The first model knows three breaths or so. Ten frames a second of what is measured are kept from the session's start,
+and each time the stretch is twice as long as the one the model was learned from, another is fitted to all of it. It
+takes over like a retrained one: the reference is transferred, and never while the gate is armed.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from engine.core.errors import ModelError
+from engine.motion.learning.prepared_model import PreparedModel
+from engine.motion.learning.still_stretch import StillStretch
+from engine.motion.learning.tasks import Candidate, LearningStages, fit_checked, fit_job
+from engine.motion.learning.trainer import TrainingSettings
+from engine.motion.learning.training_set import TrainingFrame
+
+GROWTH = 2.0
+"""Least length of a stretch for another model, as a multiple of the one that the present model was learned from."""
+WORTHWHILE = 1.5
+"""The same where no other refit follows, because the recording is over."""
+
+
+class Refits:
+    """Keeps frames of the session and says when a better model can be fitted; owned by the pipeline's thread.
+
+    A survey keeps all frames of a recording and refits nothing until its end.
+    """
+
+    def __init__(
+        self, settings: TrainingSettings, stages: LearningStages, calibration_sha256: str, *, is_survey: bool = False
+    ) -> None:
+        # Drift and breath holds belong to a long stretch, and its frames were measured.
+        self._settings = replace(settings, max_shift_mm=50.0, max_tilt_deg=20.0, max_outlier_share=0.5)
+        self._stages, self._calibration_sha256 = stages, calibration_sha256
+        self._until_s = settings.refit_until_s
+        self.is_survey = is_survey
+        self._stretch = StillStretch(settings, stages.vertices)
+        self._tried_s = 0.0
+        self._is_over = not is_survey and self._until_s == 0.0
+
+    def is_due(self, timestamp_us: int) -> bool:
+        """Return whether a frame of this time is kept; it has to be sampled as finely as a training frame."""
+        return not self._is_over and self._stretch.is_due(timestamp_us)
+
+    def add(self, frame: TrainingFrame) -> None:
+        """Keep a frame that is due."""
+        self._stretch.add(frame)
+        self._tried_s = min(self._tried_s, self._stretch.present.seconds)  # another stretch has begun
+
+    def job(self, active: PreparedModel) -> Callable[[], Candidate] | None:
+        """Return the job that fits another model, if the present stretch has become long enough; else None."""
+        seconds = self._stretch.present.seconds
+        if self._is_over or self.is_survey or seconds < GROWTH * max(active.model.seconds, self._tried_s):
+            return None
+        self._tried_s = seconds
+        job = fit_job(
+            self._stretch.present.snapshot(),
+            self._stages,
+            self._settings,
+            self._calibration_sha256,
+            before=active,
+            keeps_zero=True,
+        )
+        if seconds * GROWTH > self._until_s:
+            self._stop()
+        return job
+
+    def _stop(self) -> None:
+        """Keep no more frames, and release those that were kept."""
+        self._is_over = True
+        self._stretch = StillStretch(self._settings, self._stages.vertices)
+
+    def of_longest(self, first: PreparedModel) -> PreparedModel | None:
+        """Return a model of the longest stretch; None where it is hardly longer than the first model's, or refused."""
+        longest = self._stretch.longest
+        if longest.seconds < WORTHWHILE * first.model.seconds:
+            return None
+        try:
+            active, _ = fit_checked(longest, self._stages, self._settings, self._calibration_sha256)
+        except ModelError:
+            return None
+        return replace(active, model=replace(active.model, depth_steps=first.model.depth_steps))
