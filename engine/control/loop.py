@@ -334,6 +334,7 @@ class EngineLoop:
         self._controller.supervision = self._supervisor.check(
             frame,
             measurement,
+            window=self._limits.current.window,
             model=self._learner.status.model,
             has_reference=self._learner.status.has_reference,
             notices=notices,

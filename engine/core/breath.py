@@ -111,6 +111,8 @@ class Breath:
         Level of the end of exhale, of the last breaths.
     drift
         Distance of the baseline from that of the training.
+    exhale_us, exhale_drift
+        Device time of the last end of exhale [us], also one before a gap, and its distance from that of the training.
     drift_per_s
         Rate of the drift [mm/s or l/s].
     regularity
@@ -128,6 +130,8 @@ class Breath:
     amplitude: float | None = None
     baseline: float | None = None
     drift: float | None = None
+    exhale_us: int | None = None
+    exhale_drift: float | None = None
     drift_per_s: float | None = None
     regularity: float | None = None
     events: tuple[BreathEvent, ...] = ()

@@ -41,6 +41,7 @@ class HoldReason(enum.StrEnum):
     FRAME_FROZEN = "frame_frozen"
     FRAME_RATE_LOW = "frame_rate_low"
     PATIENT_SHIFTED = "patient_shifted"
+    BASELINE_DRIFTED = "baseline_drifted"
     MODEL_OLD = "model_old"
     CALIBRATION_MISSING = "calibration_missing"
     HEAD_DIRECTION_MISSING = "head_direction_missing"
@@ -102,6 +103,7 @@ _CLEARS_BY_ITSELF = frozenset(
         HoldReason.FRAME_FROZEN,
         HoldReason.FRAME_RATE_LOW,
         HoldReason.PATIENT_SHIFTED,
+        HoldReason.BASELINE_DRIFTED,
         HoldReason.MODEL_OLD,
         HoldReason.CALIBRATION_MISSING,
         HoldReason.HEAD_DIRECTION_MISSING,

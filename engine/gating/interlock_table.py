@@ -81,6 +81,11 @@ INTERLOCKS: tuple[Interlock, ...] = (
         "max_height_mm",
     ),
     _row(
+        _R.BASELINE_DRIFTED,
+        "in an amplitude window, the end of exhale drifted, or is not known again after more than 1 s unmeasured",
+        "max_baseline_drift_mm",
+    ),
+    _row(
         _R.COVERAGE_LOW,
         "too little of the region or of a gated signal visible",
         "min_valid_share",

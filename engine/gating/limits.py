@@ -69,6 +69,9 @@ class GateLimits:
         and roll of the region's surface.
     max_height_mm
         Greatest rigid change of the surface's height since the reference was set; breathing is taken off.
+    max_baseline_drift_mm
+        Greatest distance of the end of exhale from where it was at the reference, for amplitude windows; for a window
+        on the volume, 0.1 l per mm. Half the window and a third of a breath also bound it.
     warn_latency_ms, max_latency_ms
         From capture to the command of the line: warning, and fault (AAPM TG-142: gating within 100 ms; TG-76: 500 ms
         in all).
@@ -124,6 +127,7 @@ class GateLimits:
     max_shift_mm: float = 6.0
     max_turn_deg: float = 3.0
     max_height_mm: float = 3.0
+    max_baseline_drift_mm: float = 2.0
     warn_latency_ms: float = 100.0
     max_latency_ms: float = 500.0
     camera_latency_ms: float = 0.0
@@ -183,6 +187,7 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "max_shift_mm": (1.0, 100.0),
     "max_turn_deg": (0.5, 45.0),
     "max_height_mm": (0.5, 50.0),
+    "max_baseline_drift_mm": (0.5, 10.0),
     "warn_latency_ms": (20.0, 500.0),
     "max_latency_ms": (100.0, 1_000.0),
     "camera_latency_ms": (0.0, 300.0),

@@ -52,6 +52,7 @@ class OfflineGate:
         supervision = supervisor.check(
             replace(frame, received_ns=now_ns),
             event,
+            window=limits.window,
             model=status.model,
             has_reference=status.has_reference or self._was_armed,
             notices=notices,

@@ -23,6 +23,7 @@ HOLD_TEXTS: dict[HoldReason, str] = {
     HoldReason.FRAME_FROZEN: "The camera repeats the same picture",
     HoldReason.FRAME_RATE_LOW: "The camera's frame rate is too low",
     HoldReason.PATIENT_SHIFTED: "The patient has moved on the couch",
+    HoldReason.BASELINE_DRIFTED: "The end of exhale is not where it was",
     HoldReason.MODEL_OLD: "The motion model is too old: train again",
     HoldReason.CALIBRATION_MISSING: "This camera is not calibrated",
     HoldReason.HEAD_DIRECTION_MISSING: "The direction of the patient's head is not known",

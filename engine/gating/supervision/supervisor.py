@@ -13,9 +13,11 @@ from engine.core.learning_events import LearningEvent
 from engine.core.motion_model import MotionModel
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
+from engine.gating.supervision.baseline import Baseline
 from engine.gating.supervision.model_age import ModelAge
 from engine.gating.supervision.patient_shift import PatientShift
 from engine.gating.supervision.repeated_frames import RepeatedFrames
+from engine.gating.windows import GateWindow
 
 
 class FrameSupervisor:
@@ -25,6 +27,7 @@ class FrameSupervisor:
         self._rate = _FrameRate(limits.min_fps)
         self._age = ModelAge(limits)
         self._shift = PatientShift(limits)
+        self._baseline = Baseline(limits)
         self._repeats = RepeatedFrames(limits)
         self._order = _DeviceOrder()
 
@@ -33,13 +36,18 @@ class FrameSupervisor:
         frame: RgbdFrame,
         measurement: Measurement,
         *,
+        window: GateWindow,
         model: MotionModel | None,
         has_reference: bool,
         notices: Iterable[LearningEvent],
     ) -> tuple[Interruption, ...]:
-        """Return the holds, the most important last: that one is displayed."""
+        """Return the holds, the most important last: that one is displayed.
+
+        ``window`` is the one that is in use.
+        """
         found = (
             self._rate.check(frame.received_ns),
+            self._baseline.check(measurement, window, has_reference=has_reference),
             self._age.check(model, notices, frame.received_ns),
             self._shift.check(measurement.motion, has_reference=has_reference, position=measurement.position),
             self._repeats.check(frame),
@@ -48,8 +56,9 @@ class FrameSupervisor:
         return tuple(one for one in found if one is not None)
 
     def reset_position(self) -> None:
-        """Measure later shifts from the patient's next position: the reference was set."""
+        """Measure later shifts and drifts from the patient's next position: the reference was set."""
         self._shift.reset()
+        self._baseline.reset()
 
 
 class _FrameRate:

@@ -15,6 +15,7 @@ LATE = "the breath is late"
 ELSEWHERE = "the level does not match the phase"
 DRIFTED = "the baseline has drifted"
 APNOEA = "apnoea"
+US_PER_S = 1e6
 RATE_SPREAD = 0.35
 SURE_REGULARITY = 0.8
 DRIFT_SHARE = 1.0 / 3.0
@@ -29,10 +30,12 @@ def breath_of(
 ) -> Breath:
     """Return the breathing figures of a signal; ``unit`` converts internal mm to the signal's unit."""
     habit = history.habit
+    exhale_s, exhale = history.lows[-1] if history.lows else (None, math.nan)
+    exhale_us = None if exhale_s is None else round(exhale_s * US_PER_S)
+    exhale_drift = None if exhale_s is None or history.expected is None else (exhale - history.expected) * unit
     if habit is None or (history.breaths_needed == INITIAL_BREATHS and history.reason == AFTER_GAP):
-        return Breath(signal=choice, note=history.reason, events=events)
+        return Breath(signal=choice, note=history.reason, events=events, exhale_us=exhale_us, exhale_drift=exhale_drift)
     phase, confidence, note = _phase(history, habit, track)
-    has_low = bool(history.lows)
     is_breathing = history.breaths_needed == 0 or history.reason not in {HELD, APNOEA}
     return Breath(
         signal=choice,
@@ -42,8 +45,10 @@ def breath_of(
         rate_per_min=60.0 / habit.period_s if is_breathing else None,
         rate_confidence=_rate_confidence(history, habit) if is_breathing else 0.0,
         amplitude=habit.rise * unit,
-        baseline=history.low * unit if has_low else None,
-        drift=(history.low - history.expected) * unit if has_low and history.expected is not None else None,
+        baseline=None if exhale_s is None else exhale * unit,
+        drift=exhale_drift,
+        exhale_us=exhale_us,
+        exhale_drift=exhale_drift,
         drift_per_s=None if history.speed is None else history.speed * unit,
         regularity=history.regularity,
         events=events,

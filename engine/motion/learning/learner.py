@@ -45,6 +45,8 @@ COMPARING = "the stored model is still being compared with the patient: wait a f
 class Learner:
     """The present model, its reference, and the next model in progress.
 
+    A person sets the reference. Until then motion is relative to the first measured frame, and the gate is not armed.
+
     ``depth_steps`` are those of the sensor's readings, set before a frame is learned; models are stored with them.
     """
 
@@ -231,7 +233,7 @@ class Learner:
         if model.surface_mm is None:
             raise ModelMismatchError("model", "of an older version", "one that stores its patient's surface")
         self._task, self._refits = None, None
-        self._trainer.start(lambda: Candidate(active=self._stages.prepare(model), needs_reference=True, is_stored=True))
+        self._trainer.start(lambda: Candidate(active=self._stages.prepare(model), is_stored=True))
         self._collect()
 
     def use(self, learned: Learned) -> None:
@@ -398,16 +400,17 @@ class Learner:
         previous_reference = self._reference
         figures = transfer_figures(candidate, previous_reference)
         self._candidate = None
+        is_transferred = candidate.transfer is not None and previous_reference is not None
         if candidate.transfer is not None and previous_reference is not None:
             self._reference = candidate.transfer.applied(previous_reference)
-        elif candidate.needs_reference:
+        else:
             self._reference, self._needs_reference = None, True
         self._active = candidate.active
-        self._change(is_position_new=candidate.transfer is None or previous_reference is None)
+        self._change(is_position_new=not is_transferred)
         self._refusal = ""
         self._emit(LearningEventKind.SWAPPED, "a new model is in use", figures)
-        if candidate.needs_reference:
-            self._emit(LearningEventKind.ZERO_NEEDED, "the reference was not transferred: set it before arming")
+        if not is_transferred:
+            self._emit(LearningEventKind.ZERO_NEEDED, "a new model without a reference: set it before arming")
         if candidate.is_stored:
             self._is_comparing = True
             self._task = CompareTask(candidate.active, self._limits, self._stages)

@@ -61,8 +61,6 @@ class Candidate:
         The model in use that it was compared with; None for a first one.
     transfer
         Transfer of the reference; None without a reference, or if it must not be transferred.
-    needs_reference
-        Whether an operator has to set the reference before arming.
     is_stored
         Whether it comes from an earlier fraction, and has to be compared with the patient.
     """
@@ -70,7 +68,6 @@ class Candidate:
     active: PreparedModel
     before: PreparedModel | None = None
     transfer: ReferenceTransfer | None = None
-    needs_reference: bool = False
     is_stored: bool = False
 
 
@@ -239,9 +236,7 @@ def fit_job(
         transfer = None
         if before is not None and keeps_zero:
             transfer = _transfer_reference(before, active, recent(frames), stages, settings.max_carry_mm)
-        return Candidate(
-            active=active, before=before, transfer=transfer, needs_reference=before is not None and not keeps_zero
-        )
+        return Candidate(active=active, before=before, transfer=transfer)
 
     return run
 

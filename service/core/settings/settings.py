@@ -150,6 +150,7 @@ class Settings(
     max_shift_mm: float = _limit("max_shift_mm")
     max_turn_deg: float = _limit("max_turn_deg")
     max_height_mm: float = _limit("max_height_mm")
+    max_baseline_drift_mm: float = _limit("max_baseline_drift_mm")
     warn_latency_ms: float = _limit("warn_latency_ms")
     max_latency_ms: float = _limit("max_latency_ms")
     camera_latency_ms: float = _limit("camera_latency_ms")

@@ -80,12 +80,12 @@ def gate_window(window: Window, regions: sessions.Regions = NO_REGIONS) -> GateW
 
 
 def breath_signals(window: Window, regions: sessions.Regions = NO_REGIONS) -> tuple[SignalChoice, ...]:
-    """Return the signals whose breath is followed: the first condition's, and those that are gated by phase."""
+    """Return the signals whose breath is followed: the first condition's, and those gated by amplitude or phase."""
     return tuple(
         dict.fromkeys(
             condition.choice(_index_of(path, condition, window, regions))
             for path, condition in window.conditions()
-            if condition is window or condition.kind == "phase"
+            if condition is window or condition.kind in {"amplitude", "phase"}
         )
     )
 

@@ -58,6 +58,11 @@ def _fit(**changes: object) -> Callable[[LiveRun], None]:
     )
 
 
+def _lower(frame: Measurement) -> Measurement:
+    breath = Breath(amplitude=12.0, exhale_us=frame.timestamp_us, exhale_drift=-4.0)
+    return replace(frame, breaths=(breath,))
+
+
 def _jumping(frame: Measurement) -> Measurement:
     """To and fro from frame to frame."""
     whole_mm = LEVEL_MM - 4.5 * (frame.frame_index % 2)
@@ -182,6 +187,7 @@ TRIPS: tuple[Trip, ...] = (
     ),
     Trip(code=R.MARKER_LOST, how="a marker is hidden", act=_lost(LostReason.MARKER_LOST), undo=_right),
     Trip(code=R.LAYOUT_CHANGED, how="a marker is moved", act=_lost(LostReason.LAYOUT_CHANGED), undo=_right),
+    Trip(code=R.BASELINE_DRIFTED, how="the end of exhale is 4 mm lower", act=_spoiled(_lower), undo=_right),
     Trip(code=R.PATIENT_SHIFTED, how="all markers lie 7 mm aside", act=_wrong(shift_mm=7.0), undo=_right),
     Trip(code=R.COVERAGE_LOW, how="half of the region is seen", act=_fit(valid_share=0.5), undo=_right),
     Trip(code=R.RESIDUAL_HIGH, how="4 mm are left unexplained", act=_fit(residual_mm=4.0), undo=_right),

@@ -40,6 +40,8 @@ SEARCH_S = (46.0, 54.0)
 CELL = (32, 9)
 """Row and column of a gated cell of 10 px; in the blind areas of the catalogue."""
 POINT = 3
+WIDE = amplitude_window(lower_mm=-50.0, upper_mm=50.0)
+"""In place of the windows, which follow from the whole recording."""
 WINDOW_SHARE = 0.35
 """Upper end of the exhale window, as a share of the true range of its signal."""
 BELOW_MM = 1.5
@@ -259,6 +261,7 @@ class _Recorder:
             self._supervisor.check(
                 frame,
                 measurement,
+                window=WIDE,
                 model=self._pipeline.learner.status.model,
                 has_reference=measurement.motion is not None or bool(self._holds),
                 notices=self._pipeline.learner.take_notices(),

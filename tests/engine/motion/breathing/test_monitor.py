@@ -95,6 +95,22 @@ def test_after_a_gap_no_phase_is_reported_until_breaths_are_found_again(way):
     assert onsets(reported, at) == []
 
 
+def test_the_last_end_of_exhale_is_known_with_its_time_and_drift_also_after_a_gap():
+    at, value, _ = regular(80.0, period=4.0)
+    is_gap = (at >= 41.0) & (at < 42.5)
+    moved = np.where(at > 42.0, value - 3.0, value)
+    reported = follow(at[~is_gap], moved[~is_gap])
+    after = list(zip(at[~is_gap], reported, strict=True))
+    before = [one for seconds, one in after if 30.0 < seconds < 41.0]
+    assert all(0.0 <= seconds - one.exhale_us / 1e6 < 5.5 for seconds, one in after if 30.0 < seconds < 41.0)
+    assert max(abs(one.exhale_drift) for one in before) < 0.3
+    behind = [(seconds, one) for seconds, one in after if seconds >= 42.5]
+    assert behind[0][1].exhale_us == before[-1].exhale_us
+    seen_s, seen = next((seconds, one) for seconds, one in behind if one.exhale_us > 42.5e6)
+    assert seen_s < 42.5 + 2.0 * 4.0
+    assert seen.exhale_drift == pytest.approx(-3.0, abs=0.4)
+
+
 def test_a_frame_or_two_that_are_lost_cost_nothing():
     at, value, true = regular(60.0)
     kept = np.ones(len(at), dtype=bool)

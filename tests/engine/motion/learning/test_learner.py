@@ -43,6 +43,7 @@ def patient(learned):
     """A patient who is measured; zero is the frame at rest."""
     patient = Patient()
     patient.learner.activate(learned)
+    patient.learner.set_reference()
     patient.see(excursion=(0.0, 0.0))
     return patient
 
@@ -75,6 +76,25 @@ def steady_mm(patient, frames=30):
 
 
 # -- zero and sign --------------------------------------------------------------------------------------------------
+
+
+def test_after_a_first_training_a_person_sets_the_reference():
+    """Motion is shown from the first measured frame meanwhile, and that is no reference."""
+    patient = Patient()
+    patient.learn()
+    assert abs(patient.see()[patient.whole]) < 1.0
+    assert not patient.learner.status.has_reference
+    assert [notice.kind for notice in patient.notices][-2:] == [
+        LearningEventKind.SWAPPED,
+        LearningEventKind.ZERO_NEEDED,
+    ]
+    patient.learner.retrain()
+    patient.see_until(lambda: len(patient.reported(LearningEventKind.SWAPPED)) == 2)
+    assert not patient.learner.status.has_reference, "a model that takes a reference over makes none"
+    patient.learner.set_reference()
+    patient.see(excursion=(0.0, 0.0))
+    assert patient.learner.status.has_reference
+    assert patient.measured(training_frames.frame(9000, excursion=(4.0, 10.0)))[patient.whole] > 4.0
 
 
 def test_a_swap_steps_no_region_and_no_volume_of_a_steady_surface(patient):

@@ -20,6 +20,7 @@ def patient(learned):
     """A patient who is measured and has a zero."""
     patient = Patient()
     patient.learner.activate(learned)
+    patient.learner.set_reference()
     patient.see(excursion=(0.0, 0.0))
     assert patient.learner.status.has_reference
     return patient

@@ -21,7 +21,7 @@ export function stageOf(sample) {
 
 /**
  * Whether a person must set the reference before arming. The session is polled at intervals, so its value from before the
- * first measurement is ignored: the first reference is set automatically.
+ * first measurement is ignored.
  */
 export function needsReference(sample, session) {
   return sample?.state === "measuring" && session?.measurement_state === "measuring" && session.has_reference === false;

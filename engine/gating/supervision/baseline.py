@@ -1,0 +1,100 @@
+"""The level at which the patient breathes: an amplitude window has its meaning only while the end of exhale stays.
+
+A patient who lies some millimetres lower meets the same window at another moment of the breath. So the last end of
+exhale is compared with where it was when the reference was set, or where a person has confirmed it; it is known when
+the next inhale has begun. After more than a second without a measurement the patient may lie elsewhere: one end of
+exhale has to be found again before the beam may be on. Breath holds and phases have their own rules.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from engine.core.breath import Breath, SignalChoice
+from engine.core.frames import Measurement
+from engine.core.gate_state import HoldReason
+from engine.gating.gate import Interruption
+from engine.gating.limits import GateLimits
+from engine.gating.windows import AmplitudeWindow, GateWindow
+
+US_PER_S = 1e6
+LITRES_PER_MM = 0.1
+HALF = 0.5
+BREATH_SHARE = 1.0 / 3.0
+RETURNED = 0.8
+"""A drift ends at this share of its bound."""
+LONGEST_UNMEASURED_US = 1_000_000
+
+
+class _Level(NamedTuple):
+    """A gated signal's end of exhale, and the largest drift of it that does not hold."""
+
+    choice: SignalChoice
+    breath: Breath
+    bound: float
+
+
+class Baseline:
+    """Compares the ends of exhale with those at the reference; owned by the engine thread."""
+
+    def __init__(self, limits: GateLimits) -> None:
+        self._max_mm = limits.max_baseline_drift_mm
+        self._drifted: set[SignalChoice] = set()
+        self._measured_us: int | None = None
+        self._unknown_since_us: int | None = None
+        self._unmeasured_s = 0.0
+
+    def reset(self) -> None:
+        """Accept the patient's present level: the reference was set."""
+        self._drifted.clear()
+        self._unknown_since_us = None
+
+    def check(self, measurement: Measurement, window: GateWindow, *, has_reference: bool = True) -> Interruption | None:
+        """Return the hold for a level that is elsewhere, or not known since the last gap."""
+        if not has_reference:
+            self.reset()
+        if measurement.motion is None:
+            return None  # the frame itself holds
+        now_us = measurement.timestamp_us
+        before_us, self._measured_us = self._measured_us, now_us
+        if before_us is not None and not 0 <= now_us - before_us <= LONGEST_UNMEASURED_US:
+            self._unknown_since_us, self._unmeasured_s = now_us, abs(now_us - before_us) / US_PER_S
+        levels = list(_levels(measurement, window, self._max_mm))
+        if self._unknown_since_us is not None and levels:
+            since_us = self._unknown_since_us
+            if any(one.breath.exhale_us is None or one.breath.exhale_us < since_us for one in levels):
+                detail = (
+                    f"not measured for {self._unmeasured_s:.1f} s: an end of exhale has to be seen, or set the "
+                    "reference again"
+                )
+                return Interruption(HoldReason.BASELINE_DRIFTED, detail)
+            self._unknown_since_us = None
+        return next((hold for one in levels if (hold := self._drift(one)) is not None), None)
+
+    def _drift(self, level: _Level) -> Interruption | None:
+        choice, drift = level.choice, level.breath.exhale_drift
+        allowed = level.bound * (RETURNED if choice in self._drifted else 1.0)
+        if drift is None or abs(drift) <= allowed:
+            self._drifted.discard(choice)
+            return None
+        self._drifted.add(choice)
+        unit = "l" if choice.is_volume else "mm"
+        way = "towards" if drift > 0.0 else "away from"
+        detail = (
+            f"{choice.label}: the end of exhale is {abs(drift):.2g} {unit} {way} the camera, {allowed:.2g} allowed: "
+            "correct the baseline, or set the reference again"
+        )
+        return Interruption(HoldReason.BASELINE_DRIFTED, detail)
+
+
+def _levels(measurement: Measurement, window: GateWindow, max_mm: float) -> Iterator[_Level]:
+    """Yield the levels of the amplitude conditions whose breath is followed."""
+    breaths = {breath.signal: breath for breath in measurement.breaths}
+    for leaf in window.leaves:
+        breath = breaths.get(leaf.choices[0])
+        if isinstance(leaf, AmplitudeWindow) and breath is not None:
+            bounds = [max_mm * LITRES_PER_MM if leaf.choice.is_volume else max_mm]
+            if not leaf.needs_ranges:
+                bounds.append(HALF * (leaf.upper - leaf.lower))
+            if breath.amplitude is not None:
+                bounds.append(BREATH_SHARE * breath.amplitude)
+            yield _Level(leaf.choice, breath, min(bounds))
