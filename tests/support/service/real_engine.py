@@ -40,12 +40,14 @@ def detail_of(client, session_id):
 
 
 def arm_when_ready(client, session_id):
-    """Arm as soon as the engine lets us; a fault of a busy machine is acknowledged, as a person would."""
+    """Set the reference and arm as soon as possible; acknowledge a busy machine's fault, as a person would."""
     answer = None
     while (detail := detail_of(client, session_id))["status"] == "running":
         if detail["gate"] is not None and detail["gate"]["state"] == "fault":
             act(client, session_id, "acknowledge")
         if detail["measurement_state"] == "measuring":
+            if not detail["has_reference"]:
+                act(client, session_id, "reference")
             answer = act(client, session_id, "arm")
             if answer.status_code == 200:
                 return

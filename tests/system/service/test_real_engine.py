@@ -124,6 +124,8 @@ def test_per_cent_that_come_to_lie_beyond_the_site_s_edges_are_refused_at_arming
         session_id = open_session(client, calibration, source=source, window=per_cent)
         act(client, session_id, "start")
         eventually(lambda: detail_of(client, session_id)["measurement_state"] == "measuring", within_s=60.0)
+        act(client, session_id, "reference")
+        eventually(lambda: detail_of(client, session_id)["has_reference"])
         answer = act(client, session_id, "arm")
         assert (answer.status_code, answer.json()["code"]) == (422, "invalid_value"), answer.text
         assert answer.json()["field"] in {"window.lower_mm", "window.upper_mm"}

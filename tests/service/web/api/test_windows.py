@@ -318,21 +318,27 @@ def test_the_points_of_a_window_are_measured_and_found_by_their_place():
     window = Window.model_validate(first | {"further": [second, first]})
     settings = measuring_with(PipelineSettings(points=((7, 7), (200, 60))), sessions.Regions(), window)
     assert settings.points == ((100, 50), (200, 60), (7, 7))
-    assert settings.breath_signals == (SignalChoice(signal="point", row=100, column=50, index=0),)
+    places = ((100, 50), (200, 60))
+    assert settings.breath_signals == tuple(
+        SignalChoice(signal="point", row=row, column=column, index=index) for index, (row, column) in enumerate(places)
+    )
     choices = [condition.choice for condition in gate_window(window).leaves]
     assert [settings.points[choice.index] for choice in choices] == [(100, 50), (200, 60), (100, 50)]
 
 
-def test_the_breath_of_the_first_signal_and_of_every_phase_is_followed():
+def test_the_breath_of_the_first_signal_and_of_every_amplitude_and_phase_is_followed():
     belly = PHASE | {"signal": "named", "name": "belly"}
     window = Window.model_validate(
-        {"signal": "thorax", **MM, "further": [MM | {"signal": "volume"} | VOLUME, belly, PHASE]}
+        {"signal": "thorax", **MM, "further": [MM | {"signal": "volume"} | VOLUME, belly, HOLD | {"signal": "abdomen"}]}
     )
-    followed = (SignalChoice(signal="thorax"), SignalChoice(signal="named", name="belly", index=1), SignalChoice())
+    followed = (
+        SignalChoice(signal="thorax"),
+        SignalChoice(signal="volume"),
+        SignalChoice(signal="named", name="belly", index=1),
+    )
     assert breath_signals(window, REGIONS) == followed
     assert measuring_with(PipelineSettings(), REGIONS, window).breath_signals == followed
-    gated = [leaf.choice for leaf in gate_window(window, REGIONS).leaves]
-    assert set(followed) <= set(gated), "the gate finds a breath by the very same signal"
+    assert set(followed) <= set(gate_window(window, REGIONS).choices), "the gate finds a breath by the very same signal"
 
 
 VOLUME = {"lower_mm": None, "upper_mm": None, "lower_l": 0.1, "upper_l": 0.2}
