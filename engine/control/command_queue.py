@@ -19,6 +19,8 @@ from engine.gating.gate import Interruption
 MAX_WAIT_NS = 1_000 * NS_PER_MS
 
 URGENT = (Disarm, HoldBeam)
+MOST_PERSONS = 16
+"""How many persons' holds, or disarms, wait one by one; a further one joins the oldest."""
 """Commands that overtake everything, and are carried out even if their caller has given up."""
 
 _CANCELS: dict[type, type] = {Disarm: Arm, HoldBeam: ReleaseBeam}
@@ -173,9 +175,11 @@ class CommandQueue:
         self._waiting.append(queued)
 
     def _put_urgent(self, queued: QueuedCommand) -> QueuedCommand:
-        """Queue it last; one of its kind that waits already answers both, in the newer one's place."""
-        kind = type(queued.command)
-        waiting = next((earlier for earlier in self._urgent if type(earlier.command) is kind), queued)
+        """Queue it last; the same person's of its kind that waits already answers both, in the newer one's place."""
+        command = queued.command
+        same = [earlier for earlier in self._urgent if type(earlier.command) is type(command)]
+        own = [earlier for earlier in same if earlier.command.operator == command.operator]
+        waiting = (own or (same if len(same) >= MOST_PERSONS else [queued]))[0]
         self._urgent = [other for other in self._urgent if other is not waiting] + [waiting]
         return waiting
 

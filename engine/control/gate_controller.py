@@ -56,7 +56,7 @@ class GateController:
         watchdog.on_fired = lambda at_ns: records.record_watchdog(self.gate, at_ns)
         self.gate = Gate(since_ns=clock.now_ns())
         self.supervision: tuple[Interruption, ...] = ()
-        self.operator_hold: str | None = None
+        self._holders: tuple[str, ...] = ()
 
     def decide(self, *events: GateEvent, cause: Cause | None = None) -> None:
         """Step the gate through ``events`` to one decision, drive the line, and record it."""
@@ -104,21 +104,27 @@ class GateController:
         self._records.expect_watchdog_again()
         self.decide(command, cause=Cause(operator=command.operator))
 
+    @property
+    def operator_hold(self) -> str | None:
+        """Who holds by hand; the first of several."""
+        return self._holders[0] if self._holders else None
+
     def disarm(self, command: Disarm) -> None:
-        """Disarm; a hold by hand ends with it."""
-        self.operator_hold = None
+        """Disarm; the operator's own hold by hand ends with it, that of another person stands."""
+        self._holders = tuple(holder for holder in self._holders if holder != command.operator)
         self.decide(command, cause=Cause(operator=command.operator))
 
     def hold(self, command: HoldBeam) -> None:
         """Hold until an operator releases; the first who held stays named."""
-        self.operator_hold = self.operator_hold or command.operator
+        if command.operator not in self._holders:
+            self._holders = (*self._holders, command.operator)
         self.decide(cause=Cause(operator=command.operator))
 
     def release(self, command: ReleaseBeam) -> None:
         """End a hold by hand: the beam is on again after a full dwell at the earliest."""
         if self.operator_hold is None:
             raise CommandRefusedError("no operator holds the beam")
-        self.operator_hold = None
+        self._holders = ()
         released = Interruption(HoldReason.DWELL, f"released by {command.operator}")
         self.decide(released, cause=Cause(operator=command.operator))
 

@@ -99,9 +99,9 @@ def test_a_hold_before_arming_still_holds_after_it():
 
 
 @pytest.mark.parametrize(("first", "second", "is_on"), [(HOLD, "disarm", True), ("disarm", HOLD, False)], ids=str)
-def test_a_disarming_clears_a_hold_by_hand_and_a_hold_after_it_stands(first, second, is_on):
+def test_a_disarming_clears_ones_own_hold_by_hand_and_a_hold_after_it_stands(first, second, is_on):
     bench = _on_bench([])
-    commands = [Disarm(operator="ann") if one == "disarm" else one for one in (first, second)]
+    commands = [Disarm(operator=HOLD.operator) if one == "disarm" else one for one in (first, second)]
 
     def ask():
         for command in (HOLD, *commands):  # one hold waits already: the newer one's place counts
@@ -110,6 +110,22 @@ def test_a_disarming_clears_a_hold_by_hand_and_a_hold_after_it_stands(first, sec
 
     bench.source.script += [after(ask), *[good] * 8]
     assert bench.run().records()[-1].line_on is is_on
+
+
+@pytest.mark.parametrize("others", [[HOLD], [HoldBeam(operator="ann"), HOLD], [HOLD, HoldBeam(operator="ann")]])
+def test_a_disarming_leaves_another_person_s_hold_which_a_release_ends(others):
+    bench = _on_bench([])
+
+    def disarm_and_arm():
+        for command in (*others, Disarm(operator="ann"), Arm(operator="ann")):
+            bench.ask(command)()
+
+    bench.source.script += [after(disarm_and_arm), *[good] * 8, after(bench.ask(RELEASE)), *[good] * 8]
+    records = bench.run().records()
+    held = [record for record in records if record.hold_reason is HoldReason.OPERATOR_HOLD]
+    assert len(held) >= 8
+    assert {record.line_on for record in held} == {False}
+    assert records[-1].line_on
 
 
 @pytest.mark.parametrize("way", ["disarm", "hold", "stop"])
