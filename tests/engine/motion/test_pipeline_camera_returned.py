@@ -26,6 +26,7 @@ def learned(frames):
 def returned(learned, frames):
     """A pipeline whose camera was away for ten seconds."""
     pipeline, camera = measuring(learned, frames)
+    pipeline.learner.set_reference()
     for _ in range(40):
         pipeline.measure(next(camera))
     assert pipeline.learner.status.has_reference
