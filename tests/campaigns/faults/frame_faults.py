@@ -37,7 +37,7 @@ AVERAGED = {"bound": "averaged over 200 ms, then 100 ms", "bound_ms": AVERAGED_U
 Act = Callable[[VirtualXtion, random.Random], Receipt]
 LOST = reported(
     *("marker_lost", "layout_changed", "coverage_low", "residual_high", "jump", "patient_shifted"),
-    *("surface_changed", "camera_moved"),
+    *("surface_changed", "camera_moved", "baseline_drifted"),
 )
 SILENT = reported("frame_missing", "frame_timeout", "frame_late", "latency_high", "frame_stale")
 CLOCK = reported("clock_backwards", "clock_jumped", "frame_missing", "frame_late", "latency_high", "frame_timeout")

@@ -102,7 +102,7 @@ def served(
 
 
 def start_session(service: Service, folder: Path, recording: Path) -> str:
-    """Begin a session, learn, and arm; returns its id."""
+    """Begin a session, learn, set the reference, and arm; returns its id."""
     with service.client() as client:
         json_type = {"Content-Type": "application/json"}
         document = (folder / "calibration.json").read_bytes()
@@ -121,6 +121,9 @@ def start_session(service: Service, folder: Path, recording: Path) -> str:
         end_s = time.monotonic() + LEARN_S
         while True:
             service.require_alive()
+            detail = _done(client.get(f"/api/v1/sessions/{session_id}"))
+            if detail["measurement_state"] == "measuring" and not detail["has_reference"]:
+                client.post(f"/api/v1/sessions/{session_id}/reference", json={"operator": "Load"})
             answer = client.post(f"/api/v1/sessions/{session_id}/arm", json={"operator": "Load"})
             if answer.is_success:
                 return session_id
