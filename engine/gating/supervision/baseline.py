@@ -2,8 +2,9 @@
 
 A patient who lies some millimetres lower meets the same window at another moment of the breath. So the last end of
 exhale is compared with where it was when the reference was set, or where a person has confirmed it; it is known when
-the next inhale has begun. After more than a second without a measurement the patient may lie elsewhere: one end of
-exhale has to be found again before the beam may be on. Breath holds and phases have their own rules.
+the next inhale has begun. After more than a second without a measurement the patient may lie elsewhere: before the beam
+may be on, the surface's height without breathing has to be within the bound, or an end of exhale has to be seen. Breath
+holds and phases have their own rules.
 """
 
 from collections.abc import Iterator
@@ -60,11 +61,10 @@ class Baseline:
             self._unknown_since_us, self._unmeasured_s = now_us, abs(now_us - before_us) / US_PER_S
         levels = list(_levels(measurement, window, self._max_mm))
         if self._unknown_since_us is not None and levels:
-            since_us = self._unknown_since_us
-            if any(one.breath.exhale_us is None or one.breath.exhale_us < since_us for one in levels):
+            if not all(_is_known(one, measurement, self._unknown_since_us) for one in levels):
                 detail = (
-                    f"not measured for {self._unmeasured_s:.1f} s: an end of exhale has to be seen, or set the "
-                    "reference again"
+                    f"not measured for {self._unmeasured_s:.1f} s, and the patient may lie elsewhere: an end of exhale "
+                    "has to be seen, or set the reference again"
                 )
                 return Interruption(HoldReason.BASELINE_DRIFTED, detail)
             self._unknown_since_us = None
@@ -84,6 +84,14 @@ class Baseline:
             "correct the baseline, or set the reference again"
         )
         return Interruption(HoldReason.BASELINE_DRIFTED, detail)
+
+
+def _is_known(level: _Level, measurement: Measurement, since_us: int) -> bool:
+    """Return whether the level is known since a gap: by the surface's height, or by an end of exhale."""
+    position, exhale_us = measurement.position, level.breath.exhale_us
+    bound_mm = level.bound / LITRES_PER_MM if level.choice.is_volume else level.bound
+    is_as_high = position is not None and abs(position.height_mm) <= bound_mm
+    return is_as_high or (exhale_us is not None and exhale_us >= since_us)
 
 
 def _levels(measurement: Measurement, window: GateWindow, max_mm: float) -> Iterator[_Level]:

@@ -7,7 +7,7 @@ import pytest
 
 from engine.core.breath import Breath, GateSignal, SignalChoice
 from engine.core.commands import Arm
-from engine.core.frames import MeasurementState
+from engine.core.frames import BodyPosition, MeasurementState
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.gate import Gate, step_gate
 from engine.gating.supervision.baseline import Baseline
@@ -104,6 +104,28 @@ def test_after_a_second_unmeasured_an_end_of_exhale_has_to_be_seen(is_lost):
         assert "not measured for 1.1 s" in found.detail
     assert baseline.check(frame(back + 30, breath(0.1, exhale_us=at_us[back + 20])), WIDE) is None
     assert baseline.check(frame(back + 31, breath(0.1, exhale_us=at_us[5])), WIDE) is None
+
+
+@pytest.mark.parametrize(
+    ("window", "one", "limit_mm"),
+    [
+        (WIDE, breath(0.1), 2.0),
+        (amplitude_window(lower_mm=-1.0, upper_mm=1.0), breath(0.1), 1.0),
+        (
+            AmplitudeWindow(choice=VOLUME, lower=-5.0, upper=5.0, unit="l"),
+            breath(0.0, amplitude=0.9, choice=VOLUME),
+            2.0,
+        ),
+    ],
+)
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_after_a_gap_the_height_without_breathing_also_tells_the_level(window, one, limit_mm, sign):
+    for share, is_held in ((0.95, False), (1.05, True)):
+        baseline = Baseline(LIMITS)
+        baseline.check(frame(0, one), window)
+        height = BodyPosition(height_mm=sign * share * limit_mm, tilt_deg=0.0, roll_deg=0.0)
+        back = replace(frame(60, one), position=height)
+        assert (baseline.check(back, window) is not None) == is_held
 
 
 def test_a_shorter_gap_or_a_new_reference_needs_no_end_of_exhale():
