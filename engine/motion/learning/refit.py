@@ -17,6 +17,8 @@ from engine.motion.learning.training_set import TrainingFrame
 
 GROWTH = 2.0
 """Least length of a stretch for another model, as a multiple of the one that the present model was learned from."""
+LONGEST = 1.25
+"""So much longer than the last refit's a stretch may become before its frames are released without one."""
 WORTHWHILE = 1.5
 """The same where no other refit follows, because the recording is over."""
 
@@ -44,9 +46,12 @@ class Refits:
         return not self._is_over and self._stretch.is_due(timestamp_us)
 
     def add(self, frame: TrainingFrame) -> None:
-        """Keep a frame that is due."""
+        """Keep a frame that is due; while the gate is armed no refit begins, and the frames must not go on growing."""
         self._stretch.add(frame)
-        self._tried_s = min(self._tried_s, self._stretch.present.seconds)  # another stretch has begun
+        seconds = self._stretch.present.seconds
+        self._tried_s = min(self._tried_s, seconds)  # another stretch has begun
+        if not self.is_survey and seconds > LONGEST * self._until_s:
+            self._stop()
 
     def job(self, active: PreparedModel) -> Callable[[], Candidate] | None:
         """Return the job that fits another model, if the present stretch has become long enough; else None."""

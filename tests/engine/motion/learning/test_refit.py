@@ -97,6 +97,17 @@ def test_no_refit_is_begun_while_the_gate_is_armed_but_after():
     assert patient.learner.active.model.seconds > 15.0
 
 
+def test_a_gate_that_stays_armed_costs_no_more_frames_than_the_longest_refit():
+    patient = learned()
+    patient.learner.keep_model(is_kept=True)
+    see_for(patient, 1.25 * UNTIL_S)
+    assert not patient.learner.is_kept(patient.index * FRAME_US)
+    assert not patient.learner._refits._stretch.longest.frames
+    patient.learner.keep_model(is_kept=False)
+    see_for(patient, 1.0)
+    assert not patient.reported(LearningEventKind.STARTED)
+
+
 def test_a_model_fitted_before_the_gate_was_armed_waits_until_it_is_not():
     patient = Patient(REFITTING, trainer=HeldTrainer())
     trainer = patient.learner._trainer
