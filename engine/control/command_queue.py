@@ -19,9 +19,9 @@ from engine.gating.gate import Interruption
 MAX_WAIT_NS = 1_000 * NS_PER_MS
 
 URGENT = (Disarm, HoldBeam)
+"""Commands that overtake everything, and are carried out even if their caller has given up."""
 MOST_PERSONS = 16
 """How many persons' holds, or disarms, wait one by one; a further one joins the oldest."""
-"""Commands that overtake everything, and are carried out even if their caller has given up."""
 
 _CANCELS: dict[type, type] = {Disarm: Arm, HoldBeam: ReleaseBeam}
 _CANCELLED_BY: dict[type, type] = {cancelled: by for by, cancelled in _CANCELS.items()}
