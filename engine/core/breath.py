@@ -8,6 +8,9 @@ from dataclasses import dataclass
 
 from engine.core.errors import InvalidValueError
 
+LITRES_PER_MM = 0.1
+"""A tenth of a litre counts as a millimetre wherever a bound is given in millimetres."""
+
 
 class GateSignal(enum.StrEnum):
     """The kinds of signals for gating."""
@@ -58,6 +61,16 @@ class SignalChoice:
     def is_volume(self) -> bool:
         """Whether its values are litres, not millimetres."""
         return self.signal is GateSignal.VOLUME
+
+    @property
+    def unit(self) -> str:
+        """Unit of its values, for display."""
+        return "l" if self.is_volume else "mm"
+
+    @property
+    def per_mm(self) -> float:
+        """What of its unit counts as a millimetre."""
+        return LITRES_PER_MM if self.is_volume else 1.0
 
     @property
     def label(self) -> str:

@@ -298,6 +298,8 @@ class BodyPosition(NamedTuple):
 
     Attributes
     ----------
+    measured_us
+        Device time of the frame it was measured in [us]: it stands while later frames see too little of the surface.
     height_mm
         In the middle of the region, positive towards the camera.
     tilt_deg, roll_deg
@@ -305,6 +307,7 @@ class BodyPosition(NamedTuple):
         patient's left side rises.
     """
 
+    measured_us: int
     height_mm: float
     tilt_deg: float
     roll_deg: float

@@ -11,7 +11,6 @@ from engine.core.ranges import Ranges
 from engine.gating.limits import GateLimits
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, Condition, GateWindow, PhaseWindow, Unit
 
-LITRES_PER_MM = 0.1
 """Volume of a region of 350 mm by 300 mm per millimetre of rise [l/mm]: bounds a correction in l."""
 
 
@@ -55,8 +54,7 @@ class ActiveWindow:
             Not finite, in sum beyond the site's limit, without an edge to move, or still in per cent.
         """
         choice = self.requested.choices[0]
-        unit = "l" if choice.is_volume else "mm"
-        reach = limits.max_baseline_correction_mm * (LITRES_PER_MM if choice.is_volume else 1.0)
+        unit, reach = choice.unit, limits.max_baseline_correction_mm * choice.per_mm
         low, high = -reach - self.correction, reach - self.correction
         if isinstance(by, bool) or not isinstance(by, int | float) or not math.isfinite(by) or not low <= by <= high:
             before = f", {self.correction:g} {unit} of {reach:g} already used" if self.correction else ""

@@ -18,7 +18,6 @@ from engine.gating.limits import GateLimits
 from engine.gating.windows import AmplitudeWindow, GateWindow
 
 US_PER_S = 1e6
-LITRES_PER_MM = 0.1
 HALF = 0.5
 BREATH_SHARE = 1.0 / 3.0
 RETURNED = 0.8
@@ -39,7 +38,7 @@ class Baseline:
 
     def __init__(self, limits: GateLimits) -> None:
         self._max_mm = limits.max_baseline_drift_mm
-        self._drifted: set[SignalChoice] = set()
+        self._drifted: dict[SignalChoice, Interruption] = {}
         self._measured_us: int | None = None
         self._unknown_since_us: int | None = None
         self._unmeasured_s = 0.0
@@ -73,24 +72,28 @@ class Baseline:
     def _drift(self, level: _Level) -> Interruption | None:
         choice, drift = level.choice, level.breath.exhale_drift
         allowed = level.bound * (RETURNED if choice in self._drifted else 1.0)
-        if drift is None or abs(drift) <= allowed:
-            self._drifted.discard(choice)
+        if drift is None:
+            return self._drifted.get(choice)  # a cough hides the end of exhale: nothing has come back
+        if abs(drift) <= allowed:
+            self._drifted.pop(choice, None)
             return None
-        self._drifted.add(choice)
-        unit = "l" if choice.is_volume else "mm"
         way = "towards" if drift > 0.0 else "away from"
         detail = (
-            f"{choice.label}: the end of exhale is {abs(drift):.2g} {unit} {way} the camera, {allowed:.2g} allowed: "
-            "correct the baseline, or set the reference again"
+            f"{choice.label}: the end of exhale is {abs(drift):.2g} {choice.unit} {way} the camera, {allowed:.2g} "
+            "allowed: correct the baseline, or set the reference again"
         )
-        return Interruption(HoldReason.BASELINE_DRIFTED, detail)
+        self._drifted[choice] = Interruption(HoldReason.BASELINE_DRIFTED, detail)
+        return self._drifted[choice]
 
 
 def _is_known(level: _Level, measurement: Measurement, since_us: int) -> bool:
     """Return whether the level is known since a gap: by the surface's height, or by an end of exhale."""
     position, exhale_us = measurement.position, level.breath.exhale_us
-    bound_mm = level.bound / LITRES_PER_MM if level.choice.is_volume else level.bound
-    is_as_high = position is not None and abs(position.height_mm) <= bound_mm
+    is_as_high = (
+        position is not None
+        and position.measured_us >= since_us
+        and abs(position.height_mm) <= level.bound / level.choice.per_mm
+    )
     return is_as_high or (exhale_us is not None and exhale_us >= since_us)
 
 
@@ -100,7 +103,7 @@ def _levels(measurement: Measurement, window: GateWindow, max_mm: float) -> Iter
     for leaf in window.leaves:
         breath = breaths.get(leaf.choices[0])
         if isinstance(leaf, AmplitudeWindow) and breath is not None:
-            bounds = [max_mm * LITRES_PER_MM if leaf.choice.is_volume else max_mm]
+            bounds = [max_mm * leaf.choice.per_mm]
             if not leaf.needs_ranges:
                 bounds.append(HALF * (leaf.upper - leaf.lower))
             if breath.amplitude is not None:

@@ -21,7 +21,6 @@ from engine.motion.breathing.report import AFTER_GAP, APNOEA, ELSEWHERE, HELD, N
 from engine.motion.breathing.spikes import Spikes, follow_spikes
 from engine.motion.breathing.turning_points import FALLING, RISING, UNKNOWN, TurningPoints, follow_turns
 
-LITRES_PER_MM = 0.1
 GAP_S = 0.55
 SMOOTHING_S = 0.08
 TURN_SHARE = 0.3
@@ -73,7 +72,7 @@ class BreathingState:
     @property
     def unit(self) -> float:
         """Amount of the signal's unit that counts as 1 mm."""
-        return LITRES_PER_MM if self.choice.is_volume else 1.0
+        return self.choice.per_mm
 
 
 def start_breathing(choice: SignalChoice) -> BreathingState:

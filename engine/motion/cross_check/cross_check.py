@@ -232,6 +232,7 @@ class CrossCheck:
         length_mm = np.linalg.norm(inferior_left + inferior_right - superior_left - superior_right) / 2.0
         width_mm = np.linalg.norm(superior_left + inferior_left - superior_right - inferior_right) / 2.0
         return BodyPosition(
+            measured_us=self._recent[-1].timestamp_us,
             height_mm=height_mm,
             tilt_deg=math.degrees(math.atan2(2.0 * change.along_mm, length_mm)),
             roll_deg=math.degrees(math.atan2(2.0 * change.across_mm, width_mm)),

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 
 from engine.control.outputs import LiveView
 from engine.core.errors import CommandRefusedError, InvalidValueError
-from engine.gating.active_window import LITRES_PER_MM
 from service.core.errors import BoundError
 from service.core.schemas.gate import BaselineCorrectionRequest
 from service.core.settings.settings import Settings
@@ -18,8 +17,8 @@ from service.engine_host.roles import RunningEngine
 from service.sessions.views.breath import gated_breath
 from service.sessions.views.window import live_window
 
-TOLERANCE = {"mm": 1.0, "l": 0.1}
-"""How far the drift may differ from the one that was displayed, in the window's unit."""
+TOLERANCE_MM = 1.0
+"""How far the drift may differ from the one that was displayed; of the volume a tenth of a litre for each mm."""
 
 MOVED_WITHIN_S = 0.3
 POLL_S = 0.02
@@ -38,18 +37,18 @@ def check_correction(request: BaselineCorrectionRequest, view: LiveView | None, 
     if view is None:
         raise CommandRefusedError("no frame has come yet")
     choice = view.window.choices[0]
-    unit = "l" if choice.is_volume else "mm"
+    unit, tolerance = choice.unit, TOLERANCE_MM * choice.per_mm
     if request.unit != unit:
         raise _broken(f"by_{request.unit}", request.by, f"left out: the window is on {choice.label}, give it in {unit}")
-    reach = settings.max_baseline_correction_mm * (LITRES_PER_MM if choice.is_volume else 1.0)
+    reach = settings.max_baseline_correction_mm * choice.per_mm
     if abs(request.by) > reach:
         raise _broken(f"by_{unit}", request.by, f"from {-reach:g} to {reach:g}, this site's limit")
-    if request.by * request.drift_seen < 0.0 or abs(request.by) > abs(request.drift_seen) + TOLERANCE[unit]:
+    if request.by * request.drift_seen < 0.0 or abs(request.by) > abs(request.drift_seen) + tolerance:
         raise _broken(f"by_{unit}", request.by, f"from 0 to the drift that was seen ({request.drift_seen:g})")
     drift = known_drift(view)
     if drift is None:
         raise CommandRefusedError("the drift of the baseline is not known now: let the patient breathe, and look again")
-    if abs(drift - request.drift_seen) > TOLERANCE[unit]:
+    if abs(drift - request.drift_seen) > tolerance:
         msg = f"the drift is {drift:.2f} {unit} by now, not {request.drift_seen:g}: look again"
         raise CommandRefusedError(msg)
 

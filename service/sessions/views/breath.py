@@ -22,7 +22,7 @@ def live_breath(view: LiveView) -> LiveBreath | None:
         return None
     return LiveBreath(
         signal=breath.signal.label,
-        unit="l" if breath.signal.is_volume else "mm",
+        unit=breath.signal.unit,
         phase_percent=rounded_or_none(breath.phase_percent),
         phase_confidence=round(breath.phase_confidence, DIGITS),
         note=breath.note if breath.phase_percent is None else "",

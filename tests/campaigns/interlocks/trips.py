@@ -21,7 +21,10 @@ GOOD = Mischief()
 EARLY_ENOUGH_NS = 3_000 * NS_PER_MS
 """A machine that is busy holds the beam now and then: time to have it on again."""
 
-COUGH = Breath(events=(BreathEvent(kind=BreathEventKind.COUGH, start_us=0, confidence=1.0, detail="two spikes"),))
+COUGH = Breath(
+    exhale_drift=0.0,
+    events=(BreathEvent(kind=BreathEventKind.COUGH, start_us=0, confidence=1.0, detail="two spikes"),),
+)
 
 
 def _wrong(**what: object) -> Callable[[LiveRun], None]:

@@ -86,6 +86,14 @@ def test_a_drift_ends_at_four_fifths_of_its_bound_and_with_a_new_reference():
     assert baseline.check(frame(6, breath(1.9)), WIDE) is None
 
 
+def test_a_drift_stands_while_the_end_of_exhale_is_unknown():
+    """A cough takes back the ends of exhale that it made."""
+    baseline, drifts = Baseline(LIMITS), (None, 2.5, None, 1.0, None)
+    found = [baseline.check(frame(index, breath(drift)), WIDE) for index, drift in enumerate(drifts)]
+    assert [hold is not None for hold in found] == [False, True, True, False, False]
+    assert "2.5 mm" in found[2].detail
+
+
 @pytest.mark.parametrize("is_lost", [True, False])
 def test_after_a_second_unmeasured_an_end_of_exhale_has_to_be_seen(is_lost):
     """Whether the frames were lost, or did not come at all."""
@@ -120,11 +128,13 @@ def test_after_a_second_unmeasured_an_end_of_exhale_has_to_be_seen(is_lost):
 )
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_after_a_gap_the_height_without_breathing_also_tells_the_level(window, one, limit_mm, sign):
-    for share, is_held in ((0.95, False), (1.05, True)):
+    back_us = measured(60).timestamp_us
+    for share, measured_us, is_held in ((0.95, back_us, False), (1.05, back_us, True), (0.0, back_us - 1, True)):
         baseline = Baseline(LIMITS)
         baseline.check(frame(0, one), window)
-        height = BodyPosition(height_mm=sign * share * limit_mm, tilt_deg=0.0, roll_deg=0.0)
-        back = replace(frame(60, one), position=height)
+        height_mm = sign * share * limit_mm
+        position = BodyPosition(measured_us=measured_us, height_mm=height_mm, tilt_deg=0.0, roll_deg=0.0)
+        back = replace(frame(60, one), position=position)
         assert (baseline.check(back, window) is not None) == is_held
 
 

@@ -171,11 +171,11 @@ def test_the_corners_of_the_surface_are_the_markers():
 @pytest.mark.parametrize(
     ("position", "detail"),
     [
-        (BodyPosition(height_mm=3.1, tilt_deg=0.0, roll_deg=0.0), "raised by 3.1 mm, 3 allowed"),
-        (BodyPosition(height_mm=-4.0, tilt_deg=0.0, roll_deg=0.0), "lowered by 4.0 mm, 3 allowed"),
-        (BodyPosition(height_mm=0.0, tilt_deg=-3.2, roll_deg=0.0), "tilted by 3.2 degrees, 3 allowed"),
-        (BodyPosition(height_mm=0.0, tilt_deg=0.0, roll_deg=5.0), "tilted by 5.0 degrees, 3 allowed"),
-        (BodyPosition(height_mm=math.nan, tilt_deg=0.0, roll_deg=0.0), "raised by nan mm, 3 allowed"),
+        (BodyPosition(measured_us=0, height_mm=3.1, tilt_deg=0.0, roll_deg=0.0), "raised by 3.1 mm, 3 allowed"),
+        (BodyPosition(measured_us=0, height_mm=-4.0, tilt_deg=0.0, roll_deg=0.0), "lowered by 4.0 mm, 3 allowed"),
+        (BodyPosition(measured_us=0, height_mm=0.0, tilt_deg=-3.2, roll_deg=0.0), "tilted by 3.2 degrees, 3 allowed"),
+        (BodyPosition(measured_us=0, height_mm=0.0, tilt_deg=0.0, roll_deg=5.0), "tilted by 5.0 degrees, 3 allowed"),
+        (BodyPosition(measured_us=0, height_mm=math.nan, tilt_deg=0.0, roll_deg=0.0), "raised by nan mm, 3 allowed"),
     ],
 )
 def test_a_surface_that_moved_as_a_whole_holds_and_is_named(position, detail):
@@ -184,7 +184,7 @@ def test_a_surface_that_moved_as_a_whole_holds_and_is_named(position, detail):
     assert (held.reason, held.detail) == (HoldReason.PATIENT_SHIFTED, detail)
 
 
-@pytest.mark.parametrize("position", [None, BodyPosition(height_mm=-2.9, tilt_deg=2.9, roll_deg=-2.9)])
+@pytest.mark.parametrize("position", [None, BodyPosition(measured_us=0, height_mm=-2.9, tilt_deg=2.9, roll_deg=-2.9)])
 def test_a_position_within_the_limits_holds_nothing(position):
     zero_mm = markers_mm(scene_of("regular", 1), 0.0)
     assert shift_from(zero_mm).check(seen(zero_mm), has_reference=True, position=position) is None

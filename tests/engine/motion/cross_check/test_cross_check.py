@@ -167,10 +167,13 @@ def test_a_camera_that_moved_stays_lost_while_couch_and_floor_are_hidden(session
 def test_what_was_found_stands_while_the_surface_is_hidden(session, sheet_mm):
     session.sheet_mm, session.raised_mm = sheet_mm, -4.0
     session.run(20)
-    height_mm = session.check.position.height_mm
+    height_mm, measured_us = session.check.position.height_mm, session.check.position.measured_us
     session.has_depth = False
+    session.run(1)
+    hidden_us = session.check.position.measured_us
     hidden = reasons(session.run(20))
     assert session.check.position is not None
+    assert session.check.position.measured_us == hidden_us <= measured_us + 1e6 / 30
     assert session.check.position.height_mm == pytest.approx(height_mm, abs=0.5)
     assert hidden == [LostReason.SURFACE_CHANGED if sheet_mm else None] * 20
 
