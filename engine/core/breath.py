@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from engine.core.errors import InvalidValueError
 
 LITRES_PER_MM = 0.1
-"""A tenth of a litre counts as a millimetre wherever a bound is given in millimetres."""
+"""Volume that counts as a millimetre where a bound is given in mm: a region of 350 mm by 300 mm that rises by 1 mm."""
 
 
 class GateSignal(enum.StrEnum):

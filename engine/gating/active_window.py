@@ -11,9 +11,6 @@ from engine.core.ranges import Ranges
 from engine.gating.limits import GateLimits
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, Condition, GateWindow, PhaseWindow, Unit
 
-"""Volume of a region of 350 mm by 300 mm per millimetre of rise [l/mm]: bounds a correction in l."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ActiveWindow:
     """A window as requested, as converted, and its correction.
