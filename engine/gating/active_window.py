@@ -11,6 +11,7 @@ from engine.core.ranges import Ranges
 from engine.gating.limits import GateLimits
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, Condition, GateWindow, PhaseWindow, Unit
 
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ActiveWindow:
     """A window as requested, as converted, and its correction.
