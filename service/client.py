@@ -238,6 +238,7 @@ class LoginRequest(TypedDict):
 Permission = Literal[
     "sessions.read",
     "sessions.run",
+    "gate.reference",
     "gate.arm",
     "gate.hold",
     "gate.acknowledge",
@@ -786,6 +787,15 @@ class RecordedSample(TypedDict):
     whole_mm: float | None
 
 
+class ReferenceRequest(TypedDict):
+    """The person who sets the reference, the moment of the breath, and what that person was shown."""
+
+    at: NotRequired[Literal["end_exhale", "end_inhale", "now"]]
+    level_seen: NotRequired[float | None]
+    operator: NotRequired[str]
+    reason: NotRequired[str]
+
+
 class Resumed(TypedDict):
     """After a reconnection: all following samples are live."""
 
@@ -1043,6 +1053,18 @@ class LikenessView(TypedDict):
     tilt_deg: float
 
 
+class ReferenceProposalView(TypedDict):
+    """A position of the last breaths that a person may make the reference."""
+
+    at: Literal["end_exhale", "end_inhale"]
+    breaths: int
+    level: float
+    percent: float | None
+    scatter: float
+    signal: str
+    unit: Literal["mm", "l"]
+
+
 class LatencyView(TypedDict):
     """Latency from frame capture to the command at the beam line [ms]."""
 
@@ -1101,6 +1123,7 @@ class SessionDetail(TypedDict):
     operator: str
     patient_reference: str
     plan_id: str
+    reference_proposals: NotRequired[list[ReferenceProposalView]]
     regions: NotRequired[Regions]
     rt_plan_id: NotRequired[str | None]
     source: RecordingSource | DeviceSource
@@ -1493,10 +1516,24 @@ class TidegateClient:
         return self._do(session_id, "start", Session, operator, if_match)
 
     def set_reference(
-        self, session_id: str, *, operator: str | None = None, if_match: str | None = None
+        self,
+        session_id: str,
+        *,
+        at: Literal["end_exhale", "end_inhale", "now"] = "end_exhale",
+        level_seen: float | None = None,
+        reason: str = "",
+        operator: str | None = None,
+        if_match: str | None = None,
     ) -> "SessionDetail":
-        """Make the patient's present position the zero of motion; disarms. Never repeated."""
-        return self._do(session_id, "reference", SessionDetail, operator, if_match)
+        """Make the position at the last ends of exhale the zero of motion; disarms. Never repeated.
+
+        For a person who logged in; no key may. ``level_seen`` is the proposed level that the person was shown, and
+        ``reason`` is required for an amplitude window where the level is neither near the end of exhale nor of inhale.
+        """
+        arguments: dict[str, object] = {"at": at, "reason": reason}
+        if level_seen is not None:
+            arguments["level_seen"] = level_seen
+        return self._do(session_id, "reference", SessionDetail, operator, if_match, arguments)
 
     def arm(
         self,

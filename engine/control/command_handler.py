@@ -3,12 +3,15 @@
 Owned by the engine thread; runs between two frames. A command is refused before anything is changed.
 """
 
+from typing import NamedTuple
+
 from engine.control.decisions import Cause
 from engine.control.gate_controller import GateController
 from engine.control.line_orders import LineOrders
 from engine.control.roles import Learner, Measurer
 from engine.control.session_limits import SessionLimits
 from engine.control.turn_inputs import CommandInputs
+from engine.core.breath import SignalChoice
 from engine.core.commands import (
     Acknowledge,
     ActivateModel,
@@ -24,10 +27,24 @@ from engine.core.commands import (
 )
 from engine.core.errors import CommandRefusedError, HeadDirectionError
 from engine.core.gate_state import GateState, HoldReason
+from engine.core.reference_proposal import ReferenceMoment
 from engine.gating.frame_checks import HEAD_DIRECTION_UNKNOWN
 from engine.gating.gate import Ending
 from engine.gating.supervision.operator_presence import OperatorPresence
 from engine.gating.supervision.supervisor import FrameSupervisor
+from engine.gating.windows import AmplitudeWindow
+
+LEVEL_TOLERANCE_MM = 0.5
+"""How far the level of a reference may differ from the one displayed; of the volume a tenth of a litre for each mm."""
+NEAR_EXHALE, NEAR_INHALE = 15.0, 85.0
+"""Places in the learned breathing range [%] between which the reference of an amplitude window needs a reason."""
+
+
+class _Level(NamedTuple):
+    """A level of the gated signal [mm, l], and its place in the learned breathing range [%]; None where unknown."""
+
+    level: float | None
+    percent: float | None
 
 
 class CommandHandler:
@@ -102,11 +119,43 @@ class CommandHandler:
 
     def _set_reference(self, command: SetReference) -> None:
         self._controller.refuse_unseen_reference()
+        if self._learner.status.model is not None:
+            self._refuse_other_level(command)
         self._disarm_for("the reference is set", command.operator)
-        self._learner.set_reference()
+        self._learner.set_reference(command.moment)
         self._limits.clear_correction()
         self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], 0.0)
         self._supervisor.reset_position()
+
+    def _refuse_other_level(self, command: SetReference) -> None:
+        """Refuse a level that was not the one displayed, or that needs a reason and has none."""
+        choice = self._limits.prescribed_window.choices[0]
+        found = self._level(command.moment, choice)
+        if command.level_seen is not None and (
+            found.level is None or abs(found.level - command.level_seen) > LEVEL_TOLERANCE_MM * choice.per_mm
+        ):
+            now = "not known" if found.level is None else f"{found.level:.2f} {choice.unit}"
+            raise CommandRefusedError(f"the level is {now} by now, not {command.level_seen:g}: look again")
+        is_amplitude = any(isinstance(leaf, AmplitudeWindow) for leaf in self._limits.prescribed_window.leaves)
+        is_at_an_end = found.percent is not None and not NEAR_EXHALE < found.percent < NEAR_INHALE
+        if not is_amplitude or is_at_an_end or command.reason:
+            return
+        place = "not known" if found.percent is None else f"{found.percent:.0f} %"
+        raise CommandRefusedError(
+            f"the level's place in the learned breath is {place} (end of exhale 0, end of inhale 100): within "
+            f"{NEAR_EXHALE:g} and {NEAR_INHALE:g} % an amplitude window needs a reason for it"
+        )
+
+    def _level(self, moment: ReferenceMoment, choice: SignalChoice) -> "_Level":
+        """Return the level of a moment, and its place in the learned breathing range."""
+        if moment is not ReferenceMoment.NOW:
+            proposals = self._learner.status.reference_proposals
+            one = next((one for one in proposals if one.moment is moment), None)
+            if one is None:
+                raise CommandRefusedError("fewer than two breaths are known: wait until the patient has breathed")
+            return _Level(one.level, one.percent)
+        level, learned = self._controller.newest_level(choice), self._learner.learned_ranges((choice,)).get(choice)
+        return _Level(level, None if level is None or learned is None else learned.percent(level))
 
     def _apply_model(self, command: ApplyModel) -> None:
         if not self._learner.status.is_model_waiting:

@@ -4,6 +4,8 @@ The order is the safety argument: the gate is stepped, the line is driven and re
 The interlocks are part of every decision, before and after its events.
 """
 
+import math
+
 from engine.control.beam_driver import BeamDriver, LineReport
 from engine.control.decision_records import DecisionRecords
 from engine.control.decisions import Cause, Decision
@@ -11,11 +13,13 @@ from engine.control.line_orders import LineOrders
 from engine.control.session_limits import SessionLimits
 from engine.control.turn_reader import TurnReader
 from engine.control.watchdog import Watchdog
+from engine.core.breath import SignalChoice
 from engine.core.clock import NS_PER_MS, Clock
 from engine.core.commands import Acknowledge, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam
 from engine.core.errors import CommandRefusedError
 from engine.core.frames import Measurement, MeasurementState
 from engine.core.gate_state import GateState, HoldReason
+from engine.core.signals import signal_of
 from engine.gating.active_window import window_text
 from engine.gating.frame_checks import captured_ns, too_slow
 from engine.gating.gate import Ending, Gate, GateEvent, Interruption, step_gate
@@ -156,6 +160,14 @@ class GateController:
         unseen = None if measurement is None else self._limits.unseen_signal(measurement)
         if unseen is not None:
             raise CommandRefusedError(f"the reference needs a view of the gated motion ({unseen}): uncover it")
+
+    def newest_level(self, choice: SignalChoice) -> float | None:
+        """Return the signal in the newest frame [mm, l of the volume]; None where it was not measured."""
+        measurement = self._records.newest_measurement
+        level = math.nan
+        if measurement is not None and measurement.motion is not None:
+            level = signal_of(choice, measurement.motion)
+        return level if math.isfinite(level) else None
 
     def _step(self, gate: Gate, event: GateEvent, decided_ns: int) -> Gate:
         return step_gate(gate, event, decided_ns, self._limits.current)

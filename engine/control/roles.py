@@ -13,6 +13,7 @@ from engine.core.learning_events import LearningEvent
 from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
 from engine.core.ranges import Ranges
+from engine.core.reference_proposal import ReferenceMoment
 
 
 class Measurer(Protocol):
@@ -38,8 +39,14 @@ class Learner(Protocol):
     def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
         """Return each signal's range in the training, against the present reference; empty where there is none."""
 
-    def set_reference(self) -> None:
-        """Make the next measured frame the reference; raise a TidegateError without a model."""
+    def set_reference(self, moment: ReferenceMoment = ReferenceMoment.NOW) -> None:
+        """Make the proposed position, or that of the next measured frame, the reference.
+
+        Raises
+        ------
+        TidegateError
+            There is no model, or no such position is known.
+        """
 
     def keep_model(self, *, is_kept: bool) -> None:
         """Set, before each frame, whether the present model must stay: an armed gate decides by it."""

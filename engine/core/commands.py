@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from engine.core.head_direction import HeadDirection
 from engine.core.motion_model import MotionModel
+from engine.core.reference_proposal import ReferenceMoment
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,9 +42,22 @@ class Acknowledge:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetReference:
-    """Make the patient's present position the reference of motion; disarms."""
+    """Make a position of the patient the reference of motion; disarms.
+
+    Attributes
+    ----------
+    moment
+        The mean position of the last ends of exhale or inhale, or the present one.
+    level_seen
+        The level that the operator was shown [mm, l of the volume], if any: refused if it is another by now.
+    reason
+        Required where an amplitude window is used and the level is neither near the end of exhale nor of inhale.
+    """
 
     operator: str
+    moment: ReferenceMoment = ReferenceMoment.NOW
+    level_seen: float | None = None
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

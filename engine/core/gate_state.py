@@ -54,6 +54,7 @@ class HoldReason(enum.StrEnum):
     BREATH_HOLD_OVER = "breath_hold_over"
     SHORTEST_OFF = "shortest_off"
     CYCLE_LIMIT = "cycle_limit"
+    BEAM_ON_LIMIT = "beam_on_limit"
     # Faults: they latch until a named person acknowledges them.
     FRAME_STALE = "frame_stale"
     FRAME_TIMEOUT = "frame_timeout"
@@ -116,6 +117,7 @@ _CLEARS_BY_ITSELF = frozenset(
         HoldReason.BREATH_HOLD_OVER,
         HoldReason.SHORTEST_OFF,
         HoldReason.CYCLE_LIMIT,
+        HoldReason.BEAM_ON_LIMIT,
     }
 )
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from engine.core.motion_model import MotionModel
 from engine.core.patient_match import PatientMatch
+from engine.core.reference_proposal import ReferenceProposal
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -24,6 +25,8 @@ class LearningStatus:
         Whether motion is measured from a reference that the gate may be armed with.
     reference_number
         Counts the references that were set; one that is transferred to another model keeps its number.
+    reference_proposals
+        Positions of the last breaths that a person may make the reference; those that are known.
     patient_match
         How far today's patient is from the stored model the session began with; None without one, or not known yet.
     """
@@ -34,4 +37,5 @@ class LearningStatus:
     is_model_waiting: bool = False
     has_reference: bool = False
     reference_number: int = 0
+    reference_proposals: tuple[ReferenceProposal, ...] = ()
     patient_match: PatientMatch | None = None

@@ -13,6 +13,10 @@ class LearnedRange:
     low: float
     high: float
 
+    def percent(self, level: float) -> float:
+        """Return the place of a level in the range: 0 at the end of exhale, 100 at the end of inhale."""
+        return 100.0 * (level - self.low) / (self.high - self.low)
+
 
 Ranges = Mapping[SignalChoice, LearnedRange]
 """Signals whose range is not known are absent."""

@@ -14,6 +14,7 @@ from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from engine.core.commands import Acknowledge, Arm, Disarm
 from engine.core.frames import Measurement, Motion
 from engine.core.gate_state import GateState, HoldReason, Lease
+from engine.gating.beam_on_limit import OUTSIDE, Stay, allowed_on_s
 from engine.gating.frame_checks import EventKind, LastFrame, Verdict, check_frame, fault, last_frame, unusable
 from engine.gating.limits import GateLimits, ns_from_ms
 from engine.gating.windows import ConditionState, WindowInput, initial_states, interrupted, left
@@ -96,6 +97,8 @@ class Gate:
         When the beam last went off; None before that.
     was_cut_short
         Whether the last beam on was shorter than ``min_on_ms``.
+    stay
+        Beam-on time since the signal was last measured outside of the window.
     """
 
     state: GateState = GateState.DISARMED
@@ -110,6 +113,7 @@ class Gate:
     turned_on_ns: tuple[int, ...] = ()
     off_since_ns: int | None = None
     was_cut_short: bool = False
+    stay: Stay = OUTSIDE
 
     @property
     def is_armed(self) -> bool:
@@ -135,7 +139,9 @@ def step_gate(gate: Gate, event: GateEvent, now_ns: int, limits: GateLimits) -> 
         moved = replace(moved, conditions=initial_states(limits.window))
     if not isinstance(event, Measurement):
         return moved
-    return _remember(gate, moved, event, limits)
+    has_left = verdict.kind is EventKind.OUTSIDE
+    stay = OUTSIDE if has_left else moved.stay.bounded(allowed_on_s(limits.window, event.breaths, limits))
+    return _remember(gate, replace(moved, stay=stay), event, limits)
 
 
 def lease_of(gate: Gate, *, decided_ns: int, sequence: int, limits: GateLimits) -> Lease | None:
@@ -179,8 +185,9 @@ def _count_switching(before: Gate, moved: Gate, now_ns: int, limits: GateLimits)
         return replace(moved, turned_on_ns=(*recent, now_ns))
     if is_on or not was_on:
         return moved
-    was_short = now_ns - before.turned_on_ns[-1] < ns_from_ms(limits.min_on_ms)
-    return replace(moved, off_since_ns=now_ns, was_cut_short=was_short)
+    on_ns = now_ns - before.turned_on_ns[-1]
+    stay = before.stay._replace(on_ns=before.stay.on_ns + on_ns)
+    return replace(moved, off_since_ns=now_ns, was_cut_short=on_ns < ns_from_ms(limits.min_on_ms), stay=stay)
 
 
 def _reason_in(state: GateState, gate: Gate, verdict: Verdict) -> tuple[HoldReason | None, str]:
@@ -264,9 +271,26 @@ def _judge_window(gate: Gate, frame: Measurement, motion: Motion, now_ns: int, l
     found = window.judge(WindowInput(motion, frame.breaths, frame.timestamp_us), states)
     if not found.is_inside:
         return Verdict(EventKind.OUTSIDE, found.reason, found.detail, found.states)
+    too_long = _on_too_long(gate, now_ns)
+    if too_long is not None:
+        return too_long
     if not _has_dwelt(gate, frame, limits):
         return Verdict(EventKind.INSIDE, conditions=found.states)
     return _too_soon(gate, now_ns, limits, found.states) or Verdict(EventKind.DWELT, conditions=found.states)
+
+
+def _on_too_long(gate: Gate, now_ns: int) -> Verdict | None:
+    """Hold where the beam has been on for as long as is allowed without the signal's leaving the window."""
+    on_ns, allowed_ns = gate.stay
+    if gate.state is GateState.BEAM_ON:
+        on_ns += now_ns - gate.turned_on_ns[-1]
+    if allowed_ns is None or on_ns < allowed_ns:
+        return None
+    detail = (
+        f"{on_ns / NS_PER_S:.0f} s of beam since the signal was outside of the window, {allowed_ns / NS_PER_S:.0f} "
+        "allowed: it has to leave the window first"
+    )
+    return unusable(HoldReason.BEAM_ON_LIMIT, detail)
 
 
 def _too_soon(gate: Gate, now_ns: int, limits: GateLimits, states: tuple[ConditionState, ...]) -> Verdict | None:

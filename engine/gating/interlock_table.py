@@ -86,6 +86,11 @@ INTERLOCKS: tuple[Interlock, ...] = (
         "max_baseline_drift_mm",
     ),
     _row(
+        _R.BEAM_ON_LIMIT,
+        "in an amplitude or phase window, beam for too long without the signal's leaving the window",
+        "max_beam_on_s",
+    ),
+    _row(
         _R.COVERAGE_LOW,
         "too little of the region or of a gated signal visible",
         "min_valid_share",

@@ -58,6 +58,9 @@ class GateLimits:
         Shortest time from off to the next on.
     max_cycles_per_min
         Most beam-on transitions within a minute.
+    max_beam_on_s
+        Longest beam-on in an amplitude or phase window without the signal's leaving it [s]; two breaths also bound it
+        where the rate is known.
     max_repeated_frames
         Most repetitions of the same depth or colour picture with new times.
     max_clock_jump_ms
@@ -121,6 +124,7 @@ class GateLimits:
     min_on_ms: float = 0.0
     min_off_ms: float = 0.0
     max_cycles_per_min: int = 120
+    max_beam_on_s: float = 30.0
     max_repeated_frames: int = 0
     max_clock_jump_ms: float = 250.0
     min_fps: float = 20.0
@@ -181,6 +185,7 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "min_on_ms": (0.0, 10_000.0),
     "min_off_ms": (0.0, 60_000.0),
     "max_cycles_per_min": (1, 120),
+    "max_beam_on_s": (2.0, 30.0),
     "max_repeated_frames": (0, 3),
     "max_clock_jump_ms": (50.0, 2_000.0),
     "min_fps": (5.0, 60.0),

@@ -185,6 +185,8 @@ class Pipeline:
             self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
         self._keep(roi, frame.timestamp_us, nodes.pixels_px)
         breaths = self._breaths.follow(motion, frame.timestamp_us)
+        if breaths:
+            self.learner.follow(outcome.coefficients, motion, breaths[0], frame.timestamp_us)
         return self._measurement(frame, MeasurementState.MEASURING, motion=motion, markers=found, breaths=breaths)
 
     def _measurement(
@@ -338,13 +340,15 @@ class Pipeline:
         surface = _surface(rays, node_depth_mm)
         self._lags = follow_lags(self._lags, timestamp_us / US_PER_S, -depth_mm[active.regions.cells :])
         is_reference_new = self.learner.is_reference_due
-        last_reference, reference = self._last_reference, self._reference(active, outcome, surface, rays)
+        last_reference, reference = self._last_reference, self._reference(active, outcome, rays)
         motion = self._motion_from(reference, active, outcome, depth_mm, surface)
         if (
             self._breaths.has_reference_changed(active, is_reference_new=is_reference_new)
             and last_reference is not None
         ):
-            self._breaths.move(self._motion_from(last_reference, active, outcome, depth_mm, surface), motion)
+            before = self._motion_from(last_reference, active, outcome, depth_mm, surface)
+            self._breaths.move(before, motion)
+            self.learner.move_levels(before, motion)
         self._last_reference = reference
         return motion
 
@@ -379,15 +383,15 @@ class Pipeline:
             reference_seen=weights.by_region(reference.seen_shares),
         )
 
-    def _reference(
-        self, active: PreparedModel, outcome: Projection, surface: FloatArray, rays: FloatArray
-    ) -> Reference:
-        """Return the reference; a new one is smoothed over the last frames."""
-        if not self.learner.is_reference_due:
-            return self.learner.reference(active, outcome.coefficients, surface, outcome.is_seen)
-        smoothed = self._recent.smoothed(active, outcome)
-        smooth_surface = _surface(rays, active.node_depth_mm(smoothed.coefficients))
-        return self.learner.reference(active, smoothed.coefficients, smooth_surface, smoothed.seen)
+    def _reference(self, active: PreparedModel, outcome: Projection, rays: FloatArray) -> Reference:
+        """Return the reference; one at the present position is smoothed over the last frames."""
+
+        def present() -> Reference:
+            smoothed = self._recent.smoothed(active, outcome)
+            smooth_surface = _surface(rays, active.node_depth_mm(smoothed.coefficients))
+            return active.reference(smoothed.coefficients, smooth_surface, active.seen_weights.shares(smoothed.seen))
+
+        return self.learner.reference(present)
 
 
 def _surface(rays: FloatArray, depth_mm: FloatArray) -> FloatArray:

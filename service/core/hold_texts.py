@@ -36,6 +36,7 @@ HOLD_TEXTS: dict[HoldReason, str] = {
     HoldReason.BREATH_HOLD_OVER: "The breath hold has reached its time limit: breathe",
     HoldReason.SHORTEST_OFF: "Minimum beam-off time is running",
     HoldReason.CYCLE_LIMIT: "The limit of beam cycles per minute is reached",
+    HoldReason.BEAM_ON_LIMIT: "Beam for too long within one breath: it goes on when the patient breathes",
     HoldReason.FRAME_STALE: "The newest camera frame is too old",
     HoldReason.FRAME_TIMEOUT: "No new frame from the camera",
     HoldReason.CLOCK_BACKWARDS: "The camera's clock went backwards",

@@ -13,6 +13,7 @@ class Permission(StrEnum):
 
     SESSIONS_READ = "sessions.read"
     SESSIONS_RUN = "sessions.run"
+    GATE_REFERENCE = "gate.reference"
     GATE_ARM = "gate.arm"
     GATE_HOLD = "gate.hold"
     GATE_ACKNOWLEDGE = "gate.acknowledge"
@@ -31,7 +32,8 @@ class Permission(StrEnum):
 MEANING: Mapping[Permission, str] = {
     Permission.SESSIONS_READ: "read sessions, plans, samples, the live stream, pictures, "
     "models, devices and interlocks",
-    Permission.SESSIONS_RUN: "create and start sessions, set the reference, report the operator's presence",
+    Permission.SESSIONS_RUN: "create and start sessions, report the operator's presence",
+    Permission.GATE_REFERENCE: "set the reference; for people only",
     Permission.GATE_ARM: "arm, release a hold, correct the baseline: everything that can lead to beam on",
     Permission.GATE_HOLD: "hold, disarm, stop: everything that takes the beam off",
     Permission.GATE_ACKNOWLEDGE: "acknowledge a latched fault; for people only",
@@ -60,6 +62,7 @@ class Role(StrEnum):
 _SEES = frozenset({Permission.SESSIONS_READ, Permission.CALIBRATIONS_READ, Permission.QA_READ})
 _TREATS = _SEES | {
     Permission.SESSIONS_RUN,
+    Permission.GATE_REFERENCE,
     Permission.GATE_ARM,
     Permission.GATE_HOLD,
     Permission.GATE_ACKNOWLEDGE,
@@ -83,10 +86,11 @@ ROLE_PERMISSIONS: Mapping[Role, frozenset[Permission]] = {
 }
 
 KEY_PERMISSIONS: frozenset[Permission] = frozenset(Permission) - {
+    Permission.GATE_REFERENCE,
     Permission.GATE_ACKNOWLEDGE,
     Permission.USERS_MANAGE,
 }
-"""Permissions that an API key may have: acknowledging a fault and managing users are reserved for people."""
+"""Permissions that an API key may have: the reference, acknowledging a fault and managing users are for people."""
 
 
 def permissions_of(roles: Iterable[Role]) -> frozenset[Permission]:

@@ -69,6 +69,14 @@ class OperatorCall:
 
         return self.act(session_id, request.operator, submit)
 
+    def set_reference(self, session_id: str, request: sessions.ReferenceRequest) -> sessions.SessionDetail:
+        """Set the reference at the moment that a person confirms."""
+
+        def submit(session_id: str, operator: str) -> sessions.SessionDetail:
+            return self.services.runner.set_reference(session_id, operator, request)
+
+        return self.act(session_id, request.operator, submit)
+
     def _note_responsible(self, session_id: str) -> None:
         self.armed_operator.set_operator(session_id, self.caller.identity)
 

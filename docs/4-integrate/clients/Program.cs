@@ -262,7 +262,12 @@ public static class Program
             if (Text(state, "status") != "running") return "the session is over: " + Text(state, "status_detail");
             await Task.Delay(500);
         }
-        await tidegate.Do(session + "/reference", Who);
+        // A person at the page sets the reference, and sees where in the breath it is; no key may.
+        while (Text(await tidegate.Read(session), "has_reference") != "true")
+        {
+            if (Text(await tidegate.Read(session), "status") != "running") return "over before the reference was set";
+            await Task.Delay(500);
+        }
         while (!await Armed(tidegate, session)) await Task.Delay(500);
         Console.WriteLine("armed: the gate decides");
         return await Count(tidegate, id, seconds);

@@ -61,7 +61,12 @@ until state=$(now); [ "$(jq -r .measurement_state <<<"$state")" = measuring ]; d
   echo "learning: $(jq -r '.training | "\((.share // 0) * 100 | floor) % \(.note // "")"' <<<"$state")"
   sleep 1
 done
-json POST "/sessions/$session/reference" "$who" >/dev/null
+# A person at the page sets the reference, and sees where in the breath it is; no key may.
+until [ "$(now | jq -r .has_reference)" = true ]; do
+  [ "$(now | jq -r .status)" = running ] || exit 1
+  echo "waiting for a person to set the reference"
+  sleep 1
+done
 
 # The window is on the whole region; on a part of the patient the arming needs head_direction, as a person sees it.
 # Arming is asked for once. Refused (409) means that it was not done: then it may be asked for again, by a decision.

@@ -4,23 +4,25 @@ Owned by the pipeline's thread, and separate from measuring: the frame path does
 present model is used until another is ready; while the gate is armed, the new model waits.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
-from engine.core.breath import SignalChoice
+from engine.core.breath import Breath, SignalChoice
 from engine.core.errors import CommandRefusedError, ModelError, ModelMismatchError, SourceAwayError
-from engine.core.frames import BoolArray, FloatArray, TrainingProgress
+from engine.core.frames import FloatArray, Motion, TrainingProgress
 from engine.core.learning_events import Figures, LearningEvent, LearningEventKind
 from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
 from engine.core.patient_match import PatientMatch
 from engine.core.ranges import Ranges
+from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
 from engine.motion.learning.depth_steps import steps_mismatch, with_steps
 from engine.motion.learning.event_figures import match_figures, transfer_figures
 from engine.motion.learning.learned import Learned
 from engine.motion.learning.learned_range import learned_ranges
 from engine.motion.learning.patient_match import PatientMatchLimits
 from engine.motion.learning.prepared_model import PreparedModel, Reference
+from engine.motion.learning.reference_proposals import ReferenceProposals
 from engine.motion.learning.refit import Refits
 from engine.motion.learning.tasks import (
     Candidate,
@@ -39,6 +41,7 @@ REFUSAL_SHOWN_S = 30.0
 
 BUSY = "a model is being fitted already"
 DROPPED = "the training in progress or the waiting model was dropped: the camera was disconnected"
+TOO_FEW_BREATHS = "fewer than two breaths are known since the patient lies here: wait until the patient has breathed"
 COMPARING = "the stored model is still being compared with the patient: wait a few seconds"
 
 
@@ -70,6 +73,10 @@ class Learner:
         self._active: PreparedModel | None = None
         self._reference: Reference | None = None
         self._is_reference_requested = False
+        self._requested_position: Reference | None = None
+        self._proposals = ReferenceProposals()
+        self._proposed: tuple[ReferenceProposal, ...] = ()
+        self._proposed_for = -1
         self._needs_reference = False
         self._reference_number = 0
         self._is_model_held = False
@@ -102,6 +109,7 @@ class Learner:
             and not self._is_reference_requested
             and not self._needs_reference,
             reference_number=self._reference_number,
+            reference_proposals=self._proposed,
             patient_match=self._patient_match,
         )
 
@@ -168,24 +176,51 @@ class Learner:
 
     # -- reference ----------------------------------------------------------------------------------------------
 
-    def set_reference(self) -> None:
-        """Make the next measured frame the reference; raise CommandRefusedError without a model."""
+    def set_reference(self, moment: ReferenceMoment = ReferenceMoment.NOW) -> None:
+        """Make the position at the last ends of exhale or inhale, or in the next measured frame, the reference.
+
+        Raises
+        ------
+        CommandRefusedError
+            There is no model yet, or fewer than two such breaths are known.
+        """
         if self._active is None:
             msg = "there is no motion model yet: a reference needs one"
             raise CommandRefusedError(msg)
-        self._is_reference_requested = True
+        position = None
+        if moment is not ReferenceMoment.NOW:
+            position = self._proposals.position(moment, self._now_us)
+            if position is None:
+                raise CommandRefusedError(TOO_FEW_BREATHS)
+        self._is_reference_requested, self._requested_position = True, position
         self._change()
 
-    def reference(
-        self, active: PreparedModel, coefficients: FloatArray, surface: FloatArray, seen: FloatArray | BoolArray
-    ) -> Reference:
-        """Return the reference; the given position becomes it if there is none or a new one was requested."""
+    def reference(self, present: Callable[[], Reference]) -> Reference:
+        """Return the reference; a requested position, or the present one, becomes it if it is due."""
         if self._reference is None or self._is_reference_requested:
-            self._reference = active.reference(coefficients, surface, seen)
+            self._reference = self._requested_position or present()
             self._reference_number += 1
             self._needs_reference = self._needs_reference and not self._is_reference_requested
-            self._is_reference_requested = False
+            self._is_reference_requested, self._requested_position = False, None
         return self._reference
+
+    def follow(self, coefficients: FloatArray, motion: Motion, breath: Breath, timestamp_us: int) -> None:
+        """Add a measured frame to the positions that are proposed as the reference."""
+        if self._active is None:
+            return
+        is_new = self._proposals.follow(self._active, coefficients, motion, breath, timestamp_us)
+        if is_new or self._proposed_for != self._generation:
+            self._proposed_for = self._generation
+            ranges = self.learned_ranges((breath.signal,))
+            self._proposed = self._proposals.proposals(ranges, timestamp_us)
+
+    def move_levels(self, before: Motion, now: Motion) -> None:
+        """Measure the proposed levels from a new reference: the motion of one frame from the old and the new one."""
+        self._proposals.move(before, now)
+
+    def _forget_positions(self) -> None:
+        self._proposals.clear()
+        self._proposed, self._requested_position = (), None
 
     def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
         """Return the range of each signal in the training relative to the reference; empty without a reference."""
@@ -266,6 +301,7 @@ class Learner:
         self._candidate, self._task = None, None
         self._discards_outcome = self._trainer.is_busy
         self._reference, self._is_reference_requested = None, False
+        self._forget_positions()
         self._patient_match = None
         self._change()
         if self._active is None or self._active.model.surface_mm is None:
@@ -403,8 +439,13 @@ class Learner:
         is_transferred = candidate.transfer is not None and previous_reference is not None
         if candidate.transfer is not None and previous_reference is not None:
             self._reference = candidate.transfer.applied(previous_reference)
+            self._proposals.transfer(candidate.transfer)
+            if self._requested_position is not None:
+                self._requested_position = candidate.transfer.applied(self._requested_position)
         else:
             self._reference, self._needs_reference = None, True
+            self._is_reference_requested = False
+            self._forget_positions()
         self._active = candidate.active
         self._change(is_position_new=not is_transferred)
         self._refusal = ""
@@ -435,6 +476,7 @@ class Learner:
         if drops_model or self._is_comparing:
             self._active, self._reference, self._is_comparing = None, None, False
             self._is_reference_requested = False
+            self._forget_positions()
             self._change()
         if self._active is None:
             self._begin_learning()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.core.frames import NODE_COLUMNS, NODE_ROWS, BoolArray, FloatArray, frozen
+from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, frozen
 from engine.core.motion_model import MotionModel
 from engine.motion.learning.seen_shares import SeenWeights, prepare_seen_weights
 from engine.motion.stages.projection import Basis, prepare_basis
@@ -65,15 +65,15 @@ class PreparedModel:
         """Depth at the nodes [mm], shape (nodes,), for coefficients of shape (k + e,)."""
         return np.asarray(self.node_mean_mm + coefficients @ self.node_modes)
 
-    def reference(self, coefficients: FloatArray, surface: FloatArray, seen: FloatArray | BoolArray) -> Reference:
+    def reference(self, coefficients: FloatArray, surface: FloatArray, seen_shares: FloatArray) -> Reference:
         """Return the reference at these coefficients.
 
         Parameters
         ----------
         surface
             Its vertices [mm], shape (nodes, 3).
-        seen
-            Share of the frames in which each sampled point was seen, shape (88, 50).
+        seen_shares
+            How much of every region was seen, 0 to 1.
         """
         regions_mm = self.regions.model_depth_mm(coefficients)
         plane_mm = float(surface[:, 2].mean())
@@ -81,7 +81,7 @@ class PreparedModel:
             regions_mm=frozen(regions_mm),
             plane_mm=plane_mm,
             volume_l=volume_l(surface, _TRIANGLES, plane_mm),
-            seen_shares=self.seen_weights.shares(seen),
+            seen_shares=seen_shares,
         )
 
 

@@ -70,6 +70,11 @@ class SeenWeights:
         )
 
 
+def of_regions(seen: SeenShares) -> FloatArray:
+    """Return the shares by signal as one vector, in the order of `engine.motion.stages.regions.RegionMeans`."""
+    return np.concatenate([seen.cells.ravel(), (seen.whole, seen.thorax, seen.abdomen), seen.points, seen.named])
+
+
 def prepare_seen_weights(layout: RegionLayout) -> SeenWeights:
     """Compute the weights of the sampled points in the regions of a layout."""
     grid_shape(layout.cell_px)

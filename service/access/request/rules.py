@@ -63,7 +63,7 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", f"{SESSION}/transitions"): Permission.SESSIONS_READ,
     ("GET", f"{SESSION}/models"): Permission.SESSIONS_READ,
     ("POST", f"{SESSION}/start"): Permission.SESSIONS_RUN,
-    ("POST", f"{SESSION}/reference"): Permission.SESSIONS_RUN,
+    ("POST", f"{SESSION}/reference"): Permission.GATE_REFERENCE,
     ("POST", f"{SESSION}/presence"): Permission.SESSIONS_RUN,
     ("POST", f"{SESSION}/arm"): Permission.GATE_ARM,
     ("POST", f"{SESSION}/release"): Permission.GATE_ARM,

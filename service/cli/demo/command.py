@@ -32,8 +32,7 @@ from engine.core.frames import FloatArray
 from engine.verification.phantom.truth import load_truth
 from service.cli.demo.person import put_person
 from service.cli.terminal import refused
-from service.client import ClientError, ProblemError, Sample, TidegateClient, Window
-from service.planning.simulated_tps.delivery import EndExhale
+from service.client import ClientError, ProblemError, ReferenceProposalView, Sample, TidegateClient, Window
 
 OPERATOR = "Demo"
 PASSWORD_BYTES = 12
@@ -42,7 +41,8 @@ HEAD: Literal["top"] = "top"
 """The virtual volunteers lie with the head at the top of the picture."""
 START_TIMEOUT_S = 30.0
 SILENCE_S = 15.0
-EXHALE_WATCH_S = 4.0
+LOOK_US = 500_000
+"""How often the session is read for the proposed reference."""
 REFERENCE_WITHIN_US = 500_000
 OPEN = frozenset({"created", "running"})
 
@@ -198,10 +198,9 @@ def _close(api: TidegateClient, session_id: str) -> None:
 
 
 def _follow(api: TidegateClient, session_id: str, console: Console) -> int | None:
-    """Print a live status line; set the reference at end-exhale and arm, until the recording ends."""
+    """Print a live status line; set the reference as proposed and arm, until the recording ends."""
     began = time.monotonic()
-    exhale = EndExhale(watch_s=EXHALE_WATCH_S)
-    asked_us = None
+    asked_us, looked_us = None, 0
     with Live(console=console, refresh_per_second=8, transient=True) as live:
         for message in api.live(form="full", silence_s=SILENCE_S):
             if message["type"] == "idle":
@@ -213,15 +212,25 @@ def _follow(api: TidegateClient, session_id: str, console: Console) -> int | Non
             live.update(_line(message))
             if message["session_status"] != "running":
                 return asked_us
-            is_measured = message["state"] == "measuring"
-            if asked_us is None and is_measured and exhale.is_reached(message["timestamp_us"], message["whole_mm"]):
-                api.set_reference(session_id)
+            at_us = message["timestamp_us"]
+            if asked_us is not None or message["state"] != "measuring" or at_us - looked_us < LOOK_US:
+                continue
+            looked_us, proposed = at_us, _proposed(api, session_id)
+            if proposed is not None:
+                api.set_reference(session_id, level_seen=proposed["level"])
                 _arm(api, session_id)
-                asked_us = message["timestamp_us"]
+                asked_us = at_us
                 console.print(
-                    f"4 Reference set at end-exhale; armed after {time.monotonic() - began:.0f} s of the session."
+                    f"4 Reference set at end-exhale of {proposed['breaths']} breaths, scatter "
+                    f"{proposed['scatter']:.2f} mm; armed after {time.monotonic() - began:.0f} s of the session."
                 )
     return asked_us
+
+
+def _proposed(api: TidegateClient, session_id: str) -> ReferenceProposalView | None:
+    """Return the proposed end of exhale; None until enough breaths are known."""
+    proposals = api.read_session(session_id).get("reference_proposals", [])
+    return next((one for one in proposals if one["at"] == "end_exhale"), None)
 
 
 def _arm(api: TidegateClient, session_id: str) -> None:

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from pydantic import AwareDatetime, ConfigDict, Field, StringConstraints, model_validator
 
 from engine.core.errors import InvalidValueError
+from engine.gating.windows import MAX_MOTION_MM
 from engine.motion.named_regions import MAX_REGIONS, MAX_VERTICES, MIN_VERTICES, NAME_PATTERN, NamedRegion
 from engine.motion.stages.regions import MIN_PART_ROWS
 from service.core.schemas.base import Answer, Identifier, Name, Operator, Request, SourceText, broken
@@ -166,6 +167,45 @@ class ArmRequest(OperatorRequest):
     )
 
 
+ReferenceMoment = Literal["end_exhale", "end_inhale", "now"]
+
+
+class ReferenceRequest(OperatorRequest):
+    """The person who sets the reference, the moment of the breath, and what that person was shown."""
+
+    at: ReferenceMoment = Field(
+        default="end_exhale",
+        description="`end_exhale` and `end_inhale`: the mean position at these moments of the last breaths, as in the"
+        " session's `reference_proposals`; `now`: the present position, for a breath that is held",
+    )
+    level_seen: float | None = Field(
+        default=None,
+        ge=-MAX_MOTION_MM,
+        le=MAX_MOTION_MM,
+        description="The level that was shown, in the gated signal's unit: refused if it is another by now by more than"
+        " 0.5 mm (0.05 l)",
+    )
+    reason: str = Field(
+        default="",
+        max_length=200,
+        description="Required for an amplitude window where the level lies between 15 and 85 % of the learned breath",
+    )
+
+
+class ReferenceProposalView(Answer):
+    """A position of the last breaths that a person may make the reference."""
+
+    at: Literal["end_exhale", "end_inhale"]
+    signal: str = Field(description="The gated signal")
+    unit: Literal["mm", "l"]
+    level: float = Field(description="Against the present reference")
+    scatter: float = Field(description="Standard deviation over the breaths")
+    breaths: int = Field(description="Breaths that it is the mean of, 2 to 5")
+    percent: float | None = Field(
+        description="Its place in the learned breath: 0 end of exhale, 100 end of inhale; null if that is not known"
+    )
+
+
 class RetrainRequest(OperatorRequest):
     """The operator who requests a new model, and whether the reference is transferred to it."""
 
@@ -320,6 +360,9 @@ class SessionDetail(Session):
     training: TrainingView | None
     active_model_id: Identifier | None
     has_reference: bool | None = Field(default=None, description="Whether the reference is set; null unless running")
+    reference_proposals: list[ReferenceProposalView] = Field(
+        default=[], description="For `POST .../reference`; empty unless running, and until two breaths are known"
+    )
     gate_window: LiveWindow | None = Field(
         default=None, description="As the gate applies it: in mm or l, with baseline corrections; null unless running"
     )

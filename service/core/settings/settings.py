@@ -144,6 +144,7 @@ class Settings(
     min_on_ms: float = _limit("min_on_ms")
     min_off_ms: float = _limit("min_off_ms")
     max_cycles_per_min: int = _limit("max_cycles_per_min")
+    max_beam_on_s: float = _limit("max_beam_on_s")
     max_repeated_frames: int = _limit("max_repeated_frames")
     max_clock_jump_ms: float = _limit("max_clock_jump_ms")
     min_fps: float = _limit("min_fps")

@@ -80,22 +80,3 @@ def recorded(rows: Iterable[Mapping[str, str]]) -> Recorded:
     frames = clock.frames or {}
     on_frames = frozenset(frame for frame, is_on in frames.items() if is_on)
     return Recorded(frames=frozenset(frames), on_frames=on_frames, on_s=clock.on_s, rises=rises)
-
-
-class EndExhale:
-    """Detects end-exhale: motion within 5 % of the lowest value, after ``watch_s`` of observation."""
-
-    def __init__(self, *, watch_s: float) -> None:
-        self._watch_s = watch_s
-        self._since_us: int | None = None
-        self._lowest_mm = float("inf")
-        self._highest_mm = float("-inf")
-
-    def is_reached(self, timestamp_us: int, motion_mm: float | None) -> bool:
-        """Add a frame's motion [mm] (None: not measured); return whether the patient is at end-exhale."""
-        if motion_mm is None:
-            return False
-        self._since_us = timestamp_us if self._since_us is None else self._since_us
-        self._lowest_mm, self._highest_mm = min(self._lowest_mm, motion_mm), max(self._highest_mm, motion_mm)
-        near_mm = self._lowest_mm + 0.05 * (self._highest_mm - self._lowest_mm)
-        return timestamp_us - self._since_us >= self._watch_s * US_PER_S and motion_mm <= near_mm

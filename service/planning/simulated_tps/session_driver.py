@@ -17,7 +17,7 @@ from typing import Literal
 
 from service.client import Gap, LiveMessage, ProblemError, Sample, SessionDetail, TidegateClient, UnreachableError
 from service.planning.simulated_tps.delivered_beams import DeliveredBeams
-from service.planning.simulated_tps.delivery import US_PER_S, BeamClock, EndExhale, Seen
+from service.planning.simulated_tps.delivery import US_PER_S, BeamClock, Seen
 from service.planning.simulated_tps.errors import FractionEndedError, SessionOverError, TpsError
 
 HeadSide = Literal["top", "bottom", "left", "right"]
@@ -32,7 +32,7 @@ class Stage(StrEnum):
     """Stages of a session, as the progress bar names them."""
 
     LEARNING = "learning"
-    REFERENCE = "waiting for end-exhale"
+    REFERENCE = "waiting for the reference"
     ARMING = "arming"
     DELIVERING = "delivering"
     BETWEEN = "between beams"
@@ -45,8 +45,6 @@ class DeliverySettings:
 
     Attributes
     ----------
-    exhale_watch_s
-        How long the breathing is observed before the reference is set.
     between_s
         Pause between two beams, for the gantry.
     settle_s
@@ -59,7 +57,6 @@ class DeliverySettings:
         Faults that are acknowledged in one fraction.
     """
 
-    exhale_watch_s: float = 4.0
     between_s: float = 1.0
     settle_s: float = 1.5
     beam_timeout_s: float = 120.0
@@ -126,7 +123,6 @@ class SessionDriver:
         self._least_offset_s = float("inf")
         self._is_fresh = False
         self._stage = Stage.LEARNING
-        self._exhale = EndExhale(watch_s=settings.exhale_watch_s)
         self._own_hold: str | None = None
         self._is_hold_seen = False
         self._last_call_s = float("-inf")
@@ -243,10 +239,19 @@ class SessionDriver:
             self._enter(Stage.REFERENCE, sample)
 
     def _reference(self, sample: Sample) -> None:
-        is_measured = sample["state"] == "measuring"
-        is_due = is_measured and self._exhale.is_reached(sample["timestamp_us"], sample["whole_mm"])
-        if is_due and self._call_once(lambda: self._tps.set_reference(self.session_id)):
+        """Set the reference as the therapist, who sees the proposal; without one, wait until a person has set it."""
+        if sample["state"] != "measuring" or not self._is_settled:
+            return
+        therapist, session = self._therapist, self._await_service()
+        if session.get("has_reference"):
             self._enter(Stage.ARMING, sample)
+            return
+        proposed = next((one for one in session.get("reference_proposals", []) if one["at"] == "end_exhale"), None)
+        if therapist is None or proposed is None:
+            self._last_call_s = self._now_s()  # look again after a while
+            self._check_timeout(sample)
+            return
+        self._call_once(lambda: therapist.set_reference(self.session_id, level_seen=proposed["level"]))
 
     def _arm(self, sample: Sample) -> None:
         """Arm; repeat the call only if later frames show a disarmed gate."""

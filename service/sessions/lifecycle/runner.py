@@ -8,8 +8,9 @@ from datetime import UTC, datetime
 import cv2
 
 from engine.control.outputs import LiveView
-from engine.core.commands import ActivateModel, ApplyModel, Arm, CorrectBaseline, HoldBeam, Retrain
+from engine.core.commands import ActivateModel, ApplyModel, Arm, CorrectBaseline, HoldBeam, Retrain, SetReference
 from engine.core.head_direction import HeadDirection
+from engine.core.reference_proposal import ReferenceMoment
 from service.access.request.identity import Identity
 from service.core.errors import PictureMissingError
 from service.core.schemas import sessions
@@ -26,6 +27,7 @@ from service.sessions.lifecycle.start import WRITER_JOIN_S, SessionStarter, awai
 from service.sessions.records.sessions import SessionRepository, session_answer
 from service.sessions.records.withdrawals import Withdrawals
 from service.sessions.views.live import camera_view, live_sample
+from service.sessions.views.reference import proposal_views
 from service.sessions.views.surface import mesh_answer
 from service.storage import audit
 from service.storage.audit import Event
@@ -129,6 +131,23 @@ class SessionRunner:
             self._refuse_arming()
         command = Arm(operator=operator, head_direction=head)
         self._commander.execute(session_id, command, operator, action, detail, on_possibly_done=on_possibly_done)
+        return self._records.detail(session_id)
+
+    def set_reference(
+        self, session_id: str, operator: str, request: sessions.ReferenceRequest
+    ) -> sessions.SessionDetail:
+        """Set the reference; the audit records the moment, what the operator was shown, and what was proposed."""
+        command = SetReference(
+            operator=operator,
+            moment=ReferenceMoment(request.at),
+            level_seen=request.level_seen,
+            reason=request.reason,
+        )
+        running = self._equipment.of(session_id)
+        views = [] if running is None else proposal_views(running.engine.status.learning)
+        proposed = next((view.model_dump() for view in views if view.at == request.at), None)
+        detail = {**request.model_dump(exclude={"operator"}), "proposed": proposed}
+        self._commander.execute(session_id, command, operator, "session.reference", detail)
         return self._records.detail(session_id)
 
     def hold_unattended(self, session_id: str, armed_by: Identity) -> None:

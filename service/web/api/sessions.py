@@ -166,10 +166,10 @@ async def disarm_session(session_id: dependencies.SessionId, call: Withdrawing) 
 
 @router.post("/{session_id}/reference", name="session.reference", responses=ASK)
 def set_reference(
-    session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
+    session_id: dependencies.SessionId, request: sessions.ReferenceRequest, call: Operated
 ) -> sessions.SessionDetail:
-    """Set the reference: the patient's present position becomes zero motion; disarms."""
-    return call.command(session_id, "reference", request.operator)
+    """Set the reference: the position at the last ends of exhale becomes zero motion; disarms. For people only."""
+    return call.set_reference(session_id, request)
 
 
 @router.post("/{session_id}/acknowledge", name="session.acknowledge", responses=ASK)

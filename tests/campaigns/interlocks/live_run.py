@@ -16,6 +16,7 @@ from engine.core.breath import BreathEventKind
 from engine.core.clock import NS_PER_MS, MonotonicClock
 from engine.core.commands import Acknowledge, Arm
 from engine.core.errors import BeamLineError, CommandRefusedError
+from engine.core.frames import Measurement
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.interlock_table import INTERLOCKS
 from engine.gating.limits import GateLimits
@@ -23,6 +24,7 @@ from engine.gating.windows import amplitude_window
 from tests.campaigns.interlocks.far_line import Edge, FarLine, SpoiledAnswers, far_line
 from tests.campaigns.interlocks.live_camera import LiveCamera, LivePipeline, Mischief, wait_ns
 from tests.support.control.loop_bench import drained
+from tests.support.gating.streams import LEVEL_MM
 
 LIMITS = GateLimits(
     window=amplitude_window(lower_mm=-5.0, upper_mm=5.0),
@@ -145,10 +147,18 @@ class LiveRun:
     def arm(self) -> None:
         """Clear what is latched and arm, as far as a busy machine lets itself be asked."""
         with contextlib.suppress(CommandRefusedError, BeamLineError, TimeoutError):
+            if self.loop.gate.reason is HoldReason.BEAM_ON_LIMIT:
+                self.leave_window()
             if self.loop.gate.state is GateState.FAULT:
                 self.loop.submit(Acknowledge(operator="bob")).result(timeout=5.0)
             if not self.loop.gate.is_armed:
                 self.loop.submit(Arm(operator="ann")).result(timeout=5.0)
+
+    def leave_window(self) -> None:
+        """The signal is above the window for some frames, as in the inhale."""
+        self.mischief.spoil = _inhaled
+        self.frames(4)
+        self.mischief.spoil = None
 
     def has_reported(self, code: HoldReason, after_ns: int) -> bool:
         return any(change.reason is code and change.asserted_ns >= after_ns for change in list(self.transitions))
@@ -175,6 +185,10 @@ class LiveRun:
             self.records += drained(self.loop.samples)
         if self.is_auditing:
             self.transitions += drained(self.loop.transitions)
+
+
+def _inhaled(frame: Measurement) -> Measurement:
+    return replace(frame, motion=replace(frame.motion, whole_mm=LEVEL_MM + 3.6))
 
 
 def run_all(folder: Path, trips: tuple[Trip, ...]) -> list[Outcome]:

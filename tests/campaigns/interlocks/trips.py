@@ -244,6 +244,13 @@ TRIPS: tuple[Trip, ...] = (
         code=R.SOURCE_ENDED, how="the recording is over", act=_wrong(error=SourceEndedError("over")), ends_session=True
     ),
     Trip(
+        code=R.BEAM_ON_LIMIT,
+        how="the breath is held inside the window",
+        act=_wrong(),
+        undo=LiveRun.leave_window,
+        limits=replace(LIMITS, max_beam_on_s=2.0),
+    ),
+    Trip(
         code=R.MODEL_OLD,
         how="a minute after the model was learned",
         act=_minute_old,

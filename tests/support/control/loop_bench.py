@@ -15,7 +15,7 @@ from engine.control.line_orders import LineOrders
 from engine.control.loop import EngineLoop
 from engine.control.outputs import FrameRecord, GateTransition
 from engine.control.watchdog import Watchdog
-from engine.core.breath import SignalChoice
+from engine.core.breath import WHOLE, SignalChoice
 from engine.core.clock import Clock, ManualClock
 from engine.core.commands import Command
 from engine.core.errors import FrameTimeoutError, SourceEndedError
@@ -24,9 +24,10 @@ from engine.core.gate_state import HoldReason, Lease
 from engine.core.learning_events import LearningEvent
 from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
-from engine.core.ranges import Ranges
+from engine.core.ranges import LearnedRange, Ranges
+from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
 from engine.gating.gate import GateLimits
-from tests.support.gating.streams import LIMITS, MEASURING_NS, MS, PERIOD_NS, START_NS, measured
+from tests.support.gating.streams import LEVEL_MM, LIMITS, MEASURING_NS, MS, PERIOD_NS, START_NS, measured
 
 DEPTH = np.full((4, 6), 850, dtype=np.uint16)
 COLOR = np.full((4, 6, 3), 90, dtype=np.uint8)
@@ -133,7 +134,9 @@ class RecordingPipeline:
         self.is_model_waiting = False
         self.notices: list[LearningEvent] = []
         self.was_kept: list[bool] = []
-        self.ranges: Ranges = {}
+        self.ranges: Ranges = {WHOLE: LearnedRange(low=LEVEL_MM, high=LEVEL_MM + 10.0)}
+        self.proposals: tuple[ReferenceProposal, ...] = ()
+        self.moments: list[ReferenceMoment] = []
         self.zero_number = 1
         self.calls: list[str] = []
         self.trouble: Exception | None = None
@@ -163,6 +166,7 @@ class RecordingPipeline:
             is_model_waiting=self.is_model_waiting,
             has_reference=self.has_reference,
             reference_number=self.zero_number,
+            reference_proposals=self.proposals,
         )
 
     def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
@@ -171,7 +175,8 @@ class RecordingPipeline:
     def correct_baseline(self, choice: SignalChoice, by: float) -> None:
         self.calls.append(f"correct {choice.label} {by:g}")
 
-    def set_reference(self) -> None:
+    def set_reference(self, moment: ReferenceMoment = ReferenceMoment.NOW) -> None:
+        self.moments.append(moment)
         self._change("set_reference")
         self.zero_number += 1
 

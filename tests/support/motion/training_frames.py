@@ -104,15 +104,15 @@ class Patient:
         if best is None:
             return None
         surface = vertices(seen.nodes_px, active.node_depth_mm(best.coefficients))
-        zero = self.learner.reference(active, best.coefficients, surface, best.is_seen)
+        shares = active.seen_weights.shares(best.is_seen)
+        zero = self.learner.reference(lambda: active.reference(best.coefficients, surface, shares))
         return np.append(
             zero.regions_mm - active.regions.model_depth_mm(best.coefficients), zero.volume_above_l(surface)
         )
 
     def reference(self):
         """Return the reference in use."""
-        active = self.learner.active
-        return self.learner.reference(active, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 0)))
+        return self.learner.learned.reference
 
     def see_until(self, is_done, *, most=1200, **surface):
         """Offer frames until ``is_done()``; returns what was measured. A surface may be a function of the index."""

@@ -34,7 +34,7 @@ SCOPES = (
 THERAPIST = "A. Therapist"
 PASSWORD = "a long enough password"
 WINDOW = {"signal": "whole", "lower_mm": -2.5, "upper_mm": 2.0, "dwell_ms": 0.0}
-FAST = DeliverySettings(exhale_watch_s=2.0, between_s=0.2, beam_timeout_s=60.0, restart_wait_s=30.0)
+FAST = DeliverySettings(between_s=0.2, beam_timeout_s=60.0, restart_wait_s=30.0)
 
 
 @dataclass(slots=True, kw_only=True)

@@ -95,10 +95,13 @@ export const revokeKey = (id) => call("POST", `/keys/${encodeURIComponent(id)}/r
 /** Hold, disarm and stop are sent without an operator: the controller uses the log-in, so no other name can make it refuse. */
 const HALTS = new Set(["hold", "disarm", "stop"]);
 /**
- * `action` is one of start, disarm, hold, release, reference, acknowledge, stop. `operator` is the person the page
+ * `action` is one of start, disarm, hold, release, acknowledge, stop. `operator` is the person the page
  * shows as logged in; if another person has logged in with the same browser, the controller refuses.
  */
 export const act = (id, action, operator) => call("POST", `${session(id)}/${action}`, HALTS.has(action) ? {} : { operator });
+/** `proposal` is the one that the person was shown; null for the present position. */
+export const setReference = (id, operator, at, proposal, reason) =>
+  call("POST", `${session(id)}/reference`, { operator, at, reason, ...(proposal === null ? {} : { level_seen: proposal.level }) });
 /** `head` is the side of the picture at which the page shows the patient's head, which the person confirms by arming; null if unknown. */
 export const arm = (id, operator, head) => call("POST", `${session(id)}/arm`, head === null ? { operator } : { operator, head_direction: head });
 export const retrain = (id, operator, keepsReference) =>

@@ -6,62 +6,27 @@ import numpy as np
 import pytest
 
 from engine.core.breath import SignalChoice
-from engine.core.clock import ManualClock
 from engine.core.errors import InvalidValueError
 from engine.core.frames import MeasurementState
-from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
-from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
-from tests.support.motion import small_scene
 from tests.support.motion.breathing_traces import kinds
-
-CHOICES = (SignalChoice(), SignalChoice(signal="volume"), SignalChoice(signal="abdomen"))
-SETTINGS = PipelineSettings(
-    breath_signals=CHOICES,
-    training=TrainingSettings(min_frames=40, min_seconds=4.0, min_cycles=1, max_seconds=20.0),
-)
-REPEATS = 240  # frames in two breaths of the scene
-
-
-class Patient:
-    """Measures the scene frame by frame; ``edit`` may change a depth picture."""
-
-    def __init__(self, frames):
-        self.frames, self.index = frames, 0
-        self.pipeline = Pipeline(small_scene.CALIBRATION, SETTINGS, ManualClock(), InlineTrainer())
-
-    def next(self, **changes):
-        at_us = self.index * small_scene.FRAME_US
-        frame = replace(
-            self.frames[self.index % REPEATS],
-            index=self.index,
-            device_index=self.index + 1,
-            timestamp_us=at_us,
-            color_timestamp_us=at_us,
-            received_ns=at_us * 1000,
-            **changes,
-        )
-        self.index += 1
-        return self.pipeline.measure(frame)
-
-    def measure(self, count):
-        return [self.next() for _ in range(count)]
+from tests.support.motion.scene_session import CHOICES, SceneSession, scene_frames
 
 
 @pytest.fixture(scope="module")
 def frames():
-    return [small_scene.frame(index) for index in range(REPEATS)]
+    return scene_frames()
 
 
 @pytest.fixture
 def patient(frames):
-    patient = Patient(frames)
+    patient = SceneSession(frames)
     patient.measure(760)
     return patient
 
 
 def test_breaths_come_with_measured_frames_one_a_signal_in_order(frames):
-    patient = Patient(frames)
+    patient = SceneSession(frames)
     reported = patient.measure(700)
     assert {len(one.breaths) for one in reported if one.state is MeasurementState.TRAINING} == {0}
     assert all(tuple(b.signal for b in one.breaths) == CHOICES for one in reported if one.motion is not None)

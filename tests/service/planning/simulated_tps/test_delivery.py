@@ -3,7 +3,7 @@
 import pytest
 
 from service.planning.simulated_tps.delivered_beams import Beam, DeliveredBeams
-from service.planning.simulated_tps.delivery import BeamClock, EndExhale, Seen, recorded
+from service.planning.simulated_tps.delivery import BeamClock, Seen, recorded
 
 FRAME_US = 33_333
 
@@ -58,19 +58,6 @@ def test_the_recorder_s_rows_are_counted_the_same_way():
     found = recorded(rows)
     assert (len(found.frames), found.rises) == (7, 2)
     assert found.on_s == pytest.approx(3 * FRAME_US / 1e6)
-
-
-def test_end_exhale_is_where_the_deepest_of_some_seconds_comes_again():
-    exhale = EndExhale(watch_s=2.0)
-    motion_mm = [4.0, 2.0, 0.0, 2.0, 4.0, 2.0, 0.1, 2.0]
-    found = [exhale.is_reached(index * 400_000, one) for index, one in enumerate(motion_mm)]
-    assert found == [False, False, False, False, False, False, True, False]
-
-
-def test_a_frame_without_motion_is_no_end_exhale():
-    exhale = EndExhale(watch_s=0.0)
-    assert exhale.is_reached(0, 1.0)
-    assert not exhale.is_reached(400_000, None)
 
 
 def test_a_ledger_goes_from_beam_to_beam_and_keeps_what_each_was_given():

@@ -10,7 +10,7 @@ from service.planning.simulated_tps.errors import FractionEndedError, SessionOve
 from service.planning.simulated_tps.session_driver import DeliverySettings, FractionEvents, SessionDriver
 
 FRAME_US = 100_000
-SETTINGS = DeliverySettings(exhale_watch_s=0.2, between_s=0.3, settle_s=0.2, beam_timeout_s=5.0, restart_wait_s=3.0)
+SETTINGS = DeliverySettings(between_s=0.3, settle_s=0.2, beam_timeout_s=5.0, restart_wait_s=3.0)
 REFUSED = ProblemError(409, {"code": "command_refused"}, {})
 
 
@@ -20,7 +20,7 @@ class Room:
     def __init__(self, *, status="running"):
         self.status = status
         self.frame = 0
-        self.is_armed = False
+        self.is_armed = self.has_reference = False
         self.operator_hold = None
         self.fault = None
         self.calls = []
@@ -70,13 +70,16 @@ class Room:
         }
 
     def read_session(self, _session_id):
-        return {"status": self.status, "status_detail": "as it is"}
+        proposed = [{"at": "end_exhale", "level": -1.25}] if self.frame > 6 else []
+        detail = {"status": self.status, "status_detail": "as it is"}
+        return {**detail, "has_reference": self.has_reference, "reference_proposals": proposed}
 
     def start(self, _session_id):
         self._call("start", lambda: setattr(self, "status", "running"))
 
-    def set_reference(self, _session_id):
-        return self._call("reference", lambda: None)
+    def set_reference(self, _session_id, *, level_seen):
+        assert level_seen == -1.25
+        return self._call("reference", lambda: setattr(self, "has_reference", True))
 
     def arm(self, _session_id, **_confirmed):
         return self._call("arm", lambda: setattr(self, "is_armed", True))
@@ -118,7 +121,8 @@ class Room:
 BEAMS = (Beam(number=1, name="AP", seconds=1.0), Beam(number=2, name="LAT", seconds=0.5))
 
 
-def treat(room, *, therapist=None, beams=BEAMS, events=None):
+def treat(room, *, has_therapist=True, beams=BEAMS, events=None):
+    therapist = room if has_therapist else None
     delivered = DeliveredBeams(beams)
     stretch = SessionDriver(
         "s",
@@ -188,6 +192,21 @@ def test_a_start_whose_answer_was_lost_is_not_started_twice():
     assert room.done() == WHOLE
 
 
+def test_without_a_person_the_reference_is_waited_for_and_not_set():
+    room = Room()
+    room.at_frame[15] = lambda: setattr(room, "has_reference", True)
+    delivered, _ = treat(room, has_therapist=False)
+    assert delivered.is_done
+    assert room.done() == [call for call in WHOLE if call != "reference"]
+
+
+def test_a_reference_that_no_person_sets_ends_in_a_time_out():
+    room = Room()
+    with pytest.raises(FractionEndedError, match="no beam for 5 s"):
+        treat(room, has_therapist=False)
+    assert "arm" not in room.calls
+
+
 def test_a_hold_without_an_answer_is_repeated_at_the_next_frame():
     room = Room()
     room.becomes["hold"] = UnreachableError("lost")
@@ -197,9 +216,10 @@ def test_a_hold_without_an_answer_is_repeated_at_the_next_frame():
 
 def test_without_a_person_a_fault_ends_the_fraction_with_the_beam_held():
     room = Room()
+    room.has_reference = True
     room.at_frame[12] = lambda: setattr(room, "fault", "frame_stale")
     with pytest.raises(FractionEndedError, match="frame_stale"):
-        treat(room)
+        treat(room, has_therapist=False)
     assert room.done()[-2:] == ["hold", "stop"]
     assert "acknowledge" not in room.calls
 
@@ -207,7 +227,7 @@ def test_without_a_person_a_fault_ends_the_fraction_with_the_beam_held():
 def test_a_person_acknowledges_a_fault_and_the_rest_of_the_beam_is_delivered():
     room, events = Room(), FractionEvents()
     room.at_frame[12] = lambda: setattr(room, "fault", "frame_stale")
-    delivered, _ = treat(room, therapist=room, events=events)
+    delivered, _ = treat(room, has_therapist=True, events=events)
     assert delivered.is_done
     assert room.done() == ["start", "reference", "arm", "acknowledge", "arm", "hold", "release", "hold", "stop"]
     assert (events.faults, events.acknowledged) == (["frame_stale"], 1)
@@ -223,7 +243,7 @@ def test_a_fault_between_beams_leads_to_the_next_beam():
         treated.append(room.operator_hold)
 
     room.between = fault_between
-    delivered, _ = treat(room, therapist=room)
+    delivered, _ = treat(room, has_therapist=True)
     assert treated == ["A. Therapist"]
     assert [one.delivered_s for one in delivered.reports()] == pytest.approx([1.0, 0.5], abs=0.21)
 
@@ -233,15 +253,16 @@ def test_faults_without_end_are_not_acknowledged_without_end():
     for frame in range(8, 400, 8):
         room.at_frame[frame] = lambda: setattr(room, "fault", "latency_high")
     with pytest.raises(FractionEndedError, match="10 faults"):
-        treat(room, therapist=room, beams=(Beam(number=1, name="AP", seconds=60.0),))
+        treat(room, has_therapist=True, beams=(Beam(number=1, name="AP", seconds=60.0),))
     assert room.calls.count("acknowledge") == 10
 
 
 def test_who_disarms_has_a_reason_and_no_machine_arms_again():
     room = Room()
+    room.has_reference = True
     room.at_frame[12] = lambda: setattr(room, "is_armed", False)
     with pytest.raises(FractionEndedError, match="disarmed"):
-        treat(room)
+        treat(room, has_therapist=False)
     assert room.calls.count("arm") == 1
 
 
@@ -316,7 +337,7 @@ def test_frames_from_before_the_arming_was_answered_do_not_arm_again():
 
 def test_frames_from_the_record_are_counted_and_nothing_is_done_because_of_them():
     room = Room()
-    room.at_frame[10] = lambda: setattr(room, "form", "recorded")
+    room.at_frame[20] = lambda: setattr(room, "form", "recorded")
     room.at_frame[40] = lambda: (setattr(room, "form", "full"), room.calls.append("full again"))
     delivered, stretch = treat(room)
     assert delivered.is_done

@@ -5,7 +5,7 @@
  * they work with one click or their key whenever a running session is known, with or without a fresh connection.
  */
 
-import { act, applyModel, arm, retrain } from "../api.js";
+import { act, applyModel, arm, retrain, setReference } from "../api.js";
 import { setText } from "../drawing/elements.js";
 import { needsReference, stageOf } from "./training.js";
 import { obstacle as forbidden } from "../people/permissions.js";
@@ -39,7 +39,7 @@ const DONE = {
 const OBSTACLES = {
   arm: (c) => running(c) || still(c) || (c.sample.gate === "fault" ? "acknowledge the fault first" : "") || measuring(c) || compared(c) || hasReference(c) || hasHead(c),
   release: (c) => running(c) || (c.sample.operator_hold ? "" : "no operator holds the beam"),
-  reference: (c) => running(c) || still(c) || measuring(c),
+  reference: (c) => running(c) || still(c) || measuring(c) || isProposed(c),
   retrain: (c) => running(c) || compared(c) || (isLearning(c.sample) ? "already training" : ""),
   apply: (c) => running(c) || (stageOf(c.sample) === "waiting" ? "" : "no new model is ready"),
   acknowledge: (c) => running(c),
@@ -53,6 +53,10 @@ const running = (c) => (c.sample === null ? "no running session" : "");
 const still = (c) => (c.sample.is_armed ? "disarm first" : "");
 const compared = (c) => (stageOf(c.sample) === "comparing" ? "the stored model is still being compared" : "");
 const hasReference = (c) => (needsReference(c.sample, c.selected) ? "set the reference first" : "");
+const referenceAt = () => document.getElementById("reference-at").value;
+/** The proposed position for the chosen moment of the breath; null for the present position, and before it is known. */
+const proposalOf = (c) => c.selected?.reference_proposals?.find((one) => one.at === referenceAt()) ?? null;
+const isProposed = (c) => (referenceAt() === "now" || proposalOf(c) !== null ? "" : "fewer than two breaths are known");
 /** A lost patient adds no training frames while the reference is kept: training may then be restarted. */
 const isLearning = (s) => s.state === "training" || stageOf(s) === "fitting" || (s.state === "measuring" && stageOf(s) === "gathering");
 /** The head direction of the session that is armed; null if unknown, or if the session was not read yet. */
@@ -111,6 +115,7 @@ export class Controls {
     }
     if (!button("arm").disabled && headOf(context) !== null) button("arm").title = `Confirms that the head lies at the ${headOf(context)} of the picture`;
     setText(document.getElementById("hint"), hint(this.context));
+    setText(document.getElementById("reference-proposal"), proposalText(this.context));
     for (const action of Object.keys(HALTS)) {
       const why = this.forbids(action) || (this.lastRunningId === null ? "no running session" : "");
       button(action).disabled = why !== "";
@@ -191,7 +196,11 @@ export class Controls {
 
   async #call(action, id, operator) {
     if (action === "apply") await applyModel(id, operator);
-    else if (action === "arm") {
+    else if (action === "reference") {
+      const reason = document.getElementById("reference-reason");
+      await setReference(id, operator, referenceAt(), proposalOf(this.context), reason.value.trim());
+      reason.value = "";
+    } else if (action === "arm") {
       await arm(id, operator, headOf(this.context));
       rememberArming(id, operator);
     } else if (action !== "retrain") await act(id, action, operator);
@@ -211,6 +220,16 @@ export class Controls {
 /** The other way to stop the beam, if this page cannot. */
 function elsewhere(action) {
   return ` The page could not ${action}: use the room's interlock.`;
+}
+
+/** What the reference would be, for the person who confirms it. */
+function proposalText(context) {
+  if (context.sample === null || context.sample.is_armed || context.sample.state !== "measuring") return "";
+  if (referenceAt() === "now") return "The position in the next frame becomes the reference.";
+  const one = proposalOf(context);
+  if (one === null) return "Two breaths have to be seen before their position is proposed.";
+  const place = one.percent === null ? "" : `, at ${Math.round(one.percent)} % of the learned breath`;
+  return `Mean of ${one.breaths} breaths: ${one.level.toFixed(2)} ${one.unit}, scatter ${one.scatter.toFixed(2)} ${one.unit}${place}.`;
 }
 
 /** What is missing for the next step. */

@@ -4,7 +4,7 @@ export const NEEDS = {
   watch: "sessions.read",
   create: "sessions.run",
   start: "sessions.run",
-  reference: "sessions.run",
+  reference: "gate.reference",
   arm: "gate.arm",
   release: "gate.arm",
   correct: "gate.arm",
@@ -21,7 +21,7 @@ export const NEEDS = {
 
 export const ROLES = ["viewer", "therapist", "physicist", "admin"];
 
-/** Permissions that an API key may have; never acknowledging faults or managing people. */
+/** Permissions that an API key may have; never setting the reference, acknowledging faults or managing people. */
 export const KEY_SCOPES = [
   "sessions.read", "sessions.run", "gate.arm", "gate.hold", "models.write", "calibrations.read", "calibrations.write",
   "plans.write", "qa.read", "qa.run", "qa.baseline", "audit.read", "metrics.read",

@@ -1,0 +1,49 @@
+"""The longest beam-on in an amplitude or phase window: a patient who breathes leaves the window in every breath.
+
+Beam-on time counts from when the signal was last measured outside. Interruptions do not begin it anew, nor does arming:
+a patient who holds the breath, and pictures that no longer show the patient, stay inside. Breath holds have their own
+limit.
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from engine.core.breath import Breath
+from engine.core.clock import NS_PER_S
+from engine.gating.limits import GateLimits
+from engine.gating.windows import BreathHoldWindow, GateWindow, Join, JoinedWindow
+
+BREATHS = 2.0
+S_PER_MIN = 60.0
+
+
+class Stay(NamedTuple):
+    """A stay inside the window: the beam-on time of it that has ended, and the least that was allowed [ns]."""
+
+    on_ns: int = 0
+    allowed_ns: int | None = None
+
+    def bounded(self, allowed_s: float | None) -> "Stay":
+        """Return the stay with the lesser of what was and is allowed: in apnoea the rate is no longer known."""
+        if allowed_s is None:
+            return self
+        allowed_ns = int(allowed_s * NS_PER_S)
+        return self._replace(allowed_ns=allowed_ns if self.allowed_ns is None else min(allowed_ns, self.allowed_ns))
+
+
+OUTSIDE = Stay()
+
+
+def allowed_on_s(window: GateWindow, breaths: Iterable[Breath], limits: GateLimits) -> float | None:
+    """Return the longest beam-on in the window [s]: the site's, and two breaths where the rate is known.
+
+    None where a breath hold, which has its own limit, is needed for the beam.
+    """
+    has_hold = any(isinstance(leaf, BreathHoldWindow) for leaf in window.leaves)
+    if has_hold:
+        is_alternative = isinstance(window, JoinedWindow) and window.join is Join.OR
+        return limits.max_beam_on_s if is_alternative else None
+    periods_s = [
+        S_PER_MIN / breath.rate_per_min for breath in breaths if breath.signal in window.choices and breath.rate_per_min
+    ]
+    return min([limits.max_beam_on_s, *([BREATHS * max(periods_s)] if periods_s else [])])

@@ -1,0 +1,71 @@
+"""The reference over the API: a logged-in person confirms what is proposed; no key may."""
+
+import pytest
+
+from engine.core.breath import SignalChoice
+from engine.core.commands import SetReference
+from engine.core.learning_status import LearningStatus
+from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
+from service.core.permissions import KEY_PERMISSIONS, ROLE_PERMISSIONS, Permission, Role
+from service.sessions.views.reference import proposal_views
+from tests.support.service.api_calls import audit_rows
+
+URL = "/api/v1/sessions"
+BODY = {"operator": "A. Therapist"}
+
+
+def test_without_a_moment_it_is_the_end_of_exhale(client, session_id, running):
+    assert client.post(f"{URL}/{session_id}/reference", json=BODY).status_code == 200
+    assert running.commands == [SetReference(operator="A. Therapist", moment=ReferenceMoment.END_EXHALE)]
+
+
+def test_moment_level_and_reason_reach_the_engine_and_the_audit(client, session_id, running):
+    body = BODY | {"at": "now", "level_seen": -1.25, "reason": "mid-ventilation plan"}
+    assert client.post(f"{URL}/{session_id}/reference", json=body).status_code == 200
+    (command,) = running.commands
+    assert (command.moment, command.level_seen, command.reason) == (ReferenceMoment.NOW, -1.25, "mid-ventilation plan")
+    for row in audit_rows(client, "session.reference"):
+        assert row["actor"] == "A. Therapist"
+        assert row["detail"] == {"at": "now", "level_seen": -1.25, "reason": "mid-ventilation plan", "proposed": None}
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"at": "exhale"}, "at"),
+        ({"level_seen": 1e4}, "level_seen"),
+        ({"level_seen": "low"}, "level_seen"),
+        ({"reason": "x" * 201}, "reason"),
+        ({"because": "x"}, "because"),
+    ],
+)
+def test_what_is_out_of_bounds_is_refused_by_name(client, session_id, running, changes, field):
+    answer = client.post(f"{URL}/{session_id}/reference", json=BODY | changes)
+    assert (answer.status_code, answer.json()["field"]) == (422, field)
+    assert running.commands == []
+
+
+def test_no_key_sets_a_reference():
+    assert Permission.GATE_REFERENCE not in KEY_PERMISSIONS
+    assert {role for role, may in ROLE_PERMISSIONS.items() if Permission.GATE_REFERENCE in may} == {
+        Role.THERAPIST,
+        Role.PHYSICIST,
+    }
+
+
+def test_a_session_shows_what_is_proposed(client, session_id, running):
+    assert client.get(f"{URL}/{session_id}").json()["reference_proposals"] == []
+    volume = SignalChoice(signal="volume")
+    proposals = (
+        ReferenceProposal(
+            moment=ReferenceMoment.END_EXHALE, signal=volume, level=-0.12345, scatter=0.01, breaths=3, percent=None
+        ),
+        ReferenceProposal(moment=ReferenceMoment.END_INHALE, level=8.0, scatter=0.2, breaths=5, percent=97.12345),
+    )
+    shown = [one.model_dump() for one in proposal_views(LearningStatus(reference_proposals=proposals))]
+    assert shown == [
+        {"at": "end_exhale", "signal": "volume", "unit": "l", "level": -0.123, "scatter": 0.01, "breaths": 3}
+        | {"percent": None},
+        {"at": "end_inhale", "signal": "whole", "unit": "mm", "level": 8.0, "scatter": 0.2, "breaths": 5}
+        | {"percent": 97.1235},
+    ]

@@ -1,0 +1,48 @@
+"""A pipeline over the small scene, two breaths of which are repeated: fast, and with a known motion."""
+
+from dataclasses import replace
+
+from engine.core.breath import SignalChoice
+from engine.core.clock import ManualClock
+from engine.core.frames import Measurement, RgbdFrame
+from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
+from engine.motion.pipeline import Pipeline
+from engine.motion.settings import PipelineSettings
+from tests.support.motion import small_scene
+
+CHOICES = (SignalChoice(), SignalChoice(signal="volume"), SignalChoice(signal="abdomen"))
+SETTINGS = PipelineSettings(
+    breath_signals=CHOICES,
+    training=TrainingSettings(min_frames=40, min_seconds=4.0, min_cycles=1, max_seconds=20.0),
+)
+REPEATS = 240  # frames in two breaths of the scene
+
+
+def scene_frames() -> list[RgbdFrame]:
+    """The frames of two breaths."""
+    return [small_scene.frame(index) for index in range(REPEATS)]
+
+
+class SceneSession:
+    """Measures the scene frame by frame; a frame's pictures may be replaced."""
+
+    def __init__(self, frames: list[RgbdFrame], settings: PipelineSettings = SETTINGS) -> None:
+        self.frames, self.index = frames, 0
+        self.pipeline = Pipeline(small_scene.CALIBRATION, settings, ManualClock(), InlineTrainer())
+
+    def next(self, **changes: object) -> Measurement:
+        at_us = self.index * small_scene.FRAME_US
+        frame = replace(
+            self.frames[self.index % REPEATS],
+            index=self.index,
+            device_index=self.index + 1,
+            timestamp_us=at_us,
+            color_timestamp_us=at_us,
+            received_ns=at_us * 1000,
+            **changes,
+        )
+        self.index += 1
+        return self.pipeline.measure(frame)
+
+    def measure(self, count: int) -> list[Measurement]:
+        return [self.next() for _ in range(count)]
