@@ -93,15 +93,15 @@ class WayBack:
         if gate["operator_hold"] is not None:
             return self._ask("release", Recovery.RELEASED)
         if self._is_doubted(gate) or not (detail["has_reference"] or detail["measurement_state"] != "measuring"):
-            self._act("reference")
+            self._act("reference", at="now", reason="lies otherwise")
             return None
         if gate["is_armed"] or detail["measurement_state"] != "measuring":
             return None
         return self._ask("arm", Recovery.ARMED)
 
-    def _act(self, action: str) -> httpx2.Response:
+    def _act(self, action: str, **more: object) -> httpx2.Response:
         self.acted_ns = self.acted_ns or time.monotonic_ns()
-        return self._person.act(action)
+        return self._person.act(action, **more)
 
     def _is_doubted(self, gate: dict[str, Any]) -> bool:
         if gate["hold_reason"] not in DOUBTED:

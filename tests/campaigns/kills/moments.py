@@ -129,7 +129,7 @@ def _measuring(rig: "KillRig", chance: random.Random) -> Strike:
 def _arming(rig: "KillRig", chance: random.Random) -> Strike:
     rig.new_session()
     since_ns = _await_measuring(rig)
-    rig.person.act("reference")
+    rig.person.act("reference", at="now", reason="anywhere")
     asked = _ask(lambda: _arm(rig))
     time.sleep(chance.uniform(0.0, 0.25))
     killed_ns = kill(rig)

@@ -14,13 +14,16 @@ from typing import Any
 
 import httpx2
 
+from service.core.permissions import Role
 from tests.support.repository import ROOT
+from tests.support.service.accounts import provision
 from tests.support.service.processes import free_port
 
 SCOPES = (
     *("sessions.read", "sessions.run", "gate.arm", "gate.hold", "calibrations.read", "calibrations.write"),
     *("metrics.read", "audit.read"),
 )
+OPERATOR = "Load"
 START_S, LEARN_S, STOP_S = 60.0, 120.0, 60.0
 LOOK_S = 0.1
 WINDOW = {"signal": "whole", "lower_mm": -4.0, "upper_mm": 5.0, "hysteresis_mm": 0.2, "dwell_ms": 200.0}
@@ -40,6 +43,7 @@ class Service:
     secret: str
     data: Path
     log: Path
+    person_headers: dict[str, str]
 
     @property
     def authorization(self) -> str:
@@ -50,6 +54,10 @@ class Service:
         """Open a client that speaks with the key."""
         headers = {"Authorization": self.authorization}
         return httpx2.Client(base_url=f"http://127.0.0.1:{self.port}", headers=headers, timeout=timeout_s)
+
+    def person(self) -> httpx2.Client:
+        """Open a client of a logged-in person, who sets the reference."""
+        return httpx2.Client(base_url=f"http://127.0.0.1:{self.port}", headers=self.person_headers, timeout=60.0)
 
     def require_alive(self) -> None:
         """Raise with the log's end where it is dead."""
@@ -77,6 +85,7 @@ def served(
     secret = re.search(r"tg_[\w-]{20,}", made.stdout + made.stderr)
     if made.returncode or secret is None:
         raise LoadError(f"no key could be made: {made.stdout}{made.stderr}")
+    let_in = provision(data, people={OPERATOR: {Role.THERAPIST}}, origin=f"http://127.0.0.1:{port}")
     log = place / "serve.log"
     with log.open("wb") as output:
         process = subprocess.Popen(
@@ -87,7 +96,7 @@ def served(
             stderr=subprocess.STDOUT,
             start_new_session=True,  # Ctrl-C is for the run, which closes the session and reads its samples first
         )
-    service = Service(process=process, port=port, secret=secret[0], data=data, log=log)
+    service = Service(process=process, port=port, secret=secret[0], data=data, log=log, person_headers=let_in.headers)
     try:
         _wait_until_it_answers(service)
         yield service
@@ -123,7 +132,8 @@ def start_session(service: Service, folder: Path, recording: Path) -> str:
             service.require_alive()
             detail = _done(client.get(f"/api/v1/sessions/{session_id}"))
             if detail["measurement_state"] == "measuring" and not detail["has_reference"]:
-                client.post(f"/api/v1/sessions/{session_id}/reference", json={"operator": "Load"})
+                with service.person() as person:
+                    person.post(f"/api/v1/sessions/{session_id}/reference", json={"operator": OPERATOR})
             answer = client.post(f"/api/v1/sessions/{session_id}/arm", json={"operator": "Load"})
             if answer.is_success:
                 return session_id

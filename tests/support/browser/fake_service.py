@@ -39,7 +39,11 @@ SESSION_ID = "5e" * 16
 ROI_PX = [[238.0, 92.0], [409.0, 99.0], [421.0, 401.0], [226.0, 396.0]]
 ROWS, COLUMNS = 14, 8
 
+PROPOSAL = {"at": "end_exhale", "signal": "whole", "unit": "mm", "level": -1.25, "scatter": 0.21, "breaths": 4} | {
+    "percent": 2.4
+}
 SESSION = {
+    "reference_proposals": [PROPOSAL],
     "id": SESSION_ID,
     "status": "running",
     "status_detail": "",

@@ -88,7 +88,8 @@ def test_a_button_sends_its_call_once_and_says_who(fake: FakeService, tab: Tab, 
     page.click(f"#do-{button}")
     expect(page.locator("#outcome")).to_have_attribute("data-kind", "done")
     # Whoever only takes permission away is not asked for a name: the log-in says who.
-    assert calls_to(fake, path) == [{} if button == "disarm" else {"operator": "Ada L."}]
+    confirmed = {"at": "end_exhale", "reason": "", "level_seen": -1.25} if button == "reference" else {}
+    assert calls_to(fake, path) == [{} if button == "disarm" else {"operator": "Ada L."} | confirmed]
 
 
 def test_stop_asks_once_more(fake: FakeService, tab: Tab):

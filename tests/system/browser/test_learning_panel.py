@@ -171,6 +171,25 @@ def test_a_session_without_a_zero_asks_for_the_reference(fake: FakeService, tab:
     expect(page.locator("#gate-reason")).to_have_text("Not armed")
 
 
+def test_what_is_proposed_is_shown_before_it_is_confirmed(fake: FakeService, tab: Tab):
+    fake.sessions = [detail(has_reference=False, reference_proposals=[])]
+    fake.mode, fake.sample = "samples", DISARMED
+    page = tab.open("disarmed")
+    expect(page.locator("#do-reference")).to_be_disabled()
+    expect(page.locator("#reference-proposal")).to_contain_text("Two breaths have to be seen")
+    fake.sessions = [detail(has_reference=False)]
+    expect(page.locator("#reference-proposal")).to_have_text(
+        "Mean of 4 breaths: -1.25 mm, scatter 0.21 mm, at 2 % of the learned breath."
+    )
+    page.select_option("#reference-at", "end_inhale")
+    expect(page.locator("#do-reference")).to_be_disabled()
+    page.select_option("#reference-at", "now")
+    page.fill("#reference-reason", "  breath hold  ")
+    page.click("#do-reference")
+    expect(page.locator("#reference-reason")).to_have_value("")
+    assert calls_to(fake, "reference") == [{"operator": "A. Therapist", "at": "now", "reason": "breath hold"}]
+
+
 def test_a_first_zero_that_sets_itself_is_not_asked_for(fake: FakeService, tab: Tab):
     """Read while it still learned, and not yet again."""
     fake.sessions = [detail(has_reference=False, measurement_state="training")]

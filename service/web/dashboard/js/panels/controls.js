@@ -115,7 +115,9 @@ export class Controls {
     }
     if (!button("arm").disabled && headOf(context) !== null) button("arm").title = `Confirms that the head lies at the ${headOf(context)} of the picture`;
     setText(document.getElementById("hint"), hint(this.context));
-    setText(document.getElementById("reference-proposal"), proposalText(this.context));
+    const proposal = proposalText(this.context);
+    document.getElementById("reference").hidden = proposal === "";
+    setText(document.getElementById("reference-proposal"), proposal);
     for (const action of Object.keys(HALTS)) {
       const why = this.forbids(action) || (this.lastRunningId === null ? "no running session" : "");
       button(action).disabled = why !== "";
