@@ -67,7 +67,7 @@ function learning(sample, session, isFresh) {
 
 function inUse(sample, session) {
   if (sample.is_armed) return "Armed: the gate decides.";
-  return needsReference(sample, session) ? "The model is in use without a reference: set the reference." : "The model is in use. Not armed.";
+  return needsReference(sample, session) ? "No reference yet: set the reference." : "The model is in use. Not armed.";
 }
 
 function stageText(stage, progress) {
