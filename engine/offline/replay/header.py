@@ -12,13 +12,15 @@ from engine.gating.limits import GateLimits
 from engine.motion.settings import PipelineSettings
 from engine.offline.replay.encoding import TapeEncoding
 
-METHOD = 4
+METHOD = 5
 """Number of the measuring method, increased with every change by which the same frames may be believed, measured or
 gated otherwise: then an earlier session replays to other results on purpose."""
 FIRST_METHOD = 1
 """The method of tapes that name none."""
 REFITTING_METHOD = 4
 """The first method that refits a session's model; earlier tapes name no such setting."""
+FRESHNESS_METHOD = 5
+"""The first method that asks whether frames are fresh; earlier tapes do not know."""
 
 RAW = "raw"
 RECORDING = "recording"
