@@ -93,6 +93,18 @@ def test_a_source_that_never_knows_is_not_believed():
     assert {one.reason for one in stream} == {HoldReason.FRAME_LATE}
 
 
+@pytest.mark.parametrize("growth_ppm", [90.0, 150.0, 250.0])
+def test_frames_that_wait_where_no_one_sees_it_are_hidden_at_the_drift_of_quartz_and_no_faster(growth_ppm):
+    """What the least lag follows is the allowed drift; all beyond it shows as lag and holds."""
+    stream = watched(
+        seconds=HOUR_S / 2, clock_error=0.0, waiting_ms=growing(growth_ppm * PPM, from_s=0.0), is_proof_wrong=True
+    )
+    for one in stream:
+        hidden_ms = one.age_ms - one.shown_ms
+        assert hidden_ms <= 1e3 * min(growth_ppm, 101.0) * PPM * one.at_s + 0.1
+        assert not one.is_believed or one.shown_ms <= SPARSE.max_lag_ms
+
+
 def test_a_recording_needs_no_proof():
     stream = watched(
         seconds=HOUR_S,
@@ -120,6 +132,16 @@ def test_an_honest_camera_is_not_held_for_hours_with_jitter_and_a_busy_host(erro
         jitter_ms=lambda _index: abs(random_ms.gauss(0.0, 3.0)),
     )
     assert {one.reason for one in stream} == {None}
+
+
+@pytest.mark.parametrize("error", [-100 * PPM, 100 * PPM])
+def test_a_camera_that_returns_after_minutes_is_believed_from_its_second_frame_on(error):
+    stream = watched(
+        seconds=600.0, clock_error=error, waiting_ms=lambda _at_s: 0.0, is_away=lambda at_s: 200.0 < at_s < 400.0
+    )
+    assert [(one.at_s, one.reason) for one in stream if not one.is_believed] == [
+        (pytest.approx(400.0, abs=0.2), HoldReason.FRAME_MISSING)
+    ]
 
 
 @pytest.mark.parametrize(

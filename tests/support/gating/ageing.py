@@ -45,7 +45,9 @@ def watched(
     waiting_ms: Callable[[float], float],
     jitter_ms: Callable[[int], float] = lambda _index: 0.0,
     limits: GateLimits = SPARSE,
+    is_away: Callable[[float], bool] = lambda _at_s: False,
     has_proof: bool = True,
+    is_proof_wrong: bool = False,
 ) -> Iterator[Seen]:
     """Every frame of a stream.
 
@@ -57,16 +59,21 @@ def watched(
         How long a frame that is captured at that second waits in the driver's queue [ms].
     jitter_ms
         Delay of the n-th frame on its way to the driver [ms].
+    is_away
+        Whether no frame comes at that second.
     has_proof
         Whether the source sees an empty queue; it is empty where a frame does not wait.
+    is_proof_wrong
+        Whether every frame seems fresh: frames wait where the source does not see it, as in a driver that is too slow.
     """
     last: LastFrame | None = None
     empty_ns, received_ns = None, 0
-    for index in range(int(seconds * S) // STEP_NS):
-        taken_ns = index * STEP_NS
+    slots = (slot for slot in range(int(seconds * S) // STEP_NS) if not is_away(slot * STEP_NS / S))
+    for index, slot in enumerate(slots):
+        taken_ns = slot * STEP_NS
         age_ms = max(waiting_ms(taken_ns / S), 0.0) + jitter_ms(index)
         received_ns = max(START_NS + taken_ns + TRANSPORT_NS + int(age_ms * MS), received_ns + 1)
-        if has_proof and waiting_ms(taken_ns / S) <= 0.0:
+        if has_proof and (is_proof_wrong or waiting_ms(taken_ns / S) <= 0.0):
             empty_ns = received_ns - 10 * MS
         frame = replace(
             measured(index, _MOTION),

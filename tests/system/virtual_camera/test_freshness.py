@@ -14,12 +14,13 @@ def silent_ms(frame):
     return (frame["received_ns"] - frame["queue_empty_ns"]) / MS
 
 
+def is_fresh(frame):
+    return frame["queue_empty_ns"] is not None and silent_ms(frame) < FRESH_MS
+
+
 def test_frames_of_a_camera_that_waits_for_each_are_fresh(camera):
     with Onlooker(camera) as onlooker:
-        onlooker.until(
-            lambda: sum(one["queue_empty_ns"] is not None and silent_ms(one) < FRESH_MS for one in onlooker.frames) > 20,
-            "twenty fresh frames",
-        )
+        onlooker.until(lambda: sum(is_fresh(one) for one in onlooker.frames) > 20, "twenty fresh frames")
         known = [one for one in onlooker.frames if one["queue_empty_ns"] is not None]
     assert all(silent_ms(one) > 0.0 for one in known)
     assert sorted(one["queue_empty_ns"] for one in known) == [one["queue_empty_ns"] for one in known]
@@ -32,7 +33,7 @@ def test_a_frame_that_is_fresh_was_raised_after_the_silence_before_it(camera):
             receipt = camera.offset(-20.0, for_frames=1)
             onlooker.until_frame(receipt.frame_index + 1)
             found = [one for one in onlooker.frames if one["device_index"] == receipt.frame_index]
-            if found and found[0]["queue_empty_ns"] is not None and silent_ms(found[0]) < FRESH_MS:
+            if found and is_fresh(found[0]):
                 break
         else:
             pytest.fail("no fresh frame")
