@@ -26,7 +26,7 @@ def test_frames_of_a_camera_that_waits_for_each_are_fresh(camera):
     assert sorted(one["queue_empty_ns"] for one in known) == [one["queue_empty_ns"] for one in known]
 
 
-def test_a_frame_that_is_fresh_was_raised_after_the_silence_before_it(camera):
+def test_a_fresh_frame_was_raised_after_the_silence_before_it(camera):
     with Onlooker(camera) as onlooker:
         onlooker.until_frame(3)
         for _ in range(20):
