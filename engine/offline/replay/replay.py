@@ -1,7 +1,7 @@
 """Replays a session from its tape and its frames, and compares the outputs."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from engine.beam.line import TroubleListener, ignore_trouble
@@ -17,7 +17,6 @@ from engine.motion.pipeline import Pipeline
 from engine.offline.replay.comparison import BIT_FOR_BIT, Comparison
 from engine.offline.replay.encoding import TapeEncoding
 from engine.offline.replay.header import FRESHNESS_METHOD, RAW, TapeHeader
-from engine.offline.replay.inputs import FrameHead
 from engine.offline.replay.outcomes import Row
 from engine.offline.replay.pictures import Pictures
 from engine.offline.replay.replaying_tap import Difference, ReplayEnded, ReplayingTap
@@ -121,7 +120,7 @@ def replay(
         tap = ReplayingTap(
             tape.turns(),
             encoding,
-            lambda frame: pictures.frame(_as_fresh(frame) if head.method < FRESHNESS_METHOD else frame),
+            lambda frame: pictures.frame(frame.as_fresh() if head.method < FRESHNESS_METHOD else frame),
             comparison=comparison,
             on_turn=lambda: on_frame(tap.frames),
             on_output=on_output,
@@ -129,11 +128,6 @@ def replay(
         return _run(tape, head, tap)
     finally:
         pictures.close()
-
-
-def _as_fresh(frame: FrameHead) -> FrameHead:
-    """Return a frame of an earlier tape as that version took it."""
-    return replace(frame, queue_empty_ns=frame.received_ns)
 
 
 def _run(tape: Tape, head: TapeHeader, tap: ReplayingTap) -> Replay:
