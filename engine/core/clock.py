@@ -7,8 +7,8 @@ NS_PER_S = 1_000_000_000
 NS_PER_MS = 1_000_000
 NS_PER_US = 1_000
 
-CLOCK_DRIFT = 5e-4
-"""Greatest relative difference allowed between a device's clock and the host's: ten times that of quartz."""
+CLOCK_DRIFT = 1e-4
+"""Greatest relative difference between a device's clock and the host's that is followed as drift: that of quartz."""
 
 
 class Clock(Protocol):

@@ -51,6 +51,9 @@ class RgbdFrame:
         Device time of the depth and of the colour frame [us].
     received_ns
         Host monotonic time at which the depth frame was received [ns].
+    queue_empty_ns
+        Host monotonic time at which the driver was last known to have no frame waiting, up to the receipt of this one
+        [ns]; None where the source cannot tell, as that of a recording.
     depth_mm
         Depth along the optical axis of the depth camera [mm], shape (H, W), uint16; 0 is "no reading".
     color
@@ -63,6 +66,7 @@ class RgbdFrame:
     timestamp_us: int
     color_timestamp_us: int
     received_ns: int
+    queue_empty_ns: int | None = None
     depth_mm: DepthImage
     color: ColorImage
 
@@ -328,7 +332,7 @@ class Measurement:
     ``motion`` is set if and only if ``state`` is measuring; ``lost`` if and only if it is lost. ``markers`` are those
     of this frame when they were found, also while training. ``breaths`` say where the breath stands, one a signal that
     is watched; none before there is a motion. ``position`` is how the patient has moved as a whole; None where that is
-    unknown.
+    unknown. ``queue_empty_ns`` is that of the frame.
     """
 
     frame_index: int
@@ -343,6 +347,7 @@ class Measurement:
     training: "TrainingProgress | None" = None
     breaths: tuple[Breath, ...] = ()
     position: BodyPosition | None = field(default=None, metadata=NO_DIGEST)
+    queue_empty_ns: int | None = field(default=None, metadata=NO_DIGEST)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,10 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from engine.core.clock import CLOCK_DRIFT, NS_PER_MS, NS_PER_US
+from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from engine.core.frames import LostReason, Measurement, MeasurementState, Motion, SeenShares
 from engine.core.gate_state import HoldReason
 from engine.core.signals import is_wide, seen_share_of, signal_of
+from engine.gating.clock_rate import MAX_RATE_ERROR_PPM
+from engine.gating.delivery import MAX_UNSEEN_MS, Delivery, followed_delivery, lag_of, unseen_ageing_ms
 from engine.gating.limits import GateLimits, ns_from_ms
 from engine.gating.windows import ConditionState, GateWindow
 
@@ -50,24 +52,31 @@ class Verdict(NamedTuple):
 class LastFrame:
     """Summary of the frames so far, with which the next one is compared.
 
-    ``least_lag_ns`` is the least host time minus device time so far, plus the allowed drift of the clocks since;
     ``signals_mm`` were measured ``signal_age_frames`` frames ago.
     """
 
     index: int
     timestamp_us: int
     received_ns: int
-    least_lag_ns: int
+    delivery: Delivery
     signals_mm: tuple[float, ...] | None
     signal_age_frames: int
+
+    @property
+    def least_lag_ns(self) -> int:
+        """The least host time minus device time so far, plus the allowed drift of the clocks since."""
+        return self.delivery.least_lag_ns
 
 
 def check_frame(last: LastFrame | None, frame: Measurement, now_ns: int, limits: GateLimits) -> Verdict | None:
     """Return why ``frame`` must not be used, faults before holds; None where every check passes."""
+    delivery = _delivery(last, frame)
     verdict = (
         _refuse_disorder(last, frame, now_ns)
         or _refuse_clock_jump(last, frame, limits)
-        or _refuse_late(last, frame, now_ns, limits)
+        or _refuse_clock_rate(delivery, limits)
+        or _refuse_late(delivery, frame, now_ns, limits)
+        or _refuse_unseen_age(delivery, frame, limits)
         or _refuse_gap(last, frame, limits)
     )
     if verdict is not None:
@@ -104,7 +113,7 @@ def last_frame(before: LastFrame | None, frame: Measurement, window: GateWindow)
         index=frame.frame_index,
         timestamp_us=frame.timestamp_us,
         received_ns=frame.received_ns,
-        least_lag_ns=_least_lag_ns(before, frame),
+        delivery=_delivery(before, frame),
         signals_mm=signals_mm if is_measured else earlier_mm,
         signal_age_frames=0 if is_measured else age,
     )
@@ -116,7 +125,7 @@ def captured_ns(last: LastFrame, frame: Measurement, limits: GateLimits) -> int:
     The fastest frame so far counts as delivered without delay but for ``camera_latency_ms``. The frames of a recording
     count as captured when they are received, because a player may fall behind.
     """
-    lag_ns = 0 if limits.is_played else max(_lag_ns(frame) - last.least_lag_ns, 0)
+    lag_ns = 0 if limits.is_played else max(lag_of(frame) - last.least_lag_ns, 0)
     return frame.received_ns - lag_ns - ns_from_ms(limits.camera_latency_ms)
 
 
@@ -125,15 +134,10 @@ def too_slow(latency_ms: float, limits: GateLimits) -> str:
     return f"{latency_ms:.0f} ms since the camera took the frame, {limits.max_latency_ms:g} allowed"
 
 
-def _lag_ns(frame: Measurement) -> int:
-    return frame.received_ns - frame.timestamp_us * NS_PER_US
-
-
-def _least_lag_ns(before: LastFrame | None, frame: Measurement) -> int:
+def _delivery(before: LastFrame | None, frame: Measurement) -> Delivery:
     if before is None or frame.timestamp_us <= before.timestamp_us:
-        return _lag_ns(frame)  # a first frame, or a device that restarted its clock
-    drift_ns = int(CLOCK_DRIFT * max(frame.received_ns - before.received_ns, 0))
-    return min(_lag_ns(frame), before.least_lag_ns + drift_ns)
+        return followed_delivery(None, frame, 0)  # a first frame, or a device that restarted its clock
+    return followed_delivery(before.delivery, frame, frame.received_ns - before.received_ns)
 
 
 def _refuse_disorder(last: LastFrame | None, frame: Measurement, now_ns: int) -> Verdict | None:
@@ -165,11 +169,21 @@ def _refuse_clock_jump(last: LastFrame | None, frame: Measurement, limits: GateL
     return fault(HoldReason.CLOCK_JUMPED, f"the camera's clock advanced {ahead_ms:.0f} ms more than the host's")
 
 
-def _refuse_late(last: LastFrame | None, frame: Measurement, now_ns: int, limits: GateLimits) -> Verdict | None:
+def _refuse_clock_rate(delivery: Delivery, limits: GateLimits) -> Verdict | None:
+    """Refuse frames of a device clock that runs at a wrong rate, or whose delay grows all the time."""
+    error_ppm = delivery.rate.error_ppm
+    if error_ppm is None or limits.is_played or abs(error_ppm) <= MAX_RATE_ERROR_PPM:
+        return None
+    way = "faster" if error_ppm > 0.0 else "slower"
+    detail = f"the camera's clock runs {abs(error_ppm):.0f} ppm {way} than the host's, {MAX_RATE_ERROR_PPM:g} allowed"
+    return fault(HoldReason.CLOCK_JUMPED, detail)
+
+
+def _refuse_late(delivery: Delivery, frame: Measurement, now_ns: int, limits: GateLimits) -> Verdict | None:
     age_ms = (now_ns - frame.received_ns) / NS_PER_MS
     if age_ms > limits.max_silence_ms:
         return fault(HoldReason.FRAME_STALE, f"the newest frame is {age_ms:.0f} ms old")
-    lag_ms = (_lag_ns(frame) - _least_lag_ns(last, frame)) / NS_PER_MS
+    lag_ms = (lag_of(frame) - delivery.least_lag_ns) / NS_PER_MS
     latency_ms = limits.camera_latency_ms + (0.0 if limits.is_played else lag_ms) + age_ms
     if latency_ms > limits.max_latency_ms:
         return fault(HoldReason.LATENCY_HIGH, too_slow(latency_ms, limits))
@@ -178,6 +192,21 @@ def _refuse_late(last: LastFrame | None, frame: Measurement, now_ns: int, limits
     if lag_ms > limits.max_lag_ms and not limits.is_played:
         return unusable(HoldReason.FRAME_LATE, f"received {lag_ms:.0f} ms later than the fastest frame")
     return None
+
+
+def _refuse_unseen_age(delivery: Delivery, frame: Measurement, limits: GateLimits) -> Verdict | None:
+    """Hold where a backlog may have grown unseen since the last frame that is known to have been fresh."""
+    if limits.is_played:
+        return None
+    unseen_ms = unseen_ageing_ms(delivery, frame)
+    if unseen_ms is None or delivery.fresh_ns is None:
+        return unusable(HoldReason.FRAME_LATE, "no frame is known to be fresh: frames may wait in the camera's driver")
+    lag_ms = (lag_of(frame) - delivery.least_lag_ns) / NS_PER_MS
+    if unseen_ms <= MAX_UNSEEN_MS and lag_ms + unseen_ms <= limits.max_lag_ms:
+        return None
+    since_s = (frame.received_ns - delivery.fresh_ns) / NS_PER_S
+    detail = f"{since_s:.1f} s since a frame that is known to be fresh: up to {lag_ms + unseen_ms:.0f} ms late"
+    return unusable(HoldReason.FRAME_LATE, detail)
 
 
 def _refuse_gap(last: LastFrame | None, frame: Measurement, limits: GateLimits) -> Verdict | None:

@@ -53,7 +53,7 @@ INTERLOCKS: tuple[Interlock, ...] = (
     _row(_R.FRAME_STALE, "a frame much too old at its decision", "max_silence_ms"),
     _row(
         _R.FRAME_LATE,
-        "a frame too old at its decision, or delayed against the fastest one",
+        "a frame too old at its decision, delayed against the fastest one, or not known to be fresh for 5 s",
         "max_frame_age_ms",
         "max_lag_ms",
     ),
@@ -62,7 +62,11 @@ INTERLOCKS: tuple[Interlock, ...] = (
     _row(_R.FRAME_FROZEN, "an old depth or colour picture with a new time", "max_repeated_frames"),
     _row(_R.FRAME_RATE_LOW, "too few frames within the last second", "min_fps"),
     _row(_R.CLOCK_BACKWARDS, "time or order of frames does not increase"),
-    _row(_R.CLOCK_JUMPED, "a step of the camera's clock against the host's", "max_clock_jump_ms"),
+    _row(
+        _R.CLOCK_JUMPED,
+        "a step of the camera's clock against the host's, or a rate that differs by more than 200 ppm for two minutes",
+        "max_clock_jump_ms",
+    ),
     _row(
         _R.LATENCY_HIGH,
         "latency from capture to the command of the line too high",

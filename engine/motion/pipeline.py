@@ -212,6 +212,7 @@ class Pipeline:
             training=self.learner.progress,
             breaths=breaths,
             position=None if motion is None else self._cross_check.position,
+            queue_empty_ns=frame.queue_empty_ns,
         )
 
     def _lost(self, frame: RgbdFrame, lost: Lost, found: Markers) -> Measurement:

@@ -40,7 +40,7 @@ HOLD_TEXTS: dict[HoldReason, str] = {
     HoldReason.FRAME_STALE: "The newest camera frame is too old",
     HoldReason.FRAME_TIMEOUT: "No new frame from the camera",
     HoldReason.CLOCK_BACKWARDS: "The camera's clock went backwards",
-    HoldReason.CLOCK_JUMPED: "The camera's clock jumped",
+    HoldReason.CLOCK_JUMPED: "The camera's clock jumped or runs at a wrong rate",
     HoldReason.LATENCY_HIGH: "The latency from camera to beam line is too high",
     HoldReason.VALUE_INVALID: "A measured value is not a number",
     HoldReason.SOURCE_LOST: "The camera is disconnected",

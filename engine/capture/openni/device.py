@@ -121,6 +121,16 @@ class OpenNiDevice:
         finally:
             self._runtime.oniFrameRelease(pointer)
 
+    def is_silent(self, timeout_ms: int) -> bool:
+        """Whether neither stream had or got a frame for so long; waits until then, or until there is a frame.
+
+        Told by the runtime's status, not by a clock: a thread that slept longer than it should has waited for nothing.
+        Only from a lasting thread; see :mod:`engine.capture.openni.lasting_threads`.
+        """
+        ready = ctypes.c_int(-1)
+        status: int = self._runtime.oniWaitForAnyStream(self._streams, 2, byref(ready), timeout_ms)
+        return status == c.STATUS_TIME_OUT
+
     def start_recorder(self, path: Path) -> c.Handle:
         """Attach the runtime's recorder to both streams, before they start."""
         recorder = c.Handle()

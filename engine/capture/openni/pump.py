@@ -1,4 +1,8 @@
-"""The thread that reads frames from the OpenNI2 runtime as they come, and pairs them for the engine thread."""
+"""The thread that reads frames from the OpenNI2 runtime as they come, and pairs them for the engine thread.
+
+A live driver is given a moment of silence before each read. A driver that has frames waiting hands over the next one at
+once, so a moment without a frame shows that it had none, and that the next frame is fresh (ADR 0025).
+"""
 
 import threading
 import time
@@ -8,7 +12,7 @@ from dataclasses import dataclass
 from engine.capture.openni.device import OpenNiDevice
 from engine.capture.openni.frame import DEPTH, DeviceFrame
 from engine.capture.openni.lasting_threads import run_on_lasting_thread
-from engine.core.clock import Clock
+from engine.core.clock import NS_PER_MS, Clock
 from engine.core.errors import FrameTimeoutError, SourceEndedError, SourceLostError
 
 _HELD_DEPTHS, _HELD_COLORS = 8, 8
@@ -22,18 +26,31 @@ _PATIENCE_FRAMES = 2
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReceivedFrame:
-    """A frame and when it was received [ns, host monotonic]."""
+    """A frame and when it was received [ns, host monotonic].
+
+    ``queue_empty_ns`` is when the driver was last known to have no frame waiting; None where that is not known.
+    """
 
     frame: DeviceFrame
     received_ns: int
+    queue_empty_ns: int | None = None
 
 
 class CapturePump:
-    """Reads frames from the runtime as they come."""
+    """Reads frames from the runtime as they come.
 
-    def __init__(self, device: OpenNiDevice, clock: Clock) -> None:
+    Parameters
+    ----------
+    silence_ms
+        Time without a frame of either stream that shows that none waits in the driver: longer than a driver takes to
+        hand over the next one, shorter than the longest pause of two streams. None for a file, which is played.
+    """
+
+    def __init__(self, device: OpenNiDevice, clock: Clock, *, silence_ms: int | None = None) -> None:
         self._device = device
         self._clock = clock
+        self._silence_ms = silence_ms
+        self._queue_empty_ns: int | None = None
         self._changed = threading.Condition()
         self._depths: deque[ReceivedFrame] = deque(maxlen=_HELD_DEPTHS)
         self._colors: deque[ReceivedFrame] = deque(maxlen=_HELD_COLORS)
@@ -58,16 +75,31 @@ class CapturePump:
     def _take_frames(self) -> None:
         silent_polls = 0
         while not self._stop_requested.is_set() and not self._is_over and self._device.lost() is None:
+            self._listen()
             frame = self._device.wait(_POLL_MS)
             if frame is not None:
                 silent_polls = 0
-                received = ReceivedFrame(frame=frame, received_ns=self._clock.now_ns())
+                received = ReceivedFrame(
+                    frame=frame, received_ns=self._clock.now_ns(), queue_empty_ns=self._queue_empty_ns
+                )
                 with self._changed:
                     (self._depths if frame.stream == DEPTH else self._colors).append(received)
                     self._changed.notify_all()
             else:
                 silent_polls += 1
                 self._is_over = self._device.is_over and silent_polls >= _SILENT_POLLS_AT_END
+
+    def _listen(self) -> None:
+        """Note when the driver is known to have had no frame waiting, if it is silent now.
+
+        Noted is the earliest time at which the silence can have ended. One that was too short by the engine's clock
+        does not count: the runtime waits by the wall clock, which can be set.
+        """
+        if self._silence_ms is None:
+            return
+        end_ns = self._clock.now_ns() + self._silence_ms * NS_PER_MS
+        if self._device.is_silent(self._silence_ms) and self._clock.now_ns() >= end_ns:
+            self._queue_empty_ns = end_ns
 
     def stop(self) -> bool:
         """Request the end; return whether the thread ended, which it does not while a driver hangs."""

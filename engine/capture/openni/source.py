@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 
 _US_PER_S = 1_000_000
 _RECORDER_START_S = 5.0
+# A moment without a frame, as a share of the period, that shows that none waits in the driver. The longest pause of two
+# streams is half a period or more, and a driver hands a frame over within a few milliseconds.
+_SILENT_SHARE = 0.25
 # A colour frame this much of a period before the depth frame, or less, is the nearest even if the next one is early.
 _SURELY_NEAREST = 0.375
 
@@ -164,7 +167,8 @@ class OpenNiSource:
             self._recorder = device.start_recorder(self._record_to)
             _await_recorder(self._record_to)
         device.start()
-        self._pump = CapturePump(device, self._clock)
+        silence_ms = max(int(self._period_us * _SILENT_SHARE / 1_000), 1) if self._path is None else None
+        self._pump = CapturePump(device, self._clock, silence_ms=silence_ms)
         self._pump.start()
         return SourceDescription(
             kind="openni_file" if self._path is not None else "openni",
@@ -196,6 +200,7 @@ class OpenNiSource:
             timestamp_us=depth.frame.timestamp_us,
             color_timestamp_us=color.frame.timestamp_us,
             received_ns=depth.received_ns,
+            queue_empty_ns=depth.queue_empty_ns,
             depth_mm=cast("DepthImage", depth.frame.picture),
             color=cast("ColorImage", color.frame.picture),
         )

@@ -19,6 +19,8 @@ FIRST_METHOD = 1
 """The method of tapes that name none."""
 REFITTING_METHOD = 4
 """The first method that refits a session's model; earlier tapes name no such setting."""
+FRESHNESS_METHOD = 5
+"""The first method that asks whether frames are fresh; earlier tapes do not know."""
 
 RAW = "raw"
 RECORDING = "recording"

@@ -18,6 +18,11 @@ class FrameHead:
     timestamp_us: int
     color_timestamp_us: int
     received_ns: int
+    queue_empty_ns: int | None = None
+
+    def as_fresh(self) -> "FrameHead":
+        """Return the head as a version that asked for no evidence of an empty queue took it."""
+        return replace(self, queue_empty_ns=self.received_ns)
 
     def with_pictures(self, depth_mm: DepthImage, color: ColorImage) -> RgbdFrame:
         """Return the frame as the engine read it."""
@@ -28,6 +33,7 @@ class FrameHead:
             timestamp_us=self.timestamp_us,
             color_timestamp_us=self.color_timestamp_us,
             received_ns=self.received_ns,
+            queue_empty_ns=self.queue_empty_ns,
             depth_mm=depth_mm,
             color=color,
         )
@@ -64,6 +70,7 @@ def head_of(frame: RgbdFrame) -> FrameHead:
         timestamp_us=frame.timestamp_us,
         color_timestamp_us=frame.color_timestamp_us,
         received_ns=frame.received_ns,
+        queue_empty_ns=frame.queue_empty_ns,
     )
 
 

@@ -93,6 +93,7 @@ class LiveCamera:
             timestamp_us=now_ns // NS_PER_US,
             color_timestamp_us=now_ns // NS_PER_US,
             received_ns=now_ns,
+            queue_empty_ns=now_ns,
             depth_mm=depth_picture(shown),
             color=color_picture(shown),
         )

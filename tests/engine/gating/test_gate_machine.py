@@ -255,7 +255,7 @@ class GateMachine(RuleBasedStateMachine):
         captured_us = 0 if last is None else last.timestamp_us + step_ns // 1_000
         index = self.index if last is None else last.index + 1
         frame = replace(measured(index, motion_of(level_mm)), received_ns=received_ns, timestamp_us=captured_us)
-        return replace(frame, measured_ns=received_ns)
+        return replace(frame, measured_ns=received_ns, queue_empty_ns=received_ns)
 
     def _frame(self, step_ns: int, age_ns: int, level_mm: float) -> None:
         self._tell_frame(self._next(step_ns, level_mm), age_ns, level_mm=level_mm)

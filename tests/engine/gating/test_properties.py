@@ -37,9 +37,8 @@ class Session:
         last = self.stream.gate.last
         frame = self.stream.upcoming()
         if last is not None:
-            frame = replace(
-                frame, received_ns=last.received_ns + step_ns, timestamp_us=last.timestamp_us + step_ns // 1_000
-            )
+            received_ns, timestamp_us = last.received_ns + step_ns, last.timestamp_us + step_ns // 1_000
+            frame = replace(frame, received_ns=received_ns, timestamp_us=timestamp_us, queue_empty_ns=received_ns)
         self.stream.feed(frame)
         if self.is_armed:
             self.run.append((frame.received_ns, frame.timestamp_us))

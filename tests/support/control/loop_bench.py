@@ -89,6 +89,7 @@ class ScriptedSource:
             timestamp_us=self.clock.now_ns() // 1_000,
             color_timestamp_us=self.clock.now_ns() // 1_000,
             received_ns=self.clock.now_ns(),
+            queue_empty_ns=self.clock.now_ns(),
             depth_mm=depth_picture(index),
             color=color_picture(index),
         )
@@ -148,6 +149,7 @@ class RecordingPipeline:
             measured(frame.index),
             timestamp_us=frame.timestamp_us,
             received_ns=frame.received_ns,
+            queue_empty_ns=frame.queue_empty_ns,
             missed_frames=frame.missed_frames,
             measured_ns=self.clock.now_ns(),
         )

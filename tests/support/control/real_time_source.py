@@ -52,6 +52,7 @@ class PacedSource:
             timestamp_us=1_000 + due_ns // 1_000,
             color_timestamp_us=1_000 + due_ns // 1_000,
             received_ns=self._clock.now_ns(),
+            queue_empty_ns=due_ns,
             depth_mm=depth_picture(index),
             color=color_picture(index),
         )

@@ -17,6 +17,8 @@ PERIOD_NS = PERIOD_US * 1_000
 MS = 1_000_000
 START_NS = 5_000 * MS
 MEASURING_NS = 5 * MS
+QUIET_NS = 10 * MS
+"""How long before a good frame the driver's queue was last known to be empty."""
 LEVEL_MM = 2.0
 LIMITS = GateLimits(
     window=amplitude_window(lower_mm=-1.0, upper_mm=3.0, hysteresis_mm=0.2),
@@ -70,6 +72,7 @@ def measured(index: int, motion: Motion | None = None) -> Measurement:
         frame_index=index,
         timestamp_us=1_000 + index * PERIOD_US,
         received_ns=received_ns,
+        queue_empty_ns=received_ns - QUIET_NS,
         measured_ns=received_ns + MEASURING_NS,
         missed_frames=0,
         state=MeasurementState.MEASURING,

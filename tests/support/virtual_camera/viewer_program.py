@@ -66,6 +66,7 @@ def frames(camera: OpenNiSource, seconds: float, words: list[str]) -> None:
                 timestamp_us=frame.timestamp_us,
                 color_timestamp_us=frame.color_timestamp_us,
                 received_ns=frame.received_ns,
+                queue_empty_ns=frame.queue_empty_ns,
                 depth_crc=zlib.crc32(np.ascontiguousarray(frame.depth_mm)),
                 color_crc=zlib.crc32(np.ascontiguousarray(frame.color)),
                 zero_share=float((frame.depth_mm == 0).mean()),

@@ -8,7 +8,7 @@ import pytest
 
 from engine.capture.openni.frame import COLOR, DEPTH, DeviceFrame
 from engine.capture.openni.pump import CapturePump
-from engine.core.clock import ManualClock
+from engine.core.clock import NS_PER_MS, ManualClock
 from engine.core.errors import FrameTimeoutError, SourceEndedError, SourceLostError
 
 PICTURE = np.zeros((2, 2), np.uint16)
@@ -35,6 +35,9 @@ class PlayedDevice:
 
     def lost(self):
         return self._lost
+
+    def is_silent(self, _timeout_ms):
+        raise AssertionError("a file's silence shows nothing")
 
     def wait(self, timeout_ms):
         if self._more.acquire(timeout=timeout_ms / 1000):
@@ -148,3 +151,94 @@ def test_frames_are_stamped_when_they_come(device, pump):
     device.give((COLOR, 99), (DEPTH, 100))
     depth, _ = pump.take(5.0, None)
     assert depth.received_ns == 5
+
+
+SILENCE_MS = 8
+
+
+class DriverWithQueue:
+    """A driver on a manual clock: each frame becomes ready at its time, and waits until it is read.
+
+    Reading takes 1 ms. A colour frame follows 100 ms after the last. ``oversleeps`` and ``falls_short`` are by how much
+    the n-th silence takes longer or shorter than requested [ms].
+    """
+
+    is_over = False
+
+    def __init__(self, *ready_ms, oversleeps=None, falls_short=None):
+        self.clock = ManualClock()
+        self.depths = len(ready_ms)
+        self._ready_ns = deque(at_ms * NS_PER_MS for at_ms in (*ready_ms, ready_ms[-1] + 100))
+        self._oversleeps, self._falls_short, self._silences = oversleeps or {}, falls_short or {}, 0
+        self.done = threading.Event()
+
+    def lost(self):
+        if self._ready_ns:
+            return None
+        self.done.set()
+        return "the script is over"
+
+    def is_silent(self, timeout_ms):
+        end_ns = self.clock.now_ns() + timeout_ms * NS_PER_MS
+        number, self._silences = self._silences, self._silences + 1
+        if self._ready_ns[0] < end_ns:
+            self._pass_until(self._ready_ns[0] + self._oversleeps.get(number, 0) * NS_PER_MS)
+            return False
+        self._pass_until(end_ns + (self._oversleeps.get(number, 0) - self._falls_short.get(number, 0)) * NS_PER_MS)
+        return True
+
+    def wait(self, timeout_ms):
+        self._pass_until(min(self._ready_ns[0], self.clock.now_ns() + timeout_ms * NS_PER_MS))
+        if self._ready_ns[0] > self.clock.now_ns():
+            return None
+        self._ready_ns.popleft()
+        self.clock.advance_ns(NS_PER_MS)
+        stream = DEPTH if self._ready_ns else COLOR
+        return DeviceFrame(stream=stream, frame_index=1, timestamp_us=1, picture=PICTURE)
+
+    def _pass_until(self, at_ns):
+        self.clock.advance_ns(max(at_ns - self.clock.now_ns(), 0))
+
+
+def waited_ms(driver):
+    """How long before its receipt each depth frame's queue was last known to be empty [ms]; None where it is not."""
+    pump = CapturePump(driver, driver.clock, silence_ms=SILENCE_MS)
+    pump.start()
+    assert driver.done.wait(10.0)
+    assert pump.stop()
+    depths = [pump.take(0.0, None)[0] for _ in range(driver.depths)]
+    return [
+        None if one.queue_empty_ns is None else (one.received_ns - one.queue_empty_ns) / NS_PER_MS for one in depths
+    ]
+
+
+def test_a_frame_that_came_after_a_silence_found_no_frame_waiting():
+    assert waited_ms(DriverWithQueue(30, 63, 96)) == [31 - 8, 64 - 39, 97 - 72]
+
+
+def test_a_driver_that_hands_over_one_frame_after_the_other_was_never_known_to_have_none():
+    assert waited_ms(DriverWithQueue(0, 0, 0, 0)) == [None] * 4
+    assert waited_ms(DriverWithQueue(5, 10, 15, 20)) == [None] * 4, "each sooner than a silence lasts"
+
+
+def test_frames_that_waited_while_the_host_was_busy_are_as_old_as_since_the_last_silence_at_most():
+    """The thread sleeps for 100 ms too long in the silence after the first frame; three frames come meanwhile."""
+    late = waited_ms(DriverWithQueue(30, 63, 96, 129, 162, oversleeps={1: 100}))
+    assert late[0] == 23
+    assert late[1:4] == [140 - 39, 141 - 39, 142 - 39]
+    assert late[4] == 163 - 150, "after the queue has drained"
+
+
+def test_sleeping_too_long_in_a_read_that_found_a_frame_is_no_silence():
+    assert waited_ms(DriverWithQueue(5, 10, 15, oversleeps={0: 500, 1: 500, 2: 500})) == [None] * 3
+
+
+def test_a_silence_that_was_shorter_than_requested_is_none():
+    """The wall clock, by which the runtime waits, was set."""
+    assert waited_ms(DriverWithQueue(20, 53, falls_short={0: 3})) == [None, 54 - 29]
+
+
+def test_a_file_is_played_and_shows_nothing(device, pump):
+    device.give((COLOR, 99), (DEPTH, 100))
+    depth, _ = pump.take(5.0, None)
+    assert depth.queue_empty_ns is None

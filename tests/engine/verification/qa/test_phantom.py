@@ -128,7 +128,8 @@ def arriving(frames, lag_ms, *, drift=0.0):
     for number, frame in enumerate(frames):
         taken_ns = round((1.0 + drift) * 1e3 * frame.measurement.timestamp_us) + HOST_AHEAD_NS
         before_ns = max(taken_ns + round(lag_ms(number) * 1e6), before_ns + 1000)
-        late.append(replace(frame, measurement=replace(frame.measurement, received_ns=before_ns)))
+        received = replace(frame.measurement, received_ns=before_ns, queue_empty_ns=before_ns)
+        late.append(replace(frame, measurement=received))
     return late
 
 
