@@ -33,14 +33,14 @@ MEANING: Mapping[Permission, str] = {
     "models, devices and interlocks",
     Permission.SESSIONS_RUN: "create and start sessions, set the reference, report the operator's presence",
     Permission.GATE_ARM: "arm, release a hold, correct the baseline: everything that can lead to beam on",
-    Permission.GATE_HOLD: "hold, disarm, stop: everything that takes the beam off",
+    Permission.GATE_HOLD: "hold, disarm, stop, cancel a QA run: everything that takes the beam off",
     Permission.GATE_ACKNOWLEDGE: "acknowledge a latched fault; for people only",
     Permission.MODELS_WRITE: "train a new model, activate a stored one",
     Permission.PLANS_WRITE: "import RT Plans",
     Permission.CALIBRATIONS_READ: "read calibrations",
     Permission.CALIBRATIONS_WRITE: "upload calibrations",
     Permission.QA_READ: "read QA runs, reports and trends",
-    Permission.QA_RUN: "start and cancel QA runs, which permit the beam",
+    Permission.QA_RUN: "start QA runs, which permit the beam outside of gating; for people only",
     Permission.QA_BASELINE: "set the expected camera position",
     Permission.AUDIT_READ: "read and verify the audit log",
     Permission.USERS_MANAGE: "create and change people and API keys; for people only",
@@ -64,7 +64,6 @@ _TREATS = _SEES | {
     Permission.GATE_HOLD,
     Permission.GATE_ACKNOWLEDGE,
     Permission.MODELS_WRITE,
-    Permission.QA_RUN,
     Permission.AUDIT_READ,
 }
 
@@ -75,6 +74,7 @@ ROLE_PERMISSIONS: Mapping[Role, frozenset[Permission]] = {
     | {
         Permission.CALIBRATIONS_WRITE,
         Permission.PLANS_WRITE,
+        Permission.QA_RUN,
         Permission.QA_BASELINE,
         Permission.AUDIT_READ,
         Permission.METRICS_READ,
@@ -84,9 +84,10 @@ ROLE_PERMISSIONS: Mapping[Role, frozenset[Permission]] = {
 
 KEY_PERMISSIONS: frozenset[Permission] = frozenset(Permission) - {
     Permission.GATE_ACKNOWLEDGE,
+    Permission.QA_RUN,
     Permission.USERS_MANAGE,
 }
-"""Permissions that an API key may have: acknowledging a fault and managing users are reserved for people."""
+"""Permissions that a machine may have: acknowledging a fault, starting QA and managing users are for people only."""
 
 
 def permissions_of(roles: Iterable[Role]) -> frozenset[Permission]:
