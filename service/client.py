@@ -9,7 +9,8 @@ Copy it next to your program, or import it from the distribution; it needs nothi
 What it promises: TLS is verified, answers are bounded, and a call is repeated only where that is safe. Reading is; so
 is creating (every such call carries an ``Idempotency-Key``), and whatever takes the beam away. Nothing that could lead
 to a beam (start, reference, arm, release, acknowledge, correct) is ever sent twice: where its answer was lost, read
-the session. No call turns a beam on; arming lets the gate decide.
+the session. No call here turns a beam on; arming lets the gate decide. Starting QA, which permits the beam, is for
+people at the machine, and is not part of this client.
 
 It stands in one file, whatever its length, so that it can be taken along. The part between the marks is made from the
 contract by ``python -m tests.support.documents.client_models --write``.

@@ -69,6 +69,12 @@ class QaActiveError(ServiceError):
     code = "qa_active"
 
 
+class QaCodeError(ServiceError):
+    """The one-time code of a QA run on a real beam line is missing, wrong, expired or used."""
+
+    code = "qa_code"
+
+
 class QaStateError(ServiceError):
     """The QA run's status does not allow this call."""
 

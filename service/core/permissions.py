@@ -35,14 +35,14 @@ MEANING: Mapping[Permission, str] = {
     Permission.SESSIONS_RUN: "create and start sessions, report the operator's presence",
     Permission.GATE_REFERENCE: "set the reference; for people only",
     Permission.GATE_ARM: "arm, release a hold, correct the baseline: everything that can lead to beam on",
-    Permission.GATE_HOLD: "hold, disarm, stop: everything that takes the beam off",
+    Permission.GATE_HOLD: "hold, disarm, stop, cancel a QA run: everything that takes the beam off",
     Permission.GATE_ACKNOWLEDGE: "acknowledge a latched fault; for people only",
     Permission.MODELS_WRITE: "train a new model, activate a stored one",
     Permission.PLANS_WRITE: "import RT Plans",
     Permission.CALIBRATIONS_READ: "read calibrations",
     Permission.CALIBRATIONS_WRITE: "upload calibrations",
     Permission.QA_READ: "read QA runs, reports and trends",
-    Permission.QA_RUN: "start and cancel QA runs, which permit the beam",
+    Permission.QA_RUN: "start QA runs, which permit the beam outside of gating; for people only",
     Permission.QA_BASELINE: "set the expected camera position",
     Permission.AUDIT_READ: "read and verify the audit log",
     Permission.USERS_MANAGE: "create and change people and API keys; for people only",
@@ -67,7 +67,6 @@ _TREATS = _SEES | {
     Permission.GATE_HOLD,
     Permission.GATE_ACKNOWLEDGE,
     Permission.MODELS_WRITE,
-    Permission.QA_RUN,
     Permission.AUDIT_READ,
 }
 
@@ -78,6 +77,7 @@ ROLE_PERMISSIONS: Mapping[Role, frozenset[Permission]] = {
     | {
         Permission.CALIBRATIONS_WRITE,
         Permission.PLANS_WRITE,
+        Permission.QA_RUN,
         Permission.QA_BASELINE,
         Permission.AUDIT_READ,
         Permission.METRICS_READ,
@@ -88,9 +88,11 @@ ROLE_PERMISSIONS: Mapping[Role, frozenset[Permission]] = {
 KEY_PERMISSIONS: frozenset[Permission] = frozenset(Permission) - {
     Permission.GATE_REFERENCE,
     Permission.GATE_ACKNOWLEDGE,
+    Permission.QA_RUN,
     Permission.USERS_MANAGE,
 }
-"""Permissions that an API key may have: the reference, acknowledging a fault and managing users are for people."""
+"""Permissions that a machine may have: the reference, acknowledging a fault, starting QA and managing users are for
+people only."""
 
 
 def permissions_of(roles: Iterable[Role]) -> frozenset[Permission]:

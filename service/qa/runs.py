@@ -1,8 +1,9 @@
-"""Start and cancel QA runs: one at a time, on a worker thread, not during a session."""
+"""Start and cancel QA runs: one at a time, on a worker thread, not while a session is created or running."""
 
 import hashlib
 import threading
 import uuid
+from datetime import datetime
 from pathlib import Path
 
 from sqlalchemy.orm import Session
@@ -10,7 +11,7 @@ from sqlalchemy.orm import Session
 from engine.calibration.camera_calibration import Calibration, parse_calibration
 from engine.core.errors import RecordingError
 from engine.verification.qa.results import QaKind
-from service.core.errors import BoundError, QaStateError
+from service.core.errors import BoundError, QaStateError, SessionActiveError
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
 from service.engine_host.site_rules.recording_folders import find_recording
@@ -19,6 +20,7 @@ from service.qa import queries as records
 from service.qa import schemas, views
 from service.qa.current_run import Current, CurrentRun
 from service.qa.jobs import Handle, QaJob, run_job
+from service.qa.one_time_code import OneTimeCodes
 from service.qa.queries import NewQaRun, QaOutcome
 from service.qa.roles import QaFiles, QaRig
 from service.storage import audit
@@ -54,6 +56,7 @@ class QaRunService:
         self._equipment = equipment
         self._rig = rig
         self._current_run = current_run
+        self._codes = OneTimeCodes(settings.data_dir)
         self._thread: threading.Thread | None = None
         self._in_progress = InProgress()
 
@@ -63,27 +66,39 @@ class QaRunService:
         Raises
         ------
         TidegateError
-            A session or another run uses camera and line, an input cannot be used, or the beam is not declared safe.
+            A session is created or running, another run uses camera and line, an input cannot be used, the beam is not
+            declared safe, or the code from the machine is missing or not valid.
         """
-        body = audit.canonical_json(request.model_dump(mode="json")).encode()
+        # Without the code: a repeated request with a new one gets the first answer too.
+        body = audit.canonical_json(request.model_dump(mode="json", exclude={"code"})).encode()
         with self._log.refusals(actor=request.operator, action=records.START), self._in_progress.only(key):
             with self._database.read() as db:
                 earlier = earlier_answer(db, records.START, key, body, schemas.QaRun)
                 if earlier is not None:
                     return IdempotentAnswer(answer=earlier, is_replay=True)
                 check_beam_safety(request, self._settings)
+                self._equipment.refuse_closed()
+                refuse_open_session(db)
                 calibration = self._calibration(db, request)
             files = self._files(request)
             job = self._rig.job(request, files, calibration)
             run_id = uuid.uuid4().hex
             self._equipment.enter_qa(run_id)
             try:
-                answer = self._begin(request, key, body, run_id, job, calibration, files)
+                code_made_at = self._redeemed(request)
+                answer = self._begin(request, key, body, run_id, job, calibration, files, code_made_at)
             except BaseException:
                 self._current_run.current = None
                 self._equipment.leave_qa(run_id)
                 raise
         return IdempotentAnswer(answer=answer, is_replay=False)
+
+    def _redeemed(self, request: schemas.QaRunRequest) -> datetime | None:
+        """Use up the code of a run with real pulses and return when it was made; None for other runs."""
+        if not permits_real_beam(request, self._settings):
+            return None
+        code = request.code
+        return self._codes.redeem(None if code is None else code.get_secret_value(), request.operator)
 
     def is_under_way(self, run_id: str) -> bool:
         """Whether this run is in progress; does not read the database."""
@@ -121,11 +136,16 @@ class QaRunService:
         job: QaJob,
         calibration: Calibration | None,
         files: QaFiles,
+        code_made_at: datetime | None,
     ) -> schemas.QaRun:
         """Store the run, then start its thread."""
         handle = Handle(job.line)
-        run = new_run(request, self._settings, run_id=run_id, calibration=calibration, files=files)
+        run = new_run(
+            request, self._settings, run_id=run_id, calibration=calibration, files=files, code_made_at=code_made_at
+        )
         with self._database.write() as db:
+            # Again, with the equipment entered and under the write lock: no session is created at the same time.
+            refuse_open_session(db)
             row = records.begin(db, run)
             answer = views.run_answer(db, row, is_under_way=True)
             keep_answer(db, records.START, key, body, answer)
@@ -175,18 +195,40 @@ class QaRunService:
 
 
 def check_beam_safety(request: schemas.QaRunRequest, settings: Settings) -> None:
-    """Refuse a run with a real beam that the operator has not declared safe, and a simulated run in clinical mode."""
+    """Refuse a run with a real beam that the operator has not declared safe, and a simulated run in clinical mode.
+
+    A code is refused where no real line is permitted, because it would suggest that the run needs one.
+    """
+    if request.code is not None and not permits_real_beam(request, settings):
+        bound = "omitted: this run permits no real beam line"
+        msg = f"code must be {bound}"
+        raise BoundError(msg, field="code", value="given", bound=bound)
     if request.is_simulated and settings.mode == "clinical":
         bound = "omitted: clinical mode permits no simulation"
         msg = f"simulation must be {bound}"
         raise BoundError(msg, field="simulation", value="given", bound=bound)
-    if settings.has_real_beam and not request.is_simulated and not request.is_beam_safe:
+    if permits_real_beam(request, settings) and not request.is_beam_safe:
         bound = (
             f"true: the drills permit the real beam ({' and '.join(settings.beam_lines)}) without gating. Set it "
             "when the treatment room is empty and the accelerator is in a safe state"
         )
         msg = f"is_beam_safe must be {bound}"
         raise BoundError(msg, field="is_beam_safe", value=request.is_beam_safe, bound=bound)
+
+
+def permits_real_beam(request: schemas.QaRunRequest, settings: Settings) -> bool:
+    """Whether the drills of a run permit a real beam line."""
+    return settings.has_real_beam and not request.is_simulated
+
+
+def refuse_open_session(db: Session) -> None:
+    """Raise SessionActiveError while a session is created or running: its patient may lie on the couch."""
+    session_id = queries.open_session_id(db)
+    if session_id is not None:
+        msg = "a session is created or running, and its patient may lie on the couch: stop it before QA"
+        raise SessionActiveError(
+            msg, field="session_id", value=session_id, bound="no session created or running beside a QA run"
+        )
 
 
 def new_run(
@@ -196,10 +238,13 @@ def new_run(
     run_id: str,
     calibration: Calibration | None,
     files: QaFiles,
+    code_made_at: datetime | None = None,
 ) -> NewQaRun:
-    """Return the record of a new run."""
-    recorded = request.model_dump(mode="json", exclude_none=True, exclude={"operator", "kind"})
+    """Return the record of a new run; ``code_made_at`` is when its one-time code was made."""
+    recorded = request.model_dump(mode="json", exclude_none=True, exclude={"operator", "kind", "code"})
     recorded["beam_place"] = settings.beam_place
+    if code_made_at is not None:
+        recorded["code_made_at"] = code_made_at.isoformat()
     if calibration is not None:
         recorded |= {"calibration_sha256": calibration.sha256, "camera": calibration.camera}
     return NewQaRun(

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, AwareDatetime, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import AfterValidator, AwareDatetime, ConfigDict, Field, SecretStr, StringConstraints, model_validator
 
 from engine.verification.qa.bounds import BASELINE_BOUNDS
 from engine.verification.qa.inputs import PART_BOUNDS, REPEATS_BOUNDS, SECONDS_BOUNDS
@@ -27,6 +27,7 @@ def _printable_or_empty(text: str) -> str:
 
 PARTS = ("plate", "phantom", "calibration_id")
 Note = Annotated[str, StringConstraints(max_length=500), AfterValidator(_printable_or_empty)]
+Code = Annotated[SecretStr, Field(min_length=1, max_length=32)]
 Position = Annotated[float, Field(ge=-100.0, le=100.0)]
 
 
@@ -124,6 +125,11 @@ class QaRunRequest(Request):
         description="The operator confirms that the treatment room is empty and the accelerator is in a safe state; "
         "required on a real beam line",
     )
+    code: Code | None = Field(
+        default=None,
+        description="One-time code that `tidegate qa code` displays at the machine; required on a real beam line, and "
+        "not accepted otherwise",
+    )
     simulation: QaSimulation | None = Field(
         default=None,
         description="Virtual set-up in place of plate and phantom, for demonstration in research mode; such a run does "
@@ -140,6 +146,7 @@ class QaRunRequest(Request):
                     "calibration_id": "0" * 32,
                     "plate": {"source": {"kind": "recording", "path": "qa/plate.oni"}},
                     "is_beam_safe": True,
+                    "code": "7KQM-W2RT",
                 }
             ]
         }

@@ -51,9 +51,10 @@ PLAN_IMPORT = ("POST", "/api/v1/plans")
 STRICT = (require_known_query, require_acceptable, require_json)
 DESCRIPTION = """Respiratory gating for research and commissioning; **not cleared for clinical use**.
 
-No call switches the beam on: a call can only arm the gate, which then decides. Lengths are mm, volumes l, times RFC
-3339 UTC; motion is positive towards the camera (inhale). Errors are RFC 9457 problems with a stable `code`, and with
-`field`, `value` and `bound` if a value broke a bound.
+No call switches the beam on: a call can only arm the gate, which then decides. The exception is QA on a real beam
+line: a physicist with a one-time code from the machine, while no session is created or running. Lengths are mm,
+volumes l, times RFC 3339 UTC; motion is positive towards the camera (inhale). Errors are RFC 9457 problems with a
+stable `code`, and with `field`, `value` and `bound` if a value broke a bound.
 
 People log in and use a cookie; machines send an API key as `Authorization: Bearer tg_...`. `x-permission` of an
 operation is the permission it needs. A call of a person acts in the name of the log-in, and `operator` may be left out

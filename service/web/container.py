@@ -260,16 +260,18 @@ def _begin(dependencies: _Dependencies, storage: _Storage, access: _Access, on_f
     """Start the workers, and record what the last run of the service could not."""
     access.armed_operator.start()
     on_failure.callback(access.armed_operator.close)
-    storage.audit_supervision.start(_start_detail(dependencies.engine, storage.journals))
+    storage.audit_supervision.start(_start_detail(dependencies, storage.journals))
     recover_transitions(storage.database, storage.journals)
     close_interrupted(storage.database, storage.samples)
     close_interrupted_qa(storage.database)
     storage.cleanup.start()
 
 
-def _start_detail(engine: EnginePort, journals: Journals) -> dict[str, object]:
+def _start_detail(dependencies: _Dependencies, journals: Journals) -> dict[str, object]:
     return {
         "version": __version__,
-        "is_simulated_beam": engine.is_simulated_beam,
+        "mode": dependencies.settings.mode,
+        "is_simulated_beam": dependencies.engine.is_simulated_beam,
+        "hardware_dead_man": dependencies.settings.hardware_dead_man,
         "journal_folder": str(journals.folder),
     }

@@ -14,7 +14,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from service.access.accounts.records import ApiKey, Attempts, Login, Record, User
-from service.core.permissions import Permission, Role
+from service.core.permissions import KEY_PERMISSIONS, Permission, Role
 from service.storage import audit
 from service.storage.audit import Event
 from service.storage.database.base import Base
@@ -137,7 +137,8 @@ def _login(row: LoginRow) -> Login:
 
 
 def _api_key(row: ApiKeyRow) -> ApiKey:
-    scopes = frozenset(Permission(name) for name in row.scopes.split())
+    # Without what machines no longer may, so that lists and answers show what the key can do.
+    scopes = frozenset(Permission(name) for name in row.scopes.split()) & KEY_PERMISSIONS
     return ApiKey(**_values(row) | {"scopes": scopes})  # type: ignore[arg-type]
 
 

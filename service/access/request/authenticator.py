@@ -11,7 +11,7 @@ from service.access.login.cookies import token_in
 from service.access.login.keys import TOKEN_PREFIX, KeyService, actor_of
 from service.access.login.logins import hashed
 from service.access.request.identity import Identity, MachineVerifier
-from service.core.permissions import Permission, permissions_of
+from service.core.permissions import KEY_PERMISSIONS, Permission, permissions_of
 
 LONGEST_TOKEN = 16_384
 
@@ -77,7 +77,8 @@ class Authenticator:
 
     def _machine(self, key: ApiKey) -> Identity:
         self._store.last_used[key.id] = self._store.now()
-        return Identity(kind="key", name=actor_of(key), permissions=key.scopes, anchor=key.id)
+        # A key that was stored by an earlier version may have a scope that machines no longer have.
+        return Identity(kind="key", name=actor_of(key), permissions=key.scopes & KEY_PERMISSIONS, anchor=key.id)
 
     def _person(self, token_sha256: str) -> Identity | None:
         login = self._store.logins.get(token_sha256)

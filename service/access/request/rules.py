@@ -91,7 +91,7 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("POST", f"{V1}/qa/runs"): Permission.QA_RUN,
     ("GET", f"{V1}/qa/runs"): Permission.QA_READ,
     ("GET", f"{V1}/qa/runs/{{run_id}}"): Permission.QA_READ,
-    ("POST", f"{V1}/qa/runs/{{run_id}}/cancel"): Permission.QA_RUN,
+    ("POST", f"{V1}/qa/runs/{{run_id}}/cancel"): Permission.GATE_HOLD,
     ("GET", f"{V1}/qa/runs/{{run_id}}/report.pdf"): Permission.QA_READ,
     ("GET", f"{V1}/qa/trend"): Permission.QA_READ,
     ("GET", f"{V1}/qa/checks"): Permission.QA_READ,
@@ -104,10 +104,7 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", f"{V1}/audit/export"): Permission.AUDIT_READ,
 }
 
-TAKES_PERMISSION_AWAY = frozenset(
-    {call for call, needs in RULES.items() if needs is Permission.GATE_HOLD}
-    | {("POST", f"{V1}/qa/runs/{{run_id}}/cancel")}
-)
+TAKES_PERMISSION_AWAY = frozenset(call for call, needs in RULES.items() if needs is Permission.GATE_HOLD)
 """Calls that hold, disarm, stop or cancel: if authorised, never refused because of headers, parameters or body."""
 
 BEFORE_THE_PASSWORD_IS_CHANGED = frozenset(

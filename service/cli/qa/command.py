@@ -181,6 +181,24 @@ qa.command("monthly")(_with_phantom("monthly", MONTHLY))
 qa.command("annual")(_with_phantom("annual", ANNUAL))
 
 
+@qa.command()
+def code(
+    operator: Annotated[
+        str, typer.Option(help="Name of the physicist who starts the run; as typed at log-in.", show_default=False)
+    ],
+    *,
+    data: DataFolder = None,
+) -> None:
+    """Display a one-time code at this machine: POST /qa/runs needs it on a real beam line.
+
+    It is valid for five minutes, once, for this person; a new code ends the one before. The service may be running. The
+    commands daily, monthly and annual need no code.
+    """
+    from service.cli.qa.code import show_code
+
+    show_code(data, operator)
+
+
 @qa.command("list")
 def list_runs(
     *,

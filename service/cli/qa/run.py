@@ -28,7 +28,7 @@ from service.qa.jobs import Handle, run_job
 from service.qa.report.report import report_pdf
 from service.qa.rig import EngineRig
 from service.qa.roles import QaFiles
-from service.qa.runs import check_beam_safety, new_run
+from service.qa.runs import check_beam_safety, new_run, permits_real_beam, refuse_open_session
 from service.sessions.records.calibrations import ACTION as UPLOAD
 from service.sessions.records.calibrations import kept_row
 from service.storage.audit import Event
@@ -98,6 +98,8 @@ def _carried_out(options: RunOptions, settings: Settings, database: Database) ->
     run_id = uuid.uuid4().hex
     close_interrupted(database)  # the folder's lock is held, so no other process has a run
     with database.write() as db:
+        if permits_real_beam(request, settings):
+            refuse_open_session(db)
         if calibration is not None:
             _keep(db, calibration, options)
         queries.begin(db, new_run(request, settings, run_id=run_id, calibration=calibration, files=files))

@@ -50,10 +50,14 @@ DEVICES = ("beam_rtu_device", "beam_relay_device")
 class BeamSettings(BaseSettings):
     """Settings of the beam line; a part of :class:`service.core.settings.settings.Settings`."""
 
-    mode: Mode = Field(default="research", description="Clinical mode refuses a simulated beam line")
+    mode: Mode = Field(default="research", description="Clinical mode has narrower bounds; docs/3-operate/clinical.md")
     beam_line: LineKind = "simulated"
     beam_line_2: LineKind | None = Field(
         default=None, description="A second line of another kind; the beam is on only if both permit"
+    )
+    hardware_dead_man: bool = Field(
+        default=False,
+        description="The site declares a tested device that drops the beam without this computer; in the audit",
     )
     beam_answer_ms: float = Field(
         default=100.0,
@@ -120,7 +124,6 @@ class BeamSettings(BaseSettings):
 
     @model_validator(mode="after")
     def _is_one_line(self) -> Self:
-        self._refuse_simulation_in_clinical_mode()
         self._refuse_second_line()
         self._refuse_unused()
         self._refuse_missing()
@@ -168,25 +171,15 @@ class BeamSettings(BaseSettings):
         """The relay that carries the heartbeat, if any."""
         return None if self.beam_relay_heartbeat_channel == NO_CHANNEL else self.beam_relay_heartbeat_channel
 
-    def _refuse_simulation_in_clinical_mode(self) -> None:
-        if self.mode != "clinical":
-            return
-        if self.is_simulated_beam:
-            msg = f"{PREFIX}MODE is clinical and {PREFIX}BEAM_LINE simulated: set a real line, or the mode to research"
-            raise ValueError(msg)
-        if self.beam_lines == ("serial-relay",) and self.beam_heartbeat_channel is None:
-            msg = (
-                f"{PREFIX}MODE is clinical, and a relay board alone stays on when this process is killed: "
-                f"set {PREFIX}BEAM_RELAY_HEARTBEAT_CHANNEL, or a Modbus line beside it"
-            )
-            raise ValueError(msg)
-
     def _refuse_second_line(self) -> None:
         if self.beam_line_2 is not None and self.is_simulated_beam:
             msg = (
                 f"{PREFIX}BEAM_LINE_2 is {self.beam_line_2} beside {self.beam_line}: a simulated line cannot be "
                 "combined with a real one, because its sessions are labelled as simulated"
             )
+            raise ValueError(msg)
+        if self.hardware_dead_man and not self.has_real_beam:
+            msg = f"{PREFIX}HARDWARE_DEAD_MAN is true, but the beam line is simulated: there is no beam to drop"
             raise ValueError(msg)
         if self.beam_line == self.beam_line_2:
             msg = f"{PREFIX}BEAM_LINE_2 must be of another kind than {PREFIX}BEAM_LINE ({self.beam_line})"

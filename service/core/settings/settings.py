@@ -21,6 +21,7 @@ from engine.motion.learning.trainer import TRAINING_BOUNDS, TrainingSettings
 from service.core.settings.access import AccessSettings
 from service.core.settings.audit import AuditSettings
 from service.core.settings.beam import PREFIX, BeamSettings
+from service.core.settings.clinical import refusals
 from service.core.settings.connections import ConnectionSettings
 from service.core.settings.contract import ContractSettings
 from service.core.settings.database import DatabaseSettings
@@ -39,7 +40,6 @@ SETTING_OF = {"retrain_interval_s": "retrain_interval_min"}
 SHORTEST_OPERATOR_TIMEOUT_S = 3.0
 """A page sends a heartbeat every second; this allows for two that are late."""
 
-RECORDINGS = f"{PREFIX}RECORDINGS_MAY_GATE"
 LIMIT_DEFAULTS = {field.name: field.default for field in dataclasses.fields(GateLimits)}
 FolderList = Annotated[tuple[Path, ...], NoDecode]
 EventList = Annotated[tuple[BreathEventKind, ...], NoDecode]
@@ -210,8 +210,7 @@ class Settings(
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Self:
-        if self.mode == "clinical":
-            self._refuse_research_settings()
+        self._refuse_what_is_not_clinical()
         if self.window_lower_mm >= self.window_upper_mm:
             msg = f"window_lower_mm must be below window_upper_mm ({self.window_upper_mm:g})"
             raise ValueError(msg)
@@ -266,17 +265,11 @@ class Settings(
             )
             raise ValueError(msg)
 
-    def _refuse_research_settings(self) -> None:
-        """Refuse settings for research in clinical mode."""
-        if self.beam_without_calibration or self.allow_device_registration:
-            msg = (
-                f"{PREFIX}MODE is clinical, which needs a measured calibration: "
-                f"set {PREFIX}BEAM_WITHOUT_CALIBRATION=false and {PREFIX}ALLOW_DEVICE_REGISTRATION=false"
-            )
-            raise ValueError(msg)
-        if self.recordings_may_gate:
-            msg = f"{PREFIX}MODE is clinical, and a recording does not show the present patient: leave {RECORDINGS} out"
-            raise ValueError(msg)
+    def _refuse_what_is_not_clinical(self) -> None:
+        """Refuse everything at once that clinical mode lacks or does not permit, one line each."""
+        lines = refusals(self) if self.mode == "clinical" else ()
+        if lines:
+            raise ValueError("\n".join(lines))
 
     @property
     def gate_limits(self) -> dict[str, Any]:

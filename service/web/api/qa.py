@@ -12,6 +12,7 @@ from service.core.errors import (
     NotFoundError,
     OperatorMismatchError,
     QaActiveError,
+    QaCodeError,
     QaStateError,
     ServiceStoppingError,
     SessionActiveError,
@@ -32,6 +33,7 @@ START = problems(
     CalibrationError,
     RecordingError,
     QaActiveError,
+    QaCodeError,
     SessionActiveError,
     ServiceStoppingError,
     RuntimeMissingError,
@@ -61,7 +63,10 @@ def start_qa_run(
     response: Response,
     idempotency_key: dependencies.IdempotencyKey = None,
 ) -> qa.QaRun:
-    """Start a run; one at a time, and not while a session runs. Its drills PERMIT THE BEAM of a real line."""
+    """Start a run; one at a time, and not while a session is created or running. For physicists, never for machines.
+
+    Its drills PERMIT THE BEAM of a real line, which needs `is_beam_safe` and a one-time `code` from the machine.
+    """
     named = request.model_copy(update={"operator": caller.checked_actor(request.operator)})
     return dependencies.created(services.qa_runs.start(named, idempotency_key), response)
 

@@ -77,6 +77,7 @@ WHAT_TO_DO: Mapping[str, str] = {
     "precondition_failed": "Read the resource again, check the changes, and send the new ETag; "
     "`bound` is the present one.",
     "qa_active": "Wait until the QA run has ended, or cancel it.",
+    "qa_code": "At the machine, run `tidegate qa code` for your name, and send the displayed code within five minutes.",
     "qa_overdue": "Do the daily QA.",
     "qa_state": "Read the run; its status decides which calls are allowed.",
     "recording_unreadable": "Choose another recording; `detail` names the error in this one.",

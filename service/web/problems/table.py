@@ -41,6 +41,7 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     errors.SessionStateError: (409, "The session's status does not allow this"),
     errors.ServiceStoppingError: (503, "The service is stopping"),
     errors.QaActiveError: (409, "A QA run is in progress"),
+    errors.QaCodeError: (403, "A one-time code from the machine is needed"),
     errors.QaStateError: (409, "The QA run's status does not allow this"),
     errors.QaOverdueError: (409, "The daily QA is due"),
     errors.IdempotencyError: (409, "The Idempotency-Key was used for another request"),

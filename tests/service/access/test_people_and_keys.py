@@ -1,5 +1,6 @@
 """People are made and disabled, never deleted; keys are shown once, bounded, and taken back for good."""
 
+from dataclasses import replace
 from datetime import timedelta
 
 import pytest
@@ -12,6 +13,7 @@ from service.access.request.authenticator import Authenticator
 from service.core.errors import BoundError, LastAdminError, NameTakenError, NotFoundError
 from service.core.permissions import KEY_PERMISSIONS, Permission, Role
 from service.storage.audit.log import AuditLog
+from service.storage.database.tables import ApiKeyRow
 from tests.support.access.login_times import IDLE
 from tests.support.service.accounts import PASSWORD
 
@@ -170,6 +172,21 @@ def test_what_is_for_people_no_key_has(keys, clock, scope):
     scopes = [Permission.SESSIONS_READ, scope] if scope else []
     with pytest.raises(BoundError, match="scopes must be"):
         keys.create("planning", scopes, clock() + timedelta(days=1), by="admin")
+
+
+def test_a_key_that_was_stored_with_what_is_for_people_loses_it(keys, door, store, database, clock):
+    made = keys.create("planning", [Permission.SESSIONS_READ], clock() + timedelta(days=1), by="admin")
+    with database.write() as db:
+        db.get(ApiKeyRow, made.key.id).scopes = "gate.acknowledge qa.run sessions.read users.manage"
+    store.load()
+    assert keys.find_id(made.key.id).scopes == {Permission.SESSIONS_READ}
+    assert door.identify(bearer(made.secret)).permissions == {Permission.SESSIONS_READ}
+
+
+def test_a_key_in_memory_with_what_is_for_people_cannot_use_it(keys, door, store, clock):
+    made = keys.create("planning", [Permission.SESSIONS_READ], clock() + timedelta(days=1), by="admin")
+    store.keys[made.key.id] = replace(made.key, scopes=frozenset(Permission))
+    assert door.identify(bearer(made.secret)).permissions == KEY_PERMISSIONS
 
 
 @pytest.mark.parametrize("days", [0, -1, 30.1])

@@ -162,7 +162,11 @@ def test_a_route_without_a_rule_is_refused_to_everybody(tmp_path):
 
 def test_what_is_taken_from_a_machine_is_never_let_in_by_a_key_that_has_it_all_the_same():
     identity = Identity(kind="key", name="key:x", permissions=KEY_PERMISSIONS)
-    assert not identity.permissions & {Permission.GATE_ACKNOWLEDGE, Permission.USERS_MANAGE}
+    assert not identity.permissions & {Permission.GATE_ACKNOWLEDGE, Permission.QA_RUN, Permission.USERS_MANAGE}
+
+
+def test_only_physicists_start_qa_and_administrators_do_not():
+    assert {role for role in Role if Permission.QA_RUN in ROLE_PERMISSIONS[role]} == {Role.PHYSICIST}
 
 
 def test_only_roles_that_treat_can_arm_and_administrators_cannot():

@@ -1,5 +1,6 @@
 """``tidegate qa``: what it prints, what it refuses, its exit codes, and a line that is off however it ends."""
 
+import contextlib
 import json
 import os
 import signal
@@ -27,6 +28,9 @@ from tests.support.waiting import eventually
 
 ME = ("--operator", "A. Physicist")
 PATIENCE_S = 120.0
+NEEDED_OF_A_SESSION = (
+    *("status_detail", "patient_reference", "plan_id", "fraction_id", "operator", "source", "window", "calibration_id"),
+)
 
 
 @pytest.fixture(autouse=True)
@@ -245,6 +249,23 @@ def test_a_real_line_is_not_even_opened_without_the_word_that_the_beam_is_safe(r
         assert refused.exit_code == 2
         assert "is_beam_safe" in refused.stderr
     assert far.seen == []
+
+
+def test_a_real_line_is_not_opened_while_a_session_is_created(run, plate, rig, data, monkeypatch):
+    run("daily", *ME, "--simulated")
+    with contextlib.closing(sqlite3.connect(data / "tidegate.db")) as raw, raw:
+        values = {"id": "c" * 32, "status": "created", "is_simulated_beam": 0, "created_at": "2026-01-01"}
+        values |= dict.fromkeys(NEEDED_OF_A_SESSION, "")
+        raw.execute(
+            f"INSERT INTO sessions ({','.join(values)}) VALUES ({','.join('?' * len(values))})", [*values.values()]
+        )
+    for name, value in {"LINE": "modbus-tcp", "MODBUS_HOST": "127.0.0.1"}.items():
+        monkeypatch.setenv(f"TIDEGATE_BEAM_{name}", value)
+    refused = run("daily", *ME, "--plate", plate, "--yes-the-beam-is-safe")
+    assert refused.exit_code == 2
+    assert "a session is created or running" in refused.stderr
+    assert not rig.job_now.is_on.is_set()
+    assert len(rows(data, "SELECT * FROM qa_runs")) == 1
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=lambda how: how.name)

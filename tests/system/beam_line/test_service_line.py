@@ -2,17 +2,19 @@
 
 import pytest
 
-from service.core.settings.settings import Settings
+from service.core.settings.settings import LIMIT_DEFAULTS, Settings
 from service.web.app import create_app
 from tests.support.beam import modbus_server
 from tests.support.beam.receivers import TIMES, receiver
 from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import act, audit_rows, make_session_body, upload
+from tests.support.service.clinical_site import OBLIGATORY
 from tests.support.service.real_engine import PATIENT_LIMITS, HurriedEngine, arm_when_ready, detail_of, open_session
 from tests.support.waiting import eventually
 
 FILM = {"kind": "recording", "path": "recording.oni", "player": "reader"}
 TRIES = 6
+DEFAULT_TIMES = {name: LIMIT_DEFAULTS[name] for name in PATIENT_LIMITS}
 
 
 @pytest.fixture
@@ -32,7 +34,6 @@ def client(tmp_path, regular_volunteer, far, site):
         data_dir=tmp_path / "data",
         recordings_dirs=(regular_volunteer,),
         allowed_hosts=("testserver",),
-        **site,
         beam_line="modbus-tcp",
         beam_modbus_host="127.0.0.1",
         beam_modbus_port=int(far.where),
@@ -42,7 +43,7 @@ def client(tmp_path, regular_volunteer, far, site):
         beam_modbus_readback_input=modbus_server.INPUT,
         beam_answer_ms=TIMES.answer_ms,
         beam_settle_ms=TIMES.settle_ms,
-        **PATIENT_LIMITS,
+        **PATIENT_LIMITS | site,
     )
     with PeopleClient(create_app(settings, HurriedEngine)) as held:
         yield held
@@ -83,7 +84,7 @@ def test_a_session_on_a_receiver_that_is_gone_does_not_start_and_says_why(client
 
 @pytest.mark.parametrize(
     "site",
-    [{}, {"mode": "clinical", "beam_without_calibration": False, "allow_device_registration": False}],
+    [{}, {"mode": "clinical", "hardware_dead_man": True, **OBLIGATORY, **DEFAULT_TIMES}],
     ids=["research", "clinical"],
 )
 def test_no_recording_gates_a_real_line_unless_the_site_says_so(client, far, regular_volunteer):

@@ -62,6 +62,7 @@ def test_a_group_may_hold_an_equals_sign(oidc):
         ({"oidc_machine_scopes": ...}, "OIDC_MACHINE_SCOPES is not"),
         ({"oidc_machine_scopes": "a=gate.acknowledge"}, "not available to machines"),
         ({"oidc_machine_scopes": "a=users.manage"}, "not available to machines"),
+        ({"oidc_machine_scopes": "a=qa.run"}, "not available to machines"),
         ({"oidc_machine_scopes": "a=everything"}, "oidc_machine_scopes"),
         ({"oidc_machine_audience": "tidegate"}, "must differ"),
         ({"oidc_scopes": "profile"}, "must hold openid"),

@@ -3,6 +3,9 @@
 import hashlib
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from datetime import timedelta
 from typing import Any
 
 import pytest
@@ -12,7 +15,10 @@ from engine.core.errors import BeamLineError, InvalidValueError
 from engine.verification.qa.bounds import BASELINE_BOUNDS
 from engine.verification.qa.checks import CHECKS, checks_of
 from engine.verification.qa.results import QaKind
+from service.core.permissions import KEY_PERMISSIONS, Permission, Role
+from service.engine_host.equipment import EquipmentSlot
 from service.qa import queries as records
+from service.qa.one_time_code import OneTimeCodes
 from service.qa.schemas import QaExpected
 from service.storage.database import queries
 from service.web.app import create_app
@@ -20,7 +26,7 @@ from tests.support.database.migrated import with_tables
 from tests.support.qa.fake_rig import FakeRig, qa_files
 from tests.support.qa.sample_runs import report, sample_series
 from tests.support.service.accounts import PeopleClient
-from tests.support.service.api_calls import OPERATOR, act, audit_rows, make_session_body
+from tests.support.service.api_calls import OPERATOR, act, audit_rows, make_session_body, upload
 from tests.support.service.busy_threads import (
     CONNECTIONS,
     LONGEST_S,
@@ -256,19 +262,78 @@ def test_a_second_run_is_refused_while_one_goes_on(client, rig, body):
     done(client, rig, body)
 
 
-def test_no_run_begins_while_a_session_runs(client, rig, body, session_id):
-    assert act(client, session_id, "start").status_code == 200
+def assert_refused_beside(client, rig, body, session_id):
     answer = client.post(f"{URL}/runs", json=body)
-    assert (answer.status_code, answer.json()["code"]) == (409, "session_active")
+    assert (answer.status_code, answer.json()["code"]) == (409, "session_active"), answer.text
+    assert (answer.json()["field"], answer.json()["value"]) == ("session_id", f"'{session_id}'")
     assert all(not job.is_on.is_set() for job in rig.jobs)
     assert client.get(f"{URL}/runs").json()["items"] == []
+
+
+def test_no_run_begins_while_a_session_is_created_runs_or_stops(client, rig, engine, body, session_id, monkeypatch):
+    assert_refused_beside(client, rig, body, session_id)
+    assert act(client, session_id, "start").status_code == 200
+    assert_refused_beside(client, rig, body, session_id)
+    stop = engine.running.stop
+
+    def stop_later() -> None:
+        assert_refused_beside(client, rig, body, session_id)
+        stop()
+
+    monkeypatch.setattr(engine.running, "stop", stop_later)
     act(client, session_id, "stop")
     eventually(lambda: client.get(f"/api/v1/sessions/{session_id}").json()["status"] == "stopped")
     done(client, rig, body)
 
 
-def test_no_session_begins_and_none_is_made_while_a_run_goes_on(client, rig, engine, body, session_id, session_body):
+def test_no_run_begins_while_an_engine_has_the_line_whatever_is_recorded_of_its_session(
+    client, rig, body, session_id, running, monkeypatch
+):
+    monkeypatch.setattr(queries, "open_session_id", lambda _db: None)  # as when its end is stored and it still stops
+    assert_refused_beside(client, rig, body, session_id)
+
+
+def test_no_run_begins_while_a_session_starts(client, rig, engine, body, session_id, monkeypatch):
+    started, answers = engine.open, []
+    with ThreadPoolExecutor(1) as other:
+
+        def open_slowly(plan):
+            answers.append(other.submit(client.post, f"{URL}/runs", json=body))
+            return started(plan)
+
+        monkeypatch.setattr(engine, "open", open_slowly)
+        assert act(client, session_id, "start").status_code == 200
+        assert answers[0].result().json()["code"] == "session_active"
+    assert all(not job.is_on.is_set() for job in rig.jobs)
+
+
+def test_a_session_that_is_created_while_a_run_begins_ends_the_run_before_its_first_pulse(
+    client, rig, body, session_body, monkeypatch
+):
+    """The equipment is taken after the session was allowed and before its row is committed."""
+    enter, created = EquipmentSlot.enter_qa, []
+
+    def create_before(slot, run_id):
+        created.append(client.post("/api/v1/sessions", json=session_body).json()["id"])
+        enter(slot, run_id)
+
+    monkeypatch.setattr(EquipmentSlot, "enter_qa", create_before)
+    answer = client.post(f"{URL}/runs", json=body)
+    assert (answer.status_code, answer.json()["code"], answer.json()["value"]) == (
+        409,
+        "session_active",
+        f"'{created[0]}'",
+    )
+    assert all(not job.is_on.is_set() for job in rig.jobs)
+    assert client.get(f"{URL}/runs").json()["items"] == []
+    assert act(client, created[0], "start").status_code == 200, "the refused run left the equipment"
+
+
+def test_no_session_begins_and_none_is_made_while_a_run_goes_on(client, rig, engine, body, session_body, monkeypatch):
     run_id = begin(client, body)
+    with monkeypatch.context() as earlier:  # a session of which the run did not know
+        earlier.setattr(EquipmentSlot, "refuse_qa", lambda _slot: None)
+        session_id = client.post("/api/v1/sessions", json=session_body).json()["id"]
     refused = act(client, session_id, "start")
     assert (refused.status_code, refused.json()["code"]) == (409, "qa_active")
     assert engine.opened == []
@@ -489,22 +554,140 @@ def test_no_baseline_is_fixed_while_a_run_goes_on(client, rig, body):
     finish(client, rig, run_id)
 
 
-def test_the_real_line_is_permitted_only_on_the_operator_s_word(settings, engine, rig, calibration_text):
-    from tests.support.service.api_calls import upload
-
+@pytest.fixture
+def real(settings, engine, rig, migrated_file) -> Iterator[PeopleClient]:
+    """A service on a real beam line."""
     qa_files(settings.recordings_dirs[0])
-    real = type(settings)(
-        **settings.model_dump(exclude_unset=True) | {"beam_line": "modbus-tcp", "beam_modbus_host": "127.0.0.1"}
+    line = {"beam_line": "modbus-tcp", "beam_modbus_host": "127.0.0.1"}
+    site = with_tables(type(settings)(**settings.model_dump(exclude_unset=True) | line), migrated_file)
+    with PeopleClient(create_app(site, lambda _settings: engine, lambda _settings: rig)) as client:
+        yield client
+
+
+@pytest.fixture
+def codes(settings) -> OneTimeCodes:
+    """The codes of the machine that the service runs on."""
+    return OneTimeCodes(settings.data_dir)
+
+
+@pytest.fixture
+def safe_body(real, calibration_text) -> dict[str, Any]:
+    calibration_id = upload(real, calibration_text).json()["id"]
+    plate = {"source": {"kind": "recording", "path": "plate.oni"}}
+    return {"kind": "daily", **ME, "calibration_id": calibration_id, "plate": plate, "is_beam_safe": True}
+
+
+def assert_refused(client, rig, body, status, code, field, **headers):
+    answer = client.post(f"{URL}/runs", json=body, headers=headers)
+    assert (answer.status_code, answer.json()["code"], answer.json()["field"]) == (status, code, field), answer.text
+    assert all(not job.is_on.is_set() for job in rig.jobs)
+    assert client.get(f"{URL}/runs").json()["items"] == []
+    return answer.json()
+
+
+def test_the_real_line_is_permitted_only_on_the_operator_s_word(real, rig, codes, safe_body):
+    code = codes.make(ME["operator"])
+    assert_refused(real, rig, safe_body | {"is_beam_safe": False, "code": code}, 422, "invalid_value", "is_beam_safe")
+    assert rig.jobs == []
+    assert done(real, rig, safe_body | {"code": code})["is_simulated_beam"] is False
+    assert audit_rows(real, "qa.start")[-1]["detail"]["request"]["is_beam_safe"] is True
+
+
+def test_the_real_line_is_permitted_only_with_a_code_from_the_machine_and_once(real, rig, codes, safe_body):
+    assert_refused(real, rig, safe_body, 403, "qa_code", "code")
+    assert_refused(real, rig, safe_body | {"code": "2222-2222"}, 403, "qa_code", "code")
+    code = codes.make(ME["operator"])
+    assert done(real, rig, safe_body | {"code": code})["status"] == "finished"
+    again = real.post(f"{URL}/runs", json=safe_body | {"code": code})
+    assert (again.status_code, again.json()["code"]) == (403, "qa_code")
+    assert len(real.get(f"{URL}/runs").json()["items"]) == 1
+
+
+def test_a_code_of_another_person_opens_nothing(real, rig, codes, safe_body):
+    assert_refused(real, rig, safe_body | {"code": codes.make("B. Physicist")}, 403, "qa_code", "code")
+
+
+def test_a_code_is_in_no_record_and_the_audit_says_when_it_was_made(real, rig, codes, safe_body, settings):
+    wrong = "3333-4444"
+    assert_refused(real, rig, safe_body | {"code": wrong}, 403, "qa_code", "code")
+    code = codes.make(ME["operator"])
+    done(real, rig, safe_body | {"code": code})
+    rows = audit_rows(real)
+    assert not any(one in str(rows) for one in (wrong, code, "33334444", code.replace("-", "")))
+    detail = next(row["detail"] for row in rows if row["action"] == "qa.start" and row["outcome"] == "done")
+    assert detail["request"]["code_made_at"]
+    assert "code" not in detail["request"]
+
+
+@pytest.mark.parametrize("code", ["", "2" * 33, 22222222], ids=["empty", "long", "a number"])
+def test_a_code_out_of_its_bound_is_refused_with_its_field(real, rig, safe_body, code):
+    assert_refused(real, rig, safe_body | {"code": code}, 422, "invalid_value", "code")
+
+
+def test_a_replayed_answer_needs_no_second_code(real, rig, codes, safe_body):
+    first = real.post(
+        f"{URL}/runs", json=safe_body | {"code": codes.make(ME["operator"])}, headers={"Idempotency-Key": "k"}
     )
-    with PeopleClient(create_app(real, lambda _settings: engine, lambda _settings: rig)) as client:
-        calibration_id = upload(client, calibration_text).json()["id"]
-        plate = {"source": {"kind": "recording", "path": "plate.oni"}}
-        body = {"kind": "daily", **ME, "calibration_id": calibration_id, "plate": plate}
-        refused = client.post(f"{URL}/runs", json=body)
-        assert (refused.status_code, refused.json()["field"]) == (422, "is_beam_safe")
-        assert rig.jobs == []
-        assert done(client, rig, body | {"is_beam_safe": True})["is_simulated_beam"] is False
-        assert audit_rows(client, "qa.start")[-1]["detail"]["request"]["is_beam_safe"] is True
+    finish(real, rig, first.json()["id"])
+    again = real.post(f"{URL}/runs", json=safe_body, headers={"Idempotency-Key": "k"})
+    assert (again.status_code, again.headers["Idempotency-Replayed"]) == (202, "true")
+    assert len(rig.jobs) == 1
+
+
+def test_what_is_refused_otherwise_leaves_the_code(real, rig, codes, safe_body):
+    code = codes.make(ME["operator"])
+    absent = {"source": {"kind": "recording", "path": "absent.oni"}}
+    assert_refused(real, rig, safe_body | {"code": code, "plate": absent}, 404, "not_found", "plate.source.path")
+    wanted = make_session_body(safe_body["calibration_id"]) | {"source": {"kind": "device"}}
+    session = real.post("/api/v1/sessions", json=wanted).json()["id"]
+    assert_refused(real, rig, safe_body | {"code": code}, 409, "session_active", "session_id")
+    act(real, session, "stop")
+    done(real, rig, safe_body | {"code": code})
+
+
+@pytest.mark.parametrize("simulation", [None, {"seed": 1}], ids=["simulated line", "simulated run"])
+def test_pulses_to_nothing_need_no_code_and_take_none(client, rig, body, simulation):
+    wanted = body if simulation is None else {"kind": "daily", **ME, "simulation": simulation}
+    refused = client.post(f"{URL}/runs", json=wanted | {"code": "2222-2222"})
+    assert (refused.status_code, refused.json()["field"]) == (422, "code")
+    done(client, rig, wanted)
+
+
+def bearer_of(client, scopes) -> dict[str, str]:
+    until = client.desk.store.now() + timedelta(days=1)
+    made = client.desk.keys.create("planning", scopes, until, by="test")
+    return {"Authorization": f"Bearer {made.secret}"}
+
+
+def test_no_key_begins_a_run_whatever_it_has(real, rig, codes, safe_body):
+    key = bearer_of(real, KEY_PERMISSIONS)
+    body = safe_body | {"code": codes.make(ME["operator"])}
+    (stored,) = real.desk.store.keys.values()
+    for scopes in (KEY_PERMISSIONS, frozenset(Permission)):
+        real.desk.store.keys[stored.id] = replace(stored, scopes=scopes)
+        assert_refused(real, rig, body, 403, "permission_missing", "permission", **key)
+    assert rig.jobs == []
+
+
+@pytest.mark.parametrize("role", sorted(set(Role) - {Role.PHYSICIST}))
+def test_no_role_but_the_physicist_begins_a_run(real, rig, codes, safe_body, role):
+    real.headers_as("Somebody", [role])
+    body = safe_body | {"operator": "Somebody", "code": codes.make("Somebody")}
+    assert_refused(real, rig, body, 403, "permission_missing", "permission")
+    assert rig.jobs == []
+
+
+def test_a_physicist_alone_begins_a_run(real, rig, codes, safe_body):
+    real.headers_as("Somebody", [Role.PHYSICIST])
+    done(real, rig, safe_body | {"operator": "Somebody", "code": codes.make("Somebody")})
+
+
+def test_whoever_may_take_the_beam_away_may_cancel_a_run(client, rig, body):
+    key = bearer_of(client, [Permission.GATE_HOLD])
+    run_id = begin(client, body)
+    eventually(rig.job_now.is_on.is_set)
+    answer = client.post(f"{URL}/runs/{run_id}/cancel", json=ME, headers=key)
+    assert (answer.status_code, answer.json()["status"]) == (200, "cancelled")
 
 
 def test_a_run_names_site_and_machine_and_carries_no_patient(client, rig, body):

@@ -21,10 +21,10 @@ export const NEEDS = {
 
 export const ROLES = ["viewer", "therapist", "physicist", "admin"];
 
-/** Permissions that an API key may have; never setting the reference, acknowledging faults or managing people. */
+/** Permissions that an API key may have; never setting the reference, acknowledging faults, starting QA or managing people. */
 export const KEY_SCOPES = [
   "sessions.read", "sessions.run", "gate.arm", "gate.hold", "models.write", "calibrations.read", "calibrations.write",
-  "plans.write", "qa.read", "qa.run", "qa.baseline", "audit.read", "metrics.read",
+  "plans.write", "qa.read", "qa.baseline", "audit.read", "metrics.read",
 ];
 
 /** @returns {boolean} whether the person may do this; false without a person */

@@ -1,0 +1,155 @@
+"""Clinical mode: a second, narrower table of bounds for the site's settings, and what a site must have.
+
+The engine's bounds say what is possible; these say what a site may choose while it treats. Each bound has its reason,
+which docs/3-operate/clinical.md prints. A session is held to the same bounds, because it may only narrow the site's.
+`refusals` lists everything that is missing or out of its bound at once, so that one start names all of it.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from service.core.settings.beam import PREFIX, BeamSettings
+
+NEGLIGIBLE = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClinicalBound:
+    """Lowest and highest value of a setting in clinical mode, and the reason."""
+
+    low: float
+    high: float
+    reason: str
+
+    @property
+    def text(self) -> str:
+        """The bound as a refusal says it."""
+        return f"{self.low:g} to {self.high:g}"
+
+
+TG_302 = "2 mm, the set-up tolerance of TG-302"
+EVALUATED = "the default, with which falsified recordings were evaluated (docs/5-evidence/evaluation.md)"
+CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
+    # What a site must set: the defaults are outside.
+    "camera_latency_ms": ClinicalBound(
+        low=1.0, high=150.0, reason="measured, because 0 means unmeasured; 150 ms leave time for the rest within 500 ms"
+    ),
+    "qa_required_daily_h": ClinicalBound(low=1.0, high=24.0, reason="TG-142 asks for daily QA"),
+    "operator_timeout_s": ClinicalBound(
+        low=3.0, high=30.0, reason="a page sends its presence every second; half a minute without one is nobody there"
+    ),
+    "min_dwell_ms": ClinicalBound(
+        low=100.0,
+        high=10_000.0,
+        reason="three frames at 30 frames a second: no shorter visit to the window is evidence",
+    ),
+    "window_lower_mm": ClinicalBound(
+        low=-20.0, high=20.0, reason="below the end of exhale lies no breath, only expiration breath holds and drift"
+    ),
+    "window_upper_mm": ClinicalBound(
+        low=-20.0, high=40.0, reason="deep inspiration breath holds lift the chest by up to 40 mm"
+    ),
+    # Where the patient may be.
+    "max_shift_mm": ClinicalBound(
+        low=1.0, high=4.0, reason=f"{TG_302}, and 2 mm by which markers follow the breath along the couch"
+    ),
+    "max_turn_deg": ClinicalBound(low=0.5, high=2.0, reason="moves a point 60 mm from the centre by 2 mm (TG-302)"),
+    "max_height_mm": ClinicalBound(low=0.5, high=3.0, reason=f"{TG_302}, and 1 mm of the estimate's own error"),
+    "max_baseline_drift_mm": ClinicalBound(low=0.5, high=2.0, reason=TG_302),
+    "max_baseline_correction_mm": ClinicalBound(
+        low=0.0, high=3.0, reason="a patient who lies further off needs a new reference, not a correction"
+    ),
+    # Whether a measurement counts.
+    "max_residual_mm": ClinicalBound(low=0.1, high=3.0, reason=EVALUATED),
+    "max_jump_mm": ClinicalBound(low=0.1, high=4.0, reason="120 mm/s at 30 frames a second: no breath is faster"),
+    "min_valid_share": ClinicalBound(
+        low=0.8, high=1.0, reason="QA warns when 10 % of the plate are missing, fails at 20 %"
+    ),
+    "min_inlier_share": ClinicalBound(low=0.6, high=1.0, reason=EVALUATED),
+    "min_signal_share": ClinicalBound(low=0.7, high=1.0, reason=EVALUATED),
+    "min_wide_share": ClinicalBound(low=0.9, high=1.0, reason=EVALUATED),
+    "max_model_age_min": ClinicalBound(low=1.0, high=240.0, reason="the default: longer than a fraction"),
+    "min_phase_confidence": ClinicalBound(
+        low=0.6, high=1.0, reason="the default: the phase is compared with the patient's breaths"
+    ),
+    "max_breath_hold_s": ClinicalBound(low=5.0, high=60.0, reason="breath holds in treatment last 20 to 40 s"),
+    # Whether a frame is fresh.
+    "min_good_frames": ClinicalBound(
+        low=3, high=300, reason="the default: a tenth of a second of agreeing frames at 30 a second"
+    ),
+    "lease_ms": ClinicalBound(low=20.0, high=100.0, reason="TG-142: gate within 100 ms"),
+    "max_frame_age_ms": ClinicalBound(low=5.0, high=100.0, reason="TG-142: surrogate within 100 ms"),
+    "max_gap_ms": ClinicalBound(low=10.0, high=100.0, reason="TG-142: surrogate within 100 ms"),
+    "max_lag_ms": ClinicalBound(low=20.0, high=100.0, reason="TG-142: surrogate within 100 ms"),
+    "watchdog_ms": ClinicalBound(
+        low=40.0, high=250.0, reason="the default and a quarter: an engine that does not decide is a fault"
+    ),
+    "max_silence_ms": ClinicalBound(low=50.0, high=500.0, reason="TG-76: 500 ms in total"),
+    "max_latency_ms": ClinicalBound(low=100.0, high=500.0, reason="TG-76: 500 ms in total"),
+    "warn_latency_ms": ClinicalBound(low=20.0, high=100.0, reason="TG-142: 100 ms"),
+    "max_service_silence_ms": ClinicalBound(low=100.0, high=500.0, reason="no hold by hand arrives meanwhile"),
+    "max_clock_jump_ms": ClinicalBound(low=50.0, high=250.0, reason="the default"),
+    "max_repeated_frames": ClinicalBound(low=0, high=1, reason="a picture that comes again shows no breath"),
+    "min_fps": ClinicalBound(low=15.0, high=60.0, reason="a frame every 67 ms, within the 100 ms of TG-142"),
+    # Whether a stored model is this patient's.
+    "likeness_seconds": ClinicalBound(low=4.0, high=20.0, reason="a whole breath, so that its phase averages out"),
+    "likeness_max_shift_mm": ClinicalBound(
+        low=1.0, high=10.0, reason="half of the default: a model is valid where it was learned"
+    ),
+    "likeness_max_tilt_deg": ClinicalBound(low=0.5, high=3.0, reason="moves a point 60 mm from the centre by 3 mm"),
+    "likeness_max_shape_mm": ClinicalBound(low=0.5, high=3.0, reason="the default"),
+    "likeness_max_residual_mm": ClinicalBound(low=0.1, high=3.0, reason="as for every frame"),
+    "likeness_min_explained_share": ClinicalBound(low=0.8, high=1.0, reason="the default"),
+}
+"""The bounds of clinical mode, by setting. Every other setting keeps its own bounds."""
+
+MEASURED = "treatment needs a measured calibration"
+RESEARCH_ONLY: Mapping[str, str] = {
+    "beam_without_calibration": MEASURED,
+    "allow_device_registration": MEASURED,
+    "recordings_may_gate": "a recording does not show the present patient",
+}
+"""Settings that must be false in clinical mode, and why."""
+
+
+def refusals(settings: BeamSettings) -> tuple[str, ...]:
+    """Return one line for each thing that clinical mode lacks or refuses; empty if it may start.
+
+    Parameters
+    ----------
+    settings
+        All of the site's settings, of which those of the beam line are known here by type.
+    """
+    return tuple(f"{PREFIX}MODE is clinical: {line}" for line in _lines(settings))
+
+
+def _lines(settings: BeamSettings) -> Iterator[str]:
+    yield from _line_lines(settings)
+    yield from _research_lines(settings)
+    for name, bound in CLINICAL_BOUNDS.items():
+        value = getattr(settings, name)
+        if not bound.low - NEGLIGIBLE <= value <= bound.high + NEGLIGIBLE:
+            yield f"{PREFIX}{name.upper()} is {value:g}: must be {bound.text} ({bound.reason})"
+
+
+def _line_lines(settings: BeamSettings) -> Iterator[str]:
+    """Yield what is missing of the beam line."""
+    if settings.is_simulated_beam:
+        yield f"{PREFIX}BEAM_LINE is simulated: set a real line, or the mode to research"
+    if settings.beam_lines == ("serial-relay",) and settings.beam_heartbeat_channel is None:
+        yield (
+            "a relay board alone stays on when this process is killed: "
+            f"set {PREFIX}BEAM_RELAY_HEARTBEAT_CHANNEL, or a Modbus line beside it"
+        )
+    if len(settings.beam_lines) == 1 and not settings.hardware_dead_man:
+        yield (
+            f"one beam line has no second way off: set {PREFIX}BEAM_LINE_2, or declare a tested device that drops the "
+            f"beam without this computer with {PREFIX}HARDWARE_DEAD_MAN=true"
+        )
+
+
+def _research_lines(settings: BeamSettings) -> Iterator[str]:
+    """Yield what is for research alone."""
+    for name, reason in RESEARCH_ONLY.items():
+        if getattr(settings, name):
+            yield f"{PREFIX}{name.upper()} is true: must be false ({reason})"

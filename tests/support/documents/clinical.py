@@ -1,0 +1,44 @@
+"""The tables of docs/3-operate/clinical.md, from the code: ``python -m tests.support.documents.clinical`` prints them.
+
+With ``--write`` it puts them into the document instead.
+"""
+
+from functools import partial
+
+from service.core.settings.clinical import CLINICAL_BOUNDS
+from service.core.settings.settings import PREFIX, Settings
+from tests.support.generated_sections import print_or_write
+from tests.support.repository import ROOT
+from tests.support.service.clinical_site import OBLIGATORY, environment
+
+DOCUMENT = ROOT / "docs" / "3-operate" / "clinical.md"
+
+
+def bound_table() -> str:
+    """One row a setting: its default, its bounds in research and in clinical mode, and the reason."""
+    head = ["| setting | default | research | clinical | reason |", "|---|---|---|---|---|"]
+    return "\n".join(head + [_row(name) for name in CLINICAL_BOUNDS])
+
+
+def _row(name: str) -> str:
+    field, bound = Settings.model_fields[name], CLINICAL_BOUNDS[name]
+    research = {kind: getattr(one, kind) for one in field.metadata for kind in ("ge", "le") if hasattr(one, kind)}
+    is_usable = bound.low <= field.default <= bound.high
+    default = f"{field.default:g}" if is_usable else f"**{field.default:g}**"
+    wide = f"{research['ge']:g} to {research['le']:g}"
+    return f"| `{PREFIX}{name.upper()}` | {default} | {wide} | {bound.text} | {bound.reason} |"
+
+
+def smallest_set() -> str:
+    """The obligatory settings as an environment file, without the beam line's."""
+    lines = [f"{PREFIX}{name}={value}" for name, value in environment({"mode": "clinical", **OBLIGATORY}).items()]
+    return "\n".join(["```", *lines, "```"])
+
+
+MADE = {"smallest": smallest_set, "bounds": bound_table}
+"""Every part of the document that the code makes, by its name there."""
+main = partial(print_or_write, DOCUMENT, MADE)
+
+
+if __name__ == "__main__":
+    main()
