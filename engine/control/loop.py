@@ -210,7 +210,7 @@ class EngineLoop:
         self._beam.hold(reason)
 
     def note_service(self, alive_ns: int) -> None:
-        """Note that the service's process was alive at ``alive_ns``; from the first time on its silence is a fault."""
+        """Note that the service served at ``alive_ns``; from the first time on its silence is a fault."""
         self._commands.note_service(alive_ns)
 
     def note_presence(self, operator: str) -> None:

@@ -183,6 +183,12 @@ class EnginePort(Protocol):
     def trouble(self) -> str | None:
         """Why no session could start now; None where one could."""
 
+    def note_server_turn(self, turned_ns: int) -> None:
+        """Note that the web server's event loop turned [ns, host monotonic]; called many times a second, never waits.
+
+        An engine in another process faults an armed gate when this stops: no hold by hand could arrive.
+        """
+
     def close(self) -> None:
         """End the standby process, if there is one; called once no session runs."""
 

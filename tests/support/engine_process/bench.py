@@ -126,6 +126,9 @@ class Bench:
         self.transitions: list[GateTransition] = []
         self.writes = threading.Event()
         self.writes.set()
+        self.serves = threading.Event()
+        """Whether the web server's event loop turns."""
+        self.serves.set()
         self._is_over = threading.Event()
         running = self.port.open(make_plan(self.journal))
         assert isinstance(running, RemoteEngine)
@@ -160,6 +163,7 @@ class Bench:
         self.send(signal.SIGCONT)
         self.engine._child.control.send = self._control
         self.writes.set()
+        self.serves.set()
         self.engine.submit(Disarm(operator="ann")).result(PATIENCE_S)
         eventually(self._is_calm)
         self.transitions.clear()
@@ -177,6 +181,8 @@ class Bench:
 
     def _write(self) -> None:
         while not self._is_over.is_set():
+            if self.serves.is_set():
+                self.port.note_server_turn(time.monotonic_ns())
             if self.writes.wait(0.02):
                 self.take()
                 self._is_over.wait(0.01)

@@ -240,6 +240,7 @@ class FakeEngine:
         self.fail_with: TidegateError | None = None
         self.broken_source: str | None = None
         self.probed: list[str | None] = []
+        self.server_turned_ns: int | None = None
         self.while_probed: Callable[[], object] = lambda: None
 
     @property
@@ -261,6 +262,9 @@ class FakeEngine:
         if self.fail_with is not None:
             raise self.fail_with
         return nominal_calibration("Fake Xtion", size_px=(640, 480), field_of_view_rad=(1.02, 0.797))
+
+    def note_server_turn(self, turned_ns: int) -> None:
+        self.server_turned_ns = turned_ns
 
     def close(self) -> None:
         pass
