@@ -926,6 +926,7 @@ class Sample(TypedDict):
 
     abdomen_mm: float | None
     age_ms: float
+    armed_by: NotRequired[str | None]
     body_warning: NotRequired[str | None]
     breath: NotRequired[LiveBreath | None]
     breath_hold: NotRequired[LiveBreathHold | None]
@@ -1021,6 +1022,7 @@ class CameraView(TypedDict):
 class GateView(TypedDict):
     """State of the gate of a running session."""
 
+    armed_by: NotRequired[str | None]
     hold_detail: NotRequired[str]
     hold_reason: str | None
     hold_text: str | None
@@ -1169,6 +1171,7 @@ class ThinSample(TypedDict):
 class Transition(TypedDict):
     """One change of the gate, from the audit log; fields ending in `_ns` are host monotonic time."""
 
+    armed_by: NotRequired[str | None]
     asserted_ns: int | None
     at: str
     audit_sequence: int

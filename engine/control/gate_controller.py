@@ -125,8 +125,7 @@ class GateController:
         if self.operator_hold is None:
             raise CommandRefusedError("no operator holds the beam")
         self._holders = ()
-        released = Interruption(HoldReason.DWELL, f"released by {command.operator}")
-        self.decide(released, cause=Cause(operator=command.operator))
+        self.decide(command, cause=Cause(operator=command.operator))
 
     def correct_baseline(self, command: CorrectBaseline) -> None:
         """Disarm, then move the window; both windows are recorded even where the gate was not armed."""

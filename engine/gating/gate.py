@@ -11,7 +11,7 @@ Times are host monotonic nanoseconds and are arguments: nothing here reads a clo
 from dataclasses import dataclass, replace
 
 from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US
-from engine.core.commands import Acknowledge, Arm, Disarm
+from engine.core.commands import Acknowledge, Arm, Disarm, ReleaseBeam
 from engine.core.frames import Measurement, Motion
 from engine.core.gate_state import GateState, HoldReason, Lease
 from engine.gating.frame_checks import EventKind, LastFrame, Verdict, check_frame, fault, last_frame, unusable
@@ -72,7 +72,7 @@ class Ending:
     detail: str = ""
 
 
-GateEvent = Measurement | Silence | Interruption | Ending | Arm | Disarm | Acknowledge
+GateEvent = Measurement | Silence | Interruption | Ending | Arm | Disarm | Acknowledge | ReleaseBeam
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,6 +96,8 @@ class Gate:
         When the beam last went off; None before that.
     was_cut_short
         Whether the last beam on was shorter than ``min_on_ms``.
+    armed_by
+        Who lets the gate decide: the operator who armed, or the person who released a hold since; None while disarmed.
     """
 
     state: GateState = GateState.DISARMED
@@ -110,6 +112,7 @@ class Gate:
     turned_on_ns: tuple[int, ...] = ()
     off_since_ns: int | None = None
     was_cut_short: bool = False
+    armed_by: str | None = None
 
     @property
     def is_armed(self) -> bool:
@@ -133,9 +136,21 @@ def step_gate(gate: Gate, event: GateEvent, now_ns: int, limits: GateLimits) -> 
     moved = _count_switching(gate, _move(gate, verdict, now_ns), now_ns, limits)
     if isinstance(event, Arm):
         moved = replace(moved, conditions=initial_states(limits.window))
+    moved = replace(moved, armed_by=_armed_by(gate, moved, event))
     if not isinstance(event, Measurement):
         return moved
     return _remember(gate, moved, event, limits)
+
+
+def _armed_by(before: Gate, moved: Gate, event: GateEvent) -> str | None:
+    """Return who lets the gate decide after an event; a program's release takes over from nobody."""
+    if not moved.is_armed:
+        return None
+    if isinstance(event, Arm) and not before.is_armed:
+        return event.operator
+    if isinstance(event, ReleaseBeam) and event.is_person:
+        return event.operator
+    return before.armed_by
 
 
 def lease_of(gate: Gate, *, decided_ns: int, sequence: int, limits: GateLimits) -> Lease | None:
@@ -210,6 +225,7 @@ _KIND_OF_COMMAND: dict[type, EventKind] = {
     Arm: EventKind.ARM,
     Disarm: EventKind.DISARM,
     Acknowledge: EventKind.ACKNOWLEDGE,
+    ReleaseBeam: EventKind.UNUSABLE,  # the beam needs a full dwell
 }
 
 
@@ -227,7 +243,7 @@ def _judge(gate: Gate, event: object, now_ns: int, limits: GateLimits) -> Verdic
     kind_of_command = _KIND_OF_COMMAND.get(type(event))
     if kind_of_command is None:
         return fault(HoldReason.UNKNOWN, f"{type(event).__name__} is no event of the gate")
-    return Verdict(kind_of_command)
+    return Verdict(kind_of_command, detail=f"released by {event.operator}" if isinstance(event, ReleaseBeam) else "")
 
 
 def _judge_silence(gate: Gate, event: Silence, now_ns: int, limits: GateLimits) -> Verdict:

@@ -360,7 +360,7 @@ def _merged(before: EngineStatus, status: EngineStatus) -> EngineStatus:
 def _as_fault(view: LiveView, reason: HoldReason, detail: str) -> LiveView:
     """Return the last view as a fault: the line is held or its lease has expired, and it is not read back."""
     record = replace(view.record, gate_state=GateState.FAULT, hold_reason=reason)
-    return replace(view, record=record, is_armed=False, detail=detail)
+    return replace(view, record=record, is_armed=False, armed_by=None, detail=detail)
 
 
 def cause_of(status: int) -> str:

@@ -191,7 +191,7 @@ def release_beam(
     session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
 ) -> sessions.SessionDetail:
     """Release a hold by an operator; the beam needs a full dwell. Refused if no operator holds the beam."""
-    return call.command(session_id, "release", request.operator)
+    return call.release(session_id, request.operator)
 
 
 @router.post(

@@ -69,6 +69,26 @@ def test_the_person_who_holds_and_the_one_who_releases_are_named():
     assert [view.operator_hold for view in seen] == ["bob", None]
 
 
+def test_the_gate_names_who_armed_it_with_every_transition_and_in_every_view():
+    bench = _on_bench([])
+    seen = []
+
+    def look():
+        seen.append(bench.loop.status.view.armed_by)
+
+    bench.source.script += [after(look), after(bench.ask(HOLD)), after(bench.ask(RELEASE)), good, after(look)]
+    bench.source.script += [after(bench.ask(Disarm(operator="bob"))), good, after(look)]
+    bench.run()
+    assert seen == ["ann", "cy", None]
+    changes = bench.transitions()
+    held = next(one for one in changes if one.reason is HoldReason.OPERATOR_HOLD)
+    released = next(one for one in changes if one.detail == "released by cy")
+    disarmed = next(one for one in changes if one.to_state is GateState.DISARMED)
+    assert [one.armed_by for one in (changes[0], held, released)] == ["ann", "ann", "cy"]
+    assert (disarmed.operator, disarmed.armed_by) == ("bob", "cy"), "who had armed what was disarmed"
+    assert all(one.armed_by for one in changes[: changes.index(disarmed)])
+
+
 def test_a_hold_by_hand_is_never_refused_and_a_release_asked_for_before_it_is_taken_back():
     bench = _on_bench([], command_capacity=1)
 
