@@ -1541,7 +1541,7 @@ class TidegateClient:
         return self._do(session_id, "baseline-correction", SessionDetail, operator, if_match, arguments)
 
     def note_presence(self, session_id: str, *, operator: str | None = None) -> None:
-        """Report that a person watches this session now. Call it on the person's action, never on a timer."""
+        """Report that the person who is logged in sees this session: every second while they do. Refused to a key."""
         self._act(f"{_session(session_id)}/presence", self._for_whom(operator))
 
     def hold(self, session_id: str, *, operator: str | None = None) -> "SessionDetail":

@@ -62,7 +62,7 @@ class GateController:
         """Step the gate through ``events`` to one decision, drive the line, and record it."""
         cause = cause or Cause()
         before = self.gate
-        inputs = self._reader.decision(is_armed=before.is_armed)
+        inputs = self._reader.decision(before)
         if inputs.is_stop_requested and cause.frame is not None:  # requested while this frame was measured
             events = (*events, Ending(HoldReason.ENGINE_STOPPED))
         gate = self._decided(before, events, inputs)

@@ -214,7 +214,7 @@ class EngineLoop:
         self._commands.note_service(alive_ns)
 
     def note_presence(self, operator: str) -> None:
-        """Note that this operator's page is open, from any thread; never waits."""
+        """Note that the page of a person who may arm is open, from any thread; never waits."""
         self._presence.note(operator)
 
     @property

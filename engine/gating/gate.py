@@ -98,6 +98,8 @@ class Gate:
         Whether the last beam on was shorter than ``min_on_ms``.
     armed_by
         Who lets the gate decide: the operator who armed, or the person who released a hold since; None while disarmed.
+    is_armed_by_program
+        Whether that is a program with a key, not a person.
     """
 
     state: GateState = GateState.DISARMED
@@ -113,6 +115,7 @@ class Gate:
     off_since_ns: int | None = None
     was_cut_short: bool = False
     armed_by: str | None = None
+    is_armed_by_program: bool = False
 
     @property
     def is_armed(self) -> bool:
@@ -136,21 +139,21 @@ def step_gate(gate: Gate, event: GateEvent, now_ns: int, limits: GateLimits) -> 
     moved = _count_switching(gate, _move(gate, verdict, now_ns), now_ns, limits)
     if isinstance(event, Arm):
         moved = replace(moved, conditions=initial_states(limits.window))
-    moved = replace(moved, armed_by=_armed_by(gate, moved, event))
+    moved = _name_operator(gate, moved, event)
     if not isinstance(event, Measurement):
         return moved
     return _remember(gate, moved, event, limits)
 
 
-def _armed_by(before: Gate, moved: Gate, event: GateEvent) -> str | None:
-    """Return who lets the gate decide after an event; a program's release takes over from nobody."""
+def _name_operator(before: Gate, moved: Gate, event: GateEvent) -> Gate:
+    """Name who lets the gate decide after an event; a program's release takes over from nobody."""
     if not moved.is_armed:
-        return None
+        return replace(moved, armed_by=None, is_armed_by_program=False)
     if isinstance(event, Arm) and not before.is_armed:
-        return event.operator
+        return replace(moved, armed_by=event.operator, is_armed_by_program=not event.is_person)
     if isinstance(event, ReleaseBeam) and event.is_person:
-        return event.operator
-    return before.armed_by
+        return replace(moved, armed_by=event.operator, is_armed_by_program=False)
+    return moved
 
 
 def lease_of(gate: Gate, *, decided_ns: int, sequence: int, limits: GateLimits) -> Lease | None:

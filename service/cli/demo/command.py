@@ -45,6 +45,8 @@ SILENCE_S = 15.0
 EXHALE_WATCH_S = 4.0
 REFERENCE_WITHIN_US = 500_000
 OPEN = frozenset({"created", "running"})
+PRESENCE_S = 1.0
+"""The person of the demonstration watches its output here, as another does the page."""
 
 
 class DemoError(TidegateError):
@@ -201,7 +203,7 @@ def _follow(api: TidegateClient, session_id: str, console: Console) -> int | Non
     """Print a live status line; set the reference at end-exhale and arm, until the recording ends."""
     began = time.monotonic()
     exhale = EndExhale(watch_s=EXHALE_WATCH_S)
-    asked_us = None
+    asked_us, reported_s = None, 0.0
     with Live(console=console, refresh_per_second=8, transient=True) as live:
         for message in api.live(form="full", silence_s=SILENCE_S):
             if message["type"] == "idle":
@@ -213,6 +215,9 @@ def _follow(api: TidegateClient, session_id: str, console: Console) -> int | Non
             live.update(_line(message))
             if message["session_status"] != "running":
                 return asked_us
+            if time.monotonic() - reported_s >= PRESENCE_S:
+                reported_s = time.monotonic()
+                _be_present(api, session_id)
             is_measured = message["state"] == "measuring"
             if asked_us is None and is_measured and exhale.is_reached(message["timestamp_us"], message["whole_mm"]):
                 api.set_reference(session_id)
@@ -222,6 +227,12 @@ def _follow(api: TidegateClient, session_id: str, console: Console) -> int | Non
                     f"4 Reference set at end-exhale; armed after {time.monotonic() - began:.0f} s of the session."
                 )
     return asked_us
+
+
+def _be_present(api: TidegateClient, session_id: str) -> None:
+    """Report presence; the recording may have ended meanwhile."""
+    with contextlib.suppress(ProblemError):
+        api.note_presence(session_id)
 
 
 def _arm(api: TidegateClient, session_id: str) -> None:

@@ -43,8 +43,9 @@ PATIENT = {
     "max_silence_ms": 2_000.0,
     "watchdog_ms": 400.0,
     "max_service_silence_ms": SILENCE_MS,
+    "operator_timeout_s": 0.0,
 }
-"""For a busy test machine, as those of tests.support.control.real_time_source."""
+"""Without a page, and for a busy test machine, as those of tests.support.control.real_time_source."""
 
 WINDOW = {"signal": "whole", "lower_mm": -1.0, "upper_mm": 3.0, "hysteresis_mm": 0.0, "dwell_ms": 100.0}
 
