@@ -937,6 +937,7 @@ class Sample(TypedDict):
 
     abdomen_mm: float | None
     age_ms: float
+    armed_by: NotRequired[str | None]
     body_warning: NotRequired[str | None]
     breath: NotRequired[LiveBreath | None]
     breath_hold: NotRequired[LiveBreathHold | None]
@@ -1032,6 +1033,7 @@ class CameraView(TypedDict):
 class GateView(TypedDict):
     """State of the gate of a running session."""
 
+    armed_by: NotRequired[str | None]
     hold_detail: NotRequired[str]
     hold_reason: str | None
     hold_text: str | None
@@ -1193,6 +1195,7 @@ class ThinSample(TypedDict):
 class Transition(TypedDict):
     """One change of the gate, from the audit log; fields ending in `_ns` are host monotonic time."""
 
+    armed_by: NotRequired[str | None]
     asserted_ns: int | None
     at: str
     audit_sequence: int
@@ -1576,7 +1579,7 @@ class TidegateClient:
         return self._do(session_id, "baseline-correction", SessionDetail, operator, if_match, arguments)
 
     def note_presence(self, session_id: str, *, operator: str | None = None) -> None:
-        """Report that a person watches this session now. Call it on the person's action, never on a timer."""
+        """Report that the person who is logged in sees this session: every second while they do. Refused to a key."""
         self._act(f"{_session(session_id)}/presence", self._for_whom(operator))
 
     def hold(self, session_id: str, *, operator: str | None = None) -> "SessionDetail":

@@ -95,7 +95,7 @@ class CommandHandler:
             case HoldBeam():
                 self._controller.hold(command)
             case ReleaseBeam():
-                self._controller.release(command)
+                self._release(command)
             case Acknowledge():
                 self._acknowledge(command, inputs)
             case CorrectBaseline():
@@ -169,13 +169,21 @@ class CommandHandler:
     def _arm(self, command: Arm, inputs: CommandInputs) -> None:
         self._generation = self._learner.status.model_generation
         self.resolve_window()
+        if inputs.operator_absence:
+            raise CommandRefusedError(f"{inputs.operator_absence}: a person has to log in there, and keep it visible")
         self._refuse_unless_ready(inputs)
         self._refuse_other_head(command)
         self._line.rearm()
-        self._presence.arm(command.operator)
+        if command.is_person:
+            self._presence.note(command.operator)
         self._controller.decide(command, cause=Cause(operator=command.operator))
         if not self._controller.gate.is_armed:
             raise CommandRefusedError(f"a fault came up: {self._controller.gate.reason}")
+
+    def _release(self, command: ReleaseBeam) -> None:
+        if command.is_person:
+            self._presence.note(command.operator)
+        self._controller.release(command)
 
     def _refuse_unless_ready(self, inputs: CommandInputs) -> None:
         gate = self._controller.gate

@@ -115,7 +115,7 @@ class CommandQueue:
         return report or (self._service_silence() if is_armed else None)
 
     def note_service(self, alive_ns: int) -> None:
-        """Note that the service's process was alive at ``alive_ns``; from the first time on its silence is a fault.
+        """Note that the service served at ``alive_ns``; from the first time on its silence is a fault.
 
         The engine thread checks it at each decision, so that no other thread has to be alive to detect it.
         """

@@ -84,6 +84,7 @@ class DecisionRecords:
                 received_ns=None,
                 decided_ns=at_ns,
                 asserted_ns=self._clock.now_ns(),
+                armed_by=before.armed_by,
             ),
             None,
         )
@@ -118,6 +119,7 @@ class DecisionRecords:
             decided_ns=decision.decided_ns,
             asserted_ns=decision.asserted_ns,
             captured_ns=decision.captured_ns,
+            armed_by=gate.armed_by or decision.before.armed_by,
         )
 
     def _sample(self, decision: Decision, measurement: Measurement, *, is_on: bool) -> FrameRecord:

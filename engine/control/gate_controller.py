@@ -66,7 +66,7 @@ class GateController:
         """Step the gate through ``events`` to one decision, drive the line, and record it."""
         cause = cause or Cause()
         before = self.gate
-        inputs = self._reader.decision(is_armed=before.is_armed)
+        inputs = self._reader.decision(before)
         if inputs.is_stop_requested and cause.frame is not None:  # requested while this frame was measured
             events = (*events, Ending(HoldReason.ENGINE_STOPPED))
         gate = self._decided(before, events, inputs)
@@ -129,8 +129,7 @@ class GateController:
         if self.operator_hold is None:
             raise CommandRefusedError("no operator holds the beam")
         self._holders = ()
-        released = Interruption(HoldReason.DWELL, f"released by {command.operator}")
-        self.decide(released, cause=Cause(operator=command.operator))
+        self.decide(command, cause=Cause(operator=command.operator))
 
     def correct_baseline(self, command: CorrectBaseline) -> None:
         """Disarm, then move the window; both windows are recorded even where the gate was not armed."""

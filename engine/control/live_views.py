@@ -60,7 +60,7 @@ class LiveViews:
         if shown is None or view is not left_behind:  # one view for all readers: they recognise a new one by identity
             # The line was held, but it has not been read back since: it may be on where it was on.
             record = replace(view.record, gate_state=GateState.FAULT, hold_reason=HoldReason.WATCHDOG)
-            shown = replace(view, record=record, is_armed=False, detail=WATCHDOG_DETAIL)
+            shown = replace(view, record=record, is_armed=False, armed_by=None, detail=WATCHDOG_DETAIL)
             self._shown_by_watchdog = (view, shown)
         return shown
 
@@ -104,6 +104,7 @@ class LiveViews:
             window=limits.window,
             conditions=decision.gate.conditions,
             operator_hold=decision.operator_hold,
+            armed_by=decision.gate.armed_by,
             breath_holds=decision.gate.breath_holds,
             unseen_cells=() if motion is None else motion.seen.unseen_cells(limits.min_signal_share),
         )

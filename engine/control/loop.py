@@ -210,11 +210,11 @@ class EngineLoop:
         self._beam.hold(reason)
 
     def note_service(self, alive_ns: int) -> None:
-        """Note that the service's process was alive at ``alive_ns``; from the first time on its silence is a fault."""
+        """Note that the service served at ``alive_ns``; from the first time on its silence is a fault."""
         self._commands.note_service(alive_ns)
 
     def note_presence(self, operator: str) -> None:
-        """Note that this operator's page is open, from any thread; never waits."""
+        """Note that the page of a person who may arm is open, from any thread; never waits."""
         self._presence.note(operator)
 
     @property

@@ -69,6 +69,7 @@ class GateTransition:
 
     ``frame_index``, ``captured_us``, ``captured_ns`` and ``received_ns`` are those of the frame that caused it, None
     when none did; ``operator`` is the person who did; ``number`` is its own in the session's journal, rising.
+    ``armed_by`` is who let the gate decide, after it or, where it ended the arming, before it.
     """
 
     at_ns: int
@@ -84,6 +85,7 @@ class GateTransition:
     asserted_ns: int
     captured_ns: int | None = None
     number: int | None = None
+    armed_by: str | None = None
 
     @property
     def latency_ms(self) -> float | None:
@@ -123,6 +125,8 @@ class LiveView:
         State of each condition of the window; empty before the first frame.
     operator_hold
         The operator who holds the beam by hand; None where there is none.
+    armed_by
+        Who lets the gate decide: the operator who armed, or the person who released a hold since; None while disarmed.
     breath_holds
         Number of breath holds since the gate was armed.
     unseen_cells
@@ -144,5 +148,6 @@ class LiveView:
     window: GateWindow
     conditions: tuple[ConditionState, ...] = ()
     operator_hold: str | None = None
+    armed_by: str | None = None
     breath_holds: int = 0
     unseen_cells: tuple[tuple[int, int], ...] = ()

@@ -32,11 +32,14 @@ class CommandInputs:
         Whether the watchdog's thread is alive.
     queue_trouble
         Why a queue to the disk stands against the beam.
+    operator_absence
+        That no person who may arm is present, for a program that arms; empty otherwise.
     """
 
     is_wanted: bool = True
     is_watchdog_running: bool = True
     queue_trouble: HoldReason | None = None
+    operator_absence: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

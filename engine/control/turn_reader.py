@@ -13,8 +13,10 @@ from engine.control.session_limits import SessionLimits
 from engine.control.turn_inputs import CommandInputs, FrameInput, TurnInputs
 from engine.control.watchdog import Watchdog
 from engine.core.clock import NS_PER_MS, NS_PER_S, Clock
+from engine.core.commands import Arm
 from engine.core.errors import FrameTimeoutError, SourceAwayError
 from engine.core.input_tap import NO_TAP, InputKind, InputTap
+from engine.gating.gate import Gate
 from engine.gating.interlocks import DecisionInputs
 from engine.gating.limits import ns_from_ms
 from engine.gating.supervision.operator_presence import OperatorPresence
@@ -66,9 +68,9 @@ class TurnReader:
         """
         return self._tap.observe(InputKind.FRAME, lambda: self._read_frame(last_received_ns))
 
-    def decision(self, *, is_armed: bool) -> DecisionInputs:
-        """Read what a decision depends on besides its events, now; some only while the gate ``is_armed``."""
-        return self._tap.observe(InputKind.DECISION, lambda: self._read_decision(is_armed=is_armed))
+    def decision(self, gate: Gate) -> DecisionInputs:
+        """Read what a decision depends on besides its events, now; some only while the gate is armed."""
+        return self._tap.observe(InputKind.DECISION, lambda: self._read_decision(gate))
 
     def _read_turn(self) -> TurnInputs:
         if self._stop_requested.is_set():
@@ -80,6 +82,7 @@ class TurnReader:
             is_wanted=queued.answer.set_running_or_notify_cancel(),
             is_watchdog_running=self._watchdog.is_watching,
             queue_trouble=self._outputs.trouble(),
+            operator_absence=self._presence.nobody(self._clock.now_ns()) if _arms_by_program(queued) else "",
         )
 
     def _read_frame(self, last_received_ns: int | None) -> FrameInput:
@@ -98,7 +101,7 @@ class TurnReader:
         left_ns = longest_ns if last_received_ns is None else last_received_ns + longest_ns - self._clock.now_ns()
         return left_ns if SHORTEST_READ_NS <= left_ns <= longest_ns else longest_ns
 
-    def _read_decision(self, *, is_armed: bool) -> DecisionInputs:
+    def _read_decision(self, gate: Gate) -> DecisionInputs:
         self._outputs.flush()
         is_stop_requested = self._stop_requested.is_set()
         now_ns = self._clock.now_ns()
@@ -107,11 +110,15 @@ class TurnReader:
             at_ns=now_ns,
             watchdog_fired=self._watchdog.has_fired,
             is_watchdog_running=self._watchdog.is_watching,
-            reported_fault=self._commands.take_report(is_armed=is_armed),
+            reported_fault=self._commands.take_report(is_armed=gate.is_armed),
             queue_trouble=self._outputs.trouble(),
-            write_delay=self._outputs.delay(now_ns, longest_ns) if is_armed else None,
-            operator_absence=self._presence.silence(now_ns),
+            write_delay=self._outputs.delay(now_ns, longest_ns) if gate.is_armed else None,
+            operator_absence=self._presence.absence(gate, now_ns),
             disarm_requested_by=self._commands.disarm_requested_by,
             hold_requested_by=self._commands.hold_requested_by,
             is_stop_requested=is_stop_requested,
         )
+
+
+def _arms_by_program(queued: QueuedCommand) -> bool:
+    return isinstance(queued.command, Arm) and not queued.command.is_person

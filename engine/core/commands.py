@@ -20,10 +20,13 @@ class Arm:
     head_direction
         The side of the picture at which the operator sees the patient's head. It has to be the session's, and is
         required where the window is on a part of the patient.
+    is_person
+        Whether the operator is a person who is logged in; False for a program with a key.
     """
 
     operator: str
     head_direction: HeadDirection | None = None
+    is_person: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,9 +99,14 @@ class HoldBeam:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReleaseBeam:
-    """End the hold of :class:`HoldBeam`; the gate decides again, after a full dwell."""
+    """End the hold of :class:`HoldBeam`; the gate decides again, after a full dwell.
+
+    A person who releases answers for the armed gate from then on; a program (``is_person`` False) takes over from
+    nobody.
+    """
 
     operator: str
+    is_person: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,7 @@ Times are host monotonic nanoseconds and are arguments: nothing here reads a clo
 from dataclasses import dataclass, replace
 
 from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US
-from engine.core.commands import Acknowledge, Arm, Disarm
+from engine.core.commands import Acknowledge, Arm, Disarm, ReleaseBeam
 from engine.core.frames import Measurement, Motion
 from engine.core.gate_state import GateState, HoldReason, Lease
 from engine.gating.beam_on_limit import OUTSIDE, Stay, allowed_on_s
@@ -73,7 +73,7 @@ class Ending:
     detail: str = ""
 
 
-GateEvent = Measurement | Silence | Interruption | Ending | Arm | Disarm | Acknowledge
+GateEvent = Measurement | Silence | Interruption | Ending | Arm | Disarm | Acknowledge | ReleaseBeam
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,6 +99,10 @@ class Gate:
         Whether the last beam on was shorter than ``min_on_ms``.
     stay
         Beam-on time since the signal was last measured outside of the window.
+    armed_by
+        Who lets the gate decide: the operator who armed, or the person who released a hold since; None while disarmed.
+    is_armed_by_program
+        Whether that is a program with a key, not a person.
     """
 
     state: GateState = GateState.DISARMED
@@ -114,6 +118,8 @@ class Gate:
     off_since_ns: int | None = None
     was_cut_short: bool = False
     stay: Stay = OUTSIDE
+    armed_by: str | None = None
+    is_armed_by_program: bool = False
 
     @property
     def is_armed(self) -> bool:
@@ -137,11 +143,23 @@ def step_gate(gate: Gate, event: GateEvent, now_ns: int, limits: GateLimits) -> 
     moved = _count_switching(gate, _move(gate, verdict, now_ns), now_ns, limits)
     if isinstance(event, Arm):
         moved = replace(moved, conditions=initial_states(limits.window))
+    moved = _name_operator(gate, moved, event)
     if not isinstance(event, Measurement):
         return moved
     has_left = verdict.kind is EventKind.OUTSIDE
     stay = OUTSIDE if has_left else moved.stay.bounded(allowed_on_s(limits.window, event.breaths, limits))
     return _remember(gate, replace(moved, stay=stay), event, limits)
+
+
+def _name_operator(before: Gate, moved: Gate, event: GateEvent) -> Gate:
+    """Name who lets the gate decide after an event; a program's release takes over from nobody."""
+    if not moved.is_armed:
+        return replace(moved, armed_by=None, is_armed_by_program=False)
+    if isinstance(event, Arm) and not before.is_armed:
+        return replace(moved, armed_by=event.operator, is_armed_by_program=not event.is_person)
+    if isinstance(event, ReleaseBeam) and event.is_person:
+        return replace(moved, armed_by=event.operator, is_armed_by_program=False)
+    return moved
 
 
 def lease_of(gate: Gate, *, decided_ns: int, sequence: int, limits: GateLimits) -> Lease | None:
@@ -217,6 +235,7 @@ _KIND_OF_COMMAND: dict[type, EventKind] = {
     Arm: EventKind.ARM,
     Disarm: EventKind.DISARM,
     Acknowledge: EventKind.ACKNOWLEDGE,
+    ReleaseBeam: EventKind.UNUSABLE,  # the beam needs a full dwell
 }
 
 
@@ -234,7 +253,7 @@ def _judge(gate: Gate, event: object, now_ns: int, limits: GateLimits) -> Verdic
     kind_of_command = _KIND_OF_COMMAND.get(type(event))
     if kind_of_command is None:
         return fault(HoldReason.UNKNOWN, f"{type(event).__name__} is no event of the gate")
-    return Verdict(kind_of_command)
+    return Verdict(kind_of_command, detail=f"released by {event.operator}" if isinstance(event, ReleaseBeam) else "")
 
 
 def _judge_silence(gate: Gate, event: Silence, now_ns: int, limits: GateLimits) -> Verdict:

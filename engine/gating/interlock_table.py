@@ -141,7 +141,11 @@ INTERLOCKS: tuple[Interlock, ...] = (
     ),
     _row(_R.WATCHDOG, "an armed engine makes no decision in time", "watchdog_ms"),
     _row(_R.OPERATOR_HOLD, "an operator holds the beam"),
-    _row(_R.OPERATOR_LOST, "no message from the page of the operator who armed", "operator_timeout_s"),
+    _row(
+        _R.OPERATOR_LOST,
+        "no message from the page of the person who armed, or of anybody where a program armed",
+        "operator_timeout_s",
+    ),
     _row(_R.ENGINE_FAILED, "an error in the program"),
     _row(_R.ENGINE_STOPPED, "the engine is stopping"),
     _row(_R.SOURCE_ENDED, "the recording has ended"),

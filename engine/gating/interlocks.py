@@ -36,7 +36,7 @@ class DecisionInputs:
     write_delay
         What has waited too long for the disk, and its text; read while armed only.
     operator_absence
-        Text of a silence of the operator who armed; empty where there is none.
+        Who has to be present at the page and is not; empty where there is nobody.
     disarm_requested_by, hold_requested_by
         Operators whose disarm or hold waits in the command queue.
     is_stop_requested

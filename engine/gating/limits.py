@@ -88,7 +88,9 @@ class GateLimits:
         Longest silence of the service process while armed, where it is not the engine's own: no hold by hand would
         arrive, and nothing would be stored.
     operator_timeout_s
-        Longest silence of the page of the operator who armed; 0 switches this check off.
+        Longest silence of the page of the person who armed or released a hold since; where a program armed, of the
+        pages of all persons who may arm. 0 switches this check off. A page reports every second: ten reports may be
+        lost, as by a page that is loaded again, and about two breaths pass unseen.
     is_calibrated
         Whether the camera's geometry was measured; otherwise the beam is held.
     max_baseline_correction_mm
@@ -138,7 +140,7 @@ class GateLimits:
     max_model_age_min: float = 240.0
     max_unwritten_ms: float = 1_000.0
     max_service_silence_ms: float = 500.0
-    operator_timeout_s: float = 0.0
+    operator_timeout_s: float = 10.0
     max_baseline_correction_mm: float = 5.0
     window_lower_mm: float = -100.0
     window_upper_mm: float = 100.0

@@ -1,18 +1,30 @@
 """Holds the beam when the operator who armed the gate is no longer logged in.
 
-The gate itself needs no log-in to decide, but an armed gate needs an operator who can hold or disarm it. When the
-operator's log-in or key ends, the beam is held with the same command as a manual hold. Another operator with permission
-to arm continues by releasing the hold.
+The gate itself needs no log-in to decide, but an armed gate needs an operator who can hold or disarm it. The engine
+names that operator (``armed_by``). When their log-in or key ends, the beam is held with the same command as a manual
+hold. Another operator with permission to arm continues by releasing the hold.
 """
 
 import logging
 from collections.abc import Callable
+from typing import Protocol
 
-from service.access.request.identity import Identity
 from service.core.periodic import PeriodicWorker
 
 logger = logging.getLogger(__name__)
 INTERVAL_S = 1.0
+
+
+class Armed(Protocol):
+    """A session whose gate is armed and not held by hand."""
+
+    @property
+    def session_id(self) -> str:
+        """The session."""
+
+    @property
+    def armed_by(self) -> str:
+        """The audit's actor who armed, or released a hold since."""
 
 
 class ArmedOperator:
@@ -23,30 +35,24 @@ class ArmedOperator:
     Parameters
     ----------
     is_present
-        Whether an identity is still logged in and may arm; from memory, without I/O.
-    is_armed
-        Whether the newest frame of a session shows an armed gate.
+        Whether an actor is still logged in and may arm; from memory, without I/O.
+    armed
+        Returns the running session whose gate is armed and not held by hand, as the newest view shows it; else None.
     hold
-        Holds the beam of a session on behalf of the identity; may raise, then it is called again.
+        Holds the beam of a session on behalf of the actor; may raise, then it is called again.
     """
 
     def __init__(
         self,
         *,
-        is_present: Callable[[Identity], bool],
-        is_armed: Callable[[str], bool],
-        hold: Callable[[str, Identity], None],
+        is_present: Callable[[str], bool],
+        armed: Callable[[], Armed | None],
+        hold: Callable[[str, str], None],
     ) -> None:
         self._is_present = is_present
-        self._is_armed = is_armed
+        self._armed = armed
         self._hold = hold
-        self._operator: tuple[str, Identity] | None = None
-        self._held_for: tuple[str, Identity] | None = None  # written by the worker thread only
         self._worker = PeriodicWorker("armed-operator", self._turn, interval_s=INTERVAL_S)
-
-    def set_operator(self, session_id: str, identity: Identity) -> None:
-        """Record who armed or released a hold; the newest replaces the one before. Called from any thread."""
-        self._operator = (session_id, identity)
 
     @property
     def has_ended(self) -> bool:
@@ -62,17 +68,10 @@ class ArmedOperator:
         self._worker.stop(INTERVAL_S * 10)
 
     def check(self) -> None:
-        """Hold an armed gate whose operator is no longer logged in; once per recorded operator.
-
-        A gate that is not armed is checked again at the next call: the newest frame may precede the arm command, and
-        an arm command may be executed after its request timed out. A hold that fails is repeated at the next call.
-        """
-        operator = self._operator
-        if operator is None or operator is self._held_for:
-            return
-        if self._is_armed(operator[0]) and not self._is_present(operator[1]):
-            self._hold(*operator)
-            self._held_for = operator
+        """Hold an armed gate whose operator is no longer logged in; a hold that fails is repeated at the next call."""
+        armed = self._armed()
+        if armed is not None and not self._is_present(armed.armed_by):
+            self._hold(armed.session_id, armed.armed_by)
 
     def _turn(self) -> None:
         try:

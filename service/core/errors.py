@@ -237,6 +237,12 @@ class PermissionMissingError(ServiceError):
     code = "permission_missing"
 
 
+class PersonRequiredError(ServiceError):
+    """A program made a call that only a person who has logged in may make."""
+
+    code = "person_required"
+
+
 class PasswordChangeDueError(ServiceError):
     """The password was set by an administrator and must be changed first."""
 

@@ -19,7 +19,7 @@ HOLD_TEXTS: dict[HoldReason, str] = {
     HoldReason.FRAME_MISSING: "A camera frame is missing",
     HoldReason.FRAME_LATE: "Camera frames arrive late",
     HoldReason.OPERATOR_HOLD: "Held by an operator",
-    HoldReason.OPERATOR_LOST: "The page of the operator who armed does not respond",
+    HoldReason.OPERATOR_LOST: "No page of a person who answers for the armed gate responds",
     HoldReason.FRAME_FROZEN: "The camera repeats the same picture",
     HoldReason.FRAME_RATE_LOW: "The camera's frame rate is too low",
     HoldReason.PATIENT_SHIFTED: "The patient has moved on the couch",

@@ -1,10 +1,18 @@
 """The one camera and the one beam line: in use by at most one session or one QA run at a time."""
 
 import threading
+from typing import NamedTuple
 
 from engine.control.outputs import LiveView
 from service.core.errors import QaActiveError, ServiceStoppingError, SessionActiveError
 from service.engine_host.roles import RunningSession
+
+
+class ArmedSession(NamedTuple):
+    """A session whose gate is armed, and by whom."""
+
+    session_id: str
+    armed_by: str
 
 
 class EquipmentSlot:
@@ -42,10 +50,13 @@ class EquipmentSlot:
         running = self.of(session_id)
         return None if running is None else running.engine.status.view
 
-    def is_armed(self, session_id: str) -> bool:
-        """Whether this session runs, and its gate is armed."""
-        view = self.view(session_id)
-        return view is not None and view.is_armed
+    def armed(self) -> ArmedSession | None:
+        """Return the running session and who armed its gate; None while it is disarmed, or held by hand."""
+        running = self._running
+        view = None if running is None else running.engine.status.view
+        if running is None or view is None or view.armed_by is None or view.operator_hold is not None:
+            return None
+        return ArmedSession(session_id=running.plan.session_id, armed_by=view.armed_by)
 
     def enter(self, running: RunningSession) -> bool:
         """Enter a session; return False if the slot is closed or in use by a session."""

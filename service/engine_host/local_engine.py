@@ -129,6 +129,9 @@ class LocalEngine:
                 raise CommandRefusedError(msg)
             return _registered(uri)
 
+    def note_server_turn(self, turned_ns: int) -> None:
+        """Do nothing: an engine in the server's own process has no silence to supervise, as tests run it."""
+
     def devices(self) -> sessions.DeviceList:
         """List the cameras that could be used."""
         if not runtime_available():
@@ -239,7 +242,7 @@ class LoopEngine:
         self._loop.on_turn = callback
 
     def note_service(self, alive_ns: int) -> None:
-        """Note when the service's process was alive [ns]; after the first call its silence is a fault."""
+        """Note when the service served last [ns]; after the first call its silence is a fault."""
         self._loop.note_service(alive_ns)
 
     def hold_line(self, reason: HoldReason) -> None:

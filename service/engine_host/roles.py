@@ -24,7 +24,7 @@ from service.core.schemas.live_messages import Sample
 from service.core.schemas.windows import Window
 from service.storage.samples.figures import Figures
 
-CommandName = Literal["disarm", "acknowledge", "hold", "release"]
+CommandName = Literal["disarm", "acknowledge", "hold"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,6 +182,12 @@ class EnginePort(Protocol):
     @property
     def trouble(self) -> str | None:
         """Why no session could start now; None where one could."""
+
+    def note_server_turn(self, turned_ns: int) -> None:
+        """Note that the web server's event loop turned [ns, host monotonic]; called many times a second, never waits.
+
+        An engine in another process faults an armed gate when this stops: no hold by hand could arrive.
+        """
 
     def close(self) -> None:
         """End the standby process, if there is one; called once no session runs."""

@@ -213,7 +213,7 @@ def _open_access(dependencies: _Dependencies, storage: _Storage, work: _Work, on
     on_failure.callback(oidc.close)
     armed_operator = ArmedOperator(
         is_present=service.authenticator.is_present,
-        is_armed=dependencies.equipment.is_armed,
+        armed=dependencies.equipment.armed,
         hold=work.runner.hold_unattended,
     )
     return _Access(service=service, oidc=oidc, armed_operator=armed_operator)

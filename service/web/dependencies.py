@@ -11,7 +11,6 @@ from fastapi import Depends, Header, Path, Query, Request, Response
 from pydantic import AwareDatetime, BaseModel
 from starlette.requests import ClientDisconnect, HTTPConnection
 
-from service.access.armed_operator import ArmedOperator
 from service.access.request.caller import RequestCaller
 from service.access.request.claimed_operator import ClaimedOperator, read_claim
 from service.access.request.identity import RULE, identity_in
@@ -76,11 +75,6 @@ def services(connection: HTTPConnection) -> Services:
 def access(connection: HTTPConnection) -> AccessService:
     """Find the access service on the application; made in the lifespan."""
     return cast("AccessService", connection.app.state.access)
-
-
-async def armed_operator(connection: HTTPConnection) -> ArmedOperator:
-    """Find the check that the operator who armed is still logged in; made in the lifespan."""
-    return cast("ArmedOperator", connection.app.state.armed_operator)
 
 
 def caller(connection: HTTPConnection) -> RequestCaller:
@@ -198,7 +192,6 @@ Access = Annotated[AccessService, Depends(_access)]
 Caller = Annotated[RequestCaller, Depends(_calling)]
 WithdrawingOperator = Annotated[str, Depends(_withdrawing_operator)]
 WithdrawalThreads = Annotated[ReservedThreads, Depends(_withdrawal_threads)]
-GateOperator = Annotated[ArmedOperator, Depends(armed_operator)]
 Address = Annotated[str, Depends(sender_address)]
 Body = Annotated[bytes, Depends(json_body)]
 PlanFile = Annotated[bytes, Depends(plan_file)]

@@ -1,5 +1,7 @@
 """The application's start and stop; at the stop the beam is held before anything is closed."""
 
+import asyncio
+import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 
@@ -21,6 +23,16 @@ from service.web.stream.hub import LiveHub
 from service.web.stream.metrics import StreamMetrics
 from service.web.stream.resume import Resumption
 
+TURN_S = 0.03
+"""Period of reporting that the event loop turns; as short as that of the heartbeats that carry it."""
+
+
+async def report_turns(note: Callable[[int], None]) -> None:
+    """Report each turn of the running event loop with its time [ns, host monotonic], until cancelled."""
+    while True:
+        note(time.monotonic_ns())
+        await asyncio.sleep(TURN_S)
+
 
 def make_lifespan(
     settings: Settings,
@@ -40,12 +52,14 @@ def make_lifespan(
             app.state.start_refusal = _refusal(error)
             raise
         _install(app, container, settings)
+        turns = asyncio.create_task(report_turns(container.services.engine.note_server_turn))
         try:
             yield
         finally:
             with anyio.CancelScope(shield=True):
                 # A reserved thread: calls that hang in all ordinary threads cannot keep the container open.
                 await anyio.to_thread.run_sync(container.close, limiter=anyio.CapacityLimiter(1))
+            turns.cancel()
 
     return lifespan
 

@@ -13,7 +13,6 @@ from typing import Annotated, TypeVar
 from fastapi import Depends
 
 from engine.core.head_direction import HeadDirection
-from service.access.armed_operator import ArmedOperator
 from service.access.request.caller import RequestCaller
 from service.core.conditional import Precondition
 from service.core.schemas import sessions
@@ -24,8 +23,6 @@ from service.web.dependencies import Services
 from service.web.middleware.reserved_threads import ReservedThreads
 
 AnswerT = TypeVar("AnswerT")
-MAKES_RESPONSIBLE: frozenset[CommandName] = frozenset({"release"})
-"""Like arming, they make their operator responsible for the gate: the beam is held when that person's login ends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,7 +32,6 @@ class OperatorCall:
     caller: RequestCaller
     services: Services
     if_match: Precondition
-    armed_operator: ArmedOperator
 
     def act(self, session_id: str, claimed: str, action: Callable[[str, str], AnswerT]) -> AnswerT:
         """Run ``action(session_id, operator)`` where ``If-Match`` still holds; ``claimed`` is the body's operator.
@@ -52,22 +48,15 @@ class OperatorCall:
 
     def command(self, session_id: str, name: CommandName, claimed: str) -> sessions.SessionDetail:
         """Submit a command to the engine; answer once it is executed, raise where it is refused or late."""
-
-        def submit(session_id: str, operator: str) -> sessions.SessionDetail:
-            note = partial(self._note_responsible, session_id) if name in MAKES_RESPONSIBLE else lambda: None
-            return self.services.runner.command(session_id, name, operator, on_possibly_done=note)
-
-        return self.act(session_id, claimed, submit)
+        return self.act(
+            session_id, claimed, lambda _, operator: self.services.runner.command(session_id, name, operator)
+        )
 
     def arm(self, session_id: str, request: sessions.ArmRequest) -> sessions.SessionDetail:
         """Arm the gate, with the head direction that the operator confirms."""
         head = None if request.head_direction is None else HeadDirection(request.head_direction)
-
-        def submit(session_id: str, operator: str) -> sessions.SessionDetail:
-            note = partial(self._note_responsible, session_id)
-            return self.services.runner.arm(session_id, operator, head, on_possibly_done=note)
-
-        return self.act(session_id, request.operator, submit)
+        arm = partial(self.services.runner.arm, head=head, is_person=self.caller.identity.is_person)
+        return self.act(session_id, request.operator, arm)
 
     def set_reference(self, session_id: str, request: sessions.ReferenceRequest) -> sessions.SessionDetail:
         """Set the reference at the moment that a person confirms."""
@@ -77,8 +66,10 @@ class OperatorCall:
 
         return self.act(session_id, request.operator, submit)
 
-    def _note_responsible(self, session_id: str) -> None:
-        self.armed_operator.set_operator(session_id, self.caller.identity)
+    def release(self, session_id: str, claimed: str) -> sessions.SessionDetail:
+        """Release a hold by hand."""
+        release = partial(self.services.runner.release, is_person=self.caller.identity.is_person)
+        return self.act(session_id, claimed, release)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -104,9 +95,8 @@ async def _operator_call(
     caller: dependencies.Caller,
     services: dependencies.AppServices,
     if_match: dependencies.IfMatch,
-    armed_operator: dependencies.GateOperator,
 ) -> OperatorCall:
-    return OperatorCall(caller=caller, services=services, if_match=if_match, armed_operator=armed_operator)
+    return OperatorCall(caller=caller, services=services, if_match=if_match)
 
 
 async def _withdrawal_call(

@@ -273,7 +273,8 @@ public static class Program
         return await Count(tidegate, id, seconds);
     }
 
-    /// <summary>Arm once. Refused means not done, and may be asked for again; a lost answer is looked up.</summary>
+    /// <summary>Arm once. Refused means not done, and may be asked for again; a lost answer is looked up.
+    /// A person who may arm has to be at a visible page of Tidegate.</summary>
     private static async Task<bool> Armed(Tidegate tidegate, string session)
     {
         try

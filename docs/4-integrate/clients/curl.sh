@@ -69,6 +69,7 @@ until [ "$(now | jq -r .has_reference)" = true ]; do
 done
 
 # The window is on the whole region; on a part of the patient the arming needs head_direction, as a person sees it.
+# A person who may arm has to be at a visible page of Tidegate.
 # Arming is asked for once. Refused (409) means that it was not done: then it may be asked for again, by a decision.
 until json POST "/sessions/$session/arm" "$who" >/dev/null; do
   [ "$(now | jq -r .status)" = running ] || exit 1

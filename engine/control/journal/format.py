@@ -1,7 +1,8 @@
 """The transition journal's file format: a header, then slots of one transition each, every slot with its own checksum.
 
 The file may have been written by a process that died at any instant: a slot is valid only where its checksum, its
-number and its position agree. Text that is too long is cut, and ends with a mark.
+number and its position agree. Text that is too long is cut, and ends with a mark. Who armed follows the detail, up to
+the padding: slots of earlier versions end there.
 """
 
 import struct
@@ -25,6 +26,7 @@ _HEADER = struct.Struct(f"<8sII{SESSION_BYTES}s{BOOT_BYTES}sqq")
 _SLOT = struct.Struct("<QQB7qBBBHH")
 _TEXT_BYTES = SLOT_BYTES - _CHECKSUM.size - _SLOT.size
 _OPERATOR_BYTES = 400
+_ARMED_BY_BYTES = 200
 _ABSENT = -(2**63)
 _PREPARED, _COMMITTED, _ABORTED = 1, 2, 3
 
@@ -139,7 +141,8 @@ def _pack(number: int, transition: GateTransition, prepared: int, kind: int) -> 
     from_state, to_state = transition.from_state.value.encode(), transition.to_state.value.encode()
     operator = _cut(transition.operator or "", _OPERATOR_BYTES)
     fixed = from_state + to_state + reason + operator
-    detail = _cut(transition.detail, _TEXT_BYTES - len(fixed))
+    armed_by = _cut(transition.armed_by or "", _ARMED_BY_BYTES)
+    detail = _cut(transition.detail, _TEXT_BYTES - len(fixed) - len(armed_by))
     body = _SLOT.pack(
         *(number, prepared, kind),
         *(transition.at_ns, transition.decided_ns, transition.asserted_ns),
@@ -147,7 +150,7 @@ def _pack(number: int, transition: GateTransition, prepared: int, kind: int) -> 
         _or_absent(transition.captured_ns),
         *(len(from_state), len(to_state), len(reason), len(operator), len(detail)),
     )
-    body = (body + fixed + detail).ljust(SLOT_BYTES - _CHECKSUM.size, b"\0")
+    body = (body + fixed + detail + armed_by).ljust(SLOT_BYTES - _CHECKSUM.size, b"\0")
     return _CHECKSUM.pack(zlib.crc32(body)) + body
 
 
@@ -190,6 +193,7 @@ def _read_slot(raw: bytes) -> _Slot | None:
         text.append(body[begin : begin + length].decode(errors="replace"))
         begin += length
     from_state, to_state, reason, operator, detail = text
+    armed_by = body[begin:].rstrip(b"\0").decode(errors="replace")
     try:
         transition = GateTransition(
             at_ns=at_ns,
@@ -205,6 +209,7 @@ def _read_slot(raw: bytes) -> _Slot | None:
             asserted_ns=asserted_ns,
             captured_ns=_or_none(captured_ns),
             number=number,
+            armed_by=armed_by or None,
         )
     except ValueError:  # a state or a reason of another version
         return None

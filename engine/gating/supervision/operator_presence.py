@@ -1,35 +1,53 @@
-"""Presence of the operator who armed, by the messages that their page repeats.
+"""Presence of a person at the page, by the messages that it repeats (ADR 0024).
 
-The service's threads write, the engine thread reads; every attribute is written in one step, so no thread waits.
+An armed gate needs somebody who sees the page and can hold: the person who armed it or released a hold since; where a
+program armed it, any person who may arm. The service's threads write, and only for such persons; the engine thread
+reads. Every attribute is written in one step, so no thread waits.
 """
 
 from engine.core.clock import NS_PER_S, Clock
+from engine.gating.gate import Gate
 
-UNNAMED = ""
+MOST_PERSONS = 256
+"""More persons than any site has at its pages; beyond that all are forgotten, which holds the beam."""
+NOBODY = "nobody who may arm is at the page"
 
 
 class OperatorPresence:
-    """Time of the last message from the operator who armed; a ``timeout_s`` of 0 switches the check off."""
+    """Times of the persons' newest messages; a ``timeout_s`` of 0 switches the check off."""
 
     def __init__(self, *, clock: Clock, timeout_s: float) -> None:
         self._clock = clock
         self._timeout_ns = int(timeout_s * NS_PER_S)
-        self._armed_by = UNNAMED
-        self._seen_ns = clock.now_ns()
+        self._seen_ns: dict[str, int] = {}
+        self._anybody_ns: int | None = None
 
-    def arm(self, operator: str) -> None:
-        """Supervise this operator from now on; arming counts as a message."""
-        self._seen_ns = self._clock.now_ns()
-        self._armed_by = operator
+    def note(self, person: str) -> None:
+        """Note a message of a person who may arm, from any thread; arming and releasing count as one."""
+        now_ns = self._clock.now_ns()
+        if person not in self._seen_ns and len(self._seen_ns) >= MOST_PERSONS:
+            self._seen_ns = {}
+        self._seen_ns[person] = now_ns
+        self._anybody_ns = now_ns
 
-    def note(self, operator: str) -> None:
-        """Note a message of an operator, from any thread; only the one who armed counts."""
-        if operator == self._armed_by:
-            self._seen_ns = self._clock.now_ns()
-
-    def silence(self, now_ns: int) -> str:
-        """Return the text of a silence beyond the timeout; empty otherwise."""
-        silent_ns = now_ns - self._seen_ns
-        if self._timeout_ns <= 0 or silent_ns <= self._timeout_ns:
+    def absence(self, gate: Gate, now_ns: int) -> str:
+        """Return who has to be present for an armed gate and is not; empty otherwise."""
+        if gate.armed_by is None:
             return ""
-        return f"no message from {self._armed_by} for {silent_ns / NS_PER_S:.1f} s"
+        if gate.is_armed_by_program:
+            return self.nobody(now_ns)
+        seen_ns = self._seen_ns.get(gate.armed_by)
+        if not self._is_silent(seen_ns, now_ns):
+            return ""
+        since = "" if seen_ns is None else f" for {(now_ns - seen_ns) / NS_PER_S:.1f} s"
+        return f"no message from {gate.armed_by}{since}"
+
+    def nobody(self, now_ns: int) -> str:
+        """Return that no person who may arm is present; empty where one is."""
+        return NOBODY if self._is_silent(self._anybody_ns, now_ns) else ""
+
+    def _is_silent(self, seen_ns: int | None, now_ns: int) -> bool:
+        """Whether the newest message is older than the timeout, or there was none."""
+        if self._timeout_ns <= 0:
+            return False
+        return seen_ns is None or now_ns - seen_ns > self._timeout_ns

@@ -50,6 +50,9 @@ FOLLOWING = frozenset(
 )
 """Numbers that jump where an extremum moves to the next frame by a rounding. The gate's decisions cover their use."""
 
+ADDED = frozenset({"armed_by"})
+"""Columns that earlier tapes do not have."""
+
 _NUMBER = re.compile(r"-?\d+(?:\.(\d+))?")
 
 
@@ -86,7 +89,8 @@ class Comparison:
 
     def agrees(self, then: Row, now: Row) -> bool:
         """Whether two rows are equal."""
-        return then.keys() == now.keys() and not self.differing(then, now)
+        added = ADDED - then.keys()
+        return then.keys() == now.keys() - added and not self.differing(then, now)
 
     def _agrees(self, name: str, then: object, now: object) -> bool:
         if isinstance(then, str) and isinstance(now, str) and then != now:

@@ -57,6 +57,7 @@ def transition_row(transition: GateTransition) -> Row:
         "captured_ns": transition.captured_ns,
         "decided_ns": transition.decided_ns,
         "asserted_ns": transition.asserted_ns,
+        "armed_by": transition.armed_by,
     }
 
 

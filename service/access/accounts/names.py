@@ -7,6 +7,7 @@ from service.core.errors import BoundError
 RESERVED = frozenset({"tidegate", "unknown", "nobody", "anonymous"})
 MAX_LENGTH = 80
 KEY_PREFIX = "key:"
+MACHINE_PREFIX = "machine:"
 NOT_IN_NAMES = "/:"
 INVISIBLE = frozenset("\u115f\u1160\u2800\u3164\uffa0")
 """Letters by Unicode that are rendered blank: they would let two accounts appear to have the same name."""

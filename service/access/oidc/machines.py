@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 
-from service.access.accounts.names import MAX_LENGTH
+from service.access.accounts.names import MACHINE_PREFIX, MAX_LENGTH
 from service.access.oidc.errors import OidcReason, OidcRefusedError
 from service.access.oidc.provider import Provider
 from service.access.oidc.tokens import Claims, ExpectedClaims, check_machine_token
@@ -11,7 +11,6 @@ from service.access.request.identity import Identity
 from service.core.permissions import KEY_PERMISSIONS, Permission
 from service.core.settings.oidc import OidcSettings
 
-MACHINE_PREFIX = "machine:"
 MAX_SCOPES = 1_000
 CLIENT_CLAIMS = ("client_id", "azp", "appid")
 """Claims in which providers put the client id, in order of preference."""

@@ -4,7 +4,7 @@ from datetime import timedelta
 
 from starlette.datastructures import Headers
 
-from service.access.accounts.names import name_key
+from service.access.accounts.names import KEY_PREFIX, MACHINE_PREFIX, name_key
 from service.access.accounts.records import ApiKey, Login
 from service.access.accounts.store import AccessStore
 from service.access.login.cookies import token_in
@@ -48,16 +48,19 @@ class Authenticator:
         now = self._person(identity.anchor)
         return now is not None and identity.permissions <= now.permissions
 
-    def is_present(self, identity: Identity) -> bool:
-        """Whether an operator could still hold or disarm, from any browser; does not count as use of a log-in.
+    def is_present(self, actor: str) -> bool:
+        """Whether an audit's actor could still hold or disarm, from any browser; does not count as use of a log-in.
 
         A machine with a token of the identity provider counts as present: only its last token is known.
         """
-        if identity.kind == "key":
-            return identity.anchor is not None and self._keys.is_valid(identity.anchor)
-        user = self._store.users.get(name_key(identity.name)) if identity.is_person else None
+        if actor.startswith(KEY_PREFIX):
+            keys = tuple(self._store.keys.values())
+            return any(actor_of(key) == actor and self._keys.is_valid(key.id) for key in keys)
+        if actor.startswith(MACHINE_PREFIX):
+            return True
+        user = self._store.users.get(name_key(actor))
         if user is None:
-            return not identity.is_person
+            return False
         may_arm = Permission.GATE_ARM in permissions_of(user.roles)
         return may_arm and any(self._is_open(login) for login in self._store.logins_of(user))
 

@@ -64,7 +64,7 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", f"{SESSION}/models"): Permission.SESSIONS_READ,
     ("POST", f"{SESSION}/start"): Permission.SESSIONS_RUN,
     ("POST", f"{SESSION}/reference"): Permission.GATE_REFERENCE,
-    ("POST", f"{SESSION}/presence"): Permission.SESSIONS_RUN,
+    ("POST", f"{SESSION}/presence"): Permission.GATE_ARM,
     ("POST", f"{SESSION}/arm"): Permission.GATE_ARM,
     ("POST", f"{SESSION}/release"): Permission.GATE_ARM,
     ("POST", f"{SESSION}/baseline-correction"): Permission.GATE_ARM,
@@ -106,6 +106,9 @@ RULES: Mapping[tuple[str, str], Needs] = {
 
 TAKES_PERMISSION_AWAY = frozenset(call for call, needs in RULES.items() if needs is Permission.GATE_HOLD)
 """Calls that hold, disarm, stop or cancel: if authorised, never refused because of headers, parameters or body."""
+
+PEOPLE_ONLY = frozenset({("POST", f"{SESSION}/presence")})
+"""Calls refused to keys whatever their scopes: a program is not somebody who is there (ADR 0024)."""
 
 BEFORE_THE_PASSWORD_IS_CHANGED = frozenset(
     {("GET", f"{V1}/me"), ("POST", f"{V1}/me/password"), ("POST", f"{V1}/logout")}

@@ -32,7 +32,7 @@ from engine.core.frames import FloatArray
 from engine.verification.phantom.truth import load_truth
 from service.cli.demo.person import put_person
 from service.cli.terminal import refused
-from service.client import ClientError, ProblemError, ReferenceProposalView, Sample, TidegateClient, Window
+from service.client import ClientError, ProblemError, Sample, TidegateClient, Window
 
 OPERATOR = "Demo"
 PASSWORD_BYTES = 12
@@ -45,6 +45,8 @@ LOOK_US = 500_000
 """How often the session is read for the proposed reference."""
 REFERENCE_WITHIN_US = 500_000
 OPEN = frozenset({"created", "running"})
+PRESENCE_S = 1.0
+"""The person of the demonstration watches its output here, as another does the page."""
 
 
 class DemoError(TidegateError):
@@ -200,7 +202,7 @@ def _close(api: TidegateClient, session_id: str) -> None:
 def _follow(api: TidegateClient, session_id: str, console: Console) -> int | None:
     """Print a live status line; set the reference as proposed and arm, until the recording ends."""
     began = time.monotonic()
-    asked_us, looked_us = None, 0
+    asked_us, looked_us, reported_s = None, 0, 0.0
     with Live(console=console, refresh_per_second=8, transient=True) as live:
         for message in api.live(form="full", silence_s=SILENCE_S):
             if message["type"] == "idle":
@@ -212,25 +214,35 @@ def _follow(api: TidegateClient, session_id: str, console: Console) -> int | Non
             live.update(_line(message))
             if message["session_status"] != "running":
                 return asked_us
+            if time.monotonic() - reported_s >= PRESENCE_S:
+                reported_s = time.monotonic()
+                _be_present(api, session_id)
             at_us = message["timestamp_us"]
-            if asked_us is not None or message["state"] != "measuring" or at_us - looked_us < LOOK_US:
-                continue
-            looked_us, proposed = at_us, _proposed(api, session_id)
-            if proposed is not None:
-                api.set_reference(session_id, level_seen=proposed["level"])
-                _arm(api, session_id)
-                asked_us = at_us
-                console.print(
-                    f"4 Reference set at end-exhale of {proposed['breaths']} breaths, scatter "
-                    f"{proposed['scatter']:.2f} mm; armed after {time.monotonic() - began:.0f} s of the session."
-                )
+            if asked_us is None and message["state"] == "measuring" and at_us - looked_us >= LOOK_US:
+                looked_us = at_us
+                asked_us = at_us if _begin_gating(api, session_id, console, began) else None
     return asked_us
 
 
-def _proposed(api: TidegateClient, session_id: str) -> ReferenceProposalView | None:
-    """Return the proposed end of exhale; None until enough breaths are known."""
+def _begin_gating(api: TidegateClient, session_id: str, console: Console, began: float) -> bool:
+    """Set the reference as proposed and arm; return false until enough breaths are known."""
     proposals = api.read_session(session_id).get("reference_proposals", [])
-    return next((one for one in proposals if one["at"] == "end_exhale"), None)
+    proposed = next((one for one in proposals if one["at"] == "end_exhale"), None)
+    if proposed is None:
+        return False
+    api.set_reference(session_id, level_seen=proposed["level"])
+    _arm(api, session_id)
+    console.print(
+        f"4 Reference set at end-exhale of {proposed['breaths']} breaths, scatter {proposed['scatter']:.2f} mm; "
+        f"armed after {time.monotonic() - began:.0f} s of the session."
+    )
+    return True
+
+
+def _be_present(api: TidegateClient, session_id: str) -> None:
+    """Report presence; the recording may have ended meanwhile."""
+    with contextlib.suppress(ProblemError):
+        api.note_presence(session_id)
 
 
 def _arm(api: TidegateClient, session_id: str) -> None:

@@ -250,6 +250,9 @@ class Sample(Message):
     hold_text: str | None
     hold_detail: str = Field(default="", description="Details of the hold reason, with values")
     operator_hold: str | None = Field(default=None, description="Operator who holds the beam")
+    armed_by: str | None = Field(
+        default=None, description="Who armed the gate, or released a hold since; null while it is disarmed"
+    )
     line_on: bool
     window: LiveWindow = Field(description="As the gate applies it: in mm or l, with baseline corrections")
     breath: LiveBreath | None = Field(default=None, description="null while no frame is measured")

@@ -240,6 +240,9 @@ class GateView(Answer):
     hold_text: str | None
     hold_detail: str = Field(default="", description="Details of the hold reason, with values")
     operator_hold: str | None = Field(default=None, description="Operator who holds the beam")
+    armed_by: str | None = Field(
+        default=None, description="Who armed the gate, or released a hold since; null while it is disarmed"
+    )
     line_on: bool
 
 
@@ -407,6 +410,9 @@ class Transition(Answer):
         default=None, description="From capture to the command at the beam line; null if the cause was not a frame"
     )
     number: int | None = Field(default=None, description="Number in the session's journal, ascending with gaps")
+    armed_by: str | None = Field(
+        default=None, description="Who had armed the gate, or released a hold since; null while it was disarmed"
+    )
     recovered: bool = Field(
         default=False, description="Recovered from the journal at the next start, after the process was killed"
     )

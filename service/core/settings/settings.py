@@ -38,7 +38,7 @@ SETTING_OF = {"retrain_interval_s": "retrain_interval_min"}
 """Settings of the training with another name and unit here."""
 
 SHORTEST_OPERATOR_TIMEOUT_S = 3.0
-"""A page sends a heartbeat every second; this allows for two that are late."""
+"""A page reports presence every second; this allows for two reports that are late."""
 
 LIMIT_DEFAULTS = {field.name: field.default for field in dataclasses.fields(GateLimits)}
 FolderList = Annotated[tuple[Path, ...], NoDecode]

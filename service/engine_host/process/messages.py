@@ -76,7 +76,10 @@ class CommandMessage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heartbeat:
-    """The service's time, and the totals that its writer has taken from the queues and the audit has committed."""
+    """That the service serves, and the totals that its writer has taken and the audit has committed.
+
+    ``alive_ns`` is when the web server's event loop last turned: while it is blocked no hold by hand could arrive.
+    """
 
     alive_ns: int
     samples: int

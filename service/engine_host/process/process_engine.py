@@ -4,6 +4,7 @@ A camera belongs to one process at a time, so camera requests go to the standby 
 """
 
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -47,6 +48,7 @@ class ProcessEngine:
         self._begun = 0
         self._listed: sessions.DeviceList | None = None
         self._lost = 0
+        self._server_turned_ns = time.monotonic_ns()
 
     @property
     def trouble(self) -> str | None:
@@ -66,8 +68,17 @@ class ProcessEngine:
                     self._remember(self._ask(ListDevices()))
             self._await_previous()
             self._begun += 1
-            self._newest = begin_session(self._standby.take(), plan, on_end=partial(self._process_ended, self._begun))
+            self._newest = begin_session(
+                self._standby.take(),
+                plan,
+                on_end=partial(self._process_ended, self._begun),
+                server_turned_ns=lambda: self._server_turned_ns,
+            )
             return self._newest
+
+    def note_server_turn(self, turned_ns: int) -> None:
+        """Note a turn of the web server's event loop; heartbeats carry the newest, so a blocked loop is silence."""
+        self._server_turned_ns = turned_ns
 
     def registered_calibration(self, uri: str | None) -> Calibration:
         """Return the nominal calibration of a camera that registers depth to colour itself; refuse any other."""

@@ -2,8 +2,9 @@
 
 Nothing here decides, or waits for a frame.
 
-A thread of its own sends heartbeats, with the totals that the writer has taken and the audit has committed. When the
-engine process dies the session has failed: its beam line's lease expires, and the next start recovers its journal.
+A thread of its own sends heartbeats, with the web server's last turn and the totals that the writer has taken and the
+audit has committed. When the engine process dies the session has failed: its beam line's lease expires, and the next
+start recovers its journal.
 """
 
 import logging
@@ -95,10 +96,21 @@ class PendingCommand(Future[None]):
 
 
 class RemoteEngine:
-    """Commands, queues and status of the engine process, safe from any thread."""
+    """Commands, queues and status of the engine process, safe from any thread.
 
-    def __init__(self, child: ChildProcess, journal: OwnerJournal | None, *, on_end: EndCallback) -> None:
+    ``server_turned_ns`` returns when the web server's event loop last turned [ns, host monotonic].
+    """
+
+    def __init__(
+        self,
+        child: ChildProcess,
+        journal: OwnerJournal | None,
+        *,
+        on_end: EndCallback,
+        server_turned_ns: Callable[[], int],
+    ) -> None:
         self._child, self._journal, self._on_end = child, journal, on_end
+        self._server_turned_ns = server_turned_ns
         self.samples: CountingQueue[FrameRecord] = CountingQueue()
         self.transitions: CountingQueue[GateTransition] = CountingQueue()
         self.notices: CountingQueue[LearningEvent] = CountingQueue()
@@ -216,7 +228,7 @@ class RemoteEngine:
         while not self._has_ended.wait(HEARTBEAT_S):
             self._child.control.send(
                 Heartbeat(
-                    alive_ns=time.monotonic_ns(),
+                    alive_ns=self._server_turned_ns(),
                     samples=self.samples.count,
                     transitions=self.transitions.count,
                     notices=self.notices.count,
@@ -297,7 +309,9 @@ class RemoteEngine:
         self._status = status
 
 
-def begin_session(child: ChildProcess, plan: SessionPlan, *, on_end: EndCallback) -> RemoteEngine:
+def begin_session(
+    child: ChildProcess, plan: SessionPlan, *, on_end: EndCallback, server_turned_ns: Callable[[], int]
+) -> RemoteEngine:
     """Start a session in a standby process; raise what prevented it."""
     try:
         owned = None if plan.journal is None else plan.journal.hand_over(child.control.send_file)
@@ -316,7 +330,7 @@ def begin_session(child: ChildProcess, plan: SessionPlan, *, on_end: EndCallback
         child.reap()
         on_end(is_lost=False)
         raise opened.error
-    engine = RemoteEngine(child, owned, on_end=on_end)
+    engine = RemoteEngine(child, owned, on_end=on_end, server_turned_ns=server_turned_ns)
     engine.begin()
     return engine
 
@@ -346,7 +360,7 @@ def _merged(before: EngineStatus, status: EngineStatus) -> EngineStatus:
 def _as_fault(view: LiveView, reason: HoldReason, detail: str) -> LiveView:
     """Return the last view as a fault: the line is held or its lease has expired, and it is not read back."""
     record = replace(view.record, gate_state=GateState.FAULT, hold_reason=reason)
-    return replace(view, record=record, is_armed=False, detail=detail)
+    return replace(view, record=record, is_armed=False, armed_by=None, detail=detail)
 
 
 def cause_of(status: int) -> str:

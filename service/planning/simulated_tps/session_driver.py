@@ -28,6 +28,10 @@ MAX_AGE_S = 1.0
 """Limit of a frame's age at sending plus its transport time; no call that can lead to beam follows an older frame."""
 
 
+PRESENCE_S = 1.0
+"""Period in which a person's page reports their presence."""
+
+
 class Stage(StrEnum):
     """Stages of a session, as the progress bar names them."""
 
@@ -125,7 +129,7 @@ class SessionDriver:
         self._stage = Stage.LEARNING
         self._own_hold: str | None = None
         self._is_hold_seen = False
-        self._last_call_s = float("-inf")
+        self._last_call_s = self._last_presence_s = float("-inf")
         self._progress_us: int | None = None
         self._last_reason: str | None = None
         self._steps: dict[Stage, Callable[[Sample], None]] = {
@@ -214,7 +218,16 @@ class SessionDriver:
             return
         self._on_progress(self._progress(message))
         self._is_fresh = self._age_s(message) <= MAX_AGE_S
+        self._be_present()
         self._steps[self._stage](message)
+
+    def _be_present(self) -> None:
+        """Report, as the page of a therapist who takes part, that they see fresh frames."""
+        if self._therapist is None or not self._is_fresh or self._now_s() - self._last_presence_s < PRESENCE_S:
+            return
+        self._last_presence_s = self._now_s()
+        with suppress(ProblemError, UnreachableError):  # lost: if it persists, the beam is held
+            self._therapist.note_presence(self.session_id)
 
     def _age_s(self, sample: Sample) -> float:
         """Return the age of a frame at its arrival [s]; the clock offset is the least that any message has shown."""

@@ -5,10 +5,10 @@ it. A command that may lead to a permit is audited first, and not executed when 
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import CancelledError
 from concurrent.futures import TimeoutError as FutureTimeoutError
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 
 from engine.control.command_queue import MAX_WAIT_NS
@@ -28,7 +28,6 @@ COMMANDS: dict[CommandName, Callable[[str], Command]] = {
     "disarm": lambda operator: Disarm(operator=operator),
     "acknowledge": lambda operator: Acknowledge(operator=operator),
     "hold": lambda operator: HoldBeam(operator=operator),
-    "release": lambda operator: ReleaseBeam(operator=operator),
 }
 AGES_FROM_ARRIVAL = (Arm, ReleaseBeam, SetReference, Acknowledge)
 """Their age counts from the arrival of the request: waiting for a thread or the audit makes them older, too. A command
@@ -67,12 +66,10 @@ class EngineCommander:
         detail: dict[str, object] | None = None,
         *,
         after: Callable[[RunningEngine], dict[str, object]] | None = None,
-        on_possibly_done: Callable[[], None] = lambda: None,
     ) -> None:
         """Submit a command, wait for its result, and audit both as ``action`` with ``detail``.
 
-        ``after`` returns what the audit records of the result. ``on_possibly_done`` is called unless the engine
-        refused: a command that timed out may have been executed.
+        ``after`` returns what the audit records of the result.
 
         Raises
         ------
@@ -91,8 +88,7 @@ class EngineCommander:
             if not takes_permission_away(command):
                 _refuse_late(command)
                 log.write(replace(done, outcome="requested"))
-            with _unless_refused(on_possibly_done):
-                self._await(running, command)
+            self._await(running, command)
         found = {} if after is None else after(running.engine)
         log.write(replace(done, detail={**done.detail, **found}))
 
@@ -131,19 +127,6 @@ def state_error(status: str, bound: str) -> SessionStateError:
     """Return the error for a session in another state than a call needs."""
     msg = f"the session is {status}: it must be {bound}"
     return SessionStateError(msg, field="status", value=status, bound=bound)
-
-
-@contextmanager
-def _unless_refused(on_possibly_done: Callable[[], None]) -> Iterator[None]:
-    """Call back unless the engine refused: a command without an answer may have been executed."""
-    try:
-        yield
-    except CommandRefusedError:
-        raise
-    except BaseException:
-        on_possibly_done()
-        raise
-    on_possibly_done()
 
 
 def _refuse_late(command: Command) -> None:

@@ -8,10 +8,18 @@ from datetime import UTC, datetime
 import cv2
 
 from engine.control.outputs import LiveView
-from engine.core.commands import ActivateModel, ApplyModel, Arm, CorrectBaseline, HoldBeam, Retrain, SetReference
+from engine.core.commands import (
+    ActivateModel,
+    ApplyModel,
+    Arm,
+    CorrectBaseline,
+    HoldBeam,
+    ReleaseBeam,
+    Retrain,
+    SetReference,
+)
 from engine.core.head_direction import HeadDirection
 from engine.core.reference_proposal import ReferenceMoment
-from service.access.request.identity import Identity
 from service.core.errors import PictureMissingError
 from service.core.schemas import sessions
 from service.core.schemas.gate import BaselineCorrectionRequest
@@ -105,32 +113,25 @@ class SessionRunner:
         detail = {**camera.model_dump(), "calibration_serial": calibration.serial or None}
         self._log.write(Event(actor=audit.SYSTEM, action=CAMERA, session_id=running.plan.session_id, detail=detail))
 
-    def command(
-        self, session_id: str, name: CommandName, operator: str, *, on_possibly_done: Callable[[], None] = lambda: None
-    ) -> sessions.SessionDetail:
-        """Submit a command of an operator and wait until the engine has executed or refused it.
-
-        ``on_possibly_done`` is called, before anything waits for a database, unless the engine refused.
-        """
+    def command(self, session_id: str, name: CommandName, operator: str) -> sessions.SessionDetail:
+        """Submit a command of an operator and wait until the engine has executed or refused it."""
         command = COMMANDS[name](operator)
-        self._commander.execute(session_id, command, operator, f"session.{name}", on_possibly_done=on_possibly_done)
+        self._commander.execute(session_id, command, operator, f"session.{name}")
         return self._records.detail(session_id, self._priority_database if takes_permission_away(command) else None)
 
     def arm(
-        self,
-        session_id: str,
-        operator: str,
-        head: HeadDirection | None,
-        *,
-        on_possibly_done: Callable[[], None] = lambda: None,
+        self, session_id: str, operator: str, head: HeadDirection | None, *, is_person: bool
     ) -> sessions.SessionDetail:
-        """Arm the gate; ``head`` is the head direction that the operator confirms, and the audit records it."""
+        """Arm the gate; ``head`` is the head direction that the operator confirms, and the audit records it.
+
+        ``is_person`` is False for a program with a key.
+        """
         action = "session.arm"
         detail: dict[str, object] = {} if head is None else {"head_direction": head.value}
         with self._log.refusals(actor=operator, action=action, session_id=session_id, detail=detail):
             self._refuse_arming()
-        command = Arm(operator=operator, head_direction=head)
-        self._commander.execute(session_id, command, operator, action, detail, on_possibly_done=on_possibly_done)
+        command = Arm(operator=operator, head_direction=head, is_person=is_person)
+        self._commander.execute(session_id, command, operator, action, detail)
         return self._records.detail(session_id)
 
     def set_reference(
@@ -150,11 +151,17 @@ class SessionRunner:
         self._commander.execute(session_id, command, operator, "session.reference", detail)
         return self._records.detail(session_id)
 
-    def hold_unattended(self, session_id: str, armed_by: Identity) -> None:
+    def release(self, session_id: str, operator: str, *, is_person: bool) -> sessions.SessionDetail:
+        """Release a hold by hand; a person (not a program with a key) answers for the armed gate from then on."""
+        command = ReleaseBeam(operator=operator, is_person=is_person)
+        self._commander.execute(session_id, command, operator, "session.release")
+        return self._records.detail(session_id)
+
+    def hold_unattended(self, session_id: str, armed_by: str) -> None:
         """Hold as an operator does, because the login or key of the person who armed has ended."""
         detail: dict[str, object] = {
-            "reason": f"{armed_by.name} armed the gate and is not logged in any more",
-            "armed_by": armed_by.name,
+            "reason": f"{armed_by} armed the gate and is not logged in any more",
+            "armed_by": armed_by,
         }
         self._commander.execute(session_id, HoldBeam(operator=audit.SYSTEM), audit.SYSTEM, "session.hold", detail)
 

@@ -38,6 +38,7 @@ def transition_event(session_id: str, transition: GateTransition) -> Event:
             "captured_ns": transition.captured_ns,
             "latency_ms": transition.latency_ms,
             "number": transition.number,
+            "armed_by": transition.armed_by,
         },
     )
 

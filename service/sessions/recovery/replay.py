@@ -46,6 +46,7 @@ AUDITED = {
     "captured_ns": "captured_ns",
     "decided_ns": "decided_ns",
     "asserted_ns": "asserted_ns",
+    "armed_by": "armed_by",
 }
 """Fields of a transition in the audit, and their names on a tape."""
 
@@ -294,4 +295,4 @@ def audit_differences(outcome: Replay, audited: list[Row], *, is_torn: bool, is_
 
 
 def _audit_row(row: Row) -> Row:
-    return {name: row[name] for name in AUDITED.values()}
+    return {name: row.get(name) for name in AUDITED.values()}

@@ -47,6 +47,7 @@ def live_sample(
         hold_text=hold_text(record.hold_reason),
         hold_detail="" if record.hold_reason is None else view.detail,
         operator_hold=view.operator_hold,
+        armed_by=view.armed_by,
         line_on=record.line_on,
         window=live_window(view.window, view.conditions, measurement),
         breath=live_breath(view),
@@ -133,6 +134,7 @@ def gate_view(view: LiveView) -> sessions.GateView:
         hold_text=hold_text(record.hold_reason),
         hold_detail="" if record.hold_reason is None else view.detail,
         operator_hold=view.operator_hold,
+        armed_by=view.armed_by,
         line_on=record.line_on,
     )
 

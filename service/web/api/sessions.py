@@ -25,6 +25,7 @@ from service.core.errors import (
     MeshMissingError,
     NotFoundError,
     OperatorMismatchError,
+    PersonRequiredError,
     PictureMissingError,
     QaActiveError,
     QaOverdueError,
@@ -191,13 +192,13 @@ def release_beam(
     session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
 ) -> sessions.SessionDetail:
     """Release a hold by an operator; the beam needs a full dwell. Refused if no operator holds the beam."""
-    return call.command(session_id, "release", request.operator)
+    return call.release(session_id, request.operator)
 
 
 @router.post(
     "/{session_id}/presence",
     status_code=204,
-    responses=problems(NotFoundError, OperatorMismatchError, SessionStateError),
+    responses=problems(NotFoundError, OperatorMismatchError, PersonRequiredError, SessionStateError),
 )
 def note_presence(
     session_id: dependencies.SessionId,
@@ -205,7 +206,11 @@ def note_presence(
     caller: dependencies.Caller,
     services: dependencies.AppServices,
 ) -> None:
-    """Report the operator's presence at the page; if the site requires it, a missing report holds the beam."""
+    """Report that a person who may arm is at the page: call it every second while the page is visible, for people only.
+
+    While the gate is armed, `TIDEGATE_OPERATOR_TIMEOUT_S` without a report of the person who armed (of anybody, where a
+    program armed) holds the beam. A program can arm only while somebody reports.
+    """
     services.runner.note_presence(session_id, caller.checked_actor(request.operator))
 
 

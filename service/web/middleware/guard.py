@@ -10,13 +10,14 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from service.access.request.addresses import ClientAddresses
 from service.access.request.identity import RULE, STATE, Identity
 from service.access.request.origins import SAFE_METHODS, is_ours
-from service.access.request.rules import BEFORE_THE_PASSWORD_IS_CHANGED, SOCKET, Open, Rule, RuleTable
+from service.access.request.rules import BEFORE_THE_PASSWORD_IS_CHANGED, PEOPLE_ONLY, SOCKET, Open, Rule, RuleTable
 from service.access.service import AccessService
 from service.core.errors import (
     NotLoggedInError,
     OriginRefusedError,
     PasswordChangeDueError,
     PermissionMissingError,
+    PersonRequiredError,
     ServiceError,
 )
 from service.storage.audit import Event
@@ -107,6 +108,9 @@ class Guard:
         elif not isinstance(rule.needs, Open) and rule.needs not in identity.permissions:
             msg = f"{identity.name} does not have the permission {rule.needs}."
             error = PermissionMissingError(msg, field="permission", value="missing", bound=str(rule.needs))
+        elif call in PEOPLE_ONLY and not identity.is_person:
+            msg = f"{identity.name} is a program: only a person who has logged in may do this."
+            error = PersonRequiredError(msg, field="caller", value=identity.kind, bound="a person's log-in")
         if error is None:
             return
         detail = {"method": rule.method, "path": rule.template, "code": error.code, "needs": error.bound}

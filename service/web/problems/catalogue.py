@@ -57,6 +57,7 @@ WHAT_TO_DO: Mapping[str, str] = {
     "outside_user": "Change the account at the identity provider.",
     "password_change_due": "Change the password first.",
     "permission_missing": "Ask an administrator for the permission in `bound`.",
+    "person_required": "Have a person log in and do this at the page; no key can.",
     "fraction_done": "Choose the next fraction; a person may repeat one with `repeats_fraction` and a reason.",
     "override_needs_person": "Have a person create this session: an API key cannot override a plan.",
     "plan_busy": "Repeat the request after `Retry-After`.",

@@ -65,6 +65,7 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     errors.PasswordServiceBusyError: (503, "Too many log-ins at once"),
     errors.WrongPasswordError: (422, "The old password is wrong"),
     errors.PermissionMissingError: (403, "Permission missing"),
+    errors.PersonRequiredError: (403, "A person has to be logged in"),
     errors.PasswordChangeDueError: (403, "The password must be changed first"),
     errors.OriginRefusedError: (403, "Origin refused"),
     errors.OperatorMismatchError: (422, "The operator is another person"),

@@ -104,6 +104,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "training": None,
         "hold_detail": "1.5 mm; 8 mm to 12 mm wanted",
         "operator_hold": None,
+        "armed_by": "A. Therapist",
         "window": {
             "signal": "whole",
             "row": None,

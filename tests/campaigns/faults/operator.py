@@ -31,6 +31,7 @@ class Person:
         self._client = httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=20.0, headers=headers)
         self.session_id = ""
         self._present = threading.Event()
+        self._present.set()
         self._is_over = threading.Event()
         self._page = threading.Thread(target=self._keep_page, daemon=True)
         self._page.start()
@@ -99,15 +100,6 @@ class Person:
 
     def is_chain_intact(self) -> bool:
         return bool(_body(self.get("/audit/verify"))["is_intact"])
-
-    @contextlib.contextmanager
-    def page_open(self):
-        """Be there: the page tells so once a second."""
-        self._present.set()
-        try:
-            yield
-        finally:
-            self._present.clear()
 
     def leave_page(self) -> int:
         """Close the page; returns when it was received of last."""

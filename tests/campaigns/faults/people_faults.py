@@ -52,7 +52,13 @@ KINDS = (
     _kind("held-by-hand", "a person holds the beam", ordered("hold"), "operator_hold", frozenset({Recovery.RELEASED})),
     _kind("disarmed", "a person disarms", ordered("disarm"), "disarmed", ARMED),
     _kind("session-stopped", "a person stops the session", ordered("stop"), "engine_stopped", NEW_SESSION),
-    _kind("zero-set", "a person sets the reference again", ordered("reference", at="now", reason="lies otherwise"), "disarmed", ARMED),
+    _kind(
+        "zero-set",
+        "a person sets the reference again",
+        ordered("reference", at="now", reason="lies otherwise"),
+        "disarmed",
+        ARMED,
+    ),
     _kind("model-activated", "a person takes up a stored model", activated, "disarmed", ARMED),
     _kind(
         *("operator-lost", "the page of the person who armed falls silent", page_closed, "operator_lost", BY_ITSELF),

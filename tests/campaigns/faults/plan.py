@@ -14,7 +14,7 @@ class Plan:
 
 DEFAULT_PLAN = Plan(name="default")
 WATCHED = Plan(name="watched", settings={"OPERATOR_TIMEOUT_S": 3.0})
-"""The page of the person who armed has to report."""
+"""The page of the person who armed is missed sooner than by default."""
 
 OWN_CLOCK = Plan(name="own clock", settings={"LOGIN_IDLE_MIN": 120.0}, has_own_clock=True)
 """The wall clock of this process alone can be changed, the monotonic one is the machine's."""

@@ -100,7 +100,7 @@ def engine_fails(rig: "Rig", _random: random.Random) -> Fault:
 
 
 def loop_blocked(rig: "Rig", chance: random.Random) -> Fault:
-    ms = round(chance.uniform(500.0, 1500.0))
+    ms = round(chance.uniform(800.0, 1500.0))
     began_ns = rig.sabotage("loop", ms)
     return _for_a_while(began_ns, ms)
 
@@ -272,14 +272,10 @@ KINDS = (
         *("hearer-dies", "the thread that receives from the service dies"),
         *(thread_dies("MainThread"), SILENT | ENDED, NEW_SESSION),
     ),
-    beside(
-        _kind(
-            "loop-blocked",
-            "the web server's event loop is blocked, then a marker is covered",
-            loop_blocked,
-            reported(),
-            BY_ITSELF,
-        )
+    _kind(
+        *("loop-blocked", "the web server's event loop is blocked for 0.8 to 1.5 s", loop_blocked, SILENT, LATCHED),
+        bound=SILENCE,
+        bound_ms=SILENCE_MS + FRAME_MS,
     ),
     beside(
         _kind(

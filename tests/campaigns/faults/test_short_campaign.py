@@ -23,7 +23,7 @@ ALWAYS = frozenset(
             "native-read-hangs",
         ),
         *("sheet-thin", "body-settles", "camera-sinks", "part-blind"),
-        *("engine-killed", "engine-stopped", "service-held", "beat-dies", "hearer-dies"),
+        *("engine-killed", "engine-stopped", "service-held", "beat-dies", "hearer-dies", "loop-blocked"),
         *("malformed-index-back", "killed", "stopped", "engine-dies", "engine-hangs", "watchdog-dies", "line-dies"),
         *("line-watch-dies", "writer-hangs", "interpreter-held", "disk-full", "database-locked", "receiver-frozen"),
         *("receiver-refuses", "contact-sticks-off", "contact-sticks-on", "held-by-hand", "disarmed", "zero-set"),

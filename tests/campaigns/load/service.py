@@ -71,7 +71,9 @@ def served(
 ) -> Iterator[Service]:
     """Run a service on a new data folder until the block ends."""
     root, port, data = (checkout or ROOT).resolve(), free_port(), place / "data"
-    known = {**os.environ, "PYTHONPATH": str(root), "TIDEGATE_MAX_LIVE_CLIENTS": "256", **(environment or {})}
+    # A key arms here, and no person is at a page: presence is switched off, as a figure does not depend on it.
+    given = {"TIDEGATE_MAX_LIVE_CLIENTS": "256", "TIDEGATE_OPERATOR_TIMEOUT_S": "0", **(environment or {})}
+    known = {**os.environ, "PYTHONPATH": str(root), **given}
     command = [sys.executable, "-m", "service.cli"]
     scopes = [part for scope in SCOPES for part in ("--scope", scope)]
     made = subprocess.run(

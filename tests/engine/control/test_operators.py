@@ -9,7 +9,9 @@ from engine.core.commands import Arm, CorrectBaseline, Disarm, HoldBeam, Release
 from engine.core.errors import CommandRefusedError, InvalidValueError
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.ranges import LearnedRange
+from engine.gating.limits import GateLimits
 from engine.gating.windows import AmplitudeWindow, PhaseWindow
+from service.core.settings.settings import Settings
 from tests.support.control.armed_bench import LEARNED, armed_bench
 from tests.support.control.loop_bench import Bench, after, good
 from tests.support.gating.streams import FRAMES_A_DWELL, LIMITS, MS
@@ -67,6 +69,26 @@ def test_the_person_who_holds_and_the_one_who_releases_are_named():
     assert (held.reason, held.operator, held.detail) == (HoldReason.OPERATOR_HOLD, "bob", "held by bob")
     assert (released.reason, released.operator, released.detail) == (HoldReason.DWELL, "cy", "released by cy")
     assert [view.operator_hold for view in seen] == ["bob", None]
+
+
+def test_the_gate_names_who_armed_it_with_every_transition_and_in_every_view():
+    bench = _on_bench([])
+    seen = []
+
+    def look():
+        seen.append(bench.loop.status.view.armed_by)
+
+    bench.source.script += [after(look), after(bench.ask(HOLD)), after(bench.ask(RELEASE)), good, after(look)]
+    bench.source.script += [after(bench.ask(Disarm(operator="bob"))), good, after(look)]
+    bench.run()
+    assert seen == ["ann", "cy", None]
+    changes = bench.transitions()
+    held = next(one for one in changes if one.reason is HoldReason.OPERATOR_HOLD)
+    released = next(one for one in changes if one.detail == "released by cy")
+    disarmed = next(one for one in changes if one.to_state is GateState.DISARMED)
+    assert [one.armed_by for one in (changes[0], held, released)] == ["ann", "ann", "cy"]
+    assert (disarmed.operator, disarmed.armed_by) == ("bob", "cy"), "who had armed what was disarmed"
+    assert all(one.armed_by for one in changes[: changes.index(disarmed)])
 
 
 def test_a_hold_by_hand_is_never_refused_and_a_release_asked_for_before_it_is_taken_back():
@@ -174,8 +196,69 @@ def test_only_the_presence_of_the_person_who_armed_counts(who, is_on):
     assert bench.run().records()[-1].line_on is is_on
 
 
-def test_presence_is_not_required_by_default():
-    assert _on_bench([good] * 200).run().records()[-1].line_on
+def test_presence_is_required_by_default():
+    assert GateLimits(window=LIMITS.window).operator_timeout_s == 10.0
+    assert Settings().operator_timeout_s == 10.0
+
+
+KEY = "key:planning"
+
+
+def _armed_by_a_program(more: list) -> Bench:
+    bench = Bench([good] * LEARNED, limits=WATCHING)
+    bench.source.script += [good, after(lambda: bench.loop.note_presence("bob"))]
+    bench.source.script += [after(bench.ask(Arm(operator=KEY, is_person=False))), *[good] * 6, *more]
+    return bench
+
+
+def test_a_program_may_arm_only_while_a_person_is_present():
+    bench = Bench([good] * LEARNED, limits=WATCHING)
+    arm = bench.ask(Arm(operator=KEY, is_person=False))
+    bench.source.script += [after(arm), good, after(lambda: bench.loop.note_presence("bob"))]
+    bench.source.script += [*[good] * 20, after(arm), good, after(lambda: bench.loop.note_presence("bob"))]
+    bench.source.script += [after(arm), *[good] * 6]
+    records = bench.run().records()
+    refused, late, done = (answer.exception(timeout=0) for answer in bench.answers[-3:])
+    assert "nobody who may arm is at the page" in str(refused)
+    assert (type(late), done) == (CommandRefusedError, None)
+    assert records[-1].line_on
+    assert {change.armed_by for change in bench.transitions() if change.armed_by} == {KEY}
+
+
+def test_any_person_s_presence_keeps_the_beam_of_a_program_s_gate_on_and_nobody_s_holds_it():
+    bench = _armed_by_a_program([])
+    for person in ("bob", "cy", "bob", "cy"):
+        bench.source.script += [*[good] * 5, after(lambda name=person: bench.loop.note_presence(name))]
+    bench.source.script += [good] * 20
+    records = bench.run().records()
+    assert all(record.line_on for record in records[-40:-20])
+    assert (records[-1].line_on, records[-1].hold_reason) == (False, HoldReason.OPERATOR_LOST)
+    lost = next(change for change in bench.transitions() if change.reason is HoldReason.OPERATOR_LOST)
+    assert lost.detail == "nobody who may arm is at the page"
+
+
+def test_a_program_s_arming_is_no_sign_of_presence():
+    bench = Bench([good] * LEARNED, limits=WATCHING)
+    bench.source.script += [after(lambda: bench.loop.note_presence("bob")), *[good] * 11]
+    bench.source.script += [after(bench.ask(Arm(operator=KEY, is_person=False))), *[good] * 6]
+    records = bench.run().records()
+    assert bench.answers[-1].exception(timeout=0) is None
+    assert records[-1].hold_reason is HoldReason.OPERATOR_LOST
+
+
+def test_a_person_s_release_counts_as_a_message():
+    bench = _on_bench([], limits=WATCHING)
+    bench.source.script += [after(bench.ask(HOLD)), after(bench.ask(RELEASE)), *[good] * 6]
+    assert bench.run().records()[-1].line_on
+
+
+@pytest.mark.parametrize(("who", "is_on"), [("ann", False), ("cy", True)])
+def test_whoever_releases_has_to_be_present_from_then_on(who, is_on):
+    bench = _on_bench([], limits=WATCHING)
+    bench.source.script += [after(bench.ask(HOLD)), after(bench.ask(RELEASE))]
+    for _ in range(12):
+        bench.source.script += [after(lambda: bench.loop.note_presence(who)), good, good]
+    assert bench.run().records()[-1].line_on is is_on
 
 
 def _correct(by: float) -> CorrectBaseline:

@@ -3,6 +3,7 @@
 import threading
 from concurrent.futures import Future
 from dataclasses import replace
+from unittest.mock import ANY
 
 import pytest
 
@@ -18,9 +19,9 @@ from engine.core.clock import ManualClock
 from engine.core.commands import Arm, Disarm, HoldBeam
 from engine.core.errors import BeamLineError, FrameTimeoutError, SourceAwayError, SourceLostError
 from engine.core.gate_state import GateState, HoldReason
-from engine.gating.gate import Interruption, lease_of
+from engine.gating.gate import Gate, Interruption, lease_of
 from engine.gating.interlocks import DecisionInputs
-from engine.gating.supervision.operator_presence import OperatorPresence
+from engine.gating.supervision.operator_presence import MOST_PERSONS, OperatorPresence
 from tests.support.control.armed_bench import ON, ON_AT, on_bench
 from tests.support.control.loop_bench import ScriptedSource, SteppedWatchdog, WatchedBeamLine, drained, good, silent
 from tests.support.control.loop_bench import raising as raising_step
@@ -61,10 +62,11 @@ class Parts:
         self.outputs.put_sample(replace(record, asserted_ns=self.clock.now_ns()))
 
     def be_absent(self):
-        self.presence.arm("anna")
+        self.presence.note("anna")
         self.clock.advance_ns(2_000 * MS)
 
 
+ARMED = Gate(state=GateState.HOLD, reason=HoldReason.DWELL, armed_by="anna")
 REPORTED = Interruption(HoldReason.DISK_LOW, "almost full")
 CHANGES = {
     "watchdog_fired": (Parts.fire, True),
@@ -73,7 +75,6 @@ CHANGES = {
     "disarm_requested_by": (lambda parts: parts.commands.submit(Disarm(operator="anna")), "anna"),
     "hold_requested_by": (lambda parts: parts.commands.submit(HoldBeam(operator="bert")), "bert"),
     "is_stop_requested": (lambda parts: parts.stop_requested.set(), True),
-    "operator_absence": (Parts.be_absent, "no message from anna for 2.0 s"),
 }
 
 
@@ -83,15 +84,52 @@ def test_each_field_of_a_decision_holds_its_own_reading(name):
     parts = Parts()
     change(parts)
     now_ns = parts.clock.now_ns()
-    assert parts.reader.decision(is_armed=False) == DecisionInputs(at_ns=now_ns, **{name: value})
+    assert parts.reader.decision(Gate()) == DecisionInputs(at_ns=now_ns, **{name: value})
+
+
+@pytest.mark.parametrize(
+    ("gate", "absence"),
+    [
+        (Gate(), ""),
+        (ARMED, "no message from anna for 2.0 s"),
+        (replace(ARMED, armed_by="bert"), "no message from bert"),
+        (replace(ARMED, is_armed_by_program=True), "nobody who may arm is at the page"),
+    ],
+)
+def test_who_has_to_be_present_is_read_for_an_armed_gate(gate, absence):
+    parts = Parts()
+    assert parts.presence.absence(gate, parts.clock.now_ns()) == ("" if gate.armed_by is None else ANY)
+    parts.be_absent()
+    assert parts.reader.decision(gate) == DecisionInputs(at_ns=parts.clock.now_ns(), operator_absence=absence)
+    parts.presence.note("carl" if gate.is_armed_by_program else str(gate.armed_by))
+    assert parts.reader.decision(gate).operator_absence == ""
+
+
+@pytest.mark.parametrize("is_person", [True, False])
+def test_a_program_that_arms_reads_whether_a_person_is_present(is_person):
+    parts = Parts()
+    parts.be_absent()
+    for absence in ("" if is_person else "nobody who may arm is at the page", ""):
+        parts.commands.submit(Arm(operator="key:tps", is_person=is_person))
+        (taken,) = parts.reader.turn().commands
+        found = parts.reader.command(taken)
+        assert found == CommandInputs(is_watchdog_running=found.is_watchdog_running, operator_absence=absence)
+        parts.presence.note("carl")
+
+
+def test_more_persons_than_a_site_has_are_forgotten_and_not_kept_for_ever():
+    parts = Parts()
+    for number in range(MOST_PERSONS + 1):
+        parts.presence.note(f"person {number}")
+    assert len(parts.presence._seen_ns) == 1
 
 
 def test_the_silence_of_the_service_is_a_fault_while_armed_only():
     parts = Parts()
     parts.commands.note_service(parts.clock.now_ns())
     parts.clock.advance_ns(MS)
-    assert parts.reader.decision(is_armed=False).reported_fault is None
-    assert parts.reader.decision(is_armed=True).reported_fault.reason is HoldReason.SERVICE_SILENT
+    assert parts.reader.decision(Gate()).reported_fault is None
+    assert parts.reader.decision(ARMED).reported_fault.reason is HoldReason.SERVICE_SILENT
 
 
 def test_what_waits_too_long_for_the_disk_is_read_while_armed_only():
@@ -99,14 +137,14 @@ def test_what_waits_too_long_for_the_disk_is_read_while_armed_only():
     parts.fill_samples()
     parts.clock.advance_ns(int((LIMITS.max_unwritten_ms + 1) * MS))
     delay = (HoldReason.RECORDER_BEHIND, f"nothing was written for {LIMITS.max_unwritten_ms + 1:.0f} ms")
-    assert parts.reader.decision(is_armed=True).write_delay == delay
-    assert parts.reader.decision(is_armed=False).write_delay is None
+    assert parts.reader.decision(ARMED).write_delay == delay
+    assert parts.reader.decision(Gate()).write_delay is None
 
 
 def test_a_watchdog_whose_thread_is_gone_is_read():
     parts = Parts()
     parts.reader._watchdog = Watchdog(beam=parts.beam, clock=parts.clock, deadline_ns=MS)  # never started
-    assert not parts.reader.decision(is_armed=True).is_watchdog_running
+    assert not parts.reader.decision(ARMED).is_watchdog_running
     queued = parts.commands.submit(Arm(operator="anna"))
     (taken,) = parts.reader.turn().commands
     assert taken.answer is queued
@@ -167,7 +205,7 @@ def test_transitions_that_did_not_fit_are_offered_again_at_the_next_decision():
         parts.outputs.put_transition(change)
     assert parts.outputs.kept_transitions == 1
     drained(parts.outputs.transitions)  # by a reader that holds the queue itself
-    assert parts.reader.decision(is_armed=False).queue_trouble is None
+    assert parts.reader.decision(Gate()).queue_trouble is None
     assert (parts.outputs.kept_transitions, parts.outputs.transitions.qsize()) == (0, 1)
 
 

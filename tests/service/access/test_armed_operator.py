@@ -5,13 +5,13 @@ from datetime import timedelta
 import pytest
 from sqlalchemy.exc import OperationalError
 
-from engine.core.commands import Arm, HoldBeam
+from engine.core.commands import Arm, HoldBeam, ReleaseBeam
 from service.access import armed_operator
 from service.access.accounts.people import Change
 from service.access.armed_operator import ArmedOperator
-from service.access.request.identity import Identity
 from service.core.errors import EngineTimeoutError
 from service.core.permissions import KEY_PERMISSIONS, Role
+from service.engine_host.equipment import ArmedSession
 from tests.support.service.api_calls import act, audit_rows
 from tests.support.service.fake_engine import REFUSED
 from tests.support.waiting import eventually
@@ -115,7 +115,7 @@ def test_a_machine_whose_key_is_revoked_is_not_there(client, session_id, armed):
         url, content=b'{"operator": "C. Nurse"} ', headers={**bearer, "Content-Type": "application/json"}
     )
     assert answer.status_code == 200, answer.text
-    assert Arm(operator="key:planning") in armed.commands
+    assert Arm(operator="key:planning", is_person=False) in armed.commands
     look(client)
     assert holds(armed) == []
     desk.keys.revoke(made.key.id, by="test")
@@ -124,8 +124,9 @@ def test_a_machine_whose_key_is_revoked_is_not_there(client, session_id, armed):
 
 
 def test_a_machine_of_the_identity_provider_counts_as_there(client):
-    assert client.desk.authenticator.is_present(Identity(kind="machine", name="m", permissions=KEY_PERMISSIONS))
-    assert not client.desk.authenticator.is_present(Identity(kind="user", name="nobody", permissions=KEY_PERMISSIONS))
+    is_present = client.desk.authenticator.is_present
+    assert is_present("machine:m")
+    assert not any(map(is_present, ["nobody", "key:nobody", "m"]))
 
 
 def test_the_look_is_every_second_and_goes_on_after_a_failure():
@@ -135,8 +136,7 @@ def test_the_look_is_every_second_and_goes_on_after_a_failure():
         asked.append(1)
         raise OSError
 
-    looks = ArmedOperator(is_present=is_present, is_armed=lambda _id: True, hold=lambda *_: None)
-    looks.set_operator("s", Identity(kind="user", name="x", permissions=frozenset()))
+    looks = ArmedOperator(is_present=is_present, armed=lambda: ArmedSession("s", "x"), hold=lambda *_: None)
     assert armed_operator.INTERVAL_S <= 1.0
     looks.start()
     eventually(lambda: len(asked) >= 2)
@@ -218,37 +218,33 @@ def test_a_hold_that_fails_is_tried_again_at_the_next_look():
         if len(tried) == 1:
             raise EngineTimeoutError("not in time")
 
-    looks = ArmedOperator(is_present=lambda _identity: False, is_armed=lambda _id: True, hold=hold)
-    looks.set_operator("s", Identity(kind="user", name="x", permissions=frozenset()))
+    looks = ArmedOperator(is_present=lambda _name: False, armed=lambda: ArmedSession("s", "x"), hold=hold)
     with pytest.raises(EngineTimeoutError):
         looks.check()
-    looks.check()
     looks.check()
     assert tried == ["s", "s"]
 
 
-def test_a_person_who_releases_during_a_hold_is_responsible():
-    held = []
+def test_who_releases_answers_for_the_gate_and_a_program_takes_over_from_nobody(client, session_id, armed):
+    act(client, session_id, "hold", operator="B. Physicist")
+    assert client.get(f"/api/v1/sessions/{session_id}").json()["gate"]["armed_by"] == ARMS
+    made = client.desk.keys.create("planning", KEY_PERMISSIONS, client.desk.store.now() + timedelta(days=1), by="test")
+    client.speaks_as = None
+    bearer = {"Authorization": f"Bearer {made.secret}"}
+    url = f"/api/v1/sessions/{session_id}/release"
+    assert client.post(url, json={"operator": "C. Nurse"}, headers=bearer).status_code == 200
+    assert armed.commands[-1] == ReleaseBeam(operator="key:planning", is_person=False)
+    client.speaks_as = ARMS
+    assert client.get(f"/api/v1/sessions/{session_id}").json()["gate"]["armed_by"] == ARMS
+    act(client, session_id, "hold", operator="B. Physicist")
+    assert act(client, session_id, "release", operator="B. Physicist").status_code == 200
+    assert armed.commands[-1] == ReleaseBeam(operator="B. Physicist", is_person=True)
+    assert client.get(f"/api/v1/sessions/{session_id}").json()["gate"]["armed_by"] == "B. Physicist"
 
-    def hold(_session_id, identity):
-        held.append(identity.name)
-        if identity is first:  # the hold is done, its row is not: another releases
-            looks.set_operator("s", second)
 
-    first, second = (Identity(kind="user", name=name, permissions=frozenset()) for name in "ab")
-    looks = ArmedOperator(is_present=lambda _identity: False, is_armed=lambda _id: True, hold=hold)
-    looks.set_operator("s", first)
-    for _ in range(3):
-        looks.check()
-    assert held == ["a", "b"]
-
-
-def test_presence_is_required_again_after_it_returned_from_a_hold():
-    held = []
-    looks = ArmedOperator(is_present=lambda _identity: False, is_armed=lambda _id: True, hold=lambda *_: held.append(1))
-    identity = Identity(kind="user", name="x", permissions=frozenset())
-    for _ in range(2):
-        looks.set_operator("s", identity)
-        looks.check()
-        looks.check()
-    assert len(held) == 2
+def test_a_hold_over_a_log_in_that_a_program_releases_is_held_again(client, session_id, armed):
+    log_out(client)
+    look(client)
+    armed.submit(ReleaseBeam(operator="key:planning", is_person=False))
+    look(client)
+    assert holds(armed) == [HoldBeam(operator="tidegate")] * 2

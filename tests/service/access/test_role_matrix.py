@@ -7,7 +7,7 @@ import pytest
 from starlette.websockets import WebSocketDisconnect
 
 from service.access.request.identity import Identity
-from service.access.request.rules import BEFORE_THE_PASSWORD_IS_CHANGED, RULES, SOCKET, Open, RuleTable
+from service.access.request.rules import BEFORE_THE_PASSWORD_IS_CHANGED, PEOPLE_ONLY, RULES, SOCKET, Open, RuleTable
 from service.core.permissions import KEY_PERMISSIONS, ROLE_PERMISSIONS, Permission, Role
 from service.core.settings.settings import Settings
 from service.web.app import create_app
@@ -30,6 +30,7 @@ EVERYBODY = (*NOT_LOGGED_IN, "must change", *ROLES, *KEYS)
 WITHOUT_LOG_IN = {"/api/v1/login", "/api/v1/login/oidc", "/api/v1/login/oidc/return"}
 ENDLESS = {"/api/v1/live/events": "?form=none"}
 """Answers without an end, and what is asked so that they are refused behind the guard instead."""
+PRESENCE = ("POST", "/api/v1/sessions/{session_id}/presence")
 FILL = {"login_id": "0" * 32, "key_id": "0" * 12, "name": "nobody"}
 
 
@@ -96,6 +97,8 @@ def due(who, method, path):
         return False
     if who == "must change":
         return (method, path) in BEFORE_THE_PASSWORD_IS_CHANGED
+    if who in KEYS and (method, path) in PEOPLE_ONLY:
+        return False
     return needs is Open.ANYONE_LOGGED_IN or needs in (ROLES | KEYS)[who]
 
 
@@ -167,6 +170,16 @@ def test_what_is_taken_from_a_machine_is_never_let_in_by_a_key_that_has_it_all_t
 
 def test_only_physicists_start_qa_and_administrators_do_not():
     assert {role for role in Role if Permission.QA_RUN in ROLE_PERMISSIONS[role]} == {Role.PHYSICIST}
+
+
+def test_a_key_that_may_arm_is_not_somebody_who_is_present(client, credentials):
+    assert PRESENCE in PEOPLE_ONLY
+    answer = client.post(url(PRESENCE[1]), json={"operator": "A. Therapist"}, headers=credentials["key with gate.arm"])
+    problem = answer.json()
+    assert (answer.status_code, problem["code"], problem["bound"]) == (403, "person_required", "a person's log-in")
+    assert (problem["field"], problem["value"]) == ("caller", "'key'")
+    answer = client.post(url(PRESENCE[1]), json={}, headers=credentials["therapist"])
+    assert (answer.status_code, answer.json()["code"]) == (404, "not_found")
 
 
 def test_only_roles_that_treat_can_arm_and_administrators_cannot():

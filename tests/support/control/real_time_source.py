@@ -17,6 +17,7 @@ PATIENT_LIMITS = GateLimits(
     max_frame_age_ms=200.0,
     max_gap_ms=200.0,
     max_lag_ms=500.0,
+    operator_timeout_s=0.0,
     max_silence_ms=2_000.0,
     watchdog_ms=400.0,
 )

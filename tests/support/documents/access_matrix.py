@@ -5,7 +5,7 @@ Run: ``python -m tests.support.documents.access_matrix --write``.
 
 from functools import partial
 
-from service.access.request.rules import RULES, Needs, Open
+from service.access.request.rules import PEOPLE_ONLY, RULES, Needs, Open
 from service.core.permissions import KEY_PERMISSIONS, MEANING, ROLE_PERMISSIONS, Permission, Role
 from tests.support.generated_sections import print_or_write
 from tests.support.repository import ROOT
@@ -26,7 +26,9 @@ def permissions_table() -> str:
 def matrix_table() -> str:
     """Write what each call needs."""
     lines = ["| call | needs |", "|---|---|"]
-    lines += [f"| `{method} {template}` | {_words(needs)} |" for (method, template), needs in RULES.items()]
+    for (method, template), needs in RULES.items():
+        people_only = ", people only" if (method, template) in PEOPLE_ONLY else ""
+        lines.append(f"| `{method} {template}` | {_words(needs)}{people_only} |")
     return "\n".join(lines)
 
 

@@ -43,8 +43,9 @@ PATIENT = {
     "max_silence_ms": 2_000.0,
     "watchdog_ms": 400.0,
     "max_service_silence_ms": SILENCE_MS,
+    "operator_timeout_s": 0.0,
 }
-"""For a busy test machine, as those of tests.support.control.real_time_source."""
+"""Without a page, and for a busy test machine, as those of tests.support.control.real_time_source."""
 
 WINDOW = {"signal": "whole", "lower_mm": -1.0, "upper_mm": 3.0, "hysteresis_mm": 0.0, "dwell_ms": 100.0}
 
@@ -126,6 +127,9 @@ class Bench:
         self.transitions: list[GateTransition] = []
         self.writes = threading.Event()
         self.writes.set()
+        self.serves = threading.Event()
+        """Whether the web server's event loop turns."""
+        self.serves.set()
         self._is_over = threading.Event()
         running = self.port.open(make_plan(self.journal))
         assert isinstance(running, RemoteEngine)
@@ -160,6 +164,7 @@ class Bench:
         self.send(signal.SIGCONT)
         self.engine._child.control.send = self._control
         self.writes.set()
+        self.serves.set()
         self.engine.submit(Disarm(operator="ann")).result(PATIENCE_S)
         eventually(self._is_calm)
         self.transitions.clear()
@@ -177,6 +182,8 @@ class Bench:
 
     def _write(self) -> None:
         while not self._is_over.is_set():
+            if self.serves.is_set():
+                self.port.note_server_turn(time.monotonic_ns())
             if self.writes.wait(0.02):
                 self.take()
                 self._is_over.wait(0.01)

@@ -25,7 +25,10 @@ LIMITS = GateLimits(
     dwell_ms=100.0,
     max_jump_mm=1.5,
     head_direction=HeadDirection.TOP,
+    operator_timeout_s=0.0,
 )
+"""Of an armed gate without a page: tests/engine/control/test_operators.py is about presence."""
+
 SEEN = SeenShares(whole=0.98, thorax=0.97, abdomen=0.99, cells=np.ones((14, 8)), points=np.ones(4), named=np.ones(4))
 FRAMES_A_DWELL = 4
 """Three periods are 100.1 ms: the fourth good frame is the first that may turn the beam on."""

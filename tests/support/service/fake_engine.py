@@ -110,6 +110,7 @@ class FakeRunning:
         self.conditions: tuple[ConditionState, ...] = ()
         self.breaths: tuple[Breath, ...] = ()
         self.operator_hold: str | None = None
+        self.armed_by: str | None = None
         self.camera_ms: float | None = None
         self.gate = GateState.DISARMED
         self._index = count()
@@ -132,14 +133,21 @@ class FakeRunning:
 
     def _obey(self, command: Command) -> None:
         match command:
+            case Arm():
+                self.armed_by = command.operator
+            case Disarm():
+                self.armed_by = None
             case HoldBeam():
                 self.operator_hold = command.operator
             case ReleaseBeam():
                 self.operator_hold = None
+                self.armed_by = command.operator if command.is_person else self.armed_by
             case CorrectBaseline():
                 self.window = self.window.shifted(self.window.choices[0], command.by)
                 if self.latest is not None:
                     self.latest = replace(self.latest, window=self.window)
+        if self.latest is not None:
+            self.latest = replace(self.latest, operator_hold=self.operator_hold, armed_by=self.armed_by)
 
     @property
     def status(self) -> EngineStatus:
@@ -203,6 +211,7 @@ class FakeRunning:
             window=self.window,
             conditions=self.conditions,
             operator_hold=self.operator_hold,
+            armed_by=self.armed_by,
             breath_holds=max((state.holds for state in self.conditions), default=0),
         )
         return record
@@ -223,6 +232,7 @@ class FakeRunning:
             received_ns=at_ns - 3,
             decided_ns=at_ns,
             asserted_ns=at_ns + 3,
+            armed_by=self.armed_by,
         )
         self.gate = to_state
         self.transitions.put_nowait(made)
@@ -240,6 +250,7 @@ class FakeEngine:
         self.fail_with: TidegateError | None = None
         self.broken_source: str | None = None
         self.probed: list[str | None] = []
+        self.server_turned_ns: int | None = None
         self.while_probed: Callable[[], object] = lambda: None
 
     @property
@@ -261,6 +272,9 @@ class FakeEngine:
         if self.fail_with is not None:
             raise self.fail_with
         return nominal_calibration("Fake Xtion", size_px=(640, 480), field_of_view_rad=(1.02, 0.797))
+
+    def note_server_turn(self, turned_ns: int) -> None:
+        self.server_turned_ns = turned_ns
 
     def close(self) -> None:
         pass

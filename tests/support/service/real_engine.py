@@ -12,8 +12,14 @@ from tests.support.service.api_calls import act, audit_rows, make_session_body, 
 
 WIDE = {"signal": "whole", "lower_mm": -40.0, "upper_mm": 40.0, "hysteresis_mm": 0.2, "dwell_ms": 100.0}
 
-PATIENT_LIMITS = {"max_frame_age_ms": 200.0, "lease_ms": 200.0, "watchdog_ms": 500.0, "max_gap_ms": 200.0}
-"""A test's machine is shared: what is tested here is the way through, not the time it takes."""
+PATIENT_LIMITS = {
+    "max_frame_age_ms": 200.0,
+    "lease_ms": 200.0,
+    "watchdog_ms": 500.0,
+    "max_gap_ms": 200.0,
+    "operator_timeout_s": 0.0,
+}
+"""A test's machine is shared: what is tested here is the way through, not the time it takes. Nobody is at a page."""
 FEW_FRAMES = TrainingSettings(min_frames=50, max_frames=120, min_cycles=1, min_seconds=5.0)
 
 

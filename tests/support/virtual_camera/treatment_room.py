@@ -149,7 +149,7 @@ def room(folder: Path, film: Film | None = None, **settings: object) -> Iterator
     with VirtualXtion(folder, film) as camera, receiver("tcp") as far:
         with contextlib.suppress(OSError):  # a real receiver shares its processor with no one
             os.setpriority(os.PRIO_PROCESS, far.process.pid, -15)
-        reported = {**SETTINGS, "BEAM_MODBUS_PORT": far.where, **settings}
+        reported = {**SETTINGS, "BEAM_MODBUS_PORT": far.where, "OPERATOR_TIMEOUT_S": 0.0, **settings}
         environment = camera.environment | {f"TIDEGATE_{name}": str(value) for name, value in reported.items()}
         arguments = ("service.cli", "serve", "--port", str(port), "--data", str(folder / "data"))
         started = service_process(

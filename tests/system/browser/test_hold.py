@@ -3,7 +3,8 @@
 import pytest
 from playwright.sync_api import expect
 
-from tests.support.browser.fake_service import SESSION, SESSION_ID, FakeService, person, sample
+from service.core.permissions import Role
+from tests.support.browser.fake_service import SESSION_ID, FakeService, person, sample
 from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 
@@ -94,10 +95,8 @@ def test_who_holds_is_said_also_where_another_reason_is_told(fake: FakeService, 
 def test_the_page_of_whoever_armed_tells_every_second_that_they_are_there(fake: FakeService, stepped: SteppedPage):
     fake.person = ADA
     page = stepped.open_settled(DISARMED)
-    stepped.advance(1_400)
-    assert calls_to(fake, "presence") == [], "nobody armed"
     page.click("#do-arm")
-    stepped.shows(BEAM_ON)
+    stepped.shows(BEAM_ON | {"armed_by": "Ada L."})
     before = len(calls_to(fake, "presence"))
     stepped.advance(5_000)
     heard = calls_to(fake, "presence")
@@ -112,25 +111,54 @@ def test_the_page_of_whoever_armed_tells_every_second_that_they_are_there(fake: 
     assert len(calls_to(fake, "presence")) == told, "another person at the page is not the one who armed"
 
 
-def test_presence_is_kept_over_a_reload_and_ends_with_the_arming(fake: FakeService, stepped: SteppedPage):
+def test_presence_is_kept_over_a_reload(fake: FakeService, stepped: SteppedPage):
     fake.person = ADA
     page = stepped.open_settled(DISARMED)
     page.click("#do-arm")
-    stepped.shows(BEAM_ON)
+    stepped.shows(BEAM_ON | {"armed_by": "Ada L."})
     page.reload()
     stepped.advance_until(lambda: stepped.kind == "beam_on")
     before = len(calls_to(fake, "presence"))
     stepped.advance(1_600)
     assert len(calls_to(fake, "presence")) > before
-    stepped.shows(DISARMED)
+
+
+@pytest.mark.parametrize("armed_by", ["Ada L.", "C. Nurse"])
+def test_a_page_that_did_not_arm_speaks_for_nobody_while_a_person_s_gate_is_armed(
+    fake: FakeService, stepped: SteppedPage, armed_by: str
+):
+    fake.person = ADA
+    stepped.open(BEAM_ON | {"armed_by": armed_by})
+    stepped.advance(3_000)
+    assert calls_to(fake, "presence") == [], "also where the same person armed at another page"
+
+
+@pytest.mark.parametrize("sample", [DISARMED, BEAM_ON | {"armed_by": "key:planning"}], ids=["disarmed", "by a program"])
+def test_where_no_person_answers_for_the_gate_each_page_of_who_may_arm_tells_that_they_are_there(
+    fake: FakeService, stepped: SteppedPage, sample: dict
+):
+    fake.person = ADA
+    stepped.open(sample)
+    stepped.advance(3_000)
+    assert len(calls_to(fake, "presence")) >= 2
+    fake.person = person("V. Viewer", Role.VIEWER)
+    stepped.page.evaluate(LOOKED_AT_AGAIN)
+    stepped.advance(400)
     told = len(calls_to(fake, "presence"))
     stepped.advance(3_000)
-    assert len(calls_to(fake, "presence")) == told
+    assert len(calls_to(fake, "presence")) == told, "who may not arm answers for no gate"
 
 
-def test_a_page_that_did_not_arm_speaks_for_nobody(fake: FakeService, stepped: SteppedPage):
+def test_the_page_of_whoever_released_answers_from_then_on(fake: FakeService, stepped: SteppedPage):
     fake.person = ADA
-    stepped.open(BEAM_ON)
+    page = stepped.open_settled(HELD | {"armed_by": "C. Nurse"})
+    page.click("#do-release")
+    stepped.shows(BEAM_ON | {"armed_by": "Ada L."})
+    before = len(calls_to(fake, "presence"))
     stepped.advance(3_000)
-    assert calls_to(fake, "presence") == []
-    assert SESSION["operator"] != "Ada L."
+    assert len(calls_to(fake, "presence")) - before >= 2
+
+
+def test_who_armed_is_shown(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", BEAM_ON | {"armed_by": "C. Nurse"}
+    expect(tab.open("beam_on").locator("#gate-detail")).to_have_text("Armed by C. Nurse.")

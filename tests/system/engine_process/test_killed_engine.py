@@ -165,6 +165,14 @@ def test_a_silent_service_faults_an_armed_gate_and_no_other(held, lateness):
     held.turn_on()
 
 
+def test_a_web_server_that_does_not_turn_is_a_silent_service_though_its_process_beats(held, lateness):
+    blocked_ns, off_ns = held_after(held, held.serves.clear, {HoldReason.SERVICE_SILENT})
+    latest_ns = blocked_ns + (SILENCE_MS + 90) * MS + lateness.allowed_ns
+    assert blocked_ns + (SILENCE_MS - 100) * MS <= off_ns <= latest_ns
+    held.calm()
+    held.turn_on()
+
+
 def test_an_arm_that_was_given_up_while_the_process_stood_still_is_not_carried_out_afterwards(held):
     held.send(signal.SIGSTOP)
     asked = held.engine.submit(Arm(operator="late"))

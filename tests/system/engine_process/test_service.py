@@ -10,6 +10,7 @@ from tests.support.beam.receivers import Lateness
 from tests.support.engine_process.bench import MS, PATIENT, SILENCE_MS, WINDOW, Line, eventually, is_there, line_at
 from tests.support.engine_process.process_ids import engine_pid, engine_pids
 from tests.support.engine_process.real_time_program import LINE
+from tests.support.engine_process.service_program import PIPE
 from tests.support.service.api_calls import act, audit_rows, make_calibration, make_session_body, upload
 from tests.support.service.processes import free_port, service_process
 
@@ -69,7 +70,11 @@ def started(tmp_path, line):
         arguments = ("tests.support.engine_process.service_program", str(tmp_path / "data"), str(port))
         log = tmp_path / f"log-{port}"
         return service_process(
-            *arguments, port=port, log=log, data=tmp_path / "data", environment={LINE: str(line.path)}
+            *arguments,
+            port=port,
+            log=log,
+            data=tmp_path / "data",
+            environment={LINE: str(line.path), PIPE: str(tmp_path / "pipe")},
         )
 
     return start
@@ -125,6 +130,22 @@ def test_a_service_that_is_stopped_has_its_beam_held_and_goes_on_later(started, 
         process.send_signal(signal.SIGCONT)
         assert edge == "held"
         assert int(times_ns[0]) <= stopped_ns + SILENCE_NS + LEASE_NS + lateness.allowed_ns
+        running.turn_on()
+        assert "service_silent" in [one["reason"] for one in running.transitions()]
+
+
+def test_a_service_whose_event_loop_is_blocked_has_its_beam_held_as_a_silent_one(started, line, lateness, tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with started() as (process, client):
+        running = Running(process, client, line)
+        running.turn_on()
+        process.send_signal(signal.SIGUSR1)
+        blocked_ns = time.monotonic_ns()
+        edge, *times_ns = line.await_off()
+        pipe.write_bytes(b"go on")
+        assert edge == "held", "by the engine's process: every other thread of the service goes on"
+        assert int(times_ns[0]) <= blocked_ns + SILENCE_NS + LEASE_NS + lateness.allowed_ns
         running.turn_on()
         assert "service_silent" in [one["reason"] for one in running.transitions()]
 

@@ -109,7 +109,7 @@ export const retrain = (id, operator, keepsReference) =>
 /** `unit` is mm or l; `by` and `drift` are the displayed values that the person confirms. */
 export const correctBaseline = (id, operator, unit, by, drift) =>
   call("POST", `${session(id)}/baseline-correction`, { operator, [`by_${unit}`]: by, [`drift_${unit}`]: drift });
-/** Report the operator's presence, with a short time-out. */
+/** Report that a person who may arm is at this page, with a short time-out. */
 export const notePresence = (id, operator) => send("POST", `${session(id)}/presence`, { operator }, {}, PRESENCE_TIMEOUT_MS);
 export const applyModel = (id, operator) => call("POST", `${session(id)}/models/apply`, { operator });
 

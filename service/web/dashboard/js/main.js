@@ -221,7 +221,7 @@ function render() {
   follow(view, sample, nowMs);
   controls.update({ kind: view.kind, sample: running, selected: session, person: access.state === "in" ? access.person : null });
   baseline.update(view.isCurrent ? running : null);
-  presence.tend(running, controls.operatorName, nowMs);
+  presence.tend(running, access.may("arm") ? controls.operatorName : "", nowMs);
   if (!access.may("events")) events.tell(access.state === "in" ? "Not shown: your log-in does not allow it." : "No events yet.");
   else if (view.isFresh) events.tend(nowMs);
   if (access.may("watch")) qa.tend(nowMs);

@@ -199,11 +199,14 @@ def test_the_header_says_whose_it_is_and_ties_both_clocks(tmp_path):
 
 def test_text_without_end_is_cut_and_says_so_and_odd_text_comes_back(journal):
     journal.commit(transition(1, detail="ü" * 5000, operator="Ø" * 300))
-    journal.commit(transition(2, detail="ü🫁 \n", operator="Dr. Ø", reason=HoldReason.DWELL))
-    first, second = (entry.transition for entry in kept(journal).entries)
+    journal.commit(transition(2, detail="ü🫁 \n", operator="Dr. Ø", reason=HoldReason.DWELL, armed_by="Schw. Æ"))
+    journal.commit(transition(3, detail="ü" * 5000, operator="Ø" * 300, armed_by="Ø" * 80))
+    first, second, third = (entry.transition for entry in kept(journal).entries)
     assert first.detail.endswith("... (cut)")
     assert first.operator.endswith("... (cut)")
     assert (second.detail, second.operator, second.reason) == ("ü🫁 \n", "Dr. Ø", HoldReason.DWELL)
+    assert (first.armed_by, second.armed_by, third.armed_by) == (None, "Schw. Æ", "Ø" * 80)
+    assert third.detail.endswith("... (cut)")
 
 
 def test_the_file_goes_when_the_audit_has_everything_and_stays_when_it_lacks_one(tmp_path):

@@ -205,7 +205,7 @@ def test_the_end_is_emitted_once_even_if_its_queue_was_full_before(served):
 
 
 def test_who_has_an_answer_finds_all_that_came_with_it():
-    engine = RemoteEngine(Recording(), None, on_end=lambda **_: None)
+    engine = RemoteEngine(Recording(), None, on_end=lambda **_: None, server_turned_ns=lambda: 1)
     asked = engine.submit(SetReference(operator="ann"))
     found = []
     asked.add_done_callback(lambda _: found.append((engine.status, engine.transitions.qsize())))
@@ -218,7 +218,7 @@ def test_who_has_an_answer_finds_all_that_came_with_it():
 
 def test_a_picture_can_be_read_though_the_engine_s_messages_of_it_are_late(served):
     _, server, _, _ = served
-    engine = RemoteEngine(Recording(), None, on_end=lambda **_: None)
+    engine = RemoteEngine(Recording(), None, on_end=lambda **_: None, server_turned_ns=lambda: 1)
     engine._child.page = server._page
     assert engine.picture() is None
     for frame_index in range(20):
@@ -228,7 +228,7 @@ def test_a_picture_can_be_read_though_the_engine_s_messages_of_it_are_late(serve
 
 
 def test_who_sees_the_end_finds_everything_there():
-    engine = RemoteEngine(Recording(), None, on_end=lambda **_: None)
+    engine = RemoteEngine(Recording(), None, on_end=lambda **_: None, server_turned_ns=lambda: 1)
     seen = []
 
     class Watched(CountingQueue):

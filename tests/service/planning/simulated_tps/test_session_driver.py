@@ -24,6 +24,8 @@ class Room:
         self.operator_hold = None
         self.fault = None
         self.calls = []
+        self.present_at = []
+        """Frames at which somebody reported their presence."""
         self.becomes = {}
         """What a call becomes, once: an error before it is done, or ``(error,)`` once it is done."""
         self.at_frame = {}
@@ -98,6 +100,11 @@ class Room:
     def stop(self, _session_id):
         return self._call("stop", lambda: setattr(self, "status", "stopped"))
 
+    def note_presence(self, _session_id):
+        self.present_at.append(self.frame)
+        if self.frame % 2:
+            raise UnreachableError("lost")
+
     def acknowledge(self, _session_id):
         def seen():
             self.fault, self.is_armed = None, False
@@ -137,6 +144,26 @@ def treat(room, *, has_therapist=True, beams=BEAMS, events=None):
     )
     stretch.run()
     return delivered, stretch
+
+
+def test_a_therapist_who_takes_part_is_present_every_second_and_a_key_never_is():
+    room = Room(status="created")
+    treat(room)
+    assert room.present_at == []
+    therapist = Room()
+    room = Room(status="created")
+    treat(room, therapist=therapist)
+    assert len(therapist.present_at) >= room.frame * FRAME_US // 1_000_000
+    assert room.present_at == []
+
+
+def test_nobody_sees_old_frames():
+    room, therapist = Room(status="created"), Room()
+    room.age_ms = 5_000.0
+    room.at_frame[30] = lambda: setattr(room, "status", "stopped")
+    with pytest.raises(SessionOverError):
+        treat(room, therapist=therapist)
+    assert therapist.present_at == []
 
 
 WHOLE = ["start", "reference", "arm", "hold", "release", "hold", "stop"]

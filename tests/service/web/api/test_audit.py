@@ -220,6 +220,7 @@ def test_a_transition_is_audited_with_its_person_and_its_times(client, session_i
         "captured_ns": None,
         "latency_ms": None,
         "number": None,
+        "armed_by": None,
     }
 
 

@@ -205,6 +205,9 @@ export class Controls {
     } else if (action === "arm") {
       await arm(id, operator, headOf(this.context));
       rememberArming(id, operator);
+    } else if (action === "release") {
+      await act(id, action, operator);
+      rememberArming(id, operator);
     } else if (action !== "retrain") await act(id, action, operator);
     else {
       await retrain(id, operator, this.keepsReference.checked);

@@ -1,13 +1,17 @@
 /**
- * Reports the presence of the operator who armed, every second; if the reports stop, the controller may hold the beam.
+ * Reports every second that a person who may arm is at this page; if the reports stop, the controller holds the beam.
  *
- * Only the page they armed at reports, under the name they armed with, while it is visible.
+ * Only a visible page reports. While a person's gate is armed, only the page they armed or released it at, under their
+ * name; while no gate is armed, or a program armed it, the page of everybody who may arm.
  */
 
 import { notePresence } from "../api.js";
 
 const ARMED_KEY = "tidegate.armed";
 const PERIOD_MS = 1000;
+
+/** Names of programs have a colon, those of people never. */
+const isProgram = (name) => name?.includes(":") ?? false;
 
 export function rememberArming(sessionId, operator) {
   sessionStorage.setItem(ARMED_KEY, JSON.stringify({ sessionId, operator }));
@@ -19,21 +23,30 @@ export class Presence {
     this.isBusy = false;
   }
 
-  /** @param {?object} sample the fresh sample of a running session, or null */
+  /**
+   * @param {?object} sample the fresh sample of a running session, or null
+   * @param {string} operatorName the person who is logged in and may arm; empty if there is none
+   */
   async tend(sample, operatorName, nowMs) {
-    const armed = armedHere();
-    const isTheirs = sample?.is_armed === true && armed?.sessionId === sample.session_id && armed.operator === operatorName;
-    if (!isTheirs || document.hidden || this.isBusy || nowMs < this.nextMs) return;
+    if (sample === null || operatorName === "" || !counts(sample, operatorName)) return;
+    if (document.hidden || this.isBusy || nowMs < this.nextMs) return;
     this.isBusy = true;
     this.nextMs = nowMs + PERIOD_MS;
     try {
-      await notePresence(armed.sessionId, armed.operator);
+      await notePresence(sample.session_id, operatorName);
     } catch {
       // A lost report: if it persists, the controller holds the beam, and the page shows that hold.
     } finally {
       this.isBusy = false;
     }
   }
+}
+
+/** Whether this page's presence means something to the controller now. */
+function counts(sample, operatorName) {
+  if (!sample.is_armed || isProgram(sample.armed_by)) return true;
+  const armed = armedHere();
+  return sample.armed_by === operatorName && armed?.sessionId === sample.session_id && armed.operator === operatorName;
 }
 
 function armedHere() {

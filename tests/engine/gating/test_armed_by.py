@@ -1,0 +1,67 @@
+"""Who lets the gate decide: one name, kept by the gate from arming to disarming."""
+
+import pytest
+
+from engine.core.commands import Acknowledge, Arm, Disarm, ReleaseBeam
+from engine.core.gate_state import GateState, HoldReason
+from engine.gating.gate import Ending, Interruption, Silence
+from tests.support.gating.streams import stream_in
+
+ARMED = (GateState.HOLD, GateState.DWELL, GateState.BEAM_ON)
+
+
+@pytest.mark.parametrize("state", GateState)
+def test_an_armed_gate_and_no_other_names_who_armed_it(state):
+    assert (stream_in(state).gate.armed_by == "ann") is (state in ARMED)
+    assert (stream_in(state).gate.armed_by is None) is (state not in ARMED)
+
+
+@pytest.mark.parametrize("state", ARMED)
+@pytest.mark.parametrize(
+    "event",
+    [
+        Disarm(operator="bob"),
+        Ending(HoldReason.ENGINE_STOPPED),
+        Interruption(HoldReason.SOURCE_LOST),
+        Interruption(HoldReason.SERVICE_SILENT),
+    ],
+    ids=str,
+)
+def test_what_ends_the_arming_ends_the_name(state, event):
+    assert stream_in(state).step(event).armed_by is None
+
+
+@pytest.mark.parametrize("state", ARMED)
+@pytest.mark.parametrize(
+    "event",
+    [
+        Interruption(HoldReason.OPERATOR_HOLD, "held by bob"),
+        Interruption(HoldReason.OPERATOR_LOST),
+        Silence(since_ns=0),
+        Acknowledge(operator="bob"),
+        Arm(operator="bob"),
+    ],
+    ids=str,
+)
+def test_a_hold_or_another_s_command_keeps_the_name(state, event):
+    stream = stream_in(state)
+    assert stream.step(event).armed_by == "ann"
+    stream.good(6)
+    assert stream.gate.armed_by == "ann"
+
+
+@pytest.mark.parametrize(("is_person", "name"), [(True, "bob"), (False, "ann")])
+@pytest.mark.parametrize("state", ARMED)
+def test_a_person_who_releases_takes_over_and_a_program_does_not(state, is_person, name):
+    stream = stream_in(state)
+    released = stream.step(ReleaseBeam(operator="bob", is_person=is_person))
+    assert (released.state, released.reason, released.armed_by) == (GateState.HOLD, HoldReason.DWELL, name)
+    assert released.detail == "released by bob"
+    stream.good(6)
+    assert (stream.gate.state, stream.gate.armed_by) == (GateState.BEAM_ON, name)
+
+
+@pytest.mark.parametrize("state", [GateState.DISARMED, GateState.FAULT])
+def test_a_release_arms_nothing(state):
+    released = stream_in(state).step(ReleaseBeam(operator="bob"))
+    assert (released.state, released.armed_by) == (state, None)
