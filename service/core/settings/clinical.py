@@ -60,7 +60,6 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
         low=0.0, high=3.0, reason="a patient who lies further off needs a new reference, not a correction"
     ),
     # Whether a measurement counts.
-    "max_beam_on_s": ClinicalBound(low=2.0, high=20.0, reason="two breaths of six a minute"),
     "max_residual_mm": ClinicalBound(low=0.1, high=3.0, reason=EVALUATED),
     "max_jump_mm": ClinicalBound(low=0.1, high=4.0, reason="120 mm/s at 30 frames a second: no breath is faster"),
     "min_valid_share": ClinicalBound(

@@ -18,6 +18,7 @@ NOT_NARROWER = {
     "min_on_ms": "only shortens the beam's time",
     "min_off_ms": "only shortens the beam's time",
     "max_cycles_per_min": "only shortens the beam's time",
+    "max_beam_on_s": "at most 30 s in research too",
     "max_unwritten_ms": "at most a second in research too",
 }
 EDGES = [
