@@ -18,6 +18,7 @@ from engine.core.bounds import check_whole_number
 from engine.core.errors import BeamLineError
 
 CONNECT_S = 0.5
+LOOK_S = 0.15
 
 MAP_BOUNDS: dict[str, tuple[int, int]] = {
     "unit": (1, 247),
@@ -92,10 +93,17 @@ class ModbusWire:
             read = _good(self._client.read_discrete_inputs(at.readback_input, count=1, device_id=unit), "the read back")
         except ModbusException as error:
             raise BeamLineError(str(error)) from error
-        if not read.bits:
-            msg = "an empty answer"
-            raise BeamLineError(msg)
-        return read.bits[0]
+        return _bit(read)
+
+    def look(self, within_s: float) -> bool:
+        """Read the input within ``within_s`` and write nothing; raise BeamLineError where no answer comes."""
+        self._allow(time.monotonic() + within_s)
+        at = self._registers
+        try:
+            answer = self._client.read_discrete_inputs(at.readback_input, count=1, device_id=at.unit)
+        except ModbusException as error:
+            raise BeamLineError(str(error)) from error
+        return _bit(_good(answer, "the read back"))
 
     def close(self) -> None:
         """Disconnect."""
@@ -115,6 +123,33 @@ class ModbusWire:
             msg = "the time for an answer is over"
             raise BeamLineError(msg)
         self._client.comm_params.timeout_connect = left_s
+
+
+class ModbusInput:
+    """`SecondInput` by a connection of its own to a device, which reads one discrete input and writes nothing."""
+
+    def __init__(self, wire: ModbusWire) -> None:
+        self._wire = wire
+
+    def open(self) -> None:
+        """Connect; raise BeamLineError if the device does not accept the connection."""
+        try:
+            self._wire.connect()
+        except BeamLineError as error:
+            msg = f"the second input, {self._wire.name}: {error}"
+            raise BeamLineError(msg) from error
+
+    def is_closed(self) -> bool:
+        """Return the input; raise BeamLineError where it does not answer within `LOOK_S`."""
+        try:
+            return self._wire.look(LOOK_S)
+        except BeamLineError as error:
+            msg = f"the second input, {self._wire.name}: {error}"
+            raise BeamLineError(msg) from error
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._wire.close()
 
 
 def tcp_wire(*, host: str, port: int, registers: RegisterMap) -> ModbusWire:
@@ -143,6 +178,13 @@ def rtu_wire(*, device: str, baud: int, parity: Parity, stop_bits: int, register
 def _silence_library() -> None:
     """Keep pymodbus from logging each failed attempt, four a second: the line reports the fault itself."""
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+
+
+def _bit(answer: ModbusPDU) -> bool:
+    if not answer.bits:
+        msg = "an empty answer"
+        raise BeamLineError(msg)
+    return answer.bits[0]
 
 
 def _good(answer: ModbusPDU, request: str) -> ModbusPDU:

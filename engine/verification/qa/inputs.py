@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 from engine.beam.commissioning import PULSE_BOUNDS_MS
 from engine.beam.line import BeamLine
+from engine.beam.second_input import DrilledReceiver
 from engine.calibration.camera_calibration import Calibration
 from engine.capture.source import DepthSource
 from engine.control.watchdog import Watchdog
@@ -118,6 +119,8 @@ class BeamInput:
         Deadline of the watchdog's drill [ms], shorter than a lease, so that the watchdog turns the line off first.
     watched
         Context manager that runs a watchdog while its block runs.
+    receivers
+        The receivers of the line, one of each of its parts, for the drill of the heartbeat; without one it fails.
     """
 
     line: BeamLine
@@ -127,6 +130,7 @@ class BeamInput:
     repeats: int = 20
     watchdog_ms: float = 60.0
     watched: Callable[[Watchdog], AbstractContextManager[None]] = running_thread
+    receivers: tuple[DrilledReceiver, ...] = ()
 
     def __post_init__(self) -> None:
         """Check every number against its bounds; raise InvalidValueError."""

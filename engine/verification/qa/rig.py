@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from engine.beam.simulated import SimulatedBeamLine
+from engine.beam.second_input import DrilledReceiver
+from engine.beam.simulated import SimulatedBeamLine, SimulatedReceiver
 from engine.calibration.camera_calibration import Calibration
 from engine.capture.source import SourceDescription
 from engine.control.watchdog import Watchdog
@@ -155,7 +156,15 @@ def virtual_beam(repeats: int = 10) -> BeamInput:
     """Make a simulated line on a clock that advances only in ``wait_ns``."""
     time = StandingTime()
     line = SimulatedBeamLine(time.clock)
-    return BeamInput(line=line, clock=time.clock, wait_ns=time.wait_ns, repeats=repeats, watched=time.watched)
+    receiver = DrilledReceiver(name="simulated", line=line, second_input=SimulatedReceiver(line, time.clock))
+    return BeamInput(
+        line=line,
+        clock=time.clock,
+        wait_ns=time.wait_ns,
+        repeats=repeats,
+        watched=time.watched,
+        receivers=(receiver,),
+    )
 
 
 def sines(periods_s: tuple[float, ...], cycles_each: int) -> CommandedTrace:

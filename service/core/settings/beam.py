@@ -3,6 +3,7 @@
 A setting of a line that is not used is refused, because it suggests an output that does not exist.
 """
 
+import re
 from typing import Annotated, Literal, Self, TypeAlias
 from urllib.parse import urlsplit
 
@@ -22,6 +23,7 @@ Targets = Annotated[tuple[str, ...], NoDecode]
 MAX_TARGETS = 8
 MAX_TARGET_LENGTH = 500
 NO_CHANNEL = -1
+READBACK = "readback"
 
 MAP = ("beam_modbus_unit", "beam_modbus_permit_coil", "beam_modbus_heartbeat_register", "beam_modbus_readback_input")
 TIMES = ("beam_answer_ms", "beam_settle_ms")
@@ -44,6 +46,7 @@ NEEDED_BY: dict[LineKind, str] = {
     "modbus-rtu": "beam_rtu_device",
     "serial-relay": "beam_relay_device",
 }
+SECOND_INPUTS = ("beam_second_input", "beam_second_input_2")
 DEVICES = ("beam_rtu_device", "beam_relay_device")
 
 
@@ -54,6 +57,14 @@ class BeamSettings(BaseSettings):
     beam_line: LineKind = "simulated"
     beam_line_2: LineKind | None = Field(
         default=None, description="A second line of another kind; the beam is on only if both permit"
+    )
+    beam_second_input: str = Field(
+        default="",
+        max_length=MAX_TARGET_LENGTH,
+        description="What shows the contact to the drill of the heartbeat: readback, or HOST:PORT/UNIT/INPUT (Modbus)",
+    )
+    beam_second_input_2: str = Field(
+        default="", max_length=MAX_TARGET_LENGTH, description="The same for the second line's contact"
     )
     beam_answer_ms: float = Field(
         default=100.0,
@@ -125,12 +136,18 @@ class BeamSettings(BaseSettings):
         self._refuse_unused()
         self._refuse_missing()
         self._refuse_out_of_bounds()
+        self._refuse_second_inputs()
         return self
 
     @property
     def beam_lines(self) -> tuple[LineKind, ...]:
         """Kinds of the lines in use, one or two."""
         return (self.beam_line,) if self.beam_line_2 is None else (self.beam_line, self.beam_line_2)
+
+    @property
+    def second_inputs(self) -> tuple[str, ...]:
+        """What shows the contact of each line in use to the drill of the heartbeat; empty where nothing does."""
+        return tuple(getattr(self, name) for name in SECOND_INPUTS[: len(self.beam_lines)])
 
     @property
     def is_simulated_beam(self) -> bool:
@@ -146,7 +163,8 @@ class BeamSettings(BaseSettings):
     def beam_place(self) -> dict[str, str | int]:
         """Kinds and addresses of the lines in use."""
         where = {name: getattr(self, name) for kind in self.beam_lines for name in USED_BY[kind] if name not in TIMES}
-        return {"beam_lines": " ".join(self.beam_lines), **where}
+        seen_by = {name: place for name in SECOND_INPUTS if (place := getattr(self, name))}
+        return {"beam_lines": " ".join(self.beam_lines), **where, **seen_by}
 
     @property
     def beam_times(self) -> LineTimes:
@@ -212,6 +230,21 @@ class BeamSettings(BaseSettings):
                 msg = f"{_setting(name)} must be the path of a serial port, like /dev/ttyUSB0"
                 raise ValueError(msg)
 
+    def _refuse_second_inputs(self) -> None:
+        for number, name in enumerate(SECOND_INPUTS):
+            place = getattr(self, name)
+            kind = self.beam_lines[number] if number < len(self.beam_lines) else None
+            if not place:
+                continue
+            if kind is None or kind == "simulated":
+                msg = f"{_setting(name)} is set, but there is no such wired line ({', '.join(self.beam_lines)} is used)"
+                raise ValueError(msg)
+            if place != READBACK:
+                _check_second_input(name, place)
+            elif kind == "serial-relay" and self.beam_relay_contact == "none":
+                msg = f"{_setting(name)} is {READBACK}: set {PREFIX}BEAM_RELAY_CONTACT, or name another device's input"
+                raise ValueError(msg)
+
     def _refuse_out_of_bounds(self) -> None:
         try:
             _ = self.beam_times
@@ -223,6 +256,27 @@ class BeamSettings(BaseSettings):
             raise ValueError(msg) from error
 
 
+def second_input_place(text: str) -> tuple[str, int, RegisterMap]:
+    """Parse ``HOST:PORT/UNIT/INPUT`` into host, port and map; raise ValueError."""
+    parts = urlsplit(f"//{text}")
+    host, port, numbers = parts.hostname, parts.port, parts.path.split("/")[1:]
+    is_plain = parts.username is None and not parts.query and not parts.fragment and "\\" not in text
+    if (
+        not host
+        or not port
+        or not is_plain
+        or len(numbers) != 2
+        or not all(re.fullmatch("[0-9]{1,5}", n) for n in numbers)
+    ):
+        msg = f"must be {READBACK}, or HOST:PORT/UNIT/INPUT"  # without the value, which may hold a password
+        raise ValueError(msg)
+    try:
+        return host, port, RegisterMap(unit=int(numbers[0]), readback_input=int(numbers[1]))
+    except InvalidValueError as error:
+        msg = f"{'UNIT' if error.field == 'unit' else 'INPUT'} is {error.value}: must be {error.bound}"
+        raise ValueError(msg) from error
+
+
 def udp_target(target: str) -> tuple[str, int]:
     """Parse ``host:port``; raise ValueError."""
     parts = urlsplit(f"//{target}")
@@ -231,6 +285,14 @@ def udp_target(target: str) -> tuple[str, int]:
         msg = f"{target[:80]!r} must be host:port"
         raise ValueError(msg)
     return host, port
+
+
+def _check_second_input(name: str, place: str) -> None:
+    try:
+        second_input_place(place)
+    except ValueError as error:
+        msg = f"{_setting(name)}: {error}"
+        raise ValueError(msg) from error
 
 
 def _check_http_target(target: str) -> None:

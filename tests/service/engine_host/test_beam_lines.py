@@ -7,13 +7,15 @@ import sys
 import pytest
 
 from engine.beam.paired import PairedBeamLine
-from engine.beam.simulated import SimulatedBeamLine
+from engine.beam.second_input import OwnInput
+from engine.beam.simulated import SimulatedBeamLine, SimulatedReceiver
 from engine.beam.status.published_line import PublishedBeamLine
+from engine.beam.wire.modbus import ModbusInput
 from engine.beam.wire.supervised_line import WiredBeamLine
 from engine.core.clock import MonotonicClock
 from service.core.settings.beam import USED_BY, BeamSettings
 from service.core.settings.settings import Settings, SettingsError, load_settings
-from service.engine_host.beam_lines import make_beam_line
+from service.engine_host.beam_lines import beam_line_parts, drilled_receivers, make_beam_line
 from service.engine_host.local_engine import LocalEngine
 from tests.support.beam.receivers import receiver
 
@@ -119,6 +121,56 @@ def test_every_recipient_gets_the_whole_line(site):
     assert line._publishers[2]._sender._timeout_s == 2.0
 
 
+def _receivers_of(settings):
+    clock = MonotonicClock()
+    return drilled_receivers(settings, clock, beam_line_parts(settings, clock))
+
+
+def test_a_wired_line_has_no_second_input_until_the_site_names_one(site):
+    (receiver,) = _receivers_of(site(**TCP))
+    assert (receiver.name, receiver.second_input) == ("modbus-tcp", None)
+    assert receiver.line._look is None
+
+
+def test_a_simulated_line_has_a_receiver_of_its_own(site):
+    (receiver,) = _receivers_of(site())
+    assert isinstance(receiver.second_input, SimulatedReceiver)
+
+
+def test_a_line_s_own_read_back_is_looked_at_by_another_connection_where_there_may_be_one(site):
+    (tcp,) = _receivers_of(site(**TCP, BEAM_SECOND_INPUT="readback", BEAM_MODBUS_UNIT=9, BEAM_MODBUS_READBACK_INPUT=12))
+    assert isinstance(tcp.second_input, ModbusInput)
+    wire = tcp.second_input._wire
+    assert wire is not tcp.line._wire
+    assert wire._client is not tcp.line._wire._client
+    assert (wire._registers.unit, wire._registers.readback_input, wire._client.comm_params.port) == (9, 12, 502)
+    assert tcp.line._look is None
+
+
+@pytest.mark.parametrize("names", [RTU, {**RELAY, "BEAM_RELAY_CONTACT": "cts"}], ids=["rtu", "relay"])
+def test_of_a_serial_port_the_line_itself_looks_because_only_one_may_open_it(site, names):
+    (serial,) = _receivers_of(site(**names, BEAM_SECOND_INPUT="readback"))
+    assert isinstance(serial.second_input, OwnInput)
+    assert serial.line._look == serial.line._wire.look
+
+
+def test_each_of_two_lines_has_the_second_input_that_is_named_for_it(site):
+    settings = site(
+        **TCP,
+        BEAM_LINE_2="serial-relay",
+        BEAM_RELAY_DEVICE="/dev/ttyUSB1",
+        BEAM_SECOND_INPUT="readback",
+        BEAM_SECOND_INPUT_2="[::1]:1502/17/33",
+    )
+    first, second = _receivers_of(settings)
+    assert (first.name, second.name) == ("modbus-tcp", "serial-relay")
+    wire = second.second_input._wire
+    assert (wire._client.comm_params.host, wire._client.comm_params.port) == ("::1", 1502)
+    assert (wire._registers.unit, wire._registers.readback_input) == (17, 33)
+    assert second.line._look is None
+    assert settings.beam_place["beam_second_input_2"] == "[::1]:1502/17/33"
+
+
 @pytest.mark.parametrize(
     ("names", "said"),
     [
@@ -148,6 +200,17 @@ def test_every_recipient_gets_the_whole_line(site):
         ({**RELAY, "BEAM_RELAY_CHANNEL": 0}, "TIDEGATE_BEAM_RELAY_CHANNEL must be"),
         ({**RELAY, "BEAM_RELAY_HEARTBEAT_CHANNEL": 1}, "TIDEGATE_BEAM_RELAY_HEARTBEAT_CHANNEL must be another"),
         ({**RELAY, "BEAM_RELAY_CONTACT": "ri"}, "TIDEGATE_BEAM_RELAY_CONTACT"),
+        ({"BEAM_SECOND_INPUT": "readback"}, "TIDEGATE_BEAM_SECOND_INPUT is set, but there is no such wired line"),
+        ({**TCP, "BEAM_SECOND_INPUT_2": "readback"}, "TIDEGATE_BEAM_SECOND_INPUT_2 is set, but there is no such"),
+        ({**RELAY, "BEAM_SECOND_INPUT": "readback"}, "BEAM_SECOND_INPUT is readback: set TIDEGATE_BEAM_RELAY_CONTACT"),
+        ({**TCP, "BEAM_SECOND_INPUT": "plc"}, "TIDEGATE_BEAM_SECOND_INPUT: must be readback, or HOST:PORT/UNIT/INPUT"),
+        ({**TCP, "BEAM_SECOND_INPUT": "plc:502/1"}, "must be readback, or HOST:PORT/UNIT/INPUT"),
+        ({**TCP, "BEAM_SECOND_INPUT": "plc:0/1/0"}, "TIDEGATE_BEAM_SECOND_INPUT"),
+        ({**TCP, "BEAM_SECOND_INPUT": "plc:65536/1/0"}, "TIDEGATE_BEAM_SECOND_INPUT"),
+        ({**TCP, "BEAM_SECOND_INPUT": "plc:502/0/0"}, "UNIT is 0: must be"),
+        ({**TCP, "BEAM_SECOND_INPUT": "plc:502/1/65536"}, "INPUT is 65536: must be"),
+        ({**TCP, "BEAM_SECOND_INPUT": "plc:502/1/-1"}, "must be readback, or HOST:PORT/UNIT/INPUT"),
+        ({**TCP, "BEAM_SECOND_INPUT": "me:secret@plc:502/1/0"}, "TIDEGATE_BEAM_SECOND_INPUT"),
         ({"BEAM_NOTIFY_UDP": "localhost"}, "TIDEGATE_BEAM_NOTIFY_UDP"),
         ({"BEAM_NOTIFY_UDP": "localhost:0"}, "TIDEGATE_BEAM_NOTIFY_UDP"),
         ({"BEAM_NOTIFY_UDP": "localhost:65536"}, "TIDEGATE_BEAM_NOTIFY_UDP"),
@@ -204,6 +267,7 @@ def test_research_mode_takes_a_simulated_line(site):
 def test_every_setting_of_a_wire_belongs_to_a_line():
     wires = {name for name in BeamSettings.model_fields if name.startswith("beam_")}
     others = {"beam_line", "beam_line_2", "beam_notify_udp", "beam_notify_http", "beam_notify_timeout_s"}
+    others |= {"beam_second_input", "beam_second_input_2"}
     assert wires - others == {name for names in USED_BY.values() for name in names}
     assert set(BeamSettings.model_fields) <= set(Settings.model_fields)
 

@@ -5,7 +5,8 @@ Run: ``python -m tests.support.beam.modbus_server tcp|rtu [PORT]``.
 pymodbus's own server. It says ``ready WHERE``, then ``on NS`` and ``off NS CAUSE`` at every edge of its contact, in
 monotonic time. It drops the permit when the heartbeat stands still for 200 ms, and wants to see it withdrawn before it
 takes one again. A line on standard input spoils it: ``stuck on``, ``stuck off``, ``lag MS``, ``late MS``,
-``refuse``, ``well``. It ends with its standard input, when its parent is gone.
+``refuse``, ``keeps`` (the permit, whatever the heartbeat does), ``recloses`` (with the next heartbeat), ``well``. It
+ends with its standard input, when its parent is gone.
 """
 
 import asyncio
@@ -36,7 +37,7 @@ class Receiver:
         self.beaten_ns = time.monotonic_ns()
         self.stuck: bool | None = None
         self.lag_s = self.late_s = 0.0
-        self.is_refusing = False
+        self.is_refusing = self.keeps = self.recloses = False
 
     def spoil(self, words: list[str]) -> None:
         match words:
@@ -48,6 +49,10 @@ class Receiver:
                 self.late_s = float(ms) / 1000
             case ["refuse"]:
                 self.is_refusing = True
+            case ["keeps"]:
+                self.keeps = True
+            case ["recloses"]:
+                self.recloses = True
             case ["well"]:
                 self.stuck, self.lag_s, self.late_s, self.is_refusing = None, 0.0, 0.0, False
 
@@ -66,7 +71,7 @@ class Receiver:
         return None
 
     def _permit(self, *, is_on: bool) -> None:
-        if is_on and self.wants_off_first:
+        if is_on and self.wants_off_first and not self.recloses:
             return
         self.wants_off_first = False
         if self.lag_s:
@@ -92,7 +97,7 @@ class Receiver:
         parent = os.getppid()
         while os.getppid() == parent:  # ends with its parent
             await asyncio.sleep(TICK_S)
-            if self.is_on and time.monotonic_ns() - self.beaten_ns > DROP_NS:
+            if self.is_on and not self.keeps and time.monotonic_ns() - self.beaten_ns > DROP_NS:
                 self.wants_off_first = True
                 self._turn(False, "heartbeat")
 

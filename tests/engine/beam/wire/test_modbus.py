@@ -7,7 +7,7 @@ import pytest
 from pymodbus.exceptions import ModbusException
 
 from engine.beam.wire import modbus
-from engine.beam.wire.modbus import CONNECT_S, MAP_BOUNDS, ModbusWire, RegisterMap, rtu_wire, tcp_wire
+from engine.beam.wire.modbus import CONNECT_S, MAP_BOUNDS, ModbusInput, ModbusWire, RegisterMap, rtu_wire, tcp_wire
 from engine.core.errors import BeamLineError, InvalidValueError
 
 MAP = RegisterMap(unit=9, permit_coil=31, heartbeat_register=47, readback_input=58)
@@ -185,3 +185,27 @@ def test_the_bounds_of_every_address_belong_to_it_and_what_is_refused_is_named(n
             RegisterMap(**{name: value})
         assert (refused.value.field, refused.value.value) == (name, repr(value))
         assert refused.value.bound == f"a whole number from {low} to {high}"
+
+
+@pytest.mark.parametrize("reads_on", [True, False])
+def test_a_look_reads_the_input_and_writes_nothing(client, reads_on):
+    client.read = Answer(bits=[reads_on])
+    assert wire(client).look(0.1) is reads_on
+    assert client.asked == [("input", 58, {"count": 1, "device_id": 9}, pytest.approx(0.1))]
+
+
+def test_a_second_input_connects_reads_and_disconnects_and_its_errors_say_which_it_is(client):
+    second_input = ModbusInput(wire(client))
+    second_input.open()
+    assert second_input.is_closed() is True
+    second_input.close()
+    assert {request[0] for request in client.asked if request != "close"} == {"connect", "input"}
+    client.read = Answer(is_refusal=True, exception_code=2)
+    with pytest.raises(BeamLineError, match=r"^the second input, the beam line at test: it refuses the read back"):
+        second_input.is_closed()
+    client.connects = False
+    with pytest.raises(BeamLineError, match=r"^the second input, the beam line at test: cannot connect"):
+        second_input.open()
+    client.error = ModbusException("no response")
+    with pytest.raises(BeamLineError, match=r"^the second input, .*no response"):
+        second_input.is_closed()
