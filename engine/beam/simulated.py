@@ -6,11 +6,13 @@ from dataclasses import dataclass
 from engine.beam.deadman import DeadMan, Grant
 from engine.beam.line import TroubleListener, ignore_trouble
 from engine.beam.second_input import RECEIVER_DROP_MS
+from engine.core.bounds import check_number
 from engine.core.clock import NS_PER_MS, Clock
 from engine.core.errors import BeamLineError
 from engine.core.gate_state import HoldReason, Lease
 
 HISTORY = 4096
+ACCELERATOR_BOUNDS_MS = (0.0, 2000.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,6 +133,31 @@ class SimulatedReceiver:
 
     def close(self) -> None:
         """Disconnect."""
+
+
+class SimulatedAccelerator:
+    """An accelerator whose beam follows a simulated line after ``delay_ms``, both ways, and its beam-on signal.
+
+    Attributes
+    ----------
+    stuck
+        The signal whatever the line does; None for one that follows it.
+    """
+
+    def __init__(self, line: SimulatedBeamLine, clock: Clock, *, delay_ms: float) -> None:
+        check_number("delay_ms", delay_ms, *ACCELERATOR_BOUNDS_MS, "ms")
+        self.stuck: bool | None = None
+        self._line, self._clock, self._delay_ns = line, clock, int(delay_ms * NS_PER_MS)
+        self._changes: deque[tuple[int, bool]] = deque([(0, False)])
+
+    def read(self) -> bool:
+        """Return the signal of now; the line's changes are noticed when it is called."""
+        now_ns, is_on = self._clock.now_ns(), self._line.is_on()
+        if is_on is not self._changes[-1][1]:
+            self._changes.append((now_ns, is_on))
+        while len(self._changes) > 1 and self._changes[1][0] + self._delay_ns <= now_ns:
+            self._changes.popleft()
+        return self._changes[0][1] if self.stuck is None else self.stuck
 
 
 def _edges(happened: list[tuple[int, Lease | HoldReason]], now_ns: int) -> tuple[BeamEdge, ...]:

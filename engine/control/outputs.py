@@ -7,6 +7,7 @@ monotonic nanoseconds except ``captured_us``, which is the device's clock.
 import enum
 from dataclasses import dataclass
 
+from engine.beam.beam_on import BeamOnState
 from engine.capture.source import SourceDescription
 from engine.core.clock import NS_PER_MS
 from engine.core.frames import ColorImage, Measurement
@@ -125,6 +126,8 @@ class LiveView:
         The operator who holds the beam by hand; None where there is none.
     breath_holds
         Number of breath holds since the gate was armed.
+    beam_on
+        The accelerator's beam-on signal compared with the permit; None where it is no input.
     unseen_cells
         Row and column of each cell of which the frame shows less than a gated cell needs; its motion is extrapolated.
     """
@@ -145,4 +148,5 @@ class LiveView:
     conditions: tuple[ConditionState, ...] = ()
     operator_hold: str | None = None
     breath_holds: int = 0
+    beam_on: BeamOnState | None = None
     unseen_cells: tuple[tuple[int, int], ...] = ()

@@ -4,10 +4,12 @@ from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import TypeAlias
 
+from engine.beam.beam_on import BeamOnState, ReadBeamOn
+from engine.beam.compared_line import ComparedBeamLine
 from engine.beam.line import BeamLine
 from engine.beam.paired import PairedBeamLine
 from engine.beam.second_input import DrilledReceiver, OwnInput, SecondInput
-from engine.beam.simulated import SimulatedBeamLine, SimulatedReceiver
+from engine.beam.simulated import SimulatedAccelerator, SimulatedBeamLine, SimulatedReceiver
 from engine.beam.status.published_line import PublishedBeamLine
 from engine.beam.status.publisher import HttpSender, Sender, StatusPublisher, UdpSender
 from engine.beam.wire.modbus import ModbusInput, ModbusWire, rtu_wire, tcp_wire
@@ -20,8 +22,30 @@ LinePart: TypeAlias = SimulatedBeamLine | WiredBeamLine
 
 
 def make_beam_line(settings: BeamSettings, clock: Clock) -> BeamLine:
-    """Return the beam line, not yet open: one or two lines, with its status publisher if one is set."""
-    return published(joined(beam_line_parts(settings, clock)), settings, clock)
+    """Return the beam line, not yet open: one or two lines, with publisher and beam-on signal if they are set."""
+    parts = beam_line_parts(settings, clock)
+    line = published(joined(parts), settings, clock)
+    read = read_beam_on(settings, clock, parts)
+    if read is None:
+        return line
+    return ComparedBeamLine(line, clock, read, after_permit_ms=settings.beam_without_permit_ms)
+
+
+def read_beam_on(settings: BeamSettings, clock: Clock, parts: Sequence[LinePart]) -> ReadBeamOn | None:
+    """Return what reads the accelerator's signal by one of the parts; None where there is no signal."""
+    if settings.beam_on_line is None:
+        return None
+    part = parts[settings.beam_lines.index(settings.beam_on_line)]
+    if isinstance(part, SimulatedBeamLine):
+        return SimulatedAccelerator(part, clock, delay_ms=settings.beam_simulated_accelerator_ms).read
+    wire = part.wire
+    assert isinstance(wire, ModbusWire), "only a Modbus line has a beam-on input"
+    return lambda: wire.beam_on
+
+
+def beam_on_state(line: BeamLine) -> BeamOnState | None:
+    """Return what the comparison with the accelerator's signal knows; None where nothing is compared."""
+    return line.state if isinstance(line, ComparedBeamLine) else None
 
 
 def published(line: BeamLine, settings: BeamSettings, clock: Clock) -> BeamLine:
@@ -73,7 +97,8 @@ def _line(kind: LineKind, settings: BeamSettings, clock: Clock, place: str) -> L
 
 
 def _tcp(settings: BeamSettings) -> ModbusWire:
-    return tcp_wire(host=settings.beam_modbus_host, port=settings.beam_modbus_port, registers=settings.beam_registers)
+    registers = settings.beam_registers("modbus-tcp")
+    return tcp_wire(host=settings.beam_modbus_host, port=settings.beam_modbus_port, registers=registers)
 
 
 def _rtu(settings: BeamSettings) -> ModbusWire:
@@ -82,7 +107,7 @@ def _rtu(settings: BeamSettings) -> ModbusWire:
         baud=settings.beam_rtu_baud,
         parity=settings.beam_rtu_parity,
         stop_bits=settings.beam_rtu_stop_bits,
-        registers=settings.beam_registers,
+        registers=settings.beam_registers("modbus-rtu"),
     )
 
 

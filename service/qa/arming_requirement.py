@@ -74,7 +74,8 @@ def _unfit_setting(newest: QaRunRow, settings: Settings) -> str | None:
         ours = f"this service's ({_named(settings.beam_place)})"
         return f"{run_text} tested another beam line ({_named(place)}) than {ours}: {ADVICE}"
     bounds = json.loads(newest.bounds)
-    missing = [check.code for check in checks_of(QaKind.DAILY) if bounds and check.code not in bounds]
+    daily = [check for check in checks_of(QaKind.DAILY) if not check.is_optional]
+    missing = [check.code for check in daily if bounds and check.code not in bounds]
     if missing:
         return f"{run_text} did not include {', '.join(missing)}, which the daily QA has now: {ADVICE}"
     wider = [code for code, bound in bounds.items() if not bound["fail"] <= settings.qa_bounds.of(code).fail]

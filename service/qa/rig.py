@@ -23,7 +23,7 @@ from engine.verification.qa.rig import VIRTUAL_BASELINE, RigFaults, virtual_inpu
 from engine.verification.qa.run import Progress, run_qa
 from engine.verification.qa.trace import read_commanded
 from service.core.settings.settings import Settings
-from service.engine_host.beam_lines import beam_line_parts, drilled_receivers, joined, published
+from service.engine_host.beam_lines import beam_line_parts, drilled_receivers, joined, published, read_beam_on
 from service.engine_host.site_rules.camera_serial import checked_camera
 from service.qa.guarded_line import GuardedLine
 from service.qa.roles import QaFiles
@@ -73,6 +73,7 @@ class EngineRig:
                 pulse_ms=request.beam.pulse_ms,
                 repeats=request.beam.repeats,
                 receivers=drilled_receivers(self._settings, self._clock, parts),
+                beam_on=read_beam_on(self._settings, self._clock, parts),
             ),
         )
         inputs.check(kind)

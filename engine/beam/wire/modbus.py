@@ -15,7 +15,7 @@ from pymodbus.pdu import ModbusPDU
 
 from engine.beam.wire.serial_settings import PARITY_LETTERS, Parity, check_baud
 from engine.core.bounds import check_whole_number
-from engine.core.errors import BeamLineError
+from engine.core.errors import BeamLineError, InvalidValueError
 
 CONNECT_S = 0.5
 LOOK_S = 0.15
@@ -43,17 +43,24 @@ class RegisterMap:
         A holding register that counts up at every cycle, 0 to 65535 and from 0 again.
     readback_input
         A discrete input: 1 is a permit that has reached the contact.
+    beam_on_input
+        A discrete input: 1 is a beam that the accelerator reports on; None where it is not wired.
     """
 
     unit: int = 1
     permit_coil: int = 0
     heartbeat_register: int = 0
     readback_input: int = 0
+    beam_on_input: int | None = None
 
     def __post_init__(self) -> None:
-        """Raise InvalidValueError for an address outside `MAP_BOUNDS`."""
+        """Raise InvalidValueError for an address outside `MAP_BOUNDS`, or one input used for two signals."""
         for name, (low, high) in MAP_BOUNDS.items():
             check_whole_number(name, getattr(self, name), low, high)
+        if self.beam_on_input is not None:
+            check_whole_number("beam_on_input", self.beam_on_input, *MAP_BOUNDS["readback_input"])
+            if self.beam_on_input == self.readback_input:
+                raise InvalidValueError("beam_on_input", self.beam_on_input, "another input than the read back's")
 
 
 class ModbusWire:
@@ -63,6 +70,12 @@ class ModbusWire:
         self._client = client
         self._registers = registers
         self._name = name
+        self._beam_on: bool | None = None
+
+    @property
+    def beam_on(self) -> bool | None:
+        """The accelerator's signal as of the newest exchange, from any thread; None where it is not known."""
+        return self._beam_on
 
     @property
     def name(self) -> str:
@@ -78,7 +91,7 @@ class ModbusWire:
             raise BeamLineError(msg)
 
     def exchange(self, *, is_on: bool, heartbeat: int, within_s: float) -> bool:
-        """Write coil and register and read the input: three requests within ``within_s``."""
+        """Write coil and register and read the inputs: three or four requests within ``within_s``."""
         at, unit = self._registers, self._registers.unit
         until_s = time.monotonic() + within_s
         try:
@@ -91,9 +104,14 @@ class ModbusWire:
             _good(self._client.write_register(at.heartbeat_register, heartbeat, device_id=unit), "the heartbeat")
             self._allow(until_s)
             read = _good(self._client.read_discrete_inputs(at.readback_input, count=1, device_id=unit), "the read back")
+            reads_on = _bit(read)
+            if at.beam_on_input is not None:
+                self._allow(until_s)
+                beam_on = self._client.read_discrete_inputs(at.beam_on_input, count=1, device_id=unit)
+                self._beam_on = _bit(_good(beam_on, "the beam-on signal"))
         except ModbusException as error:
             raise BeamLineError(str(error)) from error
-        return _bit(read)
+        return reads_on
 
     def look(self, within_s: float) -> bool:
         """Read the input within ``within_s`` and write nothing; raise BeamLineError where no answer comes."""
@@ -107,6 +125,7 @@ class ModbusWire:
 
     def close(self) -> None:
         """Disconnect."""
+        self._beam_on = None
         self._client.close()  # type: ignore[no-untyped-call]
 
     def _allow(self, until_s: float) -> None:

@@ -188,6 +188,11 @@ class WiredBeamLine:
         return self._wire.name
 
     @property
+    def wire(self) -> Wire:
+        """The wire, for what can be read of it without an exchange."""
+        return self._wire
+
+    @property
     def answers_ms(self) -> tuple[float, ...]:
         """Time of each answer, as far as a bounded history reaches [ms]."""
         return tuple(took_ns / NS_PER_MS for took_ns in tuple(self._supervisor.answers_ns))

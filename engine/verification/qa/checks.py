@@ -428,6 +428,21 @@ _BEAM = (
         most=RECEIVER_DROP_MS + MARGIN_MS,
         source="docs/3-operate/beam.md: a receiver drops the permit within 200 ms, and 50 ms for exchange and look",
     ),
+    QaCheck(
+        code="hold_to_beam_off_ms",
+        title="Beam off, from a hold to the accelerator",
+        unit="ms",
+        method="From a hold to the accelerator's beam-on signal off, the slowest; only where the signal is an input, "
+        "and the accelerator delivered during the drills.",
+        needs=QaNeed.BEAM,
+        kinds=DAILY,
+        sidedness=Sidedness.AT_MOST,
+        warn=100.0,
+        fail=150.0,
+        most=500.0,
+        source="TG-142: 100 ms for the gate, and half as much for the line's worst case; TG-76: 500 ms in total",
+        is_optional=True,
+    ),
 )
 
 CHECKS: tuple[QaCheck, ...] = _PLATE + _PHANTOM + _BEAM

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 
+from engine.beam.beam_on import ReadBeamOn
 from engine.beam.commissioning import PULSE_BOUNDS_MS
 from engine.beam.line import BeamLine
 from engine.beam.second_input import DrilledReceiver
@@ -121,6 +122,8 @@ class BeamInput:
         Context manager that runs a watchdog while its block runs.
     receivers
         The receivers of the line, one of each of its parts, for the drill of the heartbeat; without one it fails.
+    beam_on
+        Reads the accelerator's beam-on signal; None where it is no input.
     """
 
     line: BeamLine
@@ -131,6 +134,7 @@ class BeamInput:
     watchdog_ms: float = 60.0
     watched: Callable[[Watchdog], AbstractContextManager[None]] = running_thread
     receivers: tuple[DrilledReceiver, ...] = ()
+    beam_on: ReadBeamOn | None = None
 
     def __post_init__(self) -> None:
         """Check every number against its bounds; raise InvalidValueError."""

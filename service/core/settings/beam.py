@@ -10,6 +10,8 @@ from urllib.parse import urlsplit
 from pydantic import Field, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode
 
+from engine.beam.beam_on import AFTER_PERMIT_BOUNDS_MS, AFTER_PERMIT_MS
+from engine.beam.simulated import ACCELERATOR_BOUNDS_MS
 from engine.beam.wire.line_supervisor import TIME_BOUNDS, LineTimes
 from engine.beam.wire.modbus import MAP_BOUNDS, RegisterMap
 from engine.beam.wire.serial_relay import Contact, Protocol, check_channels
@@ -27,10 +29,19 @@ READBACK = "readback"
 
 MAP = ("beam_modbus_unit", "beam_modbus_permit_coil", "beam_modbus_heartbeat_register", "beam_modbus_readback_input")
 TIMES = ("beam_answer_ms", "beam_settle_ms")
+BEAM_ON_INPUT = ("beam_on_input", "beam_without_permit_ms")
 USED_BY: dict[LineKind, tuple[str, ...]] = {
-    "simulated": (),
-    "modbus-tcp": ("beam_modbus_host", "beam_modbus_port", *MAP, *TIMES),
-    "modbus-rtu": ("beam_rtu_device", "beam_rtu_baud", "beam_rtu_parity", "beam_rtu_stop_bits", *MAP, *TIMES),
+    "simulated": ("beam_simulated_accelerator_ms", "beam_without_permit_ms"),
+    "modbus-tcp": ("beam_modbus_host", "beam_modbus_port", *MAP, *TIMES, *BEAM_ON_INPUT),
+    "modbus-rtu": (
+        "beam_rtu_device",
+        "beam_rtu_baud",
+        "beam_rtu_parity",
+        "beam_rtu_stop_bits",
+        *MAP,
+        *TIMES,
+        *BEAM_ON_INPUT,
+    ),
     "serial-relay": (
         "beam_relay_device",
         "beam_relay_baud",
@@ -41,6 +52,9 @@ USED_BY: dict[LineKind, tuple[str, ...]] = {
         *TIMES,
     ),
 }
+SIGNALS = ("beam_on_input", "beam_simulated_accelerator_ms")
+NOT_PLACES = {*TIMES, *SIGNALS, "beam_without_permit_ms"}
+PLACES = {name for names in USED_BY.values() for name in names} - NOT_PLACES
 NEEDED_BY: dict[LineKind, str] = {
     "modbus-tcp": "beam_modbus_host",
     "modbus-rtu": "beam_rtu_device",
@@ -84,6 +98,24 @@ class BeamSettings(BaseSettings):
     beam_modbus_permit_coil: int = Field(default=0, ge=0, le=65_535)
     beam_modbus_heartbeat_register: int = Field(default=0, ge=0, le=65_535)
     beam_modbus_readback_input: int = Field(default=0, ge=0, le=65_535)
+    beam_on_input: int = Field(
+        default=NO_CHANNEL,
+        ge=NO_CHANNEL,
+        le=MAP_BOUNDS["readback_input"][1],
+        description="Discrete input of the accelerator's beam-on signal; -1 is none",
+    )
+    beam_without_permit_ms: float = Field(
+        default=AFTER_PERMIT_MS,
+        ge=AFTER_PERMIT_BOUNDS_MS[0],
+        le=AFTER_PERMIT_BOUNDS_MS[1],
+        description="Longest beam-on after the end of a permit",
+    )
+    beam_simulated_accelerator_ms: int = Field(
+        default=NO_CHANNEL,
+        ge=NO_CHANNEL,
+        le=int(ACCELERATOR_BOUNDS_MS[1]),
+        description="Delay of a simulated accelerator behind the simulated line; -1 is none",
+    )
     beam_rtu_device: str = Field(default="", max_length=255)
     beam_rtu_baud: int = Field(default=19_200, ge=BAUD_RATES[0], le=BAUD_RATES[-1])
     beam_rtu_parity: Parity = "even"
@@ -162,8 +194,9 @@ class BeamSettings(BaseSettings):
     @property
     def beam_place(self) -> dict[str, str | int]:
         """Kinds and addresses of the lines in use."""
-        where = {name: getattr(self, name) for kind in self.beam_lines for name in USED_BY[kind] if name not in TIMES}
+        where = {name: getattr(self, name) for kind in self.beam_lines for name in USED_BY[kind] if name in PLACES}
         seen_by = {name: place for name in SECOND_INPUTS if (place := getattr(self, name))}
+        seen_by |= {name: place for name in SIGNALS if (place := getattr(self, name)) != NO_CHANNEL}
         return {"beam_lines": " ".join(self.beam_lines), **where, **seen_by}
 
     @property
@@ -171,15 +204,23 @@ class BeamSettings(BaseSettings):
         """Time limits of a wired line."""
         return LineTimes(answer_ms=self.beam_answer_ms, settle_ms=self.beam_settle_ms)
 
-    @property
-    def beam_registers(self) -> RegisterMap:
-        """Register map of the Modbus device."""
+    def beam_registers(self, kind: LineKind) -> RegisterMap:
+        """Register map of the Modbus device of a line."""
         return RegisterMap(
+            beam_on_input=self.beam_on_input if kind == self.beam_on_line != "simulated" else None,
             unit=self.beam_modbus_unit,
             permit_coil=self.beam_modbus_permit_coil,
             heartbeat_register=self.beam_modbus_heartbeat_register,
             readback_input=self.beam_modbus_readback_input,
         )
+
+    @property
+    def beam_on_line(self) -> LineKind | None:
+        """The line that reads the accelerator's signal, the first that can; None where there is no signal."""
+        if self.is_simulated_beam:
+            return None if self.beam_simulated_accelerator_ms == NO_CHANNEL else "simulated"
+        modbus: list[LineKind] = [kind for kind in self.beam_lines if "beam_on_input" in USED_BY[kind]]
+        return modbus[0] if modbus and self.beam_on_input != NO_CHANNEL else None
 
     @property
     def beam_heartbeat_channel(self) -> int | None:
@@ -214,6 +255,8 @@ class BeamSettings(BaseSettings):
         used = {name for kind in self.beam_lines for name in USED_BY[kind]}
         used |= {"beam_notify_timeout_s"} if self.beam_notify_http else set()
         known = {name for names in USED_BY.values() for name in names} | {"beam_notify_timeout_s"}
+        if self.beam_on_line is None:
+            used -= {"beam_without_permit_ms"}
         for name in sorted((known & self.model_fields_set) - used):
             msg = f"{_setting(name)} is set, but {_unused(name, self.beam_lines)}"
             raise ValueError(msg)
@@ -248,10 +291,13 @@ class BeamSettings(BaseSettings):
     def _refuse_out_of_bounds(self) -> None:
         try:
             _ = self.beam_times
+            for kind in self.beam_lines:
+                self.beam_registers(kind)
             if "serial-relay" in self.beam_lines:
                 check_channels(self.beam_relay_protocol, self.beam_relay_channel, self.beam_heartbeat_channel)
         except InvalidValueError as error:
-            name = f"beam_{error.field}" if f"beam_{error.field}" in TIMES else f"beam_relay_{error.field}"
+            name = error.field if error.field.startswith("beam_") else f"beam_{error.field}"
+            name = name if name in type(self).model_fields else f"beam_relay_{error.field}"
             msg = f"{_setting(name)} must be {error.bound}"
             raise ValueError(msg) from error
 
@@ -312,5 +358,7 @@ def _setting(name: str) -> str:
 def _unused(name: str, lines: tuple[LineKind, ...]) -> str:
     if name == "beam_notify_timeout_s":
         return f"{PREFIX}BEAM_NOTIFY_HTTP is not"
+    if name == "beam_without_permit_ms":
+        return f"neither {_setting(SIGNALS[0])} nor {_setting(SIGNALS[1])} is"
     users = [kind for kind, names in USED_BY.items() if name in names]
     return f"no beam line is {' or '.join(users)} ({', '.join(lines)} is used)"

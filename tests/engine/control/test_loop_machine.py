@@ -183,8 +183,9 @@ class LoopMachine(RuleBasedStateMachine):
 
     @rule()
     def disarm(self) -> None:
+        """By the one who may hold by hand: that hold ends with it."""
         self.is_held_by_hand = False
-        assert self._ask(Disarm(operator="ann"), self.oracle.disarm)
+        assert self._ask(Disarm(operator="bob"), self.oracle.disarm)
 
     @rule()
     def acknowledge(self) -> None:

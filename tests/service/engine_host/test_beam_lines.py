@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from engine.beam.compared_line import ComparedBeamLine
 from engine.beam.paired import PairedBeamLine
 from engine.beam.second_input import OwnInput
 from engine.beam.simulated import SimulatedBeamLine, SimulatedReceiver
@@ -121,6 +122,33 @@ def test_every_recipient_gets_the_whole_line(site):
     assert line._publishers[2]._sender._timeout_s == 2.0
 
 
+def test_the_accelerator_s_signal_is_no_input_until_the_site_names_one(site):
+    assert not isinstance(_line_of(site(**TCP)), ComparedBeamLine)
+    assert not isinstance(_line_of(Settings()), ComparedBeamLine)
+
+
+def test_a_modbus_line_reads_the_signal_by_its_own_exchanges_and_compares_it(site):
+    settings = site(**TCP, BEAM_ON_INPUT=6, BEAM_WITHOUT_PERMIT_MS=120)
+    line = _line_of(settings)
+    assert isinstance(line, ComparedBeamLine)
+    assert line._line._wire._registers.beam_on_input == 6
+    assert line._comparison._after_permit_ms == 120.0
+    line._line._wire._beam_on = True
+    assert line._read() is True
+    assert settings.beam_place["beam_on_input"] == 6
+
+
+def test_of_two_modbus_lines_the_first_reads_the_signal(site):
+    settings = site(**TCP, BEAM_LINE_2="modbus-rtu", BEAM_RTU_DEVICE="/dev/ttyUSB0", BEAM_ON_INPUT=6)
+    assert [settings.beam_registers(kind).beam_on_input for kind in settings.beam_lines] == [6, None]
+
+
+def test_a_simulated_line_has_a_simulated_accelerator_if_the_site_asks_for_one(site):
+    line = _line_of(site(BEAM_SIMULATED_ACCELERATOR_MS=30))
+    assert isinstance(line, ComparedBeamLine)
+    assert line._read() is False
+
+
 def _receivers_of(settings):
     clock = MonotonicClock()
     return drilled_receivers(settings, clock, beam_line_parts(settings, clock))
@@ -200,6 +228,17 @@ def test_each_of_two_lines_has_the_second_input_that_is_named_for_it(site):
         ({**RELAY, "BEAM_RELAY_CHANNEL": 0}, "TIDEGATE_BEAM_RELAY_CHANNEL must be"),
         ({**RELAY, "BEAM_RELAY_HEARTBEAT_CHANNEL": 1}, "TIDEGATE_BEAM_RELAY_HEARTBEAT_CHANNEL must be another"),
         ({**RELAY, "BEAM_RELAY_CONTACT": "ri"}, "TIDEGATE_BEAM_RELAY_CONTACT"),
+        ({"BEAM_ON_INPUT": 6}, "TIDEGATE_BEAM_ON_INPUT is set, but no beam line is modbus-tcp or modbus-rtu"),
+        ({**TCP, "BEAM_ON_INPUT": 65_536}, "TIDEGATE_BEAM_ON_INPUT"),
+        ({**TCP, "BEAM_ON_INPUT": 0}, "TIDEGATE_BEAM_ON_INPUT must be another input than the read back's"),
+        ({**TCP, "BEAM_ON_INPUT": 6, "BEAM_WITHOUT_PERMIT_MS": 19}, "TIDEGATE_BEAM_WITHOUT_PERMIT_MS"),
+        ({**TCP, "BEAM_ON_INPUT": 6, "BEAM_WITHOUT_PERMIT_MS": 1001}, "TIDEGATE_BEAM_WITHOUT_PERMIT_MS"),
+        ({**TCP, "BEAM_WITHOUT_PERMIT_MS": 100}, "WITHOUT_PERMIT_MS is set, but neither TIDEGATE_BEAM_ON_INPUT nor"),
+        ({"BEAM_SIMULATED_ACCELERATOR_MS": 2001}, "TIDEGATE_BEAM_SIMULATED_ACCELERATOR_MS"),
+        (
+            {**TCP, "BEAM_SIMULATED_ACCELERATOR_MS": 30},
+            "SIMULATED_ACCELERATOR_MS is set, but no beam line is simulated",
+        ),
         ({"BEAM_SECOND_INPUT": "readback"}, "TIDEGATE_BEAM_SECOND_INPUT is set, but there is no such wired line"),
         ({**TCP, "BEAM_SECOND_INPUT_2": "readback"}, "TIDEGATE_BEAM_SECOND_INPUT_2 is set, but there is no such"),
         ({**RELAY, "BEAM_SECOND_INPUT": "readback"}, "BEAM_SECOND_INPUT is readback: set TIDEGATE_BEAM_RELAY_CONTACT"),

@@ -7,7 +7,7 @@ import pytest
 
 from engine.beam.paired import PairedBeamLine
 from engine.beam.second_input import DrilledReceiver
-from engine.beam.simulated import SimulatedBeamLine, SimulatedReceiver
+from engine.beam.simulated import SimulatedAccelerator, SimulatedBeamLine, SimulatedReceiver
 from engine.core.clock import NS_PER_S, MonotonicClock
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
@@ -185,6 +185,31 @@ def test_a_drill_that_is_cancelled_ends_with_the_line_held_and_closed(cancelled_
     assert not given.line.is_on()
     assert given.line.calls[-2:] == ["close", "hold"]
     assert "permit" not in given.line.calls[-4:]
+
+
+@pytest.mark.parametrize(("delay_ms", "fails"), [(20.0, False), (80.0, False), (180.0, True)])
+def test_where_the_accelerator_delivers_the_time_to_its_beam_off_is_judged(delay_ms, fails):
+    given = beam_of()
+    accelerator = SimulatedAccelerator(given.line, given.clock, delay_ms=delay_ms)
+    results = drilled(replace(given, beam_on=accelerator.read))
+    assert results["hold_to_beam_off_ms"].value == pytest.approx(delay_ms, abs=2.0)
+    assert failed(results) == ({"hold_to_beam_off_ms"} if fails else set())
+
+
+def test_where_nothing_shows_the_beam_or_the_accelerator_is_off_it_is_not_judged():
+    assert "hold_to_beam_off_ms" not in drilled(beam_of())
+    given = beam_of()
+    looks = []
+    results = drilled(replace(given, beam_on=lambda: bool(looks.append(1))))
+    assert "hold_to_beam_off_ms" not in results
+    assert failed(results) == set()
+    assert len(looks) < 1_100  # it is waited for once
+
+
+def test_a_beam_that_does_not_go_off_fails_the_drill_and_is_named():
+    results = drilled(replace(beam_of(), beam_on=lambda: True))
+    assert "the accelerator reports beam on 1000 ms after the hold" in results["fail_safe_hold_ms"].detail
+    assert {"fail_safe_hold_ms", "beam_readback_errors"} <= failed(results)
 
 
 def test_progress_is_reported_after_every_drill():
