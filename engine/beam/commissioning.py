@@ -1,7 +1,7 @@
 """Short permits outside of sessions, to measure a line's times: for commissioning, with the accelerator made safe.
 
-The only caller of ``permit`` besides `engine.control.beam_driver`. Users are ``tidegate beam-line check --pulse`` and
-the drill of QA (`engine.verification.qa.drill`).
+The only caller of ``permit`` besides `engine.control.beam_driver`. Users are ``tidegate beam-line check --pulse``,
+the drill of the heartbeat (`engine.beam.heartbeat_drill`) and the drills of QA (`engine.verification.qa.drill`).
 """
 
 from collections.abc import Callable
@@ -75,6 +75,14 @@ class Pulser:
         lease = self._next_lease()
         self._line.permit(lease)
         return self._await(lease.granted_ns, is_on=True), lease.expires_ns
+
+    def renew(self) -> None:
+        """Permit for one more lease without waiting for the read-back; raise BeamLineError if that is refused."""
+        self._line.permit(self._next_lease())
+
+    def hold(self) -> None:
+        """Withdraw the permit."""
+        self._line.hold(HoldReason.OPERATOR_HOLD)
 
     def is_refused(self) -> bool:
         """Whether the line refuses a permit, as a latched line must. The caller holds."""

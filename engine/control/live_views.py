@@ -3,8 +3,10 @@
 A view is a frozen value that is replaced whole. A view that a hung engine left behind is shown as a fault.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
+from engine.beam.beam_on import BeamOnState
 from engine.capture.source import SourceDescription
 from engine.control.decisions import Decision
 from engine.control.latency import LatencyStatistics
@@ -20,6 +22,11 @@ BACK_DETAIL = "; it is back: acknowledge, set the reference, arm"
 """Added to the detail of a lost camera that delivers frames again."""
 
 
+def no_signal() -> BeamOnState | None:
+    """Return None: the accelerator's beam-on signal is no input."""
+    return None
+
+
 class LiveViews:
     """Makes the newest view from each decision.
 
@@ -29,7 +36,15 @@ class LiveViews:
         As made at the last decision; None before the first frame.
     """
 
-    def __init__(self, *, limits: SessionLimits, outputs: OutputQueues, watchdog: Watchdog) -> None:
+    def __init__(
+        self,
+        *,
+        limits: SessionLimits,
+        outputs: OutputQueues,
+        watchdog: Watchdog,
+        beam_on: Callable[[], BeamOnState | None] = no_signal,
+    ) -> None:
+        self._beam_on = beam_on
         self._limits, self._outputs, self._watchdog = limits, outputs, watchdog
         self._latency = LatencyStatistics(warn_latency_ms=limits.current.warn_latency_ms)
         self._shown_by_watchdog: tuple[LiveView, LiveView] | None = None
@@ -106,5 +121,6 @@ class LiveViews:
             operator_hold=decision.operator_hold,
             armed_by=decision.gate.armed_by,
             breath_holds=decision.gate.breath_holds,
+            beam_on=self._beam_on(),
             unseen_cells=() if motion is None else motion.seen.unseen_cells(limits.min_signal_share),
         )

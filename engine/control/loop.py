@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 
+from engine.beam.beam_on import BeamOnState
 from engine.beam.line import BeamLine
 from engine.capture.source import DepthSource
 from engine.control.command_handler import CommandHandler
@@ -22,7 +23,7 @@ from engine.control.engine_status import EngineStatus
 from engine.control.gate_controller import GateController
 from engine.control.journal.journal import Journal
 from engine.control.line_orders import LineOrders
-from engine.control.live_views import LiveViews
+from engine.control.live_views import LiveViews, no_signal
 from engine.control.output_queues import OutputQueues
 from engine.control.outputs import FrameRecord, GateTransition, LoopStatus
 from engine.control.roles import Learner, Measurer
@@ -74,6 +75,8 @@ class EngineLoop:
         Keeps transitions when the process is killed; by default none.
     tap
         Observes what the engine thread reads and what it outputs: records a tape, or replays one.
+    beam_on
+        The accelerator's signal compared with the permit, for the view alone; by default there is none.
 
     Attributes
     ----------
@@ -96,6 +99,7 @@ class EngineLoop:
         watchdog: Watchdog | None = None,
         journal: Journal | None = None,
         tap: InputTap = NO_TAP,
+        beam_on: Callable[[], BeamOnState | None] = no_signal,
     ) -> None:
         self._source, self._measurer, self._learner, self._beam = source, measurer, learner, beam
         self._tap, self._clock = tap, TappedClock(clock, tap)
@@ -122,7 +126,7 @@ class EngineLoop:
             tap=tap,
         )
         self._line = LineOrders(beam, clock=clock, watchdog=self._watchdog, tap=tap)
-        self._views = LiveViews(limits=self._limits, outputs=self._outputs, watchdog=self._watchdog)
+        self._views = LiveViews(limits=self._limits, outputs=self._outputs, watchdog=self._watchdog, beam_on=beam_on)
         self._supervisor = FrameSupervisor(limits)
         self._controller = self._make_controller()
         self._handler = CommandHandler(

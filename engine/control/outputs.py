@@ -7,6 +7,7 @@ monotonic nanoseconds except ``captured_us``, which is the device's clock.
 import enum
 from dataclasses import dataclass
 
+from engine.beam.beam_on import BeamOnState
 from engine.capture.source import SourceDescription
 from engine.core.clock import NS_PER_MS
 from engine.core.frames import ColorImage, Measurement
@@ -129,6 +130,8 @@ class LiveView:
         Who lets the gate decide: the operator who armed, or the person who released a hold since; None while disarmed.
     breath_holds
         Number of breath holds since the gate was armed.
+    beam_on
+        The accelerator's beam-on signal compared with the permit; None where it is no input.
     unseen_cells
         Row and column of each cell of which the frame shows less than a gated cell needs; its motion is extrapolated.
     """
@@ -150,4 +153,5 @@ class LiveView:
     operator_hold: str | None = None
     armed_by: str | None = None
     breath_holds: int = 0
+    beam_on: BeamOnState | None = None
     unseen_cells: tuple[tuple[int, int], ...] = ()

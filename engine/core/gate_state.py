@@ -65,6 +65,7 @@ class HoldReason(enum.StrEnum):
     SOURCE_LOST = "source_lost"
     BEAM_LINE_FAILED = "beam_line_failed"
     BEAM_LINE_MISMATCH = "beam_line_mismatch"
+    BEAM_WITHOUT_PERMIT = "beam_without_permit"
     AUDIT_BEHIND = "audit_behind"
     RECORDER_BEHIND = "recorder_behind"
     DISK_LOW = "disk_low"

@@ -13,6 +13,7 @@ OWN = "own"
 GATING_INTERLOCK = "AAPM TG-142: gating interlock, functional"
 TIMING = "AAPM TG-142: within 100 ms of expected; AAPM TG-76: 0.5 s in all"
 PATIENT_POSITION = "DICOM PS3.3 C.7.3.1.1.2: patient position"
+TERMINATION = "IEC 60601-2-1: termination of irradiation; AAPM TG-142: gating interlock, functional"
 LOCALIZATION = "AAPM TG-147: calibration of the localization system"
 
 
@@ -138,6 +139,12 @@ INTERLOCKS: tuple[Interlock, ...] = (
         "the line's read-back differs from the command",
         "beam_settle_ms",
         source=GATING_INTERLOCK,
+    ),
+    _row(
+        _R.BEAM_WITHOUT_PERMIT,
+        "the accelerator's beam-on signal, where it is an input, without a permit",
+        "beam_without_permit_ms",
+        source=TERMINATION,
     ),
     _row(_R.WATCHDOG, "an armed engine makes no decision in time", "watchdog_ms"),
     _row(_R.OPERATOR_HOLD, "an operator holds the beam"),

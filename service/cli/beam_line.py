@@ -12,14 +12,16 @@ from service.cli.command_group import command_group
 from service.cli.terminal import frame_bar, refused, say
 
 if TYPE_CHECKING:
-    from engine.beam.line import BeamLine
-    from engine.beam.simulated import SimulatedBeamLine
-    from engine.beam.wire.supervised_line import WiredBeamLine
+    from engine.beam.commissioning import Pulser
+    from engine.beam.second_input import DrilledReceiver
     from engine.core.clock import Clock
+    from engine.core.errors import TidegateError
     from service.core.settings.settings import Settings
+    from service.engine_host.beam_lines import LinePart
 
 COMMAND = "beam-line check"
 WATCHED_S = 2.0
+FAILED = 1
 MAX_REPEATS = 1_000
 Rows = list[tuple[str, Sequence[float]]]
 
@@ -50,7 +52,8 @@ def check(
     """Open the beam line, read it back and measure its response times; with --pulse, also its switching times.
 
     Refused while a service uses the data folder: two programs must not control one beam line. The check switches the
-    line off; with --pulse it PERMITS THE BEAM without any gating.
+    line off; with --pulse it PERMITS THE BEAM without any gating, and lets the heartbeat stand still: the receiver must
+    drop the permit by itself.
     """
     if pulse is not None and not is_safe:
         raise refused(COMMAND, "--pulse permits the beam: it needs --yes-the-beam-is-safe")
@@ -73,26 +76,34 @@ def check(
 
 
 def _check(settings: "Settings", pulse_ms: float | None, repeats: int) -> None:
+    from engine.beam.commissioning import Pulser
     from engine.core.clock import MonotonicClock
-    from service.engine_host.beam_lines import beam_line_parts, joined
+    from service.engine_host.beam_lines import beam_line_parts, drilled_receivers, joined
 
     clock = MonotonicClock()
     parts = beam_line_parts(settings, clock)
     line = joined(parts)
     rows: Rows = []
+    failure: TidegateError | None = None
     try:
         line.open()
         say(f"{' and '.join(settings.beam_lines)}: open, reads {'on' if line.is_on() else 'off'}")
         threading.Event().wait(WATCHED_S)
         line.is_on()  # raises if the line has reported a fault since
         if pulse_ms is not None:
-            rows += _pulsed(line, clock, pulse_ms, repeats)
+            pulser = Pulser(line, clock, pulse_ms=pulse_ms, wait_ns=_wait_ns)
+            rows += _pulsed(pulser, repeats)
+            still, failure = _stood_still(pulser, drilled_receivers(settings, clock, parts), clock, repeats)
+            rows += still
     finally:
         line.close()
     _print([*_answers(settings, parts), *rows])
+    if failure is not None:
+        say(f"tidegate {COMMAND}: failed: drill of the heartbeat: {failure}", "red")
+        raise typer.Exit(FAILED)
 
 
-def _answers(settings: "Settings", parts: "Sequence[SimulatedBeamLine | WiredBeamLine]") -> Rows:
+def _answers(settings: "Settings", parts: "Sequence[LinePart]") -> Rows:
     from engine.beam.wire.supervised_line import WiredBeamLine
 
     return [
@@ -101,14 +112,13 @@ def _answers(settings: "Settings", parts: "Sequence[SimulatedBeamLine | WiredBea
     ]
 
 
-def _pulsed(line: "BeamLine", clock: "Clock", pulse_ms: float, repeats: int) -> Rows:
-    from engine.beam.commissioning import Pulser
+def _wait_ns(span_ns: int) -> None:
     from engine.core.clock import NS_PER_S
 
-    def wait_ns(span_ns: int) -> None:
-        threading.Event().wait(span_ns / NS_PER_S)
+    threading.Event().wait(span_ns / NS_PER_S)
 
-    pulser = Pulser(line, clock, pulse_ms=pulse_ms, wait_ns=wait_ns)
+
+def _pulsed(pulser: "Pulser", repeats: int) -> Rows:
     pulser.arm()
     taken = []
     with frame_bar() as bar:
@@ -121,6 +131,24 @@ def _pulsed(line: "BeamLine", clock: "Clock", pulse_ms: float, repeats: int) -> 
         ("hold -> read back off", [times.held_ms for times in taken]),
         ("end of lease -> read back off", [times.lapsed_ms for times in taken]),
     ]
+
+
+def _stood_still(
+    pulser: "Pulser", receivers: "Sequence[DrilledReceiver]", clock: "Clock", repeats: int
+) -> "tuple[Rows, TidegateError | None]":
+    """Let the heartbeat of every receiver stand still; return the times, and what failed."""
+    from engine.beam.heartbeat_drill import HeartbeatDrill, check_verifiable
+    from engine.core.errors import BeamLineError
+
+    drill = HeartbeatDrill(pulser, clock, _wait_ns)
+    rows: Rows = []
+    try:
+        check_verifiable(receivers)
+        for receiver in receivers:
+            rows.append((f"{receiver.name}: last heartbeat -> contact open", drill.repeated_ms(receiver, repeats)))
+    except BeamLineError as error:
+        return rows, error
+    return rows, None
 
 
 def _print(rows: Rows) -> None:

@@ -46,6 +46,7 @@ HOLD_TEXTS: dict[HoldReason, str] = {
     HoldReason.SOURCE_LOST: "The camera is disconnected",
     HoldReason.BEAM_LINE_FAILED: "The beam line does not answer",
     HoldReason.BEAM_LINE_MISMATCH: "The beam line's read-back differs from the command",
+    HoldReason.BEAM_WITHOUT_PERMIT: "The accelerator reports beam on without a permit",
     HoldReason.AUDIT_BEHIND: "The audit log cannot keep up",
     HoldReason.RECORDER_BEHIND: "The sample recorder cannot keep up",
     HoldReason.DISK_LOW: "The disk is almost full",

@@ -2,31 +2,64 @@
 
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
+from typing import TypeAlias
 
+from engine.beam.beam_on import BeamOnState, ReadBeamOn
+from engine.beam.compared_line import ComparedBeamLine
 from engine.beam.line import BeamLine
 from engine.beam.paired import PairedBeamLine
-from engine.beam.simulated import SimulatedBeamLine
+from engine.beam.second_input import DrilledReceiver, OwnInput, SecondInput
+from engine.beam.simulated import SimulatedAccelerator, SimulatedBeamLine, SimulatedReceiver
 from engine.beam.status.published_line import PublishedBeamLine
 from engine.beam.status.publisher import HttpSender, Sender, StatusPublisher, UdpSender
-from engine.beam.wire.modbus import rtu_wire, tcp_wire
+from engine.beam.wire.modbus import ModbusInput, ModbusWire, rtu_wire, tcp_wire
 from engine.beam.wire.serial_relay import RelayWire
-from engine.beam.wire.supervised_line import Wire, WiredBeamLine
+from engine.beam.wire.supervised_line import WiredBeamLine
 from engine.core.clock import Clock
-from service.core.settings.beam import BeamSettings, LineKind, udp_target
+from service.core.settings.beam import READBACK, BeamSettings, LineKind, second_input_place, udp_target
+
+LinePart: TypeAlias = SimulatedBeamLine | WiredBeamLine
 
 
 def make_beam_line(settings: BeamSettings, clock: Clock) -> BeamLine:
-    """Return the beam line, not yet open: one or two lines, with its status publisher if one is set."""
-    line = joined(beam_line_parts(settings, clock))
+    """Return the beam line, not yet open: one or two lines, with publisher and beam-on signal if they are set."""
+    parts = beam_line_parts(settings, clock)
+    line = published(joined(parts), settings, clock)
+    read = read_beam_on(settings, clock, parts)
+    if read is None:
+        return line
+    return ComparedBeamLine(line, clock, read, after_permit_ms=settings.beam_without_permit_ms)
+
+
+def read_beam_on(settings: BeamSettings, clock: Clock, parts: Sequence[LinePart]) -> ReadBeamOn | None:
+    """Return what reads the accelerator's signal by one of the parts; None where there is no signal."""
+    if settings.beam_on_line is None:
+        return None
+    part = parts[settings.beam_lines.index(settings.beam_on_line)]
+    if isinstance(part, SimulatedBeamLine):
+        return SimulatedAccelerator(part, clock, delay_ms=settings.beam_simulated_accelerator_ms).read
+    wire = part.wire
+    assert isinstance(wire, ModbusWire), "only a Modbus line has a beam-on input"
+    return lambda: wire.beam_on
+
+
+def beam_on_state(line: BeamLine) -> BeamOnState | None:
+    """Return what the comparison with the accelerator's signal knows; None where nothing is compared."""
+    return line.state if isinstance(line, ComparedBeamLine) else None
+
+
+def published(line: BeamLine, settings: BeamSettings, clock: Clock) -> BeamLine:
+    """Add the status publisher to a line, if one is set."""
     senders = _senders(settings)
     if not senders:
         return line
     return PublishedBeamLine(line, [StatusPublisher(sender, clock, utc_now=_utc_now) for sender in senders], clock)
 
 
-def beam_line_parts(settings: BeamSettings, clock: Clock) -> tuple[SimulatedBeamLine | WiredBeamLine, ...]:
+def beam_line_parts(settings: BeamSettings, clock: Clock) -> tuple[LinePart, ...]:
     """Return the one or two lines that the settings name, separately."""
-    return tuple(_line(kind, settings, clock) for kind in settings.beam_lines)
+    places = settings.second_inputs
+    return tuple(_line(kind, settings, clock, place) for kind, place in zip(settings.beam_lines, places, strict=True))
 
 
 def joined(parts: Sequence[BeamLine]) -> BeamLine:
@@ -34,27 +67,51 @@ def joined(parts: Sequence[BeamLine]) -> BeamLine:
     return parts[0] if len(parts) == 1 else PairedBeamLine(*parts)
 
 
-def _line(kind: LineKind, settings: BeamSettings, clock: Clock) -> SimulatedBeamLine | WiredBeamLine:
+def drilled_receivers(settings: BeamSettings, clock: Clock, parts: Sequence[LinePart]) -> tuple[DrilledReceiver, ...]:
+    """Return the receiver of each part, with the second input that the settings name."""
+    return tuple(
+        DrilledReceiver(name=kind, line=part, second_input=_second_input(kind, settings, clock, part, place))
+        for kind, part, place in zip(settings.beam_lines, parts, settings.second_inputs, strict=True)
+    )
+
+
+def _second_input(
+    kind: LineKind, settings: BeamSettings, clock: Clock, part: LinePart, place: str
+) -> SecondInput | None:
+    if isinstance(part, SimulatedBeamLine):
+        return SimulatedReceiver(part, clock)
+    if not place:
+        return None
+    if place != READBACK:
+        host, port, registers = second_input_place(place)
+        return ModbusInput(tcp_wire(host=host, port=port, registers=registers))
+    return ModbusInput(_tcp(settings)) if kind == "modbus-tcp" else OwnInput(part)
+
+
+def _line(kind: LineKind, settings: BeamSettings, clock: Clock, place: str) -> LinePart:
     if kind == "simulated":
         return SimulatedBeamLine(clock)
-    return WiredBeamLine(WIRES[kind](settings), clock, settings.beam_times)
+    wire = WIRES[kind](settings)
+    looks_itself = place == READBACK and kind != "modbus-tcp"
+    return WiredBeamLine(wire, clock, settings.beam_times, look=wire.look if looks_itself else None)
 
 
-def _tcp(settings: BeamSettings) -> Wire:
-    return tcp_wire(host=settings.beam_modbus_host, port=settings.beam_modbus_port, registers=settings.beam_registers)
+def _tcp(settings: BeamSettings) -> ModbusWire:
+    registers = settings.beam_registers("modbus-tcp")
+    return tcp_wire(host=settings.beam_modbus_host, port=settings.beam_modbus_port, registers=registers)
 
 
-def _rtu(settings: BeamSettings) -> Wire:
+def _rtu(settings: BeamSettings) -> ModbusWire:
     return rtu_wire(
         device=settings.beam_rtu_device,
         baud=settings.beam_rtu_baud,
         parity=settings.beam_rtu_parity,
         stop_bits=settings.beam_rtu_stop_bits,
-        registers=settings.beam_registers,
+        registers=settings.beam_registers("modbus-rtu"),
     )
 
 
-def _relay(settings: BeamSettings) -> Wire:
+def _relay(settings: BeamSettings) -> RelayWire:
     return RelayWire(
         device=settings.beam_relay_device,
         baud=settings.beam_relay_baud,
@@ -65,7 +122,7 @@ def _relay(settings: BeamSettings) -> Wire:
     )
 
 
-WIRES: dict[LineKind, Callable[[BeamSettings], Wire]] = {
+WIRES: dict[LineKind, Callable[[BeamSettings], ModbusWire | RelayWire]] = {
     "modbus-tcp": _tcp,
     "modbus-rtu": _rtu,
     "serial-relay": _relay,

@@ -32,7 +32,7 @@ from engine.motion.settings import PipelineSettings
 from engine.offline.replay.tapped_trainer import TappedTrainer
 from service.core.schemas import sessions
 from service.core.settings.settings import Settings
-from service.engine_host.beam_lines import make_beam_line
+from service.engine_host.beam_lines import beam_on_state, make_beam_line
 from service.engine_host.roles import RunningEngine, SessionPlan
 from service.engine_host.session_tape import SessionTape
 from service.engine_host.site_rules.camera_serial import checked_camera
@@ -106,11 +106,13 @@ class LocalEngine:
     def _begun(
         self, plan: SessionPlan, pipeline: Pipeline, tape: SessionTape, limits: GateLimits, measuring: PipelineSettings
     ) -> "LoopEngine":
+        beam = make_beam_line(self._settings, self._clock)
         loop = EngineLoop(
             source=self._source(plan),
             measurer=pipeline,
             learner=pipeline.learner,
-            beam=make_beam_line(self._settings, self._clock),
+            beam=beam,
+            beam_on=lambda: beam_on_state(beam),
             limits=limits,
             clock=self._clock,
             tap=tape.tap,

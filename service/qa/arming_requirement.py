@@ -2,7 +2,8 @@
 
 A plate recording dates from the first run that judged it, because an old recording does not show today's camera. A run
 that was started but not finished counts as the newest, so it refuses arming. Simulated runs do not count. A run on
-another beam line or with wider bounds than this service's refuses arming. The check runs at arming, not per frame.
+another beam line, with wider bounds than this service's, or without one of its daily checks refuses arming. This runs
+at arming, not per frame.
 """
 
 import json
@@ -11,6 +12,8 @@ from datetime import UTC, datetime, timedelta
 
 from sqlalchemy.orm import Session
 
+from engine.verification.qa.checks import checks_of
+from engine.verification.qa.results import QaKind
 from service.core.errors import QaOverdueError
 from service.core.settings.beam import PREFIX
 from service.core.settings.settings import Settings
@@ -71,6 +74,10 @@ def _unfit_setting(newest: QaRunRow, settings: Settings) -> str | None:
         ours = f"this service's ({_named(settings.beam_place)})"
         return f"{run_text} tested another beam line ({_named(place)}) than {ours}: {ADVICE}"
     bounds = json.loads(newest.bounds)
+    daily = [check for check in checks_of(QaKind.DAILY) if not check.is_optional]
+    missing = [check.code for check in daily if bounds and check.code not in bounds]
+    if missing:
+        return f"{run_text} did not include {', '.join(missing)}, which the daily QA has now: {ADVICE}"
     wider = [code for code, bound in bounds.items() if not bound["fail"] <= settings.qa_bounds.of(code).fail]
     if wider or not bounds:
         names = ", ".join(wider) or "none stored"

@@ -23,7 +23,7 @@ from engine.verification.qa.rig import VIRTUAL_BASELINE, RigFaults, virtual_inpu
 from engine.verification.qa.run import Progress, run_qa
 from engine.verification.qa.trace import read_commanded
 from service.core.settings.settings import Settings
-from service.engine_host.beam_lines import make_beam_line
+from service.engine_host.beam_lines import beam_line_parts, drilled_receivers, joined, published, read_beam_on
 from service.engine_host.site_rules.camera_serial import checked_camera
 from service.qa.guarded_line import GuardedLine
 from service.qa.roles import QaFiles
@@ -61,7 +61,8 @@ class EngineRig:
         kind = QaKind(request.kind)
         if request.simulation is not None:
             return virtual_job(kind, request.simulation)
-        line = GuardedLine(make_beam_line(self._settings, self._clock))
+        parts = beam_line_parts(self._settings, self._clock)
+        line = GuardedLine(published(joined(parts), self._settings, self._clock))
         inputs = QaInputs(
             plate=None if request.plate is None else self._plate(request.plate, files, _given(calibration)),
             phantom=None if request.phantom is None else self._phantom(request.phantom, files, _given(calibration)),
@@ -71,6 +72,8 @@ class EngineRig:
                 wait_ns=_wait_ns,
                 pulse_ms=request.beam.pulse_ms,
                 repeats=request.beam.repeats,
+                receivers=drilled_receivers(self._settings, self._clock, parts),
+                beam_on=read_beam_on(self._settings, self._clock, parts),
             ),
         )
         inputs.check(kind)

@@ -15,9 +15,10 @@ from pymodbus.pdu import ModbusPDU
 
 from engine.beam.wire.serial_settings import PARITY_LETTERS, Parity, check_baud
 from engine.core.bounds import check_whole_number
-from engine.core.errors import BeamLineError
+from engine.core.errors import BeamLineError, InvalidValueError
 
 CONNECT_S = 0.5
+LOOK_S = 0.15
 
 MAP_BOUNDS: dict[str, tuple[int, int]] = {
     "unit": (1, 247),
@@ -42,17 +43,24 @@ class RegisterMap:
         A holding register that counts up at every cycle, 0 to 65535 and from 0 again.
     readback_input
         A discrete input: 1 is a permit that has reached the contact.
+    beam_on_input
+        A discrete input: 1 is a beam that the accelerator reports on; None where it is not wired.
     """
 
     unit: int = 1
     permit_coil: int = 0
     heartbeat_register: int = 0
     readback_input: int = 0
+    beam_on_input: int | None = None
 
     def __post_init__(self) -> None:
-        """Raise InvalidValueError for an address outside `MAP_BOUNDS`."""
+        """Raise InvalidValueError for an address outside `MAP_BOUNDS`, or one input used for two signals."""
         for name, (low, high) in MAP_BOUNDS.items():
             check_whole_number(name, getattr(self, name), low, high)
+        if self.beam_on_input is not None:
+            check_whole_number("beam_on_input", self.beam_on_input, *MAP_BOUNDS["readback_input"])
+            if self.beam_on_input == self.readback_input:
+                raise InvalidValueError("beam_on_input", self.beam_on_input, "another input than the read back's")
 
 
 class ModbusWire:
@@ -62,6 +70,12 @@ class ModbusWire:
         self._client = client
         self._registers = registers
         self._name = name
+        self._beam_on: bool | None = None
+
+    @property
+    def beam_on(self) -> bool | None:
+        """The accelerator's signal as of the newest exchange, from any thread; None where it is not known."""
+        return self._beam_on
 
     @property
     def name(self) -> str:
@@ -77,7 +91,7 @@ class ModbusWire:
             raise BeamLineError(msg)
 
     def exchange(self, *, is_on: bool, heartbeat: int, within_s: float) -> bool:
-        """Write coil and register and read the input: three requests within ``within_s``."""
+        """Write coil and register and read the inputs: three or four requests within ``within_s``."""
         at, unit = self._registers, self._registers.unit
         until_s = time.monotonic() + within_s
         try:
@@ -90,15 +104,28 @@ class ModbusWire:
             _good(self._client.write_register(at.heartbeat_register, heartbeat, device_id=unit), "the heartbeat")
             self._allow(until_s)
             read = _good(self._client.read_discrete_inputs(at.readback_input, count=1, device_id=unit), "the read back")
+            reads_on = _bit(read)
+            if at.beam_on_input is not None:
+                self._allow(until_s)
+                beam_on = self._client.read_discrete_inputs(at.beam_on_input, count=1, device_id=unit)
+                self._beam_on = _bit(_good(beam_on, "the beam-on signal"))
         except ModbusException as error:
             raise BeamLineError(str(error)) from error
-        if not read.bits:
-            msg = "an empty answer"
-            raise BeamLineError(msg)
-        return read.bits[0]
+        return reads_on
+
+    def look(self, within_s: float) -> bool:
+        """Read the input within ``within_s`` and write nothing; raise BeamLineError where no answer comes."""
+        self._allow(time.monotonic() + within_s)
+        at = self._registers
+        try:
+            answer = self._client.read_discrete_inputs(at.readback_input, count=1, device_id=at.unit)
+        except ModbusException as error:
+            raise BeamLineError(str(error)) from error
+        return _bit(_good(answer, "the read back"))
 
     def close(self) -> None:
         """Disconnect."""
+        self._beam_on = None
         self._client.close()  # type: ignore[no-untyped-call]
 
     def _allow(self, until_s: float) -> None:
@@ -115,6 +142,33 @@ class ModbusWire:
             msg = "the time for an answer is over"
             raise BeamLineError(msg)
         self._client.comm_params.timeout_connect = left_s
+
+
+class ModbusInput:
+    """`SecondInput` by a connection of its own to a device, which reads one discrete input and writes nothing."""
+
+    def __init__(self, wire: ModbusWire) -> None:
+        self._wire = wire
+
+    def open(self) -> None:
+        """Connect; raise BeamLineError if the device does not accept the connection."""
+        try:
+            self._wire.connect()
+        except BeamLineError as error:
+            msg = f"the second input, {self._wire.name}: {error}"
+            raise BeamLineError(msg) from error
+
+    def is_closed(self) -> bool:
+        """Return the input; raise BeamLineError where it does not answer within `LOOK_S`."""
+        try:
+            return self._wire.look(LOOK_S)
+        except BeamLineError as error:
+            msg = f"the second input, {self._wire.name}: {error}"
+            raise BeamLineError(msg) from error
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._wire.close()
 
 
 def tcp_wire(*, host: str, port: int, registers: RegisterMap) -> ModbusWire:
@@ -143,6 +197,13 @@ def rtu_wire(*, device: str, baud: int, parity: Parity, stop_bits: int, register
 def _silence_library() -> None:
     """Keep pymodbus from logging each failed attempt, four a second: the line reports the fault itself."""
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+
+
+def _bit(answer: ModbusPDU) -> bool:
+    if not answer.bits:
+        msg = "an empty answer"
+        raise BeamLineError(msg)
+    return answer.bits[0]
 
 
 def _good(answer: ModbusPDU, request: str) -> ModbusPDU:

@@ -203,6 +203,13 @@ class RelayWire:
         agrees = reads_on is is_on and (self._contact == "none" or self._is_closed(port) is is_on)
         return is_on if agrees else not is_on
 
+    def look(self, within_s: float) -> bool:  # noqa: ARG002 - a modem line is read at once
+        """Read the contact by its modem line and send nothing; raise BeamLineError without one, or when closed."""
+        if self._port is None or self._contact == "none":
+            msg = "no modem line shows the contact" if self._contact == "none" else "the port is closed"
+            raise BeamLineError(msg)
+        return self._is_closed(self._port)
+
     def close(self) -> None:
         """Close the port."""
         if self._port is not None:

@@ -12,7 +12,9 @@ what was read. Each is one attribute, written in one step.
 import contextlib
 import queue
 import threading
-from typing import Protocol
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
 
 from engine.beam.deadman import DeadMan, Grant
 from engine.beam.line import TroubleListener, ignore_trouble
@@ -33,6 +35,14 @@ CYCLE_NS = int(CYCLE_MS * NS_PER_MS)
 RECONNECT_NS = NS_PER_S // 4
 CLOSE_S = 1.0
 HEARTBEATS = 1 << 16
+STILL_NS = NS_PER_S
+"""Longest standstill for the drill of the heartbeat; then the line is commanded off."""
+
+LOOK_NS = 5 * NS_PER_MS
+"""Period of the looks at the contact meanwhile."""
+
+Look: TypeAlias = Callable[[float], bool]
+"""Reads the contact within so many seconds, and sends neither permit nor heartbeat."""
 
 
 class Wire(Protocol):
@@ -55,10 +65,23 @@ class Wire(Protocol):
         """Disconnect; safe to call twice."""
 
 
-class WiredBeamLine:
-    """`BeamLine` over a wire."""
+@dataclass(slots=True, kw_only=True)
+class _Standstill:
+    """A standstill that was asked for; it has begun once ``since_ns`` is set. Only the exchange thread looks."""
 
-    def __init__(self, wire: Wire, clock: Clock, times: LineTimes | None = None) -> None:
+    until_ns: int
+    since_ns: int | None = None
+    repeats_permit: bool = False
+    reads_closed: bool = True
+
+
+class WiredBeamLine:
+    """`BeamLine` over a wire, and `StandingLine` for the drill of the heartbeat.
+
+    ``look`` reads the contact while the line stands still; None where that takes a connection of its own.
+    """
+
+    def __init__(self, wire: Wire, clock: Clock, times: LineTimes | None = None, *, look: Look | None = None) -> None:
         self.on_trouble: TroubleListener = ignore_trouble
         self._wire, self._clock, self._times = wire, clock, times or LineTimes()
         self._deadman = DeadMan()
@@ -68,6 +91,9 @@ class WiredBeamLine:
         self._is_trouble_raised = True
         self._is_open = self._is_connected = False
         self._heartbeat = 0
+        self._beaten_ns = clock.now_ns()
+        self._look = look
+        self._standstill: _Standstill | None = None  # taken away by hold, so that a hold wins every race with the drill
         self._wakeups: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._stop_requested = threading.Event()
         self._threads: tuple[threading.Thread, ...] = ()
@@ -122,6 +148,7 @@ class WiredBeamLine:
     def hold(self, reason: HoldReason) -> None:
         """Withdraw the permit; the exchange thread commands off at once."""
         self._deadman.hold(at_ns=self._clock.now_ns(), is_latching=reason.is_fault)
+        self._standstill = None
         self._wakeups.put(None)
 
     def is_on(self) -> bool:
@@ -161,6 +188,11 @@ class WiredBeamLine:
         return self._wire.name
 
     @property
+    def wire(self) -> Wire:
+        """The wire, for what can be read of it without an exchange."""
+        return self._wire
+
+    @property
     def answers_ms(self) -> tuple[float, ...]:
         """Time of each answer, as far as a bounded history reaches [ms]."""
         return tuple(took_ns / NS_PER_MS for took_ns in tuple(self._supervisor.answers_ns))
@@ -175,6 +207,54 @@ class WiredBeamLine:
             thread.join(CLOSE_S)
         self._threads = ()
 
+    # The drill of the heartbeat.
+
+    def stand_still(self) -> None:
+        """Send nothing more after the exchange in progress, until the next hold or for `STILL_NS`."""
+        self._standstill = _Standstill(until_ns=self._clock.now_ns() + STILL_NS)
+        self._wakeups.put(None)
+
+    @property
+    def still_since_ns(self) -> int | None:
+        """Earliest time of the last heartbeat [ns]; None unless the line stands still with the permit on."""
+        standstill = self._standstill
+        return None if standstill is None else standstill.since_ns
+
+    def repeat_permit(self) -> None:
+        """Send heartbeats again with the permit of before; ignored unless the line stands still."""
+        standstill = self._standstill
+        if standstill is not None:
+            standstill.repeats_permit = True
+
+    def reads_closed(self) -> bool:
+        """Return the newest reading of the contact, also during a standstill if the line can look at it."""
+        self._refuse_closed()
+        standstill = self._standstill
+        return self._supervisor.reads_on if standstill is None else standstill.reads_closed
+
+    def _stand(self, standstill: _Standstill) -> None:
+        """Begin the standstill if the permit is on and read back; then only look, or repeat the permit."""
+        now_ns = self._clock.now_ns()
+        is_on = self._wants_on(now_ns) and self._supervisor.commands_on and self._supervisor.reads_on
+        if now_ns >= standstill.until_ns or (standstill.since_ns is None and not is_on):
+            self._standstill = None
+            self._exchange()
+            return
+        standstill.since_ns = standstill.since_ns or self._beaten_ns
+        within_s = self._times.answer_ns / NS_PER_S
+        if standstill.repeats_permit:
+            self._heartbeat = (self._heartbeat + 1) % HEARTBEATS
+            self._supervisor.begin(commands_on=True, now_ns=now_ns)
+            if self._standstill is not standstill:  # held meanwhile; as in _choose_command
+                self._exchange()
+                return
+            reads_on = self._wire.exchange(is_on=True, heartbeat=self._heartbeat, within_s=within_s)
+            with self._lock:  # the contact is meant to differ from the command
+                self._supervisor.answered(reads_on=reads_on, now_ns=self._clock.now_ns())
+            standstill.reads_closed = reads_on
+        elif self._look is not None:
+            standstill.reads_closed = self._look(within_s)
+
     # The exchange thread.
 
     def exchange_once(self) -> None:
@@ -182,13 +262,18 @@ class WiredBeamLine:
         if not self._is_connected:
             self._reconnect()
             return
+        standstill = self._standstill
         try:
-            self._exchange()
+            if standstill is None:
+                self._exchange()
+            else:
+                self._stand(standstill)
         except Exception as error:  # noqa: BLE001 - any exception of a driver means no answer
             self._fail(_text_of(error))
 
     def _exchange(self) -> bool:
         commands_on = self._choose_command()
+        self._beaten_ns = self._clock.now_ns()
         within_s = self._times.answer_ns / NS_PER_S
         reads_on = self._wire.exchange(is_on=commands_on, heartbeat=self._next_heartbeat(), within_s=within_s)
         now_ns = self._clock.now_ns()
@@ -219,6 +304,7 @@ class WiredBeamLine:
 
     def _fail(self, detail: str) -> None:
         """Latch, try once more to command off, and disconnect."""
+        self._standstill = None
         now_ns = self._clock.now_ns()
         with self._lock:
             self._supervisor.failed(now_ns=now_ns)
@@ -246,6 +332,8 @@ class WiredBeamLine:
     def rest_ns(self) -> int:
         """Time until the next exchange without a wake-up: the period, or the end of the lease [ns]."""
         now_ns = self._clock.now_ns()
+        if self._standstill is not None:
+            return LOOK_NS
         if self._supervisor.commands_on and not self._wants_on(now_ns):
             return 0  # the lease ended during the exchange
         longest_ns = CYCLE_NS if self._is_connected else RECONNECT_NS
@@ -269,8 +357,11 @@ class WiredBeamLine:
     # The watch thread.
 
     def watch_once(self) -> None:
-        """Hold and latch the line where it is overdue."""
+        """Hold and latch the line where it is overdue; not during a standstill, which is bounded in time."""
         now_ns = self._clock.now_ns()
+        standstill = self._standstill
+        if standstill is not None and standstill.since_ns is not None and now_ns < standstill.until_ns:
+            return
         with self._lock:
             trouble = self._supervisor.check(wants_on=self._wants_on(now_ns), now_ns=now_ns)
         self._latch(trouble)

@@ -10,6 +10,8 @@ the system tolerates, and ``source`` names it.
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from engine.beam.heartbeat_drill import MARGIN_MS
+from engine.beam.second_input import RECEIVER_DROP_MS
 from engine.core.errors import InvalidValueError
 from engine.verification.qa.results import QaCheck, QaKind, QaNeed, Sidedness
 
@@ -411,6 +413,35 @@ _BEAM = (
         fail=100.0,
         most=200.0,
         source=_OFF,
+    ),
+    QaCheck(
+        code="fail_safe_heartbeat_ms",
+        title="Drill: a heartbeat that stands still",
+        unit="ms",
+        method="From the last heartbeat to the contact open, by a second input, as when this process is killed; it "
+        "must stay open until the permit was withdrawn once.",
+        needs=QaNeed.BEAM,
+        kinds=DAILY,
+        sidedness=Sidedness.AT_MOST,
+        warn=RECEIVER_DROP_MS + 0.6 * MARGIN_MS,
+        fail=RECEIVER_DROP_MS + MARGIN_MS,
+        most=RECEIVER_DROP_MS + MARGIN_MS,
+        source="docs/3-operate/beam.md: a receiver drops the permit within 200 ms, and 50 ms for exchange and look",
+    ),
+    QaCheck(
+        code="hold_to_beam_off_ms",
+        title="Beam off, from a hold to the accelerator",
+        unit="ms",
+        method="From a hold to the accelerator's beam-on signal off, the slowest; only where the signal is an input, "
+        "and the accelerator delivered during the drills.",
+        needs=QaNeed.BEAM,
+        kinds=DAILY,
+        sidedness=Sidedness.AT_MOST,
+        warn=100.0,
+        fail=150.0,
+        most=500.0,
+        source="TG-142: 100 ms for the gate, and half as much for the line's worst case; TG-76: 500 ms in total",
+        is_optional=True,
     ),
 )
 

@@ -1,7 +1,8 @@
 """The fail-safe drill on the site's beam line, with the beam made safe: the line must go off after every failure.
 
-Each round turns the line on and off in four ways: by a hold, by a lease that is not renewed, by a fault, which must
-latch, and by the watchdog of an engine that stops deciding. On every way out the line is held before it is closed.
+Each round turns the line on and off in five ways: by a hold, by a lease that is not renewed, by a fault, which must
+latch, by the watchdog of an engine that stops deciding, and by a heartbeat that stands still, which the receiver must
+detect. On every way out the line is held before it is closed.
 """
 
 from collections.abc import Callable
@@ -10,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from engine.beam.commissioning import POLL_NS, Pulser
+from engine.beam.heartbeat_drill import HeartbeatDrill, NotVerifiableError, check_verifiable
 from engine.control.watchdog import Watchdog
 from engine.core.clock import NS_PER_MS
 from engine.core.errors import BeamLineError, TidegateError
@@ -21,7 +23,10 @@ from engine.verification.qa.unmeasured import not_measured
 WATCHED_NS = 60 * NS_PER_MS
 """How long a latched line is watched to see that it stays off."""
 
-DRILLS = ("hold", "lease", "fault", "watchdog")
+BEAM_NS = 1000 * NS_PER_MS
+"""How long the accelerator is waited for: to deliver once permitted, and to stop once held."""
+
+DRILLS = ("hold", "lease", "fault", "watchdog", "heartbeat")
 
 
 @dataclass(slots=True, kw_only=True)
@@ -30,6 +35,7 @@ class _Log:
 
     on_ms: list[float] = field(default_factory=list)
     off_ms: dict[str, list[float]] = field(default_factory=lambda: {name: [] for name in DRILLS})
+    beam_off_ms: list[float] = field(default_factory=list)
     errors_by_drill: dict[str, str] = field(default_factory=dict)
     errors: int = 0
 
@@ -65,10 +71,18 @@ class _Drill:
         self._given, self._log = beam, log
         self._line, self._clock = beam.line, beam.clock
         self._pulser = Pulser(beam.line, beam.clock, pulse_ms=beam.pulse_ms, wait_ns=beam.wait_ns)
+        self._expects_beam = True
+        self._heartbeat_drill = HeartbeatDrill(self._pulser, beam.clock, beam.wait_ns)
 
     def rounds(self, on_pulse: Callable[[int], None]) -> None:
         """Do every drill ``repeats`` times; record a failure, arm the line again and continue."""
-        drills = {"hold": self._hold, "lease": self._lease, "fault": self._fault, "watchdog": self._watchdog}
+        drills = {
+            "hold": self._hold,
+            "lease": self._lease,
+            "fault": self._fault,
+            "watchdog": self._watchdog,
+            "heartbeat": self._heartbeat,
+        }
         done = 0
         on_pulse(done)
         self._pulser.arm()
@@ -81,6 +95,8 @@ class _Drill:
     def _once(self, name: str, run_drill: Callable[[], float]) -> None:
         try:
             self._log.off_ms[name].append(run_drill())
+        except NotVerifiableError as error:  # no failure of the line, and no pass
+            self._log.errors_by_drill.setdefault(name, str(error))
         except BeamLineError as error:
             self._line.hold(HoldReason.OPERATOR_HOLD)
             self._log.errors += 1
@@ -98,9 +114,38 @@ class _Drill:
 
     def _hold(self) -> float:
         self._permit()
+        has_beam = self._comes_on()
         held_ns = self._clock.now_ns()
         self._line.hold(HoldReason.OPERATOR_HOLD)
-        return self._pulser.await_off(held_ns)
+        off_ms = self._pulser.await_off(held_ns)
+        if has_beam:
+            self._log.beam_off_ms.append(self._beam_off_ms(held_ns))
+        return off_ms
+
+    def _comes_on(self) -> bool:
+        """Whether the accelerator delivers; waited for once, while the permit is renewed, then no longer expected."""
+        read = self._given.beam_on
+        if read is None or not self._expects_beam:
+            return False
+        until_ns = self._clock.now_ns() + BEAM_NS
+        while not read():
+            if self._clock.now_ns() >= until_ns:
+                self._expects_beam = False
+                return False
+            self._pulser.renew()
+            self._given.wait_ns(POLL_NS)
+        self._pulser.renew()
+        return True
+
+    def _beam_off_ms(self, held_ns: int) -> float:
+        """Wait for the accelerator's signal to go off; return the time since the hold [ms]."""
+        read = self._given.beam_on
+        while read is not None and read() is not False:
+            if self._clock.now_ns() >= held_ns + BEAM_NS:
+                msg = f"the accelerator reports beam on {BEAM_NS // NS_PER_MS} ms after the hold"
+                raise BeamLineError(msg)
+            self._given.wait_ns(POLL_NS)
+        return (self._clock.now_ns() - held_ns) / NS_PER_MS
 
     def _lease(self) -> float:
         ends_ns = self._permit()
@@ -131,6 +176,16 @@ class _Drill:
         self._expect_latched()
         return (off_ns - decided_ns - deadline_ns) / NS_PER_MS
 
+    def _heartbeat(self) -> float:
+        """Let the heartbeat of each receiver stand still in turn; return the slowest opening of a contact [ms]."""
+        check_verifiable(self._given.receivers)
+        open_ms = []
+        for receiver in self._given.receivers:
+            open_ms.append(self._heartbeat_drill.open_ms(receiver))
+            self._line.hold(HoldReason.OPERATOR_HOLD)
+            self._pulser.arm()
+        return max(open_ms)
+
     def _expect_latched(self) -> None:
         """Raise BeamLineError unless permits are refused until the line is armed, and arming alone leaves it off."""
         self._given.wait_ns(POLL_NS)  # a permit with the hold's time stamp would be refused anyway
@@ -158,7 +213,17 @@ def _figures(log: _Log, repeats: int) -> list[QaFigure]:
         _percentile("beam_readback_off_ms", held_ms),
         QaFigure(code="beam_readback_errors", value=float(log.errors), detail=messages),
         *(_slowest(name, log, repeats) for name in DRILLS),
+        *_beam_off(log),
     ]
+
+
+def _beam_off(log: _Log) -> list[QaFigure]:
+    """Slowest time from a hold to the accelerator's beam off [ms]; no figure where it never delivered."""
+    taken_ms = log.beam_off_ms
+    if not taken_ms:
+        return []
+    detail = f"{len(taken_ms)} times, median {np.median(taken_ms):.1f} ms"
+    return [QaFigure(code="hold_to_beam_off_ms", value=max(taken_ms), detail=detail)]
 
 
 def _percentile(code: str, taken_ms: list[float]) -> QaFigure:

@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 
+from engine.beam.beam_on import ReadBeamOn
 from engine.beam.commissioning import PULSE_BOUNDS_MS
 from engine.beam.line import BeamLine
+from engine.beam.second_input import DrilledReceiver
 from engine.calibration.camera_calibration import Calibration
 from engine.capture.source import DepthSource
 from engine.control.watchdog import Watchdog
@@ -118,6 +120,10 @@ class BeamInput:
         Deadline of the watchdog's drill [ms], shorter than a lease, so that the watchdog turns the line off first.
     watched
         Context manager that runs a watchdog while its block runs.
+    receivers
+        The receivers of the line, one of each of its parts, for the drill of the heartbeat; without one it fails.
+    beam_on
+        Reads the accelerator's beam-on signal; None where it is no input.
     """
 
     line: BeamLine
@@ -127,6 +133,8 @@ class BeamInput:
     repeats: int = 20
     watchdog_ms: float = 60.0
     watched: Callable[[Watchdog], AbstractContextManager[None]] = running_thread
+    receivers: tuple[DrilledReceiver, ...] = ()
+    beam_on: ReadBeamOn | None = None
 
     def __post_init__(self) -> None:
         """Check every number against its bounds; raise InvalidValueError."""

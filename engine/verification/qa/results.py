@@ -73,6 +73,8 @@ class QaCheck:
         Widest ``fail`` that a site may choose.
     source
         Origin of the bounds: task group report and its number, or the system's own argument.
+    is_optional
+        Whether a run without a figure is judged without this check: for an input that a site may not have.
     """
 
     code: str
@@ -88,6 +90,7 @@ class QaCheck:
     source: str
     expected: float | None = None
     has_baseline: bool = False
+    is_optional: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

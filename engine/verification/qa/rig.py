@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from engine.beam.simulated import SimulatedBeamLine
+from engine.beam.second_input import DrilledReceiver
+from engine.beam.simulated import SimulatedAccelerator, SimulatedBeamLine, SimulatedReceiver
 from engine.calibration.camera_calibration import Calibration
 from engine.capture.source import SourceDescription
 from engine.control.watchdog import Watchdog
@@ -39,6 +40,7 @@ FPS = 29.97
 FIRST_US = 1_000_000
 JITTER_US = 180.0
 DISTANCE_MM = 850.0
+ACCELERATOR_MS = 20.0
 TILT_X_DEG, TILT_Y_DEG = 2.0, 1.0
 AMPLITUDE_MM = 10.0
 LEVEL_MM = AMPLITUDE_MM
@@ -151,11 +153,20 @@ def virtual_phantom(
     )
 
 
-def virtual_beam(repeats: int = 10) -> BeamInput:
-    """Make a simulated line on a clock that advances only in ``wait_ns``."""
+def virtual_beam(repeats: int = 10, *, accelerator_ms: float = ACCELERATOR_MS) -> BeamInput:
+    """Make a simulated line on a clock that advances only in ``wait_ns``, and an accelerator that follows it."""
     time = StandingTime()
     line = SimulatedBeamLine(time.clock)
-    return BeamInput(line=line, clock=time.clock, wait_ns=time.wait_ns, repeats=repeats, watched=time.watched)
+    receiver = DrilledReceiver(name="simulated", line=line, second_input=SimulatedReceiver(line, time.clock))
+    return BeamInput(
+        line=line,
+        clock=time.clock,
+        wait_ns=time.wait_ns,
+        repeats=repeats,
+        watched=time.watched,
+        receivers=(receiver,),
+        beam_on=SimulatedAccelerator(line, time.clock, delay_ms=accelerator_ms).read,
+    )
 
 
 def sines(periods_s: tuple[float, ...], cycles_each: int) -> CommandedTrace:

@@ -83,7 +83,7 @@ def _measured(need: QaNeed, inputs: QaInputs, on_progress: Progress) -> tuple[li
 def judge_all(
     kind: QaKind, figures: Iterable[QaFigure], bounds: QaBounds, baseline: QaBaseline
 ) -> tuple[QaResult, ...]:
-    """Judge every check of a kind, in the table's order; a check without a figure fails."""
+    """Judge every check of a kind, in the table's order; a check without a figure fails, unless it is optional."""
     measured = {figure.code: figure for figure in figures}
     return tuple(
         judge(
@@ -93,4 +93,5 @@ def judge_all(
             baseline.of(check.code),
         )
         for check in checks_of(kind)
+        if check.code in measured or not check.is_optional
     )

@@ -6,4 +6,5 @@ from engine.verification.qa.results import QaFigure, QaNeed
 
 def not_measured(need: QaNeed, reason: str) -> list[QaFigure]:
     """Return one figure with ``value=None`` and the reason as its detail for every check of that stage."""
-    return [QaFigure(code=check.code, value=None, detail=reason) for check in CHECKS if check.needs is need]
+    checks = (check for check in CHECKS if check.needs is need and not check.is_optional)
+    return [QaFigure(code=check.code, value=None, detail=reason) for check in checks]

@@ -3,12 +3,15 @@
 A setting of a line that is not used is refused, because it suggests an output that does not exist.
 """
 
+import re
 from typing import Annotated, Literal, Self, TypeAlias
 from urllib.parse import urlsplit
 
 from pydantic import Field, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode
 
+from engine.beam.beam_on import AFTER_PERMIT_BOUNDS_MS, AFTER_PERMIT_MS
+from engine.beam.simulated import ACCELERATOR_BOUNDS_MS
 from engine.beam.wire.line_supervisor import TIME_BOUNDS, LineTimes
 from engine.beam.wire.modbus import MAP_BOUNDS, RegisterMap
 from engine.beam.wire.serial_relay import Contact, Protocol, check_channels
@@ -22,13 +25,23 @@ Targets = Annotated[tuple[str, ...], NoDecode]
 MAX_TARGETS = 8
 MAX_TARGET_LENGTH = 500
 NO_CHANNEL = -1
+READBACK = "readback"
 
 MAP = ("beam_modbus_unit", "beam_modbus_permit_coil", "beam_modbus_heartbeat_register", "beam_modbus_readback_input")
 TIMES = ("beam_answer_ms", "beam_settle_ms")
+BEAM_ON_INPUT = ("beam_on_input", "beam_without_permit_ms")
 USED_BY: dict[LineKind, tuple[str, ...]] = {
-    "simulated": (),
-    "modbus-tcp": ("beam_modbus_host", "beam_modbus_port", *MAP, *TIMES),
-    "modbus-rtu": ("beam_rtu_device", "beam_rtu_baud", "beam_rtu_parity", "beam_rtu_stop_bits", *MAP, *TIMES),
+    "simulated": ("beam_simulated_accelerator_ms", "beam_without_permit_ms"),
+    "modbus-tcp": ("beam_modbus_host", "beam_modbus_port", *MAP, *TIMES, *BEAM_ON_INPUT),
+    "modbus-rtu": (
+        "beam_rtu_device",
+        "beam_rtu_baud",
+        "beam_rtu_parity",
+        "beam_rtu_stop_bits",
+        *MAP,
+        *TIMES,
+        *BEAM_ON_INPUT,
+    ),
     "serial-relay": (
         "beam_relay_device",
         "beam_relay_baud",
@@ -39,11 +52,15 @@ USED_BY: dict[LineKind, tuple[str, ...]] = {
         *TIMES,
     ),
 }
+SIGNALS = ("beam_on_input", "beam_simulated_accelerator_ms")
+NOT_PLACES = {*TIMES, *SIGNALS, "beam_without_permit_ms"}
+PLACES = {name for names in USED_BY.values() for name in names} - NOT_PLACES
 NEEDED_BY: dict[LineKind, str] = {
     "modbus-tcp": "beam_modbus_host",
     "modbus-rtu": "beam_rtu_device",
     "serial-relay": "beam_relay_device",
 }
+SECOND_INPUTS = ("beam_second_input", "beam_second_input_2")
 DEVICES = ("beam_rtu_device", "beam_relay_device")
 
 
@@ -58,6 +75,14 @@ class BeamSettings(BaseSettings):
     hardware_dead_man: bool = Field(
         default=False,
         description="The site declares a tested device that drops the beam without this computer; in the audit",
+    )
+    beam_second_input: str = Field(
+        default="",
+        max_length=MAX_TARGET_LENGTH,
+        description="What shows the contact to the drill of the heartbeat: readback, or HOST:PORT/UNIT/INPUT (Modbus)",
+    )
+    beam_second_input_2: str = Field(
+        default="", max_length=MAX_TARGET_LENGTH, description="The same for the second line's contact"
     )
     beam_answer_ms: float = Field(
         default=100.0,
@@ -77,6 +102,24 @@ class BeamSettings(BaseSettings):
     beam_modbus_permit_coil: int = Field(default=0, ge=0, le=65_535)
     beam_modbus_heartbeat_register: int = Field(default=0, ge=0, le=65_535)
     beam_modbus_readback_input: int = Field(default=0, ge=0, le=65_535)
+    beam_on_input: int = Field(
+        default=NO_CHANNEL,
+        ge=NO_CHANNEL,
+        le=MAP_BOUNDS["readback_input"][1],
+        description="Discrete input of the accelerator's beam-on signal; -1 is none",
+    )
+    beam_without_permit_ms: float = Field(
+        default=AFTER_PERMIT_MS,
+        ge=AFTER_PERMIT_BOUNDS_MS[0],
+        le=AFTER_PERMIT_BOUNDS_MS[1],
+        description="Longest beam-on after the end of a permit",
+    )
+    beam_simulated_accelerator_ms: int = Field(
+        default=NO_CHANNEL,
+        ge=NO_CHANNEL,
+        le=int(ACCELERATOR_BOUNDS_MS[1]),
+        description="Delay of a simulated accelerator behind the simulated line; -1 is none",
+    )
     beam_rtu_device: str = Field(default="", max_length=255)
     beam_rtu_baud: int = Field(default=19_200, ge=BAUD_RATES[0], le=BAUD_RATES[-1])
     beam_rtu_parity: Parity = "even"
@@ -128,12 +171,18 @@ class BeamSettings(BaseSettings):
         self._refuse_unused()
         self._refuse_missing()
         self._refuse_out_of_bounds()
+        self._refuse_second_inputs()
         return self
 
     @property
     def beam_lines(self) -> tuple[LineKind, ...]:
         """Kinds of the lines in use, one or two."""
         return (self.beam_line,) if self.beam_line_2 is None else (self.beam_line, self.beam_line_2)
+
+    @property
+    def second_inputs(self) -> tuple[str, ...]:
+        """What shows the contact of each line in use to the drill of the heartbeat; empty where nothing does."""
+        return tuple(getattr(self, name) for name in SECOND_INPUTS[: len(self.beam_lines)])
 
     @property
     def is_simulated_beam(self) -> bool:
@@ -148,23 +197,33 @@ class BeamSettings(BaseSettings):
     @property
     def beam_place(self) -> dict[str, str | int]:
         """Kinds and addresses of the lines in use."""
-        where = {name: getattr(self, name) for kind in self.beam_lines for name in USED_BY[kind] if name not in TIMES}
-        return {"beam_lines": " ".join(self.beam_lines), **where}
+        where = {name: getattr(self, name) for kind in self.beam_lines for name in USED_BY[kind] if name in PLACES}
+        seen_by = {name: place for name in SECOND_INPUTS if (place := getattr(self, name))}
+        seen_by |= {name: place for name in SIGNALS if (place := getattr(self, name)) != NO_CHANNEL}
+        return {"beam_lines": " ".join(self.beam_lines), **where, **seen_by}
 
     @property
     def beam_times(self) -> LineTimes:
         """Time limits of a wired line."""
         return LineTimes(answer_ms=self.beam_answer_ms, settle_ms=self.beam_settle_ms)
 
-    @property
-    def beam_registers(self) -> RegisterMap:
-        """Register map of the Modbus device."""
+    def beam_registers(self, kind: LineKind) -> RegisterMap:
+        """Register map of the Modbus device of a line."""
         return RegisterMap(
+            beam_on_input=self.beam_on_input if kind == self.beam_on_line != "simulated" else None,
             unit=self.beam_modbus_unit,
             permit_coil=self.beam_modbus_permit_coil,
             heartbeat_register=self.beam_modbus_heartbeat_register,
             readback_input=self.beam_modbus_readback_input,
         )
+
+    @property
+    def beam_on_line(self) -> LineKind | None:
+        """The line that reads the accelerator's signal, the first that can; None where there is no signal."""
+        if self.is_simulated_beam:
+            return None if self.beam_simulated_accelerator_ms == NO_CHANNEL else "simulated"
+        modbus: list[LineKind] = [kind for kind in self.beam_lines if "beam_on_input" in USED_BY[kind]]
+        return modbus[0] if modbus and self.beam_on_input != NO_CHANNEL else None
 
     @property
     def beam_heartbeat_channel(self) -> int | None:
@@ -189,6 +248,8 @@ class BeamSettings(BaseSettings):
         used = {name for kind in self.beam_lines for name in USED_BY[kind]}
         used |= {"beam_notify_timeout_s"} if self.beam_notify_http else set()
         known = {name for names in USED_BY.values() for name in names} | {"beam_notify_timeout_s"}
+        if self.beam_on_line is None:
+            used -= {"beam_without_permit_ms"}
         for name in sorted((known & self.model_fields_set) - used):
             msg = f"{_setting(name)} is set, but {_unused(name, self.beam_lines)}"
             raise ValueError(msg)
@@ -205,15 +266,54 @@ class BeamSettings(BaseSettings):
                 msg = f"{_setting(name)} must be the path of a serial port, like /dev/ttyUSB0"
                 raise ValueError(msg)
 
+    def _refuse_second_inputs(self) -> None:
+        for number, name in enumerate(SECOND_INPUTS):
+            place = getattr(self, name)
+            kind = self.beam_lines[number] if number < len(self.beam_lines) else None
+            if not place:
+                continue
+            if kind is None or kind == "simulated":
+                msg = f"{_setting(name)} is set, but there is no such wired line ({', '.join(self.beam_lines)} is used)"
+                raise ValueError(msg)
+            if place != READBACK:
+                _check_second_input(name, place)
+            elif kind == "serial-relay" and self.beam_relay_contact == "none":
+                msg = f"{_setting(name)} is {READBACK}: set {PREFIX}BEAM_RELAY_CONTACT, or name another device's input"
+                raise ValueError(msg)
+
     def _refuse_out_of_bounds(self) -> None:
         try:
             _ = self.beam_times
+            for kind in self.beam_lines:
+                self.beam_registers(kind)
             if "serial-relay" in self.beam_lines:
                 check_channels(self.beam_relay_protocol, self.beam_relay_channel, self.beam_heartbeat_channel)
         except InvalidValueError as error:
-            name = f"beam_{error.field}" if f"beam_{error.field}" in TIMES else f"beam_relay_{error.field}"
+            name = error.field if error.field.startswith("beam_") else f"beam_{error.field}"
+            name = name if name in type(self).model_fields else f"beam_relay_{error.field}"
             msg = f"{_setting(name)} must be {error.bound}"
             raise ValueError(msg) from error
+
+
+def second_input_place(text: str) -> tuple[str, int, RegisterMap]:
+    """Parse ``HOST:PORT/UNIT/INPUT`` into host, port and map; raise ValueError."""
+    parts = urlsplit(f"//{text}")
+    host, port, numbers = parts.hostname, parts.port, parts.path.split("/")[1:]
+    is_plain = parts.username is None and not parts.query and not parts.fragment and "\\" not in text
+    if (
+        not host
+        or not port
+        or not is_plain
+        or len(numbers) != 2
+        or not all(re.fullmatch("[0-9]{1,5}", n) for n in numbers)
+    ):
+        msg = f"must be {READBACK}, or HOST:PORT/UNIT/INPUT"  # without the value, which may hold a password
+        raise ValueError(msg)
+    try:
+        return host, port, RegisterMap(unit=int(numbers[0]), readback_input=int(numbers[1]))
+    except InvalidValueError as error:
+        msg = f"{'UNIT' if error.field == 'unit' else 'INPUT'} is {error.value}: must be {error.bound}"
+        raise ValueError(msg) from error
 
 
 def udp_target(target: str) -> tuple[str, int]:
@@ -224,6 +324,14 @@ def udp_target(target: str) -> tuple[str, int]:
         msg = f"{target[:80]!r} must be host:port"
         raise ValueError(msg)
     return host, port
+
+
+def _check_second_input(name: str, place: str) -> None:
+    try:
+        second_input_place(place)
+    except ValueError as error:
+        msg = f"{_setting(name)}: {error}"
+        raise ValueError(msg) from error
 
 
 def _check_http_target(target: str) -> None:
@@ -243,5 +351,7 @@ def _setting(name: str) -> str:
 def _unused(name: str, lines: tuple[LineKind, ...]) -> str:
     if name == "beam_notify_timeout_s":
         return f"{PREFIX}BEAM_NOTIFY_HTTP is not"
+    if name == "beam_without_permit_ms":
+        return f"neither {_setting(SIGNALS[0])} nor {_setting(SIGNALS[1])} is"
     users = [kind for kind, names in USED_BY.items() if name in names]
     return f"no beam line is {' or '.join(users)} ({', '.join(lines)} is used)"

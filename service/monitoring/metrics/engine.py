@@ -8,6 +8,7 @@ from pathlib import Path
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from engine.beam.beam_on import BeamOnState
 from engine.control.outputs import LiveView
 from engine.core.gate_state import GateState, HoldReason
 from service.engine_host.equipment import EquipmentSlot
@@ -64,6 +65,8 @@ def _states(view: LiveView) -> Iterator[Metric]:
     yield reason
     yield _gauge("tidegate_armed", "1 while the gate is armed", float(view.is_armed))
     yield _gauge("tidegate_line_on", "1 while the beam line reads back on", float(view.record.line_on))
+    if view.beam_on is not None:
+        yield from _beam_on(view.beam_on)
     yield _gauge("tidegate_operator_hold", "1 while an operator holds the beam", float(view.operator_hold is not None))
     yield _gauge("tidegate_fps", "Frames per second over the last second", view.fps)
     yield _gauge("tidegate_dropped_records", "Records that the session's recorder dropped", view.dropped_records)
@@ -78,6 +81,21 @@ def _states(view: LiveView) -> Iterator[Metric]:
         ("1", view.latency.max_ms),
     ):
         times.add_metric([share], time_ms / MS_PER_S)
+    yield times
+
+
+def _beam_on(state: BeamOnState) -> Iterator[Metric]:
+    """Report the accelerator's beam-on signal; an unknown value is omitted."""
+    if state.is_on is not None:
+        yield _gauge("tidegate_accelerator_beam_on", "1 while the accelerator reports beam on", float(state.is_on))
+    yield _gauge("tidegate_beam_absent", "1 while a permit has lasted 1 s without a beam", float(state.is_absent))
+    yield CounterMetricFamily("tidegate_beam_absences", "Permits that lasted 1 s without a beam", value=state.absences)
+    times = GaugeMetricFamily(
+        "tidegate_beam_off_seconds", "Time from the end of a permit to the accelerator's beam off", labels=["hold"]
+    )
+    for hold, off_ms in (("last", state.last_off_ms), ("slowest", state.slowest_off_ms)):
+        if off_ms is not None:
+            times.add_metric([hold], off_ms / MS_PER_S)
     yield times
 
 

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from engine.beam.compared_line import ComparedBeamLine
 from engine.control.loop import EngineLoop
 from engine.control.outputs import FrameRecord, GateTransition
 from engine.core.breath import BreathEventKind
@@ -98,11 +99,12 @@ class LiveRun:
         self.mischief = Mischief()
         self.pipeline = LivePipeline(self.clock, self.mischief)
         self.beam = SpoiledAnswers(path, self.clock, reply_ms=60.0)
+        self.is_beam_stuck = False
         self.loop = EngineLoop(
             source=LiveCamera(self.clock, self.mischief),
             measurer=self.pipeline,
             learner=self.pipeline,
-            beam=self.beam,
+            beam=ComparedBeamLine(self.beam, self.clock, lambda: self.is_beam_stuck),
             limits=limits,
             clock=self.clock,
             sample_capacity=SAMPLES_KEPT,

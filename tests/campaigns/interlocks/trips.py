@@ -159,6 +159,16 @@ def _release(run: LiveRun) -> None:
     run.loop.submit(ReleaseBeam(operator="bob")).result(timeout=5.0)
 
 
+def _stick(run: LiveRun) -> None:
+    run.is_beam_stuck = True
+    _hold(run)
+
+
+def _let_go(run: LiveRun) -> None:
+    run.is_beam_stuck = False
+    _release(run)
+
+
 def _stop(run: LiveRun) -> None:
     run.loop.stop(timeout_s=10.0)
 
@@ -227,6 +237,12 @@ TRIPS: tuple[Trip, ...] = (
         how="the line's answers lie",
         act=_line(is_lied_to=True),
         undo=_line(is_lied_to=False),
+    ),
+    Trip(
+        code=R.BEAM_WITHOUT_PERMIT,
+        how="the accelerator reports beam on after a person's hold",
+        act=_stick,
+        undo=_let_go,
     ),
     Trip(code=R.WATCHDOG, how="the camera's driver hangs for 700 ms", act=_wrong(hang_ms=700.0)),
     Trip(code=R.OPERATOR_HOLD, how="somebody presses hold", act=_hold, undo=_release),

@@ -214,7 +214,9 @@ def test_every_transition_of_a_frame_carries_its_latency_and_one_of_a_person_has
         assert change.captured_ns == change.received_ns
 
 
-@pytest.mark.parametrize("reason", [HoldReason.BEAM_LINE_FAILED, HoldReason.BEAM_LINE_MISMATCH])
+@pytest.mark.parametrize(
+    "reason", [HoldReason.BEAM_LINE_FAILED, HoldReason.BEAM_LINE_MISMATCH, HoldReason.BEAM_WITHOUT_PERMIT]
+)
 def test_what_a_line_finds_by_itself_between_two_frames_faults_at_the_next_decision_and_is_named(reason):
     bench = on_bench([])
     bench.source.script += [after(lambda: bench.beam.on_trouble(reason, "the line itself saw it")), *[good] * 3]

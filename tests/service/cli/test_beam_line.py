@@ -86,15 +86,53 @@ def test_a_line_is_opened_read_and_timed_and_never_permitted(monkeypatch):
 
 
 def test_pulses_are_what_the_receiver_sees(monkeypatch):
+    monkeypatch.setenv("TIDEGATE_BEAM_SECOND_INPUT", "readback")
     done, seen = _checked(monkeypatch, "--pulse", "150", SAFE, "--repeats", "3")
-    assert [edge[0] for edge in seen] == ["on", "off"] * 6
-    assert [row.split("│")[1].strip() for row in done.stdout.splitlines() if "->" in row][1:] == ["6", "3", "3"]
+    assert [edge[0] for edge in seen] == ["on", "off"] * 9
+    assert [edge[2] for edge in seen[1::2]] == ["command"] * 6 + ["heartbeat"] * 3
+    assert [row.split("│")[1].strip() for row in done.stdout.splitlines() if "->" in row][1:] == ["6", "3", "3", "3"]
 
 
 def test_a_simulated_line_is_checked_too():
     done = run("--pulse", "60", SAFE, "--repeats", "1")
     assert done.exit_code == 0
     assert "simulated: open, reads off" in done.stderr
+    assert "simulated: last heartbeat -> contact open" in done.stdout
+
+
+def _failed(monkeypatch, second_input, spoilt, says):
+    """Check a receiver that is to fail; another one where a busy machine kept the check from its end."""
+    monkeypatch.setattr("service.cli.beam_line.WATCHED_S", 0.2)
+    for _ in range(TRIES):
+        with receiver("tcp") as far:
+            _point_at(monkeypatch, far)
+            if second_input:
+                monkeypatch.setenv("TIDEGATE_BEAM_SECOND_INPUT", second_input.format(port=far.where))
+            if spoilt:
+                far.spoil(spoilt)
+            done = run("--pulse", "200", SAFE, "--repeats", "1")
+        if done.exit_code == 1 and says in done.stderr:
+            break
+    return done
+
+
+@pytest.mark.parametrize("second_input", ["readback", "127.0.0.1:{port}/7/5"], ids=["read-back", "another connection"])
+def test_a_receiver_without_the_heartbeat_s_rule_fails_the_check_in_one_line(monkeypatch, second_input):
+    says = "drill of the heartbeat: modbus-tcp: the contact stayed closed for 500 ms after the heartbeat stood still"
+    failed = _failed(monkeypatch, second_input, "keeps", says)
+    assert (failed.exit_code, failed.stderr.splitlines()[-1]) == (1, f"tidegate beam-line check: failed: {says}")
+    assert "hold -> read back off" in failed.stdout
+
+
+def test_a_receiver_that_takes_the_old_permit_again_fails_the_check(monkeypatch):
+    says = "the contact closed again with the next heartbeats, though the permit had not been withdrawn once"
+    assert _failed(monkeypatch, "readback", "recloses", says).stderr.splitlines()[-1].endswith(says)
+
+
+def test_a_line_without_a_second_input_is_not_verifiable_and_does_not_pass(monkeypatch):
+    says = "drill of the heartbeat: modbus-tcp: not verifiable: no second input configured"
+    failed = _failed(monkeypatch, None, None, says)
+    assert (failed.exit_code, failed.stderr.splitlines()[-1]) == (1, f"tidegate beam-line check: failed: {says}")
 
 
 @pytest.mark.parametrize(

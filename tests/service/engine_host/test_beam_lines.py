@@ -6,14 +6,17 @@ import sys
 
 import pytest
 
+from engine.beam.compared_line import ComparedBeamLine
 from engine.beam.paired import PairedBeamLine
-from engine.beam.simulated import SimulatedBeamLine
+from engine.beam.second_input import OwnInput
+from engine.beam.simulated import SimulatedBeamLine, SimulatedReceiver
 from engine.beam.status.published_line import PublishedBeamLine
+from engine.beam.wire.modbus import ModbusInput
 from engine.beam.wire.supervised_line import WiredBeamLine
 from engine.core.clock import MonotonicClock
 from service.core.settings.beam import USED_BY, BeamSettings
 from service.core.settings.settings import Settings, SettingsError, load_settings
-from service.engine_host.beam_lines import make_beam_line
+from service.engine_host.beam_lines import beam_line_parts, drilled_receivers, make_beam_line
 from service.engine_host.local_engine import LocalEngine
 from tests.support.beam.receivers import receiver
 from tests.support.service.clinical_site import OBLIGATORY, environment
@@ -120,6 +123,83 @@ def test_every_recipient_gets_the_whole_line(site):
     assert line._publishers[2]._sender._timeout_s == 2.0
 
 
+def test_the_accelerator_s_signal_is_no_input_until_the_site_names_one(site):
+    assert not isinstance(_line_of(site(**TCP)), ComparedBeamLine)
+    assert not isinstance(_line_of(Settings()), ComparedBeamLine)
+
+
+def test_a_modbus_line_reads_the_signal_by_its_own_exchanges_and_compares_it(site):
+    settings = site(**TCP, BEAM_ON_INPUT=6, BEAM_WITHOUT_PERMIT_MS=120)
+    line = _line_of(settings)
+    assert isinstance(line, ComparedBeamLine)
+    assert line._line._wire._registers.beam_on_input == 6
+    assert line._comparison._after_permit_ms == 120.0
+    line._line._wire._beam_on = True
+    assert line._read() is True
+    assert settings.beam_place["beam_on_input"] == 6
+
+
+def test_of_two_modbus_lines_the_first_reads_the_signal(site):
+    settings = site(**TCP, BEAM_LINE_2="modbus-rtu", BEAM_RTU_DEVICE="/dev/ttyUSB0", BEAM_ON_INPUT=6)
+    assert [settings.beam_registers(kind).beam_on_input for kind in settings.beam_lines] == [6, None]
+
+
+def test_a_simulated_line_has_a_simulated_accelerator_if_the_site_asks_for_one(site):
+    line = _line_of(site(BEAM_SIMULATED_ACCELERATOR_MS=30))
+    assert isinstance(line, ComparedBeamLine)
+    assert line._read() is False
+
+
+def _receivers_of(settings):
+    clock = MonotonicClock()
+    return drilled_receivers(settings, clock, beam_line_parts(settings, clock))
+
+
+def test_a_wired_line_has_no_second_input_until_the_site_names_one(site):
+    (receiver,) = _receivers_of(site(**TCP))
+    assert (receiver.name, receiver.second_input) == ("modbus-tcp", None)
+    assert receiver.line._look is None
+
+
+def test_a_simulated_line_has_a_receiver_of_its_own(site):
+    (receiver,) = _receivers_of(site())
+    assert isinstance(receiver.second_input, SimulatedReceiver)
+
+
+def test_a_line_s_own_read_back_is_looked_at_by_another_connection_where_there_may_be_one(site):
+    (tcp,) = _receivers_of(site(**TCP, BEAM_SECOND_INPUT="readback", BEAM_MODBUS_UNIT=9, BEAM_MODBUS_READBACK_INPUT=12))
+    assert isinstance(tcp.second_input, ModbusInput)
+    wire = tcp.second_input._wire
+    assert wire is not tcp.line._wire
+    assert wire._client is not tcp.line._wire._client
+    assert (wire._registers.unit, wire._registers.readback_input, wire._client.comm_params.port) == (9, 12, 502)
+    assert tcp.line._look is None
+
+
+@pytest.mark.parametrize("names", [RTU, {**RELAY, "BEAM_RELAY_CONTACT": "cts"}], ids=["rtu", "relay"])
+def test_of_a_serial_port_the_line_itself_looks_because_only_one_may_open_it(site, names):
+    (serial,) = _receivers_of(site(**names, BEAM_SECOND_INPUT="readback"))
+    assert isinstance(serial.second_input, OwnInput)
+    assert serial.line._look == serial.line._wire.look
+
+
+def test_each_of_two_lines_has_the_second_input_that_is_named_for_it(site):
+    settings = site(
+        **TCP,
+        BEAM_LINE_2="serial-relay",
+        BEAM_RELAY_DEVICE="/dev/ttyUSB1",
+        BEAM_SECOND_INPUT="readback",
+        BEAM_SECOND_INPUT_2="[::1]:1502/17/33",
+    )
+    first, second = _receivers_of(settings)
+    assert (first.name, second.name) == ("modbus-tcp", "serial-relay")
+    wire = second.second_input._wire
+    assert (wire._client.comm_params.host, wire._client.comm_params.port) == ("::1", 1502)
+    assert (wire._registers.unit, wire._registers.readback_input) == (17, 33)
+    assert second.line._look is None
+    assert settings.beam_place["beam_second_input_2"] == "[::1]:1502/17/33"
+
+
 @pytest.mark.parametrize(
     ("names", "said"),
     [
@@ -150,6 +230,28 @@ def test_every_recipient_gets_the_whole_line(site):
         ({**RELAY, "BEAM_RELAY_CHANNEL": 0}, "TIDEGATE_BEAM_RELAY_CHANNEL must be"),
         ({**RELAY, "BEAM_RELAY_HEARTBEAT_CHANNEL": 1}, "TIDEGATE_BEAM_RELAY_HEARTBEAT_CHANNEL must be another"),
         ({**RELAY, "BEAM_RELAY_CONTACT": "ri"}, "TIDEGATE_BEAM_RELAY_CONTACT"),
+        ({"BEAM_ON_INPUT": 6}, "TIDEGATE_BEAM_ON_INPUT is set, but no beam line is modbus-tcp or modbus-rtu"),
+        ({**TCP, "BEAM_ON_INPUT": 65_536}, "TIDEGATE_BEAM_ON_INPUT"),
+        ({**TCP, "BEAM_ON_INPUT": 0}, "TIDEGATE_BEAM_ON_INPUT must be another input than the read back's"),
+        ({**TCP, "BEAM_ON_INPUT": 6, "BEAM_WITHOUT_PERMIT_MS": 19}, "TIDEGATE_BEAM_WITHOUT_PERMIT_MS"),
+        ({**TCP, "BEAM_ON_INPUT": 6, "BEAM_WITHOUT_PERMIT_MS": 1001}, "TIDEGATE_BEAM_WITHOUT_PERMIT_MS"),
+        ({**TCP, "BEAM_WITHOUT_PERMIT_MS": 100}, "WITHOUT_PERMIT_MS is set, but neither TIDEGATE_BEAM_ON_INPUT nor"),
+        ({"BEAM_SIMULATED_ACCELERATOR_MS": 2001}, "TIDEGATE_BEAM_SIMULATED_ACCELERATOR_MS"),
+        (
+            {**TCP, "BEAM_SIMULATED_ACCELERATOR_MS": 30},
+            "SIMULATED_ACCELERATOR_MS is set, but no beam line is simulated",
+        ),
+        ({"BEAM_SECOND_INPUT": "readback"}, "TIDEGATE_BEAM_SECOND_INPUT is set, but there is no such wired line"),
+        ({**TCP, "BEAM_SECOND_INPUT_2": "readback"}, "TIDEGATE_BEAM_SECOND_INPUT_2 is set, but there is no such"),
+        ({**RELAY, "BEAM_SECOND_INPUT": "readback"}, "BEAM_SECOND_INPUT is readback: set TIDEGATE_BEAM_RELAY_CONTACT"),
+        ({**TCP, "BEAM_SECOND_INPUT": "plc"}, "TIDEGATE_BEAM_SECOND_INPUT: must be readback, or HOST:PORT/UNIT/INPUT"),
+        ({**TCP, "BEAM_SECOND_INPUT": "plc:502/1"}, "must be readback, or HOST:PORT/UNIT/INPUT"),
+        ({**TCP, "BEAM_SECOND_INPUT": "plc:0/1/0"}, "TIDEGATE_BEAM_SECOND_INPUT"),
+        ({**TCP, "BEAM_SECOND_INPUT": "plc:65536/1/0"}, "TIDEGATE_BEAM_SECOND_INPUT"),
+        ({**TCP, "BEAM_SECOND_INPUT": "plc:502/0/0"}, "UNIT is 0: must be"),
+        ({**TCP, "BEAM_SECOND_INPUT": "plc:502/1/65536"}, "INPUT is 65536: must be"),
+        ({**TCP, "BEAM_SECOND_INPUT": "plc:502/1/-1"}, "must be readback, or HOST:PORT/UNIT/INPUT"),
+        ({**TCP, "BEAM_SECOND_INPUT": "me:secret@plc:502/1/0"}, "TIDEGATE_BEAM_SECOND_INPUT"),
         ({"BEAM_NOTIFY_UDP": "localhost"}, "TIDEGATE_BEAM_NOTIFY_UDP"),
         ({"BEAM_NOTIFY_UDP": "localhost:0"}, "TIDEGATE_BEAM_NOTIFY_UDP"),
         ({"BEAM_NOTIFY_UDP": "localhost:65536"}, "TIDEGATE_BEAM_NOTIFY_UDP"),
@@ -197,6 +299,7 @@ def test_research_mode_takes_a_simulated_line(site):
 def test_every_setting_of_a_wire_belongs_to_a_line():
     wires = {name for name in BeamSettings.model_fields if name.startswith("beam_")}
     others = {"beam_line", "beam_line_2", "beam_notify_udp", "beam_notify_http", "beam_notify_timeout_s"}
+    others |= {"beam_second_input", "beam_second_input_2"}
     assert wires - others == {name for names in USED_BY.values() for name in names}
     assert set(BeamSettings.model_fields) <= set(Settings.model_fields)
 

@@ -176,6 +176,14 @@ def test_a_run_by_wider_bounds_than_the_site_s_is_none_of_it(database):
     assert why(database) is None
 
 
+def test_a_run_of_before_the_heartbeat_s_drill_lets_nobody_arm(database):
+    earlier = {code: bound for code, bound in bounds_of(DAY).items() if code != "fail_safe_heartbeat_ms"}
+    put(database, bounds=earlier)
+    assert "did not include fail_safe_heartbeat_ms, which the daily QA has now" in why(database)
+    put(database, age_h=0.5)
+    assert why(database) is None
+
+
 @pytest.fixture
 def strict(settings) -> Settings:
     return Settings(**settings.model_dump(exclude_unset=True), qa_required_daily_h=24.0)

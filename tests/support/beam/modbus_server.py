@@ -5,7 +5,9 @@ Run: ``python -m tests.support.beam.modbus_server tcp|rtu [PORT]``.
 pymodbus's own server. It says ``ready WHERE``, then ``on NS`` and ``off NS CAUSE`` at every edge of its contact, in
 monotonic time. It drops the permit when the heartbeat stands still for 200 ms, and wants to see it withdrawn before it
 takes one again. A line on standard input spoils it: ``stuck on``, ``stuck off``, ``lag MS``, ``late MS``,
-``refuse``, ``well``. It ends with its standard input, when its parent is gone.
+``refuse``, ``keeps`` (the permit, whatever the heartbeat does), ``recloses`` (with the next heartbeat), ``beam on`` and
+``beam off`` (whatever the contact does), ``well``. It
+ends with its standard input, when its parent is gone.
 """
 
 import asyncio
@@ -23,7 +25,7 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 
 DROP_NS = 200_000_000
 TICK_S = 0.005
-UNIT, COIL, REGISTER, INPUT = 7, 3, 11, 5
+UNIT, COIL, REGISTER, INPUT, BEAM_ON = 7, 3, 11, 5, 6
 BAUD = 115_200
 
 
@@ -36,7 +38,9 @@ class Receiver:
         self.beaten_ns = time.monotonic_ns()
         self.stuck: bool | None = None
         self.lag_s = self.late_s = 0.0
-        self.is_refusing = False
+        self.beam: bool | None = None
+        self.asked = INPUT
+        self.is_refusing = self.keeps = self.recloses = False
 
     def spoil(self, words: list[str]) -> None:
         match words:
@@ -48,14 +52,21 @@ class Receiver:
                 self.late_s = float(ms) / 1000
             case ["refuse"]:
                 self.is_refusing = True
+            case ["keeps"]:
+                self.keeps = True
+            case ["recloses"]:
+                self.recloses = True
+            case ["beam", state]:
+                self.beam = state == "on"
             case ["well"]:
-                self.stuck, self.lag_s, self.late_s, self.is_refusing = None, 0.0, 0.0, False
+                self.stuck, self.beam, self.lag_s, self.late_s, self.is_refusing = None, None, 0.0, 0.0, False
 
     async def access(self, function_code, _start, address, _count, _registers, values):
         """Act on a request as it reaches the data."""
         if self.late_s:
             await asyncio.sleep(self.late_s)
         if values is None:
+            self.asked = address
             return None
         if self.is_refusing:
             return ExcCodes.DEVICE_FAILURE
@@ -66,7 +77,7 @@ class Receiver:
         return None
 
     def _permit(self, *, is_on: bool) -> None:
-        if is_on and self.wants_off_first:
+        if is_on and self.wants_off_first and not self.recloses:
             return
         self.wants_off_first = False
         if self.lag_s:
@@ -80,7 +91,9 @@ class Receiver:
             say(f"on {time.monotonic_ns()}" if is_on else f"off {time.monotonic_ns()} {cause}")
 
     def shown(self) -> bool:
-        """What the input says."""
+        """What the input says that is asked for: the contact, or the accelerator's beam, which follows it at once."""
+        if self.asked == BEAM_ON:
+            return self.is_on if self.beam is None else self.beam
         return self.is_on if self.stuck is None else self.stuck
 
     def answer(self, sending: bool, pdu):
@@ -92,7 +105,7 @@ class Receiver:
         parent = os.getppid()
         while os.getppid() == parent:  # ends with its parent
             await asyncio.sleep(TICK_S)
-            if self.is_on and time.monotonic_ns() - self.beaten_ns > DROP_NS:
+            if self.is_on and not self.keeps and time.monotonic_ns() - self.beaten_ns > DROP_NS:
                 self.wants_off_first = True
                 self._turn(False, "heartbeat")
 
@@ -105,7 +118,7 @@ def say(line: str) -> None:
 def device(receiver: Receiver) -> SimDevice:
     blocks = (
         [SimData(COIL, values=False, datatype=DataType.BITS)],
-        [SimData(INPUT, values=False, datatype=DataType.BITS)],
+        [SimData(INPUT, values=False, datatype=DataType.BITS), SimData(BEAM_ON, values=False, datatype=DataType.BITS)],
         [SimData(REGISTER, values=0, datatype=DataType.REGISTERS)],
         [SimData(0, values=0, datatype=DataType.REGISTERS)],
     )

@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 from engine.beam.line import BeamLine
 from engine.beam.wire.line_supervisor import LineTimes
@@ -36,13 +37,16 @@ REGISTERS = RegisterMap(
 )
 
 
-def wire_to(kind: str, where: str) -> Wire:
+WITH_BEAM_ON = replace(REGISTERS, beam_on_input=modbus_server.BEAM_ON)
+
+
+def wire_to(kind: str, where: str, registers: RegisterMap = REGISTERS) -> Wire:
     """The wire that leads to a receiver of this kind."""
     if kind == "tcp":
-        return tcp_wire(host="127.0.0.1", port=int(where), registers=REGISTERS)
+        return tcp_wire(host="127.0.0.1", port=int(where), registers=registers)
     if kind == "rtu":
         baud = modbus_server.BAUD
-        return rtu_wire(device=where, baud=baud, parity="none", stop_bits=1, registers=REGISTERS)
+        return rtu_wire(device=where, baud=baud, parity="none", stop_bits=1, registers=registers)
     channel, heartbeat = relay_board.CHANNEL, relay_board.HEARTBEAT_CHANNEL
     return RelayWire(device=where, baud=115_200, protocol=kind, channel=channel, heartbeat_channel=heartbeat)
 

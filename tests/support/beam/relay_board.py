@@ -25,6 +25,7 @@ class Board:
         self.is_closed = self.wants_off_first = False
         self.stuck: bool | None = None
         self.late_s = 0.0
+        self.keeps = self.recloses = False
         self.received = b""
 
     def spoil(self, words: list[str]) -> None:
@@ -33,6 +34,10 @@ class Board:
                 self.stuck = state == "on"
             case ["late", ms]:
                 self.late_s = float(ms) / 1000
+            case ["keeps"]:
+                self.keeps = True
+            case ["recloses"]:
+                self.recloses = True
             case ["well"]:
                 self.stuck, self.late_s = None, 0.0
 
@@ -90,9 +95,9 @@ class Board:
 
     def move(self, cause: str) -> None:
         """Open or close the contact behind the timer."""
-        is_late = time.monotonic_ns() - self.beaten_ns > DROP_NS
+        is_late = not self.keeps and time.monotonic_ns() - self.beaten_ns > DROP_NS
         if self.is_closed and is_late:
-            self.wants_off_first, cause = True, "heartbeat"
+            self.wants_off_first, cause = not self.recloses, "heartbeat"
         closes = self.relays[CHANNEL] and not is_late and not self.wants_off_first
         if closes is not self.is_closed:
             self.is_closed = closes

@@ -14,6 +14,7 @@ from pathlib import Path
 from prometheus_client.core import Metric
 from prometheus_client.parser import text_string_to_metric_families
 
+from engine.beam.beam_on import BeamOnState
 from engine.core.gate_state import GateState
 from service.core.settings.settings import Settings
 from service.monitoring.metrics.machine import MachineMetrics
@@ -77,6 +78,7 @@ def scraped() -> str:
             session_id = client.post("/api/v1/sessions", json=make_session_body(calibration_id)).json()["id"]
             assert act(client, session_id, "start").status_code == 200
             engine.running.camera_ms = 20.0
+            engine.running.beam_on = BeamOnState(is_on=True, last_off_ms=45.0, slowest_off_ms=60.0, offs=2)
             engine.running.frame()
             engine.running.transition(GateState.BEAM_ON)
             engine.running.frame(line_on=True)

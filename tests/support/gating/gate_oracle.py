@@ -21,6 +21,7 @@ LATCHING = frozenset(
         "source_lost",
         "beam_line_failed",
         "beam_line_mismatch",
+        "beam_without_permit",
         "audit_behind",
         "recorder_behind",
         "disk_low",

@@ -2,7 +2,8 @@
 
 from contextlib import contextmanager
 
-from engine.beam.simulated import SimulatedBeamLine
+from engine.beam.second_input import DrilledReceiver
+from engine.beam.simulated import SimulatedBeamLine, SimulatedReceiver
 from engine.core.clock import NS_PER_MS
 from engine.core.errors import BeamLineError
 from engine.core.gate_state import HoldReason
@@ -196,18 +197,34 @@ class DiesOnTheWay(Line):
         super().rearm()
 
 
-def beam_of(line_class=Line, *, repeats=5, has_watchdog=True, pulse_ms=200.0):
+class NoHeartbeatRule(SimulatedReceiver):
+    """Keeps the permit, whatever the heartbeat does."""
+
+    drop_ms = 10**9
+
+
+class SlowReceiver(SimulatedReceiver):
+    """Drops the permit 300 ms after the last heartbeat."""
+
+    drop_ms = 300.0
+
+
+def beam_of(line_class=Line, *, repeats=5, has_watchdog=True, pulse_ms=200.0, receiver_class=SimulatedReceiver):
+    """A line with its receiver; ``receiver_class`` None leaves it without a second input."""
     time = StandingTime()
+    line = line_class(time.clock)
+    second_input = None if receiver_class is None else receiver_class(line, time.clock)
 
     @contextmanager
     def nobody_watches(_watchdog):
         yield
 
     return BeamInput(
-        line=line_class(time.clock),
+        line=line,
         clock=time.clock,
         wait_ns=time.wait_ns,
         repeats=repeats,
         pulse_ms=pulse_ms,
         watched=time.watched if has_watchdog else nobody_watches,
+        receivers=(DrilledReceiver(name="its line", line=line, second_input=second_input),),
     )

@@ -8,6 +8,7 @@ from itertools import count
 
 import numpy as np
 
+from engine.beam.beam_on import BeamOnState
 from engine.calibration.camera_calibration import Calibration, nominal_calibration
 from engine.capture.source import SourceDescription
 from engine.control.engine_status import EngineStatus
@@ -111,6 +112,7 @@ class FakeRunning:
         self.breaths: tuple[Breath, ...] = ()
         self.operator_hold: str | None = None
         self.armed_by: str | None = None
+        self.beam_on: BeamOnState | None = None
         self.camera_ms: float | None = None
         self.gate = GateState.DISARMED
         self._index = count()
@@ -213,6 +215,7 @@ class FakeRunning:
             operator_hold=self.operator_hold,
             armed_by=self.armed_by,
             breath_holds=max((state.holds for state in self.conditions), default=0),
+            beam_on=self.beam_on,
         )
         return record
 

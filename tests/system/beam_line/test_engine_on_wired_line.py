@@ -5,13 +5,14 @@ import time
 
 import pytest
 
+from engine.beam.compared_line import ComparedBeamLine
 from engine.beam.wire.supervised_line import WiredBeamLine
 from engine.control.loop import EngineLoop, LoopStatus
 from engine.core.clock import MonotonicClock
-from engine.core.commands import Acknowledge, Arm, Disarm
+from engine.core.commands import Acknowledge, Arm, Disarm, HoldBeam, ReleaseBeam
 from engine.core.errors import BeamLineError, CommandRefusedError
 from engine.core.gate_state import GateState, HoldReason
-from tests.support.beam.receivers import TIMES, receiver, wire_to
+from tests.support.beam.receivers import REGISTERS, TIMES, WITH_BEAM_ON, receiver, wire_to
 from tests.support.control.loop_bench import RecordingPipeline, drained
 from tests.support.control.real_time_source import PATIENT_LIMITS, PacedSource
 from tests.support.waiting import eventually
@@ -23,15 +24,15 @@ TRIES = 4
 class Room:
     """An engine and the receiver at the end of its line."""
 
-    def __init__(self, far):
-        self.far = far
+    def __init__(self, far, registers=REGISTERS):
+        self.far, self.registers = far, registers
         self.loop = self._running()
 
     def _running(self):
         """An engine whose line was opened; where its receiver answered late, on a busy machine, another one."""
         deadline_s = time.monotonic() + PATIENCE_S
         while True:
-            loop = _engine(wire_to(self.far.kind, self.far.where), TIMES)
+            loop = _engine(wire_to(self.far.kind, self.far.where, self.registers), TIMES)
             loop.start()
             eventually(lambda loop=loop: loop.status.run_state is not LoopStatus.STARTING, within_s=PATIENCE_S)
             if loop.status.run_state is LoopStatus.RUNNING:
@@ -100,11 +101,14 @@ class Room:
 def _engine(wire, times=None):
     clock = MonotonicClock()
     pipeline = RecordingPipeline(clock)
+    line = WiredBeamLine(wire, clock, times)
+    beam = ComparedBeamLine(line, clock, lambda: wire.beam_on, after_permit_ms=500.0)
     return EngineLoop(
         source=PacedSource(clock),
         measurer=pipeline,
         learner=pipeline,
-        beam=WiredBeamLine(wire, clock, times),
+        beam=beam,
+        beam_on=lambda: beam.state,
         limits=PATIENT_LIMITS,
         clock=clock,
     )
@@ -158,3 +162,51 @@ def test_an_engine_that_ends_turns_the_receiver_off_by_telling_it(room):
     room.loop.stop(PATIENCE_S)
     edge = room.far.next_edge()
     assert (edge[0], edge[2]) == ("off", "command")
+
+
+@pytest.fixture(params=["tcp", "rtu"])
+def compared(request):
+    """An engine whose line also reads the accelerator's beam-on signal."""
+    with receiver(request.param) as far:
+        held = Room(far, WITH_BEAM_ON)
+        try:
+            yield held
+        finally:
+            held.loop.stop(PATIENCE_S)
+
+
+def _fault_after_a_hold(room):
+    """Hold by hand while the accelerator's signal stays on; return the fault, of a busy machine's too."""
+    room.arm()
+    room.far.spoil("beam on")
+    room.insist(HoldBeam(operator="ann"))
+    return room.fault().reason
+
+
+def test_a_beam_that_stays_on_after_a_hold_is_a_fault_that_lasts_as_long_as_the_beam(compared):
+    for _ in range(TRIES):
+        found = _fault_after_a_hold(compared)
+        if found is HoldReason.BEAM_WITHOUT_PERMIT:
+            break
+        compared.far.spoil("well")
+        compared.insist(ReleaseBeam(operator="ann"))
+    assert found is HoldReason.BEAM_WITHOUT_PERMIT
+    compared.insist(Acknowledge(operator="ann"))
+    assert compared.fault().reason is HoldReason.BEAM_WITHOUT_PERMIT
+    compared.far.spoil("well")
+    compared.insist(ReleaseBeam(operator="ann"))
+    compared.arm()
+
+
+def test_a_beam_that_follows_the_permit_holds_nothing_and_each_hold_is_timed(compared):
+    compared.arm()
+    compared.insist(HoldBeam(operator="ann"))
+
+    def is_timed():
+        drained(compared.loop.samples)
+        view = compared.loop.status.view
+        return view is not None and view.beam_on is not None and view.beam_on.offs >= 1
+
+    eventually(is_timed, within_s=PATIENCE_S, detail=lambda: f"no hold was timed: {compared.loop.gate.detail}")
+    assert compared.loop.status.view.beam_on.last_off_ms > 0.0
+    assert compared.loop.gate.reason is not HoldReason.BEAM_WITHOUT_PERMIT

@@ -4,6 +4,8 @@ import threading
 import time
 from itertools import pairwise
 
+from engine.beam.second_input import DrilledReceiver
+from engine.beam.wire.modbus import ModbusInput
 from engine.beam.wire.supervised_line import WiredBeamLine
 from engine.core.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from engine.verification.qa.drill import DRILLS, drill_line
@@ -18,12 +20,15 @@ ATTEMPTS = 20
 
 def _drilled(far):
     clock = MonotonicClock()
+    line = WiredBeamLine(wire_to(far.kind, far.where), clock, TIMES)
+    second_input = ModbusInput(wire_to(far.kind, far.where))
     given = BeamInput(
-        line=WiredBeamLine(wire_to(far.kind, far.where), clock, TIMES),
+        line=line,
         clock=clock,
         wait_ns=lambda ns: threading.Event().wait(ns / NS_PER_S),
         pulse_ms=PULSE_MS,
         repeats=REPEATS,
+        receivers=(DrilledReceiver(name="modbus-tcp", line=line, second_input=second_input),),
     )
     return {figure.code: figure for figure in drill_line(given, lambda _done: None)}
 

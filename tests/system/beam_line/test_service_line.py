@@ -117,3 +117,30 @@ def test_a_recording_that_gates_a_real_line_is_said_loudly_in_the_audit(client, 
         warnings = [row["detail"]["source_warning"] for row in audit_rows(client, action)]
         assert warnings
         assert all(one.startswith("RECORDING") and "REAL beam line (modbus-tcp)" in one for one in warnings)
+
+
+@pytest.mark.parametrize("site", [{"recordings_may_gate": True, "beam_on_input": modbus_server.BEAM_ON}])
+def test_a_beam_that_stays_on_after_a_hold_is_shown_as_a_fault_and_audited(client, far, regular_volunteer):
+    session_id = _started(client, (regular_volunteer / "calibration.json").read_bytes())
+
+    def shown():
+        return detail_of(client, session_id)["gate"]
+
+    for _ in range(TRIES):
+        arm_when_ready(client, session_id)
+        eventually(lambda: far.is_on or shown()["state"] == "fault", within_s=30.0)
+        far.spoil("beam on")
+        act(client, session_id, "hold")
+        eventually(lambda: shown()["state"] == "fault", within_s=30.0)
+        if shown()["hold_reason"] == "beam_without_permit":
+            break
+        far.spoil("well")  # a busy machine's own fault came first
+        act(client, session_id, "release")
+        act(client, session_id, "acknowledge")
+    assert shown()["hold_reason"] == "beam_without_permit"
+    assert "the accelerator reports beam on" in shown()["hold_detail"]
+    assert "tidegate_accelerator_beam_on 1.0" in client.get("/metrics").text
+    act(client, session_id, "stop")
+    eventually(lambda: detail_of(client, session_id)["status"] != "running", within_s=30.0)
+    reasons = [row["detail"].get("reason") for row in audit_rows(client, "gate.transition")]
+    assert "beam_without_permit" in reasons

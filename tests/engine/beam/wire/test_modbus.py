@@ -1,13 +1,14 @@
 """The Modbus wire on a client that notes what it was asked, in time that only the test moves."""
 
 import logging
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 from pymodbus.exceptions import ModbusException
 
 from engine.beam.wire import modbus
-from engine.beam.wire.modbus import CONNECT_S, MAP_BOUNDS, ModbusWire, RegisterMap, rtu_wire, tcp_wire
+from engine.beam.wire.modbus import CONNECT_S, MAP_BOUNDS, ModbusInput, ModbusWire, RegisterMap, rtu_wire, tcp_wire
 from engine.core.errors import BeamLineError, InvalidValueError
 
 MAP = RegisterMap(unit=9, permit_coil=31, heartbeat_register=47, readback_input=58)
@@ -185,3 +186,65 @@ def test_the_bounds_of_every_address_belong_to_it_and_what_is_refused_is_named(n
             RegisterMap(**{name: value})
         assert (refused.value.field, refused.value.value) == (name, repr(value))
         assert refused.value.bound == f"a whole number from {low} to {high}"
+
+
+@pytest.mark.parametrize("reads_on", [True, False])
+def test_a_look_reads_the_input_and_writes_nothing(client, reads_on):
+    client.read = Answer(bits=[reads_on])
+    assert wire(client).look(0.1) is reads_on
+    assert client.asked == [("input", 58, {"count": 1, "device_id": 9}, pytest.approx(0.1))]
+
+
+def test_a_second_input_connects_reads_and_disconnects_and_its_errors_say_which_it_is(client):
+    second_input = ModbusInput(wire(client))
+    second_input.open()
+    assert second_input.is_closed() is True
+    second_input.close()
+    assert {request[0] for request in client.asked if request != "close"} == {"connect", "input"}
+    client.read = Answer(is_refusal=True, exception_code=2)
+    with pytest.raises(BeamLineError, match=r"^the second input, the beam line at test: it refuses the read back"):
+        second_input.is_closed()
+    client.connects = False
+    with pytest.raises(BeamLineError, match=r"^the second input, the beam line at test: cannot connect"):
+        second_input.open()
+    client.error = ModbusException("no response")
+    with pytest.raises(BeamLineError, match=r"^the second input, .*no response"):
+        second_input.is_closed()
+
+
+def test_the_beam_on_signal_is_a_fourth_request_and_known_until_the_connection_ends(client):
+    signals = {58: Answer(bits=[True]), 59: Answer(bits=[False])}
+    client.read_discrete_inputs = lambda address, **options: (
+        client._ask("input", address, **options) or signals[address]
+    )
+    one = ModbusWire(client, replace(MAP, beam_on_input=59), name="the beam line at test")
+    assert one.beam_on is None
+    assert one.exchange(is_on=True, heartbeat=1, within_s=0.1) is True
+    assert [request[1] for request in client.asked] == [31, 47, 58, 59]
+    assert one.beam_on is False
+    signals[58], signals[59] = signals[59], signals[58]
+    assert one.exchange(is_on=True, heartbeat=2, within_s=0.1) is False
+    assert one.beam_on is True
+    one.close()
+    assert one.beam_on is None
+
+
+def test_without_a_beam_on_input_none_is_read(client):
+    one = wire(client)
+    one.exchange(is_on=True, heartbeat=1, within_s=0.1)
+    assert len(client.asked) == 3
+    assert one.beam_on is None
+
+
+def test_a_beam_on_signal_that_is_refused_fails_the_exchange(client):
+    answers = {58: Answer(bits=[True]), 59: Answer(is_refusal=True, exception_code=2)}
+    client.read_discrete_inputs = lambda address, **_options: answers[address]
+    one = ModbusWire(client, replace(MAP, beam_on_input=59), name="the beam line at test")
+    with pytest.raises(BeamLineError, match=r"^it refuses the beam-on signal \(Modbus exception 2\)$"):
+        one.exchange(is_on=True, heartbeat=1, within_s=0.1)
+
+
+@pytest.mark.parametrize(("address", "bound"), [(58, "another input"), (-1, "0 to 65535"), (65_536, "0 to 65535")])
+def test_an_address_of_the_beam_on_signal_that_cannot_be_is_refused_by_name(address, bound):
+    with pytest.raises(InvalidValueError, match=rf"^beam_on_input .*{bound}"):
+        replace(MAP, beam_on_input=address)

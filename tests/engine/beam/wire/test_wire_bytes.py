@@ -137,6 +137,25 @@ def test_board_and_contact_must_both_confirm_the_command(line, is_on, board, con
     assert read is (is_on if board is is_on and contact is is_on else not is_on)
 
 
+@pytest.mark.parametrize("line", ["cts", "dsr", "cd"])
+@pytest.mark.parametrize("contact", [True, False])
+def test_a_look_at_the_contact_reads_the_modem_line_and_sends_nothing(line, contact):
+    port = FakePort([], **{line: contact})
+    wire = relay(port, contact=line)
+    sent = list(port.written)
+    assert wire.look(0.1) is contact
+    assert port.written == sent
+
+
+def test_a_look_without_a_modem_line_or_a_port_is_an_error():
+    with pytest.raises(BeamLineError, match="no modem line"):
+        relay(FakePort([])).look(0.1)
+    closed = relay(FakePort([]), contact="cts")
+    closed.close()
+    with pytest.raises(BeamLineError, match="closed"):
+        closed.look(0.1)
+
+
 def test_a_port_that_is_closed_takes_nothing():
     wire = relay(FakePort([]))
     wire.close()

@@ -1,10 +1,13 @@
 """The fail-safe drill finds what it is for, and leaves every line off."""
 
 import threading
+from dataclasses import replace
 
 import pytest
 
-from engine.beam.simulated import SimulatedBeamLine
+from engine.beam.paired import PairedBeamLine
+from engine.beam.second_input import DrilledReceiver
+from engine.beam.simulated import SimulatedAccelerator, SimulatedBeamLine, SimulatedReceiver
 from engine.core.clock import NS_PER_S, MonotonicClock
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
@@ -23,10 +26,12 @@ from tests.support.qa.faulty_lines import (
     Line,
     NeverLatches,
     NeverOn,
+    NoHeartbeatRule,
     OnByItself,
     OnWhenArmed,
     SlowLeases,
     SlowOnce,
+    SlowReceiver,
     SlowToHold,
     beam_of,
 )
@@ -75,6 +80,57 @@ def test_each_fault_of_a_line_fails_its_drill_and_is_named(line, drills, says):
     assert any(says in results[code].detail for code in codes)
 
 
+def test_a_receiver_without_the_heartbeat_s_rule_fails_daily_qa_and_the_text_says_so():
+    results = drilled(beam_of(receiver_class=NoHeartbeatRule))
+    assert failed(results) == {"fail_safe_heartbeat_ms", "beam_readback_errors"}
+    assert results["fail_safe_heartbeat_ms"].value is None
+    assert "its line: the contact stayed closed for 500 ms" in results["fail_safe_heartbeat_ms"].detail
+
+
+def test_a_receiver_that_drops_the_permit_too_late_fails_with_its_time():
+    results = drilled(beam_of(receiver_class=SlowReceiver))
+    assert failed(results) == {"fail_safe_heartbeat_ms"}
+    assert results["fail_safe_heartbeat_ms"].value == pytest.approx(300.0, abs=2.0)
+
+
+def test_a_receiver_whose_contact_cannot_be_seen_otherwise_does_not_pass_and_is_not_called_a_failing_line():
+    results = drilled(beam_of(receiver_class=None))
+    assert failed(results) == {"fail_safe_heartbeat_ms"}
+    assert "its line: not verifiable: no second input configured" in results["fail_safe_heartbeat_ms"].detail
+    assert results["beam_readback_errors"].value == 0.0
+
+
+@pytest.mark.parametrize("faulty", [None, 0, 1], ids=["both good", "first", "second"])
+def test_of_two_lines_every_receiver_has_to_drop_the_permit(faulty):
+    given = beam_of()
+    lines = [Line(given.clock) for _ in range(2)]
+    receivers = tuple(
+        DrilledReceiver(
+            name=f"line {number}",
+            line=line,
+            second_input=(NoHeartbeatRule if number == faulty else SimulatedReceiver)(line, given.clock),
+        )
+        for number, line in enumerate(lines)
+    )
+    results = drilled(replace(given, line=PairedBeamLine(*lines), receivers=receivers))
+    assert ("fail_safe_heartbeat_ms" in failed(results)) is (faulty is not None)
+    if faulty is not None:
+        assert f"line {faulty}: the contact stayed closed" in results["fail_safe_heartbeat_ms"].detail
+
+
+def test_one_repetition_without_the_receiver_s_rule_is_enough_to_fail():
+    class Lapses(NoHeartbeatRule):
+        looks = 0
+
+        def open(self):
+            self.looks += 1
+            self.drop_ms = 10**9 if self.looks == 3 else 200.0
+
+    results = drilled(beam_of(receiver_class=Lapses))
+    assert "4 of 5 succeeded" in results["fail_safe_heartbeat_ms"].detail
+    assert "fail_safe_heartbeat_ms" in failed(results)
+
+
 def test_how_late_a_hold_and_a_lease_are_is_reported_from_when_they_should_have_been_obeyed():
     assert drilled(beam_of(SlowToHold))["fail_safe_hold_ms"].value == pytest.approx(130.0, abs=2.0)
     assert drilled(beam_of(SlowLeases))["fail_safe_lease_ms"].value == pytest.approx(130.0, abs=2.0)
@@ -113,7 +169,7 @@ def test_every_line_is_held_before_it_is_closed_and_off_at_the_end(line):
     assert not given.line.is_on()
 
 
-@pytest.mark.parametrize("cancelled_at", range(0, 21, 3))
+@pytest.mark.parametrize("cancelled_at", range(0, 26, 3))
 def test_a_drill_that_is_cancelled_ends_with_the_line_held_and_closed(cancelled_at):
     given = beam_of()
 
@@ -129,6 +185,31 @@ def test_a_drill_that_is_cancelled_ends_with_the_line_held_and_closed(cancelled_
     assert not given.line.is_on()
     assert given.line.calls[-2:] == ["close", "hold"]
     assert "permit" not in given.line.calls[-4:]
+
+
+@pytest.mark.parametrize(("delay_ms", "fails"), [(20.0, False), (80.0, False), (180.0, True)])
+def test_where_the_accelerator_delivers_the_time_to_its_beam_off_is_judged(delay_ms, fails):
+    given = beam_of()
+    accelerator = SimulatedAccelerator(given.line, given.clock, delay_ms=delay_ms)
+    results = drilled(replace(given, beam_on=accelerator.read))
+    assert results["hold_to_beam_off_ms"].value == pytest.approx(delay_ms, abs=2.0)
+    assert failed(results) == ({"hold_to_beam_off_ms"} if fails else set())
+
+
+def test_where_nothing_shows_the_beam_or_the_accelerator_is_off_it_is_not_judged():
+    assert "hold_to_beam_off_ms" not in drilled(beam_of())
+    given = beam_of()
+    looks = []
+    results = drilled(replace(given, beam_on=lambda: bool(looks.append(1))))
+    assert "hold_to_beam_off_ms" not in results
+    assert failed(results) == set()
+    assert len(looks) < 1_100  # it is waited for once
+
+
+def test_a_beam_that_does_not_go_off_fails_the_drill_and_is_named():
+    results = drilled(replace(beam_of(), beam_on=lambda: True))
+    assert "the accelerator reports beam on 1000 ms after the hold" in results["fail_safe_hold_ms"].detail
+    assert {"fail_safe_hold_ms", "beam_readback_errors"} <= failed(results)
 
 
 def test_progress_is_reported_after_every_drill():

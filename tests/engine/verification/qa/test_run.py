@@ -90,7 +90,7 @@ def test_a_run_tells_how_far_it_is_stage_after_stage(healthy):
     for stage in stages:
         done = [number for one, number, _ in reported if one is stage]
         assert done == sorted(done)
-    assert reported[-1] == (QaNeed.BEAM, 40, 40)
+    assert reported[-1] == (QaNeed.BEAM, 50, 50)
 
 
 @pytest.mark.slow

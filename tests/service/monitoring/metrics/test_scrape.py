@@ -100,6 +100,12 @@ def test_what_somebody_watches_is_there_and_no_zero_by_mistake(name):
     assert all(value > 0.0 for value in values(name).values())
 
 
+def test_the_accelerator_s_signal_and_the_time_of_holds_are_figures():
+    assert values("tidegate_accelerator_beam_on") == {(): 1.0}
+    assert values("tidegate_beam_absent") == {(): 0.0}
+    assert values("tidegate_beam_off_seconds") == {(("hold", "last"),): 0.045, (("hold", "slowest"),): 0.06}
+
+
 def test_a_scrape_says_the_same_as_openmetrics(client):
     answer = client.get("/metrics", headers={"Accept": "application/openmetrics-text;version=1.0.0,text/plain;q=0.5"})
     assert answer.headers["content-type"].startswith("application/openmetrics-text; version=1.0.0")

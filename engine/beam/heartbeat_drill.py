@@ -1,0 +1,162 @@
+"""The heartbeat stands still, as if this process was killed: the receiver must drop the permit by itself.
+
+The beam is permitted, then nothing is sent any more. The contact, seen by a second input, must open, and stay open
+although heartbeats come again, until the permit was withdrawn once (docs/3-operate/beam.md, rules 1 and 2 for a
+receiver). For commissioning and QA, with the accelerator made safe.
+"""
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+
+from engine.beam.commissioning import POLL_NS, Pulser
+from engine.beam.second_input import NOT_VERIFIABLE, RECEIVER_DROP_MS, DrilledReceiver, SecondInput
+from engine.core.clock import NS_PER_MS, Clock
+from engine.core.errors import BeamLineError
+
+MARGIN_MS = 50.0
+"""Allowed beside `RECEIVER_DROP_MS` for the exchange before the standstill, the look, and threads that wake late."""
+
+WAITED_NS = 500 * NS_PER_MS
+"""How long the contact is waited for; then the receiver counts as one that does not drop the permit."""
+
+WATCHED_NS = 60 * NS_PER_MS
+"""How long an open contact is watched, without heartbeats and again with them."""
+
+STOPPED_NS = 250 * NS_PER_MS
+"""Longest wait for the exchange in progress."""
+
+
+class NotVerifiableError(BeamLineError):
+    """No second input shows the contact while nothing is exchanged."""
+
+
+def check_verifiable(receivers: Sequence[DrilledReceiver]) -> None:
+    """Raise NotVerifiableError unless there is a receiver, and each has a second input."""
+    if not receivers:
+        raise NotVerifiableError(NOT_VERIFIABLE)
+    for receiver in receivers:
+        if receiver.second_input is None:
+            msg = f"{receiver.name}: {NOT_VERIFIABLE}"
+            raise NotVerifiableError(msg)
+
+
+class HeartbeatDrill:
+    """Lets the heartbeat of one receiver after the other stand still; the pulser's line is open and armed."""
+
+    def __init__(self, pulser: Pulser, clock: Clock, wait_ns: Callable[[int], None]) -> None:
+        self._pulser, self._clock, self._wait_ns = pulser, clock, wait_ns
+
+    def open_ms(self, receiver: DrilledReceiver) -> float:
+        """Permit, stop the exchanges, and return the time from the last heartbeat to the open contact [ms].
+
+        The caller holds, and arms the line again.
+
+        Raises
+        ------
+        BeamLineError
+            The contact stayed closed, or closed again, or cannot be seen.
+        """
+        check_verifiable([receiver])
+        assert receiver.second_input is not None, "it is verifiable"
+        with _opened(receiver.second_input) as second_input, _named(receiver.name):
+            if second_input.is_closed():
+                msg = "the second input reads a closed contact though nothing is permitted"
+                raise BeamLineError(msg)
+            self._wait_ns(POLL_NS)  # the line refuses a permit with the same time stamp as a hold
+            self._pulser.permit()
+            self._expect_closed(second_input)
+            return self._stand_still(receiver, second_input)
+
+    def repeated_ms(self, receiver: DrilledReceiver, repeats: int) -> list[float]:
+        """Do it ``repeats`` times, arming and holding the line each time; return the times to the open contact [ms].
+
+        Raises
+        ------
+        BeamLineError
+            As :meth:`open_ms`, or a contact opened later than `RECEIVER_DROP_MS` and `MARGIN_MS`.
+        """
+        taken_ms = []
+        for _ in range(repeats):
+            self._pulser.arm()
+            try:
+                taken_ms.append(self.open_ms(receiver))
+            finally:
+                self._pulser.hold()
+            if taken_ms[-1] > RECEIVER_DROP_MS + MARGIN_MS:
+                bound = f"at most {RECEIVER_DROP_MS:.0f} ms, and {MARGIN_MS:.0f} ms for the exchange and the look"
+                opened = f"{receiver.name}: the contact opened {taken_ms[-1]:.0f} ms after the last heartbeat"
+                msg = f"{opened}: must be {bound}"
+                raise BeamLineError(msg)
+        return taken_ms
+
+    def _expect_closed(self, second_input: SecondInput) -> None:
+        """Wait while the permit is renewed; an input that never shows it closed would prove nothing."""
+        until_ns = self._clock.now_ns() + WAITED_NS
+        while not second_input.is_closed():
+            if self._clock.now_ns() >= until_ns:
+                msg = "the second input does not see the contact close: is it wired to it?"
+                raise BeamLineError(msg)
+            self._pulser.renew()
+            self._wait_ns(POLL_NS)
+        self._pulser.renew()
+
+    def _stand_still(self, receiver: DrilledReceiver, second_input: SecondInput) -> float:
+        receiver.line.stand_still()
+        since_ns = self._await_standstill(receiver)
+        while second_input.is_closed():
+            self._expect_still(receiver)
+            if self._clock.now_ns() >= since_ns + WAITED_NS:
+                msg = f"the contact stayed closed for {WAITED_NS // NS_PER_MS} ms after the heartbeat stood still"
+                raise BeamLineError(msg)
+            self._wait_ns(POLL_NS)
+        opened_ns = self._clock.now_ns()
+        self._expect_open(receiver, second_input, "closed again by itself after the heartbeat stood still")
+        receiver.line.repeat_permit()
+        failure = "closed again with the next heartbeats, though the permit had not been withdrawn once"
+        self._expect_open(receiver, second_input, failure)
+        return (opened_ns - since_ns) / NS_PER_MS
+
+    def _await_standstill(self, receiver: DrilledReceiver) -> int:
+        until_ns = self._clock.now_ns() + STOPPED_NS
+        while (since_ns := receiver.line.still_since_ns) is None:
+            if self._clock.now_ns() >= until_ns:
+                msg = "the line did not stand still with the permit on"
+                raise BeamLineError(msg)
+            self._wait_ns(POLL_NS)
+        return since_ns
+
+    def _expect_open(self, receiver: DrilledReceiver, second_input: SecondInput, failure: str) -> None:
+        until_ns = self._clock.now_ns() + WATCHED_NS
+        while True:
+            is_closed = second_input.is_closed()
+            self._expect_still(receiver)
+            if is_closed:
+                msg = f"the contact {failure}"
+                raise BeamLineError(msg)
+            if self._clock.now_ns() >= until_ns:
+                return
+            self._wait_ns(POLL_NS)
+
+    def _expect_still(self, receiver: DrilledReceiver) -> None:
+        """Raise BeamLineError where a hold or a fault ended the standstill: then the contact proves nothing."""
+        if receiver.line.still_since_ns is None:
+            msg = "the line was commanded while its heartbeat should have stood still"
+            raise BeamLineError(msg)
+
+
+@contextlib.contextmanager
+def _opened(second_input: SecondInput) -> Iterator[SecondInput]:
+    try:
+        second_input.open()
+        yield second_input
+    finally:
+        second_input.close()
+
+
+@contextlib.contextmanager
+def _named(name: str) -> Iterator[None]:
+    try:
+        yield
+    except BeamLineError as error:
+        msg = f"{name}: {error}"
+        raise BeamLineError(msg) from error
