@@ -196,6 +196,7 @@ def test_a_running_session_shows_its_gate_and_figures(client, session_id, runnin
         "hold_text": None,
         "hold_detail": "",
         "operator_hold": None,
+        "armed_by": None,
         "line_on": True,
     }
     summary = detail["summary"]
