@@ -204,8 +204,15 @@ def _count_switching(before: Gate, moved: Gate, now_ns: int, limits: GateLimits)
     if is_on or not was_on:
         return moved
     on_ns = now_ns - before.turned_on_ns[-1]
-    stay = before.stay._replace(on_ns=before.stay.on_ns + on_ns)
+    stay = before.stay._replace(on_ns=before.stay.on_ns + _on_ns(before, now_ns, limits))
     return replace(moved, off_since_ns=now_ns, was_cut_short=on_ns < ns_from_ms(limits.min_on_ms), stay=stay)
+
+
+def _on_ns(gate: Gate, now_ns: int, limits: GateLimits) -> int:
+    """Return for how long the beam is on by now; it goes off with the newest frame's lease, whatever comes."""
+    if gate.state is not GateState.BEAM_ON or gate.last is None:
+        return 0
+    return min(now_ns, gate.last.received_ns + ns_from_ms(limits.lease_ms)) - gate.turned_on_ns[-1]
 
 
 def _reason_in(state: GateState, gate: Gate, verdict: Verdict) -> tuple[HoldReason | None, str]:
@@ -290,7 +297,7 @@ def _judge_window(gate: Gate, frame: Measurement, motion: Motion, now_ns: int, l
     found = window.judge(WindowInput(motion, frame.breaths, frame.timestamp_us), states)
     if not found.is_inside:
         return Verdict(EventKind.OUTSIDE, found.reason, found.detail, found.states)
-    too_long = _on_too_long(gate, now_ns)
+    too_long = _on_too_long(gate, now_ns, limits)
     if too_long is not None:
         return too_long
     if not _has_dwelt(gate, frame, limits):
@@ -298,11 +305,10 @@ def _judge_window(gate: Gate, frame: Measurement, motion: Motion, now_ns: int, l
     return _too_soon(gate, now_ns, limits, found.states) or Verdict(EventKind.DWELT, conditions=found.states)
 
 
-def _on_too_long(gate: Gate, now_ns: int) -> Verdict | None:
+def _on_too_long(gate: Gate, now_ns: int, limits: GateLimits) -> Verdict | None:
     """Hold where the beam has been on for as long as is allowed without the signal's leaving the window."""
     on_ns, allowed_ns = gate.stay
-    if gate.state is GateState.BEAM_ON:
-        on_ns += now_ns - gate.turned_on_ns[-1]
+    on_ns += _on_ns(gate, now_ns, limits)
     if allowed_ns is None or on_ns < allowed_ns:
         return None
     detail = (

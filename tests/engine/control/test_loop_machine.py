@@ -197,7 +197,7 @@ class LoopMachine(RuleBasedStateMachine):
 
     @rule()
     def set_the_reference(self) -> None:
-        assert self._ask(SetReference(operator="ann"), self.oracle.disarm)
+        assert self._ask(SetReference(operator="ann", reason="as it is"), self.oracle.disarm)
 
     @rule()
     def hold_by_hand(self) -> None:

@@ -56,6 +56,12 @@ def test_nothing_but_a_frame_outside_begins_the_time_anew(way):
     assert stream.gate.state is not GateState.BEAM_ON
 
 
+def test_a_long_silence_is_no_beam_on():
+    stream = stream_in(GateState.BEAM_ON, limits=EASY)
+    stream.next_slot += 1000
+    assert fed(stream, 4.0) > 3.5
+
+
 @pytest.mark.parametrize(("rate", "limit_s", "allowed"), [(30.0, 30.0, 4.0), (10.0, 30.0, 12.0), (10.0, 5.0, 5.0)])
 def test_two_breaths_bound_it_where_the_rate_is_known(rate, limit_s, allowed):
     stream = stream_in(GateState.BEAM_ON, limits=replace(EASY, max_beam_on_s=limit_s))

@@ -225,7 +225,7 @@ class GateMachine(RuleBasedStateMachine):
 
     @invariant()
     def the_gate_is_where_a_plain_reading_of_the_rules_says(self) -> None:
-        assert str(self.gate.state) == self.oracle.state
+        assert str(self.gate.state) == self.oracle.state, (self.gate.reason, self.gate.detail)
 
     @invariant()
     def a_reason_is_given_exactly_where_the_beam_is_not_on(self) -> None:

@@ -9,7 +9,6 @@ OBLIGATORY: dict[str, Any] = {
     "allow_device_registration": False,
     "camera_latency_ms": 40.0,
     "qa_required_daily_h": 24.0,
-    "operator_timeout_s": 10.0,
     "min_dwell_ms": 100.0,
     "window_lower_mm": -5.0,
     "window_upper_mm": 30.0,
