@@ -9,7 +9,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Sequence
 
 from engine.beam.commissioning import POLL_NS, Pulser
-from engine.beam.second_input import NOT_VERIFIABLE, RECEIVER_DROP_MS, DrilledReceiver, SecondInput
+from engine.beam.second_input import LEAST_REPEATS, NOT_VERIFIABLE, RECEIVER_DROP_MS, DrilledReceiver, SecondInput
 from engine.core.clock import NS_PER_MS, Clock
 from engine.core.errors import BeamLineError
 
@@ -113,6 +113,7 @@ class HeartbeatDrill:
         self._expect_open(receiver, second_input, "closed again by itself after the heartbeat stood still")
         receiver.line.repeat_permit()
         failure = "closed again with the next heartbeats, though the permit had not been withdrawn once"
+        self._await_repeats(receiver)
         self._expect_open(receiver, second_input, failure)
         return (opened_ns - since_ns) / NS_PER_MS
 
@@ -124,6 +125,16 @@ class HeartbeatDrill:
                 raise BeamLineError(msg)
             self._wait_ns(POLL_NS)
         return since_ns
+
+    def _await_repeats(self, receiver: DrilledReceiver) -> None:
+        """Wait until heartbeats were answered again: a contact that stays open without them shows nothing."""
+        until_ns = self._clock.now_ns() + WAITED_NS
+        while receiver.line.repeats < LEAST_REPEATS:
+            self._expect_still(receiver)
+            if self._clock.now_ns() >= until_ns:
+                msg = f"no {LEAST_REPEATS} good answers to the heartbeats after the standstill"
+                raise BeamLineError(msg)
+            self._wait_ns(POLL_NS)
 
     def _expect_open(self, receiver: DrilledReceiver, second_input: SecondInput, failure: str) -> None:
         until_ns = self._clock.now_ns() + WATCHED_NS

@@ -13,6 +13,10 @@ RECEIVER_DROP_MS = 200.0
 NOT_VERIFIABLE = "not verifiable: no second input configured"
 
 
+LEAST_REPEATS = 3
+"""Heartbeats that a receiver must have answered before its contact is said to stay open with them."""
+
+
 class StandingLine(Protocol):
     """A line that can stop its exchanges with the permit on, for the drill alone, never in a session.
 
@@ -31,6 +35,10 @@ class StandingLine(Protocol):
 
         Ignored unless the line stands still.
         """
+
+    @property
+    def repeats(self) -> int:
+        """How often the permit of before was sent again and answered; 0 unless the line stands still."""
 
 
 class LookingLine(Protocol):

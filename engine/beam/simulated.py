@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from engine.beam.deadman import DeadMan, Grant
 from engine.beam.line import TroubleListener, ignore_trouble
-from engine.beam.second_input import RECEIVER_DROP_MS
+from engine.beam.second_input import LEAST_REPEATS, RECEIVER_DROP_MS
 from engine.core.bounds import check_number
 from engine.core.clock import NS_PER_MS, Clock
 from engine.core.errors import BeamLineError
@@ -92,6 +92,11 @@ class SimulatedBeamLine:
     def repeat_permit(self) -> None:
         """Send heartbeats again with the permit of before; ignored unless the line stands still."""
         self._repeats_permit = True
+
+    @property
+    def repeats(self) -> int:
+        """How often the permit of before was sent again: as often as asked for, once it is."""
+        return LEAST_REPEATS if self._repeats_permit else 0
 
     @property
     def sent(self) -> tuple[bool, int | None]:

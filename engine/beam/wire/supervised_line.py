@@ -72,6 +72,7 @@ class _Standstill:
     until_ns: int
     since_ns: int | None = None
     repeats_permit: bool = False
+    repeats: int = 0
     reads_closed: bool = True
 
 
@@ -226,6 +227,12 @@ class WiredBeamLine:
         if standstill is not None:
             standstill.repeats_permit = True
 
+    @property
+    def repeats(self) -> int:
+        """How often the permit of before was sent again and answered; 0 unless the line stands still."""
+        standstill = self._standstill
+        return 0 if standstill is None else standstill.repeats
+
     def reads_closed(self) -> bool:
         """Return the newest reading of the contact, also during a standstill if the line can look at it."""
         self._refuse_closed()
@@ -252,6 +259,7 @@ class WiredBeamLine:
             with self._lock:  # the contact is meant to differ from the command
                 self._supervisor.answered(reads_on=reads_on, now_ns=self._clock.now_ns())
             standstill.reads_closed = reads_on
+            standstill.repeats += 1
         elif self._look is not None:
             standstill.reads_closed = self._look(within_s)
 

@@ -28,6 +28,7 @@ from engine.core.errors import InvalidValueError, ModelError, RecordingError
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.head_direction import HeadDirection
 from engine.core.motion_model import MotionModel
+from engine.core.reference_proposal import ReferenceMoment
 from engine.gating.gate import Interruption
 from engine.gating.interlocks import DecisionInputs
 from engine.gating.limits import GateLimits
@@ -54,7 +55,9 @@ _CLASSES: dict[str, type] = {
 }
 _ENUMS: dict[str, type[enum.Enum]] = {
     known.__name__: known
-    for known in (BreathEventKind, GateSignal, GateState, HeadDirection, HoldReason, HoldKind, Join, Unit)
+    for known in (
+        *(BreathEventKind, GateSignal, GateState, HeadDirection, HoldReason, HoldKind, Join, ReferenceMoment, Unit),
+    )
 }
 
 

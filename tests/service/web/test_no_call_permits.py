@@ -88,8 +88,8 @@ class SilentEngine(LocalEngine):
 def permits(monkeypatch) -> list[int]:
     """The permits of every beam line that the service builds, for sessions and for QA."""
     found: list[int] = []
-    for module in ("service.engine_host.local_engine", "service.qa.rig"):
-        monkeypatch.setattr(f"{module}.make_beam_line", lambda *_arguments: RecordingLine(found))
+    monkeypatch.setattr("service.engine_host.local_engine.make_beam_line", lambda *_: RecordingLine(found))
+    monkeypatch.setattr("service.qa.rig.beam_line_parts", lambda *_: (RecordingLine(found),))
     return found
 
 

@@ -20,8 +20,9 @@ BEAM_ON = sample(gate="beam_on", hold_reason=None, hold_text=None, hold_detail="
 
 
 def sent(fake: FakeService) -> list[str]:
-    """The calls that changed the session, in order."""
-    return [path.removeprefix(f"/sessions/{SESSION_ID}/") for path, _ in fake.posts() if SESSION_ID in path]
+    """The calls that changed the session, in order; the page reports its presence besides."""
+    paths = [path.removeprefix(f"/sessions/{SESSION_ID}/") for path, _ in fake.posts() if SESSION_ID in path]
+    return [path for path in paths if path != "presence"]
 
 
 class ClickedPage:

@@ -10,7 +10,7 @@ from service.core.settings.settings import Settings
 from service.engine_host.local_engine import LocalEngine
 from service.web.app import create_app
 from tests.support.service.accounts import PeopleClient
-from tests.support.service.api_calls import act, audit_rows
+from tests.support.service.api_calls import PRESENT, act, audit_rows
 from tests.support.service.real_engine import PATIENT_LIMITS, arm_when_ready, detail_of, open_session
 from tests.support.waiting import eventually
 
@@ -89,4 +89,4 @@ def test_the_second_fraction_begins_with_the_first_one_s_model_and_a_zero_set_by
     assert reported["model.compared"]["is_accepted"]
     assert "set it before arming" in reported["model.zero_needed"]["detail"]
     assert reported["model.in_use"]["sha256"] == model["sha256"]
-    assert reported["session.reference"] == {}
+    assert reported["session.reference"]["reason"] == PRESENT["reason"]

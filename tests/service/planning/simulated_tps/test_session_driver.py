@@ -128,8 +128,8 @@ class Room:
 BEAMS = (Beam(number=1, name="AP", seconds=1.0), Beam(number=2, name="LAT", seconds=0.5))
 
 
-def treat(room, *, has_therapist=True, beams=BEAMS, events=None):
-    therapist = room if has_therapist else None
+def treat(room, *, has_therapist=True, therapist=None, beams=BEAMS, events=None):
+    therapist = therapist or (room if has_therapist else None)
     delivered = DeliveredBeams(beams)
     stretch = SessionDriver(
         "s",
@@ -148,10 +148,12 @@ def treat(room, *, has_therapist=True, beams=BEAMS, events=None):
 
 def test_a_therapist_who_takes_part_is_present_every_second_and_a_key_never_is():
     room = Room(status="created")
-    treat(room)
+    room.has_reference = True
+    treat(room, has_therapist=False)
     assert room.present_at == []
     therapist = Room()
     room = Room(status="created")
+    room.has_reference = True
     treat(room, therapist=therapist)
     assert len(therapist.present_at) >= room.frame * FRAME_US // 1_000_000
     assert room.present_at == []
