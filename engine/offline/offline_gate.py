@@ -1,7 +1,8 @@
 """The gate of an offline run: that of a session with the same limits, on device time.
 
-A frame counts as received, fresh and decided when the camera captured it. The gate is armed at the first measured frame after
-which a session could be armed, as an operator would do; a fault stays latched, since there is none to acknowledge it.
+A frame counts as received, fresh and decided when the camera captured it. The gate is armed at the first measured frame
+after which a session could be armed, as an operator would do; a fault stays latched, since there is none to
+acknowledge it.
 """
 
 import math
@@ -47,9 +48,8 @@ class OfflineGate:
         if limits is None or supervisor is None:
             return self._gate
         now_ns = measurement.timestamp_us * NS_PER_US
-        event = replace(
-            measurement, received_ns=now_ns, queue_empty_ns=now_ns, breaths=_breaths_of(measurement, limits)
-        )
+        breaths = _breaths_of(measurement, limits)
+        event = replace(measurement, received_ns=now_ns, queue_empty_ns=now_ns, breaths=breaths)
         self._step_silence(now_ns, limits)
         supervision = supervisor.check(
             replace(frame, received_ns=now_ns),

@@ -156,7 +156,7 @@ def _hold(run: LiveRun) -> None:
 
 
 def _release(run: LiveRun) -> None:
-    run.loop.submit(ReleaseBeam(operator="bob")).result(timeout=5.0)
+    run.loop.submit(ReleaseBeam(operator="ann")).result(timeout=5.0)
 
 
 def _stick(run: LiveRun) -> None:

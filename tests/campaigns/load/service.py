@@ -135,7 +135,8 @@ def start_session(service: Service, folder: Path, recording: Path) -> str:
             detail = _done(client.get(f"/api/v1/sessions/{session_id}"))
             if detail["measurement_state"] == "measuring" and not detail["has_reference"]:
                 with service.person() as person:
-                    person.post(f"/api/v1/sessions/{session_id}/reference", json={"operator": OPERATOR})
+                    asked = {"operator": OPERATOR, "at": "now", "reason": "the load does not wait for breaths"}
+                    person.post(f"/api/v1/sessions/{session_id}/reference", json=asked)
             answer = client.post(f"/api/v1/sessions/{session_id}/arm", json={"operator": "Load"})
             if answer.is_success:
                 return session_id
