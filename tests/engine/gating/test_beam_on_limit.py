@@ -9,7 +9,7 @@ from engine.core.commands import Arm, Disarm
 from engine.core.frames import LostReason, MeasurementState
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.beam_on_limit import allowed_on_s
-from engine.gating.windows import BreathHoldWindow, JoinedWindow, PhaseWindow, amplitude_window
+from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, JoinedWindow, PhaseWindow, amplitude_window
 from tests.support.gating.streams import LIMITS, PERIOD_NS, Stream, motion_of, stream_in, unmeasured
 
 EASY = replace(LIMITS, max_jump_mm=20.0, max_beam_on_s=5.0)
@@ -51,6 +51,7 @@ def test_nothing_but_a_frame_outside_begins_the_time_anew(way):
                 stream.feed(unmeasured(stream.upcoming(), MeasurementState.LOST, LostReason.MARKER_LOST))
         else:
             stream.step(Disarm(operator="ann"))
+            fed(stream, 0.2)
             stream.step(Arm(operator="ann"))
     assert on_s == pytest.approx(5.0, abs=0.2)
     assert stream.gate.state is not GateState.BEAM_ON
@@ -83,6 +84,7 @@ def test_a_breath_that_leaves_the_window_is_never_held():
     assert on_s > 30 * 1.8
 
 
+THORAX = SignalChoice(signal="thorax")
 HOLD = BreathHoldWindow(level=WINDOW)
 
 
@@ -99,6 +101,11 @@ HOLD = BreathHoldWindow(level=WINDOW)
         (
             JoinedWindow(conditions=(WINDOW, amplitude_window(lower_mm=0.0, upper_mm=5.0)), join="or"),
             (Breath(rate_per_min=40.0), Breath(signal=SignalChoice(signal="thorax"), rate_per_min=10.0)),
+            3.0,
+        ),
+        (
+            JoinedWindow(conditions=(WINDOW, AmplitudeWindow(choice=THORAX, lower=-5.0, upper=5.0)), join="and"),
+            (Breath(rate_per_min=60.0), Breath(signal=THORAX, rate_per_min=40.0)),
             3.0,
         ),
     ],
