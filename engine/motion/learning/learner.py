@@ -22,7 +22,7 @@ from engine.motion.learning.learned import Learned
 from engine.motion.learning.learned_range import learned_ranges
 from engine.motion.learning.patient_match import PatientMatchLimits
 from engine.motion.learning.prepared_model import PreparedModel, Reference
-from engine.motion.learning.reference_proposals import ReferenceProposals
+from engine.motion.learning.reference_proposals import MAX_GAP_US, ReferenceProposals
 from engine.motion.learning.refit import Refits
 from engine.motion.learning.tasks import (
     Candidate,
@@ -74,6 +74,7 @@ class Learner:
         self._reference: Reference | None = None
         self._is_reference_requested = False
         self._requested_position: Reference | None = None
+        self._requested_us = 0
         self._proposals = ReferenceProposals()
         self._proposed: tuple[ReferenceProposal, ...] = ()
         self._proposed_for = -1
@@ -193,6 +194,7 @@ class Learner:
             if position is None:
                 raise CommandRefusedError(TOO_FEW_BREATHS)
         self._is_reference_requested, self._requested_position = True, position
+        self._requested_us = self._now_us
         self._change()
 
     def reference(self, present: Callable[[], Reference]) -> Reference:
@@ -217,6 +219,16 @@ class Learner:
     def move_levels(self, before: Motion, now: Motion) -> None:
         """Measure the proposed levels from a new reference: the motion of one frame from the old and the new one."""
         self._proposals.move(before, now)
+
+    def _drop_late_request(self) -> None:
+        """Drop a requested position that no measured frame has taken up: the patient may lie elsewhere by now."""
+        if self._requested_position is None or 0 <= self._now_us - self._requested_us <= MAX_GAP_US:
+            return
+        self._is_reference_requested, self._needs_reference = False, True
+        self._forget_positions()
+        self._change()
+        detail = "the reference was not set, because the patient was not measured for a second: set it again"
+        self._emit(LearningEventKind.ZERO_NEEDED, detail)
 
     def _forget_positions(self) -> None:
         self._proposals.clear()
@@ -343,6 +355,7 @@ class Learner:
     def collect(self, timestamp_us: int) -> None:
         """Between two frames: take the trainer's result, switch models if allowed, start a training that is due."""
         self._now_us = timestamp_us
+        self._drop_late_request()
         self._collect()
         if self._candidate is not None and not self._is_model_held:
             self._switch(self._candidate)

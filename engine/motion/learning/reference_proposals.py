@@ -29,6 +29,10 @@ MAX_GAP_US = 1_000_000
 """After a longer time without a measurement the patient may lie elsewhere."""
 AVERAGED_US = 150_000
 """Frames this close to the end of exhale or inhale are averaged."""
+ALIKE_SHARE = 0.2
+LEAST_ALIKE_MM = 1.0
+"""Levels that differ from the newest by at most this share of a breath, or this much, are of one position: breaths
+before the patient moved are not averaged with those after it."""
 MOST_BREATHS = 5
 LEAST_BREATHS = 2
 
@@ -62,6 +66,7 @@ class ReferenceProposals:
         }
         self._exhale_us: int | None = None
         self._signal: SignalChoice | None = None
+        self._alike = 0.0
         self._is_changed = False
 
     def clear(self) -> None:
@@ -100,6 +105,7 @@ class ReferenceProposals:
     ) -> bool:
         """Add a measured frame, with the breath of the gated signal; return whether positions were added or dropped."""
         self._keep(active, coefficients, motion, breath.signal, timestamp_us)
+        self._alike = max(LEAST_ALIKE_MM * breath.signal.per_mm, ALIKE_SHARE * (breath.amplitude or 0.0))
         exhale_us, before_us = breath.exhale_us, self._exhale_us
         if exhale_us != before_us:
             self._is_changed, self._exhale_us = True, exhale_us
@@ -195,5 +201,13 @@ class ReferenceProposals:
         return tuple(found)
 
     def _recent(self, moment: ReferenceMoment, now_us: int) -> list[_Position]:
-        positions = self._positions.get(moment, ())
-        return [one for one in positions if 0 <= now_us - one.timestamp_us <= MAX_AGE_US]
+        """Return the last positions that are alike; none behind a gap, of which no frame may have come yet."""
+        if not self._frames or not 0 <= now_us - self._frames[-1].timestamp_us <= MAX_GAP_US:
+            return []
+        found: list[_Position] = []
+        for one in reversed(self._positions.get(moment, ())):
+            is_of_now = 0 <= now_us - one.timestamp_us <= MAX_AGE_US
+            if not is_of_now or (found and abs(one.level - found[0].level) > self._alike):
+                break
+            found.append(one)
+        return found

@@ -100,6 +100,27 @@ def test_positions_from_before_an_interruption_are_not_proposed(session, way):
         session.pipeline.learner.set_reference(EXHALE)
 
 
+def test_no_position_from_before_a_gap_is_set_while_the_gap_lasts(session):
+    dark = {"color": 0 * session.frames[0].color}
+    for _ in range(40):
+        session.next(**dark)
+    with pytest.raises(CommandRefusedError, match="fewer than two breaths"):
+        session.pipeline.learner.set_reference(EXHALE)
+
+
+def test_a_position_that_no_frame_took_up_within_a_second_is_dropped_and_arming_needs_another(session):
+    session.pipeline.learner.set_reference(EXHALE)
+    for _ in range(40):
+        session.next(color=0 * session.frames[0].color)
+    session.measure(3)
+    status = session.pipeline.learner.status
+    assert not status.has_reference
+    assert "set it again" in session.pipeline.learner.take_notices()[-1].detail
+    session.pipeline.learner.set_reference(NOW)
+    session.measure(2)
+    assert session.pipeline.learner.status.has_reference
+
+
 def test_a_model_that_takes_the_reference_over_takes_the_positions_over(session):
     session.pipeline.learner.set_reference(EXHALE)
     session.measure(1)
@@ -192,3 +213,13 @@ def test_a_part_that_was_not_seen_at_one_end_of_exhale_is_unseen_in_the_referenc
     levels, known = saw(4)
     followed(proposals, levels, known)
     assert proposals.position(EXHALE, 400 * FRAME_US).seen_shares[0] == 1.0
+
+
+def test_breaths_before_the_patient_moved_are_not_averaged_with_those_after_it():
+    proposals = ReferenceProposals()
+    levels, known = saw(6)
+    followed(proposals, [level - (4.0 if index > 350 else 0.0) for index, level in enumerate(levels[:430])], known)
+    assert proposals.position(EXHALE, 429 * FRAME_US) is None
+    proposals = ReferenceProposals()
+    followed(proposals, [level - (4.0 if index > 350 else 0.0) for index, level in enumerate(levels)], known)
+    assert regions_mm(proposals, 599 * FRAME_US) == pytest.approx(854.0, abs=0.3)
