@@ -140,10 +140,10 @@ class CommandHandler:
         is_at_an_end = found.percent is not None and not NEAR_EXHALE < found.percent < NEAR_INHALE
         if not is_amplitude or is_at_an_end or command.reason:
             return
-        place = "not known" if found.percent is None else f"{found.percent:.0f} %"
+        place = "an unknown place" if found.percent is None else f"{found.percent:.0f} %"
         raise CommandRefusedError(
-            f"the level's place in the learned breath is {place} (end of exhale 0, end of inhale 100): within "
-            f"{NEAR_EXHALE:g} and {NEAR_INHALE:g} % an amplitude window needs a reason for it"
+            f"the level lies at {place} of the learned breath (0 % end of exhale, 100 % end of inhale): between "
+            f"{NEAR_EXHALE:g} and {NEAR_INHALE:g} %, and where it is unknown, an amplitude window needs a reason"
         )
 
     def _level(self, moment: ReferenceMoment, choice: SignalChoice) -> "_Level":

@@ -82,7 +82,7 @@ class TurnReader:
             is_wanted=queued.answer.set_running_or_notify_cancel(),
             is_watchdog_running=self._watchdog.is_watching,
             queue_trouble=self._outputs.trouble(),
-            operator_absence=self._presence.nobody(self._clock.now_ns()) if _arms_by_program(queued) else "",
+            operator_absence=self._presence.absence_of_all(self._clock.now_ns()) if _arms_by_program(queued) else "",
         )
 
     def _read_frame(self, last_received_ns: int | None) -> FrameInput:

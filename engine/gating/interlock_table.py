@@ -150,7 +150,7 @@ INTERLOCKS: tuple[Interlock, ...] = (
     _row(_R.OPERATOR_HOLD, "an operator holds the beam"),
     _row(
         _R.OPERATOR_LOST,
-        "no message from the page of the person who armed, or of anybody where a program armed",
+        "no message from the page of the person who armed, or of any person where a program armed",
         "operator_timeout_s",
     ),
     _row(_R.ENGINE_FAILED, "an error in the program"),

@@ -108,7 +108,7 @@ TAKES_PERMISSION_AWAY = frozenset(call for call, needs in RULES.items() if needs
 """Calls that hold, disarm, stop or cancel: if authorised, never refused because of headers, parameters or body."""
 
 PEOPLE_ONLY = frozenset({("POST", f"{SESSION}/presence")})
-"""Calls refused to keys whatever their scopes: a program is not somebody who is there (ADR 0024)."""
+"""Calls refused to keys whatever their scopes: presence is a person's (ADR 0024)."""
 
 BEFORE_THE_PASSWORD_IS_CHANGED = frozenset(
     {("GET", f"{V1}/me"), ("POST", f"{V1}/me/password"), ("POST", f"{V1}/logout")}

@@ -36,7 +36,9 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
     ),
     "qa_required_daily_h": ClinicalBound(low=1.0, high=24.0, reason="TG-142 asks for daily QA"),
     "operator_timeout_s": ClinicalBound(
-        low=3.0, high=30.0, reason="a page sends its presence every second; half a minute without one is nobody there"
+        low=3.0,
+        high=30.0,
+        reason="a page sends its presence every second; after half a minute without one no person watches",
     ),
     "min_dwell_ms": ClinicalBound(
         low=100.0,

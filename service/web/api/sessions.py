@@ -208,8 +208,8 @@ def note_presence(
 ) -> None:
     """Report that a person who may arm is at the page: call it every second while the page is visible, for people only.
 
-    While the gate is armed, `TIDEGATE_OPERATOR_TIMEOUT_S` without a report of the person who armed (of anybody, where a
-    program armed) holds the beam. A program can arm only while somebody reports.
+    While the gate is armed, `TIDEGATE_OPERATOR_TIMEOUT_S` without a report of the person who armed (of any person,
+    where a program armed) holds the beam. A program can arm only while a person reports.
     """
     services.runner.note_presence(session_id, caller.checked_actor(request.operator))
 

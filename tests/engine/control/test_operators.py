@@ -219,7 +219,7 @@ def test_a_program_may_arm_only_while_a_person_is_present():
     bench.source.script += [after(arm), *[good] * 6]
     records = bench.run().records()
     refused, late, done = (answer.exception(timeout=0) for answer in bench.answers[-3:])
-    assert "nobody who may arm is at the page" in str(refused)
+    assert "no person who may arm is at the page" in str(refused)
     assert (type(late), done) == (CommandRefusedError, None)
     assert records[-1].line_on
     assert {change.armed_by for change in bench.transitions() if change.armed_by} == {KEY}
@@ -234,7 +234,7 @@ def test_any_person_s_presence_keeps_the_beam_of_a_program_s_gate_on_and_nobody_
     assert all(record.line_on for record in records[-40:-20])
     assert (records[-1].line_on, records[-1].hold_reason) == (False, HoldReason.OPERATOR_LOST)
     lost = next(change for change in bench.transitions() if change.reason is HoldReason.OPERATOR_LOST)
-    assert lost.detail == "nobody who may arm is at the page"
+    assert lost.detail == "no person who may arm is at the page"
 
 
 def test_a_program_s_arming_is_no_sign_of_presence():

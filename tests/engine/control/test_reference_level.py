@@ -50,14 +50,14 @@ def test_a_level_within_the_breath_needs_a_reason(percent):
     for given in ({"ranges": at(percent)}, {"proposals": (proposal(percent),), "moment": EXHALE}):
         error, moments = asked(**given)
         assert isinstance(error, CommandRefusedError)
-        assert f"is {percent:.0f} %" in str(error)
+        assert f"at {percent:.0f} %" in str(error)
         assert moments == []
         assert asked(**given, reason="the plan is for mid-ventilation") == (None, [given.get("moment", NOW)])
 
 
 def test_a_place_that_is_not_known_needs_a_reason():
     for given in ({"ranges": {}}, {"proposals": (proposal(None),), "moment": EXHALE}):
-        assert "is not known" in str(asked(**given)[0])
+        assert "an unknown place" in str(asked(**given)[0])
         assert asked(**given, reason="shallow")[0] is None
 
 

@@ -93,7 +93,7 @@ def test_each_field_of_a_decision_holds_its_own_reading(name):
         (Gate(), ""),
         (ARMED, "no message from anna for 2.0 s"),
         (replace(ARMED, armed_by="bert"), "no message from bert"),
-        (replace(ARMED, is_armed_by_program=True), "nobody who may arm is at the page"),
+        (replace(ARMED, is_armed_by_program=True), "no person who may arm is at the page"),
     ],
 )
 def test_who_has_to_be_present_is_read_for_an_armed_gate(gate, absence):
@@ -109,7 +109,7 @@ def test_who_has_to_be_present_is_read_for_an_armed_gate(gate, absence):
 def test_a_program_that_arms_reads_whether_a_person_is_present(is_person):
     parts = Parts()
     parts.be_absent()
-    for absence in ("" if is_person else "nobody who may arm is at the page", ""):
+    for absence in ("" if is_person else "no person who may arm is at the page", ""):
         parts.commands.submit(Arm(operator="key:tps", is_person=is_person))
         (taken,) = parts.reader.turn().commands
         found = parts.reader.command(taken)
