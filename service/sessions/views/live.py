@@ -16,6 +16,7 @@ from service.engine_host.roles import BodyMatch, SessionPlan
 from service.engine_host.site_rules.camera_serial import serial_warning
 from service.engine_host.site_rules.uncalibrated import kind_of
 from service.sessions.views.breath import live_breath, live_breath_hold
+from service.sessions.views.reference import live_reference
 from service.sessions.views.window import live_window
 
 DIGITS = 4
@@ -52,6 +53,7 @@ def live_sample(
         window=live_window(view.window, view.conditions, measurement),
         breath=live_breath(view),
         breath_hold=live_breath_hold(view),
+        reference=live_reference(view),
         signal_mm=rounded_or_none(record.signal_mm),
         **(NOT_MEASURED if measurement.motion is None else _motion_fields(measurement.motion, plan)),
         unseen_cells=None if measurement.motion is None else [list(cell) for cell in view.unseen_cells],
