@@ -1082,6 +1082,8 @@ class ReferenceProposalView(TypedDict):
 
     at: Literal["end_exhale", "end_inhale"]
     breaths: int
+    distance: NotRequired[str | None]
+    is_beyond: NotRequired[bool]
     level: float
     percent: float | None
     scatter: float

@@ -209,7 +209,7 @@ class Learner:
         """
         if self._active is None:
             return None
-        position = self._newest_position() if moment is ReferenceMoment.NOW else self._position(moment)
+        position = self._newest_position() if moment is ReferenceMoment.NOW else self._position(moment, self._now_us)
         return self._history.distance(self._active, position)
 
     def _newest_position(self) -> Reference | None:
@@ -218,8 +218,8 @@ class Learner:
             return None
         return newest.active.reference(newest.coefficients, newest.motion.surface_mm, of_regions(newest.motion.seen))
 
-    def _position(self, moment: ReferenceMoment) -> Reference:
-        position = self._proposals.position(moment, self._now_us)
+    def _position(self, moment: ReferenceMoment, now_us: int) -> Reference:
+        position = self._proposals.position(moment, now_us)
         if position is None:
             raise CommandRefusedError(TOO_FEW_BREATHS)
         return position
@@ -238,7 +238,7 @@ class Learner:
         if self._active is None:
             msg = "there is no motion model yet: a reference needs one"
             raise CommandRefusedError(msg)
-        position = None if moment is ReferenceMoment.NOW else self._position(moment)
+        position = None if moment is ReferenceMoment.NOW else self._position(moment, self._now_us)
         self._is_reference_requested, self._requested_position, self._most_mm = True, position, most_mm
         self._requested_us = self._now_us
         self._change()
@@ -275,7 +275,10 @@ class Learner:
         if is_new or self._proposed_for != self._generation:
             self._proposed_for = self._generation
             ranges = self.learned_ranges((breath.signal,))
-            self._proposed = self._proposals.proposals(ranges, timestamp_us)
+            self._proposed = tuple(
+                replace(one, distance=self._history.distance(self._active, self._position(one.moment, timestamp_us)))
+                for one in self._proposals.proposals(ranges, timestamp_us)
+            )
 
     def move_levels(self, before: Motion, now: Motion) -> None:
         """Measure the proposed levels from a new reference: the motion of one frame from the old and the new one."""

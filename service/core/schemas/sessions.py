@@ -206,6 +206,12 @@ class ReferenceProposalView(Answer):
     percent: float | None = Field(
         description="Its place in the learned breath: 0 end of exhale, 100 end of inhale; null if that is not known"
     )
+    distance: str | None = Field(
+        default=None, description="How far it lies from the fraction's first reference; null without one"
+    )
+    is_beyond: bool = Field(
+        default=False, description="Beyond `max_reference_distance_mm`, or at an unknown distance: a reason is required"
+    )
 
 
 class RetrainRequest(OperatorRequest):

@@ -150,7 +150,8 @@ class SessionRunner:
             may_exceed=may_exceed,
         )
         running = self._equipment.of(session_id)
-        views = [] if running is None else proposal_views(running.engine.status.learning)
+        budget_mm = self._settings.max_reference_distance_mm
+        views = [] if running is None else proposal_views(running.engine.status.learning, budget_mm)
         proposed = next((view.model_dump() for view in views if view.at == request.at), None)
         detail = {**request.model_dump(exclude={"operator"}), "proposed": proposed}
         self._commander.execute(session_id, command, operator, "session.reference", detail)

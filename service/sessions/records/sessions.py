@@ -135,7 +135,9 @@ class SessionRepository:
             active_model_id=None if running is None else running.writer.active_model_id,
             has_reference=None if running is None else running.engine.status.learning.has_reference,
             reference=None if view is None else live_reference(view),
-            reference_proposals=[] if running is None else proposal_views(running.engine.status.learning),
+            reference_proposals=[]
+            if running is None
+            else proposal_views(running.engine.status.learning, self._settings.max_reference_distance_mm),
             likeness=None if running is None else likeness_view(running.engine.status.learning.patient_match),
             gate_window=None if view is None else live_window(view.window, view.conditions, view.record.measurement),
             breath=None if view is None else live_breath(view),

@@ -11,9 +11,9 @@ from service.core.schemas.sessions import ReferenceProposalView
 DIGITS = 3
 
 
-def proposal_views(learning: LearningStatus) -> list[ReferenceProposalView]:
-    """Return the positions of the last breaths that a person may make the reference."""
-    return [_view(one) for one in learning.reference_proposals]
+def proposal_views(learning: LearningStatus, budget_mm: float) -> list[ReferenceProposalView]:
+    """Return the positions of the last breaths that a person may make the reference; those beyond need a reason."""
+    return [_view(one, budget_mm) for one in learning.reference_proposals]
 
 
 def live_reference(view: LiveView) -> LiveReference | None:
@@ -47,7 +47,7 @@ def _rounded(value: float | None) -> float | None:
     return rounded_or_none(value, DIGITS)
 
 
-def _view(one: ReferenceProposal) -> ReferenceProposalView:
+def _view(one: ReferenceProposal, budget_mm: float) -> ReferenceProposalView:
     is_inhale = one.moment is ReferenceMoment.END_INHALE
     return ReferenceProposalView(
         at="end_inhale" if is_inhale else "end_exhale",
@@ -57,4 +57,6 @@ def _view(one: ReferenceProposal) -> ReferenceProposalView:
         scatter=round(one.scatter, DIGITS),
         breaths=one.breaths,
         percent=rounded_or_none(one.percent),
+        distance=None if one.distance is None else one.distance.text,
+        is_beyond=one.distance is not None and not one.distance.is_within(budget_mm),
     )

@@ -62,7 +62,7 @@ def test_a_session_shows_what_is_proposed(client, session_id, running):
         ),
         ReferenceProposal(moment=ReferenceMoment.END_INHALE, level=8.0, scatter=0.2, breaths=5, percent=97.12345),
     )
-    shown = [one.model_dump() for one in proposal_views(LearningStatus(reference_proposals=proposals))]
+    shown = [one.model_dump() for one in proposal_views(LearningStatus(reference_proposals=proposals), 2.0)]
     assert shown == [
         {"at": "end_exhale", "signal": "volume", "unit": "l", "level": -0.123, "scatter": 0.01, "breaths": 3}
         | {"percent": None},
