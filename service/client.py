@@ -1083,6 +1083,7 @@ class ReferenceProposalView(TypedDict):
     at: Literal["end_exhale", "end_inhale"]
     breaths: int
     distance: NotRequired[str | None]
+    distance_mm: NotRequired[float | None]
     is_beyond: NotRequired[bool]
     level: float
     percent: float | None

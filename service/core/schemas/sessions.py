@@ -209,6 +209,7 @@ class ReferenceProposalView(Answer):
     distance: str | None = Field(
         default=None, description="How far it lies from the fraction's first reference; null without one"
     )
+    distance_mm: float | None = Field(default=None, description="The same as a number; null if it is not known")
     is_beyond: bool = Field(
         default=False, description="Beyond `max_reference_distance_mm`, or at an unknown distance: a reason is required"
     )

@@ -58,5 +58,6 @@ def _view(one: ReferenceProposal, budget_mm: float) -> ReferenceProposalView:
         breaths=one.breaths,
         percent=rounded_or_none(one.percent),
         distance=None if one.distance is None else one.distance.text,
+        distance_mm=None if one.distance is None else _rounded(one.distance.distance_mm),
         is_beyond=one.distance is not None and not one.distance.is_within(budget_mm),
     )

@@ -118,9 +118,9 @@ def test_the_site_sets_the_budget_and_a_tenth_of_a_litre_counts_as_a_millimetre(
 
 
 def test_a_new_reference_drops_the_correction_and_its_own_distance_counts():
-    bench, errors = asked(correct(1.5), set_it(), correct(1.5), would_lie=at(0.0))
+    _, errors = asked(correct(1.5), set_it(), correct(1.5), would_lie=at(0.0))
     assert errors == [None, None, None]
-    bench, errors = asked(set_it(), correct(1.5), lies=at(1.9), would_lie=at(1.9))
+    _, errors = asked(set_it(), correct(1.5), lies=at(1.9), would_lie=at(1.9))
     assert [type(error) for error in errors] == [type(None), ReferenceDistanceError]
 
 

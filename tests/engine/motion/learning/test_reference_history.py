@@ -1,4 +1,4 @@
-"""The first reference of a fraction is kept, and later ones state how far they lie from it, over models and restarts."""
+"""The first reference of a fraction is kept; later ones state how far they lie from it, over models and restarts."""
 
 from dataclasses import replace
 

@@ -244,12 +244,14 @@ function proposalText(context) {
   const one = proposalOf(context);
   if (one === null) return "Two breaths have to be seen before their position is proposed.";
   const place = one.percent === null ? "" : `, at ${Math.round(one.percent)} % of the learned breath`;
-  return `Mean of ${one.breaths} breaths: ${one.level.toFixed(2)} ${one.unit}, scatter ${one.scatter.toFixed(2)} ${one.unit}${place}.${far(one)}`;
+  return `${far(one)}Mean of ${one.breaths} breaths: ${one.level.toFixed(2)} ${one.unit}, scatter ${one.scatter.toFixed(2)} ${one.unit}${place}.`;
 }
 
 /** Where a proposal lies against the fraction's first reference, if it is too far for a click alone. */
 function far(one) {
-  return one.is_beyond ? ` It lies ${one.distance}: give a reason.` : "";
+  if (!one.is_beyond) return "";
+  const away = one.distance_mm === null ? "at an unknown distance" : `${one.distance_mm.toFixed(1)} mm`;
+  return `Needs a reason: ${away} from the fraction's first. `;
 }
 
 /** What is missing for the next step. */

@@ -29,13 +29,16 @@ export function renderReference(reference) {
   const line = document.getElementById("reference-distance");
   setText(line, reference ? `${capitalized(reference.text)}${parts(reference)}` : "");
   line.dataset.bad = reference?.is_beyond ? "yes" : "no";
-  line.title = reference?.unknown ?? "";
+  line.title = reference?.distance_mm ? rotation(reference) : "";
 }
 
 function parts(reference) {
   if (reference.distance_mm === null) return `: ${reference.unknown}`;
-  const { shift_mm: shift, height_mm: height, turn_deg: turn, tilt_deg: tilt } = reference;
-  return ` · shift ${shift.toFixed(1)} · height ${signed(height, 1)} mm · turn ${turn.toFixed(1)} · tilt ${tilt.toFixed(1)}°`;
+  return ` · height ${signed(reference.height_mm, 1)} · shift ${reference.shift_mm.toFixed(1)}`;
+}
+
+function rotation({ turn_deg: turn, tilt_deg: tilt, shape_mm: shape }) {
+  return `Turn ${turn.toFixed(1)}°, tilt ${tilt.toFixed(1)}°, shape ${shape.toFixed(1)} mm`;
 }
 
 function capitalized(text) {
