@@ -882,6 +882,16 @@ class LiveLost(TypedDict):
     reason: str
 
 
+class LivePosition(TypedDict):
+    """How far the patient has moved since the present reference, breathing aside; null where that is not known."""
+
+    height_mm: float | None
+    roll_deg: float | None
+    shift_mm: float | None
+    tilt_deg: float | None
+    turn_deg: float | None
+
+
 class LiveReference(TypedDict):
     """How far the reference, and the window with its corrections, lie from the first reference of the fraction."""
 
@@ -980,6 +990,7 @@ class Sample(TypedDict):
     missed_frames: int
     named_mm: dict[str, float | None] | None
     operator_hold: NotRequired[str | None]
+    position: NotRequired[LivePosition | None]
     received_at: NotRequired[str | None]
     reference: NotRequired[LiveReference | None]
     regions_mm: list[list[float | None]] | None

@@ -127,6 +127,7 @@ class EngineLoop:
             tap=tap,
         )
         self._line = LineOrders(beam, clock=clock, watchdog=self._watchdog, tap=tap)
+        self._supervisor = FrameSupervisor(limits)
         budget = ReferenceBudget(learner, self._limits)
         self._views = LiveViews(
             limits=self._limits,
@@ -134,8 +135,8 @@ class EngineLoop:
             watchdog=self._watchdog,
             beam_on=beam_on,
             reference_distance=budget.present,
+            movement=lambda: self._supervisor.movement,
         )
-        self._supervisor = FrameSupervisor(limits)
         self._controller = self._make_controller()
         self._handler = CommandHandler(
             measurer=measurer,

@@ -229,6 +229,18 @@ class LiveReference(Message):
     unknown: str = Field(default="", description="Reason why the distance is not known")
 
 
+class LivePosition(Message):
+    """How far the patient has moved since the present reference, breathing aside; null where that is not known."""
+
+    shift_mm: float | None = Field(description="Of the four markers, along the couch")
+    turn_deg: float | None = Field(
+        description="Of the markers: the larger of the rotations on the couch and about the body's axis"
+    )
+    height_mm: float | None = Field(description="Of the surface, positive towards the camera")
+    tilt_deg: float | None = Field(description="Of the surface, about the axis across the body")
+    roll_deg: float | None = Field(description="Of the surface, about the body's long axis")
+
+
 class LiveLag(Message):
     """Delay of the first region's motion behind the second's; if it is unknown, `note` says why."""
 
@@ -277,6 +289,7 @@ class Sample(Message):
     breath: LiveBreath | None = Field(default=None, description="null while no frame is measured")
     breath_hold: LiveBreathHold | None = Field(default=None, description="null if the window has no breath hold")
     reference: LiveReference | None = Field(default=None, description="null while no reference is set")
+    position: LivePosition | None = Field(default=None, description="null while no frame is measured")
     signal_mm: float | None
     whole_mm: float | None
     thorax_mm: float | None

@@ -70,13 +70,15 @@ def test_a_later_session_of_the_fraction_replays_the_same_with_its_first_referen
     first = stored(later).head.first_reference
     assert first is not None
     assert stored(copied).head.first_reference is None
-    distances = [
-        json.loads(row.detail)["distance_mm"]
+    reported = [
+        json.loads(row.detail)
         for row in audited(later)
         if row.action == "model.reference_set" and row.session_id == later.session_id
     ]
-    assert distances
-    assert all(one is not None for one in distances), "measured from a reference of an engine that is gone"
+    assert reported
+    for one in reported:
+        assert "from the fraction's first" in one["detail"], "measured from a reference of an engine that is gone"
+        assert one["distance_mm"] is not None
     assert again(later).differences == []
 
 
