@@ -6,9 +6,8 @@ import pytest
 from playwright.sync_api import expect
 
 from service.core.schemas.live_messages import LiveReference
-from tests.support.browser.fake_service import PROPOSAL, SESSION_ID, FakeService, sample
+from tests.support.browser.fake_service import PROPOSAL, SESSION, SESSION_ID, FakeService, sample
 from tests.support.browser.tab import Tab
-from tests.system.browser.test_learning_panel import detail
 
 pytestmark = pytest.mark.browser
 
@@ -63,7 +62,7 @@ def test_the_distance_is_shown_beside_the_trace_and_marked_beyond_the_budget(fak
 
 def test_a_proposal_beyond_the_budget_asks_for_a_reason_that_is_sent_once(fake: FakeService, tab: Tab):
     far = PROPOSAL | {"distance": "3.02 mm from the fraction's first", "distance_mm": 3.02, "is_beyond": True}
-    fake.sessions = [detail(reference_proposals=[far])]
+    fake.sessions = [SESSION | {"measurement_state": "measuring", "has_reference": True, "reference_proposals": [far]}]
     fake.mode, fake.sample = "samples", sample(gate="disarmed", is_armed=False)
     page = tab.open("disarmed")
     expect(page.locator("#reference-proposal")).to_contain_text(
