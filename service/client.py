@@ -111,6 +111,7 @@ class BaselineCorrectionRequest(TypedDict):
     drift_l: NotRequired[float | None]
     drift_mm: NotRequired[float | None]
     operator: NotRequired[str]
+    reason: NotRequired[str]
 
 
 class CalibrationDetail(TypedDict):
@@ -881,6 +882,35 @@ class LiveLost(TypedDict):
     reason: str
 
 
+class LivePosition(TypedDict):
+    """How far the patient has moved since the present reference, breathing aside; null where that is not known."""
+
+    height_mm: float | None
+    roll_deg: float | None
+    shift_mm: float | None
+    tilt_deg: float | None
+    turn_deg: float | None
+
+
+class LiveReference(TypedDict):
+    """How far the reference, and the window with its corrections, lie from the first reference of the fraction."""
+
+    budget_mm: float
+    correction: float
+    distance_mm: float | None
+    height_mm: float | None
+    is_beyond: bool
+    level: float | None
+    moved_mm: float | None
+    shape_mm: float | None
+    shift_mm: float | None
+    text: str
+    tilt_deg: float | None
+    turn_deg: float | None
+    unit: Literal["mm", "l"]
+    unknown: NotRequired[str]
+
+
 class LiveTraining(TypedDict):
     """Progress of the training; `share` runs from 0 to 1."""
 
@@ -960,7 +990,9 @@ class Sample(TypedDict):
     missed_frames: int
     named_mm: dict[str, float | None] | None
     operator_hold: NotRequired[str | None]
+    position: NotRequired[LivePosition | None]
     received_at: NotRequired[str | None]
+    reference: NotRequired[LiveReference | None]
     regions_mm: list[list[float | None]] | None
     residual_mm: float | None
     roi_px: list[list[float]] | None
@@ -1061,6 +1093,9 @@ class ReferenceProposalView(TypedDict):
 
     at: Literal["end_exhale", "end_inhale"]
     breaths: int
+    distance: NotRequired[str | None]
+    distance_mm: NotRequired[float | None]
+    is_beyond: NotRequired[bool]
     level: float
     percent: float | None
     scatter: float
@@ -1126,6 +1161,7 @@ class SessionDetail(TypedDict):
     operator: str
     patient_reference: str
     plan_id: str
+    reference: NotRequired[LiveReference | None]
     reference_proposals: NotRequired[list[ReferenceProposalView]]
     regions: NotRequired[Regions]
     rt_plan_id: NotRequired[str | None]
@@ -1532,7 +1568,8 @@ class TidegateClient:
         """Make the position at the last ends of exhale the zero of motion; disarms. Never repeated.
 
         For a person who logged in; no key may. ``level_seen`` is the proposed level that the person was shown, and
-        ``reason`` is required for an amplitude window where the level is neither near the end of exhale nor of inhale.
+        ``reason`` is required for an amplitude window where the level is neither near the end of exhale nor of inhale,
+        and far from the fraction's first reference.
         """
         arguments: dict[str, object] = {"at": at, "reason": reason}
         if level_seen is not None:
@@ -1571,11 +1608,17 @@ class TidegateClient:
         *,
         by_mm: float,
         drift_mm: float,
+        reason: str = "",
         operator: str | None = None,
         if_match: str | None = None,
     ) -> "SessionDetail":
-        """Move the window by a drift that a person confirms; disarms. Never repeated."""
-        arguments = {"by_mm": by_mm, "drift_mm": drift_mm}
+        """Move the window by a drift that a person confirms; disarms. Never repeated.
+
+        Far from the fraction's first reference a ``reason`` is required, of a person who logged in.
+        """
+        arguments: dict[str, object] = {"by_mm": by_mm, "drift_mm": drift_mm}
+        if reason:
+            arguments["reason"] = reason
         return self._do(session_id, "baseline-correction", SessionDetail, operator, if_match, arguments)
 
     def note_presence(self, session_id: str, *, operator: str | None = None) -> None:

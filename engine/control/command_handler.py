@@ -8,6 +8,7 @@ from typing import NamedTuple
 from engine.control.decisions import Cause
 from engine.control.gate_controller import GateController
 from engine.control.line_orders import LineOrders
+from engine.control.reference_budget import ReferenceBudget
 from engine.control.roles import Learner, Measurer
 from engine.control.session_limits import SessionLimits
 from engine.control.turn_inputs import CommandInputs
@@ -60,8 +61,10 @@ class CommandHandler:
         controller: GateController,
         presence: OperatorPresence,
         supervisor: FrameSupervisor,
+        budget: ReferenceBudget,
     ) -> None:
         self._measurer, self._learner, self._line, self._limits = measurer, learner, line, limits
+        self._budget = budget
         self._controller, self._presence, self._supervisor = controller, presence, supervisor
         self._generation = learner.status.model_generation
         self._resolved_for: int | None = None
@@ -99,6 +102,7 @@ class CommandHandler:
             case Acknowledge():
                 self._acknowledge(command, inputs)
             case CorrectBaseline():
+                self._budget.check_correction(command)
                 self._controller.correct_baseline(command)
                 self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], self._limits.correction)
             case _:
@@ -119,10 +123,12 @@ class CommandHandler:
 
     def _set_reference(self, command: SetReference) -> None:
         self._controller.refuse_unseen_reference()
+        most_mm = None
         if self._learner.status.model is not None:
             self._refuse_other_level(command)
+            most_mm = self._budget.checked_mm(command)
         self._disarm_for("the reference is set", command.operator)
-        self._learner.set_reference(command.moment)
+        self._learner.set_reference(command.moment, most_mm=most_mm)
         self._limits.clear_correction()
         self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], 0.0)
         self._supervisor.reset_position()

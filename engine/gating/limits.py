@@ -105,6 +105,9 @@ class GateLimits:
     max_baseline_correction_mm
         Greatest total baseline correction of the window; for a window on the volume, the volume of the region over
         this distance.
+    max_reference_distance_mm
+        Greatest distance of the reference, and of the window with its corrections, from the first reference of the
+        fraction; for a window on the volume, 0.1 l per mm. Beyond it a person who may arm has to give a reason.
     window_lower_mm, window_upper_mm
         Bounds of the window's edges, after conversion and correction; arming is refused beyond them.
     holding_events
@@ -152,6 +155,7 @@ class GateLimits:
     max_service_silence_ms: float = 500.0
     operator_timeout_s: float = 10.0
     max_baseline_correction_mm: float = 5.0
+    max_reference_distance_mm: float = 2.0
     window_lower_mm: float = -100.0
     window_upper_mm: float = 100.0
     is_calibrated: bool = True
@@ -219,6 +223,7 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "max_service_silence_ms": (100.0, 2_000.0),
     "operator_timeout_s": (0.0, 600.0),
     "max_baseline_correction_mm": (0.0, 50.0),
+    "max_reference_distance_mm": (0.5, 50.0),
     "window_lower_mm": (-100.0, 100.0),
     "window_upper_mm": (-100.0, 100.0),
 }

@@ -34,6 +34,7 @@ from engine.motion.learning.depth_steps import stored_steps
 from engine.motion.learning.learned import Learned
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.prepared_model import PreparedModel, Reference, prepare_model
+from engine.motion.learning.reference_history import ReferenceHistory
 from engine.motion.learning.reference_smoothing import RecentFrames
 from engine.motion.learning.tasks import LearningStages, Outcome
 from engine.motion.learning.trainer import BackgroundTrainer, Trainer
@@ -96,6 +97,9 @@ class Pipeline:
             match_limits=settings.likeness,
             stages=self._stages,
             trainer=BackgroundTrainer() if trainer is None else trainer,
+            history=ReferenceHistory(
+                calibration_sha256=calibration.sha256, layout=settings.layout(), choices=settings.breath_signals
+            ),
         )
         self._tracker = RegionTracker(
             calibration,

@@ -37,7 +37,7 @@ def learned_ranges(active: PreparedModel, reference: Reference, choices: Iterabl
 def _signal(choice: SignalChoice, active: PreparedModel, reference: Reference, coefficients: FloatArray) -> FloatArray:
     if choice.is_volume:
         return _volumes_l(active, reference, coefficients)
-    position = _position(choice, active)
+    position = position_of(choice, active)
     if position is None or not active.regions.is_known[position]:
         return np.full(len(coefficients), np.nan)
     depth_mm = active.regions.mean_mm[position] + coefficients @ active.regions.modes[position]
@@ -63,7 +63,7 @@ def _rays(surface_mm: FloatArray) -> FloatArray | None:
     return np.where(is_seen[:, None], rays, place @ plane)
 
 
-def _position(choice: SignalChoice, active: PreparedModel) -> int | None:
+def position_of(choice: SignalChoice, active: PreparedModel) -> int | None:
     """Index of a signal among the regions' means; None if there is no such cell, point or region."""
     regions = active.regions
     match choice.signal:

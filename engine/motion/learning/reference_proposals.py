@@ -179,6 +179,7 @@ class ReferenceProposals:
             plane_mm=float(np.mean([one.plane_mm for one in references])),
             volume_l=float(np.mean([one.volume_l for one in references])),
             seen_shares=frozen(np.min([one.seen_shares for one in references], axis=0)),
+            surface_mm=frozen(np.mean([one.surface_mm for one in references], axis=0)),
         )
 
     def proposals(self, ranges: Ranges, now_us: int) -> tuple[ReferenceProposal, ...]:

@@ -210,6 +210,37 @@ class LiveBreathHold(Message):
     timeout_s: float
 
 
+class LiveReference(Message):
+    """How far the reference, and the window with its corrections, lie from the first reference of the fraction."""
+
+    text: str = Field(description="Sentence to display")
+    distance_mm: float | None = Field(description="Compared with the budget; null if it is not known, see `unknown`")
+    budget_mm: float = Field(description="Beyond it a reference or a correction needs a person's reason")
+    is_beyond: bool = Field(description="Beyond the budget, or at an unknown distance")
+    moved_mm: float | None = Field(description="Displacement of the surface, root mean square")
+    shift_mm: float | None = Field(description="Rigid shift of the region's middle along the surface")
+    height_mm: float | None = Field(description="Rigid shift towards the camera")
+    turn_deg: float | None = Field(description="Rigid rotation in the surface's plane")
+    tilt_deg: float | None = Field(description="Rigid rotation out of that plane")
+    shape_mm: float | None = Field(description="What a rigid movement leaves, root mean square")
+    level: float | None = Field(description="Level of the first gated signal, with the correction, in `unit`")
+    correction: float = Field(description="Baseline correction of the window since the reference was set, in `unit`")
+    unit: Literal["mm", "l"] = Field(description="Unit of `level` and `correction`")
+    unknown: str = Field(default="", description="Reason why the distance is not known")
+
+
+class LivePosition(Message):
+    """How far the patient has moved since the present reference, breathing aside; null where that is not known."""
+
+    shift_mm: float | None = Field(description="Of the four markers, along the couch")
+    turn_deg: float | None = Field(
+        description="Of the markers: the larger of the rotations on the couch and about the body's axis"
+    )
+    height_mm: float | None = Field(description="Of the surface, positive towards the camera")
+    tilt_deg: float | None = Field(description="Of the surface, about the axis across the body")
+    roll_deg: float | None = Field(description="Of the surface, about the body's long axis")
+
+
 class LiveLag(Message):
     """Delay of the first region's motion behind the second's; if it is unknown, `note` says why."""
 
@@ -257,6 +288,8 @@ class Sample(Message):
     window: LiveWindow = Field(description="As the gate applies it: in mm or l, with baseline corrections")
     breath: LiveBreath | None = Field(default=None, description="null while no frame is measured")
     breath_hold: LiveBreathHold | None = Field(default=None, description="null if the window has no breath hold")
+    reference: LiveReference | None = Field(default=None, description="null while no reference is set")
+    position: LivePosition | None = Field(default=None, description="null while no frame is measured")
     signal_mm: float | None
     whole_mm: float | None
     thorax_mm: float | None

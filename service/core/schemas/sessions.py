@@ -13,7 +13,7 @@ from engine.gating.windows import MAX_MOTION_MM
 from engine.motion.named_regions import MAX_REGIONS, MAX_VERTICES, MIN_VERTICES, NAME_PATTERN, NamedRegion
 from engine.motion.stages.regions import MIN_PART_ROWS
 from service.core.schemas.base import Answer, Identifier, Name, Operator, Request, SourceText, broken
-from service.core.schemas.live_messages import LiveBreath, LiveBreathHold, LiveWindow
+from service.core.schemas.live_messages import LiveBreath, LiveBreathHold, LiveReference, LiveWindow
 from service.core.schemas.windows import Window
 
 SessionStatus = Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
@@ -188,7 +188,9 @@ class ReferenceRequest(OperatorRequest):
     reason: str = Field(
         default="",
         max_length=200,
-        description="Required for an amplitude window where the level lies between 15 and 85 % of the learned breath",
+        description="Required for an amplitude window where the level lies between 15 and 85 % of the learned breath,"
+        " and beyond `max_reference_distance_mm` from the fraction's first reference; there the person also needs the"
+        " permission `gate.arm`",
     )
 
 
@@ -203,6 +205,13 @@ class ReferenceProposalView(Answer):
     breaths: int = Field(description="Breaths that it is the mean of, 2 to 5")
     percent: float | None = Field(
         description="Its place in the learned breath: 0 end of exhale, 100 end of inhale; null if that is not known"
+    )
+    distance: str | None = Field(
+        default=None, description="How far it lies from the fraction's first reference; null without one"
+    )
+    distance_mm: float | None = Field(default=None, description="The same as a number; null if it is not known")
+    is_beyond: bool = Field(
+        default=False, description="Beyond `max_reference_distance_mm`, or at an unknown distance: a reason is required"
     )
 
 
@@ -363,6 +372,9 @@ class SessionDetail(Session):
     training: TrainingView | None
     active_model_id: Identifier | None
     has_reference: bool | None = Field(default=None, description="Whether the reference is set; null unless running")
+    reference: LiveReference | None = Field(
+        default=None, description="The reference's distance from the fraction's first; null while none is set"
+    )
     reference_proposals: list[ReferenceProposalView] = Field(
         default=[], description="For `POST .../reference`; empty unless running, and until two breaths are known"
     )

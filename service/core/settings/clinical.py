@@ -60,6 +60,7 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
     "max_turn_deg": ClinicalBound(low=0.5, high=2.0, reason="moves a point 60 mm from the centre by 2 mm (TG-302)"),
     "max_height_mm": ClinicalBound(low=0.5, high=3.0, reason=f"{TG_302}, and 1 mm of the estimate's own error"),
     "max_baseline_drift_mm": ClinicalBound(low=0.5, high=2.0, reason=TG_302),
+    "max_reference_distance_mm": ClinicalBound(low=0.5, high=2.0, reason=TG_302),
     "max_baseline_correction_mm": ClinicalBound(
         low=0.0, high=3.0, reason="a patient who lies further off needs a new reference, not a correction"
     ),

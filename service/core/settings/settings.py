@@ -152,6 +152,7 @@ class Settings(
     max_turn_deg: float = _limit("max_turn_deg")
     max_height_mm: float = _limit("max_height_mm")
     max_baseline_drift_mm: float = _limit("max_baseline_drift_mm")
+    max_reference_distance_mm: float = _limit("max_reference_distance_mm")
     warn_latency_ms: float = _limit("warn_latency_ms")
     max_latency_ms: float = _limit("max_latency_ms")
     camera_latency_ms: float = _limit("camera_latency_ms")

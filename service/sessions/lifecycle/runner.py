@@ -135,17 +135,23 @@ class SessionRunner:
         return self._records.detail(session_id)
 
     def set_reference(
-        self, session_id: str, operator: str, request: sessions.ReferenceRequest
+        self, session_id: str, operator: str, request: sessions.ReferenceRequest, *, may_exceed: bool
     ) -> sessions.SessionDetail:
-        """Set the reference; the audit records the moment, what the operator was shown, and what was proposed."""
+        """Set the reference; the audit records the moment, what the operator was shown, and what was proposed.
+
+        ``may_exceed`` is whether the operator is a person who may arm; with a reason, the reference may then lie beyond
+        the budget from the fraction's first one.
+        """
         command = SetReference(
             operator=operator,
             moment=ReferenceMoment(request.at),
             level_seen=request.level_seen,
             reason=request.reason,
+            may_exceed=may_exceed,
         )
         running = self._equipment.of(session_id)
-        views = [] if running is None else proposal_views(running.engine.status.learning)
+        budget_mm = self._settings.max_reference_distance_mm
+        views = [] if running is None else proposal_views(running.engine.status.learning, budget_mm)
         proposed = next((view.model_dump() for view in views if view.at == request.at), None)
         detail = {**request.model_dump(exclude={"operator"}), "proposed": proposed}
         self._commander.execute(session_id, command, operator, "session.reference", detail)
@@ -189,8 +195,10 @@ class SessionRunner:
         self._commander.execute(session_id, ActivateModel(operator=operator, model=model), operator, action, detail)
         return self._records.detail(session_id)
 
-    def correct_baseline(self, session_id: str, request: BaselineCorrectionRequest) -> sessions.SessionDetail:
-        """Shift the window by a baseline drift that a person confirms; disarms."""
+    def correct_baseline(
+        self, session_id: str, request: BaselineCorrectionRequest, *, may_exceed: bool
+    ) -> sessions.SessionDetail:
+        """Shift the window by a baseline drift that a person confirms; disarms. ``may_exceed`` as for a reference."""
         action = "session.baseline_correction"
         running = self._equipment.of(session_id)
         before = None if running is None else running.engine.status.view
@@ -198,7 +206,9 @@ class SessionRunner:
         if running is not None:
             with self._log.refusals(actor=request.operator, action=action, session_id=session_id, detail=detail):
                 check_correction(request, before, self._settings)
-        command = CorrectBaseline(operator=request.operator, by=request.by)
+        command = CorrectBaseline(
+            operator=request.operator, by=request.by, reason=request.reason, may_exceed=may_exceed
+        )
         with naming_the_field(request):
             self._commander.execute(
                 session_id, command, request.operator, action, detail, after=lambda now: moved_window(now, before)

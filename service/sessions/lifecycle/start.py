@@ -9,6 +9,7 @@ from sqlalchemy.orm import Session
 from engine.calibration.camera_calibration import parse_calibration
 from engine.control.outputs import LoopStatus
 from engine.core.errors import TidegateError
+from engine.core.first_reference import read_first_reference
 from engine.core.motion_model import MotionModel
 from engine.core.provenance import check_patient
 from service.core.errors import SessionActiveError, StartError, StorageUnwritableError
@@ -91,6 +92,7 @@ class SessionStarter:
             document = queries.calibration_row(db, row.calibration_id).document
             source = SOURCE.validate_json(row.source)
             folders = self.settings.recording_folders
+            first = queries.first_reference_of(db, row)
             plan = SessionPlan(
                 session_id=session_id,
                 source=source,
@@ -103,11 +105,13 @@ class SessionStarter:
                 patient_reference=row.patient_reference,
                 model_id=row.model_id,
                 head_direction=head_of_row(row.head_direction),
+                first_reference=None if first is None else read_first_reference(first.document),
                 model=None if row.model_id is None else self._stored_model(db, row.model_id, row.patient_reference),
             )
             row.status, row.started_at = "running", datetime.now(UTC)
             row.is_simulated_beam = self.engine.is_simulated_beam  # the site may have changed its line since
             detail = {**self._beam_detail(source), **described(plan.calibration.camera), **_model_detail(row.model_id)}
+            detail |= {} if first is None else {"first_reference_of_session": first.session_id}
             audit.append(db, Event(actor=operator, action=action, session_id=session_id, detail=detail))
         return plan
 

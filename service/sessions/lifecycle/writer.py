@@ -223,6 +223,8 @@ class SessionWriter(threading.Thread):
             audit.append(db, transition_event(self._session_id, transition), self._anchor.utc(transition.at_ns))
         for notice in batch.notices:
             audit.append(db, notice_event(self._session_id, notice))
+            if notice.first is not None:
+                queries.session_row(db, self._session_id).first_reference = notice.first.to_json()
 
     def _confirm(self, transitions: Iterable[GateTransition]) -> None:
         """Acknowledge committed transitions to the journal, so that their slots can be used again."""

@@ -29,7 +29,7 @@ from service.engine_host.site_rules.window_limits import check_window, gate_limi
 from service.sessions.records.calibrations import kept_row
 from service.sessions.views.breath import live_breath, live_breath_hold
 from service.sessions.views.live import body_view, camera_view, gate_view, likeness_view, training_view
-from service.sessions.views.reference import proposal_views
+from service.sessions.views.reference import live_reference, proposal_views
 from service.sessions.views.window import live_window
 from service.storage import audit
 from service.storage.audit import SYSTEM, Event
@@ -134,7 +134,10 @@ class SessionRepository:
             training=None if view is None else training_view(view),
             active_model_id=None if running is None else running.writer.active_model_id,
             has_reference=None if running is None else running.engine.status.learning.has_reference,
-            reference_proposals=[] if running is None else proposal_views(running.engine.status.learning),
+            reference=None if view is None else live_reference(view),
+            reference_proposals=[]
+            if running is None
+            else proposal_views(running.engine.status.learning, self._settings.max_reference_distance_mm),
             likeness=None if running is None else likeness_view(running.engine.status.learning.patient_match),
             gate_window=None if view is None else live_window(view.window, view.conditions, view.record.measurement),
             breath=None if view is None else live_breath(view),

@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from engine.core.breath import WHOLE
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, RoiDepth
 from engine.core.native_threads import keep_calls_in_their_thread
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.patient_match import PatientMatchLimits
 from engine.motion.learning.prepared_model import prepare_model
+from engine.motion.learning.reference_history import ReferenceHistory
 from engine.motion.learning.tasks import LearningStages
 from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
 from engine.motion.learning.training_set import TrainingFrame
@@ -81,6 +83,7 @@ class Patient:
             match_limits=PatientMatchLimits(seconds=1.0) if match_limits is None else match_limits,
             stages=STAGES,
             trainer=InlineTrainer() if trainer is None else trainer,
+            history=ReferenceHistory(calibration_sha256=sha256, layout=RegionLayout(), choices=(WHOLE,)),
         )
         self.index = 0
         self.notices = []

@@ -106,9 +106,9 @@ export const setReference = (id, operator, at, proposal, reason) =>
 export const arm = (id, operator, head) => call("POST", `${session(id)}/arm`, head === null ? { operator } : { operator, head_direction: head });
 export const retrain = (id, operator, keepsReference) =>
   call("POST", `${session(id)}/models/retrain`, { operator, keeps_reference: keepsReference });
-/** `unit` is mm or l; `by` and `drift` are the displayed values that the person confirms. */
-export const correctBaseline = (id, operator, unit, by, drift) =>
-  call("POST", `${session(id)}/baseline-correction`, { operator, [`by_${unit}`]: by, [`drift_${unit}`]: drift });
+/** `unit` is mm or l; `by` and `drift` are the displayed values that the person confirms; `reason` may be empty. */
+export const correctBaseline = (id, operator, unit, by, drift, reason) =>
+  call("POST", `${session(id)}/baseline-correction`, { operator, [`by_${unit}`]: by, [`drift_${unit}`]: drift, ...(reason === "" ? {} : { reason }) });
 /** Report that a person who may arm is at this page, with a short time-out. */
 export const notePresence = (id, operator) => send("POST", `${session(id)}/presence`, { operator }, {}, PRESENCE_TIMEOUT_MS);
 export const applyModel = (id, operator) => call("POST", `${session(id)}/models/apply`, { operator });

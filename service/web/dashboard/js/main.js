@@ -6,7 +6,7 @@ import { BaselineButton } from "./panels/baseline_correction.js";
 import { renderBreath } from "./panels/breath.js";
 import { Controls } from "./panels/controls.js";
 import { EventList } from "./panels/events.js";
-import { renderBody, renderCalibration, renderCamera, renderFigures, renderLikeness, renderSource } from "./panels/measurement.js";
+import { renderBody, renderCalibration, renderCamera, renderFigures, renderLikeness, renderReference, renderSource } from "./panels/measurement.js";
 import { setText } from "./drawing/elements.js";
 import { GatePanel } from "./panels/gate.js";
 import { GridPanel } from "./panels/motion_map.js";
@@ -269,6 +269,7 @@ function renderTraceValue(sample) {
   const value = sample ? (isGated ? gatedValue(sample) : sample[`${trace.choice}_mm`]) : null;
   setText(byId("trace-value"), Number.isFinite(value) ? value.toFixed(unit === "l" ? 2 : 1).replace("-", "−") : "–");
   setText(byId("trace-unit"), unit);
+  renderReference(sample?.reference);
   setText(byId("trace-name"), sample && isGated ? `Gated on ${describeWindow(sample.window)}` : "");
 }
 

@@ -146,7 +146,11 @@ class OneComponent:
     def reference(self, coefficients, surface, seen_shares):
         plane_mm = float(surface[:, 2].mean())
         return Reference(
-            regions_mm=850.0 - coefficients[:1], plane_mm=plane_mm, volume_l=0.0, seen_shares=seen_shares[:1]
+            regions_mm=850.0 - coefficients[:1],
+            plane_mm=plane_mm,
+            volume_l=0.0,
+            seen_shares=seen_shares[:1],
+            surface_mm=surface,
         )
 
 
