@@ -58,6 +58,46 @@ _VISIBLE: Final = re.compile(r"[\x21-\x7e]+")
 # <made: answers>
 
 
+class AcknowledgeRequest(TypedDict):
+    """The person who acknowledges, and which alarms."""
+
+    alarms: NotRequired[list[int] | None]
+    operator: NotRequired[str]
+
+
+class LiveAlarm(TypedDict):
+    """An active alarm of a session; priorities are those of IEC 60601-1-8."""
+
+    acknowledged_at: str | None
+    acknowledged_by: str | None
+    code: str
+    detail: str
+    latches: bool
+    number: int
+    priority: Literal["high", "medium", "low"]
+    session_id: str
+    since: str
+    text: str
+
+
+class LiveAlarmEvent(TypedDict):
+    """A change of one alarm."""
+
+    alarm: LiveAlarm
+    at: str
+    kind: Literal["begin", "acknowledged", "end"]
+    number: int
+
+
+class Alarms(TypedDict):
+    """The active alarms after an event; also sent after `hello` if there are any, without an event."""
+
+    active: list[LiveAlarm]
+    event: LiveAlarmEvent | None
+    sent_at: str
+    type: NotRequired[Literal["alarms"]]
+
+
 class ArmRequest(TypedDict):
     """The operator who arms, and the head direction that the operator confirms."""
 
@@ -1103,6 +1143,7 @@ class SessionDetail(TypedDict):
     """A session with gate, training and statistics."""
 
     active_model_id: str | None
+    alarms: NotRequired[list[LiveAlarm]]
     body: NotRequired[BodyView | None]
     breath: NotRequired[LiveBreath | None]
     breath_hold: NotRequired[LiveBreathHold | None]
@@ -1233,7 +1274,7 @@ class UploadedCalibration(TypedDict):
     uploaded_by: str
 
 
-LiveMessage = Hello | Idle | Ping | Dropped | Gap | Resumed | Sample | ThinSample | RecordedSample
+LiveMessage = Hello | Idle | Ping | Dropped | Gap | Resumed | Alarms | Sample | ThinSample | RecordedSample
 
 
 # </made: answers>

@@ -40,6 +40,8 @@ class BeamOnState:
         Time from the end of a permit to the beam off, of the last hold and of the slowest [ms]; None before the first.
     offs
         Number of holds of which it was measured.
+    violation
+        Why the beam is on without a permit; None where it is not.
     """
 
     is_on: bool | None = None
@@ -48,6 +50,7 @@ class BeamOnState:
     last_off_ms: float | None = None
     slowest_off_ms: float | None = None
     offs: int = 0
+    violation: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,9 +92,10 @@ class BeamOnComparison:
             self.violation = None
             self._look_for_absence(permission.since_ns, now_ns, is_on=is_on)
             self._is_to_go_off = is_on
+            self.state = replace(self.state, violation=None)
             return
-        self.state = replace(self.state, is_absent=False)
         self._look_for_violation(permission.ended_ns, now_ns, is_on=is_on)
+        self.state = replace(self.state, is_absent=False, violation=self.violation)
         if not is_on and self._is_to_go_off:
             self._is_to_go_off = False
             self._note_off(permission.ended_ns, now_ns)

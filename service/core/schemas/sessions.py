@@ -13,7 +13,7 @@ from engine.gating.windows import MAX_MOTION_MM
 from engine.motion.named_regions import MAX_REGIONS, MAX_VERTICES, MIN_VERTICES, NAME_PATTERN, NamedRegion
 from engine.motion.stages.regions import MIN_PART_ROWS
 from service.core.schemas.base import Answer, Identifier, Name, Operator, Request, SourceText, broken
-from service.core.schemas.live_messages import LiveBreath, LiveBreathHold, LiveWindow
+from service.core.schemas.live_messages import LiveAlarm, LiveBreath, LiveBreathHold, LiveWindow
 from service.core.schemas.windows import Window
 
 SessionStatus = Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
@@ -155,6 +155,19 @@ class OperatorRequest(Request):
     """The body of a call that names only the operator."""
 
     operator: Operator = ""
+
+
+class AcknowledgeRequest(OperatorRequest):
+    """The person who acknowledges, and which alarms."""
+
+    alarms: list[Annotated[int, Field(ge=1, le=2**53)]] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=64,
+        description="Numbers of the alarms that the person has seen; all active ones, the latched fault included, if"
+        " left out",
+        examples=[[3]],
+    )
 
 
 class ArmRequest(OperatorRequest):
@@ -359,6 +372,11 @@ class SessionDetail(Session):
     """A session with gate, training and statistics."""
 
     gate: GateView | None = Field(description="null unless running")
+    alarms: list[LiveAlarm] = Field(
+        default=[],
+        description="Active alarms, the most urgent first; a latched one of a session that is over stays until it is"
+        " acknowledged, or the next session runs",
+    )
     measurement_state: Literal["training", "measuring", "lost"] | None
     training: TrainingView | None
     active_model_id: Identifier | None
