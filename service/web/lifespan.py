@@ -71,6 +71,7 @@ def _install(app: FastAPI, container: Container, settings: Settings) -> None:
     app.state.access = container.access.service
     app.state.oidc = container.access.oidc
     app.state.armed_operator = container.access.armed_operator
+    app.state.alarm_watch = container.storage.alarms
     app.state.hold_and_close_session = container.hold_and_close_session
     app.state.live = LiveHub(
         container.services.runner,
