@@ -28,7 +28,7 @@ import tempfile
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
@@ -1601,10 +1601,19 @@ class TidegateClient:
         return self._do(session_id, "release", SessionDetail, operator, if_match)
 
     def acknowledge(
-        self, session_id: str, *, operator: str | None = None, if_match: str | None = None
+        self,
+        session_id: str,
+        *,
+        alarms: Sequence[int] | None = None,
+        operator: str | None = None,
+        if_match: str | None = None,
     ) -> "SessionDetail":
-        """Say that a person has seen the fault: for a person who logged in; no key may. Never repeated."""
-        return self._do(session_id, "acknowledge", SessionDetail, operator, if_match)
+        """Say that a person has seen the fault and the alarms: for a person who logged in; no key may. Never repeated.
+
+        ``alarms`` are the numbers of those that the person has seen; all that are active, if left out.
+        """
+        arguments: dict[str, object] = {} if alarms is None else {"alarms": list(alarms)}
+        return self._do(session_id, "acknowledge", SessionDetail, operator, if_match, arguments)
 
     def correct_baseline(
         self,
