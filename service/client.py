@@ -1108,6 +1108,15 @@ class ReferenceProposalView(TypedDict):
     unit: Literal["mm", "l"]
 
 
+class BeamOffSummary(TypedDict):
+    """Times from a hold to the accelerator's beam off [ms], of each permit that ended with the beam on."""
+
+    holds: int
+    median_ms: float
+    p95_ms: float
+    slowest_ms: float
+
+
 class LatencyView(TypedDict):
     """Latency from frame capture to the command at the beam line [ms]."""
 
@@ -1119,6 +1128,7 @@ class LatencyView(TypedDict):
 class Summary(TypedDict):
     """Statistics of a session so far, from the database."""
 
+    beam_off: NotRequired[BeamOffSummary | None]
     duty_cycle: float | None
     frames: int
     latency: LatencyView

@@ -326,6 +326,15 @@ class LatencyView(Answer):
     max_ms: float | None = None
 
 
+class BeamOffSummary(Answer):
+    """Times from a hold to the accelerator's beam off [ms], of each permit that ended with the beam on."""
+
+    holds: int
+    median_ms: float
+    p95_ms: float
+    slowest_ms: float
+
+
 class Summary(Answer):
     """Statistics of a session so far, from the database."""
 
@@ -335,6 +344,9 @@ class Summary(Answer):
     duty_cycle: float | None = Field(description="Share of frames with beam on while armed; null if never armed")
     transitions: int
     latency: LatencyView
+    beam_off: BeamOffSummary | None = Field(
+        default=None, description="null where the beam-on signal is no input, and until a hold was measured"
+    )
 
 
 class Session(Answer):
