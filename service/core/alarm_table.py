@@ -198,7 +198,7 @@ ALARM_RULES: tuple[AlarmRule, ...] = (
         code=THREAD_ENDED,
         priority=_P.LOW,
         text="A background task of the service has ended",
-        why="the gate does not depend on it; it needs a restart after the treatment",
+        why="the gate decides without it; a check beside the gate, such as that of the log-ins, may be missing",
         ends="the restart of the service",
         scope=AlarmScope.SESSION,
     ),
