@@ -430,7 +430,7 @@ _BEAM = (
     ),
     QaCheck(
         code="hold_to_beam_off_ms",
-        title="Beam off, from a hold to the accelerator",
+        title="Beam off after a hold",
         unit="ms",
         method="From a hold to the accelerator's beam-on signal off, the slowest; only where the signal is an input, "
         "and the accelerator delivered during the drills.",
@@ -445,7 +445,7 @@ _BEAM = (
     ),
     QaCheck(
         code="treatment_beam_off_ms",
-        title="Beam off in treatments, since the last run",
+        title="Beam off in treatments",
         unit="ms",
         method="From each end of a permit to the accelerator's beam-on signal off, in the sessions since the last "
         "finished run; 95th percentile. Only where the signal is an input, and a beam was held.",
