@@ -139,6 +139,14 @@ def test_a_latched_alarm_outlives_its_session_until_it_is_acknowledged(client, s
     assert acknowledge(client, session_id).json()["code"] == "session_state"
 
 
+def test_a_fault_that_ends_its_session_at_once_is_an_alarm_too(client, session_id, running):
+    client.app.state.alarm_watch.close()  # nothing has looked before the session is over
+    running.fault(HoldReason.ENGINE_FAILED)
+    running.end(error="broken")
+    eventually(lambda: client.get(f"{URL}/{session_id}").json()["status"] == "failed")
+    shown(client, session_id, "engine_failed")
+
+
 def test_a_hold_of_a_disarmed_gate_and_normal_gating_are_no_alarms(client, session_id, running):
     for gate, reason in ((GateState.DISARMED, HoldReason.PATIENT_SHIFTED), (GateState.HOLD, HoldReason.OUTSIDE_WINDOW)):
         running.gate, running.reason = gate, reason
