@@ -28,7 +28,7 @@ import tempfile
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
@@ -56,6 +56,46 @@ JSON_TYPE: Final = "application/json"
 _VISIBLE: Final = re.compile(r"[\x21-\x7e]+")
 
 # <made: answers>
+
+
+class AcknowledgeRequest(TypedDict):
+    """The person who acknowledges, and which alarms."""
+
+    alarms: NotRequired[list[int] | None]
+    operator: NotRequired[str]
+
+
+class LiveAlarm(TypedDict):
+    """An active alarm of a session; priorities are those of IEC 60601-1-8."""
+
+    acknowledged_at: str | None
+    acknowledged_by: str | None
+    code: str
+    detail: str
+    latches: bool
+    number: int
+    priority: Literal["high", "medium", "low"]
+    session_id: str
+    since: str
+    text: str
+
+
+class LiveAlarmEvent(TypedDict):
+    """A change of one alarm."""
+
+    alarm: LiveAlarm
+    at: str
+    kind: Literal["begin", "acknowledged", "end"]
+    number: int
+
+
+class Alarms(TypedDict):
+    """The active alarms after an event; also sent after `hello` if there are any, without an event."""
+
+    active: list[LiveAlarm]
+    event: LiveAlarmEvent | None
+    sent_at: str
+    type: NotRequired[Literal["alarms"]]
 
 
 class ArmRequest(TypedDict):
@@ -1103,6 +1143,15 @@ class ReferenceProposalView(TypedDict):
     unit: Literal["mm", "l"]
 
 
+class BeamOffSummary(TypedDict):
+    """Times from a hold to the accelerator's beam off [ms], of each permit that ended with the beam on."""
+
+    holds: int
+    median_ms: float
+    p95_ms: float
+    slowest_ms: float
+
+
 class LatencyView(TypedDict):
     """Latency from frame capture to the command at the beam line [ms]."""
 
@@ -1114,6 +1163,7 @@ class LatencyView(TypedDict):
 class Summary(TypedDict):
     """Statistics of a session so far, from the database."""
 
+    beam_off: NotRequired[BeamOffSummary | None]
     duty_cycle: float | None
     frames: int
     latency: LatencyView
@@ -1138,6 +1188,7 @@ class SessionDetail(TypedDict):
     """A session with gate, training and statistics."""
 
     active_model_id: str | None
+    alarms: NotRequired[list[LiveAlarm]]
     body: NotRequired[BodyView | None]
     breath: NotRequired[LiveBreath | None]
     breath_hold: NotRequired[LiveBreathHold | None]
@@ -1269,7 +1320,7 @@ class UploadedCalibration(TypedDict):
     uploaded_by: str
 
 
-LiveMessage = Hello | Idle | Ping | Dropped | Gap | Resumed | Sample | ThinSample | RecordedSample
+LiveMessage = Hello | Idle | Ping | Dropped | Gap | Resumed | Alarms | Sample | ThinSample | RecordedSample
 
 
 # </made: answers>
@@ -1597,10 +1648,19 @@ class TidegateClient:
         return self._do(session_id, "release", SessionDetail, operator, if_match)
 
     def acknowledge(
-        self, session_id: str, *, operator: str | None = None, if_match: str | None = None
+        self,
+        session_id: str,
+        *,
+        alarms: Sequence[int] | None = None,
+        operator: str | None = None,
+        if_match: str | None = None,
     ) -> "SessionDetail":
-        """Say that a person has seen the fault: for a person who logged in; no key may. Never repeated."""
-        return self._do(session_id, "acknowledge", SessionDetail, operator, if_match)
+        """Say that a person has seen the fault and the alarms: for a person who logged in; no key may. Never repeated.
+
+        ``alarms`` are the numbers of those that the person has seen; all that are active, if left out.
+        """
+        arguments: dict[str, object] = {} if alarms is None else {"alarms": list(alarms)}
+        return self._do(session_id, "acknowledge", SessionDetail, operator, if_match, arguments)
 
     def correct_baseline(
         self,

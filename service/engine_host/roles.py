@@ -25,7 +25,7 @@ from service.core.schemas.live_messages import Sample
 from service.core.schemas.windows import Window
 from service.storage.samples.figures import Figures
 
-CommandName = Literal["disarm", "acknowledge", "hold"]
+CommandName = Literal["disarm", "hold"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

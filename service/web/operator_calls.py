@@ -48,11 +48,9 @@ class OperatorCall:
         with self.services.revisions.only_if(session_id, self.if_match):
             return action(session_id, self.caller.checked_actor(claimed))
 
-    def command(self, session_id: str, name: CommandName, claimed: str) -> sessions.SessionDetail:
-        """Submit a command to the engine; answer once it is executed, raise where it is refused or late."""
-        return self.act(
-            session_id, claimed, lambda _, operator: self.services.runner.command(session_id, name, operator)
-        )
+    def acknowledge(self, session_id: str, request: sessions.AcknowledgeRequest) -> sessions.SessionDetail:
+        """Acknowledge the latched fault and alarms; raise where the engine refuses or is late."""
+        return self.act(session_id, request.operator, partial(self.services.runner.acknowledge, alarms=request.alarms))
 
     def arm(self, session_id: str, request: sessions.ArmRequest) -> sessions.SessionDetail:
         """Arm the gate, with the head direction that the operator confirms."""

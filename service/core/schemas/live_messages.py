@@ -95,6 +95,42 @@ class Resumed(Message):
     last_frame: int = Field(description="Index of the last one; the requested frame if none was sent")
 
 
+AlarmPriorityName = Literal["high", "medium", "low"]
+
+
+class LiveAlarm(Message):
+    """An active alarm of a session; priorities are those of IEC 60601-1-8."""
+
+    number: int = Field(description="Number of this occurrence, for `POST .../acknowledge`")
+    session_id: str
+    code: str = Field(description="A hold reason, or `permit_without_beam`, `audit_trouble`, `thread_ended`")
+    priority: AlarmPriorityName
+    text: str = Field(description="Sentence for the operator")
+    detail: str = Field(description="Details with values, as at the beginning")
+    since: AwareDatetime = Field(description="Beginning of the condition, before the alarm's delay")
+    latches: bool = Field(description="It lasts until a named person acknowledges it, and ends with that")
+    acknowledged_by: str | None = Field(description="The person who acknowledged it; null until then")
+    acknowledged_at: AwareDatetime | None
+
+
+class LiveAlarmEvent(Message):
+    """A change of one alarm."""
+
+    number: int = Field(description="Number of the event, rising by one; a gap means lost events")
+    kind: Literal["begin", "acknowledged", "end"]
+    at: AwareDatetime
+    alarm: LiveAlarm = Field(description="As of this event")
+
+
+class Alarms(Message):
+    """The active alarms after an event; also sent after `hello` if there are any, without an event."""
+
+    type: Literal["alarms"] = "alarms"
+    sent_at: AwareDatetime
+    event: LiveAlarmEvent | None
+    active: list[LiveAlarm] = Field(description="All active alarms, the most urgent first; replaces any earlier list")
+
+
 class LiveLost(Message):
     """Reason why this frame could not be measured."""
 
@@ -376,7 +412,7 @@ class RecordedSample(Message):
 
 
 AnySample = Annotated[Sample | ThinSample | RecordedSample, Field(discriminator="form")]
-LiveMessage = Annotated[Hello | Idle | Ping | Dropped | Gap | Resumed | AnySample, Field(discriminator="type")]
-LIVE_MESSAGE: TypeAdapter[Hello | Idle | Ping | Dropped | Gap | Resumed | Sample | ThinSample | RecordedSample] = (
-    TypeAdapter(LiveMessage)
-)
+LiveMessage = Annotated[Hello | Idle | Ping | Dropped | Gap | Resumed | Alarms | AnySample, Field(discriminator="type")]
+LIVE_MESSAGE: TypeAdapter[
+    Hello | Idle | Ping | Dropped | Gap | Resumed | Alarms | Sample | ThinSample | RecordedSample
+] = TypeAdapter(LiveMessage)

@@ -13,7 +13,7 @@ from engine.gating.windows import MAX_MOTION_MM
 from engine.motion.named_regions import MAX_REGIONS, MAX_VERTICES, MIN_VERTICES, NAME_PATTERN, NamedRegion
 from engine.motion.stages.regions import MIN_PART_ROWS
 from service.core.schemas.base import Answer, Identifier, Name, Operator, Request, SourceText, broken
-from service.core.schemas.live_messages import LiveBreath, LiveBreathHold, LiveReference, LiveWindow
+from service.core.schemas.live_messages import LiveAlarm, LiveBreath, LiveBreathHold, LiveReference, LiveWindow
 from service.core.schemas.windows import Window
 
 SessionStatus = Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
@@ -155,6 +155,19 @@ class OperatorRequest(Request):
     """The body of a call that names only the operator."""
 
     operator: Operator = ""
+
+
+class AcknowledgeRequest(OperatorRequest):
+    """The person who acknowledges, and which alarms."""
+
+    alarms: list[Annotated[int, Field(ge=1, le=2**53)]] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=64,
+        description="Numbers of the alarms that the person has seen; all active ones, the latched fault included, if"
+        " left out",
+        examples=[[3]],
+    )
 
 
 class ArmRequest(OperatorRequest):
@@ -322,6 +335,15 @@ class LatencyView(Answer):
     max_ms: float | None = None
 
 
+class BeamOffSummary(Answer):
+    """Times from a hold to the accelerator's beam off [ms], of each permit that ended with the beam on."""
+
+    holds: int
+    median_ms: float
+    p95_ms: float
+    slowest_ms: float
+
+
 class Summary(Answer):
     """Statistics of a session so far, from the database."""
 
@@ -331,6 +353,9 @@ class Summary(Answer):
     duty_cycle: float | None = Field(description="Share of frames with beam on while armed; null if never armed")
     transitions: int
     latency: LatencyView
+    beam_off: BeamOffSummary | None = Field(
+        default=None, description="null where the beam-on signal is no input, and until a hold was measured"
+    )
 
 
 class Session(Answer):
@@ -368,6 +393,11 @@ class SessionDetail(Session):
     """A session with gate, training and statistics."""
 
     gate: GateView | None = Field(description="null unless running")
+    alarms: list[LiveAlarm] = Field(
+        default=[],
+        description="Active alarms, the most urgent first; a latched one of a session that is over stays until it is"
+        " acknowledged, or the next session runs",
+    )
     measurement_state: Literal["training", "measuring", "lost"] | None
     training: TrainingView | None
     active_model_id: Identifier | None

@@ -1,7 +1,7 @@
 """The running session: start, command and stop its engine. The gate alone decides whether the beam may be on."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from datetime import UTC, datetime
 
@@ -24,6 +24,7 @@ from service.core.errors import PictureMissingError
 from service.core.schemas import sessions
 from service.core.schemas.gate import BaselineCorrectionRequest
 from service.engine_host.roles import CommandName, LiveFrame, Picture, RunningSession
+from service.sessions.lifecycle.acknowledgement import Acknowledgement
 from service.sessions.lifecycle.baseline_correction import (
     check_correction,
     correction_detail,
@@ -88,6 +89,9 @@ class SessionRunner:
             priority_database=self._priority_database,
             answer_timeout_s=starter.settings.command_timeout_s,
         )
+        self._acknowledgement = Acknowledgement(
+            alarms=starter.alarms, equipment=starter.equipment, commander=self._commander
+        )
 
     @property
     def withdrawals(self) -> Withdrawals:
@@ -118,6 +122,11 @@ class SessionRunner:
         command = COMMANDS[name](operator)
         self._commander.execute(session_id, command, operator, f"session.{name}")
         return self._records.detail(session_id, self._priority_database if takes_permission_away(command) else None)
+
+    def acknowledge(self, session_id: str, operator: str, alarms: Collection[int] | None) -> sessions.SessionDetail:
+        """Acknowledge the latched fault and alarms; ``alarms`` are the numbers of those meant, None for all."""
+        self._acknowledgement.acknowledge(session_id, operator, alarms)
+        return self._records.detail(session_id)
 
     def arm(
         self, session_id: str, operator: str, head: HeadDirection | None, *, is_person: bool

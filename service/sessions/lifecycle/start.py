@@ -21,6 +21,7 @@ from service.engine_host.roles import EnginePort, RunningSession, SessionPlan
 from service.engine_host.site_rules.played_recordings import described_source
 from service.engine_host.site_rules.recording_folders import find_recording
 from service.engine_host.site_rules.uncalibrated import described
+from service.sessions.alarms.watch import AlarmWatch
 from service.sessions.lifecycle.body_comparison import earlier_body
 from service.sessions.lifecycle.commands import state_error
 from service.sessions.lifecycle.counters import SessionCounters
@@ -59,6 +60,7 @@ class SessionStarter:
     counters: SessionCounters
     samples: SampleStore
     journals: Journals
+    alarms: AlarmWatch
 
     def start(self, session_id: str, operator: str, action: str) -> RunningSession:
         """Record the start, then start the engine, disarmed, and the writer; raise what kept it from starting."""
@@ -147,7 +149,7 @@ class SessionStarter:
                 match_limits=self.settings.likeness,
             ),
             counters=self.counters,
-            on_over=lambda: self.equipment.leave(plan.session_id),
+            on_over=lambda: self._leave(running),
         )
         running = RunningSession(plan=plan, engine=engine, writer=writer)
         if not self.equipment.enter(running):
@@ -158,13 +160,20 @@ class SessionStarter:
             raise SessionActiveError(msg, field="session_id", bound="one running session at a time")
         return running
 
+    def _leave(self, running: RunningSession) -> None:
+        """Free the equipment of a session that is over; look for alarms first, while there is something to look at."""
+        try:
+            self.alarms.session_over(running)
+        finally:
+            self.equipment.leave(running.plan.session_id)
+
     def _begin_writing(self, running: RunningSession) -> None:
         """Start the writer's thread; stop the engine if that fails, because its decisions would not be recorded."""
         try:
             running.writer.start()
         except BaseException:
             running.engine.stop()
-            self.equipment.leave(running.plan.session_id)
+            self._leave(running)
             raise
 
     def _recorder(self, plan: SessionPlan, anchor: TimeAnchor) -> SampleRecorder:

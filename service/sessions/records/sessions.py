@@ -26,6 +26,8 @@ from service.engine_host.site_rules.played_recordings import check_source, descr
 from service.engine_host.site_rules.recording_folders import find_recording
 from service.engine_host.site_rules.uncalibrated import check_allowed, described, kind_of, warning_of
 from service.engine_host.site_rules.window_limits import check_window, gate_limits
+from service.sessions.alarms.board import AlarmBoard
+from service.sessions.alarms.views import live_alarms
 from service.sessions.records.calibrations import kept_row
 from service.sessions.views.breath import live_breath, live_breath_hold
 from service.sessions.views.live import body_view, camera_view, gate_view, likeness_view, training_view
@@ -65,6 +67,7 @@ class SessionRepository:
         equipment: EquipmentSlot,
         engine: EnginePort,
         free_disk: Callable[[], object],
+        alarms: AlarmBoard,
     ) -> None:
         self._database = database
         self._log = log
@@ -72,6 +75,7 @@ class SessionRepository:
         self._equipment = equipment
         self._engine = engine
         self._free_disk = free_disk
+        self._alarms = alarms
         self._in_progress = InProgress()
 
     def create(
@@ -130,6 +134,7 @@ class SessionRepository:
         return sessions.SessionDetail(
             **dict(record),
             gate=None if view is None else gate_view(view),
+            alarms=live_alarms(self._alarms.active_of(session_id)),
             measurement_state=None if view is None else view.record.measurement.state.value,
             training=None if view is None else training_view(view),
             active_model_id=None if running is None else running.writer.active_model_id,

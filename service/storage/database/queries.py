@@ -20,6 +20,7 @@ from service.storage.database.base import UtcTime, utc_text
 from service.storage.database.tables import AuditRow, CalibrationRow, ModelRow, PlanRow, QaRunRow, SessionRow
 
 OPEN_STATUSES = ("created", "running")
+BEAM_OFF = "beam.off"
 TRANSITION = "gate.transition"
 FRACTION = ("patient_reference", "plan_id", "fraction_id")
 RowT = TypeVar("RowT")

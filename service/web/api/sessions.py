@@ -180,10 +180,13 @@ def set_reference(
 
 @router.post("/{session_id}/acknowledge", name="session.acknowledge", responses=ASK)
 def acknowledge_fault(
-    session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
+    session_id: dependencies.SessionId, request: sessions.AcknowledgeRequest, call: Operated
 ) -> sessions.SessionDetail:
-    """Acknowledge the latched fault; the gate becomes disarmed."""
-    return call.command(session_id, "acknowledge", request.operator)
+    """Acknowledge the latched fault, after which the gate is disarmed, and active alarms. For people only.
+
+    An acknowledged alarm that does not latch stays active until its cause is gone.
+    """
+    return call.acknowledge(session_id, request)
 
 
 @router.post("/{session_id}/hold", name="session.hold", responses=HOLD)

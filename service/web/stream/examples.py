@@ -66,6 +66,18 @@ _BREATH = {
     "regularity": 0.9,
     "events": [],
 }
+_ALARM = {
+    "number": 3,
+    "session_id": SESSION,
+    "code": "source_lost",
+    "priority": "medium",
+    "text": "The camera is disconnected",
+    "detail": "the camera delivers no frames",
+    "since": SENT,
+    "latches": True,
+    "acknowledged_by": None,
+    "acknowledged_at": None,
+}
 EXAMPLES: dict[str, dict[str, Any]] = {
     "Hello": {
         "type": "hello",
@@ -92,6 +104,12 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "reason": "too_long_ago",
     },
     "Resumed": {"type": "resumed", "sent_at": SENT, "session_id": SESSION, "frames": 171, "last_frame": 511},
+    "Alarms": {
+        "type": "alarms",
+        "sent_at": SENT,
+        "event": {"number": 7, "kind": "begin", "at": SENT, "alarm": _ALARM},
+        "active": [_ALARM],
+    },
     "Sample": {
         "type": "sample",
         "form": "full",

@@ -87,6 +87,7 @@ RATINGS: dict[str, Rating] = {
     "U11": Rating(3, 3, 1, "8"),
     "U12": Rating(3, 4, 1, "3 4"),
     "U13": Rating(4, 3, 2, "3"),
+    "U14": Rating(3, 3, 2, "4"),
 }
 
 

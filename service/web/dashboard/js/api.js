@@ -99,6 +99,8 @@ const HALTS = new Set(["hold", "disarm", "stop"]);
  * shows as logged in; if another person has logged in with the same browser, the controller refuses.
  */
 export const act = (id, action, operator) => call("POST", `${session(id)}/${action}`, HALTS.has(action) ? {} : { operator });
+/** `numbers` are those of the alarms that the person was shown. */
+export const acknowledgeAlarms = (id, operator, numbers) => call("POST", `${session(id)}/acknowledge`, { operator, alarms: numbers });
 /** `proposal` is the one that the person was shown; null for the present position. */
 export const setReference = (id, operator, at, proposal, reason) =>
   call("POST", `${session(id)}/reference`, { operator, at, reason, ...(proposal === null ? {} : { level_seen: proposal.level }) });

@@ -30,6 +30,7 @@ const DONE = {
   disarm: "Disarmed.",
   reference: "Reference set.",
   acknowledge: "Fault acknowledged.",
+  alarms: "Alarms acknowledged.",
   stop: "Session stopped.",
   retrain: "Training again in the background.",
   apply: "Disarmed. The new model is applied.",
@@ -276,5 +277,5 @@ function button(action) {
 }
 
 function label(action) {
-  return { reference: "Set reference", retrain: "Train again", apply: "Apply", correct: "Correct baseline" }[action] ?? action[0].toUpperCase() + action.slice(1);
+  return { reference: "Set reference", retrain: "Train again", apply: "Apply", correct: "Correct baseline", alarms: "Acknowledge alarms" }[action] ?? action[0].toUpperCase() + action.slice(1);
 }
