@@ -1126,6 +1126,7 @@ class SessionDetail(TypedDict):
     operator: str
     patient_reference: str
     plan_id: str
+    predicted_duty_percent: NotRequired[float | None]
     reference_proposals: NotRequired[list[ReferenceProposalView]]
     regions: NotRequired[Regions]
     rt_plan_id: NotRequired[str | None]

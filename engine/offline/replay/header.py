@@ -12,7 +12,7 @@ from engine.gating.limits import GateLimits
 from engine.motion.settings import PipelineSettings
 from engine.offline.replay.encoding import TapeEncoding
 
-METHOD = 5
+METHOD = 6
 """Number of the measuring method, increased with every change by which the same frames may be believed, measured or
 gated otherwise: then an earlier session replays to other results on purpose."""
 FIRST_METHOD = 1
@@ -21,6 +21,9 @@ REFITTING_METHOD = 4
 """The first method that refits a session's model; earlier tapes name no such setting."""
 FRESHNESS_METHOD = 5
 """The first method that asks whether frames are fresh; earlier tapes do not know."""
+DUTY_METHOD = 6
+"""The first method that refuses windows which are practically never left; earlier gates were armed with them. It also
+proposes a reference from the breaths of the training."""
 
 RAW = "raw"
 RECORDING = "recording"
@@ -86,10 +89,10 @@ def read_head(encoded: dict[str, Any], encoding: TapeEncoding) -> TapeHeader:
         if isinstance(method, bool) or not isinstance(method, int) or method < FIRST_METHOD:
             msg = f"the tape's head is damaged: its method is {method!r}"
             raise RecordingError(msg)
-        measuring = encoding.decode(encoded["measuring"])
+        measuring, limits = encoding.decode(encoded["measuring"]), encoding.decode(encoded["limits"])
         return TapeHeader(
             session_id=encoded["session_id"],
-            limits=encoding.decode(encoded["limits"]),
+            limits=_with_any_window(limits) if method < DUTY_METHOD else limits,
             measuring=_without_refits(measuring) if method < REFITTING_METHOD else measuring,
             calibration=parse_calibration(encoded["calibration"].encode()),
             model=encoding.decode(encoded["model"]),
@@ -110,3 +113,7 @@ def this_software() -> str:
 
 def _without_refits(measuring: PipelineSettings) -> PipelineSettings:
     return replace(measuring, training=replace(measuring.training, refit_until_s=0.0))
+
+
+def _with_any_window(limits: GateLimits) -> GateLimits:
+    return replace(limits, max_duty_percent=100.0)
