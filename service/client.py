@@ -1212,6 +1212,7 @@ class SessionDetail(TypedDict):
     operator: str
     patient_reference: str
     plan_id: str
+    predicted_duty_percent: NotRequired[float | None]
     reference: NotRequired[LiveReference | None]
     reference_proposals: NotRequired[list[ReferenceProposalView]]
     regions: NotRequired[Regions]

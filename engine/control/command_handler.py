@@ -6,6 +6,7 @@ Owned by the engine thread; runs between two frames. A command is refused before
 from typing import NamedTuple
 
 from engine.control.decisions import Cause
+from engine.control.duty_forecast import DutyForecast
 from engine.control.gate_controller import GateController
 from engine.control.line_orders import LineOrders
 from engine.control.reference_budget import ReferenceBudget
@@ -66,8 +67,14 @@ class CommandHandler:
         self._measurer, self._learner, self._line, self._limits = measurer, learner, line, limits
         self._budget = budget
         self._controller, self._presence, self._supervisor = controller, presence, supervisor
+        self._forecast = DutyForecast(learner, limits)
         self._generation = learner.status.model_generation
         self._resolved_for: int | None = None
+
+    @property
+    def predicted_duty_percent(self) -> float | None:
+        """Share of the learned breaths inside the window, 0 to 100; None where unknown, and for breath holds."""
+        return self._forecast.percent
 
     def has_model_changed(self) -> bool:
         """Whether the model or the reference has changed since the last call, or since the last arming."""
@@ -179,6 +186,7 @@ class CommandHandler:
             raise CommandRefusedError(f"{inputs.operator_absence}: a person has to log in there, and keep it visible")
         self._refuse_unless_ready(inputs)
         self._refuse_other_head(command)
+        self._forecast.refuse_never_left()
         self._line.rearm()
         if command.is_person:
             self._presence.note(command.operator)

@@ -322,6 +322,7 @@ class EngineLoop:
             source=self._views.description,
             view=self._views.newest,
             learning=self._learner.status,
+            predicted_duty_percent=self._handler.predicted_duty_percent,
         )
 
     def _run_once(self, commands: Iterable[QueuedCommand]) -> None:

@@ -12,7 +12,7 @@ from engine.core.frames import Measurement, RgbdFrame
 from engine.core.learning_events import LearningEvent
 from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
-from engine.core.ranges import Ranges
+from engine.core.ranges import LearnedLevels, Ranges
 from engine.core.reference_distance import ReferenceDistance
 from engine.core.reference_proposal import ReferenceMoment
 
@@ -48,6 +48,9 @@ class Learner(Protocol):
         CommandRefusedError
             No such position is known.
         """
+
+    def learned_levels(self, choices: Iterable[SignalChoice]) -> LearnedLevels:
+        """Return each signal's levels in the training, against the present reference; empty where there is none."""
 
     def set_reference(self, moment: ReferenceMoment = ReferenceMoment.NOW, *, most_mm: float | None = None) -> None:
         """Make the proposed position, or that of the next measured frame, the reference.

@@ -70,6 +70,9 @@ class GateLimits:
     max_beam_on_s
         Longest beam-on in an amplitude or phase window without the signal's leaving it [s]; two breaths also bound it
         where the rate is known.
+    max_duty_percent
+        Largest share of the learned breaths inside an amplitude or phase window [%]; arming is refused beyond it, as
+        the signal practically never leaves such a window. 100 switches this off.
     max_repeated_frames
         Most repetitions of the same depth or colour picture with new times.
     max_clock_jump_ms
@@ -140,6 +143,7 @@ class GateLimits:
     min_off_ms: float = 0.0
     max_cycles_per_min: int = 120
     max_beam_on_s: float = 30.0
+    max_duty_percent: float = 90.0
     max_repeated_frames: int = 0
     max_clock_jump_ms: float = 250.0
     min_fps: float = 20.0
@@ -208,6 +212,7 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "min_off_ms": (0.0, 60_000.0),
     "max_cycles_per_min": (1, 120),
     "max_beam_on_s": (2.0, 30.0),
+    "max_duty_percent": (10.0, 100.0),
     "max_repeated_frames": (0, 3),
     "max_clock_jump_ms": (50.0, 2_000.0),
     "min_fps": (5.0, 60.0),

@@ -16,13 +16,14 @@ from engine.core.learning_events import Figures, LearningEvent, LearningEventKin
 from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
 from engine.core.patient_match import PatientMatch
-from engine.core.ranges import Ranges
+from engine.core.ranges import LearnedLevels, Ranges
 from engine.core.reference_distance import ReferenceDistance
 from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
 from engine.motion.learning.depth_steps import steps_mismatch, with_steps
 from engine.motion.learning.event_figures import distance_figures, match_figures, transfer_figures
 from engine.motion.learning.learned import Learned
-from engine.motion.learning.learned_range import learned_ranges
+from engine.motion.learning.learned_range import learned_levels, learned_ranges
+from engine.motion.learning.past_frames import FOLLOWED_AT_ONCE, PastBreaths, PastFrames
 from engine.motion.learning.patient_match import PatientMatchLimits
 from engine.motion.learning.prepared_model import PreparedModel, Reference
 from engine.motion.learning.reference_history import ReferenceHistory
@@ -37,6 +38,7 @@ from engine.motion.learning.tasks import (
     LearningTask,
     Outcome,
     SwitchTask,
+    with_past_breaths,
 )
 from engine.motion.learning.trainer import Trainer, TrainingSettings
 from engine.motion.learning.training_set import TrainingFrame
@@ -89,9 +91,11 @@ class Learner:
         self._newest: _Newest | None = None
         self._task: LearningTask | None = None
         self._refits: Refits | None = None
+        self._past = PastFrames(stages.vertices)
+        self._past_breaths: PastBreaths | None = None
+        self._active: PreparedModel | None = None
         self._begin_learning()
         self._candidate: Candidate | None = None
-        self._active: PreparedModel | None = None
         self._reference: Reference | None = None
         self._is_reference_requested = False
         self._requested_position: Reference | None = None
@@ -280,6 +284,11 @@ class Learner:
                 for one in self._proposals.proposals(ranges, timestamp_us)
             )
 
+    @property
+    def levels_from(self) -> Reference | None:
+        """The reference of the levels from before the model, until `move_levels`; None where there are none."""
+        return self._proposals.measured_from
+
     def move_levels(self, before: Motion, now: Motion) -> None:
         """Measure the proposed levels from a new reference: the motion of one frame from the old and the new one."""
         self._proposals.move(before, now)
@@ -296,6 +305,7 @@ class Learner:
 
     def _forget_positions(self) -> None:
         self._proposals.clear()
+        self._past_breaths = None
         self._proposed, self._requested_position = (), None
 
     def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
@@ -303,6 +313,12 @@ class Learner:
         if self._active is None or self._reference is None or self._is_reference_requested:
             return {}
         return learned_ranges(self._active, self._reference, choices)
+
+    def learned_levels(self, choices: Iterable[SignalChoice]) -> LearnedLevels:
+        """Return the levels of each signal in the training relative to the reference; empty without a reference."""
+        if self._active is None or self._reference is None or self._is_reference_requested:
+            return {}
+        return learned_levels(self._active, self._reference, choices)
 
     # -- commands -----------------------------------------------------------------------------------------------
 
@@ -421,6 +437,7 @@ class Learner:
         """Between two frames: take the trainer's result, switch models if allowed, start a training that is due."""
         self._now_us = timestamp_us
         self._drop_late_request()
+        self._follow_past()
         self._collect()
         if self._candidate is not None and not self._is_model_held:
             self._switch(self._candidate)
@@ -435,17 +452,40 @@ class Learner:
         if task.is_complete:
             self._task = None
             job = task.job(self._active)
-            self._trainer.start(with_steps(job, self.depth_steps) if isinstance(task, FitTask) else job)
+            job = with_steps(job, self.depth_steps) if isinstance(task, FitTask) else job
+            is_first = self._active is None
+            self._trainer.start(with_past_breaths(job, self._past.stretch, self._stages) if is_first else job)
             self._collect()
 
     # -- refits to all of the session so far --------------------------------------------------------------------
 
     def is_kept(self, timestamp_us: int) -> bool:
-        """Whether a frame of this time is kept for a refit: it has to be sampled as finely as a training frame."""
-        return self._refits is not None and self._refits.is_due(timestamp_us)
+        """Whether a frame of this time is kept: it has to be sampled as finely as a training frame."""
+        return (self._refits is not None and self._refits.is_due(timestamp_us)) or self._is_past_due(timestamp_us)
+
+    def _is_past_due(self, timestamp_us: int) -> bool:
+        return (self._active is None or self._past_breaths is not None) and self._past.is_due(timestamp_us)
+
+    def _begin_past(self, breaths: PastBreaths | None) -> None:
+        """Follow the frames that arrived during the first fit; other models have none."""
+        self._past_breaths = breaths
+        if breaths is None:
+            self._past.clear()
+        self._follow_past()
+
+    def _follow_past(self) -> None:
+        """Follow some of those frames; from the last on, their positions are the ones that are proposed."""
+        breaths = self._past_breaths
+        if breaths is None or not breaths.follow(self._past.stretch, FOLLOWED_AT_ONCE):
+            return
+        self._proposals, self._past_breaths = breaths.proposals, None
+        self._proposals.restart_breaths()
+        self._past.clear()
 
     def keep(self, frame: TrainingFrame) -> None:
         """Keep a measured or training frame if it is due, and start a refit that has become due."""
+        if self._is_past_due(frame.timestamp_us):
+            self._past.add(frame)
         if self._refits is None or not self._refits.is_due(frame.timestamp_us):
             return
         self._refits.add(frame)
@@ -480,6 +520,7 @@ class Learner:
 
     def _begin_learning(self, *, keeps_zero: bool = True) -> None:
         self._task = FitTask(self._settings, self._stages, self._calibration_sha256, keeps_zero=keeps_zero)
+        self._past.clear()
         if self._refits is None or not self._refits.is_survey:
             self._refits = self._new_refits()
 
@@ -531,6 +572,7 @@ class Learner:
         self._emit(LearningEventKind.SWAPPED, "a new model is in use", figures)
         if not is_transferred:
             self._emit(LearningEventKind.ZERO_NEEDED, "a new model without a reference: set it before arming")
+        self._begin_past(candidate.past_breaths)
         if candidate.is_stored:
             self._is_comparing = True
             self._task = CompareTask(candidate.active, self._limits, self._stages)

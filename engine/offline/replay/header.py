@@ -23,7 +23,8 @@ REFITTING_METHOD = 4
 FRESHNESS_METHOD = 5
 """The first method that asks whether frames are fresh; earlier tapes do not know."""
 HISTORY_METHOD = 6
-"""The first method that bounds the distance from the fraction's first reference; earlier tapes name no first one."""
+"""The first method that bounds the distance from the fraction's first reference, refuses windows which are practically
+never left, and proposes a reference from the breaths of the training; earlier tapes name none of it."""
 
 RAW = "raw"
 RECORDING = "recording"
@@ -97,7 +98,7 @@ def read_head(encoded: dict[str, Any], encoding: TapeEncoding) -> TapeHeader:
         first = encoded.get("first_reference")
         return TapeHeader(
             session_id=encoded["session_id"],
-            limits=_unbounded(limits) if method < HISTORY_METHOD else limits,
+            limits=_without_bounds(limits) if method < HISTORY_METHOD else limits,
             measuring=_without_refits(measuring) if method < REFITTING_METHOD else measuring,
             calibration=parse_calibration(encoded["calibration"].encode()),
             model=encoding.decode(encoded["model"]),
@@ -117,8 +118,13 @@ def this_software() -> str:
     return f"tidegate {__version__}"
 
 
-def _unbounded(limits: GateLimits) -> GateLimits:
-    return replace(limits, max_reference_distance_mm=LIMIT_BOUNDS["max_reference_distance_mm"][1])
+def _without_bounds(limits: GateLimits) -> GateLimits:
+    """Return the limits with those of `HISTORY_METHOD` as wide as they can be."""
+    return replace(
+        limits,
+        max_reference_distance_mm=LIMIT_BOUNDS["max_reference_distance_mm"][1],
+        max_duty_percent=LIMIT_BOUNDS["max_duty_percent"][1],
+    )
 
 
 def _without_refits(measuring: PipelineSettings) -> PipelineSettings:

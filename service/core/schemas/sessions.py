@@ -411,6 +411,11 @@ class SessionDetail(Session):
     gate_window: LiveWindow | None = Field(
         default=None, description="As the gate applies it: in mm or l, with baseline corrections; null unless running"
     )
+    predicted_duty_percent: float | None = Field(
+        default=None,
+        description="Share of the learned breaths inside `gate_window`; arming is refused above the site's "
+        "`max_duty_percent`. null without a model and a reference, and for windows that need a breath hold",
+    )
     breath: LiveBreath | None = Field(default=None, description="null while no frame is measured")
     breath_hold: LiveBreathHold | None = Field(default=None, description="null if the window has no breath hold")
     likeness: LikenessView | None = Field(

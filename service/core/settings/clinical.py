@@ -53,6 +53,9 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
     "window_upper_mm": ClinicalBound(
         low=-20.0, high=40.0, reason="deep inspiration breath holds lift the chest by up to 40 mm"
     ),
+    "max_duty_percent": ClinicalBound(
+        low=10.0, high=90.0, reason="the default: a window that the patient never leaves gates nothing"
+    ),
     # Where the patient may be.
     "max_shift_mm": ClinicalBound(
         low=1.0, high=4.0, reason=f"{TG_302}, and 2 mm by which markers follow the breath along the couch"

@@ -145,6 +145,7 @@ class Settings(
     min_off_ms: float = _limit("min_off_ms")
     max_cycles_per_min: int = _limit("max_cycles_per_min")
     max_beam_on_s: float = _limit("max_beam_on_s")
+    max_duty_percent: float = _limit("max_duty_percent")
     max_repeated_frames: int = _limit("max_repeated_frames")
     max_clock_jump_ms: float = _limit("max_clock_jump_ms")
     min_fps: float = _limit("min_fps")

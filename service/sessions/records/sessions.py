@@ -14,7 +14,7 @@ from engine.control.outputs import LiveView
 from engine.core.errors import ModelMismatchError
 from engine.core.head_direction import HeadDirection
 from service.core.errors import SessionActiveError
-from service.core.finite import finite_or_none
+from service.core.finite import finite_or_none, rounded_or_none
 from service.core.list_filters import ALL_SESSIONS, ALL_TRANSITIONS, SessionFilter, TransitionFilter
 from service.core.schemas import sessions
 from service.core.schemas.windows import Window
@@ -145,6 +145,9 @@ class SessionRepository:
             else proposal_views(running.engine.status.learning, self._settings.max_reference_distance_mm),
             likeness=None if running is None else likeness_view(running.engine.status.learning.patient_match),
             gate_window=None if view is None else live_window(view.window, view.conditions, view.record.measurement),
+            predicted_duty_percent=None
+            if running is None
+            else rounded_or_none(running.engine.status.predicted_duty_percent, 1),
             breath=None if view is None else live_breath(view),
             breath_hold=None if view is None else live_breath_hold(view),
             camera=None if running is None else camera_view(running.engine.status.source, running.plan.calibration),

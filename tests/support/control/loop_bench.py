@@ -24,7 +24,7 @@ from engine.core.gate_state import HoldReason, Lease
 from engine.core.learning_events import LearningEvent
 from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
-from engine.core.ranges import LearnedRange, Ranges
+from engine.core.ranges import LearnedLevels, LearnedRange, Ranges
 from engine.core.reference_distance import ReferenceDistance
 from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
 from engine.gating.gate import GateLimits
@@ -178,6 +178,12 @@ class RecordingPipeline:
 
     def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
         return {choice: self.ranges[choice] for choice in choices if choice in self.ranges}
+
+    def learned_levels(self, choices: Iterable[SignalChoice]) -> LearnedLevels:
+        ranges = {
+            choice: self.ranges.get(choice, next(iter(self.ranges.values()))) for choice in choices if self.ranges
+        }
+        return {choice: np.linspace(one.low, one.high, 60) for choice, one in ranges.items()}
 
     def correct_baseline(self, choice: SignalChoice, by: float) -> None:
         self.calls.append(f"correct {choice.label} {by:g}")

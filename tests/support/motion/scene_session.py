@@ -5,7 +5,8 @@ from dataclasses import replace
 from engine.core.breath import SignalChoice
 from engine.core.clock import ManualClock
 from engine.core.frames import Measurement, RgbdFrame
-from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
+from engine.motion.learning.tasks import Outcome
+from engine.motion.learning.trainer import InlineTrainer, Trainer, TrainingSettings
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
 from tests.support.motion import small_scene
@@ -26,9 +27,15 @@ def scene_frames() -> list[RgbdFrame]:
 class SceneSession:
     """Measures the scene frame by frame; a frame's pictures may be replaced."""
 
-    def __init__(self, frames: list[RgbdFrame], settings: PipelineSettings = SETTINGS) -> None:
+    def __init__(
+        self,
+        frames: list[RgbdFrame],
+        settings: PipelineSettings = SETTINGS,
+        trainer: Trainer[Outcome] | None = None,
+    ) -> None:
         self.frames, self.index = frames, 0
-        self.pipeline = Pipeline(small_scene.CALIBRATION, settings, ManualClock(), InlineTrainer())
+        self.trainer = InlineTrainer() if trainer is None else trainer
+        self.pipeline = Pipeline(small_scene.CALIBRATION, settings, ManualClock(), self.trainer)
 
     def next(self, **changes: object) -> Measurement:
         at_us = self.index * small_scene.FRAME_US

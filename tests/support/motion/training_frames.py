@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from engine.core.breath import WHOLE
+from engine.core.breath import WHOLE, SignalChoice
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, RoiDepth
 from engine.core.native_threads import keep_calls_in_their_thread
 from engine.motion.learning.learner import Learner
@@ -16,6 +16,7 @@ from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
 from engine.motion.learning.training_set import TrainingFrame
 from engine.motion.stages.projection import project
 from engine.motion.stages.regions import RegionLayout
+from engine.motion.tracking.past_measurement import PastMeasurement
 
 FRAME_US = 33_367
 STRIDE_PX = 2
@@ -69,7 +70,12 @@ def explain(active, roi, start):
     return best
 
 
-STAGES = LearningStages(prepare=lambda model: prepare_model(model, RegionLayout()), explain=explain, vertices=vertices)
+STAGES = LearningStages(
+    prepare=lambda model: prepare_model(model, RegionLayout()),
+    explain=explain,
+    vertices=vertices,
+    measure_past=lambda active: PastMeasurement(active, (SignalChoice(),), explain, vertices),
+)
 
 
 class Patient:
