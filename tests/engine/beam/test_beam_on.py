@@ -203,6 +203,15 @@ def test_one_reading_of_a_beam_or_an_arming_begins_the_time_without_one_anew():
     assert not room.line.state.is_absent
 
 
+def test_a_late_reading_counts_from_the_begin_of_the_permit_and_not_from_the_reading_before():
+    comparison = BeamOnComparison(absent_s=1.0)
+    comparison.compare(Permission(ended_ns=0), is_on=False, now_ns=MS)
+    comparison.compare(Permission(since_ns=9_500 * MS), is_on=False, now_ns=10_000 * MS)
+    assert not comparison.state.is_absent
+    comparison.compare(Permission(since_ns=9_500 * MS), is_on=False, now_ns=10_500 * MS)
+    assert comparison.state.is_absent
+
+
 def test_time_in_which_the_signal_is_not_known_is_no_time_without_a_beam():
     comparison = BeamOnComparison(absent_s=1.0)
     comparison.compare(Permission(since_ns=0), is_on=False, now_ns=0)

@@ -170,6 +170,7 @@ def _take_alarms(page: Page, fake: FakeService, out: Path, url: str) -> None:
     fake.sample = PICTURES["beam-line-fault"][1] | {
         "hold_reason": "source_lost",
         "hold_text": "The camera is disconnected",
+        "hold_detail": "the camera delivers no frames",
     }
     beam = alarm(1, "beam_without_permit", "high", "The accelerator reports beam on without a permit", latches=True)
     fake.alarms = (
