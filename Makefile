@@ -73,6 +73,7 @@ test: $(STAMP) test-system  ## everything that must hold: lint, types, contracts
 	$(LOW_PRIORITY) $(MAKE) --no-print-directory --keep-going lint security types contracts >build/check.log 2>&1 & others=$$!; \
 	for part in $(TEST_PARTS); do $(MAKE) --no-print-directory $$part; note $$part $$?; done; \
 	wait $$others; note 'lint, types, contracts' $$?; cat build/check.log; \
+	$(BIN)/python -m tests.support.documents.traceability --ran $(TIMINGS)/*.tsv; note 'tests named in safety.md' $$?; \
 	$(BIN)/python -m tests.support.timings $(TIMINGS)/*.tsv; printf '\n%s' "$$outcomes"; \
 	[ ! -e build/unsteady.txt ] || { echo 'UNSTEADY, failed beside others and passed alone:'; cat build/unsteady.txt; }; exit $$failed
 

@@ -820,7 +820,7 @@ class LiveBreathEvent(TypedDict):
 
     confidence: float
     detail: str
-    kind: Literal["cough", "sigh", "apnoea", "talking", "irregular", "drift"]
+    kind: Literal["cough", "sigh", "apnoea", "talking", "irregular", "no_cycle", "drift"]
     since_s: float
 
 

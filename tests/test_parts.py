@@ -65,3 +65,11 @@ def test_many_failures_are_not_run_again(run, tmp_path):
 
 def test_a_part_whose_tests_cannot_be_read_fails(run, tmp_path):
     assert run("import nothing_of_this_name\n").returncode not in {0, part.TESTS_FAILED}
+
+
+def test_a_skipped_test_is_not_among_those_that_ran(run, tmp_path):
+    skipped = "import pytest\n\n@pytest.mark.skip\ndef test_skipped():\n    pass\n\n"
+    late = "def test_skips_itself():\n    pytest.skip('later')\n\n"
+    assert run(skipped + late + GREEN).returncode == 0
+    lines = (tmp_path / part.BUILD / "timings" / "some.tsv").read_text().splitlines()
+    assert [line.split("\t")[1] for line in lines] == ["test_it.py::test_green"]

@@ -11,7 +11,16 @@ from engine.core.breath import BreathEventKind
 from engine.core.clock import NS_PER_MS
 from engine.core.errors import InvalidValueError
 from engine.core.head_direction import HeadDirection, depends_on_head
-from engine.gating.windows import GateWindow
+from engine.gating.windows import BreathHoldWindow, GateWindow
+
+BREATHING_CEASED = frozenset({BreathEventKind.APNOEA, BreathEventKind.NO_CYCLE})
+"""Breathing events without breaths: an amplitude has no meaning then (ADR 0030)."""
+EVENTS_OF_A_BREATH_HOLD = BREATHING_CEASED | {
+    BreathEventKind.IRREGULAR,
+    BreathEventKind.SIGH,
+    BreathEventKind.TALKING,
+}
+"""Breathing events that a deliberate breath hold, or the breath before and after it, may resemble."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +111,8 @@ class GateLimits:
     window_lower_mm, window_upper_mm
         Bounds of the window's edges, after conversion and correction; arming is refused beyond them.
     holding_events
-        Breathing events that hold the beam.
+        Breathing events that hold the beam. In a window with a breath hold only those hold that no breath hold
+        resembles (`EVENTS_OF_A_BREATH_HOLD`).
     head_direction
         The side of the picture at which the patient's head lies; None if it is unknown: then only the whole region and
         its volume may gate.
@@ -150,7 +160,7 @@ class GateLimits:
     window_upper_mm: float = 100.0
     is_calibrated: bool = True
     head_direction: HeadDirection | None = None
-    holding_events: frozenset[BreathEventKind] = frozenset()
+    holding_events: frozenset[BreathEventKind] = BREATHING_CEASED
     is_played: bool = False
 
     def __post_init__(self) -> None:
@@ -165,6 +175,12 @@ class GateLimits:
         if self.max_silence_ms < self.max_gap_ms:
             bound = f"at least max_gap_ms ({self.max_gap_ms:g})"
             raise InvalidValueError("max_silence_ms", self.max_silence_ms, bound)
+
+    @property
+    def judged_events(self) -> frozenset[BreathEventKind]:
+        """The breathing events that hold the beam in this window."""
+        has_hold = any(isinstance(leaf, BreathHoldWindow) for leaf in self.window.leaves)
+        return self.holding_events - EVENTS_OF_A_BREATH_HOLD if has_hold else self.holding_events
 
     @property
     def needs_head_direction(self) -> bool:

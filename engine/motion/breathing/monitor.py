@@ -180,7 +180,10 @@ def _checked(state: BreathingState, seconds: float) -> BreathingState:
 
 
 def _with_output(state: BreathingState) -> BreathingState:
-    return replace(state, breath=breath_of(state.choice, state.unit, state.history, state.track, state.events))
+    falls_to = state.current.low if state.turns.direction == FALLING else math.inf
+    return replace(
+        state, breath=breath_of(state.choice, state.unit, state.history, state.track, state.events, falls_to)
+    )
 
 
 def _started(state: BreathingState, seconds: float, mm: float) -> BreathingState:

@@ -175,7 +175,7 @@ class LiveLatency(Message):
 class LiveBreathEvent(Message):
     """An ongoing breathing event that is not quiet breathing."""
 
-    kind: Literal["cough", "sigh", "apnoea", "talking", "irregular", "drift"]
+    kind: Literal["cough", "sigh", "apnoea", "talking", "irregular", "no_cycle", "drift"]
     confidence: float = Field(description="0 to 1")
     since_s: float
     detail: str

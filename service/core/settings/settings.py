@@ -14,7 +14,7 @@ from pydantic_settings import BaseSettings, NoDecode, PydanticBaseSettingsSource
 
 from engine.core.breath import BreathEventKind
 from engine.core.errors import InvalidValueError
-from engine.gating.limits import LIMIT_BOUNDS, GateLimits
+from engine.gating.limits import BREATHING_CEASED, LIMIT_BOUNDS, GateLimits
 from engine.gating.windows import HOLD_BOUNDS, amplitude_window
 from engine.motion.learning.patient_match import PATIENT_MATCH_BOUNDS, PatientMatchLimits
 from engine.motion.learning.trainer import TRAINING_BOUNDS, TrainingSettings
@@ -164,7 +164,7 @@ class Settings(
         default=True, description="A session on the camera's own registration may be armed: research only"
     )
     holding_events: EventList = Field(
-        default=(),
+        default=tuple(sorted(BREATHING_CEASED)),
         description="Breathing events that hold the beam, comma-separated; see docs/2-clinical/breathing.md",
     )
     max_breath_hold_s: float = Field(
@@ -268,7 +268,7 @@ class Settings(
 
     def _refuse_what_is_not_clinical(self) -> None:
         """Refuse everything at once that clinical mode lacks or does not permit, one line each."""
-        lines = refusals(self) if self.mode == "clinical" else ()
+        lines = refusals(self, self.holding_events) if self.mode == "clinical" else ()
         if lines:
             raise ValueError("\n".join(lines))
 
