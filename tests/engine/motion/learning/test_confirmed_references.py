@@ -1,8 +1,11 @@
 """Twenty sessions on one recording, started at twenty moments of the breath: each reference is at the end of exhale."""
 
+import pytest
+
 from tests.support.evaluation.confirmed_references import STARTS, STEP_S, confirmed_references
 
 
+@pytest.mark.timeout(900)
 def test_the_references_of_twenty_starts_lie_within_five_per_cent_of_the_end_of_exhale(calm_volunteer):
     found = confirmed_references(calm_volunteer)
     assert len(found) == STARTS == 20
