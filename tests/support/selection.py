@@ -16,20 +16,23 @@ LONGEST = tuple(
     for name in (
         "campaigns/contract/test_schemathesis",
         "campaigns/faults/test_short_campaign",
+        "system/engine_process/test_service",
+        "system/client/test_whole_fractions",
         "campaigns/kills/test_short_campaign",
         "engine/verification/qa/test_run",
         "campaigns/fuzz/test_short_run",
         "engine/verification/performance/test_performance_bench",
         "engine/verification/evaluation/runs/test_bench",
         "engine/verification/phantom/test_recording",
-        "system/engine_process/test_service",
         "system/service/test_process",
-        "system/client/test_whole_fractions",
         "system/client/test_real_service",
         "service/storage/backup/test_backup",
     )
 )
-"""A file is run by one process (``--dist loadfile``): if one of these begins last, every other process waits for it."""
+"""A file is run by one process (``--dist loadfile``): if one of these begins last, every other process waits for it.
+
+The campaigns of kills and of faults begin with a session that one of them learns: the one goes on with another file
+meanwhile."""
 
 LAST = "tests/system/browser/"
 """Run by `make test` after what judges times: Chromium has a session of its own, and with it a share of the processors

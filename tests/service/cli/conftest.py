@@ -39,3 +39,9 @@ def measured_with_model(
     """Return the run with the model that the one in two passes left."""
     model = measured_twice.out / "model.npz"
     return measured_once(tmp_path_factory, regular_volunteer, *PATIENT, model=model)
+
+
+@pytest.fixture(scope="session")
+def measured_hold(dibh_volunteer: Path, tmp_path_factory: pytest.TempPathFactory) -> Measured:
+    """Return the run of a breath hold behind 20 s of free breathing, with the model of the whole recording."""
+    return measured_once(tmp_path_factory, dibh_volunteer, "--cell", "10")

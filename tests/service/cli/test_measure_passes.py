@@ -53,11 +53,8 @@ def test_a_stored_model_measures_from_the_first_frame_on(measured_with_model):
 
 
 @pytest.fixture(scope="module")
-def held(dibh_volunteer, tmp_path_factory):
-    """A breath hold behind 20 s of free breathing, measured with the model of the whole recording."""
-    out = tmp_path_factory.mktemp("held")
-    measured(dibh_volunteer, out, "--cell", "10")
-    return out
+def held(measured_hold):
+    return measured_hold.out
 
 
 @pytest.fixture(scope="module")
