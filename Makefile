@@ -54,6 +54,8 @@ BEHIND := $(filter-out tests/engine/motion/test_pipeline_models.py tests/engine/
 BY_TWO := -n 2 --dist loadfile --no-loadscope-reorder
 # Three processes on two cores, where no time is judged: one of them often waits for a browser, a database or a service.
 BY_THREE := -n 3 --dist loadfile --no-loadscope-reorder
+COMMA := ,
+SPACE := $(subst ,, )
 TIMINGS := build/timings
 PART := $(BIN)/python -m tests.support.part
 TEST_PARTS := tests-computing tests-waiting tests-alone
@@ -94,7 +96,7 @@ test: $(STAMP) test-system  ## everything that must hold: lint, types, contracts
 	[ ! -e build/unsteady.txt ] || { echo 'UNSTEADY, failed beside others and passed alone:'; cat build/unsteady.txt; }; exit $$failed
 
 tests-computing:
-	@$(PART) computing $(BY_THREE) $(addprefix --ignore=,$(ALONE) $(BESIDE) $(WAITING) $(BEHIND))
+	@$(PART) computing $(BY_THREE) --leave-out $(subst $(SPACE),$(COMMA),$(strip $(ALONE) $(BESIDE) $(WAITING) $(BEHIND)))
 
 tests-waiting:
 	$(PART) waiting $(BY_TWO) $(WAITING)
