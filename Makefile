@@ -63,6 +63,8 @@ LOW_PRIORITY := nice -n 10
 # Idle class within its session, and a session of least weight: services and browsers that tests start in sessions of their own
 # would share the processors with it half and half.
 IDLE_CLASS := setsid sh -c 'echo 19 2>/dev/null >/proc/self/autogroup; exec "$$@"' behind $(if $(shell command -v chrt),chrt --idle 0,nice -n 19)
+# With nothing left in front: or a machine that does something else beside would leave it nothing.
+AS_ANY_OTHER = { for one in $$(pgrep --session $$behind); do chrt --all-tasks --other --pid 0 $$one; done; echo 0 >/proc/$$behind/autogroup; } 2>/dev/null || true
 # Hundreds of services and engines are started here: each would compile the whole program anew.
 check check-tests test $(TEST_PARTS) tests-behind: export PYTHONDONTWRITEBYTECODE :=
 
@@ -89,7 +91,7 @@ test: $(STAMP) test-system  ## everything that must hold: lint, types, contracts
 		$(MAKE) --no-print-directory $$part; note $$part $$?; \
 		[ "$$behind" ] || { $(IDLE_CLASS) $(MAKE) --no-print-directory tests-behind >build/behind.log 2>&1 & behind=$$!; }; \
 	done; \
-	wait $$behind; note tests-behind $$?; cat build/behind.log; \
+	$(AS_ANY_OTHER); wait $$behind; note tests-behind $$?; cat build/behind.log; \
 	wait $$others; note 'lint, types, contracts' $$?; cat build/check.log; \
 	$(BIN)/python -m tests.support.documents.traceability --ran $(TIMINGS)/*.tsv; note 'tests named in safety.md' $$?; \
 	$(BIN)/python -m tests.support.timings $(TIMINGS)/*.tsv; printf '\n%s' "$$outcomes"; \
