@@ -7,7 +7,6 @@ from datetime import datetime
 
 import numpy as np
 import pytest
-from jsonschema import Draft202012Validator
 from starlette.websockets import WebSocketDisconnect
 
 from engine.control.outputs import LatencySummary
@@ -31,13 +30,14 @@ from service.core.schemas.sessions import RecordingSource, Window
 from service.engine_host.roles import SessionPlan
 from service.sessions.views.live import live_sample
 from service.web.app import create_app
+from tests.support.contract.schemas import Schema
 from tests.support.repository import ROOT
 from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import WINDOW, act, make_calibration
 from tests.support.service.fake_engine import FakeRunning
 
 PARTS = (LiveWindow, LiveCondition, LiveBreath, LiveBreathEvent, LiveBreathHold, LiveLatency)
-SCHEMA = Draft202012Validator(json.loads((ROOT / "openapi" / "live.schema.json").read_text()))
+SCHEMA = Schema(json.loads((ROOT / "openapi" / "live.schema.json").read_text()))
 
 
 @pytest.fixture

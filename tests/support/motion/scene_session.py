@@ -1,6 +1,9 @@
 """A pipeline over the small scene, two breaths of which are repeated: fast, and with a known motion."""
 
+from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 
 from engine.core.breath import SignalChoice
 from engine.core.clock import ManualClock
@@ -19,9 +22,10 @@ SETTINGS = PipelineSettings(
 REPEATS = 240  # frames in two breaths of the scene
 
 
-def scene_frames() -> list[RgbdFrame]:
-    """The frames of two breaths."""
-    return [small_scene.frame(index) for index in range(REPEATS)]
+@cache
+def scene_frames() -> tuple[RgbdFrame, ...]:
+    """The frames of two breaths; drawn once per process."""
+    return tuple(small_scene.frame(index) for index in range(REPEATS))
 
 
 class SceneSession:
@@ -29,7 +33,7 @@ class SceneSession:
 
     def __init__(
         self,
-        frames: list[RgbdFrame],
+        frames: Sequence[RgbdFrame],
         settings: PipelineSettings = SETTINGS,
         trainer: Trainer[Outcome] | None = None,
     ) -> None:
@@ -53,3 +57,17 @@ class SceneSession:
 
     def measure(self, count: int) -> list[Measurement]:
         return [self.next() for _ in range(count)]
+
+
+@cache
+def _measured(count: int) -> SceneSession:
+    session = SceneSession(scene_frames())
+    session.measure(count)
+    return session
+
+
+def session_after(count: int) -> SceneSession:
+    """Return a session of its own that has measured so many frames; they are measured once per process."""
+    measured = _measured(count)
+    frames = measured.frames
+    return deepcopy(measured, {id(frames): frames})

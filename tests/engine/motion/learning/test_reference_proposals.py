@@ -12,7 +12,7 @@ from engine.core.reference_proposal import ReferenceMoment
 from engine.motion.learning.prepared_model import Reference
 from engine.motion.learning.reference_proposals import ReferenceProposals
 from tests.support.gating.streams import motion_of
-from tests.support.motion.scene_session import SETTINGS, SceneSession, scene_frames
+from tests.support.motion.scene_session import SETTINGS, SceneSession, scene_frames, session_after
 
 EXHALE, INHALE, NOW = ReferenceMoment
 BREATH = 120
@@ -25,10 +25,8 @@ def frames():
 
 
 @pytest.fixture
-def session(frames):
-    session = SceneSession(frames)
-    session.measure(760)
-    return session
+def session():
+    return session_after(760)
 
 
 def proposed(session):
