@@ -183,18 +183,18 @@ static void shares_of(const uint8_t *pixel, float least_brightness, float *share
 
 /* The pixel of each sample in a row, as its number in the picture; -1 outside of the picture and where it is no number. */
 WIDE_VECTORS
-static void sampled_row(const double *h, double y, Py_ssize_t samples, int32_t rows, int32_t columns, int32_t *at)
+static void sampled_row(const double *h, double y, int samples, int32_t rows, int32_t columns, int32_t *at)
 {
     double at_u = h[1] * y + h[2], at_v = h[4] * y + h[5], at_w = h[7] * y + h[8], u[MOST_SAMPLES], v[MOST_SAMPLES];
     double right = (double)columns, bottom = (double)rows;
-    for (Py_ssize_t x = 0; x < samples; x++) {
+    for (int x = 0; x < samples; x++) {
         double w = 1.0 / (h[6] * (double)x + at_w);
         u[x] = ((h[0] * (double)x + at_u) * w + NEAREST) - NEAREST;
         v[x] = ((h[3] * (double)x + at_v) * w + NEAREST) - NEAREST;
         u[x] = u[x] >= 0.0 && u[x] < right ? u[x] : -1.0;
         v[x] = v[x] >= 0.0 && v[x] < bottom ? v[x] : -1.0;
     }
-    for (Py_ssize_t x = 0; x < samples; x++) {
+    for (int x = 0; x < samples; x++) {
         int32_t column = (int32_t)u[x], row = (int32_t)v[x];
         at[x] = column < 0 || row < 0 ? -1 : row * columns + column;
     }
@@ -204,18 +204,22 @@ static void sampled_row(const double *h, double y, Py_ssize_t samples, int32_t r
 static void mean_colors(const uint8_t *pixels, Py_ssize_t rows, Py_ssize_t columns, const double *h, Py_ssize_t cell_row,
                         Py_ssize_t cells, uint8_t *means)
 {
+    static const uint8_t black[3] = {0, 0, 0};
     int32_t at[MOST_SAMPLES];
     int sums[3 * MOST_SAMPLES / SAMPLES] = {0};
     for (Py_ssize_t line = 0; line < SAMPLES; line++) {
-        sampled_row(h, (double)(cell_row * SAMPLES + line), cells * SAMPLES, (int32_t)rows, (int32_t)columns, at);
-        for (Py_ssize_t x = 0; x < cells * SAMPLES; x++) {
-            if (at[x] < 0)
-                continue;
-            const uint8_t *pixel = pixels + (Py_ssize_t)at[x] * 3;
-            int *sum = sums + x / SAMPLES * 3;
-            sum[0] += pixel[0];
-            sum[1] += pixel[1];
-            sum[2] += pixel[2];
+        sampled_row(h, (double)(cell_row * SAMPLES + line), (int)cells * SAMPLES, (int32_t)rows, (int32_t)columns, at);
+        for (Py_ssize_t cell = 0; cell < cells; cell++) {
+            int red = 0, green = 0, blue = 0;
+            for (Py_ssize_t x = cell * SAMPLES; x < (cell + 1) * SAMPLES; x++) {
+                const uint8_t *pixel = at[x] < 0 ? black : pixels + (Py_ssize_t)at[x] * 3;
+                red += pixel[0];
+                green += pixel[1];
+                blue += pixel[2];
+            }
+            sums[3 * cell] += red;
+            sums[3 * cell + 1] += green;
+            sums[3 * cell + 2] += blue;
         }
     }
     for (Py_ssize_t i = 0; i < 3 * cells; i++)

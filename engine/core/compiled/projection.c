@@ -116,26 +116,39 @@ static void products_of(const Basis *basis, const Frame *frame, const float *fie
             products[basis->k + i * basis->b + j] = dot(sums + i * columns, frame->across + j * columns, columns);
 }
 
-/* Add or subtract the products of the modes over the chosen points. */
+#define GROUP 8
+
+/* Add the products of a point's modes to a block of `width` columns, a multiple of GROUP. */
 WIDE_VECTORS
+static void add_products(const float *point, Py_ssize_t modes, Py_ssize_t width, float *block)
+{
+    float padded[MOST_MODES + GROUP] = {0.0f};
+    memcpy(padded, point, (size_t)modes * sizeof *point);
+    for (Py_ssize_t j = 0; j < modes; j++) {
+        float factor = padded[j], *line = block + j * width;
+        for (Py_ssize_t l = 0; l < width; l += GROUP)
+            for (int lane = 0; lane < GROUP; lane++)
+                line[l + lane] += factor * padded[l + lane];
+    }
+}
+
+/* Add or subtract the products of the modes over the chosen points: the usable ones, or the known ones that are not. */
 static void add_gram(const Basis *basis, const uint8_t *known, const uint8_t *usable, double sign, float *block,
                      double *gram)
 {
-    Py_ssize_t modes = basis->modes, inside = 0;
-    memset(block, 0, (size_t)(modes * modes) * sizeof *block);
+    Py_ssize_t modes = basis->modes, width = (modes + GROUP - 1) / GROUP * GROUP, inside = 0;
+    memset(block, 0, (size_t)(modes * width) * sizeof *block);
     for (Py_ssize_t i = 0; i <= basis->points; i++) {
         if ((i == basis->points && inside) || inside == BLOCK_POINTS) {
-            for (Py_ssize_t j = 0; j < modes * modes; j++)
-                gram[j] += sign * (double)block[j];
-            memset(block, 0, (size_t)(modes * modes) * sizeof *block);
+            for (Py_ssize_t j = 0; j < modes; j++)
+                for (Py_ssize_t l = 0; l < modes; l++)
+                    gram[j * modes + l] += sign * (double)block[j * width + l];
+            memset(block, 0, (size_t)(modes * width) * sizeof *block);
             inside = 0;
         }
         if (i == basis->points || !(known == NULL ? usable[i] : (known[i] && !usable[i])))
             continue;
-        const float *point = basis->by_point + i * modes;
-        for (Py_ssize_t j = 0; j < modes; j++)
-            for (Py_ssize_t l = 0; l < modes; l++)
-                block[j * modes + l] += point[j] * point[l];
+        add_products(basis->by_point + i * modes, modes, width, block);
         inside++;
     }
 }
@@ -154,7 +167,7 @@ static void gram_of(const Basis *basis, const uint8_t *usable, float *block, dou
     }
 }
 
-static double dot_of(const double *a, const double *b, Py_ssize_t n)
+static inline double dot_of(const double *a, const double *b, Py_ssize_t n)
 {
     double sums[4] = {0.0, 0.0, 0.0, 0.0};
     Py_ssize_t i = 0;
@@ -168,6 +181,7 @@ static double dot_of(const double *a, const double *b, Py_ssize_t n)
 
 /* Solve (gram + stiffness) answer = right by Cholesky's factors; half the logarithm of the determinant beside it. 0 where
  * the matrix is not positive. */
+WIDE_VECTORS
 static int solve(Py_ssize_t n, const double *gram, const double *stiffness, const double *right, double *factor,
                  double *answer, double *log_determinant)
 {
@@ -335,11 +349,18 @@ static double largest_cell_misfit(const Basis *basis, const Frame *frame, const 
     int counts[MOST_CELLS] = {0};
     float clip = (float)limits->clip_mm;
     for (Py_ssize_t row = 0; row < basis->rows; row++)
-        for (Py_ssize_t column = 0; column < basis->columns; column++) {
-            Py_ssize_t i = row * basis->columns + column, cell = cell_of_row[row] * columns + cell_of_column[column];
-            float misfit = frame->misfit[i] > -clip ? frame->misfit[i] : -clip;
-            sums[cell] += (double)(misfit < clip ? misfit : clip);
-            counts[cell] += frame->usable[i];
+        for (Py_ssize_t column = 0; column < basis->columns;) {
+            Py_ssize_t cell = cell_of_column[column];
+            double sum = 0.0;
+            int seen = 0;
+            for (; column < basis->columns && cell_of_column[column] == cell; column++) {
+                Py_ssize_t i = row * basis->columns + column;
+                float misfit = frame->misfit[i] > -clip ? frame->misfit[i] : -clip;
+                sum += (double)(misfit < clip ? misfit : clip);
+                seen += frame->usable[i];
+            }
+            sums[cell_of_row[row] * columns + cell] += sum;
+            counts[cell_of_row[row] * columns + cell] += seen;
         }
     for (Py_ssize_t cell = 0; cell < rows * columns; cell++)
         if ((double)counts[cell] >= least[cell] && counts[cell] > 0)
@@ -431,7 +452,7 @@ PyObject *project(PyObject *module, PyObject *const *args, Py_ssize_t count)
         .reweightings = (int)reweightings,
     };
     size_t doubles = (size_t)(2 * modes * modes + (4 + basis.widths) * modes);
-    size_t floats = (size_t)(5 * n + (basis.a + basis.b + 1) * basis.columns + modes * modes);
+    size_t floats = (size_t)(5 * n + (basis.a + basis.b + 1) * basis.columns + modes * (modes + GROUP));
     char *memory = PyMem_Malloc(doubles * sizeof(double) + floats * sizeof(float) + (size_t)(3 * n));
     if (memory == NULL) {
         PyErr_NoMemory();

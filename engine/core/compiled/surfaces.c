@@ -56,12 +56,18 @@ PyObject *cell_means(PyObject *module, PyObject *const *args, Py_ssize_t count)
         const float *line = (const float *)depth->buf + row * columns;
         const uint8_t *is_valid = (const uint8_t *)valid->buf + row * columns;
         Py_ssize_t first = ((const int64_t *)cell_of_row->buf)[row] * cell_columns;
-        for (Py_ssize_t column = 0; column < columns; column++)
-            if (is_valid[column]) {
-                Py_ssize_t cell = first + ((const int64_t *)cell_of_column->buf)[column];
-                sums[cell] += (double)line[column];
-                counts[cell]++;
+        const int64_t *cell_at = cell_of_column->buf;
+        for (Py_ssize_t column = 0; column < columns;) {
+            Py_ssize_t cell = cell_at[column];
+            double sum = 0.0;
+            int seen = 0;
+            for (; column < columns && cell_at[column] == cell; column++) {
+                sum += is_valid[column] ? (double)line[column] : 0.0;
+                seen += is_valid[column] != 0;
             }
+            sums[first + cell] += sum;
+            counts[first + cell] += seen;
+        }
     }
     for (Py_ssize_t cell = 0; cell < cell_rows * cell_columns; cell++)
         sums[cell] = (double)counts[cell] >= ((const double *)least->buf)[cell]
