@@ -9,6 +9,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from engine.core.compiled import kernels
 from engine.core.frames import FloatArray, frozen
 
 # Each step leaves a tenth of the error at most, with lenses of this kind.
@@ -50,6 +51,12 @@ class Intrinsics:
         FloatArray
             (x/z, y/z, 1), shape (N, 3), float64.
         """
+        compiled = kernels()
+        if compiled is not None:
+            rays = np.empty((len(pixels_px), 3))
+            steps = UNDISTORTION_STEPS if any(self.distortion) else 0
+            compiled.camera_rays(np.ascontiguousarray(pixels_px, dtype=np.float64), self.constants, steps, rays)
+            return rays
         if not any(self.distortion):
             normalised = (pixels_px - (self.cx, self.cy)) / (self.fx, self.fy)
         else:

@@ -47,6 +47,9 @@ PyObject *scene_plane(PyObject *module, PyObject *const *args, Py_ssize_t count)
 PyObject *least_squares(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *cell_means(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *corner_medians(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *surface_change(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *camera_rays(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *changed_cells(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *align_nodes(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *cut_out(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *project(PyObject *module, PyObject *const *args, Py_ssize_t count);

@@ -349,3 +349,181 @@ PyObject *align_nodes(PyObject *module, PyObject *const *args, Py_ssize_t count)
     }
     return finish(&arrays, Py_None);
 }
+
+/* Root mean square of some terms' weighted sum at the used places. */
+static double spread_of(const double *terms, Py_ssize_t n, const double *weights, Py_ssize_t first, Py_ssize_t end,
+                        const uint8_t *is_used, Py_ssize_t used)
+{
+    double sum = 0.0;
+    for (Py_ssize_t i = 0; i < n; i++) {
+        if (!is_used[i])
+            continue;
+        double value = 0.0;
+        for (Py_ssize_t j = first; j < end; j++)
+            value += weights[j] * terms[j * n + i];
+        sum += value * value;
+    }
+    return sqrt(sum / (double)used);
+}
+
+/* Fit a change by its first terms and by all of them: the weights of the first, what all of them leave, NaN where it is
+ * not known, and the spreads of breathing (the first terms behind the plane's three) and of the last of these. False with
+ * too few cells, None where the terms are nearly dependent: for the numpy form. */
+PyObject *surface_change(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 7, "surface_change"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *terms = array_of(&arrays, args[0], "terms", 'd', 2);
+    Py_buffer *change = array_of(&arrays, args[1], "change_mm", 'd', 1);
+    Py_ssize_t first = whole_of(&arrays, args[2], "first_terms", 4, MOST_TERMS);
+    Py_ssize_t least = whole_of(&arrays, args[3], "least_cells", 1, MOST_CELLS);
+    Py_buffer *weights = output_of(&arrays, args[4], "weights", 'd', 1);
+    Py_buffer *misfit = output_of(&arrays, args[5], "misfit_mm", 'd', 1);
+    Py_buffer *spreads = output_of(&arrays, args[6], "spreads_mm", 'd', 1);
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Py_ssize_t k = terms->shape[0], n = terms->shape[1], used = 0;
+    require(&arrays, k <= MOST_TERMS && first <= k && n <= MOST_CELLS, "too many terms or cells");
+    require(&arrays, change->shape[0] == n && misfit->shape[0] == n, "change_mm and misfit_mm must be one a cell");
+    require(&arrays, weights->shape[0] == first && spreads->shape[0] == 2, "weights must be one a first term");
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    const double *term = terms->buf, *values = change->buf;
+    uint8_t is_used[MOST_CELLS];
+    for (Py_ssize_t i = 0; i < n; i++) {
+        is_used[i] = isfinite(values[i]) != 0;
+        for (Py_ssize_t j = 0; j < k; j++)
+            is_used[i] &= isfinite(term[j * n + i]) != 0;
+        used += is_used[i];
+    }
+    if (used < least)
+        return finish(&arrays, Py_False);
+    if (used < k)
+        return finish(&arrays, Py_None);
+    double all[MOST_TERMS], *copy = PyMem_Malloc((size_t)(2 * (k + 1) * used) * sizeof *copy);
+    if (copy == NULL)
+        return out_of_memory(&arrays);
+    double *again = copy + (k + 1) * used;
+    for (Py_ssize_t i = 0, next = 0; i < n; i++)
+        if (is_used[i]) {
+            for (Py_ssize_t j = 0; j < k; j++)
+                copy[j * used + next] = term[j * n + i];
+            copy[k * used + next++] = values[i];
+        }
+    memcpy(again, copy, (size_t)((k + 1) * used) * sizeof *copy);
+    int is_solved = solve_terms(copy, k, used, copy + k * used, all) &&
+                    solve_terms(again, first, used, again + k * used, weights->buf);
+    PyMem_Free(copy);
+    if (!is_solved)
+        return finish(&arrays, Py_None);
+    for (Py_ssize_t i = 0; i < n; i++) {
+        double left = values[i];
+        for (Py_ssize_t j = 0; j < k; j++)
+            left -= all[j] * term[j * n + i];
+        ((double *)misfit->buf)[i] = is_used[i] ? left : (double)NAN;
+    }
+    double *spread = spreads->buf;
+    spread[0] = spread_of(term, n, weights->buf, 3, first, is_used, used);
+    spread[1] = spread_of(term, n, weights->buf, first - 1, first, is_used, used);
+    return finish(&arrays, Py_True);
+}
+
+/* Undistorted rays of unit depth, by so many steps of the fixed point that OpenCV iterates too. */
+PyObject *camera_rays(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 4, "camera_rays"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *pixels = array_of(&arrays, args[0], "pixels_px", 'd', 2);
+    Py_buffer *camera = array_of(&arrays, args[1], "camera", 'd', 1);
+    Py_ssize_t steps = whole_of(&arrays, args[2], "steps", 0, 1000);
+    Py_buffer *rays = output_of(&arrays, args[3], "rays", 'd', 2);
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Py_ssize_t n = pixels->shape[0];
+    require(&arrays, pixels->shape[1] == 2 && rays->shape[0] == n && rays->shape[1] == 3, "rays must be one a pixel");
+    require(&arrays, camera->shape[0] == 9, "camera must be fx, fy, cx, cy, k1, k2, p1, p2, k3");
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    const double *c = camera->buf;
+    for (Py_ssize_t i = 0; i < n; i++) {
+        const double *pixel = (const double *)pixels->buf + 2 * i;
+        double x0 = (pixel[0] - c[2]) / c[0], y0 = (pixel[1] - c[3]) / c[1], x = x0, y = y0;
+        for (Py_ssize_t step = 0; step < steps; step++) {
+            double r2 = x * x + y * y, inverse = 1.0 / (1.0 + ((c[8] * r2 + c[5]) * r2 + c[4]) * r2);
+            if (inverse < 0.0) { /* beyond what the model describes: as without distortion */
+                x = x0;
+                y = y0;
+                break;
+            }
+            double shift_x = 2.0 * c[6] * x * y + c[7] * (r2 + 2.0 * x * x);
+            double shift_y = c[6] * (r2 + 2.0 * y * y) + 2.0 * c[7] * x * y;
+            x = (x0 - shift_x) * inverse;
+            y = (y0 - shift_y) * inverse;
+        }
+        double *ray = (double *)rays->buf + 3 * i;
+        ray[0] = x;
+        ray[1] = y;
+        ray[2] = 1.0;
+    }
+    return finish(&arrays, Py_None);
+}
+
+/* Whether a pixel is 1 after erosion, or after dilation, by a square from `before` pixels up and left to `behind` down and
+ * right; beyond the edge nothing counts. */
+static void eroded_or_dilated(const uint8_t *source, Py_ssize_t rows, Py_ssize_t columns, Py_ssize_t before,
+                              Py_ssize_t behind, int is_dilated, uint8_t *target)
+{
+    for (Py_ssize_t row = 0; row < rows; row++)
+        for (Py_ssize_t column = 0; column < columns; column++) {
+            uint8_t found = (uint8_t)!is_dilated;
+            for (Py_ssize_t y = row - before; y <= row + behind; y++)
+                for (Py_ssize_t x = column - before; x <= column + behind; x++)
+                    if (y >= 0 && x >= 0 && y < rows && x < columns && source[y * columns + x] == is_dilated)
+                        found = (uint8_t)is_dilated;
+            target[row * columns + column] = found;
+        }
+}
+
+/* How many cells have another colour than before, after an opening by a square that leaves lines out. */
+PyObject *changed_cells(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 5, "changed_cells"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *before = array_of(&arrays, args[0], "before", 'f', 2);
+    Py_buffer *now = array_of(&arrays, args[1], "now", 'f', 2);
+    Py_ssize_t columns = whole_of(&arrays, args[2], "columns", 1, MOST_CELLS);
+    Py_ssize_t side = whole_of(&arrays, args[3], "side", 1, 64);
+    double limit = number_of(&arrays, args[4], "limit");
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Py_ssize_t n = before->shape[0], rows = n / columns, changed = 0;
+    require(&arrays, n <= MOST_CELLS && n % columns == 0 && now->shape[0] == n, "cells must be of whole rows");
+    require(&arrays, before->shape[1] == 2 && now->shape[1] == 2, "colours must be pairs");
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    uint8_t other[MOST_CELLS], eroded[MOST_CELLS], opened[MOST_CELLS];
+    const float *then = before->buf, *present = now->buf;
+    float most = (float)limit;
+    int is_any = 0;
+    for (Py_ssize_t i = 0; i < n; i++) {
+        float red = fabsf(present[2 * i] - then[2 * i]), green = fabsf(present[2 * i + 1] - then[2 * i + 1]);
+        other[i] = (red > most || green > most) && red == red && green == green;
+        is_any |= other[i];
+    }
+    if (is_any) {
+        eroded_or_dilated(other, rows, columns, side / 2, side - 1 - side / 2, 0, eroded);
+        eroded_or_dilated(eroded, rows, columns, side / 2, side - 1 - side / 2, 1, opened);
+        for (Py_ssize_t i = 0; i < n; i++)
+            changed += opened[i];
+    }
+    PyObject *result = arrays.failed ? NULL : PyLong_FromSsize_t(changed);
+    PyObject *given = finish(&arrays, result == NULL ? Py_None : result);
+    Py_XDECREF(result);
+    return given;
+}

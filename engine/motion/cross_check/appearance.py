@@ -60,6 +60,10 @@ def changed_share(before: Chroma, now: Chroma) -> float:
 
     Lines are left out: a positioning laser that wanders over the skin is no object.
     """
+    compiled = kernels()
+    if compiled is not None:
+        changed: int = compiled.changed_cells(before, now, CELL_COLUMNS, len(_LEAST_OBJECT), OTHER_COLOR)
+        return changed / (CELL_ROWS * CELL_COLUMNS)
     is_changed = (np.abs(now - before).max(axis=1) > OTHER_COLOR).astype(np.uint8)
     objects = cv2.morphologyEx(is_changed.reshape(CELL_ROWS, CELL_COLUMNS), cv2.MORPH_OPEN, _LEAST_OBJECT)
     return float(np.count_nonzero(objects)) / objects.size

@@ -9,7 +9,7 @@ order are added for that. What is left then is an edge.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,8 @@ CELLS = CELL_ROWS * CELL_COLUMNS
 LEAST_SEEN = 0.4
 """Least share of a cell's readings for its mean."""
 BREATHING_SHAPES = 2
+FIRST_TERMS = 6
+"""Height, two tilts, two shapes of breathing and the first of them weighted along the body; the bends come behind."""
 LEAST_CELLS = 20
 LEAST_FRAMES = 60
 """Fewest frames to learn the shapes from: two seconds."""
@@ -75,15 +77,39 @@ class BreathingShapes:
         The usual misfit in the training.
     reach_mm
         Largest change by breathing between two frames of the training, root mean square over the cells.
+    terms
+        Height and tilts, both shapes, both weighted along the body, and the bends, shape (13, cells).
     """
 
     shapes: FloatArray
     misfit_mm: float
     reach_mm: float
+    terms: FloatArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Put the terms of every fit together."""
+        redistributed = self.shapes * _ALONG
+        terms = np.concatenate([_PLANE, self.shapes, redistributed, _BENDS])
+        object.__setattr__(self, "terms", frozen(terms))
 
     def change(self, before_mm: FloatArray, now_mm: FloatArray) -> SurfaceChange | None:
         """Return the change between two surfaces of cell means [mm], shape (cells,); None with too few common cells."""
-        difference = now_mm - before_mm
+        compiled = kernels()
+        if compiled is None:
+            return self._change(now_mm - before_mm)
+        weights, misfit_mm, spreads_mm = np.empty(FIRST_TERMS), np.empty(CELLS), np.empty(2)
+        is_fitted = compiled.surface_change(
+            self.terms, now_mm - before_mm, FIRST_TERMS, LEAST_CELLS, weights, misfit_mm, spreads_mm
+        )
+        if is_fitted is None:  # shapes that depend on each other
+            return self._change(now_mm - before_mm)
+        if not is_fitted:
+            return None
+        height, along, across = (-weights[:3]).tolist()
+        return SurfaceChange(height, along, across, *spreads_mm.tolist(), misfit_mm)
+
+    def _change(self, difference: FloatArray) -> SurfaceChange | None:
+        """Return the change with numpy."""
         redistributed = self.shapes * _ALONG
         breathing = np.concatenate([self.shapes, redistributed[:1]])
         terms = np.concatenate([_PLANE, breathing])

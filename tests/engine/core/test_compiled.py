@@ -68,6 +68,9 @@ CALLS = {
         *(np.ones((40, 40), np.uint16), np.full((135, 2), 20.0), np.ones(65536, F32), 25, 0.5, 0.8),
         *(np.zeros((14, 8), F32), np.zeros((14, 8), bool)),
     ],
+    "surface_change": [np.eye(6, 30), np.ones(30), 4, 5, np.zeros(4), np.zeros(30), np.zeros(2)],
+    "camera_rays": [np.ones((7, 2)), np.ones(9), 5, np.zeros((7, 3))],
+    "changed_cells": [np.zeros((12, 2), F32), np.ones((12, 2), F32), 4, 2, 0.03],
     "scene_plane": [
         *(np.ones(6), np.array([True] * 5 + [False]), np.ones(5), np.ones((5, 3)), np.ones(5), 15.0, 0.5, 3),
         np.zeros(3),

@@ -15,8 +15,8 @@ from engine.calibration.quantisation import depth_table_mm
 from engine.core import compiled
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, Lost, RoiDepth
 from engine.core.geometry import Intrinsics, RigidTransform
-from engine.motion.cross_check.appearance import chroma_of
-from engine.motion.cross_check.cell_surface import cell_means
+from engine.motion.cross_check.appearance import CELL_COLUMNS, CELL_ROWS, changed_share, chroma_of
+from engine.motion.cross_check.cell_surface import CELLS, BreathingShapes, cell_means
 from engine.motion.cross_check.static_scene import StaticScene
 from engine.motion.stages.markers import MarkerSearch, find_markers, track_markers
 from engine.motion.stages.projection import SAMPLED_SHAPE, STRIDE_PX, prepare_basis, project
@@ -140,6 +140,55 @@ def test_colour_is_the_same(seed, dark_share, is_inside):
     # A sample halfway between two pixels may fall to either: of 11,200 samples hardly ever one.
     is_other = (found != expected) & ~(np.isnan(found) & np.isnan(expected))
     assert np.count_nonzero(is_other.any(axis=1)) <= 2
+
+
+@settings(max_examples=100, deadline=None)
+@given(SEEDS, st.floats(0.0, 1.0), st.floats(0.0, 0.3))
+def test_the_changed_share_is_the_same(seed, changed, dark):
+    """Objects of every size, also at the edges, lines, single cells, and cells that were or are dark."""
+    rng = np.random.default_rng(seed)
+    before, now = np.zeros((2, CELL_ROWS * CELL_COLUMNS, 2), dtype=np.float32)
+    other = (rng.random((CELL_ROWS, CELL_COLUMNS)) < changed**4).astype(np.float32)
+    for _ in range(rng.integers(0, 5)):
+        top, left = rng.integers(-3, CELL_ROWS), rng.integers(-3, CELL_COLUMNS)
+        other[max(top, 0) : top + rng.integers(1, 9), max(left, 0) : left + rng.integers(1, 9)] = 1.0
+    now[:, rng.integers(2)] = 0.05 * other.ravel()
+    before[rng.random(len(before)) < dark] = np.nan
+    found, expected = both(changed_share, before, now)
+    assert found == expected
+
+
+@settings(max_examples=60, deadline=None)
+@given(SEEDS, st.floats(0.0, 1.0), st.sampled_from(["smooth", "flat", "one", "nan"]))
+def test_a_change_of_the_surface_is_taken_apart_alike(seed, hole_share, kind):
+    rng = np.random.default_rng(seed)
+    rows, columns = np.mgrid[0:8, 0:10].reshape(2, -1)
+    shapes = np.stack([np.sin(0.4 * rows + 0.1), np.cos(0.3 * columns + 0.2 * rows)])
+    if kind == "flat":
+        shapes[1] = 1.0  # a shape that is a plane: which of them moved cannot be told
+    elif kind == "one":
+        shapes[1] = 0.0
+    elif kind == "nan":
+        shapes[:, rng.integers(CELLS)] = np.nan
+    now_mm = 850.0 + rng.normal(0.0, 3.0, CELLS)
+    now_mm[rng.random(CELLS) < hole_share] = np.nan
+    learned = BreathingShapes(shapes=shapes, misfit_mm=0.1, reach_mm=5.0)
+    found, expected = both(learned.change, np.full(CELLS, 850.0), now_mm)
+    assert (found is None) == (expected is None)
+    if expected is not None:
+        assert_same(found.misfit_mm, expected.misfit_mm, 1e-6)
+        assert found[:5] == pytest.approx(expected[:5], rel=1e-6, abs=1e-6)
+
+
+@settings(max_examples=40, deadline=None)
+@given(SEEDS, st.integers(1, 140), st.booleans())
+def test_rays_are_the_same(seed, pixels, is_distorted):
+    rng = np.random.default_rng(seed)
+    lens = (-0.08, 0.11, 0.001, -0.0007, 0.2) if is_distorted else (0.0,) * 5
+    camera = Intrinsics(width=640, height=480, fx=572.0, fy=573.0, cx=318.0, cy=241.0, distortion=lens)
+    found, expected = both(camera.rays, rng.uniform(-300.0, 900.0, (pixels, 2)))
+    assert found.shape == expected.shape
+    assert found == pytest.approx(expected, rel=0.0, abs=1e-12)
 
 
 def test_a_black_picture_has_no_colour_in_either_form():
