@@ -12,7 +12,16 @@ from setuptools import Extension, setup
 FOLDER = Path("engine/core/compiled")
 SOURCES = sorted(FOLDER.glob("*.[ch]"))
 # The same bits on every processor: no sum is reordered, no product is fused into one.
-FLAGS = ["-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fvisibility=hidden", "-Wall", "-Wextra"]
+FLAGS = [
+    "-std=c11",
+    "-O3",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-fvisibility=hidden",
+    "-Wall",
+    "-Wextra",
+]
 # engine/core/compiled/__init__.py computes the same of the sources beside it, and refuses a stale build.
 DIGEST = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:16]
 

@@ -106,7 +106,8 @@ class BreathingShapes:
         if not is_fitted:
             return None
         height, along, across = (-weights[:3]).tolist()
-        return SurfaceChange(height, along, across, *spreads_mm.tolist(), misfit_mm)
+        breath_mm, redistributed_mm = spreads_mm.tolist()
+        return SurfaceChange(height, along, across, breath_mm, redistributed_mm, misfit_mm)
 
     def _change(self, difference: FloatArray) -> SurfaceChange | None:
         """Return the change with numpy."""
@@ -192,7 +193,7 @@ def _means(depth_mm: FloatArray, seen: BoolArray) -> FloatArray:
 def _sums() -> tuple[FloatArray, FloatArray]:
     """Return the matrices that sum the sampled rows and columns of each cell, shapes (8, 88) and (50, 10)."""
     return (
-        (_CELL_OF_ROW == np.arange(CELL_ROWS)[:, None]).astype(np.float64),
+        (np.arange(CELL_ROWS)[:, None] == _CELL_OF_ROW).astype(np.float64),
         (_CELL_OF_COLUMN[:, None] == np.arange(CELL_COLUMNS)).astype(np.float64),
     )
 

@@ -245,7 +245,7 @@ class CrossCheck:
 
 def _marker_depth_mm(cells_mm: FloatArray) -> float:
     """Return about how far away the deepest marker is [mm], by the cells; NaN where none was seen."""
-    seen_mm = np.sort(cells_mm[np.isfinite(cells_mm)]).tolist()
+    seen_mm: list[float] = np.sort(cells_mm[np.isfinite(cells_mm)]).tolist()
     if not seen_mm:
         return math.nan
     at = MARKER_PERCENTILE / 100.0 * (len(seen_mm) - 1)

@@ -82,8 +82,6 @@ def _environment() -> dict[str, str]:
     Except the form of the frame path, which is chosen when the engine is imported.
     """
     inherited = {
-        name: value
-        for name, value in os.environ.items()
-        if name == FRAME_PATH or not name.upper().startswith(PREFIX)
+        name: value for name, value in os.environ.items() if name == FRAME_PATH or not name.upper().startswith(PREFIX)
     }
     return {**inherited, "PYTHONPATH": str(CODE)}

