@@ -1,7 +1,7 @@
 """The compiled frame path's tests under gcc's address and undefined-behaviour sanitizers.
 
-Run: ``python -m tests.support.sanitized`` (``make sanitize``). A copy of engine and tests is built in a temporary folder
-with both sanitizers; a byte read or written beyond an array ends the run with its place in the source.
+Run: ``python -m tests.support.sanitized`` (``make sanitize``). A copy of engine and tests is built in a temporary
+folder with both sanitizers; a byte read or written beyond an array ends the run with its place in the source.
 """
 
 import os

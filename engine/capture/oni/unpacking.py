@@ -1,8 +1,9 @@
 """``16zT`` bytes to a depth picture; :mod:`engine.capture.oni.codec` describes the bytes.
 
 Thirty pictures of 307,200 pixels come a second, and a recording is read ten times as fast as that. Where it is built, a
-compiled loop decodes them (`engine.core.compiled`). The numpy form has no loop over bytes or pixels: each byte is looked up, the pixels it stands for are counted and summed up to where its steps belong,
-and the steps are summed up to ranks. OpenCV's integral image does the sums; numpy's cumsum takes five times as long.
+compiled loop decodes them (`engine.core.compiled`). The numpy form has no loop over bytes or pixels: each byte is
+looked up, the pixels it stands for are counted and summed up to where its steps belong, and the steps are summed up to
+ranks. OpenCV's integral image does the sums; numpy's cumsum takes five times as long.
 
 Ranks wrap at 16 bit, as they do in the runtime. The bytes are untrusted: work and memory are bounded by the
 picture's size.

@@ -279,7 +279,10 @@ PyObject *sample_chroma(PyObject *module, PyObject *const *args, Py_ssize_t coun
     const double *h = homography->buf;
     float least = (float)least_brightness, balance[2] = {0.0f, 0.0f}, shares[2];
     Py_ssize_t n = 0;
-    for (Py_ssize_t row = step / 2; row < rows; row += step)
+    for (Py_ssize_t row = step / 2; row < rows; row += step) {
+        if (row + step < rows) /* the picture is cold, and these rows lie far apart */
+            for (Py_ssize_t at = 0; at < 3 * columns; at += 64)
+                __builtin_prefetch(pixels + (row + step) * columns * 3 + at);
         for (Py_ssize_t column = step / 2; column < columns; column += step) {
             shares_of(pixels + (row * columns + column) * 3, least, shares);
             if (shares[0] == shares[0]) {
@@ -287,6 +290,7 @@ PyObject *sample_chroma(PyObject *module, PyObject *const *args, Py_ssize_t coun
                 seen[most + n++] = (double)shares[1];
             }
         }
+    }
     if (n > 0)
         for (int i = 0; i < 2; i++) {
             const double *values = seen + i * most;

@@ -265,4 +265,4 @@ def _mean_seen(surfaces_mm: list[FloatArray]) -> FloatArray:
 
 def _mean(values: list[FloatArray]) -> FloatArray:
     """Return the mean over frames; NaN where a frame has no value."""
-    return np.asarray(np.mean(values, axis=0))
+    return np.asarray(np.add.reduce(values) / len(values))
