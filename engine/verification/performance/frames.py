@@ -62,8 +62,8 @@ class FrameCosts:
     ----------
     whole, whole_cpu
         The whole frame path without wrappers: wall clock and processor time.
-    numpy
-        The same with the numpy forms of the compiled functions, in blocks between; equal where none is compiled.
+    numpy_cpu
+        Processor time with the numpy forms of the compiled functions, in blocks between; equal where none is compiled.
     stages
         Stages, timed with wrappers in separate blocks.
     plain
@@ -76,7 +76,7 @@ class FrameCosts:
 
     whole: Timing
     whole_cpu: Timing
-    numpy: Timing
+    numpy_cpu: Timing
     stages: tuple[StageCost, ...]
     plain: Timing
     decoding: tuple[PictureCost, ...]
@@ -91,8 +91,8 @@ class FrameCosts:
 
     @property
     def compiled_ratio(self) -> float:
-        """Ratio of the median time with the numpy forms to that of the path that runs."""
-        return self.numpy.median_us / self.whole.median_us
+        """Ratio of the median processor time with the numpy forms to that of the path that runs."""
+        return self.numpy_cpu.median_us / self.whole_cpu.median_us
 
     @property
     def p99_ratio(self) -> float:
@@ -116,7 +116,7 @@ def time_frames(recording: Recording, sizes: FrameSizes, switch_interval_s: floa
         wall_blocks.append(wall_ns)
         cpu_blocks.append(cpu_ns)
         with numpy_forms():
-            numpy_blocks.append(_whole_block(ours, sizes.block_frames)[0])
+            numpy_blocks.append(_whole_block(ours, sizes.block_frames)[1])
         stage_blocks.append(_stage_block(ours, sizes.block_frames))
         plain_blocks.append(plain.block(sizes.plain_frames))
     traffic = _traffic(ours)
@@ -127,7 +127,7 @@ def time_frames(recording: Recording, sizes: FrameSizes, switch_interval_s: floa
     return FrameCosts(
         whole=timing_of(wall_blocks),
         whole_cpu=timing_of(cpu_blocks),
-        numpy=timing_of(numpy_blocks),
+        numpy_cpu=timing_of(numpy_blocks),
         stages=_stage_costs(stage_blocks, traffic),
         plain=timing_of(plain_blocks),
         decoding=time_decoding(recording, sizes.decoded),

@@ -295,6 +295,18 @@ def test_a_frame_is_explained_alike(components, seed, amplitude_mm, hole_share, 
         assert np.abs(difference_mm).max() < 10.0 * allowed_mm  # at the worst of 4400 points
 
 
+@pytest.mark.parametrize("thick_mm", [4.5, 6.5, 9.0, 20.0])
+def test_the_points_that_a_sheet_covers_are_unseen_alike(thick_mm):
+    basis = basis_of(3)
+    surface = REST_MM[THIN].copy()
+    surface[10:40, 15:35] -= thick_mm
+    roi = RoiDepth(depth_mm=surface.astype(np.float32), valid=np.ones(SAMPLED_SHAPE, bool), stride_px=STRIDE_PX)
+    still = project(basis, replace(roi, depth_mm=REST_MM[THIN].astype(np.float32)), None).coefficients
+    found, expected = both(project, basis, roi, still)
+    assert np.array_equal(found.is_seen, expected.is_seen)
+    assert found.inlier_share == expected.inlier_share
+
+
 def is_accepted(projection):
     limits = PipelineSettings()
     return (

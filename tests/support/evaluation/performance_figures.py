@@ -32,7 +32,7 @@ def took(median_us, *, p99_us=None):
 FRAMES = FrameCosts(
     whole=took(400.0, p99_us=1000.0),
     whole_cpu=took(390.0),
-    numpy=took(1200.0),
+    numpy_cpu=took(1170.0),
     stages=tuple(StageCost(name=name, timing=took(50.0), share=0.125, traffic_bytes=20_000) for name in STAGES),
     plain=took(12_000.0, p99_us=15_000.0),
     decoding=(
