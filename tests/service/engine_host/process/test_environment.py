@@ -1,4 +1,4 @@
-"""The engine process gets no setting by its environment but the form of the frame path, which it reads at its import."""
+"""The engine process gets no setting by its environment but the form of the frame path, read when it is imported."""
 
 from service.engine_host.process.child_process import _environment
 
