@@ -8,18 +8,19 @@ STAMP := $(VENV)/.stamp
 export PYTHONDONTWRITEBYTECODE ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup openni test-system check check-tests test tests-computing tests-waiting tests-alone tests-behind processors lint security types contracts openapi demo bench load faults kills mutants fuzz sbom scan safety lock clean
+.PHONY: help setup openni test-system check check-tests test tests-computing tests-waiting tests-alone tests-behind processors lint security types contracts openapi demo bench load faults kills mutants fuzz sanitize sbom scan safety lock clean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
 setup: $(STAMP) openni  ## make .venv from the lock file, and the OpenNI2 runtime where it may
 
-$(STAMP): requirements-dev.lock pyproject.toml
+$(STAMP): requirements-dev.lock pyproject.toml setup.py $(wildcard engine/core/compiled/*.[ch])
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: $$($(PYTHON) --version) found"; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { echo "python3-venv is missing: apt-get install python3-venv"; exit 1; }
 	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements-dev.lock
 	PYTHONWARNINGS=ignore $(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@$(BIN)/python -c 'from engine.core.compiled import frame_path; print("Frame path:", frame_path())'
 	@touch $(STAMP)
 
 openni:
@@ -112,7 +113,7 @@ tests-alone:
 tests-behind:
 	@$(PART) behind $(BY_TWO) -o timeout=3600 $(BEHIND)
 
-processors: $(STAMP)  ## the numeric tests under other processor features (x86): no AVX-512, no AVX at all
+processors: $(STAMP)  ## the numeric tests under other processor features (x86): no AVX-512, no AVX at all, numpy forms
 	nice $(BIN)/python -m tests.support.processor_features $(BY_TWO)
 
 demo: $(STAMP) openni  ## a 60 s volunteer through the whole of Tidegate; KEEP=1 stays up
@@ -140,6 +141,9 @@ clean-mutants:
 
 fuzz: $(STAMP)  ## feed every reader of strangers' bytes what it does not expect: MINUTES=60 in all, TARGET=oni only that one
 	nice -n 19 $(BIN)/python -m tests.campaigns.fuzz --minutes $(or $(MINUTES),10) $(TARGET:%=--target %) $(if $(RECORD),--record)
+
+sanitize: $(STAMP)  ## the compiled frame path's tests under the address and undefined-behaviour sanitizers (gcc)
+	$(BIN)/python -m tests.support.sanitized
 
 sbom: $(STAMP)  ## write what Tidegate is made of to docker/sbom.cdx.json (CycloneDX), held against the specification
 	$(BIN)/python -m tests.campaigns.supply.sbom

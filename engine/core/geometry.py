@@ -4,10 +4,12 @@ Transforms read right to left: ``color_from_depth`` takes points of the depth ca
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
 
+from engine.core.compiled import kernels
 from engine.core.frames import FloatArray, frozen
 
 # Each step leaves a tenth of the error at most, with lenses of this kind.
@@ -31,6 +33,11 @@ class Intrinsics:
         """The camera matrix, shape (3, 3), float64."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    @property
+    def constants(self) -> FloatArray:
+        """fx, fy, cx, cy, k1, k2, p1, p2 and k3, shape (9,), read-only."""
+        return _prepared(self)[1]
+
     def rays(self, pixels_px: FloatArray) -> FloatArray:
         """Undistort pixels to rays of unit depth.
 
@@ -44,13 +51,18 @@ class Intrinsics:
         FloatArray
             (x/z, y/z, 1), shape (N, 3), float64.
         """
+        compiled = kernels()
+        if compiled is not None:
+            rays = np.empty((len(pixels_px), 3))
+            steps = UNDISTORTION_STEPS if any(self.distortion) else 0
+            compiled.camera_rays(np.ascontiguousarray(pixels_px, dtype=np.float64), self.constants, steps, rays)
+            return rays
         if not any(self.distortion):
             normalised = (pixels_px - (self.cx, self.cy)) / (self.fx, self.fy)
         else:
             undistorted = cv2.undistortPoints(
                 np.ascontiguousarray(pixels_px, dtype=np.float64).reshape(-1, 1, 2),
-                self.matrix,
-                np.array(self.distortion),
+                *_prepared(self)[0],
                 criteria=(cv2.TERM_CRITERIA_COUNT, UNDISTORTION_STEPS, 0.0),
             )
             normalised = np.asarray(undistorted, dtype=np.float64).reshape(-1, 2)
@@ -66,6 +78,13 @@ class Intrinsics:
         x_distorted = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
         y_distorted = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
         return np.column_stack([self.fx * x_distorted + self.cx, self.fy * y_distorted + self.cy])
+
+
+@lru_cache(maxsize=16)
+def _prepared(camera: Intrinsics) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
+    """Return a camera's matrix and distortion, and all of its constants in a row; they are wanted in every frame."""
+    constants = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
+    return (frozen(camera.matrix), frozen(constants[4:].copy())), frozen(constants)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,7 +1,7 @@
 """The command line: one module a command, imported when the command runs, so that ``--help`` is quick."""
 
 import importlib
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import typer
 from typer.core import TyperCommand
@@ -78,8 +78,26 @@ app = command_group(
 )
 
 
+def _print_version(is_wanted: bool) -> None:  # noqa: FBT001 - typer's signature
+    if not is_wanted:
+        return
+    from engine import __version__
+    from engine.core.compiled import frame_path
+
+    typer.echo(f"tidegate {__version__}, frame path: {frame_path()}")
+    raise typer.Exit
+
+
 @app.callback()
-def tidegate() -> None:
+def tidegate(
+    *,
+    _version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and which frame path runs."
+        ),
+    ] = False,
+) -> None:
     """Make the program a group, although its commands are not registered with typer."""
 
 

@@ -4,6 +4,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 
 from engine import __version__
+from engine.core.compiled import frame_path
 from service.access.accounts.first_admin import OnFirstAdmin, make_first_admin
 from service.access.armed_operator import ArmedOperator
 from service.access.oidc.service import OidcService
@@ -281,6 +282,7 @@ def _begin(dependencies: _Dependencies, storage: _Storage, access: _Access, on_f
 def _start_detail(dependencies: _Dependencies, journals: Journals) -> dict[str, object]:
     return {
         "version": __version__,
+        "frame_path": frame_path(),
         "mode": dependencies.settings.mode,
         "is_simulated_beam": dependencies.engine.is_simulated_beam,
         "hardware_dead_man": dependencies.settings.hardware_dead_man,

@@ -21,7 +21,8 @@ WITHOUT_AVX = {
     "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR",
     "OPENBLAS_CORETYPE": "Nehalem",
 }
-SETTINGS = {"without AVX-512": WITHOUT_AVX512, "without AVX": WITHOUT_AVX}
+NUMPY_FORMS = {"TIDEGATE_FRAME_PATH": "numpy"}
+SETTINGS = {"without AVX-512": WITHOUT_AVX512, "without AVX": WITHOUT_AVX, "without the compiled path": NUMPY_FORMS}
 
 NUMERIC = (
     *(f"tests/engine/{name}" for name in ("core", "calibration", "motion", "gating", "offline", "verification")),

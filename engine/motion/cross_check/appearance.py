@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from engine.core.compiled import kernels
 from engine.core.frames import ColorImage, FloatArray
 
 CELL_ROWS, CELL_COLUMNS = 35, 20
@@ -31,7 +32,21 @@ def chroma_of(color: ColorImage, markers_px: FloatArray) -> Chroma:
 
     What the whole picture shares with others of its kind is subtracted.
     """
-    to_region = cv2.getPerspectiveTransform(markers_px.astype(np.float32), _CORNERS_PX)
+    corners_px = markers_px.astype(np.float32)
+    compiled = kernels()
+    if compiled is None:
+        return _chroma_of(color, corners_px)
+    chroma = np.empty((CELL_ROWS * CELL_COLUMNS, 2), dtype=np.float32)
+    from_region = cv2.getPerspectiveTransform(_CORNERS_PX, corners_px)
+    compiled.sample_chroma(
+        np.ascontiguousarray(color), from_region, CELL_COLUMNS, PICTURE_STEP_PX, LEAST_BRIGHTNESS, chroma
+    )
+    return chroma
+
+
+def _chroma_of(color: ColorImage, corners_px: FloatArray) -> Chroma:
+    """Return the same with OpenCV."""
+    to_region = cv2.getPerspectiveTransform(corners_px, _CORNERS_PX)
     warped = cv2.warpPerspective(color, to_region, _WARPED_PX, flags=cv2.INTER_NEAREST)  # averaged below
     cells = cv2.resize(warped, (CELL_COLUMNS, CELL_ROWS), interpolation=cv2.INTER_AREA)
     picture = _shares(color[PICTURE_STEP_PX // 2 :: PICTURE_STEP_PX, PICTURE_STEP_PX // 2 :: PICTURE_STEP_PX])
@@ -45,6 +60,10 @@ def changed_share(before: Chroma, now: Chroma) -> float:
 
     Lines are left out: a positioning laser that wanders over the skin is no object.
     """
+    compiled = kernels()
+    if compiled is not None:
+        changed: int = compiled.changed_cells(before, now, CELL_COLUMNS, len(_LEAST_OBJECT), OTHER_COLOR)
+        return changed / (CELL_ROWS * CELL_COLUMNS)
     is_changed = (np.abs(now - before).max(axis=1) > OTHER_COLOR).astype(np.uint8)
     objects = cv2.morphologyEx(is_changed.reshape(CELL_ROWS, CELL_COLUMNS), cv2.MORPH_OPEN, _LEAST_OBJECT)
     return float(np.count_nonzero(objects)) / objects.size

@@ -9,12 +9,14 @@ order are added for that. What is left then is an edge.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from engine.core.frames import ROI_COLUMNS, ROI_ROWS, FloatArray, RoiDepth, frozen
+from engine.core.compiled import kernels
+from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, RoiDepth, frozen
+from engine.core.least_squares import least_squares
 from engine.core.motion_model import MotionModel
 
 STRIDE_PX = 4
@@ -23,6 +25,8 @@ CELLS = CELL_ROWS * CELL_COLUMNS
 LEAST_SEEN = 0.4
 """Least share of a cell's readings for its mean."""
 BREATHING_SHAPES = 2
+FIRST_TERMS = 6
+"""Height, two tilts, two shapes of breathing and the first of them weighted along the body; the bends come behind."""
 LEAST_CELLS = 20
 LEAST_FRAMES = 60
 """Fewest frames to learn the shapes from: two seconds."""
@@ -73,25 +77,50 @@ class BreathingShapes:
         The usual misfit in the training.
     reach_mm
         Largest change by breathing between two frames of the training, root mean square over the cells.
+    terms
+        Height and tilts, both shapes, both weighted along the body, and the bends, shape (13, cells).
     """
 
     shapes: FloatArray
     misfit_mm: float
     reach_mm: float
+    terms: FloatArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Put the terms of every fit together."""
+        redistributed = self.shapes * _ALONG
+        terms = np.concatenate([_PLANE, self.shapes, redistributed, _BENDS])
+        object.__setattr__(self, "terms", frozen(terms))
 
     def change(self, before_mm: FloatArray, now_mm: FloatArray) -> SurfaceChange | None:
         """Return the change between two surfaces of cell means [mm], shape (cells,); None with too few common cells."""
-        difference = now_mm - before_mm
+        compiled = kernels()
+        if compiled is None:
+            return self._change(now_mm - before_mm)
+        weights, misfit_mm, spreads_mm = np.empty(FIRST_TERMS), np.empty(CELLS), np.empty(2)
+        is_fitted = compiled.surface_change(
+            self.terms, now_mm - before_mm, FIRST_TERMS, LEAST_CELLS, weights, misfit_mm, spreads_mm
+        )
+        if is_fitted is None:  # shapes that depend on each other
+            return self._change(now_mm - before_mm)
+        if not is_fitted:
+            return None
+        height, along, across = (-weights[:3]).tolist()
+        breath_mm, redistributed_mm = spreads_mm.tolist()
+        return SurfaceChange(height, along, across, breath_mm, redistributed_mm, misfit_mm)
+
+    def _change(self, difference: FloatArray) -> SurfaceChange | None:
+        """Return the change with numpy."""
         redistributed = self.shapes * _ALONG
         breathing = np.concatenate([self.shapes, redistributed[:1]])
         terms = np.concatenate([_PLANE, breathing])
         is_seen = np.isfinite(difference) & np.isfinite(self.shapes).all(axis=0)
         if np.count_nonzero(is_seen) < LEAST_CELLS:
             return None
-        weights = _fit(terms[:, is_seen], difference[is_seen])
+        weights = least_squares(terms[:, is_seen], difference[is_seen])
         bent = np.concatenate([terms, redistributed[1:], _BENDS])[:, is_seen]
         misfit_mm = np.full(CELLS, np.nan)
-        misfit_mm[is_seen] = difference[is_seen] - _fit(bent, difference[is_seen]) @ bent
+        misfit_mm[is_seen] = difference[is_seen] - least_squares(bent, difference[is_seen]) @ bent
         height, along, across = (-weights[:3]).tolist()
         return SurfaceChange(
             height_mm=height,
@@ -146,28 +175,34 @@ def shapes_of(model: MotionModel) -> BreathingShapes:
 def cell_means(roi: RoiDepth) -> FloatArray:
     """Return the mean depth of each cell [mm], row by row from superior right, shape (cells,); NaN if hardly seen."""
     thin = roi.thinned(STRIDE_PX)
-    return _means(thin.depth_mm, thin.valid.astype(np.float32))
+    compiled = kernels()
+    if compiled is None:
+        return _means(thin.depth_mm, thin.valid)
+    means_mm = np.empty((CELL_ROWS, CELL_COLUMNS))
+    depth_mm, valid = np.ascontiguousarray(thin.depth_mm), np.ascontiguousarray(thin.valid)
+    compiled.cell_means(depth_mm, valid, _CELL_OF_ROW, _CELL_OF_COLUMN, _LEAST_SEEN, means_mm)
+    return means_mm.ravel()
 
 
-def _means(depth_mm: FloatArray, seen: FloatArray) -> FloatArray:
-    sums = _ROWS @ np.where(seen > 0.0, depth_mm, 0.0) @ _COLUMNS
-    counts = _ROWS @ seen @ _COLUMNS
-    means_mm = np.where(counts >= LEAST_SEEN * _FULL, sums / np.maximum(counts, 1.0), np.nan)
-    return means_mm.ravel().astype(np.float64)
+def _means(depth_mm: FloatArray, seen: BoolArray) -> FloatArray:
+    sums = _ROWS @ np.where(seen, depth_mm, 0.0).astype(np.float64) @ _COLUMNS
+    counts = _ROWS @ seen.astype(np.float64) @ _COLUMNS
+    return np.where(counts >= _LEAST_SEEN, sums / np.maximum(counts, 1.0), np.nan).ravel()
 
 
 def _sums() -> tuple[FloatArray, FloatArray]:
     """Return the matrices that sum the sampled rows and columns of each cell, shapes (8, 88) and (50, 10)."""
-    rows, columns = np.arange(0, ROI_ROWS, STRIDE_PX), np.arange(0, ROI_COLUMNS, STRIDE_PX)
     return (
-        (rows * CELL_ROWS // ROI_ROWS == np.arange(CELL_ROWS)[:, None]).astype(np.float32),
-        ((columns * CELL_COLUMNS // ROI_COLUMNS)[:, None] == np.arange(CELL_COLUMNS)).astype(np.float32),
+        (np.arange(CELL_ROWS)[:, None] == _CELL_OF_ROW).astype(np.float64),
+        (_CELL_OF_COLUMN[:, None] == np.arange(CELL_COLUMNS)).astype(np.float64),
     )
 
 
+_CELL_OF_ROW = np.arange(0, ROI_ROWS, STRIDE_PX, dtype=np.int64) * CELL_ROWS // ROI_ROWS
+_CELL_OF_COLUMN = np.arange(0, ROI_COLUMNS, STRIDE_PX, dtype=np.int64) * CELL_COLUMNS // ROI_COLUMNS
 _ROWS, _COLUMNS = _sums()
-_ALL = np.ones((_ROWS.shape[1], _COLUMNS.shape[0]), dtype=np.float32)
-_FULL = _ROWS @ _ALL @ _COLUMNS
+_ALL = np.ones((_ROWS.shape[1], _COLUMNS.shape[0]), dtype=np.bool_)
+_LEAST_SEEN = LEAST_SEEN * (_ROWS @ _ALL @ _COLUMNS)
 
 
 def _smooth_terms() -> tuple[FloatArray, FloatArray]:
@@ -183,11 +218,6 @@ def _smooth_terms() -> tuple[FloatArray, FloatArray]:
 
 _PLANE, _BENDS = _smooth_terms()
 _ALONG = _PLANE[1]
-
-
-def _fit(terms: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the least-squares weights of some terms, shape (k, n)."""
-    return np.asarray(np.linalg.lstsq(terms.T, values, rcond=None)[0])
 
 
 def _rms(values: FloatArray) -> float:

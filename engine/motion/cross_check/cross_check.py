@@ -245,8 +245,13 @@ class CrossCheck:
 
 def _marker_depth_mm(cells_mm: FloatArray) -> float:
     """Return about how far away the deepest marker is [mm], by the cells; NaN where none was seen."""
-    is_seen = np.isfinite(cells_mm)
-    return float(np.percentile(cells_mm[is_seen], MARKER_PERCENTILE)) if is_seen.any() else math.nan
+    seen_mm: list[float] = np.sort(cells_mm[np.isfinite(cells_mm)]).tolist()
+    if not seen_mm:
+        return math.nan
+    at = MARKER_PERCENTILE / 100.0 * (len(seen_mm) - 1)
+    before, share = int(at), at - int(at)
+    below_mm, above_mm = seen_mm[before], seen_mm[min(before + 1, len(seen_mm) - 1)]
+    return below_mm + share * (above_mm - below_mm)
 
 
 def _mean_seen(surfaces_mm: list[FloatArray]) -> FloatArray:
@@ -260,4 +265,4 @@ def _mean_seen(surfaces_mm: list[FloatArray]) -> FloatArray:
 
 def _mean(values: list[FloatArray]) -> FloatArray:
     """Return the mean over frames; NaN where a frame has no value."""
-    return np.asarray(np.mean(values, axis=0))
+    return np.asarray(np.add.reduce(values) / len(values))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from engine.core.compiled import kernels
 from engine.core.frames import BoolArray, DepthImage, FloatArray
 from engine.core.geometry import Intrinsics
 
@@ -106,6 +107,32 @@ class StaticScene:
 
 def _movement(reference: _Reference, blocks_mm: FloatArray, points_mm: FloatArray) -> FloatArray | None:
     """Fit a plane to the blocks' change robustly; return it at the points [mm]."""
+    plane = _plane(reference, blocks_mm)
+    return None if plane is None else np.asarray(_terms(points_mm) @ plane)
+
+
+def _plane(reference: _Reference, blocks_mm: FloatArray) -> FloatArray | None:
+    compiled = kernels()
+    if compiled is not None:
+        plane = np.empty(3)
+        is_fitted = compiled.scene_plane(
+            blocks_mm,
+            reference.is_picked,
+            reference.depth_mm,
+            reference.terms,
+            reference.weights,
+            INLIER_MM,
+            LEAST_INLIERS,
+            ROUNDS,
+            plane,
+        )
+        if is_fitted is not None:
+            return plane if is_fitted else None
+    return _fit_plane(reference, blocks_mm)
+
+
+def _fit_plane(reference: _Reference, blocks_mm: FloatArray) -> FloatArray | None:
+    """Fit with numpy."""
     change = blocks_mm[reference.is_picked] - reference.depth_mm
     is_inlier = np.abs(change) <= INLIER_MM  # NaN is none
     plane: FloatArray = np.zeros(3)
@@ -117,7 +144,7 @@ def _movement(reference: _Reference, blocks_mm: FloatArray, points_mm: FloatArra
         misfit = np.abs(change - reference.terms @ plane)
         limit = 3.0 * 1.5 * np.median(misfit[is_inlier]) + 0.5
         is_inlier = misfit <= min(limit, INLIER_MM)
-    return np.asarray(_terms(points_mm) @ plane)
+    return plane
 
 
 def _bend_mm(depth_mm: FloatArray) -> FloatArray:
@@ -136,6 +163,16 @@ def _terms(points_mm: FloatArray) -> FloatArray:
 
 def _blocks_mm(depth_mm: DepthImage) -> FloatArray:
     """Return the mean depth of each block [mm], row by row; NaN where a reading is missing."""
+    compiled = kernels()
+    if compiled is None:
+        return _mean_blocks_mm(depth_mm)
+    blocks_mm = np.empty((depth_mm.shape[0] // BLOCK_PX, depth_mm.shape[1] // BLOCK_PX))
+    compiled.scene_blocks(np.ascontiguousarray(depth_mm), BLOCK_PX, SAMPLE_PX, blocks_mm)
+    return blocks_mm.ravel()
+
+
+def _mean_blocks_mm(depth_mm: DepthImage) -> FloatArray:
+    """Return the same with OpenCV."""
     height, width = (size - size % BLOCK_PX for size in depth_mm.shape)
     thin = depth_mm[SAMPLE_PX // 2 : height : SAMPLE_PX, SAMPLE_PX // 2 : width : SAMPLE_PX].astype(np.float32)
     size = (width // BLOCK_PX, height // BLOCK_PX)

@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from engine.core.compiled import kernels
 from engine.core.frames import BoolArray, ColorImage, FloatArray, Lost, LostReason, Markers
 
 MAX_CANDIDATES = 14
@@ -248,9 +249,39 @@ def _stencil(radius_steps: int) -> _Stencil:
 
 
 def _refine(color: ColorImage, starts_px: FloatArray, search: MarkerSearch) -> list[_Blob | None]:
-    """Iterate to the centre of the sticker near each start, shape (N, 2) [px], and validate it; vectorised."""
+    """Iterate to the centre of the sticker near each start, shape (N, 2) [px], and validate it."""
     stencil = _stencil(round(0.5 * search.diameter_px / RADIUS_STEP_PX))
-    centers = np.asarray(starts_px, dtype=np.float64)
+    starts_px = np.ascontiguousarray(starts_px, dtype=np.float64).reshape(-1, 2)
+    compiled = kernels()
+    if compiled is None:
+        return _refine_together(color, starts_px, stencil, search)
+    found, is_found = np.empty((len(starts_px), 8)), np.empty(len(starts_px), dtype=np.bool_)
+    compiled.refine_markers(
+        np.ascontiguousarray(color),
+        starts_px,
+        stencil.reach,
+        stencil.ring,
+        stencil.disc,
+        stencil.moments,
+        search.min_contrast,
+        search.max_background_share,
+        MAX_BRIGHT_RING * len(stencil.ring),
+        MAX_STEPS,
+        CONVERGED_PX,
+        found,
+        is_found,
+    )
+    return [
+        _validate(one[:6], one[6:], search) if is_one else None
+        for one, is_one in zip(found, is_found.tolist(), strict=True)
+    ]
+
+
+def _refine_together(
+    color: ColorImage, starts_px: FloatArray, stencil: _Stencil, search: MarkerSearch
+) -> list[_Blob | None]:
+    """Iterate with numpy, all stickers at once."""
+    centers = starts_px
     middles = np.rint(centers)
     blobs: list[_Blob | None] = [None] * len(centers)
     pending = np.arange(len(centers))

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg.lapack import dpotrf, dpotrs
 
+from engine.core.compiled import kernels
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, Projection, RoiDepth, frozen
 from engine.core.motion_model import MotionModel
 
@@ -150,6 +151,58 @@ def project(basis: Basis, roi: RoiDepth, start: FloatArray | None) -> Projection
         None when nothing of the region was seen.
     """
     thin = roi.thinned(STRIDE_PX)
+    if kernels() is None:
+        return _project(basis, thin, start)
+    coefficients, is_seen, figures = np.empty(len(basis.reach)), np.empty(SAMPLED_SHAPE, dtype=np.bool_), np.empty(4)
+    is_projected = _project_compiled(basis, thin, start, (coefficients, is_seen, figures))
+    if is_projected is None:  # a matrix that is not positive, or a result that is not finite
+        return _project(basis, thin, start)
+    if not is_projected:
+        return None
+    seen, inliers, known, residual_mm = figures.tolist()
+    return Projection(
+        beta=coefficients[: basis.components].copy(),
+        coefficients=coefficients,
+        residual_mm=residual_mm,
+        valid_share=seen / max(known, 1.0),
+        inlier_share=inliers / seen,
+        is_seen=is_seen,
+    )
+
+
+def _project_compiled(
+    basis: Basis, thin: RoiDepth, start: FloatArray | None, results: tuple[FloatArray, BoolArray, FloatArray]
+) -> bool | None:
+    """Fill the coefficients, the inliers and their numbers; None where the numpy form has to."""
+    compiled = kernels()
+    assert compiled is not None
+    is_projected: bool | None = compiled.project(
+        basis.sampled_components,
+        basis.cosine_rows,
+        basis.cosine_columns,
+        basis.points,
+        basis.sampled_mean_mm,
+        basis.sampled_known,
+        basis.stiffness,
+        basis.log_stiffness,
+        basis.variance_mm2,
+        basis.reach,
+        basis.known_gram,
+        np.ascontiguousarray(thin.depth_mm),
+        np.ascontiguousarray(thin.valid),
+        None if start is None else np.ascontiguousarray(start),
+        _CELL_OF_ROW,
+        _CELL_OF_COLUMN,
+        _MIN_PIXELS,
+        _LIMITS,
+        MAX_REWEIGHTINGS,
+        *results,
+    )
+    return is_projected
+
+
+def _project(basis: Basis, thin: RoiDepth, start: FloatArray | None) -> Projection | None:
+    """Find the coefficients with numpy."""
     usable = thin.valid.ravel() & basis.sampled_known
     seen = int(np.count_nonzero(usable))
     if seen < MIN_SEEN_SHARE * usable.size:
@@ -279,9 +332,12 @@ def _ratio(misfit: FloatArray) -> FloatArray:
     return ratio
 
 
+_CELL_OF_ROW = np.arange(0, ROI_ROWS, STRIDE_PX, dtype=np.int64) // CHECK_CELL_PX
+_CELL_OF_COLUMN = np.arange(0, ROI_COLUMNS, STRIDE_PX, dtype=np.int64) // CHECK_CELL_PX
+
+
 def _cell_sums() -> tuple[FloatArray, FloatArray]:
-    rows = np.arange(0, ROI_ROWS, STRIDE_PX) // CHECK_CELL_PX
-    columns = np.arange(0, ROI_COLUMNS, STRIDE_PX) // CHECK_CELL_PX
+    rows, columns = _CELL_OF_ROW, _CELL_OF_COLUMN
     return (
         (rows == np.arange(rows.max() + 1)[:, None]).astype(np.float32),
         (columns[:, None] == np.arange(columns.max() + 1)).astype(np.float32),
@@ -290,7 +346,14 @@ def _cell_sums() -> tuple[FloatArray, FloatArray]:
 
 _SUM_ROWS, _SUM_COLUMNS = _cell_sums()
 _CELL_PIXELS = _SUM_ROWS.sum(axis=1)[:, None] * _SUM_COLUMNS.sum(axis=0)
-_MIN_PIXELS = CHECK_MIN_SHARE * _CELL_PIXELS
+_MIN_PIXELS = CHECK_MIN_SHARE * _CELL_PIXELS.astype(np.float64)
+_LIMITS = np.array(
+    [
+        *(OUTLIER_MM, INLIER_MM, CONVERGED_MM, SMALL_STEP_MM, MAX_OUTLIERS_UNNOTICED, MIN_SEEN_SHARE),
+        *(MIN_EXPLAINED_SHARE, MIN_SLOPE, CHECK_CLIP_MM),
+    ],
+    dtype=np.float64,
+)
 
 
 def _largest_cell_misfit(misfit: FloatArray, inside: FloatArray) -> float:

@@ -8,6 +8,9 @@ may be some millimetres out of date.
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from engine.core.compiled import kernels
 from engine.core.frames import FloatArray
 from engine.core.geometry import Intrinsics, RigidTransform
 
@@ -32,6 +35,26 @@ def align(
     expected_depth_mm
         Expected depth along the depth camera's axis [mm], shape (N,).
     """
+    compiled = kernels()
+    if compiled is None:
+        return _align(color_rays, expected_depth_mm, depth_from_color, depth_camera)
+    pixels_px, rays = np.empty((2, len(color_rays), 2))
+    compiled.align_nodes(
+        np.ascontiguousarray(color_rays),
+        np.ascontiguousarray(expected_depth_mm),
+        np.ascontiguousarray(depth_from_color.rotation),
+        np.ascontiguousarray(depth_from_color.translation_mm),
+        depth_camera.constants,
+        pixels_px,
+        rays,
+    )
+    return Aligned(pixels_px=pixels_px, rays=rays)
+
+
+def _align(
+    color_rays: FloatArray, expected_depth_mm: FloatArray, depth_from_color: RigidTransform, depth_camera: Intrinsics
+) -> Aligned:
+    """Project with numpy."""
     directions = color_rays @ depth_from_color.rotation.T
     along = (expected_depth_mm - depth_from_color.translation_mm[2]) / directions[:, 2]
     points = along[:, None] * directions + depth_from_color.translation_mm

@@ -11,6 +11,7 @@ from functools import cache
 import cv2
 import numpy as np
 
+from engine.core.compiled import kernels
 from engine.core.frames import (
     NODE_COLUMNS,
     NODE_ROWS,
@@ -30,9 +31,9 @@ DEGENERATE = 1e-9
 
 
 def _hat_weights(size: int) -> FloatArray:
-    """Bilinear weights from nodes to pixels, shape (size, nodes), float32."""
+    """Bilinear weights from nodes to pixels, shape (size, nodes)."""
     pixels = np.arange(size)[:, None] / NODE_STEP
-    return np.maximum(0.0, 1.0 - np.abs(pixels - np.arange(size // NODE_STEP + 1))).astype(np.float32)
+    return np.asarray(np.maximum(0.0, 1.0 - np.abs(pixels - np.arange(size // NODE_STEP + 1))))
 
 
 _ROW_WEIGHTS = _hat_weights(ROI_ROWS)
@@ -101,6 +102,26 @@ def cut_out(depth_mm: DepthImage, nodes_px: FloatArray, table_mm: FloatArray, st
         A point is valid where all four depth pixels around it have a reading; if too few points have, then where
         readings carry at least half of the interpolation weight. Holes never enter the interpolation.
     """
+    compiled = kernels()
+    if compiled is None:
+        return _cut_out(depth_mm, nodes_px, table_mm, stride_px)
+    shape = -(-ROI_ROWS // stride_px), -(-ROI_COLUMNS // stride_px)
+    depth, valid = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.bool_)
+    compiled.cut_out(
+        np.ascontiguousarray(depth_mm),
+        np.ascontiguousarray(nodes_px),
+        table_mm,
+        stride_px,
+        MIN_VALID_WEIGHT,
+        MIN_WHOLLY_VALID_SHARE,
+        depth,
+        valid,
+    )
+    return RoiDepth(depth_mm=depth, valid=valid, stride_px=stride_px)
+
+
+def _cut_out(depth_mm: DepthImage, nodes_px: FloatArray, table_mm: FloatArray, stride_px: int) -> RoiDepth:
+    """Sample with numpy and OpenCV."""
     lows, highs = nodes_px.min(axis=0).tolist(), nodes_px.max(axis=0).tolist()
     rows, columns = _weights(stride_px)
     if all(map(math.isfinite, lows + highs)):
@@ -113,8 +134,8 @@ def cut_out(depth_mm: DepthImage, nodes_px: FloatArray, table_mm: FloatArray, st
     if min(window.shape) < 2:
         empty = np.zeros((len(rows), len(columns)), dtype=np.float32)
         return RoiDepth(depth_mm=empty, valid=np.zeros_like(empty, dtype=np.bool_), stride_px=stride_px)
-    nodes = (nodes_px - (left, top)).T.astype(np.float32, order="C").reshape(2, NODE_ROWS, NODE_COLUMNS)
-    x, y = rows @ nodes @ columns.T
+    nodes = (nodes_px - (left, top)).T.reshape(2, NODE_ROWS, NODE_COLUMNS)
+    x, y = (rows @ nodes @ columns.T).astype(np.float32)
     window_mm = np.asarray(cv2.LUT(window, table_mm), dtype=np.float32)
     depth, valid = _interpolate_complete(window_mm, x, y)
     if np.count_nonzero(valid) < MIN_WHOLLY_VALID_SHARE * valid.size:

@@ -9,6 +9,7 @@ import itertools
 
 import numpy as np
 
+from engine.core.compiled import kernels
 from engine.core.frames import FloatArray, Lost, LostReason, RoiDepth
 from engine.motion.tracking.surface_continuity import MAX_HIDDEN_US
 
@@ -27,7 +28,23 @@ def marker_points_mm(rays: FloatArray, roi: RoiDepth) -> FloatArray | None:
 
     None where too little of the skin beside one of them is seen.
     """
+    medians_mm = _corner_medians_mm(roi)
+    return None if medians_mm is None else np.asarray(rays * medians_mm[:, None])
+
+
+def _corner_medians_mm(roi: RoiDepth) -> FloatArray | None:
+    """Return the median depth at the region's corners [mm], shape (4,); None where too little of one is seen."""
     reach = max(CORNER_PX // roi.stride_px, 1)
+    compiled = kernels()
+    if compiled is None:
+        return _medians_mm(roi, reach)
+    medians_mm = np.empty(4)
+    depth_mm, valid = np.ascontiguousarray(roi.depth_mm), np.ascontiguousarray(roi.valid)
+    return medians_mm if compiled.corner_medians(depth_mm, valid, reach, LEAST_READINGS, medians_mm) else None
+
+
+def _medians_mm(roi: RoiDepth, reach: int) -> FloatArray | None:
+    """Return the same with numpy."""
     first, last = slice(0, reach), slice(-reach, None)
     depths_mm = []
     for rows, columns in ((first, first), (first, last), (last, last), (last, first)):
@@ -35,7 +52,7 @@ def marker_points_mm(rays: FloatArray, roi: RoiDepth) -> FloatArray | None:
         if readings.size < LEAST_READINGS:
             return None
         depths_mm.append(float(np.median(readings)))
-    return np.asarray(rays * np.array(depths_mm)[:, None])
+    return np.array(depths_mm)
 
 
 class MarkerLayout:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray
+from engine.core.least_squares import least_squares
 
 # A cough moves an abdomen at 50 mm/s; noise adds some tenths of a millimetre.
 MAX_STEP_MM = 2.0
@@ -133,7 +134,7 @@ def _beyond_breathing_mm(change_mm: FloatArray, shapes: FloatArray, allowed_mm: 
 
 def _without_fit(change_mm: FloatArray, shapes: FloatArray) -> FloatArray:
     """Subtract the least-squares fit of some shapes from a change [mm], shape (nodes,)."""
-    return change_mm - np.linalg.lstsq(shapes.T, change_mm, rcond=None)[0] @ shapes
+    return change_mm - least_squares(shapes, change_mm) @ shapes if len(shapes) else change_mm
 
 
 def _planes() -> FloatArray:

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from threadpoolctl import threadpool_info
 
+from engine.core.compiled import frame_path
 from engine.offline.replay.earlier_texts import in_present_words
 
 Row = dict[str, Any]
@@ -144,6 +145,7 @@ def this_machine() -> dict[str, str]:
     return {
         PROCESSOR: _processor(),
         "architecture": machine(),
+        "frame path": frame_path(),
         OPENCV_FEATURES: cv2.getCPUFeaturesLine(),
         "numpy features": " ".join([*simd["baseline"], *simd.get("found", ())]),
         "blas kernels": " ".join(sorted({str(one.get("architecture", "")) for one in threadpool_info()})),

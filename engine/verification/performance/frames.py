@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from engine.core.compiled import numpy_forms
 from engine.core.frames import FloatArray, MeasurementState
 from engine.motion.learning.trainer import InlineTrainer
 from engine.verification.performance.decoding import PictureCost, time_decoding
@@ -61,6 +62,8 @@ class FrameCosts:
     ----------
     whole, whole_cpu
         The whole frame path without wrappers: wall clock and processor time.
+    numpy_cpu
+        Processor time with the numpy forms of the compiled functions, in blocks between; equal where none is compiled.
     stages
         Stages, timed with wrappers in separate blocks.
     plain
@@ -73,9 +76,11 @@ class FrameCosts:
 
     whole: Timing
     whole_cpu: Timing
+    numpy_cpu: Timing
     stages: tuple[StageCost, ...]
     plain: Timing
     decoding: tuple[PictureCost, ...]
+    numpy_decoding: tuple[PictureCost, ...]
     bandwidth_bytes_s: float
     lost_core_share: float
 
@@ -83,6 +88,11 @@ class FrameCosts:
     def median_ratio(self) -> float:
         """Ratio of the plain method's median time to ours."""
         return self.plain.median_us / self.whole.median_us
+
+    @property
+    def compiled_ratio(self) -> float:
+        """Ratio of the median processor time with the numpy forms to that of the path that runs."""
+        return self.numpy_cpu.median_us / self.whole_cpu.median_us
 
     @property
     def p99_ratio(self) -> float:
@@ -99,23 +109,29 @@ def time_frames(recording: Recording, sizes: FrameSizes, switch_interval_s: floa
     plain.learn()
     set_memory_aside()
     _warm_up(ours, sizes.block_frames)
-    wall_blocks, cpu_blocks, stage_blocks, plain_blocks = [], [], [], []
+    wall_blocks, cpu_blocks, numpy_blocks, stage_blocks, plain_blocks = [], [], [], [], []
     for _ in range(sizes.blocks):
         ours.arm()
         wall_ns, cpu_ns = _whole_block(ours, sizes.block_frames)
         wall_blocks.append(wall_ns)
         cpu_blocks.append(cpu_ns)
+        with numpy_forms():
+            numpy_blocks.append(_whole_block(ours, sizes.block_frames)[1])
         stage_blocks.append(_stage_block(ours, sizes.block_frames))
         plain_blocks.append(plain.block(sizes.plain_frames))
     traffic = _traffic(ours)
     ours.close()
     plain.close()
+    with numpy_forms():
+        numpy_decoding = time_decoding(recording, sizes.decoded)
     return FrameCosts(
         whole=timing_of(wall_blocks),
         whole_cpu=timing_of(cpu_blocks),
+        numpy_cpu=timing_of(numpy_blocks),
         stages=_stage_costs(stage_blocks, traffic),
         plain=timing_of(plain_blocks),
         decoding=time_decoding(recording, sizes.decoded),
+        numpy_decoding=numpy_decoding,
         bandwidth_bytes_s=copy_bandwidth_bytes_s(),
         lost_core_share=max(0.0, 1.0 - float(np.concatenate(cpu_blocks).sum() / np.concatenate(wall_blocks).sum())),
     )

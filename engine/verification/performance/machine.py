@@ -18,6 +18,7 @@ from typing import ParamSpec, TypeVar
 import cv2
 import numpy as np
 
+from engine.core.compiled import frame_path
 from engine.core.errors import TidegateError
 from engine.core.native_memory import keep_freed_memory
 from engine.core.native_threads import keep_calls_in_their_thread
@@ -59,6 +60,7 @@ class Machine:
     python: str
     numpy: str
     opencv: str
+    frame_path: str
     load_average: float
 
     @property
@@ -82,6 +84,7 @@ def this_machine() -> Machine:
         python=platform.python_version(),
         numpy=np.__version__,
         opencv=cv2.__version__,
+        frame_path=frame_path(),
         load_average=os.getloadavg()[0],
     )
 

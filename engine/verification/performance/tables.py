@@ -10,6 +10,7 @@ def speed_tables(figures: SpeedFigures, marks: list[SpeedMark]) -> list[Table]:
     """Return the tables of all parts; the marks come last."""
     return [
         _stages(figures),
+        _against_numpy(figures),
         _against_plain(figures),
         _decoding(figures),
         _throughput(figures),
@@ -40,6 +41,29 @@ def _stages(figures: SpeedFigures) -> Table:
         note=f"Median and p99 are medians over {frames.whole.blocks} blocks, p99.9 is of {frames.whole.samples} "
         f"frames. Bound: each array of a stage read or written once, at the {frames.bandwidth_bytes_s / 1e9:.1f} GB/s "
         f"of a large copy on this machine. Other processes used the core for {frames.lost_core_share:.1%} of the time.",
+    )
+
+
+def _against_numpy(figures: SpeedFigures) -> Table:
+    frames = figures.frames
+    rows: list[tuple[Cell, ...]] = [
+        (
+            "frame to gate, processor time",
+            frames.numpy_cpu.median_us,
+            frames.whole_cpu.median_us,
+            frames.compiled_ratio,
+        ),
+    ]
+    for ours, numpys in zip(frames.decoding, frames.numpy_decoding, strict=True):
+        before_us, now_us = numpys.timing.median_us, ours.timing.median_us
+        rows.append((f"decoding, {ours.name}", before_us, now_us, before_us / now_us))
+    return Table(
+        name="compiled",
+        title="The numpy forms of the compiled functions, in blocks between",
+        columns=("", "numpy, median [us]", "this path, median [us]", "times faster"),
+        rows=tuple(rows),
+        digits=2,
+        note=f"Frame path: {figures.machine.frame_path}.",
     )
 
 

@@ -7,7 +7,7 @@ import dataclasses
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, PydanticBaseSettingsSource, SettingsConfigDict
@@ -117,6 +117,12 @@ class Settings(
     )
     allow_device_registration: bool = Field(
         default=True, description="Sessions without a calibration use the camera's own registration: research only"
+    )
+
+    frame_path: Literal["auto", "compiled", "numpy"] = Field(
+        default="auto",
+        description="Form of the frame path: the compiled one where it is built, only that, or numpy's; the engine "
+        "reads it from the environment, also for commands such as `tidegate measure`",
     )
 
     max_body_bytes: int = Field(default=65_536, ge=16_384, le=1_048_576)

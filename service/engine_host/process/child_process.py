@@ -8,6 +8,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from engine.core.compiled import VARIABLE as FRAME_PATH
 from service.core.settings.beam import PREFIX
 from service.engine_host.process.channels import BulkChannel, ControlChannel
 from service.engine_host.process.shared_page import SharedPage
@@ -76,6 +77,11 @@ def start_child() -> ChildProcess:
 
 
 def _environment() -> dict[str, str]:
-    """Return the environment without settings, which may hold secrets: they are sent in a message."""
-    inherited = {name: value for name, value in os.environ.items() if not name.upper().startswith(PREFIX)}
+    """Return the environment without settings, which may hold secrets: they are sent in a message.
+
+    Except the form of the frame path, which is chosen when the engine is imported.
+    """
+    inherited = {
+        name: value for name, value in os.environ.items() if name == FRAME_PATH or not name.upper().startswith(PREFIX)
+    }
     return {**inherited, "PYTHONPATH": str(CODE)}

@@ -14,6 +14,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from engine import __version__
 from engine.core.clock import NS_PER_S, Clock, MonotonicClock
+from engine.core.compiled import frame_path
 from service.access.login import lockout
 from service.access.service import AccessService
 from service.core.logging.nonblocking import dropped_lines
@@ -110,7 +111,9 @@ class MachineMetrics(Collector):
     def collect(self) -> Iterator[Metric]:
         """Read all values; an unknown value is omitted, never reported as zero."""
         yield InfoMetricFamily(
-            "tidegate_build", "Version of the software", {"version": __version__, "python": platform.python_version()}
+            "tidegate_build",
+            "Version of the software",
+            {"version": __version__, "python": platform.python_version(), "frame_path": frame_path()},
         )
         yield _gauge("tidegate_threads", "Threads of the service's process", threading.active_count())
         yield CounterMetricFamily(

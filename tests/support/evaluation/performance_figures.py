@@ -32,10 +32,15 @@ def took(median_us, *, p99_us=None):
 FRAMES = FrameCosts(
     whole=took(400.0, p99_us=1000.0),
     whole_cpu=took(390.0),
+    numpy_cpu=took(1170.0),
     stages=tuple(StageCost(name=name, timing=took(50.0), share=0.125, traffic_bytes=20_000) for name in STAGES),
     plain=took(12_000.0, p99_us=15_000.0),
     decoding=(
         PictureCost(name="depth, 16zT", timing=took(1000.0), coded_bytes=100_000.0, decoded_bytes=600_000),
+        PictureCost(name="colour, JPEG", timing=took(2000.0), coded_bytes=40_000.0, decoded_bytes=900_000),
+    ),
+    numpy_decoding=(
+        PictureCost(name="depth, 16zT", timing=took(3000.0), coded_bytes=100_000.0, decoded_bytes=600_000),
         PictureCost(name="colour, JPEG", timing=took(2000.0), coded_bytes=40_000.0, decoded_bytes=900_000),
     ),
     bandwidth_bytes_s=1e10,
@@ -51,6 +56,7 @@ GOOD = SpeedFigures(
         python="3.11.7",
         numpy="2.4.6",
         opencv="5.0.0",
+        frame_path="compiled 0123456789abcdef",
         load_average=0.1,
     ),
     sizes=TINY,

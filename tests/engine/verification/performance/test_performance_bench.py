@@ -332,6 +332,8 @@ def test_tables_say_what_the_figures_say():
     assert "10.0 GB/s" in tables["stages"].note
     assert "25.0%" in tables["stages"].note
     assert tables["plain"].rows[2][1:3] == (30.0, 15.0)
+    assert [row[1:] for row in tables["compiled"].rows[:2]] == [(1170.0, 390.0, 3.0), (3000.0, 1000.0, 3.0)]
+    assert "compiled 0123456789abcdef" in tables["compiled"].note
     assert tables["decoding"].rows[0][-1] == pytest.approx(70.0)
     assert tables["throughput"].rows[0][1:] == (1200, 4.0, 300.0, 320.0, 400.0)
     assert tables["learning"].rows[2][2:6] == (1.5, 0.5, 4.0, 16.0)

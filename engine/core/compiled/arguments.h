@@ -1,0 +1,62 @@
+/* Checked arrays from Python: every function takes its arguments through these, and none touches memory before. */
+#ifndef TIDEGATE_ARGUMENTS_H
+#define TIDEGATE_ARGUMENTS_H
+
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+#include <stdint.h>
+
+#define MOST_ARRAYS 24
+
+/* On x86-64 with glibc the loader picks the wider vectors where the processor has them. No sum is reordered and none is
+ * fused (-ffp-contract=off), so both give the same bits. */
+#if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__) && !defined(__clang__) && !defined(TIDEGATE_PLAIN)
+#define WIDE_VECTORS __attribute__((target_clones("avx2", "default")))
+#else
+#define WIDE_VECTORS
+#endif
+
+typedef struct {
+    Py_buffer views[MOST_ARRAYS];
+    int count;
+    int failed;
+} Arrays;
+
+/* An array of items 'B', '?', 'H', 'f', 'd' or 'q', C-contiguous and aligned, of `ndim` dimensions. NULL and a Python
+ * exception otherwise; then `failed` is set, and further calls do nothing. */
+Py_buffer *array_of(Arrays *arrays, PyObject *object, const char *name, char item, int ndim);
+/* The same for an array that is written to. */
+Py_buffer *output_of(Arrays *arrays, PyObject *object, const char *name, char item, int ndim);
+/* Any contiguous bytes. */
+Py_buffer *bytes_of(Arrays *arrays, PyObject *object, const char *name);
+/* A number from low to high; 0 and an exception otherwise. */
+Py_ssize_t whole_of(Arrays *arrays, PyObject *object, const char *name, Py_ssize_t low, Py_ssize_t high);
+double number_of(Arrays *arrays, PyObject *object, const char *name);
+/* Raise ValueError unless a condition holds. */
+void require(Arrays *arrays, int holds, const char *what);
+/* Raise TypeError unless there are so many arguments; 0 then. */
+int counted(Py_ssize_t given, Py_ssize_t wanted, const char *name);
+/* Release all arrays; return a new reference to `result`, or NULL if something failed. */
+PyObject *finish(Arrays *arrays, PyObject *result);
+
+PyObject *decode_16zt(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *refine_markers(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *sample_chroma(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *scene_blocks(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *scene_plane(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *least_squares(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *cell_means(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *corner_medians(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *surface_change(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *camera_rays(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *changed_cells(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *align_nodes(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *cut_out(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *project(PyObject *module, PyObject *const *args, Py_ssize_t count);
+
+/* The k-th smallest of n values, which are reordered; 0 <= k < n, no NaN. */
+double select_kth(double *values, Py_ssize_t n, Py_ssize_t k);
+/* Mean of the two middle values, or the middle one; n > 0. */
+double median_of(double *values, Py_ssize_t n);
+
+#endif

@@ -1,0 +1,520 @@
+/* What is read from the colour and the depth picture: stickers, colour, blocks of the scene, the region's grid. */
+#include "arguments.h"
+
+#include <math.h>
+#include <string.h>
+
+static uint8_t whiteness(const uint8_t *pixel)
+{
+    uint8_t least = pixel[0] < pixel[1] ? pixel[0] : pixel[1];
+    return least < pixel[2] ? least : pixel[2];
+}
+
+typedef struct {
+    const uint8_t *color;
+    Py_ssize_t rows, columns, reach;
+    const int64_t *ring, *disc;
+    Py_ssize_t ring_size, disc_size;
+    const float *within; /* first of the six moments: 1 up to the ring, 0 beyond */
+    float min_contrast, max_background_share;
+    double max_bright;
+} Stencil;
+
+/* The upper median of some pixels of a patch. */
+static int upper_median(const uint8_t *patch, const int64_t *at, Py_ssize_t size)
+{
+    int counts[256] = {0};
+    for (Py_ssize_t i = 0; i < size; i++)
+        counts[patch[at[i]]]++;
+    Py_ssize_t below = 0;
+    for (int value = 0; value < 256; value++) {
+        below += counts[value];
+        if (below > size / 2)
+            return value;
+    }
+    return 255;
+}
+
+/* Total, mean x and y, and central second moments of the sticker in a patch; 0 where there is none. */
+static int moments_of(const Stencil *stencil, const uint8_t *patch, double *sums)
+{
+    Py_ssize_t side = 2 * stencil->reach + 1;
+    float background = (float)upper_median(patch, stencil->ring, stencil->ring_size);
+    float foreground = (float)upper_median(patch, stencil->disc, stencil->disc_size);
+    float contrast = foreground - background, middle = 0.5f * (background + foreground);
+    Py_ssize_t bright = 0;
+    for (Py_ssize_t i = 0; i < stencil->ring_size; i++)
+        bright += (float)patch[stencil->ring[i]] > middle;
+    if (!(contrast >= stencil->min_contrast) || !(background <= stencil->max_background_share * foreground) ||
+        !((double)bright <= stencil->max_bright))
+        return 0;
+    float gain = 2.0f / (contrast > 1.0f ? contrast : 1.0f), offset = background * gain + 0.5f;
+    memset(sums, 0, 6 * sizeof *sums);
+    for (Py_ssize_t row = 0; row < side; row++) {
+        const uint8_t *line = patch + row * side;
+        const float *within = stencil->within + row * side * 6;
+        double y = (double)(row - stencil->reach), s0 = 0.0, s1 = 0.0, s2 = 0.0;
+        for (Py_ssize_t column = 0; column < side; column++) {
+            float weight = (float)line[column] * gain - offset;
+            weight = weight < 0.0f ? 0.0f : weight;
+            weight = weight > 1.0f ? 1.0f : weight;
+            double w = (double)(weight * within[column * 6]), x = (double)(column - stencil->reach);
+            s0 += w;
+            s1 += w * x;
+            s2 += w * x * x;
+        }
+        sums[0] += s0;
+        sums[1] += s1;
+        sums[2] += y * s0;
+        sums[3] += s2;
+        sums[4] += y * s1;
+        sums[5] += y * y * s0;
+    }
+    if (!(sums[0] > 0.0))
+        return 0;
+    double total = sums[0] > 1e-9 ? sums[0] : 1e-9;
+    for (int i = 1; i < 6; i++)
+        sums[i] /= total;
+    sums[3] -= sums[1] * sums[1];
+    sums[4] -= sums[1] * sums[2];
+    sums[5] -= sums[2] * sums[2];
+    return 1;
+}
+
+/* Iterate to the sticker near a start; 1 and the moments and the centre where one was found. */
+static int refine(const Stencil *stencil, const double *start, int steps, double converged_px, uint8_t *patch,
+                  double *found)
+{
+    double x = rint(start[0]), y = rint(start[1]), reach = (double)stencil->reach;
+    Py_ssize_t side = 2 * stencil->reach + 1;
+    for (int step = 0; step < steps; step++) {
+        if (!(x >= reach && y >= reach && x < (double)(stencil->columns - stencil->reach) &&
+              y < (double)(stencil->rows - stencil->reach)))
+            return 0;
+        Py_ssize_t left = (Py_ssize_t)x - stencil->reach, top = (Py_ssize_t)y - stencil->reach;
+        for (Py_ssize_t row = 0; row < side; row++) {
+            const uint8_t *line = stencil->color + ((top + row) * stencil->columns + left) * 3;
+            for (Py_ssize_t column = 0; column < side; column++)
+                patch[row * side + column] = whiteness(line + 3 * column);
+        }
+        if (!moments_of(stencil, patch, found))
+            return 0;
+        found[6] = x + found[1];
+        found[7] = y + found[2];
+        if (fmax(fabs(found[1]), fabs(found[2])) <= converged_px)
+            return 1;
+        x = rint(found[6]);
+        y = rint(found[7]);
+    }
+    return 0;
+}
+
+static int are_indices(const Py_buffer *view, Py_ssize_t end)
+{
+    const int64_t *at = view->buf;
+    for (Py_ssize_t i = 0; i < view->shape[0]; i++)
+        if (at[i] < 0 || at[i] >= end)
+            return 0;
+    return 1;
+}
+
+PyObject *refine_markers(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 13, "refine_markers"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *color = array_of(&arrays, args[0], "color", 'B', 3);
+    Py_buffer *starts = array_of(&arrays, args[1], "starts", 'd', 2);
+    Py_ssize_t reach = whole_of(&arrays, args[2], "reach", 0, 4096);
+    Py_buffer *ring = array_of(&arrays, args[3], "ring", 'q', 1);
+    Py_buffer *disc = array_of(&arrays, args[4], "disc", 'q', 1);
+    Py_buffer *moments = array_of(&arrays, args[5], "moments", 'f', 2);
+    double min_contrast = number_of(&arrays, args[6], "min_contrast");
+    double max_background_share = number_of(&arrays, args[7], "max_background_share");
+    double max_bright = number_of(&arrays, args[8], "max_bright");
+    Py_ssize_t steps = whole_of(&arrays, args[9], "steps", 0, 1000);
+    double converged_px = number_of(&arrays, args[10], "converged_px");
+    Py_buffer *found = output_of(&arrays, args[11], "found", 'd', 2);
+    Py_buffer *is_found = output_of(&arrays, args[12], "is_found", '?', 1);
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Py_ssize_t side = 2 * reach + 1;
+    require(&arrays, color->shape[2] == 3, "color must have three channels");
+    require(&arrays, starts->shape[1] == 2, "starts must be pairs");
+    require(&arrays, moments->shape[0] == side * side && moments->shape[1] == 6, "moments must be of the patch");
+    require(&arrays, ring->shape[0] > 0 && disc->shape[0] > 0, "ring and disc must have pixels");
+    require(&arrays, found->shape[0] == starts->shape[0] && found->shape[1] == 8, "found must be eight for each start");
+    require(&arrays, is_found->shape[0] == starts->shape[0], "is_found must be one for each start");
+    if (!arrays.failed)
+        require(&arrays, are_indices(ring, side * side) && are_indices(disc, side * side), "an index is off the patch");
+    uint8_t *patch = arrays.failed ? NULL : PyMem_Malloc((size_t)(side * side));
+    if (patch == NULL) {
+        if (!arrays.failed)
+            PyErr_NoMemory();
+        arrays.failed = 1;
+        return finish(&arrays, Py_None);
+    }
+    Stencil stencil = {
+        .color = color->buf, .rows = color->shape[0], .columns = color->shape[1], .reach = reach,
+        .ring = ring->buf, .disc = disc->buf, .ring_size = ring->shape[0], .disc_size = disc->shape[0],
+        .within = moments->buf, .min_contrast = (float)min_contrast,
+        .max_background_share = (float)max_background_share, .max_bright = max_bright,
+    };
+    for (Py_ssize_t i = 0; i < starts->shape[0]; i++)
+        ((uint8_t *)is_found->buf)[i] = (uint8_t)refine(&stencil, (const double *)starts->buf + 2 * i, (int)steps,
+                                                        converged_px, patch, (double *)found->buf + 8 * i);
+    PyMem_Free(patch);
+    return finish(&arrays, Py_None);
+}
+
+/* Red and green as shares of brightness; NaN where it is dark. */
+static void shares_of(const uint8_t *pixel, float least_brightness, float *shares)
+{
+    float red = (float)pixel[0], green = (float)pixel[1], brightness = red + green + (float)pixel[2];
+    float divisor = brightness > 1.0f ? brightness : 1.0f;
+    shares[0] = brightness >= least_brightness ? red / divisor : NAN;
+    shares[1] = brightness >= least_brightness ? green / divisor : NAN;
+}
+
+#define SAMPLES 4 /* along each side of a cell */
+#define MOST_SAMPLES 1024 /* in a row of cells */
+#define NEAREST 6755399441055744.0 /* added and subtracted again: the nearest integer, the even one of two */
+
+/* The pixel of each sample in a row, as its number in the picture; -1 outside of the picture and where it is no number. */
+WIDE_VECTORS
+static void sampled_row(const double *h, double y, int samples, int32_t rows, int32_t columns, int32_t *at)
+{
+    double at_u = h[1] * y + h[2], at_v = h[4] * y + h[5], at_w = h[7] * y + h[8], u[MOST_SAMPLES], v[MOST_SAMPLES];
+    double right = (double)columns, bottom = (double)rows;
+    for (int x = 0; x < samples; x++) {
+        double w = 1.0 / (h[6] * (double)x + at_w);
+        u[x] = ((h[0] * (double)x + at_u) * w + NEAREST) - NEAREST;
+        v[x] = ((h[3] * (double)x + at_v) * w + NEAREST) - NEAREST;
+        u[x] = u[x] >= 0.0 && u[x] < right ? u[x] : -1.0;
+        v[x] = v[x] >= 0.0 && v[x] < bottom ? v[x] : -1.0;
+    }
+    for (int x = 0; x < samples; x++) {
+        int32_t column = (int32_t)u[x], row = (int32_t)v[x];
+        at[x] = column < 0 || row < 0 ? -1 : row * columns + column;
+    }
+}
+
+/* Mean colour of each cell in a row of cells; black where it is outside of the picture. */
+static void mean_colors(const uint8_t *pixels, Py_ssize_t rows, Py_ssize_t columns, const double *h, Py_ssize_t cell_row,
+                        Py_ssize_t cells, uint8_t *means)
+{
+    static const uint8_t black[3] = {0, 0, 0};
+    int32_t at[MOST_SAMPLES];
+    int sums[3 * MOST_SAMPLES / SAMPLES] = {0};
+    for (Py_ssize_t line = 0; line < SAMPLES; line++) {
+        sampled_row(h, (double)(cell_row * SAMPLES + line), (int)cells * SAMPLES, (int32_t)rows, (int32_t)columns, at);
+        for (Py_ssize_t cell = 0; cell < cells; cell++) {
+            int red = 0, green = 0, blue = 0;
+            for (Py_ssize_t x = cell * SAMPLES; x < (cell + 1) * SAMPLES; x++) {
+                const uint8_t *pixel = at[x] < 0 ? black : pixels + (Py_ssize_t)at[x] * 3;
+                red += pixel[0];
+                green += pixel[1];
+                blue += pixel[2];
+            }
+            sums[3 * cell] += red;
+            sums[3 * cell + 1] += green;
+            sums[3 * cell + 2] += blue;
+        }
+    }
+    for (Py_ssize_t i = 0; i < 3 * cells; i++)
+        means[i] = (uint8_t)(((double)sums[i] / (SAMPLES * SAMPLES) + NEAREST) - NEAREST);
+}
+
+#define BINS 512
+
+/* The k-th smallest of n shares, from 0 to 1: only those of its bin are compared. */
+static double kth_share(const double *shares, Py_ssize_t n, Py_ssize_t k, double *chosen)
+{
+    int counts[BINS] = {0};
+    for (Py_ssize_t i = 0; i < n; i++)
+        counts[(int)(shares[i] * (BINS - 1))]++;
+    int bin = 0;
+    Py_ssize_t found = 0;
+    while (k >= counts[bin])
+        k -= counts[bin++];
+    for (Py_ssize_t i = 0; i < n; i++)
+        if ((int)(shares[i] * (BINS - 1)) == bin)
+            chosen[found++] = shares[i];
+    return select_kth(chosen, found, k);
+}
+
+PyObject *sample_chroma(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 6, "sample_chroma"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *color = array_of(&arrays, args[0], "color", 'B', 3);
+    Py_buffer *homography = array_of(&arrays, args[1], "homography", 'd', 2);
+    Py_ssize_t cell_columns = whole_of(&arrays, args[2], "cell_columns", 1, MOST_SAMPLES / SAMPLES);
+    Py_ssize_t step = whole_of(&arrays, args[3], "step", 1, 4096);
+    double least_brightness = number_of(&arrays, args[4], "least_brightness");
+    Py_buffer *chroma = output_of(&arrays, args[5], "chroma", 'f', 2);
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    require(&arrays, color->shape[2] == 3, "color must have three channels");
+    require(&arrays, homography->shape[0] == 3 && homography->shape[1] == 3, "homography must be 3 by 3");
+    require(&arrays, chroma->shape[1] == 2 && chroma->shape[0] % cell_columns == 0, "chroma must be pairs of whole rows");
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Py_ssize_t rows = color->shape[0], columns = color->shape[1];
+    Py_ssize_t most = (rows / step + 1) * (columns / step + 1);
+    require(&arrays, rows < 32768 && columns < 32768, "color must have less than 32768 rows and columns");
+    double *seen = arrays.failed ? NULL : PyMem_Malloc((size_t)(3 * most) * sizeof *seen), *chosen = NULL;
+    if (seen == NULL && arrays.failed)
+        return finish(&arrays, Py_None);
+    if (seen == NULL) {
+        PyErr_NoMemory();
+        arrays.failed = 1;
+        return finish(&arrays, Py_None);
+    }
+    chosen = seen + 2 * most;
+    const uint8_t *pixels = color->buf;
+    const double *h = homography->buf;
+    float least = (float)least_brightness, balance[2] = {0.0f, 0.0f}, shares[2];
+    Py_ssize_t n = 0;
+    for (Py_ssize_t row = step / 2; row < rows; row += step) {
+        if (row + step < rows) /* the picture is cold, and these rows lie far apart */
+            for (Py_ssize_t at = 0; at < 3 * columns; at += 64)
+                __builtin_prefetch(pixels + (row + step) * columns * 3 + at);
+        for (Py_ssize_t column = step / 2; column < columns; column += step) {
+            shares_of(pixels + (row * columns + column) * 3, least, shares);
+            if (shares[0] == shares[0]) {
+                seen[n] = (double)shares[0];
+                seen[most + n++] = (double)shares[1];
+            }
+        }
+    }
+    if (n > 0)
+        for (int i = 0; i < 2; i++) {
+            const double *values = seen + i * most;
+            float upper = (float)kth_share(values, n, n / 2, chosen);
+            float lower = n % 2 ? upper : (float)kth_share(values, n, n / 2 - 1, chosen);
+            balance[i] = (lower + upper) / 2.0f;
+        }
+    PyMem_Free(seen);
+    for (Py_ssize_t row = 0; row < chroma->shape[0] / cell_columns; row++) {
+        uint8_t means[3 * MOST_SAMPLES / SAMPLES];
+        float *line = (float *)chroma->buf + 2 * row * cell_columns;
+        mean_colors(pixels, rows, columns, h, row, cell_columns, means);
+        for (Py_ssize_t cell = 0; cell < cell_columns; cell++) {
+            shares_of(means + 3 * cell, least, shares);
+            line[2 * cell] = shares[0] - balance[0];
+            line[2 * cell + 1] = shares[1] - balance[1];
+        }
+    }
+    return finish(&arrays, Py_None);
+}
+
+PyObject *scene_blocks(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 4, "scene_blocks"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *depth = array_of(&arrays, args[0], "depth_mm", 'H', 2);
+    Py_ssize_t block = whole_of(&arrays, args[1], "block_px", 1, 256);
+    Py_ssize_t step = whole_of(&arrays, args[2], "sample_px", 1, 256);
+    Py_buffer *means = output_of(&arrays, args[3], "blocks_mm", 'd', 2);
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    require(&arrays, block % step == 0, "block_px must be a multiple of sample_px");
+    require(&arrays, means->shape[0] == depth->shape[0] / block && means->shape[1] == depth->shape[1] / block,
+            "blocks_mm must be one for each whole block");
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Py_ssize_t columns = depth->shape[1], samples = (block / step) * (block / step);
+    for (Py_ssize_t row = 0; row < means->shape[0]; row++)
+        for (Py_ssize_t column = 0; column < means->shape[1]; column++) {
+            const uint16_t *corner = (const uint16_t *)depth->buf + row * block * columns + column * block;
+            uint32_t sum = 0, holes = 0;
+            for (Py_ssize_t y = step / 2; y < block; y += step)
+                for (Py_ssize_t x = step / 2; x < block; x += step) {
+                    uint32_t reading = corner[y * columns + x];
+                    sum += reading;
+                    holes += reading == 0;
+                }
+            ((double *)means->buf)[row * means->shape[1] + column] =
+                holes ? (double)NAN : (double)((float)sum / (float)samples);
+        }
+    return finish(&arrays, Py_None);
+}
+
+#define NODE_COLUMNS 9
+#define NODE_ROWS 15
+#define NODE_STEP 25
+#define READINGS 65536
+
+typedef struct {
+    const uint16_t *depth;  /* first pixel of the window */
+    Py_ssize_t pitch, rows, columns;
+    const float *table;
+} Window;
+
+/* Interpolate where all four pixels around a point have a reading; the number of points that have. */
+static Py_ssize_t interpolate_complete(const Window *window, const float *x, const float *y, Py_ssize_t n, float *depth,
+                                       uint8_t *valid)
+{
+    Py_ssize_t complete = 0;
+    float right = (float)(window->columns - 1), bottom = (float)(window->rows - 1);
+    for (Py_ssize_t i = 0; i < n; i++) {
+        depth[i] = 0.0f;
+        valid[i] = 0;
+        if (!(x[i] >= 0.0f && y[i] >= 0.0f && x[i] < right && y[i] < bottom))
+            continue;
+        int left = (int)x[i], top = (int)y[i];
+        const uint16_t *at = window->depth + (Py_ssize_t)top * window->pitch + left;
+        float a = window->table[at[0]], b = window->table[at[1]];
+        float c = window->table[at[window->pitch]], d = window->table[at[window->pitch + 1]];
+        float across = x[i] - (float)left, along = y[i] - (float)top;
+        float upper = a + across * (b - a), lower = c + across * (d - c);
+        float sum = upper + along * (lower - upper);
+        if (sum > 0.0f) { /* not NaN, which a hole makes */
+            depth[i] = sum;
+            valid[i] = 1;
+            complete++;
+        }
+    }
+    return complete;
+}
+
+static float reading_at(const Window *window, Py_ssize_t row, Py_ssize_t column, float *weight)
+{
+    *weight = 0.0f;
+    if (row < 0 || column < 0 || row >= window->rows || column >= window->columns)
+        return 0.0f;
+    float reading = window->table[window->depth[row * window->pitch + column]];
+    if (!(reading > 0.0f))
+        return 0.0f;
+    *weight = 1.0f;
+    return reading;
+}
+
+/* Interpolate where readings carry at least a least weight. */
+static void interpolate_partial(const Window *window, const float *x, const float *y, Py_ssize_t n, float least,
+                                float *depth, uint8_t *valid)
+{
+    for (Py_ssize_t i = 0; i < n; i++) {
+        float column = floorf(x[i]), row = floorf(y[i]), w[4], across = x[i] - column, along = y[i] - row;
+        depth[i] = 0.0f;
+        valid[i] = 0;
+        if (!(column >= -1.0f && row >= -1.0f && column < (float)window->columns && row < (float)window->rows))
+            continue;
+        Py_ssize_t r = (Py_ssize_t)row, c = (Py_ssize_t)column;
+        float a = reading_at(window, r, c, &w[0]), b = reading_at(window, r, c + 1, &w[1]);
+        float e = reading_at(window, r + 1, c, &w[2]), d = reading_at(window, r + 1, c + 1, &w[3]);
+        float upper = a + across * (b - a), lower = e + across * (d - e);
+        float sum = upper + along * (lower - upper);
+        upper = w[0] + across * (w[1] - w[0]);
+        lower = w[2] + across * (w[3] - w[2]);
+        float weight = upper + along * (lower - upper);
+        if (weight >= least) {
+            depth[i] = sum / weight;
+            valid[i] = 1;
+        }
+    }
+}
+
+/* The places of the grid's points in the window, bilinear between the nodes. */
+WIDE_VECTORS
+static void places(const double *nodes, Py_ssize_t rows, Py_ssize_t columns, Py_ssize_t stride, double left, double top,
+                   float *x, float *y)
+{
+    double across[NODE_COLUMNS * NODE_STEP];
+    for (Py_ssize_t column = 0; column < columns; column++)
+        across[column] = (double)(column * stride % NODE_STEP) / NODE_STEP;
+    for (Py_ssize_t row = 0; row < rows; row++) {
+        Py_ssize_t upper = row * stride / NODE_STEP;
+        double along = (double)(row * stride % NODE_STEP) / NODE_STEP;
+        const double *above = nodes + 2 * upper * NODE_COLUMNS, *below = above + 2 * NODE_COLUMNS;
+        double line[2 * NODE_COLUMNS];
+        for (int i = 0; i < NODE_COLUMNS; i++) {
+            line[i] = (1.0 - along) * (above[2 * i] - left) + along * (below[2 * i] - left);
+            line[NODE_COLUMNS + i] = (1.0 - along) * (above[2 * i + 1] - top) + along * (below[2 * i + 1] - top);
+        }
+        float *x_of_row = x + row * columns, *y_of_row = y + row * columns;
+        for (Py_ssize_t node = 0, column = 0; node < NODE_COLUMNS - 1; node++) {
+            Py_ssize_t end = ((node + 1) * NODE_STEP + stride - 1) / stride;
+            end = end < columns ? end : columns;
+            const double *at = line + node;
+            for (; column < end; column++) {
+                x_of_row[column] = (float)((1.0 - across[column]) * at[0] + across[column] * at[1]);
+                y_of_row[column] =
+                    (float)((1.0 - across[column]) * at[NODE_COLUMNS] + across[column] * at[NODE_COLUMNS + 1]);
+            }
+        }
+    }
+}
+
+/* The window's first and last but one pixel along one side of the picture, as the numpy form cuts it. */
+static void reach_of(double low, double high, Py_ssize_t size, Py_ssize_t *first, Py_ssize_t *last)
+{
+    double from = trunc(low) - 1.0, to = trunc(high) + 3.0;
+    *first = (Py_ssize_t)(from < 0.0 ? 0.0 : from > (double)size ? (double)size : from);
+    *last = (Py_ssize_t)(to < 0.0 ? 0.0 : to > (double)size ? (double)size : to);
+}
+
+PyObject *cut_out(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 8, "cut_out"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *picture = array_of(&arrays, args[0], "depth_mm", 'H', 2);
+    Py_buffer *nodes = array_of(&arrays, args[1], "nodes_px", 'd', 2);
+    Py_buffer *table = array_of(&arrays, args[2], "table_mm", 'f', 1);
+    Py_ssize_t stride = whole_of(&arrays, args[3], "stride_px", 1, 350);
+    double least_weight = number_of(&arrays, args[4], "least_weight");
+    double least_share = number_of(&arrays, args[5], "least_share");
+    Py_buffer *depth = output_of(&arrays, args[6], "depth", 'f', 2);
+    Py_buffer *valid = output_of(&arrays, args[7], "valid", '?', 2);
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Py_ssize_t rows = depth->shape[0], columns = depth->shape[1], n = rows * columns;
+    require(&arrays, nodes->shape[0] == NODE_ROWS * NODE_COLUMNS && nodes->shape[1] == 2, "nodes_px must be 135 pairs");
+    require(&arrays, table->shape[0] == READINGS, "table_mm must have an entry for every reading");
+    require(&arrays, rows <= ((NODE_ROWS - 1) * NODE_STEP - 1) / stride + 1 &&
+            columns <= ((NODE_COLUMNS - 1) * NODE_STEP - 1) / stride + 1, "the grid must lie between the nodes");
+    require(&arrays, valid->shape[0] == rows && valid->shape[1] == columns, "valid must be as large as depth");
+    require(&arrays, least_weight > 0.0, "least_weight must be positive");
+    float *x = arrays.failed ? NULL : PyMem_Malloc((size_t)(2 * n + 1) * sizeof *x);
+    if (x == NULL) {
+        if (!arrays.failed)
+            PyErr_NoMemory();
+        arrays.failed = 1;
+        return finish(&arrays, Py_None);
+    }
+    const double *node = nodes->buf;
+    double low[2] = {node[0], node[1]}, high[2] = {node[0], node[1]};
+    int is_finite = 1;
+    for (Py_ssize_t i = 0; i < 2 * nodes->shape[0]; i++) {
+        is_finite &= isfinite(node[i]) != 0;
+        low[i % 2] = node[i] < low[i % 2] ? node[i] : low[i % 2];
+        high[i % 2] = node[i] > high[i % 2] ? node[i] : high[i % 2];
+    }
+    Py_ssize_t left = 0, right = 0, top = 0, bottom = 0;
+    if (is_finite) { /* else a node is outside of the depth camera's view or behind it */
+        reach_of(low[0], high[0], picture->shape[1], &left, &right);
+        reach_of(low[1], high[1], picture->shape[0], &top, &bottom);
+    }
+    memset(depth->buf, 0, (size_t)depth->len);
+    memset(valid->buf, 0, (size_t)valid->len);
+    if (right - left >= 2 && bottom - top >= 2) {
+        Window window = {
+            .depth = (const uint16_t *)picture->buf + top * picture->shape[1] + left, .pitch = picture->shape[1],
+            .rows = bottom - top, .columns = right - left, .table = table->buf,
+        };
+        places(node, rows, columns, stride, (double)left, (double)top, x, x + n);
+        Py_ssize_t complete = interpolate_complete(&window, x, x + n, n, depth->buf, valid->buf);
+        if ((double)complete < least_share * (double)n)
+            interpolate_partial(&window, x, x + n, n, (float)least_weight, depth->buf, valid->buf);
+    }
+    PyMem_Free(x);
+    return finish(&arrays, Py_None);
+}
