@@ -8,7 +8,7 @@ STAMP := $(VENV)/.stamp
 export PYTHONDONTWRITEBYTECODE ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup openni test-system check check-tests test tests-computing tests-waiting tests-alone processors lint security types contracts openapi demo bench load faults kills mutants fuzz sanitize sbom scan safety lock clean
+.PHONY: help setup openni test-system check check-tests test tests-computing tests-waiting tests-alone tests-behind processors lint security types contracts openapi demo bench load faults kills mutants fuzz sanitize sbom scan safety lock clean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -32,10 +32,12 @@ test-system:
 		mono-mcs mono-runtime libmono-system-net-http4.0-cil libmono-system-runtime-serialization4.0-cil libmono-system-xml-linq4.0-cil
 	@docker/install-debian-packages.sh chromium-headless-shell || echo "Browser tests run chromium itself, which takes twice the time."
 
-# Three parts, one after the other: beside what computes, sessions in real time were late, and in the scheduler's idle class what
-# computes starved. First what computes, where no time is judged; then what starts services, kills them and waits; then, with a
-# core to itself, what plays through the OpenNI2 runtime in the tests' own process: the runtime's own threads race where they are
-# not run in time, and crash. Beside that goes what trips an engine that runs in real time and needs little.
+# Four parts. One after the other: what computes and starts services and browsers, where no time is judged; then what starts
+# services, kills them and waits; then, with a core to itself, what plays through the OpenNI2 runtime in the tests' own process: the
+# runtime's own threads race where they are not run in time, and crash. Beside the last goes what trips an engine that runs in real
+# time and needs little. What waits leaves a third of the processors idle: behind it goes the fourth part, numeric tests that
+# start no service, judge no time and have no deadline, in the scheduler's idle class. It is interrupted at once by anything in
+# front, where nice 10 was not, and sessions in real time were late; what has a deadline starved there.
 ALONE := tests/engine/capture/openni tests/system/virtual_camera tests/system/service/test_real_engine.py \
 	tests/service/engine_host/site_rules/test_uncalibrated.py tests/service/cli/test_recordings.py
 BESIDE := tests/campaigns/interlocks/test_live_run.py tests/system/beam_line/test_engine_on_wired_line.py
@@ -44,16 +46,28 @@ WAITING := tests/campaigns/faults tests/campaigns/kills tests/campaigns/load tes
 	tests/system/browser/test_real_service.py tests/system/service/test_shutdown.py tests/system/service/test_process.py tests/system/service/test_folder_lock.py \
 	tests/system/client/test_example_programs.py tests/system/client/test_real_service.py tests/system/client/test_whole_fractions.py \
 	tests/system/beam_line/test_killed_processes.py tests/system/beam_line/test_qa_drill.py tests/system/beam_line/test_real_receivers.py tests/system/beam_line/test_service_line.py
+# Threads that are waited for, for so many seconds, are not for what runs behind.
+BEHIND := $(filter-out tests/engine/motion/test_pipeline_models.py tests/engine/motion/learning/test_learner.py \
+	tests/engine/motion/learning/test_trainer.py tests/engine/verification/qa/test_drill.py tests/service/cli/test_measure_many.py \
+	$(addsuffix /%,tests/engine/verification/performance),$(shell find tests/service/cli -name 'test_measure*.py'; \
+	find tests/engine/calibration tests/engine/gating tests/engine/motion tests/engine/verification -name 'test_*.py'))
 # In the order of tests/support/selection.py, the longest files first: by itself xdist begins with those of most tests.
 BY_TWO := -n 2 --dist loadfile --no-loadscope-reorder
 # Three processes on two cores, where no time is judged: one of them often waits for a browser, a database or a service.
 BY_THREE := -n 3 --dist loadfile --no-loadscope-reorder
+COMMA := ,
+SPACE := $(subst ,, )
 TIMINGS := build/timings
 PART := $(BIN)/python -m tests.support.part
 TEST_PARTS := tests-computing tests-waiting tests-alone
 LOW_PRIORITY := nice -n 10
+# Idle class within its session, and a session of least weight: services and browsers that tests start in sessions of their own
+# would share the processors with it half and half.
+IDLE_CLASS := setsid sh -c 'echo 19 2>/dev/null >/proc/self/autogroup; exec "$$@"' behind $(if $(shell command -v chrt),chrt --idle 0,nice -n 19)
+# With nothing left in front: or a machine that does something else beside would leave it nothing.
+AS_ANY_OTHER = { for one in $$(pgrep --session $$behind); do chrt --all-tasks --other --pid 0 $$one; done; echo 0 >/proc/$$behind/autogroup; } 2>/dev/null || true
 # Hundreds of services and engines are started here: each would compile the whole program anew.
-check check-tests test $(TEST_PARTS): export PYTHONDONTWRITEBYTECODE :=
+check check-tests test $(TEST_PARTS) tests-behind: export PYTHONDONTWRITEBYTECODE :=
 
 # Lint, types and contracts run beside the tests. tests/support/selection.py says which tests are fast.
 check: $(STAMP)  ## two minutes, no system packages: lint, types, contracts and the fast tests of every package
@@ -67,18 +81,25 @@ check-tests:
 	$(BIN)/pytest --fast -q -n 2 --dist loadfile --durations=10
 
 # Every part runs, whatever came of those before it; the slowest tests of all parts and a line per part come last.
-# Lint, types and contracts run beside the first part. What runs in the background ignores an interrupt, and is killed by it.
+# Lint, types and contracts run beside the first part, numeric tests behind the second and third: then, not beside the first, one
+# that waits for a recording which the part behind makes leaves it a core. What runs in the background ignores an interrupt, and
+# is killed by it.
 test: $(STAMP) test-system  ## everything that must hold: lint, types, contracts, all tests
-	@trap 'kill $$others; exit 130' INT; outcomes=; failed=0; rm -rf $(TIMINGS) build/unsteady.txt; mkdir -p build; \
+	@trap 'kill $$others $$behind; exit 130' INT; outcomes=; failed=0; behind=; rm -rf $(TIMINGS) build/unsteady.txt; mkdir -p build; \
 	note() { if [ $$2 = 0 ]; then outcomes+="$$1: passed"$$'\n'; else outcomes+="$$1: FAILED"$$'\n'; failed=1; fi; }; \
 	$(LOW_PRIORITY) $(MAKE) --no-print-directory --keep-going lint security types contracts >build/check.log 2>&1 & others=$$!; \
-	for part in $(TEST_PARTS); do $(MAKE) --no-print-directory $$part; note $$part $$?; done; \
+	for part in $(TEST_PARTS); do \
+		$(MAKE) --no-print-directory $$part; note $$part $$?; \
+		[ "$$behind" ] || { $(IDLE_CLASS) $(MAKE) --no-print-directory tests-behind >build/behind.log 2>&1 & behind=$$!; }; \
+	done; \
+	$(AS_ANY_OTHER); wait $$behind; note tests-behind $$?; cat build/behind.log; \
 	wait $$others; note 'lint, types, contracts' $$?; cat build/check.log; \
+	$(BIN)/python -m tests.support.documents.traceability --ran $(TIMINGS)/*.tsv; note 'tests named in safety.md' $$?; \
 	$(BIN)/python -m tests.support.timings $(TIMINGS)/*.tsv; printf '\n%s' "$$outcomes"; \
 	[ ! -e build/unsteady.txt ] || { echo 'UNSTEADY, failed beside others and passed alone:'; cat build/unsteady.txt; }; exit $$failed
 
 tests-computing:
-	$(PART) computing $(BY_THREE) $(addprefix --ignore=,$(ALONE) $(BESIDE) $(WAITING))
+	@$(PART) computing $(BY_THREE) --leave-out $(subst $(SPACE),$(COMMA),$(strip $(ALONE) $(BESIDE) $(WAITING) $(BEHIND)))
 
 tests-waiting:
 	$(PART) waiting $(BY_TWO) $(WAITING)
@@ -88,6 +109,9 @@ tests-alone:
 	$(PART) beside $(BESIDE) >build/beside.log 2>&1 & beside=$$!; \
 	$(PART) alone $(ALONE); failed=$$?; \
 	wait $$beside || failed=1; cat build/beside.log; exit $$failed
+
+tests-behind:
+	@$(PART) behind $(BY_TWO) -o timeout=3600 $(BEHIND)
 
 processors: $(STAMP)  ## the numeric tests under other processor features (x86): no AVX-512, no AVX at all, numpy forms
 	nice $(BIN)/python -m tests.support.processor_features $(BY_TWO)

@@ -28,7 +28,7 @@ import tempfile
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
@@ -56,6 +56,46 @@ JSON_TYPE: Final = "application/json"
 _VISIBLE: Final = re.compile(r"[\x21-\x7e]+")
 
 # <made: answers>
+
+
+class AcknowledgeRequest(TypedDict):
+    """The person who acknowledges, and which alarms."""
+
+    alarms: NotRequired[list[int] | None]
+    operator: NotRequired[str]
+
+
+class LiveAlarm(TypedDict):
+    """An active alarm of a session; priorities are those of IEC 60601-1-8."""
+
+    acknowledged_at: str | None
+    acknowledged_by: str | None
+    code: str
+    detail: str
+    latches: bool
+    number: int
+    priority: Literal["high", "medium", "low"]
+    session_id: str
+    since: str
+    text: str
+
+
+class LiveAlarmEvent(TypedDict):
+    """A change of one alarm."""
+
+    alarm: LiveAlarm
+    at: str
+    kind: Literal["begin", "acknowledged", "end"]
+    number: int
+
+
+class Alarms(TypedDict):
+    """The active alarms after an event; also sent after `hello` if there are any, without an event."""
+
+    active: list[LiveAlarm]
+    event: LiveAlarmEvent | None
+    sent_at: str
+    type: NotRequired[Literal["alarms"]]
 
 
 class ArmRequest(TypedDict):
@@ -111,6 +151,7 @@ class BaselineCorrectionRequest(TypedDict):
     drift_l: NotRequired[float | None]
     drift_mm: NotRequired[float | None]
     operator: NotRequired[str]
+    reason: NotRequired[str]
 
 
 class CalibrationDetail(TypedDict):
@@ -819,7 +860,7 @@ class LiveBreathEvent(TypedDict):
 
     confidence: float
     detail: str
-    kind: Literal["cough", "sigh", "apnoea", "talking", "irregular", "drift"]
+    kind: Literal["cough", "sigh", "apnoea", "talking", "irregular", "no_cycle", "drift"]
     since_s: float
 
 
@@ -879,6 +920,35 @@ class LiveLost(TypedDict):
 
     detail: str
     reason: str
+
+
+class LivePosition(TypedDict):
+    """How far the patient has moved since the present reference, breathing aside; null where that is not known."""
+
+    height_mm: float | None
+    roll_deg: float | None
+    shift_mm: float | None
+    tilt_deg: float | None
+    turn_deg: float | None
+
+
+class LiveReference(TypedDict):
+    """How far the reference, and the window with its corrections, lie from the first reference of the fraction."""
+
+    budget_mm: float
+    correction: float
+    distance_mm: float | None
+    height_mm: float | None
+    is_beyond: bool
+    level: float | None
+    moved_mm: float | None
+    shape_mm: float | None
+    shift_mm: float | None
+    text: str
+    tilt_deg: float | None
+    turn_deg: float | None
+    unit: Literal["mm", "l"]
+    unknown: NotRequired[str]
 
 
 class LiveTraining(TypedDict):
@@ -960,7 +1030,9 @@ class Sample(TypedDict):
     missed_frames: int
     named_mm: dict[str, float | None] | None
     operator_hold: NotRequired[str | None]
+    position: NotRequired[LivePosition | None]
     received_at: NotRequired[str | None]
+    reference: NotRequired[LiveReference | None]
     regions_mm: list[list[float | None]] | None
     residual_mm: float | None
     roi_px: list[list[float]] | None
@@ -1061,11 +1133,23 @@ class ReferenceProposalView(TypedDict):
 
     at: Literal["end_exhale", "end_inhale"]
     breaths: int
+    distance: NotRequired[str | None]
+    distance_mm: NotRequired[float | None]
+    is_beyond: NotRequired[bool]
     level: float
     percent: float | None
     scatter: float
     signal: str
     unit: Literal["mm", "l"]
+
+
+class BeamOffSummary(TypedDict):
+    """Times from a hold to the accelerator's beam off [ms], of each permit that ended with the beam on."""
+
+    holds: int
+    median_ms: float
+    p95_ms: float
+    slowest_ms: float
 
 
 class LatencyView(TypedDict):
@@ -1079,6 +1163,7 @@ class LatencyView(TypedDict):
 class Summary(TypedDict):
     """Statistics of a session so far, from the database."""
 
+    beam_off: NotRequired[BeamOffSummary | None]
     duty_cycle: float | None
     frames: int
     latency: LatencyView
@@ -1103,6 +1188,7 @@ class SessionDetail(TypedDict):
     """A session with gate, training and statistics."""
 
     active_model_id: str | None
+    alarms: NotRequired[list[LiveAlarm]]
     body: NotRequired[BodyView | None]
     breath: NotRequired[LiveBreath | None]
     breath_hold: NotRequired[LiveBreathHold | None]
@@ -1126,6 +1212,8 @@ class SessionDetail(TypedDict):
     operator: str
     patient_reference: str
     plan_id: str
+    predicted_duty_percent: NotRequired[float | None]
+    reference: NotRequired[LiveReference | None]
     reference_proposals: NotRequired[list[ReferenceProposalView]]
     regions: NotRequired[Regions]
     rt_plan_id: NotRequired[str | None]
@@ -1233,7 +1321,7 @@ class UploadedCalibration(TypedDict):
     uploaded_by: str
 
 
-LiveMessage = Hello | Idle | Ping | Dropped | Gap | Resumed | Sample | ThinSample | RecordedSample
+LiveMessage = Hello | Idle | Ping | Dropped | Gap | Resumed | Alarms | Sample | ThinSample | RecordedSample
 
 
 # </made: answers>
@@ -1532,7 +1620,8 @@ class TidegateClient:
         """Make the position at the last ends of exhale the zero of motion; disarms. Never repeated.
 
         For a person who logged in; no key may. ``level_seen`` is the proposed level that the person was shown, and
-        ``reason`` is required for an amplitude window where the level is neither near the end of exhale nor of inhale.
+        ``reason`` is required for an amplitude window where the level is neither near the end of exhale nor of inhale,
+        and far from the fraction's first reference.
         """
         arguments: dict[str, object] = {"at": at, "reason": reason}
         if level_seen is not None:
@@ -1560,10 +1649,19 @@ class TidegateClient:
         return self._do(session_id, "release", SessionDetail, operator, if_match)
 
     def acknowledge(
-        self, session_id: str, *, operator: str | None = None, if_match: str | None = None
+        self,
+        session_id: str,
+        *,
+        alarms: Sequence[int] | None = None,
+        operator: str | None = None,
+        if_match: str | None = None,
     ) -> "SessionDetail":
-        """Say that a person has seen the fault: for a person who logged in; no key may. Never repeated."""
-        return self._do(session_id, "acknowledge", SessionDetail, operator, if_match)
+        """Say that a person has seen the fault and the alarms: for a person who logged in; no key may. Never repeated.
+
+        ``alarms`` are the numbers of those that the person has seen; all that are active, if left out.
+        """
+        arguments: dict[str, object] = {} if alarms is None else {"alarms": list(alarms)}
+        return self._do(session_id, "acknowledge", SessionDetail, operator, if_match, arguments)
 
     def correct_baseline(
         self,
@@ -1571,11 +1669,17 @@ class TidegateClient:
         *,
         by_mm: float,
         drift_mm: float,
+        reason: str = "",
         operator: str | None = None,
         if_match: str | None = None,
     ) -> "SessionDetail":
-        """Move the window by a drift that a person confirms; disarms. Never repeated."""
-        arguments = {"by_mm": by_mm, "drift_mm": drift_mm}
+        """Move the window by a drift that a person confirms; disarms. Never repeated.
+
+        Far from the fraction's first reference a ``reason`` is required, of a person who logged in.
+        """
+        arguments: dict[str, object] = {"by_mm": by_mm, "drift_mm": drift_mm}
+        if reason:
+            arguments["reason"] = reason
         return self._do(session_id, "baseline-correction", SessionDetail, operator, if_match, arguments)
 
     def note_presence(self, session_id: str, *, operator: str | None = None) -> None:

@@ -6,7 +6,7 @@ The comparison never permits anything, and waits for nothing: the signal is read
 import contextlib
 import threading
 
-from engine.beam.beam_on import AFTER_PERMIT_MS, BeamOnComparison, BeamOnState, Permission, ReadBeamOn
+from engine.beam.beam_on import ABSENT_S, AFTER_PERMIT_MS, BeamOnComparison, BeamOnState, Permission, ReadBeamOn
 from engine.beam.line import BeamLine, TroubleListener, ignore_trouble
 from engine.core.clock import NS_PER_MS, NS_PER_S, Clock
 from engine.core.errors import BeamLineError
@@ -27,14 +27,21 @@ class ComparedBeamLine:
     """
 
     def __init__(
-        self, line: BeamLine, clock: Clock, read: ReadBeamOn, *, after_permit_ms: float = AFTER_PERMIT_MS
+        self,
+        line: BeamLine,
+        clock: Clock,
+        read: ReadBeamOn,
+        *,
+        after_permit_ms: float = AFTER_PERMIT_MS,
+        absent_s: float = ABSENT_S,
     ) -> None:
         self.on_trouble: TroubleListener = ignore_trouble
         self._line, self._clock, self._read = line, clock, read
-        self._comparison = BeamOnComparison(after_permit_ms=after_permit_ms)
+        self._comparison = BeamOnComparison(after_permit_ms=after_permit_ms, absent_s=absent_s)
         self._permit: tuple[Lease, int, int | None] | None = None  # newest lease, permitted since, held at
         self._reported_ns: int | None = None
         self._is_over = threading.Event()
+        self._forgets_absence = threading.Event()  # the comparison belongs to its own thread
         self._thread: threading.Thread | None = None
         line.on_trouble = self._forward_trouble
 
@@ -60,6 +67,7 @@ class ComparedBeamLine:
         if violation is not None:
             raise BeamLineError(violation)
         self._line.rearm()
+        self._forgets_absence.set()
 
     def permit(self, lease: Lease) -> None:
         """Permit the beam until the lease ends."""
@@ -99,6 +107,9 @@ class ComparedBeamLine:
 
     def compare_once(self) -> None:
         """Compare the newest reading; hold, latch and report a beam without a permit, and again while it lasts."""
+        if self._forgets_absence.is_set():
+            self._forgets_absence.clear()
+            self._comparison.forget_absence()
         is_on = self._read()
         now_ns = self._clock.now_ns()
         self._comparison.compare(self._permission(now_ns), is_on=is_on, now_ns=now_ns)

@@ -6,8 +6,10 @@ Owned by the engine thread; runs between two frames. A command is refused before
 from typing import NamedTuple
 
 from engine.control.decisions import Cause
+from engine.control.duty_forecast import DutyForecast
 from engine.control.gate_controller import GateController
 from engine.control.line_orders import LineOrders
+from engine.control.reference_budget import ReferenceBudget
 from engine.control.roles import Learner, Measurer
 from engine.control.session_limits import SessionLimits
 from engine.control.turn_inputs import CommandInputs
@@ -60,11 +62,19 @@ class CommandHandler:
         controller: GateController,
         presence: OperatorPresence,
         supervisor: FrameSupervisor,
+        budget: ReferenceBudget,
     ) -> None:
         self._measurer, self._learner, self._line, self._limits = measurer, learner, line, limits
+        self._budget = budget
         self._controller, self._presence, self._supervisor = controller, presence, supervisor
+        self._forecast = DutyForecast(learner, limits)
         self._generation = learner.status.model_generation
         self._resolved_for: int | None = None
+
+    @property
+    def predicted_duty_percent(self) -> float | None:
+        """Share of the learned breaths inside the window, 0 to 100; None where unknown, and for breath holds."""
+        return self._forecast.percent
 
     def has_model_changed(self) -> bool:
         """Whether the model or the reference has changed since the last call, or since the last arming."""
@@ -99,6 +109,7 @@ class CommandHandler:
             case Acknowledge():
                 self._acknowledge(command, inputs)
             case CorrectBaseline():
+                self._budget.check_correction(command)
                 self._controller.correct_baseline(command)
                 self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], self._limits.correction)
             case _:
@@ -119,10 +130,12 @@ class CommandHandler:
 
     def _set_reference(self, command: SetReference) -> None:
         self._controller.refuse_unseen_reference()
+        most_mm = None
         if self._learner.status.model is not None:
             self._refuse_other_level(command)
+            most_mm = self._budget.checked_mm(command)
         self._disarm_for("the reference is set", command.operator)
-        self._learner.set_reference(command.moment)
+        self._learner.set_reference(command.moment, most_mm=most_mm)
         self._limits.clear_correction()
         self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], 0.0)
         self._supervisor.reset_position()
@@ -173,6 +186,7 @@ class CommandHandler:
             raise CommandRefusedError(f"{inputs.operator_absence}: a person has to log in there, and keep it visible")
         self._refuse_unless_ready(inputs)
         self._refuse_other_head(command)
+        self._forecast.refuse_never_left()
         self._line.rearm()
         if command.is_person:
             self._presence.note(command.operator)

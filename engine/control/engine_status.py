@@ -23,6 +23,8 @@ class EngineStatus:
         The newest view; None before the first frame.
     learning
         The model and the reference in use.
+    predicted_duty_percent
+        Share of the learned breaths inside the window, 0 to 100; None where it is not known, and for breath holds.
     """
 
     run_state: LoopStatus = LoopStatus.STARTING
@@ -30,6 +32,7 @@ class EngineStatus:
     source: SourceDescription | None = None
     view: LiveView | None = None
     learning: LearningStatus = field(default_factory=LearningStatus)
+    predicted_duty_percent: float | None = None
 
     @property
     def is_over(self) -> bool:

@@ -16,7 +16,9 @@ from engine.control.session_limits import SessionLimits
 from engine.control.watchdog import Watchdog
 from engine.core.frames import ColorImage, RgbdFrame
 from engine.core.gate_state import GateState, HoldReason
+from engine.core.reference_distance import ReferenceDistance
 from engine.gating.interlocks import WATCHDOG_DETAIL
+from engine.gating.supervision.patient_shift import Movement
 
 BACK_DETAIL = "; it is back: acknowledge, set the reference, arm"
 """Added to the detail of a lost camera that delivers frames again."""
@@ -43,8 +45,10 @@ class LiveViews:
         outputs: OutputQueues,
         watchdog: Watchdog,
         beam_on: Callable[[], BeamOnState | None] = no_signal,
+        reference_distance: Callable[[], ReferenceDistance | None],
+        movement: Callable[[], Movement | None],
     ) -> None:
-        self._beam_on = beam_on
+        self._beam_on, self._reference_distance, self._movement = beam_on, reference_distance, movement
         self._limits, self._outputs, self._watchdog = limits, outputs, watchdog
         self._latency = LatencyStatistics(warn_latency_ms=limits.current.warn_latency_ms)
         self._shown_by_watchdog: tuple[LiveView, LiveView] | None = None
@@ -122,5 +126,8 @@ class LiveViews:
             armed_by=decision.gate.armed_by,
             breath_holds=decision.gate.breath_holds,
             beam_on=self._beam_on(),
+            reference_distance=self._reference_distance(),
+            reference_budget_mm=limits.max_reference_distance_mm,
+            movement=None if motion is None else self._movement(),
             unseen_cells=() if motion is None else motion.seen.unseen_cells(limits.min_signal_share),
         )

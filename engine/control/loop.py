@@ -26,6 +26,7 @@ from engine.control.line_orders import LineOrders
 from engine.control.live_views import LiveViews, no_signal
 from engine.control.output_queues import OutputQueues
 from engine.control.outputs import FrameRecord, GateTransition, LoopStatus
+from engine.control.reference_budget import ReferenceBudget
 from engine.control.roles import Learner, Measurer
 from engine.control.session_limits import SessionLimits
 from engine.control.turn_inputs import CommandInputs
@@ -126,8 +127,16 @@ class EngineLoop:
             tap=tap,
         )
         self._line = LineOrders(beam, clock=clock, watchdog=self._watchdog, tap=tap)
-        self._views = LiveViews(limits=self._limits, outputs=self._outputs, watchdog=self._watchdog, beam_on=beam_on)
         self._supervisor = FrameSupervisor(limits)
+        budget = ReferenceBudget(learner, self._limits)
+        self._views = LiveViews(
+            limits=self._limits,
+            outputs=self._outputs,
+            watchdog=self._watchdog,
+            beam_on=beam_on,
+            reference_distance=budget.present,
+            movement=lambda: self._supervisor.movement,
+        )
         self._controller = self._make_controller()
         self._handler = CommandHandler(
             measurer=measurer,
@@ -137,6 +146,7 @@ class EngineLoop:
             controller=self._controller,
             presence=self._presence,
             supervisor=self._supervisor,
+            budget=budget,
         )
         self.on_turn: Callable[[], None] = _do_nothing
         beam.on_trouble = self.report_fault  # a line with its own thread detects faults between two frames
@@ -312,6 +322,7 @@ class EngineLoop:
             source=self._views.description,
             view=self._views.newest,
             learning=self._learner.status,
+            predicted_duty_percent=self._handler.predicted_duty_percent,
         )
 
     def _run_once(self, commands: Iterable[QueuedCommand]) -> None:

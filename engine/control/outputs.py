@@ -12,6 +12,8 @@ from engine.capture.source import SourceDescription
 from engine.core.clock import NS_PER_MS
 from engine.core.frames import ColorImage, Measurement
 from engine.core.gate_state import GateState, HoldReason
+from engine.core.reference_distance import ReferenceDistance
+from engine.gating.supervision.patient_shift import Movement
 from engine.gating.windows import ConditionState, GateWindow
 
 
@@ -132,6 +134,11 @@ class LiveView:
         Number of breath holds since the gate was armed.
     beam_on
         The accelerator's beam-on signal compared with the permit; None where it is no input.
+    reference_distance, reference_budget_mm
+        How far reference and window lie from the fraction's first reference, and how far they may without a reason;
+        the distance is None while no reference is set.
+    movement
+        Movement of the markers since the present reference; None where it is not known.
     unseen_cells
         Row and column of each cell of which the frame shows less than a gated cell needs; its motion is extrapolated.
     """
@@ -155,3 +162,6 @@ class LiveView:
     breath_holds: int = 0
     beam_on: BeamOnState | None = None
     unseen_cells: tuple[tuple[int, int], ...] = ()
+    reference_distance: ReferenceDistance | None = None
+    reference_budget_mm: float = 2.0
+    movement: Movement | None = None

@@ -12,7 +12,8 @@ from engine.core.frames import Measurement, RgbdFrame
 from engine.core.learning_events import LearningEvent
 from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
-from engine.core.ranges import Ranges
+from engine.core.ranges import LearnedLevels, Ranges
+from engine.core.reference_distance import ReferenceDistance
 from engine.core.reference_proposal import ReferenceMoment
 
 
@@ -39,8 +40,23 @@ class Learner(Protocol):
     def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
         """Return each signal's range in the training, against the present reference; empty where there is none."""
 
-    def set_reference(self, moment: ReferenceMoment = ReferenceMoment.NOW) -> None:
+    def reference_distance(self, moment: ReferenceMoment) -> ReferenceDistance | None:
+        """Return how far the position that would become the reference lies from the fraction's first; None without one.
+
+        Raises
+        ------
+        CommandRefusedError
+            No such position is known.
+        """
+
+    def learned_levels(self, choices: Iterable[SignalChoice]) -> LearnedLevels:
+        """Return each signal's levels in the training, against the present reference; empty where there is none."""
+
+    def set_reference(self, moment: ReferenceMoment = ReferenceMoment.NOW, *, most_mm: float | None = None) -> None:
         """Make the proposed position, or that of the next measured frame, the reference.
+
+        It is dropped when it is taken up where it lies further than ``most_mm`` from the fraction's first reference, or
+        at an unknown distance; None accepts any.
 
         Raises
         ------

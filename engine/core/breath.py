@@ -91,6 +91,7 @@ class BreathEventKind(enum.StrEnum):
     APNOEA = "apnoea"
     TALKING = "talking"
     IRREGULAR = "irregular"
+    NO_CYCLE = "no_cycle"
     DRIFT = "drift"
 
 
@@ -125,7 +126,8 @@ class Breath:
     drift
         Distance of the baseline from that of the training.
     exhale_us, exhale_drift
-        Device time of the last end of exhale [us], also one before a gap, and its distance from that of the training.
+        Device time of the last end of exhale [us], also one before a gap, and its distance from that of the training;
+        where the present exhale already lies lower, that of its lowest level.
     drift_per_s
         Rate of the drift [mm/s or l/s].
     regularity

@@ -54,13 +54,17 @@ class SetReference:
     level_seen
         The level that the operator was shown [mm, l of the volume], if any: refused if it is another by now.
     reason
-        Required where an amplitude window is used and the level is neither near the end of exhale nor of inhale.
+        Required where an amplitude window is used and the level is neither near the end of exhale nor of inhale, and
+        beyond the budget from the fraction's first reference.
+    may_exceed
+        Whether the operator is a person who may arm: with a reason, the budget may be exceeded.
     """
 
     operator: str
     moment: ReferenceMoment = ReferenceMoment.NOW
     level_seen: float | None = None
     reason: str = ""
+    may_exceed: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,10 +121,16 @@ class CorrectBaseline:
     ----------
     by
         Displacement of the window [mm, l of the volume].
+    reason
+        Required beyond the budget from the fraction's first reference.
+    may_exceed
+        Whether the operator is a person who may arm: with a reason, the budget may be exceeded.
     """
 
     operator: str
     by: float
+    reason: str = ""
+    may_exceed: bool = False
 
 
 Command = (

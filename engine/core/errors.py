@@ -123,6 +123,16 @@ class HeadDirectionError(CommandRefusedError):
     code = "head_direction_missing"
 
 
+class ReferenceDistanceError(CommandRefusedError):
+    """The reference, or the window with its correction, would lie beyond the budget from the fraction's first one."""
+
+    code = "reference_distance"
+
+    def __init__(self, field: str, value: object, bound: str, advice: str) -> None:
+        self.field, self.value, self.bound, self.advice = field, str(value), bound, advice
+        super().__init__(_sentence(self.field, self.value, bound, advice))
+
+
 def _short(value: object) -> str:
     shown = str(value)
     return shown if len(shown) <= 80 else f"{shown[:77]}..."

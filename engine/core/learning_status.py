@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from engine.core.motion_model import MotionModel
 from engine.core.patient_match import PatientMatch
+from engine.core.reference_distance import ReferenceDistance
 from engine.core.reference_proposal import ReferenceProposal
 
 
@@ -27,6 +28,8 @@ class LearningStatus:
         Counts the references that were set; one that is transferred to another model keeps its number.
     reference_proposals
         Positions of the last breaths that a person may make the reference; those that are known.
+    reference_distance
+        How far the reference in use lies from the fraction's first, without the window's correction; None without one.
     patient_match
         How far today's patient is from the stored model the session began with; None without one, or not known yet.
     """
@@ -38,4 +41,5 @@ class LearningStatus:
     has_reference: bool = False
     reference_number: int = 0
     reference_proposals: tuple[ReferenceProposal, ...] = ()
+    reference_distance: ReferenceDistance | None = None
     patient_match: PatientMatch | None = None

@@ -1,9 +1,10 @@
-"""The range a signal had while the motion model was trained: what a window in per cent refers to."""
+"""What a signal was while the motion model was trained: its range, to which per cent refer, and its levels."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from engine.core.breath import SignalChoice
+from engine.core.frames import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,3 +21,7 @@ class LearnedRange:
 
 Ranges = Mapping[SignalChoice, LearnedRange]
 """Signals whose range is not known are absent."""
+
+LearnedLevels = Mapping[SignalChoice, FloatArray]
+"""Levels against the present reference [mm, l of the volume] in training frames evenly spread over the training, shape
+(n,), of the same frames for each signal. Signals whose levels are not known are absent."""

@@ -4,6 +4,7 @@ import enum
 from dataclasses import dataclass
 
 from engine.core.breath import WHOLE, SignalChoice
+from engine.core.reference_distance import ReferenceDistance
 
 
 class ReferenceMoment(enum.StrEnum):
@@ -27,6 +28,8 @@ class ReferenceProposal:
     percent
         Its place in the learned breathing range: 0 at the end of exhale, 100 at the end of inhale. None where the range
         is not known.
+    distance
+        How far it lies from the fraction's first reference; None without one.
     """
 
     moment: ReferenceMoment
@@ -35,3 +38,4 @@ class ReferenceProposal:
     scatter: float
     breaths: int
     percent: float | None
+    distance: ReferenceDistance | None = None

@@ -325,9 +325,10 @@ def _refuse_jump(last: LastFrame | None, frame: Measurement, motion: Motion, lim
 
 
 def _refuse_irregular(frame: Measurement, limits: GateLimits) -> Verdict | None:
-    """Hold for the breathing events that the site chose: a cough, speech, an irregular breath."""
+    """Hold where breathing has ceased, and for the further breathing events that the site chose."""
+    holding = limits.judged_events
     for breath in frame.breaths:
         for event in breath.events:
-            if event.kind in limits.holding_events:
+            if event.kind in holding:
                 return unusable(HoldReason.BREATHING_IRREGULAR, f"{event.kind}: {event.detail}")
     return None

@@ -107,7 +107,12 @@ INTERLOCKS: tuple[Interlock, ...] = (
     _row(_R.CAMERA_MOVED, "couch and floor are elsewhere than at the reference"),
     _row(_R.JUMP, "a step of a signal larger than skin can move", "max_jump_mm"),
     _row(_R.VALUE_INVALID, "a value that is not a number, or impossible"),
-    _row(_R.BREATHING_IRREGULAR, "a cough, speech, an irregular breath: as the site chose", "holding_events"),
+    _row(
+        _R.BREATHING_IRREGULAR,
+        "breathing has ceased (in windows without a breath hold), or a cough, speech, an irregular breath where the "
+        "site chose so",
+        "holding_events",
+    ),
     _row(_R.MODEL_MISSING, "no motion model"),
     _row(_R.MODEL_OLD, "the model was trained or compared too long ago", "max_model_age_min"),
     _row(_R.TRAINING, "the model is being trained"),

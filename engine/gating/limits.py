@@ -11,7 +11,16 @@ from engine.core.breath import BreathEventKind
 from engine.core.clock import NS_PER_MS
 from engine.core.errors import InvalidValueError
 from engine.core.head_direction import HeadDirection, depends_on_head
-from engine.gating.windows import GateWindow
+from engine.gating.windows import BreathHoldWindow, GateWindow
+
+BREATHING_CEASED = frozenset({BreathEventKind.APNOEA, BreathEventKind.NO_CYCLE})
+"""Breathing events without breaths: an amplitude has no meaning then (ADR 0030)."""
+EVENTS_OF_A_BREATH_HOLD = BREATHING_CEASED | {
+    BreathEventKind.IRREGULAR,
+    BreathEventKind.SIGH,
+    BreathEventKind.TALKING,
+}
+"""Breathing events that a deliberate breath hold, or the breath before and after it, may resemble."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,6 +70,9 @@ class GateLimits:
     max_beam_on_s
         Longest beam-on in an amplitude or phase window without the signal's leaving it [s]; two breaths also bound it
         where the rate is known.
+    max_duty_percent
+        Largest share of the learned breaths inside an amplitude or phase window [%]; arming is refused beyond it, as
+        the signal practically never leaves such a window. 100 switches this off.
     max_repeated_frames
         Most repetitions of the same depth or colour picture with new times.
     max_clock_jump_ms
@@ -96,10 +108,14 @@ class GateLimits:
     max_baseline_correction_mm
         Greatest total baseline correction of the window; for a window on the volume, the volume of the region over
         this distance.
+    max_reference_distance_mm
+        Greatest distance of the reference, and of the window with its corrections, from the first reference of the
+        fraction; for a window on the volume, 0.1 l per mm. Beyond it a person who may arm has to give a reason.
     window_lower_mm, window_upper_mm
         Bounds of the window's edges, after conversion and correction; arming is refused beyond them.
     holding_events
-        Breathing events that hold the beam.
+        Breathing events that hold the beam. In a window with a breath hold only those hold that no breath hold
+        resembles (`EVENTS_OF_A_BREATH_HOLD`).
     head_direction
         The side of the picture at which the patient's head lies; None if it is unknown: then only the whole region and
         its volume may gate.
@@ -127,6 +143,7 @@ class GateLimits:
     min_off_ms: float = 0.0
     max_cycles_per_min: int = 120
     max_beam_on_s: float = 30.0
+    max_duty_percent: float = 90.0
     max_repeated_frames: int = 0
     max_clock_jump_ms: float = 250.0
     min_fps: float = 20.0
@@ -142,11 +159,12 @@ class GateLimits:
     max_service_silence_ms: float = 500.0
     operator_timeout_s: float = 10.0
     max_baseline_correction_mm: float = 5.0
+    max_reference_distance_mm: float = 2.0
     window_lower_mm: float = -100.0
     window_upper_mm: float = 100.0
     is_calibrated: bool = True
     head_direction: HeadDirection | None = None
-    holding_events: frozenset[BreathEventKind] = frozenset()
+    holding_events: frozenset[BreathEventKind] = BREATHING_CEASED
     is_played: bool = False
 
     def __post_init__(self) -> None:
@@ -161,6 +179,12 @@ class GateLimits:
         if self.max_silence_ms < self.max_gap_ms:
             bound = f"at least max_gap_ms ({self.max_gap_ms:g})"
             raise InvalidValueError("max_silence_ms", self.max_silence_ms, bound)
+
+    @property
+    def judged_events(self) -> frozenset[BreathEventKind]:
+        """The breathing events that hold the beam in this window."""
+        has_hold = any(isinstance(leaf, BreathHoldWindow) for leaf in self.window.leaves)
+        return self.holding_events - EVENTS_OF_A_BREATH_HOLD if has_hold else self.holding_events
 
     @property
     def needs_head_direction(self) -> bool:
@@ -188,6 +212,7 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "min_off_ms": (0.0, 60_000.0),
     "max_cycles_per_min": (1, 120),
     "max_beam_on_s": (2.0, 30.0),
+    "max_duty_percent": (10.0, 100.0),
     "max_repeated_frames": (0, 3),
     "max_clock_jump_ms": (50.0, 2_000.0),
     "min_fps": (5.0, 60.0),
@@ -203,6 +228,7 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "max_service_silence_ms": (100.0, 2_000.0),
     "operator_timeout_s": (0.0, 600.0),
     "max_baseline_correction_mm": (0.0, 50.0),
+    "max_reference_distance_mm": (0.5, 50.0),
     "window_lower_mm": (-100.0, 100.0),
     "window_upper_mm": (-100.0, 100.0),
 }

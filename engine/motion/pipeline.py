@@ -23,7 +23,6 @@ from engine.core.frames import (
     Projection,
     RgbdFrame,
     RoiDepth,
-    frozen,
 )
 from engine.core.motion_model import MotionModel
 from engine.core.native_memory import keep_freed_memory
@@ -34,6 +33,7 @@ from engine.motion.learning.depth_steps import stored_steps
 from engine.motion.learning.learned import Learned
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.prepared_model import PreparedModel, Reference, prepare_model
+from engine.motion.learning.reference_history import ReferenceHistory
 from engine.motion.learning.reference_smoothing import RecentFrames
 from engine.motion.learning.tasks import LearningStages, Outcome
 from engine.motion.learning.trainer import BackgroundTrainer, Trainer
@@ -47,6 +47,7 @@ from engine.motion.tracking.breath_tracker import BreathTracker
 from engine.motion.tracking.costal_line import CostalLineTracker
 from engine.motion.tracking.depth_table import DepthTable
 from engine.motion.tracking.marker_layout import MarkerLayout, marker_points_mm
+from engine.motion.tracking.past_measurement import PastMeasurement, motion_from
 from engine.motion.tracking.region_tracker import RegionTracker, coverage_lost
 from engine.motion.tracking.surface_continuity import ObservedSurface, SurfaceContinuity
 
@@ -89,13 +90,21 @@ class Pipeline:
         self._calibration = calibration
         self._settings = settings
         self._clock = clock
-        self._stages = LearningStages(prepare=self._prepare, explain=self._explain_for_job, vertices=self._vertices)
+        self._stages = LearningStages(
+            prepare=self._prepare,
+            explain=self._explain_for_job,
+            vertices=self._vertices,
+            measure_past=self._measure_past,
+        )
         self.learner = Learner(
             calibration_sha256=calibration.sha256,
             settings=settings.training,
             match_limits=settings.likeness,
             stages=self._stages,
             trainer=BackgroundTrainer() if trainer is None else trainer,
+            history=ReferenceHistory(
+                calibration_sha256=calibration.sha256, layout=settings.layout(), choices=settings.breath_signals
+            ),
         )
         self._tracker = RegionTracker(
             calibration,
@@ -279,6 +288,10 @@ class Pipeline:
         best = project(active.basis, roi, start)
         return best if best is not None and self._refusal(best) is None else None
 
+    def _measure_past(self, active: PreparedModel) -> PastMeasurement:
+        """Measure the first gated signal of frames from before a model; called in the trainer's thread."""
+        return PastMeasurement(active, self._settings.breath_signals, self._explain_for_job, self._vertices)
+
     def _vertices(self, nodes_px: FloatArray, depth_mm: FloatArray) -> FloatArray:
         """Compute the points at the nodes [mm], shape (nodes, 3); called in the trainer's thread."""
         return _surface(self._calibration.depth.rays(nodes_px)[:, :2], depth_mm)
@@ -342,47 +355,19 @@ class Pipeline:
         self._lags = follow_lags(self._lags, timestamp_us / US_PER_S, -depth_mm[active.regions.cells :])
         is_reference_new = self.learner.is_reference_due
         last_reference, reference = self._last_reference, self._reference(active, outcome, rays)
-        motion = self._motion_from(reference, active, outcome, depth_mm, surface)
+        motion = motion_from(reference, active, outcome, surface, self._lags.lags)
+        levels_from = self.learner.levels_from
+        if levels_from is not None:
+            self.learner.move_levels(motion_from(levels_from, active, outcome, surface), motion)
         if (
             self._breaths.has_reference_changed(active, is_reference_new=is_reference_new)
             and last_reference is not None
         ):
-            before = self._motion_from(last_reference, active, outcome, depth_mm, surface)
+            before = motion_from(last_reference, active, outcome, surface)
             self._breaths.move(before, motion)
             self.learner.move_levels(before, motion)
         self._last_reference = reference
         return motion
-
-    def _motion_from(
-        self,
-        reference: Reference,
-        active: PreparedModel,
-        outcome: Projection,
-        depth_mm: FloatArray,
-        surface: FloatArray,
-    ) -> Motion:
-        """Return the motion of a surface from a reference."""
-        motion_mm = reference.regions_mm - depth_mm
-        regions = active.regions
-        cells, shape = regions.cells, (regions.rows, regions.columns)
-        whole, thorax, abdomen = motion_mm[cells : regions.points_from].tolist()
-        weights = active.seen_weights
-        return Motion(
-            whole_mm=whole,
-            thorax_mm=thorax,
-            abdomen_mm=abdomen,
-            volume_l=reference.volume_above_l(surface),
-            regions_mm=motion_mm[:cells].reshape(shape),
-            regions_depth_mm=depth_mm[:cells].reshape(shape),
-            points_mm=motion_mm[regions.points_from : regions.named_from],
-            named_mm=motion_mm[regions.named_from :],
-            projection=outcome,
-            lags=self._lags.lags,
-            surface_mm=frozen(surface),
-            split_rows=regions.layout.split,
-            seen=weights.by_region(weights.shares(outcome.is_seen)),
-            reference_seen=weights.by_region(reference.seen_shares),
-        )
 
     def _reference(self, active: PreparedModel, outcome: Projection, rays: FloatArray) -> Reference:
         """Return the reference; one at the present position is smoothed over the last frames."""

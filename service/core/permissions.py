@@ -37,7 +37,7 @@ MEANING: Mapping[Permission, str] = {
     Permission.GATE_ARM: "arm, release a hold, correct the baseline: everything that can lead to beam on; "
     "people also answer for an armed gate by their presence",
     Permission.GATE_HOLD: "hold, disarm, stop, cancel a QA run: everything that takes the beam off",
-    Permission.GATE_ACKNOWLEDGE: "acknowledge a latched fault; for people only",
+    Permission.GATE_ACKNOWLEDGE: "acknowledge a latched fault and alarms; for people only",
     Permission.MODELS_WRITE: "train a new model, activate a stored one",
     Permission.PLANS_WRITE: "import RT Plans",
     Permission.CALIBRATIONS_READ: "read calibrations",

@@ -28,7 +28,9 @@ def make_beam_line(settings: BeamSettings, clock: Clock) -> BeamLine:
     read = read_beam_on(settings, clock, parts)
     if read is None:
         return line
-    return ComparedBeamLine(line, clock, read, after_permit_ms=settings.beam_without_permit_ms)
+    return ComparedBeamLine(
+        line, clock, read, after_permit_ms=settings.beam_without_permit_ms, absent_s=settings.beam_absent_s
+    )
 
 
 def read_beam_on(settings: BeamSettings, clock: Clock, parts: Sequence[LinePart]) -> ReadBeamOn | None:

@@ -98,6 +98,8 @@ class LocalEngine:
         )
         if plan.model is not None:
             pipeline.learner.resume(plan.model)
+        if plan.first_reference is not None:
+            pipeline.learner.continue_fraction(plan.first_reference)
         with self._camera_lock:
             engine = self._begun(plan, pipeline, tape, limits, measuring)
             self._newest = weakref.ref(engine)

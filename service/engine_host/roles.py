@@ -14,6 +14,7 @@ from engine.control.engine_status import EngineStatus
 from engine.control.journal.journal import TransitionJournal
 from engine.control.outputs import FrameRecord, GateTransition
 from engine.core.commands import Command
+from engine.core.first_reference import FirstReference
 from engine.core.frames import ColorImage
 from engine.core.gate_state import HoldReason
 from engine.core.head_direction import HeadDirection
@@ -24,14 +25,15 @@ from service.core.schemas.live_messages import Sample
 from service.core.schemas.windows import Window
 from service.storage.samples.figures import Figures
 
-CommandName = Literal["disarm", "acknowledge", "hold"]
+CommandName = Literal["disarm", "hold"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionPlan:
     """What an engine needs to run a session; ``recording`` is None for a live camera.
 
-    ``model`` is the stored one to begin with, None to learn one; ``head_direction`` is None if it was not given.
+    ``model`` is the stored one to begin with, None to learn one; ``head_direction`` is None if it was not given;
+    ``first_reference`` is that of an earlier session of the same fraction.
     """
 
     session_id: str
@@ -45,6 +47,7 @@ class SessionPlan:
     journal: TransitionJournal | None = None
     model_id: str | None = None
     head_direction: HeadDirection | None = None
+    first_reference: FirstReference | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -57,6 +57,7 @@ class SessionTape:
                 measuring=measuring,
                 calibration=plan.calibration,
                 model=plan.model,
+                first_reference=plan.first_reference,
                 frames=self._frames(),
                 software=this_software(),
                 machine=this_machine(),

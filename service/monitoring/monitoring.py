@@ -16,6 +16,7 @@ from service.monitoring.metrics.http import HttpCounters
 from service.monitoring.metrics.machine import DatabaseFigures, MachineMetrics
 from service.monitoring.metrics.registry import Metrics
 from service.monitoring.readiness import ReadinessProbe
+from service.sessions.alarms.watch import AlarmWatch
 from service.sessions.lifecycle.counters import SessionCounters
 from service.storage.audit.supervision import AuditSupervision
 from service.storage.database.engine import Database
@@ -35,6 +36,7 @@ class MonitoredServices:
     cleanup: CleanupWorker
     access: AccessService
     armed_operator: ArmedOperator
+    alarms: AlarmWatch
 
     def ended_threads(self) -> list[str]:
         """Return the names of threads that ended unexpectedly."""
@@ -42,6 +44,7 @@ class MonitoredServices:
             "armed-operator": self.armed_operator.has_ended,
             "access-cleanup": self.access.cleanup_worker.has_ended,
             "tidegate-cleanup": self.cleanup.has_ended,
+            "tidegate-alarms": self.alarms.has_ended,
         }
         return [name for name, has_ended in checked.items() if has_ended]
 

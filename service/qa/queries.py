@@ -8,7 +8,7 @@ import json
 import math
 import uuid
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 
 from sqlalchemy import literal, select, tuple_
@@ -16,10 +16,12 @@ from sqlalchemy.orm import Session
 
 from engine import __version__
 from engine.verification.qa.bounds import QaBaseline, QaBounds
-from engine.verification.qa.checks import checks_of
-from engine.verification.qa.results import QaKind, QaReport, QaResult
+from engine.verification.qa.checks import check_of, checks_of
+from engine.verification.qa.results import QaBound, QaKind, QaReport, QaResult, judge
 from service.core.errors import NotFoundError
 from service.core.list_filters import ALL_RUNS, QaRunFilter
+from service.qa.treatments import CODE as TREATMENTS
+from service.qa.treatments import treatment_figures
 from service.storage import audit
 from service.storage.audit import Event
 from service.storage.database import queries
@@ -89,7 +91,7 @@ def begin(db: Session, run: NewQaRun) -> QaRunRow:
 def end(db: Session, run_id: str, outcome: QaOutcome) -> None:
     """Store the outcome and results of a run and audit them with the hash of the results."""
     run = run_row(db, run_id)
-    report = outcome.report
+    report = None if outcome.report is None else _with_treatments(db, run, outcome.report)
     rows = [] if report is None else [_result(run_id, number, one) for number, one in enumerate(report.results)]
     db.add_all(rows)
     db.flush()
@@ -119,6 +121,17 @@ def end(db: Session, run_id: str, outcome: QaOutcome) -> None:
     }
     done: audit.Outcome = "done" if outcome.status == "finished" else "failed"
     audit.append(db, Event(actor=run.operator, action=END, outcome=done, detail=detail))
+
+
+def _with_treatments(db: Session, run: QaRunRow, report: QaReport) -> QaReport:
+    """Add the holds of the treatments since the last run; a simulated run has none."""
+    bound = json.loads(run.bounds).get(TREATMENTS)
+    if run.is_simulated or bound is None:
+        return report
+    figures = treatment_figures(db, is_simulated_beam=run.is_simulated_beam)
+    judged = [judge(figure, check_of(TREATMENTS), QaBound(**bound)) for figure in figures]
+    measured = [result for result in report.results if result.code != TREATMENTS]
+    return replace(report, results=(*measured, *judged))
 
 
 def results_sha256(rows: Sequence[QaResultRow]) -> str:

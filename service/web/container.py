@@ -21,6 +21,7 @@ from service.qa.arming_requirement import refuse_without_qa
 from service.qa.current_run import CurrentRun
 from service.qa.roles import QaRig
 from service.qa.runs import QaRunService
+from service.sessions.alarms.watch import AlarmWatch, SiteTroubles
 from service.sessions.lifecycle.counters import SessionCounters
 from service.sessions.lifecycle.runner import SessionRunner
 from service.sessions.lifecycle.start import SessionStarter, writer_connections
@@ -67,6 +68,7 @@ class _Storage:
     log: AuditLog
     samples: SampleStore
     journals: Journals
+    alarms: AlarmWatch
     audit_supervision: AuditSupervision
     cleanup: CleanupWorker
 
@@ -114,6 +116,7 @@ class Container:
         self.hold_and_close_session()
         self.services.engine.close()
         self.access.armed_operator.close()
+        self.storage.alarms.close()
         self.storage.cleanup.close()
         self.access.oidc.close()
         self.access.service.close()
@@ -161,6 +164,7 @@ def _open_storage(dependencies: _Dependencies, on_failure: ExitStack) -> _Storag
         log=log,
         samples=samples,
         journals=Journals(settings.data_dir, settings.journal_dir),
+        alarms=AlarmWatch(equipment, database),
         audit_supervision=audit_supervision,
         cleanup=CleanupWorker(
             database, settings, is_busy=lambda: equipment.running is not None, first=lambda: adopt(database, samples)
@@ -171,7 +175,7 @@ def _open_storage(dependencies: _Dependencies, on_failure: ExitStack) -> _Storag
 def _open_work(dependencies: _Dependencies, storage: _Storage) -> _Work:
     settings, engine, equipment = dependencies.settings, dependencies.engine, dependencies.equipment
     database, log, current_run = storage.database, storage.log, CurrentRun()
-    records = SessionRepository(database, log, settings, equipment, engine, storage.cleanup.tidy)
+    records = SessionRepository(database, log, settings, equipment, engine, storage.cleanup.tidy, storage.alarms.board)
     starter = SessionStarter(
         engine=engine,
         database=database,
@@ -182,6 +186,7 @@ def _open_work(dependencies: _Dependencies, storage: _Storage) -> _Work:
         counters=dependencies.counters,
         samples=storage.samples,
         journals=storage.journals,
+        alarms=storage.alarms,
     )
     runner = SessionRunner(
         starter=starter,
@@ -221,19 +226,22 @@ def _open_access(dependencies: _Dependencies, storage: _Storage, work: _Work, on
 
 
 def _open_monitoring(dependencies: _Dependencies, storage: _Storage, access: _Access) -> Monitoring:
-    return make_monitoring(
-        MonitoredServices(
-            settings=dependencies.settings,
-            database=storage.database,
-            equipment=dependencies.equipment,
-            engine=dependencies.engine,
-            counters=dependencies.counters,
-            audit_supervision=storage.audit_supervision,
-            cleanup=storage.cleanup,
-            access=access.service,
-            armed_operator=access.armed_operator,
-        )
+    monitored = MonitoredServices(
+        settings=dependencies.settings,
+        database=storage.database,
+        equipment=dependencies.equipment,
+        engine=dependencies.engine,
+        counters=dependencies.counters,
+        audit_supervision=storage.audit_supervision,
+        cleanup=storage.cleanup,
+        access=access.service,
+        armed_operator=access.armed_operator,
+        alarms=storage.alarms,
     )
+    storage.alarms.troubles = SiteTroubles(
+        audit=lambda: storage.audit_supervision.troubles, ended_threads=monitored.ended_threads
+    )
+    return make_monitoring(monitored)
 
 
 def _services(dependencies: _Dependencies, storage: _Storage, work: _Work, monitoring: Monitoring) -> Services:
@@ -254,6 +262,7 @@ def _services(dependencies: _Dependencies, storage: _Storage, work: _Work, monit
         qa_runs=work.qa_runs,
         qa_archive=work.qa_archive,
         revisions=SessionRevisions(database, work.runner.withdrawals),
+        alarms=storage.alarms.board,
     )
 
 
@@ -266,6 +275,8 @@ def _begin(dependencies: _Dependencies, storage: _Storage, access: _Access, on_f
     close_interrupted(storage.database, storage.samples)
     close_interrupted_qa(storage.database)
     storage.cleanup.start()
+    storage.alarms.start()
+    on_failure.callback(storage.alarms.close)
 
 
 def _start_detail(dependencies: _Dependencies, journals: Journals) -> dict[str, object]:

@@ -25,6 +25,7 @@ from service.planning.rt_plan.planned_sessions import PlannedSessions
 from service.planning.rt_plan.repository import PlanRepository
 from service.qa.archive import QaArchive
 from service.qa.runs import QaRunService
+from service.sessions.alarms.board import AlarmBoard
 from service.sessions.lifecycle.runner import SessionRunner
 from service.sessions.records.calibrations import CalibrationRepository
 from service.sessions.records.etags import SessionRevisions
@@ -65,6 +66,7 @@ class Services:
     qa_runs: QaRunService
     qa_archive: QaArchive
     revisions: SessionRevisions
+    alarms: AlarmBoard
 
 
 def services(connection: HTTPConnection) -> Services:

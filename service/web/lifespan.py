@@ -71,9 +71,13 @@ def _install(app: FastAPI, container: Container, settings: Settings) -> None:
     app.state.access = container.access.service
     app.state.oidc = container.access.oidc
     app.state.armed_operator = container.access.armed_operator
+    app.state.alarm_watch = container.storage.alarms
     app.state.hold_and_close_session = container.hold_and_close_session
     app.state.live = LiveHub(
-        container.services.runner, max_clients=settings.max_live_clients, stall_s=settings.live_stall_s
+        container.services.runner,
+        container.services.alarms,
+        max_clients=settings.max_live_clients,
+        stall_s=settings.live_stall_s,
     )
     container.monitoring.metrics.add(StreamMetrics(app.state.live.reading))
     tails = SampleTails(SampleStore(settings.data_dir / SAMPLES_FOLDER))

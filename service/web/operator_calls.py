@@ -15,7 +15,9 @@ from fastapi import Depends
 from engine.core.head_direction import HeadDirection
 from service.access.request.caller import RequestCaller
 from service.core.conditional import Precondition
+from service.core.permissions import Permission
 from service.core.schemas import sessions
+from service.core.schemas.gate import BaselineCorrectionRequest
 from service.engine_host.roles import CommandName
 from service.sessions.lifecycle.runner import SessionRunner
 from service.web import dependencies
@@ -46,11 +48,9 @@ class OperatorCall:
         with self.services.revisions.only_if(session_id, self.if_match):
             return action(session_id, self.caller.checked_actor(claimed))
 
-    def command(self, session_id: str, name: CommandName, claimed: str) -> sessions.SessionDetail:
-        """Submit a command to the engine; answer once it is executed, raise where it is refused or late."""
-        return self.act(
-            session_id, claimed, lambda _, operator: self.services.runner.command(session_id, name, operator)
-        )
+    def acknowledge(self, session_id: str, request: sessions.AcknowledgeRequest) -> sessions.SessionDetail:
+        """Acknowledge the latched fault and alarms; raise where the engine refuses or is late."""
+        return self.act(session_id, request.operator, partial(self.services.runner.acknowledge, alarms=request.alarms))
 
     def arm(self, session_id: str, request: sessions.ArmRequest) -> sessions.SessionDetail:
         """Arm the gate, with the head direction that the operator confirms."""
@@ -62,9 +62,24 @@ class OperatorCall:
         """Set the reference at the moment that a person confirms."""
 
         def submit(session_id: str, operator: str) -> sessions.SessionDetail:
-            return self.services.runner.set_reference(session_id, operator, request)
+            return self.services.runner.set_reference(session_id, operator, request, may_exceed=self._may_exceed)
 
         return self.act(session_id, request.operator, submit)
+
+    def correct_baseline(self, session_id: str, request: BaselineCorrectionRequest) -> sessions.SessionDetail:
+        """Shift the window by a baseline drift."""
+
+        def submit(session_id: str, operator: str) -> sessions.SessionDetail:
+            named = request.model_copy(update={"operator": operator})
+            return self.services.runner.correct_baseline(session_id, named, may_exceed=self._may_exceed)
+
+        return self.act(session_id, request.operator, submit)
+
+    @property
+    def _may_exceed(self) -> bool:
+        """Whether the caller is a person who may arm: only such a person goes beyond a fraction's budget."""
+        identity = self.caller.identity
+        return identity.is_person and Permission.GATE_ARM in identity.permissions
 
     def release(self, session_id: str, claimed: str) -> sessions.SessionDetail:
         """Release a hold by hand."""

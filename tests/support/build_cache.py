@@ -28,15 +28,19 @@ def run_folder(factory: "pytest.TempPathFactory") -> Path:
 
 
 @contextmanager
-def made_once(name: str) -> Iterator[tuple[Path, Path | None]]:
-    """Give a kept folder, and a draft to fill if it is not there yet: one process makes it, the others wait."""
-    folder = kept_dir() / name
-    with (kept_dir() / f"{name}.lock").open("w") as lock:
+def made_once(name: str, within: Path | None = None) -> Iterator[tuple[Path, Path | None]]:
+    """Give a kept folder, and a draft to fill if it is not there yet: one process makes it, the others wait.
+
+    ``within`` is the folder it lies in, for what is kept for one run only (`run_folder`).
+    """
+    place = kept_dir() if within is None else within
+    folder = place / name
+    with (place / f"{name}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if folder.is_dir():
             yield folder, None
             return
-        draft = kept_dir() / f".{name}-{os.getpid()}"
+        draft = place / f".{name}-{os.getpid()}"
         shutil.rmtree(draft, ignore_errors=True)
         draft.mkdir()
         try:

@@ -19,16 +19,20 @@ class Timings:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._seconds: Counter[str] = Counter()
+        self._skipped: set[str] = set()
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Add a phase of a test."""
         if report.when is not None and not hasattr(report, "context"):  # a subtest's time is in its test's
             self._seconds[report.nodeid] += report.duration
+            if report.skipped:
+                self._skipped.add(report.nodeid)
 
     def pytest_sessionfinish(self) -> None:
-        """Write the file."""
+        """Write the file, without the tests that were skipped."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        self._path.write_text("".join(f"{seconds:.3f}\t{test}\n" for test, seconds in self._seconds.items()))
+        ran = {test: seconds for test, seconds in self._seconds.items() if test not in self._skipped}
+        self._path.write_text("".join(f"{seconds:.3f}\t{test}\n" for test, seconds in ran.items()))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -20,7 +20,7 @@ from engine.gating.windows import AmplitudeWindow, GateWindow
 US_PER_S = 1e6
 HALF = 0.5
 BREATH_SHARE = 1.0 / 3.0
-RETURNED = 0.8
+RETURNED = 0.9
 """A drift ends at this share of its bound."""
 LONGEST_UNMEASURED_US = 1_000_000
 

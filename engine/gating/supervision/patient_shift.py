@@ -29,10 +29,17 @@ class Movement(NamedTuple):
 
 
 class PatientShift:
-    """Compares the markers with their positions at the reference; owned by the engine thread."""
+    """Compares the markers with their positions at the reference; owned by the engine thread.
+
+    Attributes
+    ----------
+    movement
+        That of the newest frame; None where it was not measured, or there is no reference.
+    """
 
     def __init__(self, limits: GateLimits) -> None:
         self._limits = limits
+        self.movement: Movement | None = None
         self._at_reference: MarkersAtReference | None = None
 
     def reset(self) -> None:
@@ -49,6 +56,7 @@ class PatientShift:
         position
             Rigid movement of the surface since the reference; None where it is unknown.
         """
+        self.movement = None
         if not has_reference:
             self.reset()
             return None
@@ -58,7 +66,8 @@ class PatientShift:
         if self._at_reference is None:
             self._at_reference = MarkersAtReference(markers_mm)
             return None
-        shifted = self._hold_for(self._at_reference.movement(markers_mm))
+        self.movement = self._at_reference.movement(markers_mm)
+        shifted = self._hold_for(self.movement)
         return shifted or (None if position is None else self._hold_for_surface(position))
 
     def _hold_for(self, moved: Movement) -> Interruption | None:

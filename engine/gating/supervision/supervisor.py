@@ -15,7 +15,7 @@ from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
 from engine.gating.supervision.baseline import Baseline
 from engine.gating.supervision.model_age import ModelAge
-from engine.gating.supervision.patient_shift import PatientShift
+from engine.gating.supervision.patient_shift import Movement, PatientShift
 from engine.gating.supervision.repeated_frames import RepeatedFrames
 from engine.gating.windows import GateWindow
 
@@ -54,6 +54,11 @@ class FrameSupervisor:
             self._order.check(frame.device_index),
         )
         return tuple(one for one in found if one is not None)
+
+    @property
+    def movement(self) -> Movement | None:
+        """Movement of the markers since the reference, in the newest frame; None where it is not known."""
+        return self._shift.movement
 
     def reset_position(self) -> None:
         """Measure later shifts and drifts from the patient's next position: the reference was set."""

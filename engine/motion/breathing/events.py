@@ -164,12 +164,20 @@ def _talking(events: Events, indicators: Indicators, _: BreathingHabit) -> Outco
     return Detection(confidence=0.5 + 0.15 * indicators.quick, detail="quick in, long out"), indicators.quick_s
 
 
+def _no_cycle(_: Events, indicators: Indicators, habit: BreathingHabit) -> Outcome:
+    is_lost = indicators.lost_s > LOST_PERIODS * habit.period_s and indicators.still_s < still_enough_s(habit)
+    if not is_lost:
+        return None, indicators.now_s
+    return Detection(confidence=0.8, detail=f"no breath detected for {indicators.lost_s:.0f} s"), indicators.now_s
+
+
 def _irregular(events: Events, indicators: Indicators, habit: BreathingHabit) -> Outcome | None:
     if indicators.quick:
         return None
     present = find_event(events, BreathEventKind.IRREGULAR)
-    if indicators.lost_s > LOST_PERIODS * habit.period_s and indicators.still_s < still_enough_s(habit):
-        return Detection(confidence=0.8, detail=f"no breath detected for {indicators.lost_s:.0f} s"), indicators.now_s
+    lost, since_s = _no_cycle(events, indicators, habit)
+    if lost is not None:
+        return lost, since_s
     if indicators.regularity is None:
         return None, indicators.now_s
     bound = IRREGULAR_BELOW if present is None else REGULAR_ABOVE
@@ -211,5 +219,6 @@ _RULES: dict[BreathEventKind, Callable[[Events, Indicators, BreathingHabit], Out
     BreathEventKind.SIGH: _sigh,
     BreathEventKind.TALKING: _talking,
     BreathEventKind.DRIFT: _drift,
+    BreathEventKind.NO_CYCLE: _no_cycle,
     BreathEventKind.IRREGULAR: _irregular,
 }

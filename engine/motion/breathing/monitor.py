@@ -180,7 +180,8 @@ def _checked(state: BreathingState, seconds: float) -> BreathingState:
 
 
 def _with_output(state: BreathingState) -> BreathingState:
-    return replace(state, breath=breath_of(state.choice, state.unit, state.history, state.track, state.events))
+    low = state.current.low
+    return replace(state, breath=breath_of(state.choice, state.unit, state.history, state.track, state.events, low))
 
 
 def _started(state: BreathingState, seconds: float, mm: float) -> BreathingState:

@@ -26,13 +26,19 @@ position, and such a drift is as large as the motion within a usual window."""
 
 
 def breath_of(
-    choice: SignalChoice, unit: float, history: BreathingHistory, track: PhaseTrack, events: Events
+    choice: SignalChoice, unit: float, history: BreathingHistory, track: PhaseTrack, events: Events, low: float
 ) -> Breath:
-    """Return the breathing figures of a signal; ``unit`` converts internal mm to the signal's unit."""
+    """Return the breathing figures of a signal; ``unit`` converts internal mm to the signal's unit.
+
+    ``low`` is the lowest level since the last end of inhale [mm], infinite before: an exhale that already lies lower
+    than the last one counts for the drift.
+    """
     habit = history.habit
     exhale_s, exhale = history.lows[-1] if history.lows else (None, math.nan)
     exhale_us = None if exhale_s is None else round(exhale_s * US_PER_S)
-    exhale_drift = None if exhale_s is None or history.expected is None else (exhale - history.expected) * unit
+    drift = None if exhale_s is None or history.expected is None else (exhale - history.expected) * unit
+    lower_by = max(0.0, exhale - low) * unit
+    exhale_drift = None if drift is None else drift - lower_by
     if habit is None or (history.breaths_needed == INITIAL_BREATHS and history.reason == AFTER_GAP):
         return Breath(signal=choice, note=history.reason, events=events, exhale_us=exhale_us, exhale_drift=exhale_drift)
     phase, confidence, note = _phase(history, habit, track)
@@ -46,7 +52,7 @@ def breath_of(
         rate_confidence=_rate_confidence(history, habit) if is_breathing else 0.0,
         amplitude=habit.rise * unit,
         baseline=None if exhale_s is None else exhale * unit,
-        drift=exhale_drift,
+        drift=drift,
         exhale_us=exhale_us,
         exhale_drift=exhale_drift,
         drift_per_s=None if history.speed is None else history.speed * unit,

@@ -1,7 +1,10 @@
 """Figures of learning events."""
 
+import math
+
 from engine.core.learning_events import Figures
 from engine.core.patient_match import PatientMatch
+from engine.core.reference_distance import ReferenceDistance
 from engine.motion.learning.prepared_model import Reference
 from engine.motion.learning.tasks import Candidate, quality_figures
 
@@ -33,3 +36,20 @@ def match_figures(patient_match: PatientMatch) -> Figures:
         "shape_mm": round(patient_match.shape_mm, 3),
         "is_accepted": patient_match.refusal is None,
     }
+
+
+def distance_figures(distance: ReferenceDistance) -> Figures:
+    """Return how far a reference lies from the fraction's first; None where that is not known."""
+    names = ("shift_mm", "height_mm", "turn_deg", "tilt_deg", "shape_mm")
+    levels = {f"level_{one.choice.label}_{one.choice.unit}": _known(one.level) for one in distance.levels}
+    total_mm = distance.distance_mm
+    return {
+        "distance_mm": None if total_mm is None else round(total_mm, 3),
+        **{name: _known(getattr(distance, name)) for name in names},
+        **levels,
+        "unknown": distance.unknown or None,
+    }
+
+
+def _known(value: float) -> float | None:
+    return round(value, 3) if math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""Breathing range during training, the scale of windows in per cent.
+"""Levels and breathing range during training, the range being the scale of windows in per cent.
 
 Computed from the model alone, so that a stored model has the same range: the coefficients of its training frames give
 the depth of every region, and the present reference converts it to motion. The 5th percentile, the end of exhale, is
@@ -11,7 +11,7 @@ import numpy as np
 
 from engine.core.breath import GateSignal, SignalChoice
 from engine.core.frames import NODE_COLUMNS, FloatArray
-from engine.core.ranges import LearnedRange, Ranges
+from engine.core.ranges import LearnedLevels, LearnedRange, Ranges
 from engine.motion.learning.prepared_model import PreparedModel, Reference
 from engine.motion.stages.surface import vertices_mm
 
@@ -19,17 +19,23 @@ PERCENTILES = (5.0, 95.0)
 MIN_SEEN_SHARE = 0.5
 
 
-def learned_ranges(active: PreparedModel, reference: Reference, choices: Iterable[SignalChoice]) -> Ranges:
-    """Return the range of each signal relative to the reference [mm or l]; signals without a range are left out."""
+def learned_levels(active: PreparedModel, reference: Reference, choices: Iterable[SignalChoice]) -> LearnedLevels:
+    """Return each signal's levels in the training relative to the reference; signals without levels are left out."""
     scores = active.model.scores_mm
     if scores is None or len(scores) < 2:
         return {}
     coefficients = np.zeros((len(scores), len(active.node_modes)))
     coefficients[:, : scores.shape[1]] = scores
+    found = {choice: _signal(choice, active, reference, coefficients) for choice in choices}
+    return {choice: levels for choice, levels in found.items() if np.isfinite(levels).all()}
+
+
+def learned_ranges(active: PreparedModel, reference: Reference, choices: Iterable[SignalChoice]) -> Ranges:
+    """Return the range of each signal relative to the reference [mm or l]; signals without a range are left out."""
     found = {}
-    for choice in choices:
-        low, high = np.percentile(_signal(choice, active, reference, coefficients), PERCENTILES)
-        if np.isfinite(low) and high > low:
+    for choice, levels in learned_levels(active, reference, choices).items():
+        low, high = np.percentile(levels, PERCENTILES)
+        if high > low:
             found[choice] = LearnedRange(low=float(low), high=float(high))
     return found
 
@@ -37,7 +43,7 @@ def learned_ranges(active: PreparedModel, reference: Reference, choices: Iterabl
 def _signal(choice: SignalChoice, active: PreparedModel, reference: Reference, coefficients: FloatArray) -> FloatArray:
     if choice.is_volume:
         return _volumes_l(active, reference, coefficients)
-    position = _position(choice, active)
+    position = position_of(choice, active)
     if position is None or not active.regions.is_known[position]:
         return np.full(len(coefficients), np.nan)
     depth_mm = active.regions.mean_mm[position] + coefficients @ active.regions.modes[position]
@@ -63,7 +69,7 @@ def _rays(surface_mm: FloatArray) -> FloatArray | None:
     return np.where(is_seen[:, None], rays, place @ plane)
 
 
-def _position(choice: SignalChoice, active: PreparedModel) -> int | None:
+def position_of(choice: SignalChoice, active: PreparedModel) -> int | None:
     """Index of a signal among the regions' means; None if there is no such cell, point or region."""
     regions = active.regions
     match choice.signal:

@@ -6,24 +6,30 @@ present model is used until another is ready; while the gate is armed, the new m
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from typing import NamedTuple
 
 from engine.core.breath import Breath, SignalChoice
 from engine.core.errors import CommandRefusedError, ModelError, ModelMismatchError, SourceAwayError
+from engine.core.first_reference import FirstReference
 from engine.core.frames import FloatArray, Motion, TrainingProgress
 from engine.core.learning_events import Figures, LearningEvent, LearningEventKind
 from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
 from engine.core.patient_match import PatientMatch
-from engine.core.ranges import Ranges
+from engine.core.ranges import LearnedLevels, Ranges
+from engine.core.reference_distance import ReferenceDistance
 from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
 from engine.motion.learning.depth_steps import steps_mismatch, with_steps
-from engine.motion.learning.event_figures import match_figures, transfer_figures
+from engine.motion.learning.event_figures import distance_figures, match_figures, transfer_figures
 from engine.motion.learning.learned import Learned
-from engine.motion.learning.learned_range import learned_ranges
+from engine.motion.learning.learned_range import learned_levels, learned_ranges
+from engine.motion.learning.past_frames import FOLLOWED_AT_ONCE, PastBreaths, PastFrames
 from engine.motion.learning.patient_match import PatientMatchLimits
 from engine.motion.learning.prepared_model import PreparedModel, Reference
+from engine.motion.learning.reference_history import ReferenceHistory
 from engine.motion.learning.reference_proposals import MAX_GAP_US, ReferenceProposals
 from engine.motion.learning.refit import Refits
+from engine.motion.learning.seen_shares import of_regions
 from engine.motion.learning.tasks import (
     Candidate,
     CompareTask,
@@ -32,6 +38,7 @@ from engine.motion.learning.tasks import (
     LearningTask,
     Outcome,
     SwitchTask,
+    with_past_breaths,
 )
 from engine.motion.learning.trainer import Trainer, TrainingSettings
 from engine.motion.learning.training_set import TrainingFrame
@@ -42,7 +49,17 @@ REFUSAL_SHOWN_S = 30.0
 BUSY = "a model is being fitted already"
 DROPPED = "the training in progress or the waiting model was dropped: the camera was disconnected"
 TOO_FEW_BREATHS = "fewer than two breaths are known since the patient lies here: wait until the patient has breathed"
+FIRST = "the first reference of this fraction: later ones are measured from it"
 COMPARING = "the stored model is still being compared with the patient: wait a few seconds"
+
+
+class _Newest(NamedTuple):
+    """The newest measured frame: coefficients, shape (k + e,), and device time [us]."""
+
+    active: PreparedModel
+    coefficients: FloatArray
+    motion: Motion
+    at_us: int
 
 
 class Learner:
@@ -50,7 +67,8 @@ class Learner:
 
     A person sets the reference. Until then motion is relative to the first measured frame, and the gate is not armed.
 
-    ``depth_steps`` are those of the sensor's readings, set before a frame is learned; models are stored with them.
+    ``history`` keeps the fraction's first reference. ``depth_steps`` are those of the sensor's readings, set before a
+    frame is learned; models are stored with them.
     """
 
     def __init__(
@@ -61,16 +79,23 @@ class Learner:
         match_limits: PatientMatchLimits,
         stages: LearningStages,
         trainer: Trainer[Outcome],
+        history: ReferenceHistory,
     ) -> None:
         self._calibration_sha256 = calibration_sha256
         self._settings, self._limits = settings, match_limits
         self._stages = stages
         self._trainer = trainer
+        self._history = history
+        self._distance: ReferenceDistance | None = None
+        self._most_mm: float | None = None
+        self._newest: _Newest | None = None
         self._task: LearningTask | None = None
         self._refits: Refits | None = None
+        self._past = PastFrames(stages.vertices)
+        self._past_breaths: PastBreaths | None = None
+        self._active: PreparedModel | None = None
         self._begin_learning()
         self._candidate: Candidate | None = None
-        self._active: PreparedModel | None = None
         self._reference: Reference | None = None
         self._is_reference_requested = False
         self._requested_position: Reference | None = None
@@ -101,16 +126,16 @@ class Learner:
     @property
     def status(self) -> LearningStatus:
         """The model and the reference in use."""
+        has_reference = self._reference is not None and not self._is_reference_requested and not self._needs_reference
         return LearningStatus(
             model=None if self._active is None else self._active.model,
             model_shortcoming=self._shortcoming(),
             model_generation=self._generation,
             is_model_waiting=self._candidate is not None,
-            has_reference=self._reference is not None
-            and not self._is_reference_requested
-            and not self._needs_reference,
+            has_reference=has_reference,
             reference_number=self._reference_number,
             reference_proposals=self._proposed,
+            reference_distance=self._distance if has_reference else None,
             patient_match=self._patient_match,
         )
 
@@ -177,8 +202,37 @@ class Learner:
 
     # -- reference ----------------------------------------------------------------------------------------------
 
-    def set_reference(self, moment: ReferenceMoment = ReferenceMoment.NOW) -> None:
+    def continue_fraction(self, first: FirstReference) -> None:
+        """Measure distances from the first reference of this fraction, which an earlier session has set."""
+        self._history.restore(first)
+
+    def reference_distance(self, moment: ReferenceMoment) -> ReferenceDistance | None:
+        """Return how far the position that would become the reference lies from the fraction's first; None without one.
+
+        The present position is that of the newest frame.
+        """
+        if self._active is None:
+            return None
+        position = self._newest_position() if moment is ReferenceMoment.NOW else self._position(moment, self._now_us)
+        return self._history.distance(self._active, position)
+
+    def _newest_position(self) -> Reference | None:
+        newest = self._newest
+        if newest is None or newest.active is not self._active or not 0 <= self._now_us - newest.at_us <= MAX_GAP_US:
+            return None
+        return newest.active.reference(newest.coefficients, newest.motion.surface_mm, of_regions(newest.motion.seen))
+
+    def _position(self, moment: ReferenceMoment, now_us: int) -> Reference:
+        position = self._proposals.position(moment, now_us)
+        if position is None:
+            raise CommandRefusedError(TOO_FEW_BREATHS)
+        return position
+
+    def set_reference(self, moment: ReferenceMoment = ReferenceMoment.NOW, *, most_mm: float | None = None) -> None:
         """Make the position at the last ends of exhale or inhale, or in the next measured frame, the reference.
+
+        One that lies further than ``most_mm`` from the fraction's first, or at an unknown distance, is dropped when it
+        is taken up; None accepts any.
 
         Raises
         ------
@@ -188,12 +242,8 @@ class Learner:
         if self._active is None:
             msg = "there is no motion model yet: a reference needs one"
             raise CommandRefusedError(msg)
-        position = None
-        if moment is not ReferenceMoment.NOW:
-            position = self._proposals.position(moment, self._now_us)
-            if position is None:
-                raise CommandRefusedError(TOO_FEW_BREATHS)
-        self._is_reference_requested, self._requested_position = True, position
+        position = None if moment is ReferenceMoment.NOW else self._position(moment, self._now_us)
+        self._is_reference_requested, self._requested_position, self._most_mm = True, position, most_mm
         self._requested_us = self._now_us
         self._change()
 
@@ -202,19 +252,42 @@ class Learner:
         if self._reference is None or self._is_reference_requested:
             self._reference = self._requested_position or present()
             self._reference_number += 1
-            self._needs_reference = self._needs_reference and not self._is_reference_requested
+            if self._is_reference_requested:
+                self._confirm(self._reference)
             self._is_reference_requested, self._requested_position = False, None
         return self._reference
+
+    def _confirm(self, reference: Reference) -> None:
+        """Accept a reference that a person confirmed, unless it lies further from the first than was allowed."""
+        if self._active is None:
+            return
+        self._distance, first = self._history.confirm(self._active, reference)
+        self._needs_reference = first is None and not self._distance.is_within(self._most_mm)
+        if self._needs_reference:
+            detail = f"the reference was dropped, because it lies {self._distance.text}: set it again"
+            self._emit(LearningEventKind.ZERO_NEEDED, detail, distance_figures(self._distance))
+            return
+        detail = FIRST if first is not None else f"the reference lies {self._distance.text}"
+        self._emit(LearningEventKind.REFERENCE_SET, detail, distance_figures(self._distance), first)
 
     def follow(self, coefficients: FloatArray, motion: Motion, breath: Breath, timestamp_us: int) -> None:
         """Add a measured frame to the positions that are proposed as the reference."""
         if self._active is None:
             return
+        self._newest = _Newest(self._active, coefficients, motion, timestamp_us)
         is_new = self._proposals.follow(self._active, coefficients, motion, breath, timestamp_us)
         if is_new or self._proposed_for != self._generation:
             self._proposed_for = self._generation
             ranges = self.learned_ranges((breath.signal,))
-            self._proposed = self._proposals.proposals(ranges, timestamp_us)
+            self._proposed = tuple(
+                replace(one, distance=self._history.distance(self._active, self._position(one.moment, timestamp_us)))
+                for one in self._proposals.proposals(ranges, timestamp_us)
+            )
+
+    @property
+    def levels_from(self) -> Reference | None:
+        """The reference of the levels from before the model, until `move_levels`; None where there are none."""
+        return self._proposals.measured_from
 
     def move_levels(self, before: Motion, now: Motion) -> None:
         """Measure the proposed levels from a new reference: the motion of one frame from the old and the new one."""
@@ -232,6 +305,7 @@ class Learner:
 
     def _forget_positions(self) -> None:
         self._proposals.clear()
+        self._past_breaths = None
         self._proposed, self._requested_position = (), None
 
     def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
@@ -239,6 +313,12 @@ class Learner:
         if self._active is None or self._reference is None or self._is_reference_requested:
             return {}
         return learned_ranges(self._active, self._reference, choices)
+
+    def learned_levels(self, choices: Iterable[SignalChoice]) -> LearnedLevels:
+        """Return the levels of each signal in the training relative to the reference; empty without a reference."""
+        if self._active is None or self._reference is None or self._is_reference_requested:
+            return {}
+        return learned_levels(self._active, self._reference, choices)
 
     # -- commands -----------------------------------------------------------------------------------------------
 
@@ -314,6 +394,7 @@ class Learner:
         self._discards_outcome = self._trainer.is_busy
         self._reference, self._is_reference_requested = None, False
         self._forget_positions()
+        self._history.lose_camera()
         self._patient_match = None
         self._change()
         if self._active is None or self._active.model.surface_mm is None:
@@ -356,6 +437,7 @@ class Learner:
         """Between two frames: take the trainer's result, switch models if allowed, start a training that is due."""
         self._now_us = timestamp_us
         self._drop_late_request()
+        self._follow_past()
         self._collect()
         if self._candidate is not None and not self._is_model_held:
             self._switch(self._candidate)
@@ -370,17 +452,40 @@ class Learner:
         if task.is_complete:
             self._task = None
             job = task.job(self._active)
-            self._trainer.start(with_steps(job, self.depth_steps) if isinstance(task, FitTask) else job)
+            job = with_steps(job, self.depth_steps) if isinstance(task, FitTask) else job
+            is_first = self._active is None
+            self._trainer.start(with_past_breaths(job, self._past.stretch, self._stages) if is_first else job)
             self._collect()
 
     # -- refits to all of the session so far --------------------------------------------------------------------
 
     def is_kept(self, timestamp_us: int) -> bool:
-        """Whether a frame of this time is kept for a refit: it has to be sampled as finely as a training frame."""
-        return self._refits is not None and self._refits.is_due(timestamp_us)
+        """Whether a frame of this time is kept: it has to be sampled as finely as a training frame."""
+        return (self._refits is not None and self._refits.is_due(timestamp_us)) or self._is_past_due(timestamp_us)
+
+    def _is_past_due(self, timestamp_us: int) -> bool:
+        return (self._active is None or self._past_breaths is not None) and self._past.is_due(timestamp_us)
+
+    def _begin_past(self, breaths: PastBreaths | None) -> None:
+        """Follow the frames that arrived during the first fit; other models have none."""
+        self._past_breaths = breaths
+        if breaths is None:
+            self._past.clear()
+        self._follow_past()
+
+    def _follow_past(self) -> None:
+        """Follow some of those frames; from the last on, their positions are the ones that are proposed."""
+        breaths = self._past_breaths
+        if breaths is None or not breaths.follow(self._past.stretch, FOLLOWED_AT_ONCE):
+            return
+        self._proposals, self._past_breaths = breaths.proposals, None
+        self._proposals.restart_breaths()
+        self._past.clear()
 
     def keep(self, frame: TrainingFrame) -> None:
         """Keep a measured or training frame if it is due, and start a refit that has become due."""
+        if self._is_past_due(frame.timestamp_us):
+            self._past.add(frame)
         if self._refits is None or not self._refits.is_due(frame.timestamp_us):
             return
         self._refits.add(frame)
@@ -415,6 +520,7 @@ class Learner:
 
     def _begin_learning(self, *, keeps_zero: bool = True) -> None:
         self._task = FitTask(self._settings, self._stages, self._calibration_sha256, keeps_zero=keeps_zero)
+        self._past.clear()
         if self._refits is None or not self._refits.is_survey:
             self._refits = self._new_refits()
 
@@ -453,6 +559,7 @@ class Learner:
         if candidate.transfer is not None and previous_reference is not None:
             self._reference = candidate.transfer.applied(previous_reference)
             self._proposals.transfer(candidate.transfer)
+            self._history.transfer(candidate.transfer)
             if self._requested_position is not None:
                 self._requested_position = candidate.transfer.applied(self._requested_position)
         else:
@@ -465,6 +572,7 @@ class Learner:
         self._emit(LearningEventKind.SWAPPED, "a new model is in use", figures)
         if not is_transferred:
             self._emit(LearningEventKind.ZERO_NEEDED, "a new model without a reference: set it before arming")
+        self._begin_past(candidate.past_breaths)
         if candidate.is_stored:
             self._is_comparing = True
             self._task = CompareTask(candidate.active, self._limits, self._stages)
@@ -494,8 +602,14 @@ class Learner:
         if self._active is None:
             self._begin_learning()
 
-    def _emit(self, kind: LearningEventKind, detail: str, figures: Figures | None = None) -> None:
-        notice = LearningEvent(kind=kind, detail=detail, timestamp_us=self._now_us, figures=figures or {})
+    def _emit(
+        self,
+        kind: LearningEventKind,
+        detail: str,
+        figures: Figures | None = None,
+        first: FirstReference | None = None,
+    ) -> None:
+        notice = LearningEvent(kind=kind, detail=detail, timestamp_us=self._now_us, figures=figures or {}, first=first)
         self._notices.append(notice)
 
 

@@ -32,12 +32,15 @@ class Reference:
         Volume between the reference surface and that plane [l].
     seen_shares
         How much of every region was seen when it was set, 0 to 1; the rest was extrapolated.
+    surface_mm
+        The region's surface at its nodes in the depth camera's frame [mm], shape (nodes, 3).
     """
 
     regions_mm: FloatArray
     plane_mm: float
     volume_l: float
     seen_shares: FloatArray
+    surface_mm: FloatArray
 
     def volume_above_l(self, surface: FloatArray) -> float:
         """Volume of a surface relative to the reference [l]; vertices of shape (nodes, 3) [mm]."""
@@ -82,6 +85,7 @@ class PreparedModel:
             plane_mm=plane_mm,
             volume_l=volume_l(surface, _TRIANGLES, plane_mm),
             seen_shares=seen_shares,
+            surface_mm=frozen(surface),
         )
 
 

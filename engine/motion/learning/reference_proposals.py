@@ -46,6 +46,15 @@ class _Frame(NamedTuple):
     seen: SeenShares
 
 
+class PastMotion(NamedTuple):
+    """What is followed of a frame from before the model: ``motion`` is measured from ``reference``."""
+
+    coefficients: FloatArray
+    motion: Motion
+    breath: Breath
+    reference: Reference
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Position:
     """The patient's position at the end of an exhale or an inhale."""
@@ -56,7 +65,13 @@ class _Position:
 
 
 class ReferenceProposals:
-    """Follows the breath's turning points; owned by the pipeline's thread."""
+    """Follows the breath's turning points; owned by the pipeline's thread.
+
+    Attributes
+    ----------
+    measured_from
+        The reference that the levels of past frames are measured from, until `move`; None without past frames.
+    """
 
     def __init__(self) -> None:
         self._active: PreparedModel | None = None
@@ -68,6 +83,11 @@ class ReferenceProposals:
         self._signal: SignalChoice | None = None
         self._alike = 0.0
         self._is_changed = False
+        self.measured_from: Reference | None = None
+
+    def restart_breaths(self) -> None:
+        """Expect another breathing monitor from now on: it does not know the last end of exhale yet."""
+        self._exhale_us, self._is_changed = None, True
 
     def clear(self) -> None:
         """Forget all positions: the patient or the camera may be elsewhere."""
@@ -85,6 +105,7 @@ class ReferenceProposals:
 
     def move(self, before: Motion, now: Motion) -> None:
         """Measure levels from another reference: the motion of one frame from both."""
+        self.measured_from = None
         if self._signal is None:
             return
         by = signal_of(self._signal, now) - signal_of(self._signal, before)
@@ -179,6 +200,7 @@ class ReferenceProposals:
             plane_mm=float(np.mean([one.plane_mm for one in references])),
             volume_l=float(np.mean([one.volume_l for one in references])),
             seen_shares=frozen(np.min([one.seen_shares for one in references], axis=0)),
+            surface_mm=frozen(np.mean([one.surface_mm for one in references], axis=0)),
         )
 
     def proposals(self, ranges: Ranges, now_us: int) -> tuple[ReferenceProposal, ...]:

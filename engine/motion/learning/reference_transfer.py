@@ -68,7 +68,12 @@ class ReferenceTransfer:
             regions_mm=frozen(reference.regions_mm + self.regions_mm),
             volume_l=reference.volume_l + self.volume_l,
             seen_shares=frozen(np.minimum(reference.seen_shares, self.seen_shares)),
+            surface_mm=self.applied_to_surface(reference.surface_mm),
         )
+
+    def applied_to_surface(self, surface_mm: FloatArray) -> FloatArray:
+        """Return points [mm], shape (n, 3), moved along their rays by the correction of the whole region."""
+        return frozen(surface_mm * (1.0 + self.whole_mm / surface_mm[:, 2:]))
 
 
 def recent(frames: Sequence[TrainingFrame]) -> list[TrainingFrame]:

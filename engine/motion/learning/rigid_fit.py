@@ -1,6 +1,6 @@
 """Rigid motion between two sets of corresponding points (Kabsch algorithm)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -21,11 +21,17 @@ class RigidFit:
         Angle of the rotation about that centre [deg].
     shape_mm
         Root mean square distance of the points after the rigid motion [mm].
+    rotation
+        About that centre, shape (3, 3).
+    share
+        Share of the pairs that was used, 0 to 1.
     """
 
     shift_mm: tuple[float, float, float]
     tilt_deg: float
     shape_mm: float
+    rotation: FloatArray = field(compare=False, repr=False)
+    share: float
 
     @property
     def distance_mm(self) -> float:
@@ -61,4 +67,6 @@ def rigid_between(first: FloatArray, second: FloatArray) -> RigidFit | None:
         shift_mm=(x, y, z),
         tilt_deg=float(np.rad2deg(np.arccos(cosine))),
         shape_mm=float(np.sqrt((left**2).sum(axis=1).mean())),
+        rotation=rotation,
+        share=float(both.mean()),
     )

@@ -51,7 +51,7 @@ class StillStretch:
 
     def add(self, frame: TrainingFrame) -> None:
         """Add a frame that is due; a movement or a gap begins another stretch."""
-        place = _place(frame, self._vertices)
+        place = place_of(frame, self._vertices)
         has_gap = self._last_us is not None and not 0.0 < (frame.timestamp_us - self._last_us) / 1e6 <= MAX_GAP_S
         if self._place is None or has_gap or not place.is_near(self._place):
             self._place = place
@@ -72,7 +72,7 @@ class StillStretch:
         return self._longest
 
 
-def _place(frame: TrainingFrame, vertices: Vertices) -> Place:
+def place_of(frame: TrainingFrame, vertices: Vertices) -> Place:
     """Return where the region lies, by its nodes at its mean depth: holes and breathing do not move it."""
     roi = frame.roi
     depth_mm = float(roi.depth_mm[roi.valid].mean()) if roi.valid.any() else 0.0

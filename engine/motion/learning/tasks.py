@@ -17,8 +17,10 @@ from engine.core.motion_model import MotionModel
 from engine.core.patient_match import PatientMatch
 from engine.core.provenance import Provenance, TrainingQuality
 from engine.motion.learning.fitting import fit
+from engine.motion.learning.past_frames import PastBreaths, Stretch
 from engine.motion.learning.patient_match import PatientMatchLimits, compare_with_patient
 from engine.motion.learning.prepared_model import PreparedModel
+from engine.motion.learning.reference_proposals import PastMotion
 from engine.motion.learning.reference_transfer import Explain, ReferenceTransfer, compare_models, recent
 from engine.motion.learning.trainer import TrainingSettings
 from engine.motion.learning.training_quality import find_outliers, refuse_breathless, refuse_disturbed, refuse_moving
@@ -44,11 +46,15 @@ class LearningStages:
         Projects a region on a prepared model; None if the model does not explain it well enough.
     vertices
         Computes the points of the surface at the nodes.
+    measure_past
+        Returns a measurement of frames from before a model, in order of time; it gives None where the model does not
+        explain a frame well enough.
     """
 
     prepare: Callable[[MotionModel], PreparedModel]
     explain: Explain
     vertices: Vertices
+    measure_past: Callable[[PreparedModel], Callable[[TrainingFrame], PastMotion | None]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -63,12 +69,15 @@ class Candidate:
         Transfer of the reference; None without a reference, or if it must not be transferred.
     is_stored
         Whether it comes from an earlier fraction, and has to be compared with the patient.
+    past_breaths
+        What is known of the breaths before a first model; None for other models.
     """
 
     active: PreparedModel
     before: PreparedModel | None = None
     transfer: ReferenceTransfer | None = None
     is_stored: bool = False
+    past_breaths: PastBreaths | None = None
 
 
 Outcome = Candidate | PatientMatch
@@ -237,6 +246,19 @@ def fit_job(
         if before is not None and keeps_zero:
             transfer = _transfer_reference(before, active, recent(frames), stages, settings.max_carry_mm)
         return Candidate(active=active, before=before, transfer=transfer)
+
+    return run
+
+
+def with_past_breaths(job: Callable[[], Outcome], stretch: Stretch, stages: LearningStages) -> Callable[[], Outcome]:
+    """Return the job of a first fit, which also finds the breaths of the frames so far."""
+
+    def run() -> Outcome:
+        outcome = job()
+        assert isinstance(outcome, Candidate), "a fit gives a candidate"
+        breaths = PastBreaths(outcome.active, stages.measure_past(outcome.active))
+        breaths.follow(stretch)
+        return replace(outcome, past_breaths=breaths)
 
     return run
 

@@ -7,12 +7,13 @@ from typing import Any
 from engine import __version__
 from engine.calibration.camera_calibration import Calibration, parse_calibration
 from engine.core.errors import InvalidValueError, RecordingError
+from engine.core.first_reference import FirstReference, read_first_reference
 from engine.core.motion_model import MotionModel
-from engine.gating.limits import GateLimits
+from engine.gating.limits import LIMIT_BOUNDS, GateLimits
 from engine.motion.settings import PipelineSettings
 from engine.offline.replay.encoding import TapeEncoding
 
-METHOD = 5
+METHOD = 6
 """Number of the measuring method, increased with every change by which the same frames may be believed, measured or
 gated otherwise: then an earlier session replays to other results on purpose."""
 FIRST_METHOD = 1
@@ -21,6 +22,9 @@ REFITTING_METHOD = 4
 """The first method that refits a session's model; earlier tapes name no such setting."""
 FRESHNESS_METHOD = 5
 """The first method that asks whether frames are fresh; earlier tapes do not know."""
+HISTORY_METHOD = 6
+"""The first method that bounds the distance from the fraction's first reference, refuses windows which are practically
+never left, and proposes a reference from the breaths of the training; earlier tapes name none of it."""
 
 RAW = "raw"
 RECORDING = "recording"
@@ -42,6 +46,8 @@ class TapeHeader:
     ----------
     model
         The stored model it started with; None where it learned one.
+    first_reference
+        That of an earlier session of the same fraction; None where there was none.
     software, machine
         Version and processor. Equal bits are promised where both are the same; for others see
         :mod:`engine.offline.replay.comparison`.
@@ -54,6 +60,7 @@ class TapeHeader:
     measuring: PipelineSettings
     calibration: Calibration
     model: MotionModel | None
+    first_reference: FirstReference | None = None
     frames: Frames
     software: str
     machine: dict[str, str]
@@ -67,6 +74,7 @@ class TapeHeader:
             "measuring": encoding.encode(self.measuring),
             "calibration": self.calibration.to_json(),
             "model": encoding.encode(self.model),
+            "first_reference": None if self.first_reference is None else self.first_reference.to_json(),
             "frames": {"kind": self.frames.kind, "path": None if self.frames.path is None else str(self.frames.path)},
             "software": self.software,
             "machine": self.machine,
@@ -86,13 +94,15 @@ def read_head(encoded: dict[str, Any], encoding: TapeEncoding) -> TapeHeader:
         if isinstance(method, bool) or not isinstance(method, int) or method < FIRST_METHOD:
             msg = f"the tape's head is damaged: its method is {method!r}"
             raise RecordingError(msg)
-        measuring = encoding.decode(encoded["measuring"])
+        measuring, limits = encoding.decode(encoded["measuring"]), encoding.decode(encoded["limits"])
+        first = encoded.get("first_reference")
         return TapeHeader(
             session_id=encoded["session_id"],
-            limits=encoding.decode(encoded["limits"]),
+            limits=_without_bounds(limits) if method < HISTORY_METHOD else limits,
             measuring=_without_refits(measuring) if method < REFITTING_METHOD else measuring,
             calibration=parse_calibration(encoded["calibration"].encode()),
             model=encoding.decode(encoded["model"]),
+            first_reference=None if first is None else read_first_reference(first),
             frames=Frames(kind=frames["kind"], path=None if frames["path"] is None else Path(frames["path"])),
             software=encoded["software"],
             machine=machine,
@@ -106,6 +116,15 @@ def read_head(encoded: dict[str, Any], encoding: TapeEncoding) -> TapeHeader:
 def this_software() -> str:
     """Return the name and version of this software."""
     return f"tidegate {__version__}"
+
+
+def _without_bounds(limits: GateLimits) -> GateLimits:
+    """Return the limits with those of `HISTORY_METHOD` as wide as they can be."""
+    return replace(
+        limits,
+        max_reference_distance_mm=LIMIT_BOUNDS["max_reference_distance_mm"][1],
+        max_duty_percent=LIMIT_BOUNDS["max_duty_percent"][1],
+    )
 
 
 def _without_refits(measuring: PipelineSettings) -> PipelineSettings:

@@ -141,6 +141,8 @@ def _run(tape: Tape, head: TapeHeader, tap: ReplayingTap) -> Replay:
     try:
         if head.model is not None:
             pipeline.learner.resume(head.model)
+        if head.first_reference is not None:
+            pipeline.learner.continue_fraction(head.first_reference)
         loop = EngineLoop(
             source=_NoSource(),
             measurer=pipeline,

@@ -430,10 +430,25 @@ _BEAM = (
     ),
     QaCheck(
         code="hold_to_beam_off_ms",
-        title="Beam off, from a hold to the accelerator",
+        title="Beam off after a hold",
         unit="ms",
         method="From a hold to the accelerator's beam-on signal off, the slowest; only where the signal is an input, "
         "and the accelerator delivered during the drills.",
+        needs=QaNeed.BEAM,
+        kinds=DAILY,
+        sidedness=Sidedness.AT_MOST,
+        warn=100.0,
+        fail=150.0,
+        most=500.0,
+        source="TG-142: 100 ms for the gate, and half as much for the line's worst case; TG-76: 500 ms in total",
+        is_optional=True,
+    ),
+    QaCheck(
+        code="treatment_beam_off_ms",
+        title="Beam off in treatments",
+        unit="ms",
+        method="From each end of a permit to the accelerator's beam-on signal off, in the sessions since the last "
+        "finished run; 95th percentile. Only where the signal is an input, and a beam was held.",
         needs=QaNeed.BEAM,
         kinds=DAILY,
         sidedness=Sidedness.AT_MOST,

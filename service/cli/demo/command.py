@@ -16,6 +16,7 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -176,7 +177,7 @@ def _gate(api: TidegateClient, recording: Path, console: Console) -> _Ran:
         {
             "patient_reference": "PHANTOM-1",
             "plan_id": "DEMO",
-            "fraction_id": "FX-1",
+            "fraction_id": f"FX-{datetime.now(UTC):%Y%m%d-%H%M%S}",  # of its own: another volunteer lies elsewhere
             "source": {"kind": "recording", "path": str((recording / "recording.oni").resolve()), "player": player},
             "calibration_id": calibration["id"],
             "window": WINDOW,

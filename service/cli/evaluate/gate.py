@@ -1,8 +1,8 @@
-"""``tidegate evaluate gate``: delays of the beam edges relative to the true motion."""
+"""``tidegate evaluate gate``: delays of the beam edges, and what the rules on breathing hold."""
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -10,48 +10,110 @@ from rich.console import Console
 from engine.core.errors import InvalidValueError, TidegateError
 from engine.core.files import write_whole
 from service.cli.evaluate.bench import PIPED_WIDTH, rich_table
+from service.cli.evaluate.breathing import MAX_TRACES
 from service.cli.terminal import advance, frame_bar, refused, say
+
+if TYPE_CHECKING:
+    from engine.verification.evaluation.table import Table
 
 
 def gate(
-    out: Annotated[Path, typer.Option(help="Folder for gate_edges.csv.")],
+    out: Annotated[Path, typer.Option(help="Folder for a CSV file per table.")],
     work: Annotated[Path | None, typer.Option(help="Folder that keeps the recordings; OUT/work by default.")] = None,
     seconds: Annotated[float, typer.Option(help="Length of each recording [s].")] = 60.0,
     seed: Annotated[
         int, typer.Option(help="Seed of the recordings; the same seed gives the same ones on the same processor.")
     ] = 2017,
+    trace: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Breathing trace on which the rules on breathing are evaluated too: a marker CSV, an RPM .vxp or a QA "
+            "text file; repeatable."
+        ),
+    ] = None,
+    volunteer: Annotated[
+        list[int] | None,
+        typer.Option(help="Virtual volunteer of the made courses, 1 to 10; repeatable. Five by default."),
+    ] = None,
     *,
+    is_rules_only: Annotated[bool, typer.Option("--rules-only", help="Leave out the delays of the edges.")] = False,
     is_strict: Annotated[
-        bool, typer.Option("--strict", help="Exit code 1 when an edge is later than allowed.")
+        bool,
+        typer.Option("--strict", help="Exit code 1 when an edge is later than allowed, or rules hold too much."),
     ] = False,
 ) -> None:
-    """Gate five virtual volunteers with windows of every kind and compare each edge with that of the true motion."""
-    from engine.verification.evaluation.gating.tables import gate_table
-    from engine.verification.evaluation.gating.timing import EdgeTiming, plan, time_gate
+    """Gate five virtual volunteers with windows of every kind and compare each edge with that of the true motion.
+
+    Then evaluate the rules on breathing (drift, ceased breathing, longest beam-on), on made courses and on recorded
+    traces.
+    """
     from engine.verification.evaluation.runs.datasets import check_plan
 
     try:
         check_plan(seed, seconds)
-        if not seconds >= 40.0:
-            raise InvalidValueError("seconds", seconds, "at least 40: a breath hold comes after 20 s of free breathing")
-        for folder, field in ((out, "out"), (work, "work")):
-            if folder is not None and folder.exists() and not folder.is_dir():
-                raise InvalidValueError(field, str(folder), "a folder")
-        runs = plan(seed, seconds)
-        timings: list[EdgeTiming] = []
-        with frame_bar() as bar:
-            for run in runs:
-                task = bar.add_task(f"{run.name}, {run.scenario}", total=2 * run.frames)
-                timings += time_gate(run, (work or out / "work") / run.name, partial(advance, bar, task))
-        table = gate_table(timings, runs[0].fps)
+        _check(out, work, seconds, trace or [])
+        tables = [] if is_rules_only else [_edge_table(work or out / "work", seed, seconds)]
+        tables += _rule_tables(trace or [], volunteer)
         out.mkdir(parents=True, exist_ok=True)
-        write_whole(out / "gate_edges.csv", table.to_csv().encode())
+        for table in tables:
+            write_whole(out / f"{table.name}.csv", table.to_csv().encode())
     except TidegateError as error:
         raise refused("evaluate gate", error) from error
     except OSError as error:
         raise refused("evaluate gate", f"{out} cannot be written ({error.strerror or error})") from error
-    console = Console()
-    (console if console.is_terminal else Console(width=PIPED_WIDTH)).print(rich_table(table))
-    say(f"Written to {out / 'gate_edges.csv'}")
-    if is_strict and table.failed:
+    _show(tables, out)
+    if is_strict and any(table.failed for table in tables):
         raise typer.Exit(1)
+
+
+def _check(out: Path, work: Path | None, seconds: float, traces: list[Path]) -> None:
+    if not seconds >= 40.0:
+        raise InvalidValueError("seconds", seconds, "at least 40: a breath hold comes after 20 s of free breathing")
+    if len(traces) > MAX_TRACES:
+        raise InvalidValueError("trace", len(traces), f"at most {MAX_TRACES} traces")
+    for folder, field in ((out, "out"), (work, "work")):
+        if folder is not None and folder.exists() and not folder.is_dir():
+            raise InvalidValueError(field, str(folder), "a folder")
+
+
+def _show(tables: "list[Table]", out: Path) -> None:
+    console = Console()
+    console = console if console.is_terminal else Console(width=PIPED_WIDTH)
+    for table in tables:
+        console.print(rich_table(table), "")
+    say(f"Written to {', '.join(str(out / f'{table.name}.csv') for table in tables)}")
+
+
+def _edge_table(work: Path, seed: int, seconds: float) -> "Table":
+    from engine.verification.evaluation.gating.tables import gate_table
+    from engine.verification.evaluation.gating.timing import EdgeTiming, plan, time_gate
+
+    runs = plan(seed, seconds)
+    timings: list[EdgeTiming] = []
+    with frame_bar() as bar:
+        for run in runs:
+            task = bar.add_task(f"{run.name}, {run.scenario}", total=2 * run.frames)
+            timings += time_gate(run, work / run.name, partial(advance, bar, task))
+    return gate_table(timings, runs[0].fps)
+
+
+def _rule_tables(traces: list[Path], volunteers: list[int] | None) -> "list[Table]":
+    from engine.verification.evaluation.gating.breathing_rules import WINDOWS, gate_trace
+    from engine.verification.evaluation.gating.rule_tables import recorded_table, stopped_table
+    from engine.verification.evaluation.gating.rule_trials import TRIALS_EACH, VOLUNTEERS, stopped_trials
+
+    chosen = tuple(volunteers or VOLUNTEERS)
+    recorded, trials = [], []
+    with frame_bar() as bar:
+        task = bar.add_task("rules on breathing, recorded courses", total=len(WINDOWS) * len(traces))
+        for number, window in enumerate(WINDOWS if traces else ()):
+            courses = []
+            for done, path in enumerate(traces, start=1):
+                courses += gate_trace(path, window)
+                bar.update(task, completed=number * len(traces) + done)
+            recorded.append(recorded_table(window, courses))
+        task = bar.add_task("rules on breathing, made courses", total=TRIALS_EACH * len(chosen))
+        for trial in stopped_trials(chosen):
+            trials.append(trial)
+            bar.update(task, completed=len(trials))
+    return [stopped_table(trials), *recorded]

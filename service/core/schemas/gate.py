@@ -29,6 +29,12 @@ class BaselineCorrectionRequest(Request):
     )
     by_l: float | None = Field(default=None, ge=-5.0, le=5.0, description="As `by_mm`, for a window on the volume")
     drift_l: float | None = Field(default=None, ge=-20.0, le=20.0)
+    reason: str = Field(
+        default="",
+        max_length=200,
+        description="Required of a person where the window would lie beyond `max_reference_distance_mm` from the"
+        " fraction's first reference; an API key cannot move it there",
+    )
 
     @model_validator(mode="after")
     def _is_one_correction(self) -> Self:

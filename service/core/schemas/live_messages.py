@@ -95,6 +95,42 @@ class Resumed(Message):
     last_frame: int = Field(description="Index of the last one; the requested frame if none was sent")
 
 
+AlarmPriorityName = Literal["high", "medium", "low"]
+
+
+class LiveAlarm(Message):
+    """An active alarm of a session; priorities are those of IEC 60601-1-8."""
+
+    number: int = Field(description="Number of this occurrence, for `POST .../acknowledge`")
+    session_id: str
+    code: str = Field(description="A hold reason, or `permit_without_beam`, `audit_trouble`, `thread_ended`")
+    priority: AlarmPriorityName
+    text: str = Field(description="Sentence for the operator")
+    detail: str = Field(description="Details with values, as at the beginning")
+    since: AwareDatetime = Field(description="Beginning of the condition, before the alarm's delay")
+    latches: bool = Field(description="It lasts until a named person acknowledges it, and ends with that")
+    acknowledged_by: str | None = Field(description="The person who acknowledged it; null until then")
+    acknowledged_at: AwareDatetime | None
+
+
+class LiveAlarmEvent(Message):
+    """A change of one alarm."""
+
+    number: int = Field(description="Number of the event, rising by one; a gap means lost events")
+    kind: Literal["begin", "acknowledged", "end"]
+    at: AwareDatetime
+    alarm: LiveAlarm = Field(description="As of this event")
+
+
+class Alarms(Message):
+    """The active alarms after an event; also sent after `hello` if there are any, without an event."""
+
+    type: Literal["alarms"] = "alarms"
+    sent_at: AwareDatetime
+    event: LiveAlarmEvent | None
+    active: list[LiveAlarm] = Field(description="All active alarms, the most urgent first; replaces any earlier list")
+
+
 class LiveLost(Message):
     """Reason why this frame could not be measured."""
 
@@ -175,7 +211,7 @@ class LiveLatency(Message):
 class LiveBreathEvent(Message):
     """An ongoing breathing event that is not quiet breathing."""
 
-    kind: Literal["cough", "sigh", "apnoea", "talking", "irregular", "drift"]
+    kind: Literal["cough", "sigh", "apnoea", "talking", "irregular", "no_cycle", "drift"]
     confidence: float = Field(description="0 to 1")
     since_s: float
     detail: str
@@ -208,6 +244,37 @@ class LiveBreathHold(Message):
     seconds: float | None = Field(description="Time in this stage; null while the hold is awaited")
     settle_s: float
     timeout_s: float
+
+
+class LiveReference(Message):
+    """How far the reference, and the window with its corrections, lie from the first reference of the fraction."""
+
+    text: str = Field(description="Sentence to display")
+    distance_mm: float | None = Field(description="Compared with the budget; null if it is not known, see `unknown`")
+    budget_mm: float = Field(description="Beyond it a reference or a correction needs a person's reason")
+    is_beyond: bool = Field(description="Beyond the budget, or at an unknown distance")
+    moved_mm: float | None = Field(description="Displacement of the surface, root mean square")
+    shift_mm: float | None = Field(description="Rigid shift of the region's middle along the surface")
+    height_mm: float | None = Field(description="Rigid shift towards the camera")
+    turn_deg: float | None = Field(description="Rigid rotation in the surface's plane")
+    tilt_deg: float | None = Field(description="Rigid rotation out of that plane")
+    shape_mm: float | None = Field(description="What a rigid movement leaves, root mean square")
+    level: float | None = Field(description="Level of the first gated signal, with the correction, in `unit`")
+    correction: float = Field(description="Baseline correction of the window since the reference was set, in `unit`")
+    unit: Literal["mm", "l"] = Field(description="Unit of `level` and `correction`")
+    unknown: str = Field(default="", description="Reason why the distance is not known")
+
+
+class LivePosition(Message):
+    """How far the patient has moved since the present reference, breathing aside; null where that is not known."""
+
+    shift_mm: float | None = Field(description="Of the four markers, along the couch")
+    turn_deg: float | None = Field(
+        description="Of the markers: the larger of the rotations on the couch and about the body's axis"
+    )
+    height_mm: float | None = Field(description="Of the surface, positive towards the camera")
+    tilt_deg: float | None = Field(description="Of the surface, about the axis across the body")
+    roll_deg: float | None = Field(description="Of the surface, about the body's long axis")
 
 
 class LiveLag(Message):
@@ -257,6 +324,8 @@ class Sample(Message):
     window: LiveWindow = Field(description="As the gate applies it: in mm or l, with baseline corrections")
     breath: LiveBreath | None = Field(default=None, description="null while no frame is measured")
     breath_hold: LiveBreathHold | None = Field(default=None, description="null if the window has no breath hold")
+    reference: LiveReference | None = Field(default=None, description="null while no reference is set")
+    position: LivePosition | None = Field(default=None, description="null while no frame is measured")
     signal_mm: float | None
     whole_mm: float | None
     thorax_mm: float | None
@@ -343,7 +412,7 @@ class RecordedSample(Message):
 
 
 AnySample = Annotated[Sample | ThinSample | RecordedSample, Field(discriminator="form")]
-LiveMessage = Annotated[Hello | Idle | Ping | Dropped | Gap | Resumed | AnySample, Field(discriminator="type")]
-LIVE_MESSAGE: TypeAdapter[Hello | Idle | Ping | Dropped | Gap | Resumed | Sample | ThinSample | RecordedSample] = (
-    TypeAdapter(LiveMessage)
-)
+LiveMessage = Annotated[Hello | Idle | Ping | Dropped | Gap | Resumed | Alarms | AnySample, Field(discriminator="type")]
+LIVE_MESSAGE: TypeAdapter[
+    Hello | Idle | Ping | Dropped | Gap | Resumed | Alarms | Sample | ThinSample | RecordedSample
+] = TypeAdapter(LiveMessage)

@@ -13,7 +13,7 @@ from engine.gating.windows import MAX_MOTION_MM
 from engine.motion.named_regions import MAX_REGIONS, MAX_VERTICES, MIN_VERTICES, NAME_PATTERN, NamedRegion
 from engine.motion.stages.regions import MIN_PART_ROWS
 from service.core.schemas.base import Answer, Identifier, Name, Operator, Request, SourceText, broken
-from service.core.schemas.live_messages import LiveBreath, LiveBreathHold, LiveWindow
+from service.core.schemas.live_messages import LiveAlarm, LiveBreath, LiveBreathHold, LiveReference, LiveWindow
 from service.core.schemas.windows import Window
 
 SessionStatus = Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
@@ -157,6 +157,19 @@ class OperatorRequest(Request):
     operator: Operator = ""
 
 
+class AcknowledgeRequest(OperatorRequest):
+    """The person who acknowledges, and which alarms."""
+
+    alarms: list[Annotated[int, Field(ge=1, le=2**53)]] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=64,
+        description="Numbers of the alarms that the person has seen; all active ones, the latched fault included, if"
+        " left out",
+        examples=[[3]],
+    )
+
+
 class ArmRequest(OperatorRequest):
     """The operator who arms, and the head direction that the operator confirms."""
 
@@ -188,7 +201,9 @@ class ReferenceRequest(OperatorRequest):
     reason: str = Field(
         default="",
         max_length=200,
-        description="Required for an amplitude window where the level lies between 15 and 85 % of the learned breath",
+        description="Required for an amplitude window where the level lies between 15 and 85 % of the learned breath,"
+        " and beyond `max_reference_distance_mm` from the fraction's first reference; there the person also needs the"
+        " permission `gate.arm`",
     )
 
 
@@ -203,6 +218,13 @@ class ReferenceProposalView(Answer):
     breaths: int = Field(description="Breaths that it is the mean of, 2 to 5")
     percent: float | None = Field(
         description="Its place in the learned breath: 0 end of exhale, 100 end of inhale; null if that is not known"
+    )
+    distance: str | None = Field(
+        default=None, description="How far it lies from the fraction's first reference; null without one"
+    )
+    distance_mm: float | None = Field(default=None, description="The same as a number; null if it is not known")
+    is_beyond: bool = Field(
+        default=False, description="Beyond `max_reference_distance_mm`, or at an unknown distance: a reason is required"
     )
 
 
@@ -313,6 +335,15 @@ class LatencyView(Answer):
     max_ms: float | None = None
 
 
+class BeamOffSummary(Answer):
+    """Times from a hold to the accelerator's beam off [ms], of each permit that ended with the beam on."""
+
+    holds: int
+    median_ms: float
+    p95_ms: float
+    slowest_ms: float
+
+
 class Summary(Answer):
     """Statistics of a session so far, from the database."""
 
@@ -322,6 +353,9 @@ class Summary(Answer):
     duty_cycle: float | None = Field(description="Share of frames with beam on while armed; null if never armed")
     transitions: int
     latency: LatencyView
+    beam_off: BeamOffSummary | None = Field(
+        default=None, description="null where the beam-on signal is no input, and until a hold was measured"
+    )
 
 
 class Session(Answer):
@@ -359,15 +393,28 @@ class SessionDetail(Session):
     """A session with gate, training and statistics."""
 
     gate: GateView | None = Field(description="null unless running")
+    alarms: list[LiveAlarm] = Field(
+        default=[],
+        description="Active alarms, the most urgent first; a latched one of a session that is over stays until it is"
+        " acknowledged, or the next session runs",
+    )
     measurement_state: Literal["training", "measuring", "lost"] | None
     training: TrainingView | None
     active_model_id: Identifier | None
     has_reference: bool | None = Field(default=None, description="Whether the reference is set; null unless running")
+    reference: LiveReference | None = Field(
+        default=None, description="The reference's distance from the fraction's first; null while none is set"
+    )
     reference_proposals: list[ReferenceProposalView] = Field(
         default=[], description="For `POST .../reference`; empty unless running, and until two breaths are known"
     )
     gate_window: LiveWindow | None = Field(
         default=None, description="As the gate applies it: in mm or l, with baseline corrections; null unless running"
+    )
+    predicted_duty_percent: float | None = Field(
+        default=None,
+        description="Share of the learned breaths inside `gate_window`; arming is refused above the site's "
+        "`max_duty_percent`. null without a model and a reference, and for windows that need a breath hold",
     )
     breath: LiveBreath | None = Field(default=None, description="null while no frame is measured")
     breath_hold: LiveBreathHold | None = Field(default=None, description="null if the window has no breath hold")

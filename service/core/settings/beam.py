@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 from pydantic import Field, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode
 
-from engine.beam.beam_on import AFTER_PERMIT_BOUNDS_MS, AFTER_PERMIT_MS
+from engine.beam.beam_on import ABSENT_BOUNDS_S, ABSENT_S, AFTER_PERMIT_BOUNDS_MS, AFTER_PERMIT_MS
 from engine.beam.simulated import ACCELERATOR_BOUNDS_MS
 from engine.beam.wire.line_supervisor import TIME_BOUNDS, LineTimes
 from engine.beam.wire.modbus import MAP_BOUNDS, RegisterMap
@@ -29,9 +29,10 @@ READBACK = "readback"
 
 MAP = ("beam_modbus_unit", "beam_modbus_permit_coil", "beam_modbus_heartbeat_register", "beam_modbus_readback_input")
 TIMES = ("beam_answer_ms", "beam_settle_ms")
-BEAM_ON_INPUT = ("beam_on_input", "beam_without_permit_ms")
+COMPARISON = ("beam_without_permit_ms", "beam_absent_s")
+BEAM_ON_INPUT = ("beam_on_input", *COMPARISON)
 USED_BY: dict[LineKind, tuple[str, ...]] = {
-    "simulated": ("beam_simulated_accelerator_ms", "beam_without_permit_ms"),
+    "simulated": ("beam_simulated_accelerator_ms", *COMPARISON),
     "modbus-tcp": ("beam_modbus_host", "beam_modbus_port", *MAP, *TIMES, *BEAM_ON_INPUT),
     "modbus-rtu": (
         "beam_rtu_device",
@@ -53,7 +54,7 @@ USED_BY: dict[LineKind, tuple[str, ...]] = {
     ),
 }
 SIGNALS = ("beam_on_input", "beam_simulated_accelerator_ms")
-NOT_PLACES = {*TIMES, *SIGNALS, "beam_without_permit_ms"}
+NOT_PLACES = {*TIMES, *SIGNALS, *COMPARISON}
 PLACES = {name for names in USED_BY.values() for name in names} - NOT_PLACES
 NEEDED_BY: dict[LineKind, str] = {
     "modbus-tcp": "beam_modbus_host",
@@ -113,6 +114,12 @@ class BeamSettings(BaseSettings):
         ge=AFTER_PERMIT_BOUNDS_MS[0],
         le=AFTER_PERMIT_BOUNDS_MS[1],
         description="Longest beam-on after the end of a permit",
+    )
+    beam_absent_s: float = Field(
+        default=ABSENT_S,
+        ge=ABSENT_BOUNDS_S[0],
+        le=ABSENT_BOUNDS_S[1],
+        description="Permitted time without a beam after which it is an alarm",
     )
     beam_simulated_accelerator_ms: int = Field(
         default=NO_CHANNEL,
@@ -249,7 +256,7 @@ class BeamSettings(BaseSettings):
         used |= {"beam_notify_timeout_s"} if self.beam_notify_http else set()
         known = {name for names in USED_BY.values() for name in names} | {"beam_notify_timeout_s"}
         if self.beam_on_line is None:
-            used -= {"beam_without_permit_ms"}
+            used -= set(COMPARISON)
         for name in sorted((known & self.model_fields_set) - used):
             msg = f"{_setting(name)} is set, but {_unused(name, self.beam_lines)}"
             raise ValueError(msg)
@@ -351,7 +358,7 @@ def _setting(name: str) -> str:
 def _unused(name: str, lines: tuple[LineKind, ...]) -> str:
     if name == "beam_notify_timeout_s":
         return f"{PREFIX}BEAM_NOTIFY_HTTP is not"
-    if name == "beam_without_permit_ms":
+    if name in COMPARISON:
         return f"neither {_setting(SIGNALS[0])} nor {_setting(SIGNALS[1])} is"
     users = [kind for kind, names in USED_BY.items() if name in names]
     return f"no beam line is {' or '.join(users)} ({', '.join(lines)} is used)"

@@ -5,9 +5,11 @@ which docs/3-operate/clinical.md prints. A session is held to the same bounds, b
 `refusals` lists everything that is missing or out of its bound at once, so that one start names all of it.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
+from engine.core.breath import BreathEventKind
+from engine.gating.limits import BREATHING_CEASED
 from service.core.settings.beam import PREFIX, BeamSettings
 
 NEGLIGIBLE = 1e-9
@@ -51,6 +53,9 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
     "window_upper_mm": ClinicalBound(
         low=-20.0, high=40.0, reason="deep inspiration breath holds lift the chest by up to 40 mm"
     ),
+    "max_duty_percent": ClinicalBound(
+        low=10.0, high=90.0, reason="the default: a window that the patient never leaves gates nothing"
+    ),
     # Where the patient may be.
     "max_shift_mm": ClinicalBound(
         low=1.0, high=4.0, reason=f"{TG_302}, and 2 mm by which markers follow the breath along the couch"
@@ -58,6 +63,7 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
     "max_turn_deg": ClinicalBound(low=0.5, high=2.0, reason="moves a point 60 mm from the centre by 2 mm (TG-302)"),
     "max_height_mm": ClinicalBound(low=0.5, high=3.0, reason=f"{TG_302}, and 1 mm of the estimate's own error"),
     "max_baseline_drift_mm": ClinicalBound(low=0.5, high=2.0, reason=TG_302),
+    "max_reference_distance_mm": ClinicalBound(low=0.5, high=2.0, reason=TG_302),
     "max_baseline_correction_mm": ClinicalBound(
         low=0.0, high=3.0, reason="a patient who lies further off needs a new reference, not a correction"
     ),
@@ -114,20 +120,23 @@ RESEARCH_ONLY: Mapping[str, str] = {
 """Settings that must be false in clinical mode, and why."""
 
 
-def refusals(settings: BeamSettings) -> tuple[str, ...]:
+def refusals(settings: BeamSettings, holding_events: Iterable[BreathEventKind]) -> tuple[str, ...]:
     """Return one line for each thing that clinical mode lacks or refuses; empty if it may start.
 
     Parameters
     ----------
     settings
         All of the site's settings, of which those of the beam line are known here by type.
+    holding_events
+        The breathing events that hold the site's beam.
     """
-    return tuple(f"{PREFIX}MODE is clinical: {line}" for line in _lines(settings))
+    return tuple(f"{PREFIX}MODE is clinical: {line}" for line in _lines(settings, holding_events))
 
 
-def _lines(settings: BeamSettings) -> Iterator[str]:
+def _lines(settings: BeamSettings, holding_events: Iterable[BreathEventKind]) -> Iterator[str]:
     yield from _line_lines(settings)
     yield from _research_lines(settings)
+    yield from _event_lines(holding_events)
     for name, bound in CLINICAL_BOUNDS.items():
         value = getattr(settings, name)
         if not bound.low - NEGLIGIBLE <= value <= bound.high + NEGLIGIBLE:
@@ -148,6 +157,13 @@ def _line_lines(settings: BeamSettings) -> Iterator[str]:
             f"one beam line has no second way off: set {PREFIX}BEAM_LINE_2, or declare a tested device that drops the "
             f"beam without this computer with {PREFIX}HARDWARE_DEAD_MAN=true"
         )
+
+
+def _event_lines(holding_events: Iterable[BreathEventKind]) -> Iterator[str]:
+    """Yield the breathing events that must hold the beam and do not."""
+    missing = sorted(BREATHING_CEASED.difference(holding_events))
+    if missing:
+        yield f"{PREFIX}HOLDING_EVENTS lacks {' and '.join(missing)}: must hold the beam (breathing has ceased)"
 
 
 def _research_lines(settings: BeamSettings) -> Iterator[str]:

@@ -14,7 +14,7 @@ from pydantic_settings import BaseSettings, NoDecode, PydanticBaseSettingsSource
 
 from engine.core.breath import BreathEventKind
 from engine.core.errors import InvalidValueError
-from engine.gating.limits import LIMIT_BOUNDS, GateLimits
+from engine.gating.limits import BREATHING_CEASED, LIMIT_BOUNDS, GateLimits
 from engine.gating.windows import HOLD_BOUNDS, amplitude_window
 from engine.motion.learning.patient_match import PATIENT_MATCH_BOUNDS, PatientMatchLimits
 from engine.motion.learning.trainer import TRAINING_BOUNDS, TrainingSettings
@@ -151,6 +151,7 @@ class Settings(
     min_off_ms: float = _limit("min_off_ms")
     max_cycles_per_min: int = _limit("max_cycles_per_min")
     max_beam_on_s: float = _limit("max_beam_on_s")
+    max_duty_percent: float = _limit("max_duty_percent")
     max_repeated_frames: int = _limit("max_repeated_frames")
     max_clock_jump_ms: float = _limit("max_clock_jump_ms")
     min_fps: float = _limit("min_fps")
@@ -158,6 +159,7 @@ class Settings(
     max_turn_deg: float = _limit("max_turn_deg")
     max_height_mm: float = _limit("max_height_mm")
     max_baseline_drift_mm: float = _limit("max_baseline_drift_mm")
+    max_reference_distance_mm: float = _limit("max_reference_distance_mm")
     warn_latency_ms: float = _limit("warn_latency_ms")
     max_latency_ms: float = _limit("max_latency_ms")
     camera_latency_ms: float = _limit("camera_latency_ms")
@@ -169,7 +171,7 @@ class Settings(
         default=True, description="A session on the camera's own registration may be armed: research only"
     )
     holding_events: EventList = Field(
-        default=(),
+        default=tuple(sorted(BREATHING_CEASED)),
         description="Breathing events that hold the beam, comma-separated; see docs/2-clinical/breathing.md",
     )
     max_breath_hold_s: float = Field(
@@ -273,7 +275,7 @@ class Settings(
 
     def _refuse_what_is_not_clinical(self) -> None:
         """Refuse everything at once that clinical mode lacks or does not permit, one line each."""
-        lines = refusals(self) if self.mode == "clinical" else ()
+        lines = refusals(self, self.holding_events) if self.mode == "clinical" else ()
         if lines:
             raise ValueError("\n".join(lines))
 

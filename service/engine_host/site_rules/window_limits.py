@@ -8,22 +8,16 @@ site has set its edges, every way into the beam needs a condition on a length be
 
 from typing import TypeVar
 
-from engine.core.breath import BreathEventKind, SignalChoice
+from engine.core.breath import SignalChoice
 from engine.core.head_direction import HeadDirection
 from engine.gating.limits import GateLimits
 from engine.gating.windows import GateWindow, JoinedWindow
 from service.core.errors import BoundError
 from service.core.schemas import sessions
 from service.core.schemas.windows import Condition, Window
-from service.core.settings.beam import PREFIX
 from service.core.settings.settings import Settings
 
 NO_REGIONS = sessions.Regions()
-EVENTS_OF_A_BREATH_HOLD = frozenset(
-    {BreathEventKind.APNOEA, BreathEventKind.IRREGULAR, BreathEventKind.SIGH, BreathEventKind.TALKING}
-)
-"""Breath events that a deliberate breath hold, or the breath before and after it, may resemble."""
-
 NumberT = TypeVar("NumberT", int, float)
 
 
@@ -99,18 +93,6 @@ def _check_condition(path: str, condition: Condition, settings: Settings) -> Non
         _at_most(f"{path}.timeout_s", condition.timeout_s, settings.max_breath_hold_s)
     if condition.min_confidence is not None:
         _at_least(f"{path}.min_confidence", condition.min_confidence, settings.min_phase_confidence)
-    _refuse_hold_that_holds(path, condition, settings)
-
-
-def _refuse_hold_that_holds(path: str, condition: Condition, settings: Settings) -> None:
-    """Refuse a breath hold where the site holds the beam for events that a breath hold causes."""
-    events = [kind for kind in settings.holding_events if kind in EVENTS_OF_A_BREATH_HOLD]
-    if condition.kind == "breath_hold" and events:
-        bound = (
-            f"amplitude or phase: this site holds the beam for {' and '.join(events)} ({PREFIX}HOLDING_EVENTS), "
-            "which a breath hold can cause"
-        )
-        raise _broken(f"{path}.kind", condition.kind, bound)
 
 
 def _refuse_way_around(window: Window, settings: Settings) -> None:

@@ -88,8 +88,14 @@ def _beam_on(state: BeamOnState) -> Iterator[Metric]:
     """Report the accelerator's beam-on signal; an unknown value is omitted."""
     if state.is_on is not None:
         yield _gauge("tidegate_accelerator_beam_on", "1 while the accelerator reports beam on", float(state.is_on))
-    yield _gauge("tidegate_beam_absent", "1 while a permit has lasted 1 s without a beam", float(state.is_absent))
-    yield CounterMetricFamily("tidegate_beam_absences", "Permits that lasted 1 s without a beam", value=state.absences)
+    yield _gauge(
+        "tidegate_beam_absent",
+        "1 after TIDEGATE_BEAM_ABSENT_S of permitted time without a beam",
+        float(state.is_absent),
+    )
+    yield CounterMetricFamily(
+        "tidegate_beam_absences", "Times that the beam was permitted for too long without one", value=state.absences
+    )
     times = GaugeMetricFamily(
         "tidegate_beam_off_seconds", "Time from the end of a permit to the accelerator's beam off", labels=["hold"]
     )

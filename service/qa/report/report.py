@@ -28,7 +28,7 @@ KEY_CHECKS = (
     *("camera_distance_mm", "camera_tilt_x_deg", "camera_tilt_y_deg", "plate_noise_mm"),
     *("plate_drift_mm", "plate_flatness_mm", "motion_offset_mm", "motion_error_mm", "motion_lag_ms"),
     *("gate_mean_delay_ms", "gate_delay_difference_ms", "duty_cycle_change_percent"),
-    *("beam_readback_on_ms", "beam_readback_off_ms", "fail_safe_hold_ms", "fail_safe_lease_ms"),
+    *("treatment_beam_off_ms", "hold_to_beam_off_ms", "beam_readback_off_ms", "fail_safe_hold_ms"),
 )
 TREND_WORDS = "Trend of the newest runs: deviation, or the figure itself; dashed warns, beyond the solid line fails"
 METADATA = {"Title": "Tidegate QA report", "Creator": "Tidegate", "Producer": None, "CreationDate": None}

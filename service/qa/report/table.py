@@ -9,7 +9,7 @@ from matplotlib.patches import FancyBboxPatch, Rectangle
 from service.qa.report.style import DASH, INK, LINE, LOOKS, PALE, SOFT, number
 from service.qa.schemas import QaResult, QaRunDetail, Verdict
 
-ROW_IN, TALL_ROW_IN = 0.19, 0.24
+ROW_IN, TALL_ROW_IN = 0.18, 0.24
 Box = tuple[float, float, float, float]
 COLUMNS = (
     ("check", 0.008, "left"),

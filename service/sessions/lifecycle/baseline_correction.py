@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from engine.control.outputs import LiveView
-from engine.core.errors import CommandRefusedError, InvalidValueError
+from engine.core.errors import CommandRefusedError, InvalidValueError, ReferenceDistanceError
 from service.core.errors import BoundError
 from service.core.schemas.gate import BaselineCorrectionRequest
 from service.core.settings.settings import Settings
@@ -62,6 +62,8 @@ def naming_the_field(request: BaselineCorrectionRequest) -> Iterator[None]:
         if error.field != "by":
             raise
         raise _broken(f"by_{request.unit}", request.by, error.bound) from error
+    except ReferenceDistanceError as error:
+        raise ReferenceDistanceError(f"by_{request.unit}", error.value, error.bound, error.advice) from error
 
 
 def known_drift(view: LiveView) -> float | None:
@@ -76,6 +78,7 @@ def correction_detail(request: BaselineCorrectionRequest, view: LiveView | None)
         "by": request.by,
         "unit": request.unit,
         "drift_seen": request.drift_seen,
+        "reason": request.reason,
         "drift_known": None if view is None else known_drift(view),
         "window_before": None if view is None else window_detail(view),
     }

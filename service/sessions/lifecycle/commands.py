@@ -26,7 +26,6 @@ from service.storage.database.engine import Database
 
 COMMANDS: dict[CommandName, Callable[[str], Command]] = {
     "disarm": lambda operator: Disarm(operator=operator),
-    "acknowledge": lambda operator: Acknowledge(operator=operator),
     "hold": lambda operator: HoldBeam(operator=operator),
 }
 AGES_FROM_ARRIVAL = (Arm, ReleaseBeam, SetReference, Acknowledge)

@@ -1,7 +1,7 @@
 """The running session: start, command and stop its engine. The gate alone decides whether the beam may be on."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from datetime import UTC, datetime
 
@@ -24,6 +24,7 @@ from service.core.errors import PictureMissingError
 from service.core.schemas import sessions
 from service.core.schemas.gate import BaselineCorrectionRequest
 from service.engine_host.roles import CommandName, LiveFrame, Picture, RunningSession
+from service.sessions.lifecycle.acknowledgement import Acknowledgement
 from service.sessions.lifecycle.baseline_correction import (
     check_correction,
     correction_detail,
@@ -88,6 +89,9 @@ class SessionRunner:
             priority_database=self._priority_database,
             answer_timeout_s=starter.settings.command_timeout_s,
         )
+        self._acknowledgement = Acknowledgement(
+            alarms=starter.alarms, equipment=starter.equipment, commander=self._commander
+        )
 
     @property
     def withdrawals(self) -> Withdrawals:
@@ -119,6 +123,11 @@ class SessionRunner:
         self._commander.execute(session_id, command, operator, f"session.{name}")
         return self._records.detail(session_id, self._priority_database if takes_permission_away(command) else None)
 
+    def acknowledge(self, session_id: str, operator: str, alarms: Collection[int] | None) -> sessions.SessionDetail:
+        """Acknowledge the latched fault and alarms; ``alarms`` are the numbers of those meant, None for all."""
+        self._acknowledgement.acknowledge(session_id, operator, alarms)
+        return self._records.detail(session_id)
+
     def arm(
         self, session_id: str, operator: str, head: HeadDirection | None, *, is_person: bool
     ) -> sessions.SessionDetail:
@@ -135,17 +144,23 @@ class SessionRunner:
         return self._records.detail(session_id)
 
     def set_reference(
-        self, session_id: str, operator: str, request: sessions.ReferenceRequest
+        self, session_id: str, operator: str, request: sessions.ReferenceRequest, *, may_exceed: bool
     ) -> sessions.SessionDetail:
-        """Set the reference; the audit records the moment, what the operator was shown, and what was proposed."""
+        """Set the reference; the audit records the moment, what the operator was shown, and what was proposed.
+
+        ``may_exceed`` is whether the operator is a person who may arm; with a reason, the reference may then lie beyond
+        the budget from the fraction's first one.
+        """
         command = SetReference(
             operator=operator,
             moment=ReferenceMoment(request.at),
             level_seen=request.level_seen,
             reason=request.reason,
+            may_exceed=may_exceed,
         )
         running = self._equipment.of(session_id)
-        views = [] if running is None else proposal_views(running.engine.status.learning)
+        budget_mm = self._settings.max_reference_distance_mm
+        views = [] if running is None else proposal_views(running.engine.status.learning, budget_mm)
         proposed = next((view.model_dump() for view in views if view.at == request.at), None)
         detail = {**request.model_dump(exclude={"operator"}), "proposed": proposed}
         self._commander.execute(session_id, command, operator, "session.reference", detail)
@@ -189,8 +204,10 @@ class SessionRunner:
         self._commander.execute(session_id, ActivateModel(operator=operator, model=model), operator, action, detail)
         return self._records.detail(session_id)
 
-    def correct_baseline(self, session_id: str, request: BaselineCorrectionRequest) -> sessions.SessionDetail:
-        """Shift the window by a baseline drift that a person confirms; disarms."""
+    def correct_baseline(
+        self, session_id: str, request: BaselineCorrectionRequest, *, may_exceed: bool
+    ) -> sessions.SessionDetail:
+        """Shift the window by a baseline drift that a person confirms; disarms. ``may_exceed`` as for a reference."""
         action = "session.baseline_correction"
         running = self._equipment.of(session_id)
         before = None if running is None else running.engine.status.view
@@ -198,7 +215,9 @@ class SessionRunner:
         if running is not None:
             with self._log.refusals(actor=request.operator, action=action, session_id=session_id, detail=detail):
                 check_correction(request, before, self._settings)
-        command = CorrectBaseline(operator=request.operator, by=request.by)
+        command = CorrectBaseline(
+            operator=request.operator, by=request.by, reason=request.reason, may_exceed=may_exceed
+        )
         with naming_the_field(request):
             self._commander.execute(
                 session_id, command, request.operator, action, detail, after=lambda now: moved_window(now, before)

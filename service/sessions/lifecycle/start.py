@@ -9,6 +9,7 @@ from sqlalchemy.orm import Session
 from engine.calibration.camera_calibration import parse_calibration
 from engine.control.outputs import LoopStatus
 from engine.core.errors import TidegateError
+from engine.core.first_reference import read_first_reference
 from engine.core.motion_model import MotionModel
 from engine.core.provenance import check_patient
 from service.core.errors import SessionActiveError, StartError, StorageUnwritableError
@@ -20,6 +21,7 @@ from service.engine_host.roles import EnginePort, RunningSession, SessionPlan
 from service.engine_host.site_rules.played_recordings import described_source
 from service.engine_host.site_rules.recording_folders import find_recording
 from service.engine_host.site_rules.uncalibrated import described
+from service.sessions.alarms.watch import AlarmWatch
 from service.sessions.lifecycle.body_comparison import earlier_body
 from service.sessions.lifecycle.commands import state_error
 from service.sessions.lifecycle.counters import SessionCounters
@@ -58,6 +60,7 @@ class SessionStarter:
     counters: SessionCounters
     samples: SampleStore
     journals: Journals
+    alarms: AlarmWatch
 
     def start(self, session_id: str, operator: str, action: str) -> RunningSession:
         """Record the start, then start the engine, disarmed, and the writer; raise what kept it from starting."""
@@ -91,6 +94,7 @@ class SessionStarter:
             document = queries.calibration_row(db, row.calibration_id).document
             source = SOURCE.validate_json(row.source)
             folders = self.settings.recording_folders
+            first = queries.first_reference_of(db, row)
             plan = SessionPlan(
                 session_id=session_id,
                 source=source,
@@ -103,11 +107,13 @@ class SessionStarter:
                 patient_reference=row.patient_reference,
                 model_id=row.model_id,
                 head_direction=head_of_row(row.head_direction),
+                first_reference=None if first is None else read_first_reference(first.document),
                 model=None if row.model_id is None else self._stored_model(db, row.model_id, row.patient_reference),
             )
             row.status, row.started_at = "running", datetime.now(UTC)
             row.is_simulated_beam = self.engine.is_simulated_beam  # the site may have changed its line since
             detail = {**self._beam_detail(source), **described(plan.calibration.camera), **_model_detail(row.model_id)}
+            detail |= {} if first is None else {"first_reference_of_session": first.session_id}
             audit.append(db, Event(actor=operator, action=action, session_id=session_id, detail=detail))
         return plan
 
@@ -143,7 +149,7 @@ class SessionStarter:
                 match_limits=self.settings.likeness,
             ),
             counters=self.counters,
-            on_over=lambda: self.equipment.leave(plan.session_id),
+            on_over=lambda: self._leave(running),
         )
         running = RunningSession(plan=plan, engine=engine, writer=writer)
         if not self.equipment.enter(running):
@@ -154,13 +160,20 @@ class SessionStarter:
             raise SessionActiveError(msg, field="session_id", bound="one running session at a time")
         return running
 
+    def _leave(self, running: RunningSession) -> None:
+        """Free the equipment of a session that is over; look for alarms first, while there is something to look at."""
+        try:
+            self.alarms.session_over(running)
+        finally:
+            self.equipment.leave(running.plan.session_id)
+
     def _begin_writing(self, running: RunningSession) -> None:
         """Start the writer's thread; stop the engine if that fails, because its decisions would not be recorded."""
         try:
             running.writer.start()
         except BaseException:
             running.engine.stop()
-            self.equipment.leave(running.plan.session_id)
+            self._leave(running)
             raise
 
     def _recorder(self, plan: SessionPlan, anchor: TimeAnchor) -> SampleRecorder:

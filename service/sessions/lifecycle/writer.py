@@ -20,8 +20,10 @@ from typing import NamedTuple, TypeVar
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
+from engine.beam.beam_on import BeamOff
 from engine.control.journal.journal import TransitionJournal
 from engine.control.outputs import GateTransition, LoopStatus
+from engine.core.clock import NS_PER_MS
 from engine.core.errors import TidegateError
 from engine.core.gate_state import HoldReason
 from engine.core.learning_events import LearningEvent
@@ -29,6 +31,7 @@ from engine.core.motion_model import MotionModel
 from engine.core.provenance import ModelOrigin
 from engine.motion.learning.patient_match import PatientMatchLimits
 from service.engine_host.roles import BodyMatch, RunningEngine
+from service.sessions.lifecycle.beam_offs import BeamOffs, beam_off_event
 from service.sessions.lifecycle.body_comparison import EarlierBody, body_event, compare_bodies
 from service.sessions.lifecycle.counters import SessionCounters
 from service.sessions.records.audit_events import closing_event, notice_event, record_model, transition_event
@@ -73,6 +76,7 @@ class _AuditBatch(NamedTuple):
 
     transitions: tuple[GateTransition, ...]
     notices: tuple[LearningEvent, ...]
+    beam_offs: tuple[BeamOff, ...]
 
 
 class SessionWriter(threading.Thread):
@@ -111,6 +115,7 @@ class SessionWriter(threading.Thread):
         self._pending: _AuditBatch | None = None
         self._transitions: list[GateTransition] = []
         self._notices: list[LearningEvent] = []
+        self._offs, self._beam_offs = BeamOffs(), list[BeamOff]()
         self._disk_checked_at_s = 0.0
         self._taken_at_s = time.monotonic()
         self._model: MotionModel | None = None
@@ -176,6 +181,8 @@ class SessionWriter(threading.Thread):
             _drain(self._engine.transitions, self._transitions)
         _drain(self._engine.samples, self._recorder.waiting)
         _drain(self._engine.notices, self._notices)
+        if len(self._beam_offs) < MAX_BATCH:
+            self._beam_offs += self._offs.take(self._engine.status.view)
 
     def _try(self, write: Callable[[], None], *, is_last: bool) -> None:
         """Write; on failure hold the beam and retry until it succeeds, or give up after the session's end."""
@@ -199,7 +206,7 @@ class SessionWriter(threading.Thread):
 
     def _write_audit(self) -> None:
         """Commit transitions and training events at once; test the database when nothing was committed for a while."""
-        while self._transitions or self._notices:
+        while self._transitions or self._notices or self._beam_offs:
             self._write_batch()
         if time.monotonic() - self._taken_at_s >= ASK_S:
             with self._database.write() as db:
@@ -208,7 +215,9 @@ class SessionWriter(threading.Thread):
 
     def _write_batch(self) -> None:
         """Commit what is waiting; a batch that may be committed already is retried unchanged, with nothing added."""
-        batch = self._pending = self._pending or _AuditBatch(tuple(self._transitions), tuple(self._notices))
+        batch = self._pending = self._pending or _AuditBatch(
+            tuple(self._transitions), tuple(self._notices), tuple(self._beam_offs)
+        )
         self._audit_write.write(batch, lambda db: self._append(db, batch))
         self._pending = None
         self._taken_at_s = time.monotonic()
@@ -216,13 +225,20 @@ class SessionWriter(threading.Thread):
         for transition in batch.transitions:
             self._counters.transition(transition)
         self.figures.transitions += len(batch.transitions)
+        self.figures.beam_offs_ms += [off.off_ms for off in batch.beam_offs]
         del self._transitions[: len(batch.transitions)], self._notices[: len(batch.notices)]
+        del self._beam_offs[: len(batch.beam_offs)]
 
     def _append(self, db: Session, batch: _AuditBatch) -> None:
         for transition in batch.transitions:
             audit.append(db, transition_event(self._session_id, transition), self._anchor.utc(transition.at_ns))
         for notice in batch.notices:
             audit.append(db, notice_event(self._session_id, notice))
+            if notice.first is not None:
+                queries.session_row(db, self._session_id).first_reference = notice.first.to_json()
+        for off in batch.beam_offs:
+            off_ns = off.ended_ns + round(off.off_ms * NS_PER_MS)
+            audit.append(db, beam_off_event(self._session_id, off), self._anchor.utc(off_ns))
 
     def _confirm(self, transitions: Iterable[GateTransition]) -> None:
         """Acknowledge committed transitions to the journal, so that their slots can be used again."""

@@ -14,7 +14,7 @@ from engine.control.outputs import LiveView
 from engine.core.errors import ModelMismatchError
 from engine.core.head_direction import HeadDirection
 from service.core.errors import SessionActiveError
-from service.core.finite import finite_or_none
+from service.core.finite import finite_or_none, rounded_or_none
 from service.core.list_filters import ALL_SESSIONS, ALL_TRANSITIONS, SessionFilter, TransitionFilter
 from service.core.schemas import sessions
 from service.core.schemas.windows import Window
@@ -26,10 +26,12 @@ from service.engine_host.site_rules.played_recordings import check_source, descr
 from service.engine_host.site_rules.recording_folders import find_recording
 from service.engine_host.site_rules.uncalibrated import check_allowed, described, kind_of, warning_of
 from service.engine_host.site_rules.window_limits import check_window, gate_limits
+from service.sessions.alarms.board import AlarmBoard
+from service.sessions.alarms.views import live_alarms
 from service.sessions.records.calibrations import kept_row
 from service.sessions.views.breath import live_breath, live_breath_hold
 from service.sessions.views.live import body_view, camera_view, gate_view, likeness_view, training_view
-from service.sessions.views.reference import proposal_views
+from service.sessions.views.reference import live_reference, proposal_views
 from service.sessions.views.window import live_window
 from service.storage import audit
 from service.storage.audit import SYSTEM, Event
@@ -65,6 +67,7 @@ class SessionRepository:
         equipment: EquipmentSlot,
         engine: EnginePort,
         free_disk: Callable[[], object],
+        alarms: AlarmBoard,
     ) -> None:
         self._database = database
         self._log = log
@@ -72,6 +75,7 @@ class SessionRepository:
         self._equipment = equipment
         self._engine = engine
         self._free_disk = free_disk
+        self._alarms = alarms
         self._in_progress = InProgress()
 
     def create(
@@ -130,13 +134,20 @@ class SessionRepository:
         return sessions.SessionDetail(
             **dict(record),
             gate=None if view is None else gate_view(view),
+            alarms=live_alarms(self._alarms.active_of(session_id)),
             measurement_state=None if view is None else view.record.measurement.state.value,
             training=None if view is None else training_view(view),
             active_model_id=None if running is None else running.writer.active_model_id,
             has_reference=None if running is None else running.engine.status.learning.has_reference,
-            reference_proposals=[] if running is None else proposal_views(running.engine.status.learning),
+            reference=None if view is None else live_reference(view),
+            reference_proposals=[]
+            if running is None
+            else proposal_views(running.engine.status.learning, self._settings.max_reference_distance_mm),
             likeness=None if running is None else likeness_view(running.engine.status.learning.patient_match),
             gate_window=None if view is None else live_window(view.window, view.conditions, view.record.measurement),
+            predicted_duty_percent=None
+            if running is None
+            else rounded_or_none(running.engine.status.predicted_duty_percent, 1),
             breath=None if view is None else live_breath(view),
             breath_hold=None if view is None else live_breath_hold(view),
             camera=None if running is None else camera_view(running.engine.status.source, running.plan.calibration),

@@ -11,14 +11,16 @@ from engine.core.patient_match import PatientMatch
 from service.core.finite import rounded_or_none
 from service.core.hold_texts import hold_text
 from service.core.schemas import sessions
-from service.core.schemas.live_messages import LiveLag, LiveLatency, LiveLost, LiveTraining, Sample
+from service.core.schemas.live_messages import LiveLag, LiveLatency, LiveLost, LivePosition, LiveTraining, Sample
 from service.engine_host.roles import BodyMatch, SessionPlan
 from service.engine_host.site_rules.camera_serial import serial_warning
 from service.engine_host.site_rules.uncalibrated import kind_of
 from service.sessions.views.breath import live_breath, live_breath_hold
+from service.sessions.views.reference import live_reference
 from service.sessions.views.window import live_window
 
 DIGITS = 4
+POSITION_DIGITS = 2
 NEVER = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -52,6 +54,8 @@ def live_sample(
         window=live_window(view.window, view.conditions, measurement),
         breath=live_breath(view),
         breath_hold=live_breath_hold(view),
+        reference=live_reference(view),
+        position=_position(view),
         signal_mm=rounded_or_none(record.signal_mm),
         **(NOT_MEASURED if measurement.motion is None else _motion_fields(measurement.motion, plan)),
         unseen_cells=None if measurement.motion is None else [list(cell) for cell in view.unseen_cells],
@@ -112,6 +116,20 @@ def _motion_fields(motion: Motion, plan: SessionPlan) -> dict[str, Any]:
         "split_rows": None if motion.split_rows is None else [round(row, 2) for row in motion.split_rows],
         "lags": [_lag(lag) for lag in motion.lags],
     }
+
+
+def _position(view: LiveView) -> LivePosition | None:
+    measurement, moved = view.record.measurement, view.movement
+    if measurement.motion is None:
+        return None
+    surface = measurement.position
+    return LivePosition(
+        shift_mm=None if moved is None else rounded_or_none(moved.shift_mm, POSITION_DIGITS),
+        turn_deg=None if moved is None else rounded_or_none(moved.turn_deg, POSITION_DIGITS),
+        height_mm=None if surface is None else rounded_or_none(surface.height_mm, POSITION_DIGITS),
+        tilt_deg=None if surface is None else rounded_or_none(surface.tilt_deg, POSITION_DIGITS),
+        roll_deg=None if surface is None else rounded_or_none(surface.roll_deg, POSITION_DIGITS),
+    )
 
 
 def _latency(view: LiveView) -> LiveLatency:

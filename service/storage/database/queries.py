@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
-from sqlalchemy import ColumnElement, Select, func, literal, select, tuple_
+from sqlalchemy import ColumnElement, Select, func, literal, or_, select, tuple_
 from sqlalchemy.orm import Session
 
 from service.core.errors import BoundError, NotFoundError
@@ -20,7 +20,9 @@ from service.storage.database.base import UtcTime, utc_text
 from service.storage.database.tables import AuditRow, CalibrationRow, ModelRow, PlanRow, QaRunRow, SessionRow
 
 OPEN_STATUSES = ("created", "running")
+BEAM_OFF = "beam.off"
 TRANSITION = "gate.transition"
+FRACTION = ("patient_reference", "plan_id", "fraction_id")
 RowT = TypeVar("RowT")
 DatedT = TypeVar("DatedT", SessionRow, CalibrationRow, QaRunRow, PlanRow)
 
@@ -50,6 +52,27 @@ def model_row(db: Session, model_id: str) -> ModelRow:
         msg = "there is no such model"
         raise NotFoundError(msg, field="model_id", value=model_id)
     return row
+
+
+class FractionStart(NamedTuple):
+    """The session in which a fraction's first reference was confirmed, and its document."""
+
+    session_id: str
+    document: str
+
+
+def first_reference_of(db: Session, row: SessionRow) -> FractionStart | None:
+    """Return the first reference of a session's fraction; None if no session of it had one.
+
+    A fraction is a patient, a plan, and the fraction's name and number; a number that is left out is any.
+    """
+    fraction = [getattr(SessionRow, name) == getattr(row, name) for name in FRACTION]
+    if row.fraction_number is not None:
+        number = SessionRow.fraction_number
+        fraction.append(or_(number == row.fraction_number, number.is_(None)))
+    query = select(SessionRow.id, SessionRow.first_reference).where(*fraction, SessionRow.first_reference.is_not(None))
+    found = db.execute(query.order_by(SessionRow.created_at, SessionRow.id).limit(1)).first()
+    return None if found is None else FractionStart(found[0], found[1] or "")
 
 
 def open_session_id(db: Session) -> str | None:

@@ -47,6 +47,7 @@ class SessionRow(Base):
     model_id: Mapped[str | None] = mapped_column(String(32))
     rt_plan_id: Mapped[str | None] = mapped_column(String(32), index=True)
     head_direction: Mapped[str | None] = mapped_column(String(8))
+    first_reference: Mapped[str | None] = mapped_column(Text, deferred=True)
     calibration: Mapped[CalibrationRow] = relationship(lazy="joined")
 
 

@@ -3,6 +3,7 @@
 One pass, in a memory that does not grow: latencies are counted in bins of a microsecond.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -33,6 +34,7 @@ class Figures:
     on: int = 0
     transitions: int = 0
     slowest_ns: int = 0
+    beam_offs_ms: list[float] = field(default_factory=list)
     latencies: npt.NDArray[np.uint32] = field(default_factory=_no_latencies, repr=False)
 
     def add(self, batch: pa.RecordBatch) -> None:
@@ -61,6 +63,7 @@ class Figures:
             duty_cycle=self.on / self.armed if self.armed else None,
             transitions=self.transitions,
             latency=latency or self._latency(),
+            beam_off=beam_off_summary(self.beam_offs_ms),
         )
 
     def _latency(self) -> sessions.LatencyView:
@@ -75,6 +78,18 @@ class Figures:
         rank = min(int(share * self.frames), self.frames - 1)
         found_us = int(np.searchsorted(np.cumsum(self.latencies, dtype=np.int64), rank, side="right"))
         return min(found_us * NS_PER_US, self.slowest_ns) / NS_PER_MS
+
+
+def beam_off_summary(offs_ms: Sequence[float]) -> sessions.BeamOffSummary | None:
+    """Summarise times from hold to beam off [ms]; None where none was measured."""
+    if not offs_ms:
+        return None
+    return sessions.BeamOffSummary(
+        holds=len(offs_ms),
+        median_ms=float(np.median(offs_ms)),
+        p95_ms=float(np.percentile(offs_ms, 95.0)),
+        slowest_ms=max(offs_ms),
+    )
 
 
 def _plain(column: pa.Array) -> npt.NDArray[np.int64]:

@@ -14,6 +14,7 @@ from engine.core.errors import (
     ModelError,
     ModelMismatchError,
     RecordingError,
+    ReferenceDistanceError,
     RuntimeMissingError,
     SourceLostError,
 )
@@ -90,6 +91,7 @@ COMMAND_ERRORS = (
     BeamLineError,
 )
 ASK = problems(*COMMAND_ERRORS)
+MOVE = problems(*COMMAND_ERRORS, ReferenceDistanceError)
 ARM = problems(*COMMAND_ERRORS, HeadDirectionError, QaOverdueError)
 
 
@@ -165,20 +167,26 @@ async def disarm_session(session_id: dependencies.SessionId, call: Withdrawing) 
     return await call.command(session_id, "disarm")
 
 
-@router.post("/{session_id}/reference", name="session.reference", responses=ASK)
+@router.post("/{session_id}/reference", name="session.reference", responses=MOVE)
 def set_reference(
     session_id: dependencies.SessionId, request: sessions.ReferenceRequest, call: Operated
 ) -> sessions.SessionDetail:
-    """Set the reference: the position at the last ends of exhale becomes zero motion; disarms. For people only."""
+    """Set the reference: the position at the last ends of exhale becomes zero motion; disarms. For people only.
+
+    Far from the fraction's first reference it needs a reason, and the permission `gate.arm`.
+    """
     return call.set_reference(session_id, request)
 
 
 @router.post("/{session_id}/acknowledge", name="session.acknowledge", responses=ASK)
 def acknowledge_fault(
-    session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
+    session_id: dependencies.SessionId, request: sessions.AcknowledgeRequest, call: Operated
 ) -> sessions.SessionDetail:
-    """Acknowledge the latched fault; the gate becomes disarmed."""
-    return call.command(session_id, "acknowledge", request.operator)
+    """Acknowledge the latched fault, after which the gate is disarmed, and active alarms. For people only.
+
+    An acknowledged alarm that does not latch stays active until its cause is gone.
+    """
+    return call.acknowledge(session_id, request)
 
 
 @router.post("/{session_id}/hold", name="session.hold", responses=HOLD)
@@ -214,18 +222,15 @@ def note_presence(
     services.runner.note_presence(session_id, caller.checked_actor(request.operator))
 
 
-@router.post("/{session_id}/baseline-correction", name="session.baseline_correction", responses=ASK)
+@router.post("/{session_id}/baseline-correction", name="session.baseline_correction", responses=MOVE)
 def correct_baseline(
     session_id: dependencies.SessionId, request: BaselineCorrectionRequest, call: Operated
 ) -> sessions.SessionDetail:
-    """Shift the window by a baseline drift that a person confirms; disarms."""
-    return call.act(
-        session_id,
-        request.operator,
-        lambda _, operator: call.services.runner.correct_baseline(
-            session_id, request.model_copy(update={"operator": operator})
-        ),
-    )
+    """Shift the window by a baseline drift that a person confirms; disarms.
+
+    Far from the fraction's first reference it needs a person, and a reason.
+    """
+    return call.correct_baseline(session_id, request)
 
 
 @router.post("/{session_id}/stop", name="session.stop", responses=problems(NotFoundError, SessionStateError))

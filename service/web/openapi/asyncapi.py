@@ -17,6 +17,7 @@ MESSAGES: tuple[type[live_messages.Message], ...] = (
     live_messages.Dropped,
     live_messages.Gap,
     live_messages.Resumed,
+    live_messages.Alarms,
     live_messages.Sample,
     live_messages.ThinSample,
     live_messages.RecordedSample,

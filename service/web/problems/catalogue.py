@@ -82,6 +82,8 @@ WHAT_TO_DO: Mapping[str, str] = {
     "qa_overdue": "Do the daily QA.",
     "qa_state": "Read the run; its status decides which calls are allowed.",
     "recording_unreadable": "Choose another recording; `detail` names the error in this one.",
+    "reference_distance": "See whether the patient has moved, and put the patient back. If the position is meant, a "
+    "person who may arm sends the same call with a `reason`; a key cannot.",
     "request_timeout": "Send the complete request without pauses.",
     "samples_removed": "The samples exceeded the site's retention time. A backup may have them.",
     "service_stopping": "Wait until the service is ready again.",

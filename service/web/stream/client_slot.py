@@ -7,6 +7,8 @@ from service.web.stream.encoding import EncodedMessage, Frame, Shape
 
 MAX_CHANGES = 16
 """Largest number of waiting gate changes; beyond it the oldest is dropped and counted."""
+MAX_ALARMS = 64
+"""Largest number of waiting alarm messages; beyond it the oldest is dropped, and the numbers of the events show it."""
 MAX_BUFFERED = 128
 """Largest number of live frames buffered while recorded samples are resent: some seconds."""
 
@@ -35,6 +37,7 @@ class ClientSlot:
         self._changes: deque[Frame] = deque()
         self._newest: Frame | None = None
         self._plain: EncodedMessage | None = None
+        self._alarms: deque[EncodedMessage] = deque(maxlen=MAX_ALARMS)
         self._buffered: deque[Frame] | None = None
 
     def offer(self, frame: Frame, now_s: float) -> None:
@@ -62,6 +65,15 @@ class ClientSlot:
         self._plain = message
         self.ready.set()
 
+    def queue_alarms(self, message: EncodedMessage) -> None:
+        """Queue a message about alarms; it is sent before everything else, and none replaces another."""
+        self._alarms.append(message)
+        self.ready.set()
+
+    def take_alarms(self) -> EncodedMessage | None:
+        """Return the oldest waiting message about alarms."""
+        return self._alarms.popleft() if self._alarms else None
+
     def tick(self, now_s: float) -> None:
         """Wake the client's task if a frame is due."""
         if self._changes or (self._newest is not None and self._is_due(now_s)):
@@ -69,6 +81,8 @@ class ClientSlot:
 
     def take(self, now_s: float) -> EncodedMessage | None:
         """Return the next message to send; None if none is due."""
+        if self._alarms:
+            return self.take_alarms()
         if self._changes:
             if self._is_due(now_s):
                 self._schedule_next(now_s)  # it is the one that was due

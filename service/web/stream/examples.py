@@ -66,6 +66,18 @@ _BREATH = {
     "regularity": 0.9,
     "events": [],
 }
+_ALARM = {
+    "number": 3,
+    "session_id": SESSION,
+    "code": "source_lost",
+    "priority": "medium",
+    "text": "The camera is disconnected",
+    "detail": "the camera delivers no frames",
+    "since": SENT,
+    "latches": True,
+    "acknowledged_by": None,
+    "acknowledged_at": None,
+}
 EXAMPLES: dict[str, dict[str, Any]] = {
     "Hello": {
         "type": "hello",
@@ -92,6 +104,12 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "reason": "too_long_ago",
     },
     "Resumed": {"type": "resumed", "sent_at": SENT, "session_id": SESSION, "frames": 171, "last_frame": 511},
+    "Alarms": {
+        "type": "alarms",
+        "sent_at": SENT,
+        "event": {"number": 7, "kind": "begin", "at": SENT, "alarm": _ALARM},
+        "active": [_ALARM],
+    },
     "Sample": {
         "type": "sample",
         "form": "full",
@@ -117,6 +135,23 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         },
         "breath": _BREATH,
         "breath_hold": None,
+        "reference": {
+            "text": "reference 0.6 mm from the fraction's first",
+            "distance_mm": 0.6,
+            "budget_mm": 2.0,
+            "is_beyond": False,
+            "moved_mm": 0.5,
+            "shift_mm": 0.3,
+            "height_mm": -0.4,
+            "turn_deg": 0.1,
+            "tilt_deg": 0.2,
+            "shape_mm": 0.2,
+            "level": -0.6,
+            "correction": 0.0,
+            "unit": "mm",
+            "unknown": "",
+        },
+        "position": {"shift_mm": 0.4, "turn_deg": 0.1, "height_mm": -0.3, "tilt_deg": 0.1, "roll_deg": 0.0},
         "residual_mm": 0.7,
         "valid_share": 0.98,
         "regions_mm": [[1.4, 1.5], [None, 1.9]],

@@ -49,6 +49,7 @@ class Feed:
     async def run(self, hello: Hello, resume: Resume | None) -> None:
         """Send messages until cancelled or disconnected."""
         await self.send(hello)
+        await self.send_alarms()
         if resume is not None:
             await resume(self)
         while True:
@@ -56,6 +57,11 @@ class Feed:
             message = self.slot.take(self.hub.now_s())
             if message is not None:
                 await self.send_shared(message)
+
+    async def send_alarms(self) -> None:
+        """Send the waiting messages about alarms: nothing else delays them."""
+        while (message := self.slot.take_alarms()) is not None:
+            await self.send_payload(message.payload(self._connection.shape))
 
     async def send_shared(self, message: EncodedMessage) -> None:
         """Send a shared message; before a frame, send the number of dropped samples."""

@@ -13,8 +13,10 @@ from dataclasses import dataclass
 
 import anyio
 
-from service.core.schemas.live_messages import Idle, Ping, Sample
+from service.core.schemas.live_messages import Alarms, Idle, Ping, Sample
 from service.engine_host.roles import LiveFeed, LiveFrame
+from service.sessions.alarms.board import AlarmBoard
+from service.sessions.alarms.views import live_alarm_event, live_alarms
 from service.web.stream.client_slot import ClientSlot
 from service.web.stream.counts import CloseReason, StreamCounts, StreamReading
 from service.web.stream.encoding import Frame, MessageEncoder, Plain, Shape, StreamClock
@@ -53,12 +55,14 @@ class LiveHub:
     def __init__(
         self,
         runner: LiveFeed,
+        alarms: AlarmBoard,
         *,
         max_clients: int,
         stall_s: float,
         now_s: Callable[[], float] | None = None,
     ) -> None:
         self._runner = runner
+        self._alarms = alarms
         self._max_clients = max_clients
         self._stall_s = stall_s
         self._now_s = now_s or (lambda: asyncio.get_running_loop().time())
@@ -69,6 +73,7 @@ class LiveHub:
         self._task: asyncio.Task[None] | None = None
         self._is_shutting_down = False
         self._last: LiveFrame | None = None
+        self._alarm_event = 0
         self._sequence = -1
         self._idle_s = self._checked_s = 0.0
         self.newest: Frame | None = None
@@ -91,7 +96,9 @@ class LiveHub:
             slot.start_buffering()
         client = Client(slot=slot, may_watch=may_watch, scope=anyio.CancelScope(), checked_s=now_s)
         self._distribute_newest(now_s)  # the last frame may be from the time of an earlier client
+        self._distribute_alarms()  # the same with events: this client gets the active alarms instead
         self._clients.add(client)
+        self._queue_active_alarms(slot)
         if self.newest is not None:
             slot.offer(self.newest, now_s)
             slot.reset_skipped()  # they are from before the client connected
@@ -150,6 +157,7 @@ class LiveHub:
     async def _run(self) -> None:
         while self._clients:
             now_s = self._now_s()
+            self._distribute_alarms()
             self._distribute_newest(now_s)
             if self.newest is None and now_s >= self._idle_s:
                 self._idle_s = now_s + IDLE_S
@@ -173,6 +181,23 @@ class LiveHub:
         self.newest = frame = self._frame(live, None if before is None else before.message)
         for client in self._clients:
             client.slot.offer(frame, now_s)
+
+    def _distribute_alarms(self) -> None:
+        """Queue every new event of the alarms for every client, each with the alarms that are active after it."""
+        for event in self._alarms.events_after(self._alarm_event):
+            self._alarm_event = event.number
+            if not self._clients:
+                continue
+            message = Alarms(sent_at=self.clock.utc(), event=live_alarm_event(event), active=live_alarms(event.active))
+            shared = Plain(message, self._encoder)
+            for client in self._clients:
+                client.slot.queue_alarms(shared)
+
+    def _queue_active_alarms(self, slot: ClientSlot) -> None:
+        active = live_alarms(self._alarms.active)
+        if active:
+            message = Alarms(sent_at=self.clock.utc(), event=None, active=active)
+            slot.queue_alarms(Plain(message, self._encoder))
 
     def _frame(self, live: LiveFrame, before: Sample | None) -> Frame:
         now = live.message

@@ -108,6 +108,7 @@ class _RecordSender:
             await self._gap(self._after + 1, page.frames[0].frame - 1, "too_long_ago")
         for recorded in page.frames:
             self._last = recorded.frame
+            await self._feed.send_alarms()
             if recorded.payload is not None:
                 self._sent += 1
                 await self._feed.send_payload(recorded.payload)

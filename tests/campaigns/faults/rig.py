@@ -53,8 +53,10 @@ SETTINGS = {
     "SESSION_ROOM_MIN": 1,
     "LIKENESS_SECONDS": 2.0,
     "LIKENESS_MAX_SHIFT_MM": 60.0,
+    "MAX_DUTY_PERCENT": 100,
 }
-"""All else as it comes: the campaign judges the defaults."""
+"""All else as it comes: the campaign judges the defaults. The beam may be on during the whole breath, so that it is on
+when a fault comes."""
 
 
 class NotMountedError(Exception):

@@ -26,7 +26,7 @@ SCOPES = (
 OPERATOR = "Load"
 START_S, LEARN_S, STOP_S = 60.0, 120.0, 60.0
 LOOK_S = 0.1
-WINDOW = {"signal": "whole", "lower_mm": -4.0, "upper_mm": 5.0, "hysteresis_mm": 0.2, "dwell_ms": 200.0}
+WINDOW = {"signal": "whole", "lower_mm": -3.0, "upper_mm": 2.0, "hysteresis_mm": 0.2, "dwell_ms": 200.0}
 """The beam goes on and off with every breath."""
 
 

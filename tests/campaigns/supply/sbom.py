@@ -13,9 +13,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from cyclonedx.schema import SchemaVersion
-from cyclonedx.validation.json import JsonStrictValidator
-
 from tests.campaigns.supply.parts import DEBIAN, debian_parts, python_parts
 from tests.support.repository import ROOT
 
@@ -85,6 +82,11 @@ def text_of(bill: dict[str, Any]) -> str:
 
 def trouble_with(text: str) -> str | None:
     """Hold it against the specification's own schema; None where it keeps to it."""
+    from cyclonedx.schema import SchemaVersion
+    from cyclonedx.validation.json import (
+        JsonStrictValidator,  # takes three seconds, as `tests.support.contract.schemas`
+    )
+
     found = JsonStrictValidator(SchemaVersion.V1_6).validate_str(text)
     return None if found is None else str(found)
 

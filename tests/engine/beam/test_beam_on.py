@@ -4,7 +4,14 @@ import queue
 
 import pytest
 
-from engine.beam.beam_on import ABSENT_NS, AFTER_PERMIT_BOUNDS_MS, BeamOnComparison, Permission
+from engine.beam.beam_on import (
+    ABSENT_BOUNDS_S,
+    AFTER_PERMIT_BOUNDS_MS,
+    KEPT_OFFS,
+    BeamOff,
+    BeamOnComparison,
+    Permission,
+)
 from engine.beam.compared_line import REPORT_NS, ComparedBeamLine
 from engine.beam.simulated import SimulatedAccelerator, SimulatedBeamLine
 from engine.core.clock import ManualClock, MonotonicClock
@@ -13,6 +20,7 @@ from engine.core.gate_state import HoldReason, Lease
 
 MS = 1_000_000
 BOUND_MS = 100.0
+ABSENT_MS = 2_000
 WITHOUT = HoldReason.BEAM_WITHOUT_PERMIT
 
 
@@ -30,7 +38,8 @@ class Room:
         self.clock = ManualClock(5_000 * MS)
         self.inner = SimulatedBeamLine(self.clock)
         self.accelerator = SimulatedAccelerator(self.inner, self.clock, delay_ms=delay_ms)
-        self.line = Unthreaded(self.inner, self.clock, self.accelerator.read, after_permit_ms=bound_ms)
+        read = self.accelerator.read
+        self.line = Unthreaded(self.inner, self.clock, read, after_permit_ms=bound_ms, absent_s=ABSENT_MS / 1000)
         self.faults = []
         self.line.on_trouble = lambda reason, detail: self.faults.append((reason, detail, self.clock.now_ns()))
         self.line.open()
@@ -144,21 +153,72 @@ def test_while_it_lasts_it_is_reported_again_and_the_line_is_not_armed():
 def test_a_permit_without_a_beam_is_reported_and_holds_nothing():
     room = Room()
     room.accelerator.stuck = False
-    room.pass_ms(ABSENT_NS // MS - 10, permits=True)
+    room.pass_ms(ABSENT_MS - 20, permits=True)
     assert not room.line.state.is_absent
-    room.pass_ms(200, permits=True)
+    room.pass_ms(30, permits=True)
     assert (room.line.state.is_absent, room.line.state.absences, room.faults) == (True, 1, [])
     assert room.inner.is_on()
     room.accelerator.stuck = True
     room.pass_ms(50, permits=True)
     assert not room.line.state.is_absent
     room.accelerator.stuck = False
-    room.pass_ms(1_200, permits=True)
+    room.pass_ms(ABSENT_MS + 100, permits=True)
     assert (room.line.state.is_absent, room.line.state.absences) == (True, 2)
-    room.line.hold(HoldReason.OUTSIDE_WINDOW)
-    room.pass_ms(10)
+
+
+def test_permitted_time_without_a_beam_is_added_up_over_permits_and_held_time_does_not_count():
+    room = Room()
+    room.accelerator.stuck = False
+    for _ in range(3):
+        room.pass_ms(ABSENT_MS // 4, permits=True)
+        room.line.hold(HoldReason.OUTSIDE_WINDOW)
+        room.pass_ms(3 * ABSENT_MS)
     assert not room.line.state.is_absent
-    assert room.inner.edges[-1].reason is HoldReason.OUTSIDE_WINDOW
+    room.pass_ms(ABSENT_MS // 4 + 50, permits=True)
+    assert (room.line.state.is_absent, room.line.state.absences) == (True, 1)
+    room.line.hold(HoldReason.OUTSIDE_WINDOW)
+    room.pass_ms(1_000)
+    assert room.line.state.is_absent, "it stays so between two permits"
+    room.permit()
+    room.pass_ms(100, permits=True)
+    assert room.line.state.absences == 1
+
+
+def test_one_reading_of_a_beam_or_an_arming_begins_the_time_without_one_anew():
+    room = Room()
+    for restart in (lambda: setattr(room.accelerator, "stuck", True), room.line.rearm):
+        room.accelerator.stuck = False
+        room.pass_ms(ABSENT_MS - 50, permits=True)
+        restart()
+        room.pass_ms(10, permits=True)
+        room.accelerator.stuck = False
+        room.pass_ms(ABSENT_MS - 100, permits=True)
+        assert not room.line.state.is_absent
+        room.line.rearm()
+        room.pass_ms(10)
+    room.pass_ms(ABSENT_MS + 50, permits=True)
+    assert room.line.state.is_absent
+    room.line.rearm()
+    room.pass_ms(10, permits=True)
+    assert not room.line.state.is_absent
+
+
+def test_a_late_reading_counts_from_the_begin_of_the_permit_and_not_from_the_reading_before():
+    comparison = BeamOnComparison(absent_s=1.0)
+    comparison.compare(Permission(ended_ns=0), is_on=False, now_ns=MS)
+    comparison.compare(Permission(since_ns=9_500 * MS), is_on=False, now_ns=10_000 * MS)
+    assert not comparison.state.is_absent
+    comparison.compare(Permission(since_ns=9_500 * MS), is_on=False, now_ns=10_500 * MS)
+    assert comparison.state.is_absent
+
+
+def test_time_in_which_the_signal_is_not_known_is_no_time_without_a_beam():
+    comparison = BeamOnComparison(absent_s=1.0)
+    comparison.compare(Permission(since_ns=0), is_on=False, now_ns=0)
+    for step in range(1, 1_000):
+        comparison.compare(Permission(since_ns=0), is_on=None, now_ns=step * 10 * MS)
+    comparison.compare(Permission(since_ns=0), is_on=False, now_ns=10_000 * MS)
+    assert not comparison.state.is_absent
 
 
 def test_a_held_line_without_a_beam_is_not_missing_one():
@@ -175,6 +235,39 @@ def test_the_slowest_hold_and_the_last_are_kept():
         comparison.compare(Permission(ended_ns=1_000 * MS), is_on=False, now_ns=(1_000 + off_ms) * MS)
         comparison.compare(Permission(ended_ns=1_000 * MS), is_on=False, now_ns=9_000 * MS)
     assert (comparison.state.last_off_ms, comparison.state.slowest_off_ms, comparison.state.offs) == (20.0, 70.0, 3)
+    ended_ns = 1_000 * MS
+    assert comparison.state.newest_offs == tuple(
+        BeamOff(number=number, ended_ns=ended_ns, off_ms=off_ms) for number, off_ms in ((1, 40.0), (2, 70.0), (3, 20.0))
+    )
+
+
+def test_only_the_newest_holds_are_kept_and_their_numbers_go_on():
+    room = Room()
+    for _ in range(KEPT_OFFS + 3):
+        room.pass_ms(200, permits=True)
+        room.line.hold(HoldReason.OUTSIDE_WINDOW)
+        room.pass_ms(200)
+    numbers = [one.number for one in room.line.state.newest_offs]
+    assert numbers == list(range(4, KEPT_OFFS + 4))
+
+
+def test_a_hold_whose_beam_was_not_on_is_not_measured():
+    room = Room()
+    room.accelerator.stuck = False
+    room.pass_ms(300, permits=True)
+    room.line.hold(HoldReason.OUTSIDE_WINDOW)
+    room.pass_ms(300)
+    assert room.line.state.newest_offs == ()
+
+
+def test_the_violation_is_part_of_the_state_while_it_lasts():
+    room = Room()
+    room.accelerator.stuck = True
+    room.pass_ms(50)
+    assert room.line.state.violation == "the accelerator reports beam on, and nothing was permitted"
+    room.accelerator.stuck = False
+    room.pass_ms(10)
+    assert room.line.state.violation is None
 
 
 def test_a_signal_that_is_not_known_is_no_beam_and_no_proof_of_none():
@@ -193,6 +286,13 @@ def test_the_bound_is_bounded_and_refused_by_name(bound_ms):
     with pytest.raises(InvalidValueError, match=r"^after_permit_ms .* 20 to 1000 ms"):
         BeamOnComparison(after_permit_ms=bound_ms)
     assert AFTER_PERMIT_BOUNDS_MS == (20.0, 1000.0)
+
+
+@pytest.mark.parametrize("bound_s", [0.9, 120.1, float("nan")])
+def test_the_bound_of_the_time_without_a_beam_is_refused_by_name(bound_s):
+    with pytest.raises(InvalidValueError, match=r"^absent_s .* 1 to 120 s"):
+        BeamOnComparison(absent_s=bound_s)
+    assert ABSENT_BOUNDS_S == (1.0, 120.0)
 
 
 def test_a_fault_of_the_line_itself_is_forwarded_and_ends_the_permit():

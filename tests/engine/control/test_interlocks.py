@@ -93,6 +93,18 @@ def test_a_patient_who_moves_holds_until_they_lie_there_again():
     assert [record.line_on for record in records[ON + 6 :]] == [False] * (FRAMES_A_DWELL - 1) + [True] * 4
 
 
+def test_the_view_shows_how_far_the_patient_has_moved():
+    bench = on_bench([good] * 2)
+    lying_at(bench, ON + 1, 5.0)
+    bench.run()
+    assert bench.loop.status.view.movement.shift_mm == pytest.approx(5.0)
+    bench = on_bench([good] * 2)
+    lying_at(bench, 0, 5.0)
+    bench.pipeline.has_reference = False
+    bench.run()
+    assert bench.loop.status.view.movement is None
+
+
 def test_a_model_that_carries_the_zero_does_not_hide_that_the_patient_moved():
     bench = on_bench([])
 

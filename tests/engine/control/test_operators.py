@@ -262,7 +262,7 @@ def test_whoever_releases_has_to_be_present_from_then_on(who, is_on):
 
 
 def _correct(by: float) -> CorrectBaseline:
-    return CorrectBaseline(operator="bob", by=by)
+    return CorrectBaseline(operator="bob", by=by, reason="the patient has relaxed", may_exceed=True)
 
 
 def test_a_corrected_baseline_disarms_moves_the_window_and_the_audit_names_both():

@@ -10,6 +10,7 @@ from engine.core.frames import MeasurementState
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.frame_checks import captured_ns
 from engine.gating.gate import Interruption, Silence
+from engine.gating.windows import BreathHoldWindow, JoinedWindow, amplitude_window
 from tests.support.gating.bad_frames import FAULTS, HOLDS
 from tests.support.gating.streams import (
     FRAMES_A_DWELL,
@@ -269,6 +270,30 @@ def test_what_happens_in_the_breathing_holds_where_the_site_wants_it(holding, re
     if holding == {BreathEventKind.COUGH}:
         assert gate.detail == "cough: two spikes"
         assert stream.good(FRAMES_A_DWELL) == DWELL_THEN_ON
+
+
+def during(kind):
+    return (Breath(events=(BreathEvent(kind=kind, start_us=1, confidence=0.9),)),)
+
+
+@pytest.mark.parametrize("kind", BreathEventKind, ids=str)
+def test_by_default_the_beam_is_held_where_breathing_has_ceased_and_for_no_other_event(kind):
+    stream = stream_in(GateState.BEAM_ON)
+    gate = stream.feed(replace(stream.upcoming(), breaths=during(kind)))
+    ceased = kind in {BreathEventKind.APNOEA, BreathEventKind.NO_CYCLE}
+    assert gate.reason is (HoldReason.BREATHING_IRREGULAR if ceased else None)
+
+
+@pytest.mark.parametrize("kind", BreathEventKind, ids=str)
+def test_a_breath_hold_is_not_held_for_what_it_resembles(kind):
+    hold = BreathHoldWindow(level=amplitude_window(lower_mm=LEVEL_MM - 2.0, upper_mm=LEVEL_MM + 2.0), settle_ms=100.0)
+    alone = replace(LIMITS, window=hold, holding_events=frozenset(BreathEventKind))
+    joined = replace(alone, window=JoinedWindow(conditions=(LIMITS.window, hold), join="or"))
+    holds = kind in {BreathEventKind.COUGH, BreathEventKind.DRIFT}
+    assert (kind in alone.judged_events) is holds
+    stream = stream_in(GateState.BEAM_ON, limits=joined)
+    gate = stream.feed(replace(stream.upcoming(), breaths=during(kind)))
+    assert gate.reason is (HoldReason.BREATHING_IRREGULAR if holds else None)
 
 
 def test_a_camera_that_has_not_begun_yet_is_waited_for():

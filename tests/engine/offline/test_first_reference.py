@@ -46,7 +46,11 @@ def relative(frames):
 
 
 REFERENCE = Reference(
-    regions_mm=np.full(CELLS + WIDE, 850.0), plane_mm=860.0, volume_l=1.0, seen_shares=np.ones(CELLS + WIDE)
+    regions_mm=np.full(CELLS + WIDE, 850.0),
+    plane_mm=860.0,
+    volume_l=1.0,
+    seen_shares=np.ones(CELLS + WIDE),
+    surface_mm=np.full((135, 3), 850.0),
 )
 
 

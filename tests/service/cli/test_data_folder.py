@@ -64,6 +64,13 @@ def test_a_missing_folder_of_the_environment_is_named_by_its_variable(tmp_path, 
     assert (done.exit_code, "check TIDEGATE_DATA_DIR" in done.stderr) == (2, True)
 
 
+def test_a_backup_lowers_the_priority_of_its_process_below_a_running_service_s(tmp_path, monkeypatch):
+    steps = []
+    monkeypatch.setattr("os.nice", steps.append)
+    CliRunner().invoke(app, ["backup", "backup.tar", "--data", str(tmp_path)])
+    assert steps == [10]
+
+
 def test_the_first_account_and_the_first_key_create_the_folder(tmp_path):
     for words in (("users", "add", "root", "--role", "admin"), ("keys", "create", "tps", "--scope", "sessions.read")):
         folder = tmp_path / words[0]

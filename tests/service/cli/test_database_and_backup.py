@@ -21,7 +21,6 @@ pytestmark = pytest.mark.both_databases
 def run(monkeypatch, database_url):
     if database_url is not None:
         monkeypatch.setenv("TIDEGATE_DATABASE_URL", database_url)
-    monkeypatch.setattr("os.nice", lambda _step: 0)
 
     def run(*words):
         return CliRunner().invoke(app, [str(word) for word in words], env={"COLUMNS": "200"})

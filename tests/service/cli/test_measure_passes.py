@@ -1,8 +1,5 @@
 """`tidegate measure` reads a recording twice: every frame is measured, and what a live session shows is known."""
 
-import csv
-import json
-
 import numpy as np
 import pytest
 
@@ -10,33 +7,12 @@ from engine.core.errors import ModelError
 from engine.motion.learning import refit
 from engine.motion.learning.model_file import load_model
 from engine.verification.phantom.truth import load_truth
-from tests.support.command_line import invoke
-
-WINDOW = ("--window", "whole:-1:3")
+from tests.support.command_line import measured
 
 
-def run(folder, out, *extra):
-    result = invoke(folder, out, *extra)
-    assert result.exit_code == 0, result.output
-    with (out / "motion.csv").open() as file:
-        return list(csv.DictReader(file)), json.loads((out / "motion_summary.json").read_text()), result.stderr
-
-
-@pytest.fixture(scope="module")
-def twice(regular_volunteer, tmp_path_factory):
-    out = tmp_path_factory.mktemp("twice")
-    return *run(regular_volunteer, out, *WINDOW), out
-
-
-@pytest.fixture(scope="module")
-def live(regular_volunteer, tmp_path_factory):
-    out = tmp_path_factory.mktemp("live")
-    return *run(regular_volunteer, out, *WINDOW, "--single-pass"), out
-
-
-def test_every_frame_is_measured_also_those_of_the_training(twice, live):
-    rows, summary, said, _ = twice
-    live_rows, live_summary, _, _ = live
+def test_every_frame_is_measured_also_those_of_the_training(measured_twice, measured_live):
+    rows, summary, said = measured_twice.rows, measured_twice.summary, measured_twice.said
+    live_rows, live_summary = measured_live.rows, measured_live.summary
     assert {row["state"] for row in rows} == {"measuring"}
     assert (summary["passes"], live_summary["passes"]) == (2, 1)
     first = next(index for index, row in enumerate(live_rows) if row["state"] == "measuring")
@@ -45,25 +21,25 @@ def test_every_frame_is_measured_also_those_of_the_training(twice, live):
     assert {row["state"] for row in live_rows[:first]} == {"training"}
 
 
-def test_the_frames_of_the_training_are_as_true_as_the_others(twice, regular_volunteer):
+def test_the_frames_of_the_training_are_as_true_as_the_others(measured_twice, regular_volunteer):
     """The first frame is the reference."""
-    rows, summary, _, _ = twice
+    rows, summary = measured_twice.rows, measured_twice.summary
     truth = load_truth(regular_volunteer / "truth.npz").whole_depth_mm
     error_mm = np.array([float(row["whole_mm"]) for row in rows]) - (truth[0] - truth)
     assert np.abs(error_mm[: summary["live_from_frame"]]).mean() < 0.12
     assert np.abs(error_mm).max() < 0.4
 
 
-def test_both_passes_measure_the_same_but_for_the_reference(twice, live):
-    (rows, summary, _, _), (live_rows, _, _, _) = twice, live
-    first = summary["live_from_frame"]
+def test_both_passes_measure_the_same_but_for_the_reference(measured_twice, measured_live):
+    rows, live_rows = measured_twice.rows, measured_live.rows
+    first = measured_twice.summary["live_from_frame"]
     one, other = (np.array([float(row["whole_mm"]) for row in which[first:]]) for which in (rows, live_rows))
     assert np.ptp(one - other) < 0.05
 
 
-def test_frames_before_the_model_are_held_and_the_others_decided(twice, live):
-    (rows, summary, _, _), (live_rows, _, _, _) = twice, live
-    first = summary["live_from_frame"]
+def test_frames_before_the_model_are_held_and_the_others_decided(measured_twice, measured_live):
+    rows, live_rows = measured_twice.rows, measured_live.rows
+    first = measured_twice.summary["live_from_frame"]
     assert {(row["gate"], row["hold_reason"]) for row in rows[:first]} == {("hold", "training")}
     assert {(row["gate"], row["hold_reason"]) for row in live_rows[:first]} == {("disarmed", "disarmed")}
     on = [float(row["whole_mm"]) for row in rows[first:] if row["gate"] == "beam_on"]
@@ -71,18 +47,14 @@ def test_frames_before_the_model_are_held_and_the_others_decided(twice, live):
     assert -1.0 <= min(on) <= max(on) <= 3.0
 
 
-def test_a_stored_model_measures_from_the_first_frame_on(twice, regular_volunteer, tmp_path):
-    rows, summary, _ = run(regular_volunteer, tmp_path, "--model", str(twice[-1] / "model.npz"))
-    assert {row["state"] for row in rows} == {"measuring"}
-    assert 0 < summary["live_from_frame"] < 30
+def test_a_stored_model_measures_from_the_first_frame_on(measured_with_model):
+    assert {row["state"] for row in measured_with_model.rows} == {"measuring"}
+    assert 0 < measured_with_model.summary["live_from_frame"] < 30
 
 
 @pytest.fixture(scope="module")
-def held(dibh_volunteer, tmp_path_factory):
-    """A breath hold behind 20 s of free breathing, measured with the model of the whole recording."""
-    out = tmp_path_factory.mktemp("held")
-    run(dibh_volunteer, out, "--cell", "10")
-    return out
+def held(measured_hold):
+    return measured_hold.out
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +63,7 @@ def held_first(dibh_volunteer, tmp_path_factory):
     out = tmp_path_factory.mktemp("held-first")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(refit, "GROWTH", 1e9)
-        run(dibh_volunteer, out, "--cell", "10", "--single-pass")
+        measured(dibh_volunteer, out, "--cell", "10", "--single-pass")
     return out
 
 
@@ -116,7 +88,7 @@ def test_the_second_pass_has_learned_from_the_whole_recording(dibh_volunteer, he
 
 
 def test_a_session_s_refits_know_breath_holds(dibh_volunteer, held_first, tmp_path):
-    run(dibh_volunteer, tmp_path, "--cell", "10", "--single-pass")
+    measured(dibh_volunteer, tmp_path, "--cell", "10", "--single-pass")
     first, refitted = load_model(held_first / "model.npz"), load_model(tmp_path / "model.npz")
     assert refitted.seconds >= 2.0 * first.seconds
     assert hold_error_mm(dibh_volunteer, tmp_path) < 0.95 * hold_error_mm(dibh_volunteer, held_first)
@@ -129,6 +101,6 @@ def test_where_the_whole_recording_gives_no_model_that_of_the_training_measures(
         raise ModelError("refused")
 
     monkeypatch.setattr(refit, "fit_checked", refused)
-    run(dibh_volunteer, tmp_path)
+    measured(dibh_volunteer, tmp_path)
     whole, training = load_model(tmp_path / "model.npz"), load_model(held_first / "model.npz")
     assert np.array_equal(whole.components, training.components)

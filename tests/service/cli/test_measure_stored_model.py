@@ -16,11 +16,9 @@ PATIENT = ("--patient", "P-0001")
 
 
 @pytest.fixture(scope="module")
-def learned(regular_volunteer, tmp_path_factory):
+def learned(measured_twice):
     """A model of volunteer 1, as the command leaves it."""
-    out = tmp_path_factory.mktemp("learned")
-    assert invoke(regular_volunteer, out, *PATIENT).exit_code == 0
-    return out
+    return measured_twice.out
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +42,8 @@ def changed_model(learned, tmp_path, **changes):
     return path
 
 
-def test_a_model_says_what_made_it_and_comes_out_the_same_from_the_same_recording(learned, regular_volunteer, tmp_path):
+def test_a_model_says_what_made_it(learned):
+    """That the same recording gives the same bytes of it: test_measure.py."""
     model = load_model(learned / "model.npz")
     origin, quality = model.provenance.origin, model.provenance.quality
     assert (origin.patient, origin.source, origin.created_at) == ("P-0001", "recording.oni", "")
@@ -52,23 +51,19 @@ def test_a_model_says_what_made_it_and_comes_out_the_same_from_the_same_recordin
     assert quality.amplitude_mm > 4.0
     assert quality.shift_mm < 1.0
     assert model.provenance.settings["components"] == 3.0
-    assert invoke(regular_volunteer, tmp_path / "again", *PATIENT).exit_code == 0
-    assert (tmp_path / "again" / "model.npz").read_bytes() == (learned / "model.npz").read_bytes()
 
 
 def test_a_stored_model_measures_from_the_first_frames_on_and_is_as_true_as_one_learned_here(
-    learned, regular_volunteer, tmp_path
+    learned, regular_volunteer, measured_with_model
 ):
-    result = invoke(regular_volunteer, tmp_path / "out", "--model", str(learned / "model.npz"), *PATIENT)
-    assert result.exit_code == 0, result.output
-    rows = rows_of(tmp_path / "out")
+    rows = measured_with_model.rows
     measured = np.array([row["state"] == "measuring" for row in rows])
     assert measured.sum() > len(rows) - 40
     motion = np.array([float(row["whole_mm"] or "nan") for row in rows])[measured]
     depth_mm = load_truth(regular_volunteer / "truth.npz").whole_depth_mm[measured]
     error = motion + depth_mm
     assert np.abs(error - error.mean()).mean() < 0.12
-    assert load_model(tmp_path / "out" / "model.npz").provenance == load_model(learned / "model.npz").provenance
+    assert load_model(measured_with_model.out / "model.npz").provenance == load_model(learned / "model.npz").provenance
 
 
 def test_without_a_patient_to_compare_the_command_reports_no_comparison(learned, short_volunteer, tmp_path):

@@ -7,13 +7,13 @@ from datetime import datetime
 
 import numpy as np
 import pytest
-from jsonschema import Draft202012Validator
 from starlette.websockets import WebSocketDisconnect
 
 from engine.control.outputs import LatencySummary
 from engine.core.breath import Breath
-from engine.core.frames import Markers, TrainingProgress
+from engine.core.frames import BodyPosition, Markers, TrainingProgress
 from engine.core.gate_state import GateState, HoldReason
+from engine.gating.supervision.patient_shift import Movement
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, ConditionState, HoldStage
 from service.core.hold_texts import HOLD_TEXTS, hold_text
 from service.core.schemas.live_messages import (
@@ -30,13 +30,14 @@ from service.core.schemas.sessions import RecordingSource, Window
 from service.engine_host.roles import SessionPlan
 from service.sessions.views.live import live_sample
 from service.web.app import create_app
+from tests.support.contract.schemas import Schema
 from tests.support.repository import ROOT
 from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import WINDOW, act, make_calibration
 from tests.support.service.fake_engine import FakeRunning
 
 PARTS = (LiveWindow, LiveCondition, LiveBreath, LiveBreathEvent, LiveBreathHold, LiveLatency)
-SCHEMA = Draft202012Validator(json.loads((ROOT / "openapi" / "live.schema.json").read_text()))
+SCHEMA = Schema(json.loads((ROOT / "openapi" / "live.schema.json").read_text()))
 
 
 @pytest.fixture
@@ -190,6 +191,20 @@ def test_cells_that_the_camera_does_not_see_are_listed(plan):
     assert message["unseen_cells"] == [[12, 0], [13, 7]]
     assert message_of(view_of(plan), plan)["unseen_cells"] == []
     assert message_of(view_of(plan, whole_mm=None), plan)["unseen_cells"] is None
+
+
+def test_how_far_the_patient_has_moved_since_the_reference_is_reported(plan):
+    view = view_of(plan)
+    unknown = {"shift_mm": None, "turn_deg": None, "height_mm": None, "tilt_deg": None, "roll_deg": None}
+    assert message_of(view, plan)["position"] == unknown
+    lifted = BodyPosition(measured_us=7, height_mm=-1.234, tilt_deg=0.5, roll_deg=-0.25)
+    measured = replace(view.record, measurement=replace(view.record.measurement, position=lifted))
+    message = message_of(replace(view, record=measured, movement=Movement(shift_mm=2.345, turn_deg=0.7)), plan)
+    SCHEMA.validate(message)
+    assert message["position"] == {"shift_mm": 2.35, "turn_deg": 0.7, "height_mm": -1.23, "tilt_deg": 0.5} | {
+        "roll_deg": -0.25
+    }
+    assert message_of(view_of(plan, whole_mm=None), plan)["position"] is None
 
 
 def test_breath_hold_and_holding_person_are_reported_with_the_reason_in_figures(plan):

@@ -220,6 +220,23 @@ NOTHING_MEASURED = dict.fromkeys(
 
 
 @functools.cache
+def alarm(number: int, code: str, priority: str, text: str, **changes: Any) -> dict[str, Any]:
+    """An alarm as the stream carries it, since ``age_s`` ago."""
+    since = datetime.fromtimestamp(time.time() - changes.pop("age_s", 0.0), UTC).isoformat()
+    return {
+        "number": number,
+        "session_id": SESSION_ID,
+        "code": code,
+        "priority": priority,
+        "text": text,
+        "detail": "",
+        "since": since,
+        "latches": False,
+        "acknowledged_by": None,
+        "acknowledged_at": None,
+    } | changes
+
+
 def chest_jpeg() -> bytes:
     """Draw a dark shirt with four dots on a bright bed."""
     picture = np.full((480, 640, 3), 120, np.uint8)
@@ -298,6 +315,7 @@ class FakeService:
 
     def __init__(self) -> None:
         self.mode = "idle"  # idle, samples, silent
+        self.alarms: tuple[dict[str, Any], ...] = ()
         self.sample: dict[str, Any] = sample()
         self.is_breathing = False
         self.is_up = True
@@ -372,7 +390,7 @@ class FakeService:
             self.open_sockets -= 1
 
     async def _send_messages(self, websocket: WebSocket, gone: asyncio.Task[Any]) -> None:
-        turn = -1
+        turn, alarms = -1, ()
         while self.is_up and self.person is not None and not gone.done():
             if self.is_stepped and turn == self.turns:
                 with contextlib.suppress(TimeoutError):
@@ -380,6 +398,10 @@ class FakeService:
                 self._has_turned.clear()
                 continue
             turn = self.turns
+            if self.alarms != alarms:
+                alarms = self.alarms
+                told = {"type": "alarms", "sent_at": self._now(), "event": None, "active": alarms}
+                await websocket.send_json(told)
             message = self._next_message()
             if message is not None:
                 await websocket.send_text(message)
@@ -390,8 +412,7 @@ class FakeService:
 
     def _next_message(self) -> str | None:
         """Return the next message; None in silence, in which the camera goes on all the same."""
-        sent_at = datetime.fromtimestamp(self.clock() - self.lag_s, UTC).isoformat().replace("+00:00", "Z")
-        stamp = {"sent_at": sent_at, "sequence": self.sent + 1}
+        stamp = {"sent_at": self._now(), "sequence": self.sent + 1}
         if self.mode == "idle":
             return json.dumps({"type": "idle"} | stamp)
         self.frame_index += 1
@@ -403,6 +424,9 @@ class FakeService:
             moving |= _gate_for(moving["signal_mm"])
         stamp |= {"frame_index": self.frame_index, "timestamp_us": int(elapsed_s * 1e6)}
         return json.dumps(self.sample | moving | stamp)
+
+    def _now(self) -> str:
+        return datetime.fromtimestamp(self.clock() - self.lag_s, UTC).isoformat().replace("+00:00", "Z")
 
     def _hang(self, _request: Request) -> Response:
         eventually(lambda: not self.is_hung.is_set())

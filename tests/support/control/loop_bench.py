@@ -24,7 +24,8 @@ from engine.core.gate_state import HoldReason, Lease
 from engine.core.learning_events import LearningEvent
 from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
-from engine.core.ranges import LearnedRange, Ranges
+from engine.core.ranges import LearnedLevels, LearnedRange, Ranges
+from engine.core.reference_distance import ReferenceDistance
 from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
 from engine.gating.gate import GateLimits
 from tests.support.gating.streams import LEVEL_MM, LIMITS, MEASURING_NS, MS, PERIOD_NS, START_NS, measured
@@ -138,6 +139,9 @@ class RecordingPipeline:
         self.ranges: Ranges = {WHOLE: LearnedRange(low=LEVEL_MM, high=LEVEL_MM + 10.0)}
         self.proposals: tuple[ReferenceProposal, ...] = ()
         self.moments: list[ReferenceMoment] = []
+        self.most_mm: list[float | None] = []
+        self.distance_of_next: ReferenceDistance | None = None
+        self.distance: ReferenceDistance | None = None
         self.zero_number = 1
         self.calls: list[str] = []
         self.trouble: Exception | None = None
@@ -169,16 +173,27 @@ class RecordingPipeline:
             has_reference=self.has_reference,
             reference_number=self.zero_number,
             reference_proposals=self.proposals,
+            reference_distance=self.distance if self.has_reference else None,
         )
 
     def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:
         return {choice: self.ranges[choice] for choice in choices if choice in self.ranges}
 
+    def learned_levels(self, choices: Iterable[SignalChoice]) -> LearnedLevels:
+        ranges = {
+            choice: self.ranges.get(choice, next(iter(self.ranges.values()))) for choice in choices if self.ranges
+        }
+        return {choice: np.linspace(one.low, one.high, 60) for choice, one in ranges.items()}
+
     def correct_baseline(self, choice: SignalChoice, by: float) -> None:
         self.calls.append(f"correct {choice.label} {by:g}")
 
-    def set_reference(self, moment: ReferenceMoment = ReferenceMoment.NOW) -> None:
+    def reference_distance(self, _moment: ReferenceMoment) -> ReferenceDistance | None:
+        return self.distance_of_next
+
+    def set_reference(self, moment: ReferenceMoment = ReferenceMoment.NOW, *, most_mm: float | None = None) -> None:
         self.moments.append(moment)
+        self.most_mm.append(most_mm)
         self._change("set_reference")
         self.zero_number += 1
 

@@ -49,8 +49,10 @@ def _interlock_row(interlock: Interlock) -> str:
 def _bound(name: str) -> str:
     field = Settings.model_fields[name]
     setting = f"`{PREFIX}{name.upper()}`"
-    if isinstance(field.default, bool | tuple):
-        return f"{setting}: {str(field.default or 'none').lower()}"
+    if isinstance(field.default, tuple):
+        return f"{setting}: {', '.join(field.default) or 'none'}"
+    if isinstance(field.default, bool):
+        return f"{setting}: {str(field.default).lower()}"
     bounds = {kind: getattr(one, kind) for one in field.metadata for kind in ("ge", "le") if hasattr(one, kind)}
     return f"{setting}: {field.default:g}, {bounds['ge']:g} to {bounds['le']:g}"
 

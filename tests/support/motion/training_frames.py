@@ -4,16 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from engine.core.breath import WHOLE, SignalChoice
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, RoiDepth
 from engine.core.native_threads import keep_calls_in_their_thread
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.patient_match import PatientMatchLimits
 from engine.motion.learning.prepared_model import prepare_model
+from engine.motion.learning.reference_history import ReferenceHistory
 from engine.motion.learning.tasks import LearningStages
 from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
 from engine.motion.learning.training_set import TrainingFrame
 from engine.motion.stages.projection import project
 from engine.motion.stages.regions import RegionLayout
+from engine.motion.tracking.past_measurement import PastMeasurement
 
 FRAME_US = 33_367
 STRIDE_PX = 2
@@ -67,7 +70,12 @@ def explain(active, roi, start):
     return best
 
 
-STAGES = LearningStages(prepare=lambda model: prepare_model(model, RegionLayout()), explain=explain, vertices=vertices)
+STAGES = LearningStages(
+    prepare=lambda model: prepare_model(model, RegionLayout()),
+    explain=explain,
+    vertices=vertices,
+    measure_past=lambda active: PastMeasurement(active, (SignalChoice(),), explain, vertices),
+)
 
 
 class Patient:
@@ -81,6 +89,7 @@ class Patient:
             match_limits=PatientMatchLimits(seconds=1.0) if match_limits is None else match_limits,
             stages=STAGES,
             trainer=InlineTrainer() if trainer is None else trainer,
+            history=ReferenceHistory(calibration_sha256=sha256, layout=RegionLayout(), choices=(WHOLE,)),
         )
         self.index = 0
         self.notices = []

@@ -32,6 +32,7 @@ PATIENT_LIMITS = {
     "min_fps": 5.0,
     "max_latency_ms": 1000.0,
     "operator_timeout_s": 0.0,
+    "max_duty_percent": 100.0,
 }
 FEW_FRAMES = TrainingSettings(min_frames=40, max_frames=120, min_cycles=1, min_seconds=4.0)
 PERSON = "A. Therapist"

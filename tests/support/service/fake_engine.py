@@ -115,6 +115,7 @@ class FakeRunning:
         self.beam_on: BeamOnState | None = None
         self.camera_ms: float | None = None
         self.gate = GateState.DISARMED
+        self.reason = HoldReason.DISARMED
         self._index = count()
 
     def submit(self, command: Command, *, submitted_ns: int | None = None) -> Future[None]:
@@ -144,6 +145,11 @@ class FakeRunning:
             case ReleaseBeam():
                 self.operator_hold = None
                 self.armed_by = command.operator if command.is_person else self.armed_by
+            case Acknowledge():
+                self.reason = HoldReason.DISARMED
+                if self.latest is not None:
+                    record = replace(self.latest.record, gate_state=GateState.DISARMED, hold_reason=self.reason)
+                    self.latest = replace(self.latest, record=record)
             case CorrectBaseline():
                 self.window = self.window.shifted(self.window.choices[0], command.by)
                 if self.latest is not None:
@@ -186,7 +192,7 @@ class FakeRunning:
         record = FrameRecord(
             measurement=measurement,
             gate_state=self.gate,
-            hold_reason=None if self.gate is GateState.BEAM_ON else HoldReason.DISARMED,
+            hold_reason=None if self.gate is GateState.BEAM_ON else self.reason,
             signal_mm=whole_mm,
             received_ns=received_ns,
             decided_ns=received_ns + 4_000_000,
@@ -218,6 +224,12 @@ class FakeRunning:
             beam_on=self.beam_on,
         )
         return record
+
+    def fault(self, reason: HoldReason) -> None:
+        """Latch a fault, and show it with the next frame."""
+        self.transition(GateState.FAULT, reason)
+        self.reason = reason
+        self.frame()
 
     def transition(
         self, to_state: GateState, reason: HoldReason | None = None, *, operator: str | None = None

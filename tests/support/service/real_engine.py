@@ -18,8 +18,10 @@ PATIENT_LIMITS = {
     "watchdog_ms": 500.0,
     "max_gap_ms": 200.0,
     "operator_timeout_s": 0.0,
+    "max_duty_percent": 100.0,
 }
-"""A test's machine is shared: what is tested here is the way through, not the time it takes. Nobody is at a page."""
+"""A test's machine is shared: what is tested here is the way through, not the time it takes. No page is open, and the
+beam may be on during the whole breath."""
 FEW_FRAMES = TrainingSettings(min_frames=50, max_frames=120, min_cycles=1, min_seconds=5.0)
 
 

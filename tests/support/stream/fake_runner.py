@@ -1,11 +1,13 @@
 """As much of a runner as the stream asks: frames are made as a test says, time is what it says."""
 
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from service.core.schemas.live_messages import Sample
 from service.core.schemas.sessions import RecordingSource, Window
 from service.engine_host.roles import LiveFrame, SessionPlan
+from service.sessions.alarms.board import AlarmBoard
 from service.sessions.views.live import live_sample
 from service.web.stream.encoding import Frame, MessageEncoder, Shape, StreamClock
 from service.web.stream.hub import LiveHub
@@ -17,6 +19,11 @@ JSON = Shape("websocket", Form.FULL, Encoding.JSON)
 THIN = Shape("websocket", Form.THIN, Encoding.JSON)
 MSGPACK = Shape("websocket", Form.FULL, Encoding.MSGPACK)
 EVENTS = Shape("sse", Form.FULL, Encoding.JSON)
+
+
+def utc_of(monotonic_ns: int) -> datetime:
+    """Convert times of tests to UTC: zero is the beginning of 2026."""
+    return datetime(2026, 1, 1, tzinfo=UTC) + timedelta(microseconds=monotonic_ns / 1000)
 
 
 def sample(**update: Any) -> Sample:
@@ -46,6 +53,7 @@ class FakeRunner:
     camera: str | None = None
     failure: Exception | None = None
     fields: dict[str, Any] = field(default_factory=dict)
+    alarms: AlarmBoard = field(default_factory=lambda: AlarmBoard(utc_of))
 
     def newest(self) -> LiveFrame | None:
         if self.failure is not None:
@@ -68,7 +76,7 @@ class FakeRunner:
 
 def make_hub(runner: FakeRunner, **options: Any) -> LiveHub:
     chosen = {"max_clients": 300, "stall_s": 5.0, "now_s": lambda: runner.now_s, **options}
-    return LiveHub(runner, **chosen)
+    return LiveHub(runner, runner.alarms, **chosen)
 
 
 def make_frame(runner: FakeRunner, index: int, *, is_change: bool = False, missed: int = 0) -> Frame:

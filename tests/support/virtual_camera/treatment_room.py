@@ -34,8 +34,10 @@ SETTINGS = {
     "TRAINING_MIN_SECONDS": 5.0,
     "LIKENESS_SECONDS": 2.0,
     "MIN_FREE_DISK_MB": 0,
+    "MAX_DUTY_PERCENT": 100,
 }
-"""Learns from little, for a test's sake; what the gate trusts is as it comes."""
+"""Learns from little, for a test's sake; what the gate trusts is as it comes, but that the beam
+may be on during the whole breath."""
 
 
 class RoomError(AssertionError):

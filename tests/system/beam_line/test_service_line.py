@@ -14,7 +14,7 @@ from tests.support.waiting import eventually
 
 FILM = {"kind": "recording", "path": "recording.oni", "player": "reader"}
 TRIES = 6
-DEFAULT_TIMES = {name: LIMIT_DEFAULTS[name] for name in PATIENT_LIMITS}
+DEFAULT_TIMES = {name: LIMIT_DEFAULTS[name] for name in PATIENT_LIMITS if name.endswith(("_ms", "_s"))}
 
 
 @pytest.fixture
@@ -140,7 +140,36 @@ def test_a_beam_that_stays_on_after_a_hold_is_shown_as_a_fault_and_audited(clien
     assert shown()["hold_reason"] == "beam_without_permit"
     assert "the accelerator reports beam on" in shown()["hold_detail"]
     assert "tidegate_accelerator_beam_on 1.0" in client.get("/metrics").text
+    eventually(lambda: [one["code"] for one in detail_of(client, session_id)["alarms"]] == ["beam_without_permit"])
+    assert act(client, session_id, "acknowledge").status_code == 200
+    eventually(lambda: shown()["hold_reason"] == "beam_without_permit", within_s=30.0)
+    assert len(audit_rows(client, "alarm.acknowledge")) >= 1
+    (again,) = detail_of(client, session_id)["alarms"]
+    assert (again["code"], again["priority"], again["acknowledged_by"]) == ("beam_without_permit", "high", None)
     act(client, session_id, "stop")
     eventually(lambda: detail_of(client, session_id)["status"] != "running", within_s=30.0)
     reasons = [row["detail"].get("reason") for row in audit_rows(client, "gate.transition")]
     assert "beam_without_permit" in reasons
+
+
+@pytest.mark.parametrize("site", [{"recordings_may_gate": True, "beam_on_input": modbus_server.BEAM_ON}])
+def test_each_hold_of_a_beam_that_was_on_is_timed_in_the_audit_and_in_the_summary(client, far, regular_volunteer):
+    session_id = _started(client, (regular_volunteer / "calibration.json").read_bytes())
+    for _ in range(TRIES):
+        arm_when_ready(client, session_id)
+        eventually(lambda: far.is_on or detail_of(client, session_id)["gate"]["state"] == "fault", within_s=30.0)
+        act(client, session_id, "disarm")
+        act(client, session_id, "acknowledge")  # a busy machine's own fault
+        if audit_rows(client, "beam.off"):
+            break
+    eventually(lambda: audit_rows(client, "beam.off"), within_s=30.0)
+    act(client, session_id, "stop")
+    eventually(lambda: detail_of(client, session_id)["status"] != "running", within_s=30.0)
+    rows = audit_rows(client, "beam.off")
+    assert [row["detail"]["number"] for row in rows] == list(range(1, len(rows) + 1))
+    assert all(row["detail"]["off_ms"] > 0.0 for row in rows)
+    held_ns = [row["detail"]["asserted_ns"] for row in audit_rows(client, "gate.transition")]
+    assert all(min(abs(row["detail"]["held_ns"] - at) for at in held_ns) < 1_000_000_000 for row in rows)
+    summary = detail_of(client, session_id)["summary"]["beam_off"]
+    assert summary["holds"] == len(rows)
+    assert summary["slowest_ms"] == pytest.approx(max(row["detail"]["off_ms"] for row in rows), abs=0.001)

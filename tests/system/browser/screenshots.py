@@ -17,6 +17,7 @@ from tests.support.browser.fake_service import (
     NOTHING_MEASURED,
     FakeService,
     ServerThread,
+    alarm,
     breath_hold,
     condition,
     phase,
@@ -150,6 +151,7 @@ def take(page: Page, fake: FakeService, out: Path, url: str) -> None:
         fake.sample, fake.is_breathing = message, False
         _show(page, url, kind)
         page.screenshot(path=out / f"{name}.png")
+    _take_alarms(page, fake, out, url)
     for suffix, (width, height) in SIZES.items():
         page.set_viewport_size({"width": width, "height": height})
         fake.sample = PICTURES["breath-hold-settling"][1]
@@ -161,6 +163,25 @@ def take(page: Page, fake: FakeService, out: Path, url: str) -> None:
         page.click("#add-condition")
         page.select_option("[name='window.further.1.kind']", "phase")
         page.screenshot(path=out / f"form{suffix}.png")
+
+
+def _take_alarms(page: Page, fake: FakeService, out: Path, url: str) -> None:
+    """A latched fault, and alarms of all three priorities, one of them acknowledged."""
+    fake.sample = PICTURES["beam-line-fault"][1] | {
+        "hold_reason": "source_lost",
+        "hold_text": "The camera is disconnected",
+        "hold_detail": "the camera delivers no frames",
+    }
+    beam = alarm(1, "beam_without_permit", "high", "The accelerator reports beam on without a permit", latches=True)
+    fake.alarms = (
+        beam | {"detail": "beam on 310 ms after the permit ended: at most 250 ms are allowed"},
+        alarm(2, "source_lost", "medium", "The camera is disconnected", latches=True, age_s=75.0),
+        alarm(3, "permit_without_beam", "low", "The beam is permitted, and the accelerator delivers none", age_s=190.0)
+        | {"acknowledged_by": "B. Physicist"},
+    )
+    _show(page, url, "fault")
+    page.screenshot(path=out / "alarms.png")
+    fake.alarms = ()
 
 
 def _show(page: Page, url: str, kind: str, *, settle_ms: int = SETTLE_MS) -> None:

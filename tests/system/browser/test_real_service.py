@@ -39,10 +39,6 @@ PATIENCE = {
     "TIDEGATE_MAX_SILENCE_MS": "2000",
     "TIDEGATE_WATCHDOG_MS": "500",
     "TIDEGATE_LEASE_MS": "200",
-    # Learned early, so that two breaths are seen, and the reference can be set as proposed.
-    "TIDEGATE_TRAINING_MIN_CYCLES": "1",
-    "TIDEGATE_TRAINING_MIN_SECONDS": "4",
-    "TIDEGATE_TRAINING_MIN_FRAMES": "60",
 }
 WANTED = {("hold", "Hold", "hold"), ("dwell", "Dwell", "dwell"), ("beam_on", "Beam on", "beam_on")}
 ATTEMPTS = 3

@@ -17,12 +17,8 @@ PATIENT = {
     "TIDEGATE_LEASE_MS": "200",
     "TIDEGATE_WATCHDOG_MS": "500",
     "TIDEGATE_MAX_GAP_MS": "200",
-    "TIDEGATE_TRAINING_MIN_CYCLES": "1",
-    "TIDEGATE_TRAINING_MIN_SECONDS": "4",
-    "TIDEGATE_TRAINING_MIN_FRAMES": "60",
 }
-"""A test's machine is shared: what is tested here is the way through, not the time it takes. The model is learned
-early, so that two breaths are seen before the hand comes, and the reference can be set as proposed."""
+"""A test's machine is shared: what is tested here is the way through, not the time it takes."""
 
 SERVE = ("service.cli", "serve", "--port", "{port}", "--data", "{data}", "--recordings", "{recordings}")
 ALONE = """

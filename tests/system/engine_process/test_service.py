@@ -110,9 +110,14 @@ def test_an_engine_that_is_killed_closes_its_session_as_failed_and_another_begin
         states = [one["to_state"] for one in running.transitions()]
         assert states.count("beam_on") >= 1
         assert not list(tmp_path.rglob("*.journal")), "it was read, written down, and removed"
+        (alarm,) = running.detail()["alarms"]
+        assert (alarm["code"], alarm["priority"], alarm["acknowledged_by"]) == ("engine_failed", "high", None)
         again = Running(process, client, line)
         assert again.engine != running.engine
         again.turn_on()
+        assert running.detail()["alarms"] == [], "the next session has begun"
+        ended = [row["detail"]["code"] for row in audit_rows(client, "alarm.end")]
+        assert "engine_failed" in ended
         assert act(client, again.session_id, "stop").json()["status"] == "stopped"
         eventually(lambda: not line.is_on)
         process.send_signal(signal.SIGTERM)

@@ -17,6 +17,7 @@ from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import act, audit_rows, make_calibration
 from tests.support.service.real_engine import (
     PATIENT_LIMITS,
+    WIDE,
     HurriedEngine,
     arm_when_ready,
     detail_of,
@@ -109,8 +110,23 @@ def test_a_window_of_many_conditions_is_settled_gated_held_and_released(real_cli
     assert detail_of(client, session_id)["summary"]["latency"]["max_ms"] > 0.0
 
 
-def test_per_cent_that_come_to_lie_beyond_the_site_s_edges_are_refused_at_arming(tmp_path, regular_volunteer):
-    site = {"window_lower_mm": -0.5, "window_upper_mm": 0.5}
+PER_CENT = {"lower_percent": -50, "upper_percent": 250, "dwell_ms": 100.0}
+
+
+@pytest.mark.parametrize(
+    ("site", "window", "fields", "bound"),
+    [
+        (
+            {"window_lower_mm": -0.5, "window_upper_mm": 0.5},
+            PER_CENT,
+            {"window.lower_mm", "window.upper_mm"},
+            "the site's limit",
+        ),
+        ({"max_duty_percent": 90.0}, WIDE, {"window"}, "100 % of the learned breaths lie inside, and at most 90 % may"),
+    ],
+    ids=["beyond the site's edges once in mm", "never left by the patient"],
+)
+def test_a_window_is_refused_at_arming(tmp_path, regular_volunteer, site, window, fields, bound):
     settings = Settings(
         data_dir=tmp_path / "data",
         recordings_dirs=(regular_volunteer,),
@@ -118,18 +134,18 @@ def test_per_cent_that_come_to_lie_beyond_the_site_s_edges_are_refused_at_arming
         **PATIENT_LIMITS | site,
     )
     source = {"kind": "recording", "path": "recording.oni", "player": "reader"}
-    per_cent = {"lower_percent": -50, "upper_percent": 250, "dwell_ms": 100.0}
     with PeopleClient(create_app(settings, HurriedEngine)) as client:
         calibration = (regular_volunteer / "calibration.json").read_bytes()
-        session_id = open_session(client, calibration, source=source, window=per_cent)
+        session_id = open_session(client, calibration, source=source, window=window)
         act(client, session_id, "start")
         eventually(lambda: detail_of(client, session_id)["measurement_state"] == "measuring", within_s=60.0)
         act(client, session_id, "reference")
         eventually(lambda: detail_of(client, session_id)["has_reference"])
+        assert detail_of(client, session_id)["predicted_duty_percent"] == 100.0
         answer = act(client, session_id, "arm")
         assert (answer.status_code, answer.json()["code"]) == (422, "invalid_value"), answer.text
-        assert answer.json()["field"] in {"window.lower_mm", "window.upper_mm"}
-        assert "the site's limit" in answer.json()["bound"]
+        assert answer.json()["field"] in fields
+        assert bound in answer.json()["bound"]
         act(client, session_id, "stop")
         assert "hold" not in {row["detail"]["to_state"] for row in audit_rows(client, "gate.transition")}
 

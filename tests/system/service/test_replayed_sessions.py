@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from sqlalchemy import select
 from typer.testing import CliRunner
 
 from engine.core.input_tap import InputKind
@@ -21,6 +22,7 @@ from service.cli import app
 from service.core.settings.database_place import DATABASE_NAME
 from service.sessions.recovery.replay import NotReplayableError, StoredSession, audit_differences
 from service.storage.database.engine import Database
+from service.storage.database.tables import AuditRow
 from service.storage.files.tapes import tape_path
 from tests.support.processor_features import WITHOUT_AVX as FEWER_FEATURES
 from tests.support.replay.real_sessions import DeliberatePerson, Played, Troubles, play
@@ -63,6 +65,23 @@ def test_every_gate_edge_and_every_sample_is_the_same(played, verdict):
     assert verdict.replay.is_whole
 
 
+def test_a_later_session_of_the_fraction_replays_the_same_with_its_first_reference(copied, regular_volunteer):
+    later = play(copied.data_dir, regular_volunteer, seed=12, person=DeliberatePerson())
+    first = stored(later).head.first_reference
+    assert first is not None
+    assert stored(copied).head.first_reference is None
+    reported = [
+        json.loads(row.detail)
+        for row in audited(later)
+        if row.action == "model.reference_set" and row.session_id == later.session_id
+    ]
+    assert reported
+    for one in reported:
+        assert "from the fraction's first" in one["detail"], "measured from a reference of an engine that is gone"
+        assert one["distance_mm"] is not None
+    assert again(later).differences == []
+
+
 def test_what_happened_in_it_happened_indeed(played, verdict):
     observed = [reading for turn in turns(played) for reading in turn.observed]
     values = [(kind, encoded["d"][1]) for kind, encoded in observed if kind in {InputKind.TURN, InputKind.FRAME}]
@@ -92,10 +111,12 @@ def test_the_command_says_so_in_a_line_writes_both_tables_and_tells_its_own_audi
 
 
 def actions(played: Played) -> list[str]:
-    from service.storage.database.tables import AuditRow
+    return [row.action for row in audited(played)]
 
+
+def audited(played: Played) -> list[AuditRow]:
     with Database(played.data_dir / DATABASE_NAME).read() as db:
-        return [row.action for row in db.query(AuditRow).order_by(AuditRow.sequence)]
+        return list(db.scalars(select(AuditRow).order_by(AuditRow.sequence)))
 
 
 def test_a_window_a_hair_wider_is_found_and_the_command_fails(copied, monkeypatch):

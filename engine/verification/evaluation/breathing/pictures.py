@@ -14,6 +14,7 @@ EVENT_COLORS = {
     BreathEventKind.APNOEA: "#222222",
     BreathEventKind.TALKING: "#e08a00",
     BreathEventKind.IRREGULAR: "#c23b22",
+    BreathEventKind.NO_CYCLE: "#7f1d1d",
     BreathEventKind.DRIFT: "#3a5fcd",
 }
 SECONDS_PER_ROW = 120.0

@@ -99,6 +99,8 @@ const HALTS = new Set(["hold", "disarm", "stop"]);
  * shows as logged in; if another person has logged in with the same browser, the controller refuses.
  */
 export const act = (id, action, operator) => call("POST", `${session(id)}/${action}`, HALTS.has(action) ? {} : { operator });
+/** `numbers` are those of the alarms that the person was shown. */
+export const acknowledgeAlarms = (id, operator, numbers) => call("POST", `${session(id)}/acknowledge`, { operator, alarms: numbers });
 /** `proposal` is the one that the person was shown; null for the present position. */
 export const setReference = (id, operator, at, proposal, reason) =>
   call("POST", `${session(id)}/reference`, { operator, at, reason, ...(proposal === null ? {} : { level_seen: proposal.level }) });
@@ -106,9 +108,9 @@ export const setReference = (id, operator, at, proposal, reason) =>
 export const arm = (id, operator, head) => call("POST", `${session(id)}/arm`, head === null ? { operator } : { operator, head_direction: head });
 export const retrain = (id, operator, keepsReference) =>
   call("POST", `${session(id)}/models/retrain`, { operator, keeps_reference: keepsReference });
-/** `unit` is mm or l; `by` and `drift` are the displayed values that the person confirms. */
-export const correctBaseline = (id, operator, unit, by, drift) =>
-  call("POST", `${session(id)}/baseline-correction`, { operator, [`by_${unit}`]: by, [`drift_${unit}`]: drift });
+/** `unit` is mm or l; `by` and `drift` are the displayed values that the person confirms; `reason` may be empty. */
+export const correctBaseline = (id, operator, unit, by, drift, reason) =>
+  call("POST", `${session(id)}/baseline-correction`, { operator, [`by_${unit}`]: by, [`drift_${unit}`]: drift, ...(reason === "" ? {} : { reason }) });
 /** Report that a person who may arm is at this page, with a short time-out. */
 export const notePresence = (id, operator) => send("POST", `${session(id)}/presence`, { operator }, {}, PRESENCE_TIMEOUT_MS);
 export const applyModel = (id, operator) => call("POST", `${session(id)}/models/apply`, { operator });

@@ -1,12 +1,13 @@
 /** Assembles the page: the stream feeds the panels, two timers redraw them so that old data is never shown as new. */
 
+import { AlarmPanel, urgentText } from "./panels/alarms.js";
 import { Access } from "./people/access.js";
 import { listSessions, readSession } from "./api.js";
 import { BaselineButton } from "./panels/baseline_correction.js";
 import { renderBreath } from "./panels/breath.js";
 import { Controls } from "./panels/controls.js";
 import { EventList } from "./panels/events.js";
-import { renderBody, renderCalibration, renderCamera, renderFigures, renderLikeness, renderSource } from "./panels/measurement.js";
+import { renderBody, renderCalibration, renderCamera, renderFigures, renderLikeness, renderReference, renderSource } from "./panels/measurement.js";
 import { setText } from "./drawing/elements.js";
 import { GatePanel } from "./panels/gate.js";
 import { GridPanel } from "./panels/motion_map.js";
@@ -46,6 +47,7 @@ const picture = new PicturePanel(byId("picture"), byId("overlay"));
 const grid = new GridPanel(byId("grid"), byId("legend"), byId("grid-readout"));
 const events = new EventList(byId("events"), byId("events-empty"));
 const controls = new Controls(() => lookAgain());
+const alarms = new AlarmPanel(byId("alarms"), controls);
 const baseline = new BaselineButton(byId("do-correct"), controls);
 const presence = new Presence();
 const setup = new Setup(access, select);
@@ -212,7 +214,8 @@ function render() {
   const view = access.may("watch") ? present(stream, nowMs) : presentLocked(access);
   const isSample = view.isFresh && stream.message?.type === "sample";
   const sample = isSample ? stream.message : null;
-  view.warning = mismatch.check(sample, nowMs) || view.warning;
+  const activeAlarms = access.may("watch") ? stream.alarms(nowMs) : null;
+  view.warning = mismatch.check(sample, nowMs) || urgentText(activeAlarms, sample?.hold_reason ?? null) || view.warning;
   if (view.kind === "disarmed" && needsReference(sample, session)) view.reason = `${view.reason.replace(/\.$/, "")}. Set the reference before arming.`;
   gate.render(view, nowMs);
   // Drawn with the gate, not with the other numbers: the two must always agree.
@@ -220,6 +223,7 @@ function render() {
   const running = sample?.session_status === "running" ? sample : null;
   follow(view, sample, nowMs);
   controls.update({ kind: view.kind, sample: running, selected: session, person: access.state === "in" ? access.person : null });
+  alarms.render(activeAlarms, view.kind === "fault", nowMs);
   baseline.update(view.isCurrent ? running : null);
   presence.tend(running, access.may("arm") ? controls.operatorName : "", nowMs);
   if (!access.may("events")) events.tell(access.state === "in" ? "Not shown: your log-in does not allow it." : "No events yet.");
@@ -269,6 +273,7 @@ function renderTraceValue(sample) {
   const value = sample ? (isGated ? gatedValue(sample) : sample[`${trace.choice}_mm`]) : null;
   setText(byId("trace-value"), Number.isFinite(value) ? value.toFixed(unit === "l" ? 2 : 1).replace("-", "−") : "–");
   setText(byId("trace-unit"), unit);
+  renderReference(sample?.reference);
   setText(byId("trace-name"), sample && isGated ? `Gated on ${describeWindow(sample.window)}` : "");
 }
 

@@ -6,7 +6,6 @@ import socket
 import threading
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
-import jsonschema
 import pytest
 
 from engine.beam.simulated import SimulatedBeamLine
@@ -17,6 +16,7 @@ from engine.core.clock import NS_PER_S, ManualClock, MonotonicClock
 from engine.core.errors import BeamLineError, BeamLineMismatchError
 from engine.core.gate_state import HoldReason, Lease
 from tests.support.beam.stepped_line import MS
+from tests.support.contract.schemas import Schema
 from tests.support.repository import ROOT
 
 PATIENCE_S = 20.0
@@ -184,7 +184,7 @@ def _schema():
 
 
 def test_the_schema_in_the_documentation_is_what_is_sent():
-    validator = jsonschema.Draft202012Validator(_schema())
+    validator = Schema(_schema())
     held = Published(Troubled)
     held.permit()
     held.published.is_on()

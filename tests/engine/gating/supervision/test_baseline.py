@@ -76,9 +76,9 @@ def test_every_amplitude_condition_is_checked_by_its_own_signal():
     assert held(WIDE, breath(0.0), breath(4.0, choice=ABDOMEN)) is None
 
 
-def test_a_drift_ends_at_four_fifths_of_its_bound_and_with_a_new_reference():
+def test_a_drift_ends_at_nine_tenths_of_its_bound_and_with_a_new_reference():
     baseline = Baseline(LIMITS)
-    drifts = (1.9, 2.1, 1.7, 1.5, 1.9)
+    drifts = (1.9, 2.1, 1.85, 1.75, 1.9)
     holds = [baseline.check(frame(index, breath(drift)), WIDE) is not None for index, drift in enumerate(drifts)]
     assert holds == [False, True, True, False, False]
     assert baseline.check(frame(5, breath(2.1)), WIDE) is not None

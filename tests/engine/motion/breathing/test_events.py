@@ -96,6 +96,19 @@ def test_an_apnoea_has_no_phase_and_no_rate_and_is_over_with_the_next_breath():
     assert reported[-1].phase_percent is not None
 
 
+@pytest.mark.parametrize("rate", [0.7, -0.7])
+def test_a_signal_that_moves_on_without_a_breath_is_no_cycle_until_breaths_come_back(rate):
+    """It neither rests, as in an apnoea, nor turns."""
+    at = times(100.0)
+    slides = np.clip(at - 50.4, 0.0, 20.0)
+    phase = np.where(at < 50.4, at, np.where(at < 70.4, 50.4, at - 20.0)) / 4.0
+    value = 10.0 * breath(phase) + rate * slides + np.random.default_rng(0).normal(0.0, 0.1, len(at))
+    reported = follow(at, value)
+    assert 50.4 + 2.0 * 4.0 < first(reported, at, "no_cycle") < 50.4 + 3.5 * 4.0
+    assert "no_cycle" in kinds(reported[np.searchsorted(at, 68.0)])
+    assert "no_cycle" not in kinds(reported[np.searchsorted(at, 76.0)])
+
+
 @pytest.mark.parametrize("height", [0.7, 1.3])
 def test_a_breath_that_is_held_above_exhale_is_no_apnoea_and_has_no_phase(height):
     at = times(100.0)

@@ -111,6 +111,19 @@ def test_the_last_end_of_exhale_is_known_with_its_time_and_drift_also_after_a_ga
     assert seen.exhale_drift == pytest.approx(-3.0, abs=0.4)
 
 
+@pytest.mark.parametrize("lower_by", [0.0, 3.0])
+def test_an_exhale_that_lies_lower_than_the_last_counts_before_its_end(lower_by):
+    """The patient sinks during an exhale: the next inhale has not begun yet when its drift is known."""
+    at, value, phase = regular(60.0, period=4.0)
+    sinks_s = at[np.flatnonzero((at > 40.0) & (phase >= 25.0) & (phase < 30.0))[0]]
+    reported = follow(at, value - lower_by * np.clip(at - sinks_s, 0.0, 0.5) / 0.5)
+    rises_s = at[np.flatnonzero((at > sinks_s) & (phase > 70.0))[0]]
+    seen = [one for seconds, one in zip(at, reported, strict=True) if sinks_s < seconds < rises_s]
+    assert {one.exhale_us for one in seen} == {seen[0].exhale_us}
+    assert min(one.exhale_drift for one in seen) == pytest.approx(-lower_by, abs=0.4)
+    assert max(abs(one.drift) for one in seen) < 0.4  # the last complete exhale
+
+
 def test_a_frame_or_two_that_are_lost_cost_nothing():
     at, value, true = regular(60.0)
     kept = np.ones(len(at), dtype=bool)

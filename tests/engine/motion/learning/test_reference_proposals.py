@@ -12,7 +12,7 @@ from engine.core.reference_proposal import ReferenceMoment
 from engine.motion.learning.prepared_model import Reference
 from engine.motion.learning.reference_proposals import ReferenceProposals
 from tests.support.gating.streams import motion_of
-from tests.support.motion.scene_session import SETTINGS, SceneSession, scene_frames
+from tests.support.motion.scene_session import SETTINGS, SceneSession, scene_frames, session_after
 
 EXHALE, INHALE, NOW = ReferenceMoment
 BREATH = 120
@@ -25,10 +25,8 @@ def frames():
 
 
 @pytest.fixture
-def session(frames):
-    session = SceneSession(frames)
-    session.measure(760)
-    return session
+def session():
+    return session_after(760)
 
 
 def proposed(session):
@@ -146,7 +144,11 @@ class OneComponent:
     def reference(self, coefficients, surface, seen_shares):
         plane_mm = float(surface[:, 2].mean())
         return Reference(
-            regions_mm=850.0 - coefficients[:1], plane_mm=plane_mm, volume_l=0.0, seen_shares=seen_shares[:1]
+            regions_mm=850.0 - coefficients[:1],
+            plane_mm=plane_mm,
+            volume_l=0.0,
+            seen_shares=seen_shares[:1],
+            surface_mm=surface,
         )
 
 

@@ -10,7 +10,7 @@ from engine.core.errors import InvalidValueError
 from engine.core.frames import MeasurementState
 from engine.motion.settings import PipelineSettings
 from tests.support.motion.breathing_traces import kinds
-from tests.support.motion.scene_session import CHOICES, SceneSession, scene_frames
+from tests.support.motion.scene_session import CHOICES, SceneSession, scene_frames, session_after
 
 
 @pytest.fixture(scope="module")
@@ -19,10 +19,8 @@ def frames():
 
 
 @pytest.fixture
-def patient(frames):
-    patient = SceneSession(frames)
-    patient.measure(760)
-    return patient
+def patient():
+    return session_after(760)
 
 
 def test_breaths_come_with_measured_frames_one_a_signal_in_order(frames):

@@ -155,6 +155,7 @@ def test_an_earlier_session_replays_up_to_the_first_number_of_another_method(fol
             stored.refuse_other_version()
         verdict = stored.run_again(recording, lambda _frames: None)
     assert verdict.head.method == FIRST_METHOD
+    assert verdict.head.limits.max_duty_percent == 100.0, "armed with any window"
     assert any("differences may be intended" in note for note in verdict.notes)
     assert verdict.audited == TRANSITIONS[session_id]
     assert 0 < verdict.replay.frames <= FRAMES[session_id]

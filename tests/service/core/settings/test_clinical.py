@@ -45,12 +45,16 @@ def site(monkeypatch):
     return load
 
 
+def lines_of(settings):
+    return refusals(settings, settings.holding_events)
+
+
 def without(*names):
     return {name: value for name, value in CLINICAL.items() if name not in names}
 
 
 def test_a_site_that_has_all_of_it_starts(site):
-    assert refusals(site(CLINICAL)) == ()
+    assert lines_of(site(CLINICAL)) == ()
 
 
 def test_all_that_is_missing_is_named_at_once(site):
@@ -80,12 +84,31 @@ def test_each_thing_that_is_missing_is_named_alone(site, name):
         assert CLINICAL_BOUNDS[name].text in line
 
 
+@pytest.mark.parametrize(
+    ("events", "named"),
+    [
+        ("cough,apnoea", "no_cycle"),
+        ("no_cycle", "apnoea"),
+        ("", "apnoea and no_cycle"),
+        ("no_cycle,drift,apnoea", None),
+    ],
+)
+def test_the_beam_is_held_where_breathing_has_ceased(site, events, named):
+    """By default it is; a site may only add events."""
+    if named is None:
+        assert site(CLINICAL | {"holding_events": events}).holding_events == ("no_cycle", "drift", "apnoea")
+        return
+    with pytest.raises(SettingsError, match=f"TIDEGATE_HOLDING_EVENTS lacks {named}:") as refusal:
+        site(CLINICAL | {"holding_events": events})
+    assert len(str(refusal.value).splitlines()) == 1
+
+
 @pytest.mark.parametrize(("name", "edge", "beyond"), EDGES, ids=lambda value: f"{value}")
 def test_a_bound_holds_at_its_edge_and_is_named_beyond(name, edge, beyond):
     """By `refusals` alone: other rules between two settings are elsewhere."""
     good = clinical_settings()
-    assert refusals(good.model_copy(update={name: edge})) == ()
-    (line,) = refusals(good.model_copy(update={name: beyond}))
+    assert lines_of(good.model_copy(update={name: edge})) == ()
+    (line,) = lines_of(good.model_copy(update={name: beyond}))
     assert f"TIDEGATE_{name.upper()} is {beyond:g}: must be {CLINICAL_BOUNDS[name].text}" in line
 
 

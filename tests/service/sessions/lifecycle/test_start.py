@@ -2,7 +2,6 @@
 
 import pytest
 
-from engine.core.breath import BreathEventKind
 from engine.core.errors import TidegateError
 from service.core.schemas import sessions
 from service.core.schemas.windows import Window
@@ -23,7 +22,6 @@ NARROWED = [
     (WINDOW, {"window_upper_mm": 2.9}, "window.upper_mm"),
     (WINDOW | {"join": "or", "further": [PHASE]}, {"window_upper_mm": 20.0}, "window.further.0.kind"),
     (HOLD, {"max_breath_hold_s": 20.0}, "window.timeout_s"),
-    (HOLD, {"holding_events": (BreathEventKind.APNOEA,)}, "window.kind"),
     (PHASE, {"min_phase_confidence": 0.8}, "window.min_confidence"),
 ]
 

@@ -43,9 +43,7 @@ def killed(folders, tmp_path):
 
 
 @pytest.fixture
-def run(monkeypatch):
-    monkeypatch.setattr("os.nice", lambda _step: 0)
-
+def run():
     def run(*words):
         return CliRunner().invoke(app, [str(word) for word in words], env={"COLUMNS": "200"})
 

@@ -67,7 +67,7 @@ def test_presence_at_a_session_that_does_not_run_is_refused(client, session_id):
 def test_a_correction_moves_the_window_and_the_audit_keeps_the_drift_and_both_windows(client, session_id, drifting):
     answer = correct(client, session_id)
     assert answer.status_code == 200, answer.text
-    assert drifting.commands == [CorrectBaseline(operator="B. Physicist", by=1.5)]
+    assert drifting.commands == [CorrectBaseline(operator="B. Physicist", by=1.5, may_exceed=True)]
     requested, done = audit_rows(client, ACTION)
     assert (requested["outcome"], done["outcome"], done["actor"]) == ("requested", "done", "B. Physicist")
     detail = done["detail"]
@@ -145,7 +145,7 @@ def test_a_window_on_the_volume_is_corrected_in_litres(client, session_id, runni
     litres = {"by_mm": None, "drift_mm": None, "by_l": 0.1, "drift_l": 0.1}
     assert correct(client, session_id, **litres | {"by_l": 0.51, "drift_l": 0.6}).json()["field"] == "by_l"
     assert correct(client, session_id, **litres).status_code == 200
-    assert running.commands == [CorrectBaseline(operator="B. Physicist", by=0.1)]
+    assert running.commands == [CorrectBaseline(operator="B. Physicist", by=0.1, may_exceed=True)]
 
 
 def test_what_the_engine_refuses_of_a_correction_is_reported(client, session_id, drifting):

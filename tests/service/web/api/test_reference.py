@@ -2,9 +2,10 @@
 
 import pytest
 
-from engine.core.breath import SignalChoice
+from engine.core.breath import WHOLE, SignalChoice
 from engine.core.commands import SetReference
 from engine.core.learning_status import LearningStatus
+from engine.core.reference_distance import ReferenceDistance, SignalLevel
 from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
 from service.core.permissions import KEY_PERMISSIONS, ROLE_PERMISSIONS, Permission, Role
 from service.sessions.views.reference import proposal_views
@@ -16,7 +17,9 @@ BODY = {"operator": "A. Therapist"}
 
 def test_without_a_moment_it_is_the_end_of_exhale(client, session_id, running):
     assert client.post(f"{URL}/{session_id}/reference", json=BODY).status_code == 200
-    assert running.commands == [SetReference(operator="A. Therapist", moment=ReferenceMoment.END_EXHALE)]
+    assert running.commands == [
+        SetReference(operator="A. Therapist", moment=ReferenceMoment.END_EXHALE, may_exceed=True)
+    ]
 
 
 def test_moment_level_and_reason_reach_the_engine_and_the_audit(client, session_id, running):
@@ -56,16 +59,19 @@ def test_no_key_sets_a_reference():
 def test_a_session_shows_what_is_proposed(client, session_id, running):
     assert client.get(f"{URL}/{session_id}").json()["reference_proposals"] == []
     volume = SignalChoice(signal="volume")
+    far = ReferenceDistance(moved_mm=8.1, levels=(SignalLevel(WHOLE, 8.0),))
     proposals = (
         ReferenceProposal(
             moment=ReferenceMoment.END_EXHALE, signal=volume, level=-0.12345, scatter=0.01, breaths=3, percent=None
         ),
-        ReferenceProposal(moment=ReferenceMoment.END_INHALE, level=8.0, scatter=0.2, breaths=5, percent=97.12345),
+        ReferenceProposal(
+            moment=ReferenceMoment.END_INHALE, level=8.0, scatter=0.2, breaths=5, percent=97.12345, distance=far
+        ),
     )
-    shown = [one.model_dump() for one in proposal_views(LearningStatus(reference_proposals=proposals))]
+    shown = [one.model_dump() for one in proposal_views(LearningStatus(reference_proposals=proposals), 2.0)]
     assert shown == [
         {"at": "end_exhale", "signal": "volume", "unit": "l", "level": -0.123, "scatter": 0.01, "breaths": 3}
-        | {"percent": None},
+        | {"percent": None, "distance": None, "distance_mm": None, "is_beyond": False},
         {"at": "end_inhale", "signal": "whole", "unit": "mm", "level": 8.0, "scatter": 0.2, "breaths": 5}
-        | {"percent": 97.1235},
+        | {"percent": 97.1235, "distance": far.text, "distance_mm": 8.1, "is_beyond": True},
     ]

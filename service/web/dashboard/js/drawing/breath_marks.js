@@ -12,6 +12,7 @@ export const EVENT_WORDS = {
   apnoea: "no breath",
   talking: "talking",
   irregular: "irregular",
+  no_cycle: "breaths not recognised",
   drift: "drift",
 };
 

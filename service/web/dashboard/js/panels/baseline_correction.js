@@ -56,7 +56,10 @@ export class BaselineButton {
     }
     const { id, unit, by, drift } = this.confirmed;
     this.#forget();
-    this.controls.run("correct", () => correctBaseline(id, this.controls.operatorName, unit, by, drift));
+    this.controls.run("correct", async () => {
+      await correctBaseline(id, this.controls.operatorName, unit, by, drift, this.controls.reason);
+      this.controls.forgetReason();
+    });
   }
 
   #forget() {

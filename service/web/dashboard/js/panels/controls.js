@@ -30,6 +30,7 @@ const DONE = {
   disarm: "Disarmed.",
   reference: "Reference set.",
   acknowledge: "Fault acknowledged.",
+  alarms: "Alarms acknowledged.",
   stop: "Session stopped.",
   retrain: "Training again in the background.",
   apply: "Disarmed. The new model is applied.",
@@ -91,6 +92,16 @@ export class Controls {
     return this.context.person?.name ?? "";
   }
 
+  /** The reason typed beside the reference, which a correction far from the fraction's first needs too. */
+  get reason() {
+    return document.getElementById("reference-reason").value.trim();
+  }
+
+  /** Clear the reason: it is given for one call only. */
+  forgetReason() {
+    document.getElementById("reference-reason").value = "";
+  }
+
   /** Why the log-in does not permit this action; empty if it does. */
   forbids(action) {
     return forbidden(this.context.person, action);
@@ -100,6 +111,7 @@ export class Controls {
   forget() {
     this.lastRunningId = null;
     this.busy = null;
+    this.forgetReason();
     this.say("", "");
   }
 
@@ -199,9 +211,8 @@ export class Controls {
   async #call(action, id, operator) {
     if (action === "apply") await applyModel(id, operator);
     else if (action === "reference") {
-      const reason = document.getElementById("reference-reason");
-      await setReference(id, operator, referenceAt(), proposalOf(this.context), reason.value.trim());
-      reason.value = "";
+      await setReference(id, operator, referenceAt(), proposalOf(this.context), this.reason);
+      this.forgetReason();
     } else if (action === "arm") {
       await arm(id, operator, headOf(this.context));
       rememberArming(id, operator);
@@ -234,7 +245,14 @@ function proposalText(context) {
   const one = proposalOf(context);
   if (one === null) return "Two breaths have to be seen before their position is proposed.";
   const place = one.percent === null ? "" : `, at ${Math.round(one.percent)} % of the learned breath`;
-  return `Mean of ${one.breaths} breaths: ${one.level.toFixed(2)} ${one.unit}, scatter ${one.scatter.toFixed(2)} ${one.unit}${place}.`;
+  return `${far(one)}Mean of ${one.breaths} breaths: ${one.level.toFixed(2)} ${one.unit}, scatter ${one.scatter.toFixed(2)} ${one.unit}${place}.`;
+}
+
+/** Where a proposal lies against the fraction's first reference, if it is too far for a click alone. */
+function far(one) {
+  if (!one.is_beyond) return "";
+  const away = one.distance_mm === null ? "at an unknown distance" : `${one.distance_mm.toFixed(1)} mm`;
+  return `Needs a reason: ${away} from the fraction's first. `;
 }
 
 /** What is missing for the next step. */
@@ -259,5 +277,5 @@ function button(action) {
 }
 
 function label(action) {
-  return { reference: "Set reference", retrain: "Train again", apply: "Apply", correct: "Correct baseline" }[action] ?? action[0].toUpperCase() + action.slice(1);
+  return { reference: "Set reference", retrain: "Train again", apply: "Apply", correct: "Correct baseline", alarms: "Acknowledge alarms" }[action] ?? action[0].toUpperCase() + action.slice(1);
 }

@@ -24,6 +24,27 @@ export function renderFigures(sample, isSimulatedBeam) {
   document.getElementById("badge-simulated").hidden = !isSimulatedBeam;
 }
 
+/** Show how far the zero of the trace lies from the fraction's first reference; marked beyond the site's budget. */
+export function renderReference(reference) {
+  const line = document.getElementById("reference-distance");
+  setText(line, reference ? `${capitalized(reference.text)}${parts(reference)}` : "");
+  line.dataset.bad = reference?.is_beyond ? "yes" : "no";
+  line.title = reference?.distance_mm ? rotation(reference) : "";
+}
+
+function parts(reference) {
+  if (reference.distance_mm === null) return `: ${reference.unknown}`;
+  return ` · height ${signed(reference.height_mm, 1)} · shift ${reference.shift_mm.toFixed(1)}`;
+}
+
+function rotation({ turn_deg: turn, tilt_deg: tilt, shape_mm: shape }) {
+  return `Turn ${turn.toFixed(1)}°, tilt ${tilt.toFixed(1)}°, shape ${shape.toFixed(1)} mm`;
+}
+
+function capitalized(text) {
+  return text.charAt(0).toUpperCase() + text.slice(1);
+}
+
 /** Show permanently that a session uses the camera's built-in registration. */
 export function renderCalibration(kind) {
   document.getElementById("badge-uncalibrated").hidden = kind !== "device registration";

@@ -13,6 +13,7 @@ export const IDLE_STALE_MS = 1500;
 const GIVE_UP_MS = 5000;
 const FIRST_RETRY_MS = 250;
 const LAST_RETRY_MS = 5000;
+const NO_ALARMS = { active: [], ageMs: () => 0 };
 
 export class LiveStream {
   /**
@@ -31,6 +32,9 @@ export class LiveStream {
     this.retryMs = FIRST_RETRY_MS;
     this.retryAtMs = null;
     this.socket = null;
+    this.hello = null;
+    this.alarmMessage = null;
+    this.alarmsArrivedMs = 0;
     this.arrivedMs = 0;
     this.lagMs = 0;
   }
@@ -88,6 +92,14 @@ export class LiveStream {
     }
   }
 
+  /** The active alarms as last received; null without a connection. */
+  alarms(nowMs) {
+    if (this.alarmMessage === null) return this.hello === null ? null : NO_ALARMS;
+    const { active, sent_at: sentAt } = this.alarmMessage;
+    const elapsedMs = nowMs - this.alarmsArrivedMs;
+    return { active, ageMs: (since) => Date.parse(sentAt) - Date.parse(since) + elapsedMs };
+  }
+
   #quietMs(nowMs) {
     // A persistent lag means queued old messages: only a new socket removes them.
     return this.message === null ? nowMs - this.connectedAtMs : this.silenceMs(nowMs);
@@ -101,6 +113,7 @@ export class LiveStream {
   #forget() {
     this.message = null;
     this.hello = null;
+    this.alarmMessage = null;
     this.leastDelayMs = Infinity;
     this.lagMs = 0;
   }
@@ -118,6 +131,11 @@ export class LiveStream {
     if (message.type === "hello") {
       this.hello = message;
       this.problem = message.schema === SCHEMA ? "" : `The controller speaks ${message.schema}, this page ${SCHEMA}. Reload the page.`;
+      return;
+    }
+    if (this.problem === "" && message.type === "alarms") {
+      this.alarmMessage = message;
+      this.alarmsArrivedMs = performance.now();
       return;
     }
     if (this.problem !== "" || (message.type !== "sample" && message.type !== "idle")) return;

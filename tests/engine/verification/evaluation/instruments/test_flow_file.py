@@ -103,7 +103,7 @@ def test_lines_are_counted_over_empty_ones(tmp_path):
         ),
     )
 )
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 def test_whatever_is_in_a_file_it_is_read_or_refused(tmp_path, content):
     try:
         read = read_flow(write(tmp_path, content))

@@ -1,0 +1,155 @@
+"""The first reference of a fraction, and how far later ones lie from it (ADR 0026).
+
+References are compared as surfaces in the depth camera's frame: that needs no common motion model, so it works over
+retrainings, stored models and a restart of the engine in the same fraction.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from hashlib import sha256
+from json import dumps
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from engine.core.breath import SignalChoice
+from engine.core.first_reference import FirstReference
+from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, frozen
+from engine.core.reference_distance import ReferenceDistance, SignalLevel
+from engine.motion.learning.learned_range import position_of
+from engine.motion.learning.prepared_model import PreparedModel, Reference
+from engine.motion.learning.reference_transfer import ReferenceTransfer
+from engine.motion.learning.rigid_fit import RigidFit, rigid_between
+from engine.motion.stages.regions import RegionLayout
+from engine.motion.stages.surface import grid_triangles, volume_l
+
+LEAST_SEEN = 0.9
+"""Least share of the surface's nodes that both references need."""
+AWAY = "the camera was disconnected since"
+OTHER_CAMERA = "it was measured with another calibration"
+OTHER_REGIONS = "it was measured with other regions"
+NOT_MEASURED = "the patient is not measured at present"
+TOO_LITTLE = "too little of the surface is known"
+
+_TRIANGLES = grid_triangles(NODE_ROWS, NODE_COLUMNS)
+
+
+class Confirmed(NamedTuple):
+    """A reference that was taken up: its distance from the first, and the first if this is it."""
+
+    distance: ReferenceDistance
+    first: FirstReference | None
+
+
+def layout_sha256(layout: RegionLayout) -> str:
+    """Return the identity of a region layout: only under the same one are regions compared by their number."""
+    return sha256(dumps(asdict(layout), sort_keys=True).encode()).hexdigest()
+
+
+class ReferenceHistory:
+    """Keeps the first reference; owned by the pipeline's thread.
+
+    Parameters
+    ----------
+    choices
+        The gated signals, whose levels are part of the distance.
+    """
+
+    def __init__(self, *, calibration_sha256: str, layout: RegionLayout, choices: Sequence[SignalChoice]) -> None:
+        self._calibration_sha256, self._layout_sha256 = calibration_sha256, layout_sha256(layout)
+        self._choices = tuple(choices)
+        self._first: FirstReference | None = None
+        self._unknown = ""
+
+    def restore(self, first: FirstReference) -> None:
+        """Continue a fraction whose first reference was confirmed in an earlier session."""
+        self._first = first
+        if first.calibration_sha256 != self._calibration_sha256:
+            self._unknown = OTHER_CAMERA
+        elif first.layout_sha256 != self._layout_sha256:
+            self._unknown = OTHER_REGIONS
+
+    def lose_camera(self) -> None:
+        """Note that the camera was disconnected: it may have moved, so positions are not comparable any more."""
+        if self._first is not None:
+            self._unknown = self._unknown or AWAY
+
+    def transfer(self, transfer: ReferenceTransfer) -> None:
+        """Correct the first reference for the other biases of another model, as the reference in use is."""
+        first = self._first
+        if first is not None and len(first.regions_mm) == len(transfer.regions_mm):
+            self._first = replace(
+                first,
+                regions_mm=frozen(first.regions_mm + transfer.regions_mm),
+                volume_l=first.volume_l + transfer.volume_l,
+                surface_mm=transfer.applied_to_surface(first.surface_mm),
+            )
+
+    def confirm(self, active: PreparedModel, reference: Reference) -> Confirmed:
+        """Return the distance of a reference that a person confirmed; the first one is kept."""
+        distance = self.distance(active, reference)
+        if distance is not None:
+            return Confirmed(distance, None)
+        self._first = FirstReference(
+            calibration_sha256=self._calibration_sha256,
+            layout_sha256=self._layout_sha256,
+            regions_mm=reference.regions_mm,
+            surface_mm=reference.surface_mm,
+            plane_mm=reference.plane_mm,
+            volume_l=reference.volume_l,
+        )
+        return Confirmed(self.distance(active, reference) or ReferenceDistance(unknown=TOO_LITTLE), self._first)
+
+    def distance(self, active: PreparedModel, reference: Reference | None) -> ReferenceDistance | None:
+        """Return how far a reference lies from the first one; None where there is no first one.
+
+        ``reference`` is None for a position that is not measured at present.
+        """
+        first = self._first
+        if first is None:
+            return None
+        if reference is None or self._unknown:
+            return ReferenceDistance(unknown=self._unknown or NOT_MEASURED)
+        is_comparable = first.surface_mm.shape == reference.surface_mm.shape
+        rigid = rigid_between(first.surface_mm, reference.surface_mm) if is_comparable else None
+        if rigid is None or rigid.share < LEAST_SEEN:
+            return ReferenceDistance(unknown=TOO_LITTLE)
+        levels = (SignalLevel(choice, _level(choice, active, first, reference)) for choice in self._choices)
+        return _measured(first, reference, rigid, tuple(levels))
+
+
+def _level(choice: SignalChoice, active: PreparedModel, first: FirstReference, reference: Reference) -> float:
+    """Return the level of a reference in a signal against the first one [mm, l of the volume]; NaN if not known."""
+    if choice.is_volume:
+        return volume_l(reference.surface_mm, _TRIANGLES, first.plane_mm) - first.volume_l
+    position = position_of(choice, active)
+    if position is None or not active.regions.is_known[position]:
+        return float("nan")
+    return float(first.regions_mm[position] - reference.regions_mm[position])
+
+
+def _measured(
+    first: FirstReference, reference: Reference, rigid: RigidFit, levels: tuple[SignalLevel, ...]
+) -> ReferenceDistance:
+    normal = _normal(first.surface_mm)
+    shift_mm = np.array(rigid.shift_mm)
+    turned = cv2.Rodrigues(rigid.rotation)[0].ravel()
+    height_mm, turn = float(shift_mm @ normal), float(turned @ normal)
+    moved_mm = reference.surface_mm - first.surface_mm
+    return ReferenceDistance(
+        moved_mm=float(np.sqrt(np.nanmean((moved_mm**2).sum(axis=1)))),
+        shift_mm=float(np.linalg.norm(shift_mm - height_mm * normal)),
+        height_mm=height_mm,
+        turn_deg=abs(float(np.rad2deg(turn))),
+        tilt_deg=float(np.rad2deg(np.linalg.norm(turned - turn * normal))),
+        shape_mm=rigid.shape_mm,
+        levels=levels,
+    )
+
+
+def _normal(surface_mm: FloatArray) -> FloatArray:
+    """Return the normal of a surface's plane, towards the camera, shape (3,)."""
+    points = surface_mm[np.isfinite(surface_mm).all(axis=1)]
+    normal: FloatArray = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
+    return -normal if normal[2] > 0.0 else normal

@@ -1,0 +1,103 @@
+"""A window that the learned breaths practically never leave cannot be armed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine.core.breath import WHOLE, SignalChoice
+from engine.core.errors import CommandRefusedError, InvalidValueError
+from engine.gating.duty_cycle import duty_percent, is_predicted, refuse_never_left
+from engine.gating.limits import GateLimits
+from engine.gating.windows import (
+    AmplitudeWindow,
+    BreathHoldWindow,
+    Join,
+    JoinedWindow,
+    PhaseWindow,
+    Unit,
+    amplitude_window,
+)
+
+ABDOMEN = SignalChoice(signal="abdomen")
+LEVELS = {WHOLE: np.linspace(0.05, 9.95, 100), ABDOMEN: np.linspace(19.9, 0.1, 100)}
+"""Frames of the training: the whole region from 0 to 10 mm, and the abdomen from 20 to 0 mm."""
+HOLD = BreathHoldWindow(level=amplitude_window(lower_mm=0.0, upper_mm=100.0))
+
+
+def window(lower_mm, upper_mm, signal="whole"):
+    return amplitude_window(signal=signal, lower_mm=lower_mm, upper_mm=upper_mm)
+
+
+def phase(from_percent, to_percent):
+    return PhaseWindow(from_percent=from_percent, to_percent=to_percent)
+
+
+def joined(join, *conditions):
+    return JoinedWindow(conditions=conditions, join=join)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "percent"),
+    [
+        (window(-1.0, 3.0), 30.0),
+        (window(9.0, 20.0), 10.0),
+        (window(-5.0, 15.0), 100.0),
+        (window(20.0, 30.0), 0.0),
+        (phase(40.0, 70.0), 30.0),
+        (phase(95.0, 5.0), 10.0),
+        (joined(Join.AND, window(0.0, 6.0), window(0.0, 16.0, "abdomen")), 40.0),
+        (joined(Join.OR, window(0.0, 2.0), window(0.0, 2.0, "abdomen")), 30.0),
+        (joined(Join.AND, window(0.0, 6.0), phase(0.0, 50.0)), 50.0),
+        (joined(Join.AND, phase(0.0, 50.0), PhaseWindow(choice=ABDOMEN, from_percent=25.0, to_percent=75.0)), 25.0),
+        (joined(Join.OR, phase(0.0, 20.0), phase(10.0, 40.0)), 40.0),
+        (joined(Join.OR, window(0.0, 6.0), phase(0.0, 70.0)), 100.0),
+        (joined(Join.OR, window(0.0, 3.0), HOLD), 30.0),
+    ],
+)
+def test_the_share_of_the_learned_breaths_inside_is_predicted(wanted, percent):
+    assert duty_percent(wanted, LEVELS) == pytest.approx(percent, abs=0.2)
+
+
+def test_hysteresis_does_not_make_a_window_narrower():
+    assert duty_percent(amplitude_window(lower_mm=0.0, upper_mm=5.0, hysteresis_mm=2.0), LEVELS) == pytest.approx(50.0)
+
+
+@pytest.mark.parametrize("wanted", [HOLD, joined(Join.AND, window(-50.0, 50.0), HOLD), joined(Join.OR, HOLD, HOLD)])
+def test_a_breath_hold_has_no_predicted_duty_cycle_and_is_not_refused(wanted):
+    assert not is_predicted(wanted)
+    assert duty_percent(wanted, LEVELS) is None
+    refuse_never_left(GateLimits(window=wanted), {})
+
+
+def test_a_window_that_is_never_left_is_refused_with_its_name_the_duty_cycle_and_the_bound():
+    with pytest.raises(InvalidValueError) as refusal:
+        refuse_never_left(GateLimits(window=window(-30.0, 9.5)), LEVELS)
+    assert refusal.value.field == "window"
+    for part in ("whole -30 to 9.5 mm", "95 %", "90 %"):
+        assert part in str(refusal.value)
+
+
+def test_the_bound_is_the_sites_and_itself_allowed():
+    limits = GateLimits(window=window(0.0, 9.0), max_duty_percent=90.0)
+    refuse_never_left(limits, LEVELS)
+    with pytest.raises(InvalidValueError, match="at most 89 % may"):
+        refuse_never_left(replace(limits, max_duty_percent=89.0), LEVELS)
+    refuse_never_left(GateLimits(window=window(-30.0, 30.0), max_duty_percent=100.0), LEVELS)
+    with pytest.raises(InvalidValueError):
+        refuse_never_left(GateLimits(window=phase(5.0, 99.0)), {})
+
+
+@pytest.mark.parametrize(
+    ("wanted", "levels"),
+    [
+        (window(0.0, 1.0), {}),
+        (window(0.0, 1.0, "abdomen"), {WHOLE: LEVELS[WHOLE]}),
+        (joined(Join.OR, window(0.0, 1.0), window(0.0, 1.0, "abdomen")), {WHOLE: LEVELS[WHOLE]}),
+        (AmplitudeWindow(lower=0.0, upper=30.0, unit=Unit.PERCENT), LEVELS),
+    ],
+)
+def test_an_unknown_duty_cycle_is_refused(wanted, levels):
+    assert duty_percent(wanted, levels) is None
+    with pytest.raises(CommandRefusedError, match="Train again"):
+        refuse_never_left(GateLimits(window=wanted), levels)
