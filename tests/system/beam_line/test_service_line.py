@@ -14,7 +14,7 @@ from tests.support.waiting import eventually
 
 FILM = {"kind": "recording", "path": "recording.oni", "player": "reader"}
 TRIES = 6
-DEFAULT_TIMES = {name: LIMIT_DEFAULTS[name] for name in PATIENT_LIMITS if name.endswith(("_ms", "_s"))}
+DEFAULTS = {name: LIMIT_DEFAULTS[name] for name in PATIENT_LIMITS}
 
 
 @pytest.fixture
@@ -84,7 +84,7 @@ def test_a_session_on_a_receiver_that_is_gone_does_not_start_and_says_why(client
 
 @pytest.mark.parametrize(
     "site",
-    [{}, {"mode": "clinical", "hardware_dead_man": True, **OBLIGATORY, **DEFAULT_TIMES}],
+    [{}, {"mode": "clinical", "hardware_dead_man": True, **OBLIGATORY, **DEFAULTS}],
     ids=["research", "clinical"],
 )
 def test_no_recording_gates_a_real_line_unless_the_site_says_so(client, far, regular_volunteer):
