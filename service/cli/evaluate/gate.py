@@ -37,6 +37,7 @@ def gate(
     ] = None,
     *,
     is_rules_only: Annotated[bool, typer.Option("--rules-only", help="Leave out the delays of the edges.")] = False,
+    is_edges_only: Annotated[bool, typer.Option("--edges-only", help="Leave out the rules on breathing.")] = False,
     is_strict: Annotated[
         bool,
         typer.Option("--strict", help="Exit code 1 when an edge is later than allowed, or rules hold too much."),
@@ -52,8 +53,9 @@ def gate(
     try:
         check_plan(seed, seconds)
         _check(out, work, seconds, trace or [])
+        _check_parts(is_edges_only=is_edges_only, needs_rules=is_rules_only or bool(trace) or bool(volunteer))
         tables = [] if is_rules_only else [_edge_table(work or out / "work", seed, seconds)]
-        tables += _rule_tables(trace or [], volunteer)
+        tables += [] if is_edges_only else _rule_tables(trace or [], volunteer)
         out.mkdir(parents=True, exist_ok=True)
         for table in tables:
             write_whole(out / f"{table.name}.csv", table.to_csv().encode())
@@ -74,6 +76,11 @@ def _check(out: Path, work: Path | None, seconds: float, traces: list[Path]) -> 
     for folder, field in ((out, "out"), (work, "work")):
         if folder is not None and folder.exists() and not folder.is_dir():
             raise InvalidValueError(field, str(folder), "a folder")
+
+
+def _check_parts(*, is_edges_only: bool, needs_rules: bool) -> None:
+    if is_edges_only and needs_rules:
+        raise InvalidValueError("edges-only", "given", "without --rules-only, --trace and --volunteer")
 
 
 def _show(tables: "list[Table]", out: Path) -> None:

@@ -125,12 +125,21 @@ def test_the_command_writes_the_table_of_what_it_gated(tmp_path, regular_volunte
     )
     monkeypatch.setattr(gate_timing, "WARM_UP_US", 0)
     out = tmp_path / "out"
-    result = CliRunner().invoke(app, ["evaluate", "gate", "--out", str(out), "--work", str(regular_volunteer)])
+    options = ["--edges-only", "--out", str(out), "--work", str(regular_volunteer)]
+    result = CliRunner().invoke(app, ["evaluate", "gate", *options])
     assert result.exit_code == 0, result.output
     rows = list(csv.DictReader((out / "gate_edges.csv").read_text().splitlines()))
     assert {row["window"] for row in rows} == {kind.name for kind in gate_timing.KINDS if kind.scenario == "regular"}
     whole = next(row for row in rows if row["window"] == "exhale, whole" and row["beam goes"] == "off")
     assert int(whole["edges"]) >= 1
+
+
+@pytest.mark.parametrize("other", [["--rules-only"], ["--volunteer", "1"]])
+def test_the_edges_alone_exclude_what_is_of_the_rules(tmp_path, other):
+    result = CliRunner().invoke(app, ["evaluate", "gate", "--edges-only", *other, "--out", str(tmp_path / "out")])
+    assert result.exit_code == 2
+    assert "edges-only" in result.output
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(("option", "value"), [("--seconds", "39"), ("--seed", "-1")])
