@@ -133,7 +133,7 @@ class BeamOnComparison:
             self._note_off(permission.ended_ns, now_ns)
 
     def forget_absence(self) -> None:
-        """Begin anew to add up the permitted time without a beam."""
+        """Reset the sum of the permitted time without a beam."""
         self._missing_ns = 0
         self.state = replace(self.state, is_absent=False)
 

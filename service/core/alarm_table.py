@@ -79,7 +79,7 @@ SIGHT_DELAY_S = 5.0
 """Of holds that mostly clear by themselves."""
 
 _P, _R = AlarmPriority, HoldReason
-_FAULT_ENDS = "the acknowledgement; an alarm whose cause persists begins anew"
+_FAULT_ENDS = "the acknowledgement; if the cause persists, another alarm begins"
 _HOLD_ENDS = "the gate does not hold for it for 1 s, or is disarmed"
 _BEAM_UNKNOWN = "the beam is on without a permit, or the line was not read back as off: a person has to see that it is"
 _STOPPED = "the beam is held; the treatment does not go on until a person has found the cause"

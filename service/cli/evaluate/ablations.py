@@ -5,11 +5,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from engine.core.errors import TidegateError
 from engine.core.files import write_whole
-from service.cli.evaluate.bench import PIPED_WIDTH, rich_table
+from service.cli.evaluate.bench import print_tables
 from service.cli.terminal import advance, frame_bar, refused, say
 
 
@@ -45,6 +44,5 @@ def ablations(
         raise refused("evaluate ablations", error) from error
     except OSError as error:
         raise refused("evaluate ablations", f"{out} cannot be written ({error.strerror or error})") from error
-    console = Console()
-    (console if console.is_terminal else Console(width=PIPED_WIDTH)).print(rich_table(shown))
+    print_tables([shown])
     say(f"Written to {out / 'ablations.csv'}")

@@ -2,7 +2,7 @@
 
 import os
 import signal
-import sys
+from collections.abc import Iterable
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -92,9 +92,7 @@ def _bench(out: Path, work: Path, *, is_quick: bool, jobs: int | None, seconds: 
         seed=seed,
         settings={"quick": is_quick, "seconds": seconds, "recordings": len(plan)},
     )
-    console = Console() if sys.stdout.isatty() else Console(width=PIPED_WIDTH)
-    for table in tables:
-        console.print(rich_table(table), "")
+    print_tables(tables)
     _conclude(marks, out)
     return marks
 
@@ -156,6 +154,14 @@ def rich_table(table: "Table") -> RichTable:
         style = "red" if number in table.failed else None
         shown.add_row(*(escape(table.text(cell)) for cell in row), style=style)
     return shown
+
+
+def print_tables(tables: "Iterable[Table]", width: int = PIPED_WIDTH) -> None:
+    """Print tables below each other, ``width`` characters wide where the output is no terminal."""
+    console = Console()
+    console = console if console.is_terminal else Console(width=width)
+    for table in tables:
+        console.print(rich_table(table), "")
 
 
 def _conclude(marks: "list[Mark]", out: Path) -> None:

@@ -5,11 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from engine.core.errors import InvalidValueError, TidegateError
 from engine.core.files import write_whole
-from service.cli.evaluate.bench import PIPED_WIDTH, STOPPED, rich_table
+from service.cli.evaluate.bench import STOPPED, print_tables
 from service.cli.terminal import frame_bar, refused, say
 
 if TYPE_CHECKING:
@@ -63,10 +62,7 @@ def breathing(
         raise refused("evaluate breathing", error) from error
     except OSError as error:
         raise refused("evaluate breathing", f"{out} cannot be written ({error.strerror or error})") from error
-    console = Console()
-    console = console if console.is_terminal else Console(width=PIPED_WIDTH)
-    for shown in tables:
-        console.print(rich_table(shown), "")
+    print_tables(tables)
     say(f"Written to {out}")
 
 

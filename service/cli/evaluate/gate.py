@@ -5,11 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from engine.core.errors import InvalidValueError, TidegateError
 from engine.core.files import write_whole
-from service.cli.evaluate.bench import PIPED_WIDTH, rich_table
+from service.cli.evaluate.bench import print_tables
 from service.cli.evaluate.breathing import MAX_TRACES
 from service.cli.terminal import advance, frame_bar, refused, say
 
@@ -63,7 +62,8 @@ def gate(
         raise refused("evaluate gate", error) from error
     except OSError as error:
         raise refused("evaluate gate", f"{out} cannot be written ({error.strerror or error})") from error
-    _show(tables, out)
+    print_tables(tables)
+    say(f"Written to {', '.join(str(out / f'{table.name}.csv') for table in tables)}")
     if is_strict and any(table.failed for table in tables):
         raise typer.Exit(1)
 
@@ -81,14 +81,6 @@ def _check(out: Path, work: Path | None, seconds: float, traces: list[Path]) -> 
 def _check_parts(*, is_edges_only: bool, needs_rules: bool) -> None:
     if is_edges_only and needs_rules:
         raise InvalidValueError("edges-only", "given", "without --rules-only, --trace and --volunteer")
-
-
-def _show(tables: "list[Table]", out: Path) -> None:
-    console = Console()
-    console = console if console.is_terminal else Console(width=PIPED_WIDTH)
-    for table in tables:
-        console.print(rich_table(table), "")
-    say(f"Written to {', '.join(str(out / f'{table.name}.csv') for table in tables)}")
 
 
 def _edge_table(work: Path, seed: int, seconds: float) -> "Table":

@@ -5,11 +5,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from engine.core.errors import InvalidValueError, TidegateError
 from engine.core.files import write_whole
-from service.cli.evaluate.bench import STOPPED, rich_table
+from service.cli.evaluate.bench import STOPPED, print_tables
 from service.cli.terminal import frame_bar, refused, say
 
 WIDTH = 200
@@ -66,8 +65,7 @@ def integrity(
         raise refused("evaluate integrity", error) from error
     except OSError as error:
         raise refused("evaluate integrity", f"{out} cannot be written ({error.strerror or error})") from error
-    console = Console()
-    (console if console.is_terminal else Console(width=WIDTH)).print(rich_table(table))
+    print_tables([table], WIDTH)
     say(f"Written to {out / 'integrity.csv'}")
     if is_strict and table.failed:
         raise typer.Exit(1)

@@ -183,7 +183,7 @@ class AlarmBoard:
         known = replace(alarm, acknowledged_by=operator, acknowledged_at=self._utc_of(now_ns))
         self._alarms[code] = known
         self._emit(AlarmEventKind.ACKNOWLEDGED, known, now_ns)
-        if alarm.rule.latches:  # a cause that persists begins another one, which nobody has seen yet
+        if alarm.rule.latches:  # a cause that persists begins another one, not seen yet
             self._seen.pop(code, None)
             self._end(code, now_ns)
 
