@@ -107,7 +107,7 @@ class Learner:
         self._reference_number = 0
         self._is_model_held = False
         self._is_comparing = False
-        self._discards_outcome = False
+        self._discards_outcome, self._is_refitting = False, False
         self._patient_match: PatientMatch | None = None
         self._generation = 0
         self._position_generation = 0
@@ -323,8 +323,16 @@ class Learner:
     # -- commands -----------------------------------------------------------------------------------------------
 
     def retrain(self, *, keeps_zero: bool = True) -> None:
-        """Collect frames for a new model; the present one stays in use until the new one is ready."""
-        self._refuse_while_busy()
+        """Collect frames for a new model; the present one stays in use until the new one is ready.
+
+        A refit in progress is dropped: it was started by the engine, this by a person.
+        """
+        if self._is_comparing:
+            raise CommandRefusedError(COMPARING)
+        if self._is_refitting:
+            self._discards_outcome = True
+        if not self._discards_outcome:
+            self._refuse_while_busy()
         self._begin_learning(keeps_zero=keeps_zero)
         self._refusal = ""
 
@@ -493,6 +501,7 @@ class Learner:
         job = self._refits.job(self._active) if is_free and self._active is not None else None
         if job is not None:
             self._emit(LearningEventKind.STARTED, "the model is refitted to the session so far")
+            self._is_refitting = True
             self._trainer.start(with_steps(job, self.depth_steps))
             self._collect()
 
@@ -529,7 +538,10 @@ class Learner:
 
     def _collect(self) -> None:
         outcome = self._trainer.collect() if self._trainer.is_busy else None
-        if outcome is not None and self._discards_outcome:
+        if outcome is None:
+            return
+        self._is_refitting = False
+        if self._discards_outcome:
             self._discards_outcome = False
             return
         match outcome:

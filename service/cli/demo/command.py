@@ -6,7 +6,6 @@ what the service stored with the truth.
 """
 
 import contextlib
-import csv
 import os
 import secrets
 import socket
@@ -15,7 +14,6 @@ import sys
 import time
 import urllib.request
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Literal
@@ -29,8 +27,7 @@ from rich.text import Text
 
 from engine.capture.openni.source import runtime_available
 from engine.core.errors import TidegateError
-from engine.core.frames import FloatArray
-from engine.verification.phantom.truth import load_truth
+from service.cli.demo.accuracy import accuracy_of
 from service.cli.demo.person import put_person
 from service.cli.terminal import refused
 from service.client import ClientError, ProblemError, Sample, TidegateClient, Window
@@ -44,7 +41,6 @@ START_TIMEOUT_S = 30.0
 SILENCE_S = 15.0
 LOOK_US = 500_000
 """How often the session is read for the proposed reference."""
-REFERENCE_WITHIN_US = 500_000
 OPEN = frozenset({"created", "running"})
 PRESENCE_S = 1.0
 """The person of the demonstration watches its output here, as another does the page."""
@@ -156,16 +152,8 @@ def _wait_until_ready(address: str, process: "subprocess.Popen[bytes]", log_path
     raise DemoError(message)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Ran:
-    """A closed session, and the device time of its reference request [us]; None if there was none."""
-
-    session_id: str
-    asked_us: int | None
-
-
-def _gate(api: TidegateClient, recording: Path, console: Console) -> _Ran:
-    """Run one session from its creation to the end of the recording."""
+def _gate(api: TidegateClient, recording: Path, console: Console) -> str:
+    """Run one session from its creation to the end of the recording; return its identifier."""
     player: Literal["openni", "reader"] = "openni" if runtime_available() else "reader"
     if player == "reader":
         console.print(
@@ -186,9 +174,9 @@ def _gate(api: TidegateClient, recording: Path, console: Console) -> _Ran:
     )
     api.start(session["id"])
     console.print(f"3 Session {session['id'][:8]}: playing through {player}, training the motion model")
-    asked_us = _follow(api, session["id"], console)
+    _follow(api, session["id"], console)
     _close(api, session["id"])
-    return _Ran(session_id=session["id"], asked_us=asked_us)
+    return session["id"]
 
 
 def _close(api: TidegateClient, session_id: str) -> None:
@@ -200,29 +188,28 @@ def _close(api: TidegateClient, session_id: str) -> None:
         time.sleep(0.1)
 
 
-def _follow(api: TidegateClient, session_id: str, console: Console) -> int | None:
+def _follow(api: TidegateClient, session_id: str, console: Console) -> None:
     """Print a live status line; set the reference as proposed and arm, until the recording ends."""
     began = time.monotonic()
-    asked_us, looked_us, reported_s = None, 0, 0.0
+    is_armed, looked_us, reported_s = False, 0, 0.0
     with Live(console=console, refresh_per_second=8, transient=True) as live:
         for message in api.live(form="full", silence_s=SILENCE_S):
             if message["type"] == "idle":
                 if api.read_session(session_id)["status"] in OPEN:
                     continue
-                return asked_us
+                return
             if message["type"] != "sample" or message["form"] != "full":
                 continue
             live.update(_line(message))
             if message["session_status"] != "running":
-                return asked_us
+                return
             if time.monotonic() - reported_s >= PRESENCE_S:
                 reported_s = time.monotonic()
                 _be_present(api, session_id)
             at_us = message["timestamp_us"]
-            if asked_us is None and message["state"] == "measuring" and at_us - looked_us >= LOOK_US:
+            if not is_armed and message["state"] == "measuring" and at_us - looked_us >= LOOK_US:
                 looked_us = at_us
-                asked_us = at_us if _begin_gating(api, session_id, console, began) else None
-    return asked_us
+                is_armed = _begin_gating(api, session_id, console, began)
 
 
 def _begin_gating(api: TidegateClient, session_id: str, console: Console, began: float) -> bool:
@@ -276,21 +263,21 @@ def _line(message: Sample) -> Text:
     return line
 
 
-def _summarise(api: TidegateClient, ran: _Ran, recording: Path, console: Console) -> None:
-    session = api.read_session(ran.session_id)
-    samples = api.export_samples(ran.session_id, recording / "samples.csv").path
-    with samples.open(newline="") as file:
-        rows = list(csv.DictReader(file))
+def _summarise(api: TidegateClient, session_id: str, recording: Path, console: Console) -> None:
+    session = api.read_session(session_id)
+    samples = api.export_samples(session_id, recording / "samples.csv").path
     summary = session["summary"]
-    error_mm = np.empty(0) if ran.asked_us is None else _errors_mm(rows, ran.asked_us, recording)
+    accuracy = accuracy_of(samples, recording)
     table = Table("what", "value", title="Summary", show_header=False, title_justify="left")
     table.add_row("session", f"{session['status']}  {session['status_detail']}".strip())
     table.add_row("frames", str(summary["frames"]))
     table.add_row("missing in the stream", str(summary["missed_frames"]))
     table.add_row("not measurable", str(summary["lost"]))
-    if error_mm.size:
+    if accuracy is not None:
+        table.add_row("true end-exhale as measured, mean", f"{accuracy.reference_mm:+.3f} mm")
+        errors_mm = np.abs(accuracy.errors_mm)
         table.add_row(
-            "motion error of the whole region", f"mean {error_mm.mean():.3f} mm, worst {error_mm.max():.3f} mm"
+            "motion error of the whole region", f"mean {errors_mm.mean():.3f} mm, worst {errors_mm.max():.3f} mm"
         )
     duty = summary["duty_cycle"]
     table.add_row("duty cycle while armed", "never armed" if duty is None else f"{duty:.0%}")
@@ -300,24 +287,6 @@ def _summarise(api: TidegateClient, ran: _Ran, recording: Path, console: Console
     times = ", ".join(f"{name} {value or 0.0:.1f} ms" for name, value in values.items())
     table.add_row("latency, camera to beam line", times)
     console.print(table)
-
-
-def _errors_mm(rows: list[dict[str, str]], asked_us: int, recording: Path) -> FloatArray:
-    """Absolute error of the whole-region motion since the reference was set, that frame's own error included.
-
-    The frame that became the reference is one of the first after it was asked for: where the motion steps to zero.
-    """
-    truth = load_truth(recording / "truth.npz")
-    measured = [(int(row["timestamp_us"]), float(row["whole_mm"])) for row in rows if row["whole_mm"]]
-    since = [one for one in measured if one[0] >= asked_us]
-    soon = [motion_mm for at_us, motion_mm in since if at_us <= asked_us + REFERENCE_WITHIN_US]
-    if len(soon) < 2:
-        return np.empty(0)
-    first = int(np.argmax(np.abs(np.diff(soon)))) + 1
-    times_us, motion_mm = np.array(since[first:]).T
-    at = np.searchsorted(truth.timestamp_us, times_us)
-    depth_mm = truth.whole_depth_mm[np.minimum(at, len(truth.timestamp_us) - 1)]
-    return np.asarray(np.abs(motion_mm - (depth_mm[0] - depth_mm)), dtype=np.float64)
 
 
 def _wait_for_ctrl_c() -> None:

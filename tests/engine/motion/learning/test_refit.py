@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from engine.core.errors import CommandRefusedError
 from engine.core.learning_events import LearningEventKind
 from engine.motion.learning.refit import GROWTH
 from engine.motion.stages.roi import at_nodes
@@ -124,6 +125,36 @@ def test_a_model_fitted_before_the_gate_was_armed_waits_until_it_is_not():
     patient.learner.keep_model(is_kept=False)
     patient.see()
     assert patient.learner.active is not first
+
+
+def test_a_requested_retraining_drops_a_refit_in_progress():
+    """The model of the refit is not used, and the requested one is learned after its end."""
+    patient = learned()
+    patient.learner._trainer = trainer = HeldTrainer()
+    first = patient.learner.active
+    patient.see_until(lambda: trainer.job is not None)
+    patient.learner.retrain()
+    see_for(patient, 1.0)
+    trainer.finish()
+    patient.see()
+    assert patient.learner.active is first
+    assert not patient.reported(LearningEventKind.READY)
+    patient.see_until(lambda: trainer.job is not None)
+    with pytest.raises(CommandRefusedError, match="already"):
+        patient.learner.retrain()
+    trainer.finish()
+    patient.see()
+    assert patient.learner.active is not first
+    assert len(patient.reported(LearningEventKind.READY)) == 1
+
+
+def test_a_dropped_refit_does_not_let_a_retraining_skip_the_comparison_with_the_patient():
+    patient = learned()
+    patient.learner._trainer = trainer = HeldTrainer()
+    patient.see_until(lambda: trainer.job is not None)
+    patient.learner.restart_after_disconnection()
+    with pytest.raises(CommandRefusedError, match="compared"):
+        patient.learner.retrain()
 
 
 def test_after_a_movement_the_stretch_begins_anew():
