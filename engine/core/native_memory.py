@@ -8,8 +8,8 @@ import ctypes
 
 KEPT_BYTES = 1 << 26
 """Freed memory at the heap's end is given back only beyond this."""
-OWN_PAGES_BYTES = 1 << 24
-"""Smaller arrays than this come from the heap; larger ones, such as a training set, have pages of their own."""
+OWN_PAGES_BYTES = 1 << 21
+"""Smaller arrays than this, a frame's pictures among them, come from the heap; larger ones have pages of their own."""
 
 # <malloc.h>
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
@@ -24,7 +24,7 @@ def keep_freed_memory() -> None:
 
 
 def give_freed_memory_back() -> None:
-    """Let the C library return what lies free anywhere (glibc only); some 2 ms, so not on a frame's way.
+    """Let the C library return what lies free anywhere (glibc only); some 10 ms after a fit, so not on a frame's way.
 
     A fit frees a hundred megabytes in pieces, between pieces that stay: without this every retraining leaves more.
     """

@@ -7,7 +7,7 @@ import queue
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 from engine.calibration.camera_calibration import Calibration
 from engine.control.engine_status import EngineStatus
@@ -23,7 +23,9 @@ from engine.core.motion_model import MotionModel
 from service.core.schemas import sessions
 from service.core.schemas.live_messages import Sample
 from service.core.schemas.windows import Window
-from service.storage.samples.figures import Figures
+
+if TYPE_CHECKING:  # the engine's process does without Arrow
+    from service.storage.samples.figures import Figures
 
 CommandName = Literal["disarm", "hold"]
 
@@ -132,7 +134,7 @@ class RunningWriter(Protocol):
     """The thread that writes one running session to database and sample file."""
 
     @property
-    def figures(self) -> Figures:
+    def figures(self) -> "Figures":
         """Counts of what has been written."""
 
     @property

@@ -4,14 +4,16 @@ The line is held and closed before the outcome is reported.
 """
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from engine.core.errors import TidegateError
 from engine.verification.qa.bounds import QaBaseline, QaBounds
 from engine.verification.qa.results import QaNeed, QaReport
-from engine.verification.qa.run import Progress
 from service.qa.guarded_line import TAKEN, GuardedLine
 from service.qa.queries import QaOutcome
+
+if TYPE_CHECKING:  # the run's fits are loaded with the first run
+    from engine.verification.qa.run import Progress
 
 UNEXPECTED = QaOutcome(status="failed", detail="an unexpected error; it is in the service's log")
 
@@ -31,7 +33,7 @@ class QaJob(Protocol):
     def own_baseline(self) -> QaBaseline | None:
         """The baseline of a virtual set-up; None if the site's baseline applies."""
 
-    def run(self, *, bounds: QaBounds, baseline: QaBaseline, on_progress: Progress) -> QaReport:
+    def run(self, *, bounds: QaBounds, baseline: QaBaseline, on_progress: "Progress") -> QaReport:
         """Open the inputs, measure, judge and close them."""
 
 
@@ -62,7 +64,7 @@ def run_job(
     bounds: QaBounds,
     baseline: QaBaseline,
     on_end: Callable[[QaOutcome], None],
-    also: Progress | None = None,
+    also: "Progress | None" = None,
 ) -> QaOutcome:
     """Run a job and return its outcome; ``also`` receives every step.
 

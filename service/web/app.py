@@ -16,7 +16,7 @@ from service.access.request.addresses import ClientAddresses
 from service.core.settings.settings import Settings
 from service.engine_host.local_engine import LocalEngine
 from service.engine_host.roles import EnginePort
-from service.qa.rig import EngineRig
+from service.qa.late_rig import LateRig
 from service.qa.roles import QaRig
 from service.web.api import (
     audit,
@@ -64,7 +64,7 @@ of its body; an API key sends in `operator` the name of the person it acts for."
 def create_app(
     settings: Settings,
     make_engine: Callable[[Settings], EnginePort] = LocalEngine,
-    make_rig: Callable[[Settings], QaRig] = EngineRig,
+    make_rig: Callable[[Settings], QaRig] = LateRig,
     tell_first: OnFirstAdmin | None = None,
 ) -> FastAPI:
     """Make the application; nothing is opened before its lifespan begins.

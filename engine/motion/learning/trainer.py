@@ -92,8 +92,6 @@ TRAINING_BOUNDS: Mapping[str, tuple[float, float]] = {
 
 
 T = TypeVar("T")
-# Returning freed memory to the system delays a frame by 15 ms: rarely enough, but often enough for constant memory.
-JOBS_PER_TRIM = 10
 
 
 class Trainer(Protocol[T]):
@@ -137,7 +135,6 @@ class BackgroundTrainer(Generic[T]):
     def __init__(self) -> None:
         self._finished: queue.SimpleQueue[T | ModelError] = queue.SimpleQueue()
         self._is_busy = False
-        self._jobs = 0
 
     def start(self, job: Callable[[], T]) -> None:
         """Start a job in a new thread; raise ModelError if one is running."""
@@ -145,14 +142,11 @@ class BackgroundTrainer(Generic[T]):
             msg = "a model is being fitted already"
             raise ModelError(msg)
         self._is_busy = True
-        self._jobs += 1
-        arguments = ([job], self._jobs % JOBS_PER_TRIM == 0)
-        threading.Thread(target=self._work, args=arguments, name="tidegate-trainer", daemon=True).start()
+        threading.Thread(target=self._work, args=([job],), name="tidegate-trainer", daemon=True).start()
 
-    def _work(self, jobs: list[Callable[[], T]], gives_back: bool) -> None:  # noqa: FBT001 - a thread's argument
+    def _work(self, jobs: list[Callable[[], T]]) -> None:
         self._finished.put(_outcome(jobs.pop()))  # popped, so that its frames are released before the next line
-        if gives_back:
-            give_freed_memory_back()
+        give_freed_memory_back()
 
     @property
     def is_busy(self) -> bool:

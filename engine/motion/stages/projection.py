@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg.lapack import dpotrf, dpotrs
 
 from engine.core.compiled import kernels
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, Projection, RoiDepth, frozen
@@ -321,8 +320,8 @@ def _solve(equations: _Equations, stiffness: FloatArray) -> _Answer:
     """Solve the normal equations with a prior's stiffness added."""
     normal = equations.gram.copy()
     normal.ravel()[:: len(stiffness) + 1] += stiffness
-    factor, _ = dpotrf(normal.T, lower=1, overwrite_a=1)
-    answer, _ = dpotrs(factor, equations.right, lower=1)
+    factor = np.linalg.cholesky(normal)
+    answer = np.linalg.solve(normal, equations.right)
     return _Answer(coefficients=answer, log_determinant=float(np.log(factor.diagonal()).sum()))
 
 

@@ -8,15 +8,17 @@ import io
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
 
 from engine.core.errors import InvalidValueError, RecordingError
 from engine.core.files import open_plain
 from engine.core.frames import FloatArray, frozen
-from engine.verification.phantom.traces import read_trace
+
+if TYPE_CHECKING:  # loaded with the first trace: the service's schemas read this module's bounds
+    from scipy.interpolate import CubicSpline
 
 Grid = npt.NDArray[np.float64]
 COLUMNS = ["time_s", "position_mm"]
@@ -34,10 +36,12 @@ class CommandedTrace:
 
     time_s: Grid
     position_mm: Grid
-    _smooth: CubicSpline = field(init=False, repr=False)
+    _smooth: "CubicSpline" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Check length, order, gaps and reach of the samples; raise InvalidValueError."""
+        from scipy.interpolate import CubicSpline
+
         _check_samples(self.time_s, self.position_mm)
         frozen(self.time_s)
         frozen(self.position_mm)
@@ -81,6 +85,8 @@ def read_commanded(path: Path) -> CommandedTrace:
         raise RecordingError(f"{path.name}: is not UTF-8 text (byte {error.start})") from error
     if text.lstrip().startswith(COLUMNS[0]):
         return _parse(path.name, text)
+    from engine.verification.phantom.traces import read_trace
+
     robot = read_trace(path, axis="z")
     if robot.kind != "qa":
         raise RecordingError(

@@ -1,13 +1,15 @@
 """Which database a site uses: the part of the settings that begins with ``database_``."""
 
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from pydantic import Field, SecretStr, model_validator
 from pydantic_settings import BaseSettings
-from sqlalchemy import URL
 
 from service.core.settings.database_place import place_of
+
+if TYPE_CHECKING:  # the engine's process does without SQLAlchemy
+    from sqlalchemy import URL
 
 
 class DatabaseSettings(BaseSettings):
@@ -30,6 +32,6 @@ class DatabaseSettings(BaseSettings):
         return self
 
     @property
-    def database_place(self) -> Path | URL:
+    def database_place(self) -> "Path | URL":
         """What :class:`service.storage.database.engine.Database` opens; the password is in it, for the driver alone."""
         return place_of(self.database_url, self.database_password_file, self.data_dir)

@@ -2,10 +2,12 @@
 
 import ipaddress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pydantic import SecretStr
-from sqlalchemy import URL, make_url
-from sqlalchemy.exc import ArgumentError
+
+if TYPE_CHECKING:  # the engine's process does without SQLAlchemy
+    from sqlalchemy import URL
 
 DATABASE_NAME = "tidegate.db"
 DRIVER = "postgresql+psycopg"
@@ -14,7 +16,7 @@ PLAIN_SCHEMES = " or ".join(f"{name}://" for name in SCHEMES[:2])
 MAX_PASSWORD = 1024
 
 
-def place_of(url: SecretStr | None, password_file: Path | None, data_dir: Path) -> Path | URL:
+def place_of(url: SecretStr | None, password_file: Path | None, data_dir: Path) -> "Path | URL":
     """Return what :class:`service.storage.database.engine.Database` opens.
 
     Raises
@@ -30,12 +32,15 @@ def place_of(url: SecretStr | None, password_file: Path | None, data_dir: Path) 
     return _with_password(_server_url(url.get_secret_value()), password_file)
 
 
-def shown_place(place: Path | URL) -> str:
+def shown_place(place: "Path | URL") -> str:
     """Write down where a database is, for a person or a log; never with its password."""
     return str(place) if isinstance(place, Path) else place.set(password=None, query={}).render_as_string()
 
 
-def _server_url(text: str) -> URL:
+def _server_url(text: str) -> "URL":
+    from sqlalchemy import make_url
+    from sqlalchemy.exc import ArgumentError
+
     try:
         url = make_url(text)
     except ArgumentError as error:
@@ -51,7 +56,7 @@ def _server_url(text: str) -> URL:
     return url.set(drivername=DRIVER)
 
 
-def _refuse_silent_plain_text(url: URL) -> None:
+def _refuse_silent_plain_text(url: "URL") -> None:
     """Have it written down how a connection that leaves this machine is secured: left out, it may be in plain text."""
     hosts = [url.host, *_listed(url, "host"), *_listed(url, "hostaddr")]
     if "sslmode" not in url.query and any(not _is_local(host) for host in hosts if host):
@@ -62,7 +67,7 @@ def _refuse_silent_plain_text(url: URL) -> None:
         raise ValueError(msg)
 
 
-def _listed(url: URL, name: str) -> list[str]:
+def _listed(url: "URL", name: str) -> list[str]:
     found = url.query.get(name, ())
     return [one for text in ([found] if isinstance(found, str) else found) for one in text.split(",")]
 
@@ -76,7 +81,7 @@ def _is_local(host: str) -> bool:
         return False
 
 
-def _with_password(url: URL, password_file: Path | None) -> URL:
+def _with_password(url: "URL", password_file: Path | None) -> "URL":
     if password_file is None:
         return url
     if url.password is not None:

@@ -9,8 +9,6 @@ from collections.abc import Mapping
 from enum import IntEnum
 from typing import TypeAlias, Union
 
-from pydicom.datadict import dictionary_description
-
 TagSelection: TypeAlias = Mapping[int, Union[str, "TagSelection"]]
 """Selected tags: the value representation, or for a sequence the selection of each item."""
 
@@ -116,6 +114,8 @@ def tag_number(tag: int) -> str:
 
 def named(tag: int) -> str:
     """Return a tag with its DICOM name; the number alone if it is not one of `Tag`."""
+    from pydicom.datadict import dictionary_description
+
     return f"{tag_number(tag)} {dictionary_description(tag)}" if tag in _NAMED else tag_number(tag)
 
 

@@ -8,14 +8,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pydicom.charset import (
-    CODES_TO_ENCODINGS,
-    STAND_ALONE_ENCODINGS,
-    default_encoding,
-    handled_encodings,
-    python_encoding,
-)
-
 from service.planning.rt_plan.element_reader import Item
 from service.planning.rt_plan.errors import PlanError
 from service.planning.rt_plan.tags import Tag, named, tag_number
@@ -145,6 +137,8 @@ def decoded(raw: bytes, encodings: Sequence[str]) -> str:
 def _piece(piece: bytes, encodings: Sequence[str]) -> str:
     if not piece.startswith(ESCAPE):
         return piece.decode(encodings[0])
+    from pydicom.charset import CODES_TO_ENCODINGS, default_encoding, handled_encodings
+
     length = 4 if piece.startswith((b"\x1b$(", b"\x1b$)")) else 3
     encoding = CODES_TO_ENCODINGS[piece[:length]]
     if encoding == default_encoding:
@@ -161,6 +155,8 @@ def _elements(values: Item, place: str, around: tuple[str, ...]) -> Elements:
     raw = values.get(Tag.CHARACTER_SET)
     if not isinstance(raw, bytes) or not raw.strip(b" \0"):
         return outer
+    from pydicom.charset import STAND_ALONE_ENCODINGS, python_encoding
+
     terms = [term.strip(" \0") for term in raw.decode("ascii", "replace").split("\\")]
     unknown = [term for term in terms if term not in python_encoding]
     if unknown:
@@ -172,5 +168,7 @@ def _elements(values: Item, place: str, around: tuple[str, ...]) -> Elements:
 
 def _python_name(term: str) -> str:
     """Return Python's codec; the default repertoire is ASCII, not pydicom's Latin-1."""
+    from pydicom.charset import default_encoding, python_encoding
+
     found = python_encoding[term]
     return "ascii" if found == default_encoding else found

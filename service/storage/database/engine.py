@@ -3,21 +3,17 @@
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from sqlalchemy import URL, Connection, Engine
 from sqlalchemy.orm import Session
 
 from engine.core.errors import TidegateError
 from service.storage.database import migrations
-from service.storage.database.claim import ServiceClaim
-from service.storage.database.postgres import (
-    make_postgres_engine,
-    reading_postgres_engine,
-    server_identity,
-    take_write_lock,
-)
 from service.storage.database.sqlite import file_identity, make_sqlite_engine, writing_sqlite_engine
+
+if TYPE_CHECKING:  # the driver of PostgreSQL is loaded where a database of it is opened
+    from service.storage.database.claim import ServiceClaim
 
 BUSY_TIMEOUT_S = 5.0
 ANSWER_TIMEOUT_S = 10.0
@@ -62,6 +58,8 @@ class Database:
             self._engine = make_sqlite_engine(place, busy_timeout_s=busy_timeout_s)
             self._reading_engine, self._writing_engine = self._engine, writing_sqlite_engine(self._engine)
         else:
+            from service.storage.database.postgres import make_postgres_engine, reading_postgres_engine
+
             self._engine = make_postgres_engine(place, busy_timeout_s=busy_timeout_s, answer_timeout_s=answer_timeout_s)
             self._reading_engine, self._writing_engine = reading_postgres_engine(self._engine), self._engine
 
@@ -95,6 +93,8 @@ class Database:
         """Open a session with the write lock; commit at the end, roll back on an exception."""
         with Session(self._writing_engine) as session, session.begin():
             if self.is_postgresql:
+                from service.storage.database.postgres import take_write_lock
+
                 take_write_lock(session.connection())
             yield session
 
@@ -108,6 +108,8 @@ class Database:
         """
         if isinstance(self.place, Path):
             return
+        from service.storage.database.claim import ServiceClaim
+
         claim = ServiceClaim(self.place)
         try:
             is_taken = claim.take()
@@ -142,6 +144,8 @@ class Database:
     def _read_identity(self) -> tuple[object, ...] | None:
         if isinstance(self.place, Path):
             return file_identity(self.place)
+        from service.storage.database.postgres import server_identity
+
         with self._reading_engine.connect() as connection:
             return server_identity(connection)
 

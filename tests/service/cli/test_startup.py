@@ -42,3 +42,19 @@ def test_a_bar_is_drawn_on_a_terminal(monkeypatch):
 def test_a_line_is_printed_exactly_as_it_is(text, capsys):
     say(text, "red")
     assert capsys.readouterr().err == text + "\n"
+
+
+@pytest.mark.parametrize(
+    ("module", "unneeded"),
+    [
+        (
+            "service.engine_host.process.engine_server",
+            ("fastapi", "sqlalchemy", "pyarrow", "matplotlib", "scipy", "psycopg", "pydicom", "rich", "alembic"),
+        ),
+        ("service.web.app", ("matplotlib", "scipy", "psycopg", "pydicom", "rich", "engine.verification.phantom")),
+    ],
+)
+def test_each_process_of_the_service_loads_only_what_it_uses(module, unneeded):
+    program = f"import sys, {module}; print([name for name in {unneeded} if name in sys.modules])"
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "[]"

@@ -2,6 +2,7 @@
 
 import math
 import threading
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -234,16 +235,21 @@ def test_whatever_goes_wrong_in_a_job_comes_back_as_a_refusal_and_the_trainer_is
         assert not trainer.is_busy
 
 
-def test_freed_memory_is_given_back_after_every_tenth_fit_and_no_oftener(monkeypatch):
-    given = threading.Semaphore(0)
-    monkeypatch.setattr(training, "give_freed_memory_back", given.release)
-    trainer, done = BackgroundTrainer(), []
-    for job in range(20):
-        trainer.start(lambda job=job: job)
-        while (result := trainer.collect()) is None:
-            pass
-        done.append(result)
-    assert done == list(range(20))
-    assert given.acquire(timeout=5.0)
-    assert given.acquire(timeout=5.0)
-    assert not given.acquire(blocking=False)
+def test_freed_memory_is_given_back_after_every_fit_and_behind_its_result(monkeypatch):
+    """The model does not wait for it, and the job's frames are released by then."""
+    frames, let_go, given = np.zeros(3), threading.Event(), threading.Semaphore(0)
+    alive = weakref.ref(frames)
+
+    def give_back():
+        assert let_go.wait(10.0)
+        if alive() is None:
+            given.release()
+
+    monkeypatch.setattr(training, "give_freed_memory_back", give_back)
+    trainer = BackgroundTrainer()
+    trainer.start(lambda frames=frames: float(frames.sum()))
+    del frames
+    while trainer.collect() is None:
+        pass
+    let_go.set()
+    assert given.acquire(timeout=10.0)
