@@ -74,8 +74,9 @@ class SteppedPage:
         self.advance_until(lambda: self.kind == message["gate"])
 
     def _step(self) -> None:
-        self._now_s += STEP_MS / 1000
+        # The page goes first: a message of its future, to a socket opened meanwhile, would make all others look late.
         self.page.clock.run_for(STEP_MS)
+        self._now_s += STEP_MS / 1000
         self._exchange()
 
     def _exchange(self) -> None:

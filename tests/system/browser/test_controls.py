@@ -7,6 +7,7 @@ from playwright.sync_api import Page, expect
 
 from service.core.permissions import Role
 from tests.support.browser.fake_service import SESSION, SESSION_ID, WAITING, FakeService, person, sample
+from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 
 pytestmark = pytest.mark.browser
@@ -66,11 +67,11 @@ def test_each_button_is_offered_only_where_it_makes_sense(fake: FakeService, tab
     fake.sample = sample(gate="hold")
     tab.sees("hold")
     expect_enabled(page, "retrain", "stop")
-    expect(page.locator("#do-acknowledge")).to_be_hidden()
+    expect(page.locator("#do-acknowledge")).to_be_disabled()
     fake.sample = FAULT
     tab.sees("fault")
-    expect(page.locator("#do-acknowledge")).to_be_visible()
-    expect(page.locator("#do-arm")).to_be_hidden()
+    expect(page.locator("#do-acknowledge")).to_be_enabled()
+    expect(page.locator("#do-arm")).to_be_disabled()
 
 
 @pytest.mark.parametrize(
@@ -184,3 +185,49 @@ def test_nothing_the_page_can_send_names_a_beam(fake: FakeService, tab: Tab):
     paths = [path for path, _ in fake.posts()]
     assert len(set(paths)) >= 4
     assert all(allowed.match(path) for path in paths), paths
+
+
+@pytest.mark.parametrize(
+    "after",
+    [sample(gate="fault", is_armed=False), DISARMED, DISARMED | {"session_id": "99" * 16}],
+    ids=["fault", "disarmed", "another session"],
+)
+def test_a_message_ends_with_the_state_it_belongs_to(fake: FakeService, stepped: SteppedPage, after: dict):
+    """'Armed' below a fault, or under another patient's name, would contradict what the gate shows."""
+    page = stepped.open_settled(DISARMED)
+    page.click("#do-arm")
+    stepped.shows(sample(gate="hold"))
+    expect(page.locator("#outcome")).to_have_text("Armed: the gate controls the beam.")
+    stepped.advance(2_400)
+    stepped.shows(sample(gate="beam_on", hold_reason=None, hold_text=None, line_on=True))
+    expect(page.locator("#outcome")).to_have_text("Armed: the gate controls the beam.")
+    stepped.shows(after)
+    stepped.advance(200)
+    expect(page.locator("#outcome")).to_have_text("")
+
+
+def test_a_failed_disarm_stays_said_while_the_state_is_unknown_and_not_longer(fake: FakeService, stepped: SteppedPage):
+    page = stepped.open_settled(sample(gate="beam_on", hold_reason=None, hold_text=None, line_on=True))
+    fake.problem = (503, {"code": "engine_timeout", "detail": "The engine did not answer in time."})
+    page.click("#do-disarm")
+    stepped.advance(200)
+    fake.mode = "silent"
+    stepped.advance(3_000)
+    expect(page.locator("#outcome")).to_contain_text("The page could not disarm: use the room's interlock.")
+    stepped.shows(sample(gate="hold"))
+    expect(page.locator("#outcome")).to_contain_text("The page could not disarm")
+    stepped.shows(DISARMED)
+    stepped.advance(200)
+    expect(page.locator("#outcome")).to_have_text("")
+
+
+def test_the_trace_of_one_patient_is_not_shown_under_the_next_one_s_name(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", DISARMED
+    page = tab.open("disarmed")
+    expect(page.locator("#trace")).to_have_attribute("data-session", SESSION_ID)
+    fake.sessions.insert(0, fake.sessions[0] | {"id": "77" * 16, "status": "created", "patient_reference": "P-0300"})
+    fake.mode = "idle"
+    expect(page.locator("#who-patient")).to_have_text("P-0300")
+    expect(page.locator("#gate-word")).to_have_text("Ready")
+    expect(page.locator("#gate-reason")).to_contain_text("P-0300")
+    expect(page.locator("#trace")).to_have_attribute("data-session", "")

@@ -133,3 +133,58 @@ def test_a_session_whose_recording_gates_a_real_line_says_so_all_the_time(fake: 
     fake.sessions = [fake.sessions[0] | {"is_simulated_beam": False, "source_warning": warning}]
     badge = tab.open("hold").locator("#badge-played")
     expect(badge).to_be_visible() if warning else expect(badge).to_be_hidden()
+
+
+def filled(page: Page) -> dict[str, str]:
+    return page.evaluate(
+        "Object.fromEntries([...document.querySelectorAll('#new-session [name]')]"
+        ".filter((one) => !one.closest('[hidden]')).map((one) => [one.name, one.value]))"
+    )
+
+
+def test_nothing_of_one_patient_stays_in_the_form_for_the_next(empty: Page):
+    untouched = filled(empty)
+    fill(empty)
+    empty.select_option("[name='window.kind']", "breath_hold")
+    empty.click("#add-condition")
+    empty.fill("[name='window.further.0.upper_mm']", "7")
+    empty.click("#new-session [type=submit]")
+    expect(empty.locator("#setup")).to_be_hidden()
+    empty.click("#do-setup")
+    expect(empty.locator("#session-list .again")).to_have_count(0)
+    assert filled(empty) == untouched
+
+
+def test_a_new_session_takes_the_values_of_an_earlier_one_where_that_is_asked_for(fake: FakeService, tab: Tab):
+    """All but the fraction, which a person enters; the values are shown."""
+    earlier = fake.sessions[0]
+    earlier |= {"status": "stopped", "head_direction": "top", "regions": {"named": []}}
+    earlier["window"] |= {
+        "kind": "phase",
+        "signal": "thorax",
+        "from_percent": 35.0,
+        "to_percent": 65.0,
+        "dwell_ms": 150.0,
+    }
+    further = {"kind": "amplitude", "signal": "whole", "lower_percent": -5.0, "upper_percent": 25.0}
+    earlier["window"]["further"] = [further | {"hysteresis_percent": 3.0}]
+    page = tab.open("idle")
+    page.click("#do-setup") if page.locator("#setup").is_hidden() else None
+    page.click("#session-list .again")
+    assert page.input_value("[name=fraction_id]") == ""
+    page.fill("[name=fraction_id]", "FX-04")
+    page.click("#new-session [type=submit]")
+    expect(page.locator("#setup")).to_be_hidden()
+    ((_, sent),) = fake.posts()
+    assert sent["window"].pop("further") == [further | {"hysteresis_percent": 3.0}]
+    assert sent == {
+        "operator": "A. Therapist",
+        "patient_reference": "P-0117",
+        "plan_id": "PLAN-LUNG-4",
+        "fraction_id": "FX-04",
+        "source": {"kind": "recording", "player": "auto", "path": "demo/recording.oni"},
+        "calibration_id": CALIBRATION["id"],
+        "head_direction": "top",
+        "window": {"kind": "phase", "signal": "thorax", "from_percent": 35, "to_percent": 65, "min_confidence": 0.6}
+        | {"dwell_ms": 150, "join": "and"},
+    }

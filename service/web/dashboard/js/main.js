@@ -105,6 +105,13 @@ function leave() {
   qa.forget();
 }
 
+/** Remove what was measured in another session: nothing of one patient is shown under another's name. */
+function forgetSession() {
+  trace.reset(null);
+  picture.follow(null, false);
+  events.follow(null);
+}
+
 /** A log-out may hold the beam: while the gate is armed the first click asks for confirmation. */
 async function logOut() {
   const button = byId("do-log-out");
@@ -133,6 +140,7 @@ function receive(message, nowMs) {
 }
 
 function select(chosen) {
+  if (chosen.id !== shownSessionId) forgetSession();
   session = chosen;
   shownSessionId = chosen.id;
   controls.say("", `Session of ${chosen.patient_reference} is ready. Start it when the patient lies still.`);
@@ -176,6 +184,7 @@ async function lookForSession() {
 
 function follow(view, sample, nowMs) {
   if (sample !== null && sample.session_id !== shownSessionId) {
+    if (shownSessionId !== null) forgetSession();
     shownSessionId = sample.session_id;
     session = null;
     nextDescribeMs = nowMs + DESCRIBE_MS;
@@ -215,6 +224,10 @@ function render() {
   const isSample = view.isFresh && stream.message?.type === "sample";
   const sample = isSample ? stream.message : null;
   const activeAlarms = access.may("watch") ? stream.alarms(nowMs) : null;
+  if (view.kind === "idle" && stream.message?.type === "idle" && session?.status === "created") {
+    view.word = "Ready";
+    view.reason = `Start the session of ${session.patient_reference} when the patient lies still. The beam is held.`;
+  }
   view.warning = mismatch.check(sample, nowMs) || urgentText(activeAlarms, sample?.hold_reason ?? null) || view.warning;
   if (view.kind === "disarmed" && needsReference(sample, session)) view.reason = `${view.reason.replace(/\.$/, "")}. Set the reference before arming.`;
   gate.render(view, nowMs);

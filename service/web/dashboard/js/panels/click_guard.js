@@ -1,7 +1,7 @@
 /**
- * Protects Acknowledge, Arm and Release from clicks that were meant for another button: Arm and Release take the place of
- * Acknowledge, so that a double click on Acknowledge would arm the gate. Hold, Disarm and Stop are not protected: they
- * never wait.
+ * Protects Acknowledge, Arm and Release from clicks that were meant for another button, after the page was laid out
+ * again: a message above them, another size of the window, a keyboard on a touch screen. Each has a place of its own, but
+ * all may move together. Hold, Disarm and Stop are not protected: they never wait.
  */
 
 /** How long clicks are ignored after one of the buttons appeared, disappeared or moved [ms]. */

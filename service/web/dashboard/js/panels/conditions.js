@@ -30,6 +30,16 @@ export class Conditions {
     this.#renumber();
   }
 
+  /** Replace all conditions by those of a session's window, or by one with the form's own values. */
+  reset(conditions = [null]) {
+    this.root.replaceChildren();
+    for (const condition of conditions) {
+      this.append();
+      if (condition !== null) fill(this.root.lastElementChild, condition);
+    }
+    this.show();
+  }
+
   get count() {
     return this.#all().length;
   }
@@ -71,6 +81,16 @@ function showFields(condition) {
   for (const field of condition.querySelectorAll(".field")) {
     field.hidden = Object.entries(chosen).some(([asked, is]) => asked in field.dataset && !field.dataset[asked].split(" ").includes(is));
   }
+}
+
+/** Enter a condition as the controller describes it; what it leaves out keeps the form's value. */
+function fill(fieldset, condition) {
+  for (const input of fieldset.querySelectorAll("[data-name]")) {
+    const found = condition[input.dataset.name];
+    if (found !== null && found !== undefined) input.value = found;
+  }
+  const inPercent = condition.lower_percent !== null && condition.lower_percent !== undefined;
+  fieldset.querySelector("[data-edges]").value = inPercent ? "percent" : "length";
 }
 
 function value(condition, name) {

@@ -18,8 +18,11 @@ const HALT_TITLES = { disarm: "Holds the beam until a person arms again", hold: 
 /** Actions that lead to beam on: clicks that may have been meant for another button are ignored. */
 const PERMITTING = ["acknowledge", "arm", "release"];
 const MOVED = "the buttons moved less than 2 s ago";
-/** Time in which "Stop" accepts the second click [ms]. */
+/** Time in which "Stop" and "Release" accept the second click [ms], and after which "Release" does. */
 const CONFIRM_MS = 4000;
+const CONSIDER_MS = 1000;
+/** Time in which the state that an action leads to is expected; its message stays [ms]. */
+const EXPECT_MS = 2000;
 
 const DONE = {
   start: "Session started.",
@@ -43,7 +46,7 @@ const OBSTACLES = {
   reference: (c) => running(c) || still(c) || measuring(c) || isProposed(c),
   retrain: (c) => running(c) || compared(c) || (isLearning(c.sample) ? "already training" : ""),
   apply: (c) => running(c) || (stageOf(c.sample) === "waiting" ? "" : "no new model is ready"),
-  acknowledge: (c) => running(c),
+  acknowledge: (c) => running(c) || (c.sample.gate === "fault" ? "" : "there is no fault"),
   start: (c) => (c.kind === "idle" ? "" : "a session is running") || (waits(c) ? "" : "create a session first"),
   stop: (c) => (waits(c) ? "" : running(c)),
 };
@@ -75,6 +78,8 @@ export class Controls {
     this.lastRunningId = null;
     this.context = { kind: "connecting", sample: null, selected: null, person: null };
     this.outcome = document.getElementById("outcome");
+    this.said = { state: "", atMs: -Infinity };
+    this.asked = {};
     this.keepsReference = document.getElementById("keep-reference");
     for (const action of Object.keys(OBSTACLES)) button(action).addEventListener("click", (event) => this.#press(action, event));
     this.clickGuard = new ClickGuard(PERMITTING.map(button));
@@ -137,10 +142,8 @@ export class Controls {
     }
     button("setup").disabled = context.person === null;
     button("release").classList.toggle("go", Boolean(context.sample?.operator_hold));
-    const isFault = context.sample?.gate === "fault";
-    button("acknowledge").hidden = !isFault;
-    button("arm").hidden = isFault;
-    button("release").hidden = isFault;
+    this.#forgetOutcome();
+    if (!isAnothers(context)) this.#ask("release", false);
     button("apply").hidden = stageOf(context.sample) !== "waiting";
     this.keepsReference.disabled = button("retrain").disabled;
     const isIgnored = this.clickGuard.update(performance.now());
@@ -162,8 +165,9 @@ export class Controls {
   }
 
   #press(action, event) {
-    if (action === "stop" && !this.#isConfirmed()) return;
+    if (action === "stop" && !this.#isConfirmed(action)) return;
     if (PERMITTING.includes(action) && !this.#isMeant(action, event)) return;
+    if (action === "release" && isAnothers(this.context) && !this.#isConfirmed(action, CONSIDER_MS)) return;
     // Focus must not stay on a button whose action has changed.
     document.activeElement?.blur();
     const id = this.context.sample?.session_id ?? this.context.selected.id;
@@ -177,14 +181,37 @@ export class Controls {
     return refusal === "";
   }
 
-  #isConfirmed() {
-    const stop = button("stop");
-    const isSecond = stop.dataset.asks === "yes";
-    clearTimeout(this.asking);
-    stop.dataset.asks = isSecond ? "no" : "yes";
-    setText(stop, isSecond ? "Stop" : "Confirm stop");
-    if (!isSecond) this.asking = setTimeout(() => { stop.dataset.asks = "no"; setText(stop, "Stop"); }, CONFIRM_MS);
-    return isSecond;
+  /** Whether this is the second click, `afterMs` or more after the first; the first one asks for it. */
+  #isConfirmed(action, afterMs = 0) {
+    const askedMs = button(action).dataset.asks === "yes" ? this.asked[action].atMs : null;
+    if (askedMs !== null && performance.now() - askedMs < afterMs) return false;
+    this.#ask(action, askedMs === null);
+    return askedMs !== null;
+  }
+
+  #ask(action, isAsking) {
+    const asking = button(action);
+    if (!isAsking && asking.dataset.asks !== "yes") return;
+    clearTimeout(this.asked[action]?.timer);
+    this.asked[action] = { atMs: performance.now(), timer: isAsking ? setTimeout(() => this.#ask(action, false), CONFIRM_MS) : null };
+    asking.dataset.asks = isAsking ? "yes" : "no";
+    setText(asking, isAsking ? CONFIRM[action](this.context) : label(action));
+  }
+
+  /** Clear a message whose state has passed: under another state it would contradict what is shown. */
+  #forgetOutcome() {
+    const state = stateOf(this.context);
+    if (state === this.said.state || this.busy !== null) return;
+    // What failed while the state was known stays while it is unknown: it names the other way to stop the beam.
+    const isUnknown = this.context.kind !== "idle" && this.context.sample === null;
+    if (isUnknown && this.outcome.dataset.kind === "failed") return;
+    if (performance.now() - this.said.atMs < EXPECT_MS && this.context.sample?.gate !== "fault") {
+      this.said = { state, atMs: -Infinity }; // what the action has led to
+      return;
+    }
+    this.outcome.dataset.kind = "";
+    setText(this.outcome, "");
+    this.said = { state, atMs: -Infinity };
   }
 
   async #send(action, id, operator) {
@@ -228,9 +255,24 @@ export class Controls {
   }
 
   say(kind, text) {
+    this.said = { state: stateOf(this.context), atMs: performance.now() };
     this.outcome.dataset.kind = kind;
     setText(this.outcome, text);
   }
+}
+
+const CONFIRM = { stop: () => "Confirm stop", release: (c) => `Release ${c.sample.operator_hold}'s hold` };
+
+/** Whether another person holds the beam. */
+function isAnothers({ sample, person }) {
+  return Boolean(sample?.operator_hold) && sample.operator_hold !== person?.name;
+}
+
+/** The state that a message below the buttons belongs to: session, gate, and who holds; the window's is one state. */
+function stateOf({ kind, sample, selected }) {
+  if (sample === null) return `${kind === "idle" ? "idle" : "unknown"} ${selected?.id} ${selected?.status}`;
+  const gate = { hold: "armed", dwell: "armed", beam_on: "armed" }[sample.gate] ?? sample.gate;
+  return `${gate} ${sample.session_id} ${sample.operator_hold}`;
 }
 
 /** The other way to stop the beam, if this page cannot. */

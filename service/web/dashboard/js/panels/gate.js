@@ -6,9 +6,9 @@
 import { setText } from "../drawing/elements.js";
 
 /** Time without drawing after which the cover closes [ms]. */
-const COVER_MS = 700;
+const COVER_MS = 400;
 /** Period of re-opening the cover [ms]; each time costs a frame of the compositor. */
-const COVER_RENEW_MS = 100;
+const COVER_RENEW_MS = 80;
 
 const ASSERTIVE_KINDS = new Set(["fault", "stale", "offline", "out"]);
 

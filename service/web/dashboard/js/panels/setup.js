@@ -23,7 +23,7 @@ export class Setup {
     this.toggle.addEventListener("click", () => this.show(this.panel.hidden));
     document.getElementById("setup-close").addEventListener("click", () => this.show(false));
     this.conditions = new Conditions(byId("conditions"), byId("condition-template"), byId("add-condition"), () => this.#showWindow());
-    this.conditions.append();
+    this.#empty();
     this.form.addEventListener("change", () => this.#showFields());
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
@@ -38,6 +38,7 @@ export class Setup {
     this.toggle.setAttribute("aria-expanded", String(isShown));
     document.body.dataset.setup = isShown ? "yes" : "no";
     if (isShown) {
+      this.panel.scrollTop = 0;
       this.#offer();
       this.refresh();
     }
@@ -46,7 +47,7 @@ export class Setup {
   /** Clear all names and patients after a log-out. */
   forget() {
     this.show(false);
-    this.form.reset();
+    this.#empty();
     document.getElementById("session-list").replaceChildren();
     this.#say("", "");
   }
@@ -91,7 +92,45 @@ export class Setup {
       this.show(false);
     });
     item.append(choose);
+    if (session.status !== "created") item.append(this.#again(session));
     return item;
+  }
+
+  /** Offer a new session with an earlier one's values; its fraction is entered by hand. */
+  #again(session) {
+    const again = document.createElement("button");
+    again.type = "button";
+    again.className = "again";
+    again.textContent = "New, as in this";
+    again.title = `Enter the values of ${session.patient_reference}, ${session.fraction_id} for a new fraction`;
+    again.addEventListener("click", () => this.#fillFrom(session));
+    return again;
+  }
+
+  #fillFrom(session) {
+    this.#empty();
+    const { window: { further = [], ...first }, ...rest } = session;
+    this.conditions.reset([first, ...further]);
+    const values = { ...rest, window: first, fraction_id: "", fraction_number: null };
+    for (const input of this.form.elements) {
+      if (!input.name || input.dataset.name !== undefined) continue;
+      const found = input.name.split(".").reduce((from, key) => from?.[key], values);
+      if (typeof found === "string" || typeof found === "number") input.value = found;
+    }
+    this.#input("regions.named").value = notation(session.regions?.named ?? []);
+    this.#showFields();
+    this.conditions.show();
+    this.#say("", `As in ${session.fraction_id} of ${session.patient_reference}: check each value, and enter the fraction.`);
+    this.#input("fraction_id").focus();
+  }
+
+  /** Empty the form: nothing of one patient is offered for the next. */
+  #empty() {
+    this.form.reset();
+    this.conditions.reset();
+    this.#showFields();
+    this.#mark("");
+    this.#say("", "");
   }
 
   async #loadCalibrations(wanted) {
@@ -146,7 +185,7 @@ export class Setup {
     submit.disabled = true;
     try {
       const session = await createSession(this.#request());
-      this.#say("", "");
+      this.#empty();
       this.onSelect(session);
       this.show(false);
     } catch (error) {
@@ -211,6 +250,11 @@ function regions(text) {
     return { name, vertices: corners.split(";").map((corner) => corner.split(",").map(Number)) };
   });
   return found.every((one) => one.vertices.flat().every(Number.isFinite)) ? found : text;
+}
+
+/** Write regions in the notation of the command line. */
+function notation(named) {
+  return named.map(({ name, vertices }) => `${name}=${vertices.map((one) => one.join(",")).join(";")}`).join(" ");
 }
 
 /** Return the value to send; null leaves the key out. Invalid numbers are sent as text, and the controller refuses them. */

@@ -54,6 +54,7 @@ export class Trace {
   }
 
   draw(nowMs) {
+    this.canvas.dataset.session = this.sessionId ?? "";
     const { context, width, height } = prepare(this.canvas);
     const last = this.samples.at(-1);
     if (!last) {

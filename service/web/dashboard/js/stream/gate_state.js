@@ -4,7 +4,7 @@
  * An unknown, stale or contradictory state is never shown as a beam state.
  */
 
-import { IDLE_STALE_MS, STALE_MS } from "./live_stream.js";
+import { FAULT_MS, IDLE_STALE_MS, STALE_MS } from "./live_stream.js";
 
 const WORDS = { disarmed: "Disarmed", hold: "Hold", dwell: "Dwell", beam_on: "Beam on", fault: "Fault" };
 
@@ -34,9 +34,10 @@ export function present(stream, nowMs) {
     if (ageMs > IDLE_STALE_MS) return stale(ageMs);
     return { ...stopped("idle", "No session", "The beam is held. Create or start a session.", null), isFresh: true, isCurrent: true };
   }
-  // A latched fault stays valid without new frames, so it is shown as long as the controller sends messages.
-  const limitedMs = message.gate === "fault" ? stream.silenceMs(nowMs) : ageMs;
-  if (limitedMs > STALE_MS) return stale(ageMs, stream.silenceMs(nowMs) > STALE_MS ? UNKNOWN : "The camera's newest frame is too old.");
+  // A latched fault stays valid without new frames, so it is shown as long as the controller sends messages; and beyond a
+  // short silence, in which the engine is replaced: a fault that gives way to "stale" would look as if it were over.
+  const isFault = message.gate === "fault";
+  if (isFault ? stream.silenceMs(nowMs) > FAULT_MS : ageMs > STALE_MS) return stale(ageMs, stream.silenceMs(nowMs) > STALE_MS ? UNKNOWN : "The camera's newest frame is too old.");
   return gate(message, ageMs);
 }
 
