@@ -96,9 +96,7 @@ class TimedTrainer:
 
 def learning_from(frames: int, training: TrainingSettings) -> TrainingSettings:
     """Return settings that fit a model to exactly ``frames`` frames, independent of cycles and time, without refits."""
-    return replace(
-        training, min_frames=frames, min_cycles=0, min_seconds=0.0, max_frames=2 * frames, refit_until_s=0.0
-    )
+    return replace(training, min_frames=frames, min_cycles=0, min_seconds=0.0, max_frames=2 * frames, refit_until_s=0.0)
 
 
 def time_fits(recording: Recording, sizes: FitSizes, switch_interval_s: float) -> FitCost:
