@@ -625,10 +625,10 @@ class QaCheck(TypedDict):
     fail: float
     fail_setting: str
     has_baseline: bool
-    kinds: list[Literal["daily", "monthly", "annual"]]
+    kinds: list[Literal["daily", "monthly", "annual", "latency"]]
     method: str
     most: float
-    needs: Literal["plate", "phantom", "beam"]
+    needs: Literal["plate", "phantom", "beam", "camera"]
     sidedness: Literal["absolute", "at_most"]
     source: str
     title: str
@@ -696,7 +696,7 @@ class QaRunDetail(TypedDict):
     id: str
     is_simulated: bool
     is_simulated_beam: bool
-    kind: Literal["daily", "monthly", "annual"]
+    kind: Literal["daily", "monthly", "annual", "latency"]
     machine: str
     note: str
     operator: str
@@ -719,7 +719,7 @@ class QaRun(TypedDict):
     id: str
     is_simulated: bool
     is_simulated_beam: bool
-    kind: Literal["daily", "monthly", "annual"]
+    kind: Literal["daily", "monthly", "annual", "latency"]
     machine: str
     operator: str
     progress: NotRequired[QaProgress | None]
@@ -753,7 +753,7 @@ class QaTrendPoint(TypedDict):
     deviation: float | None
     expected: float | None
     fail: float
-    kind: Literal["daily", "monthly", "annual"]
+    kind: Literal["daily", "monthly", "annual", "latency"]
     run_id: str
     value: float | None
     verdict: Literal["pass", "warn", "fail"]
@@ -772,6 +772,7 @@ class QaTrend(TypedDict):
 
 ReadinessCode = Literal[
     "audit_trouble",
+    "camera_latency",
     "camera_runtime_missing",
     "certificate_ended",
     "certificate_ends_soon",

@@ -52,6 +52,7 @@ class BeamLineLight:
         self._intervals_ns = tuple(intervals_ns)
         self._pulser = Pulser(line, clock, pulse_ms=LEASE_MS, wait_ns=wait_ns)
         self._is_ended = False
+        self._granted_ns = 0
         self.changes: list[LightChange] = []
         self.failure = ""
 
@@ -95,22 +96,30 @@ class BeamLineLight:
 
     def _keep(self, until_ns: int, *, is_on: bool) -> None:
         """Wait until a time; renew the lease meanwhile, and raise BeamLineError where one may have lapsed."""
-        renewed_ns = self._clock.now_ns()
         while not self._is_ended and (now_ns := self._clock.now_ns()) < until_ns:
             if is_on:
-                if now_ns - renewed_ns > LEASE_MS * NS_PER_MS / 2:
-                    msg = "the light's lease was renewed too late: the machine is too busy for this measurement"
-                    raise BeamLineError(msg)
-                self._pulser.renew()
-                renewed_ns = now_ns
+                self._renew(now_ns)
             self._wait_ns(min(until_ns - now_ns, RENEW_NS))
+
+    def _renew(self, now_ns: int) -> None:
+        self._pulser.renew()
+        self._refuse_lapsed()
+        self._granted_ns = now_ns
+
+    def _refuse_lapsed(self) -> None:
+        """Raise BeamLineError where the lease may have ended before now: the light then went off at an unknown time."""
+        if self._clock.now_ns() - self._granted_ns >= LEASE_MS * NS_PER_MS:
+            msg = "the light's lease was renewed too late: the machine is too busy for this measurement"
+            raise BeamLineError(msg)
 
     def _change(self, *, is_on: bool) -> None:
         commanded_ns = self._clock.now_ns()
         if is_on:
+            self._granted_ns = commanded_ns
             self._pulser.permit()
         else:
             self._pulser.hold()
+            self._refuse_lapsed()
             self._pulser.await_off(commanded_ns)
         self.changes.append(LightChange(is_on=is_on, earliest_ns=commanded_ns, latest_ns=self._clock.now_ns()))
         self._wait_ns(POLL_NS)  # the line refuses a permit with the same time stamp as a hold

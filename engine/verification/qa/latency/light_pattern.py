@@ -32,14 +32,17 @@ class LightChange:
 
 
 def intervals_ns(seed: int, seconds: float) -> tuple[int, ...]:
-    """Return the lengths of the light's phases [ns], off first, together no longer than ``seconds``."""
+    """Return the lengths of the light's phases [ns], off first, together no longer than ``seconds``.
+
+    Their number is even, so that the last change is to off, as the output is left.
+    """
     chance = random.Random(seed)  # noqa: S311 - a schedule, no secret
     lengths: list[int] = []
     left_ns = int(seconds * NS_PER_S)
     while (length_ns := chance.randint(SHORTEST_NS, LONGEST_NS)) <= left_ns:
         lengths.append(length_ns)
         left_ns -= length_ns
-    return tuple(lengths)
+    return tuple(lengths[: len(lengths) // 2 * 2])
 
 
 def refuse_pattern(changes: Sequence[LightChange]) -> str | None:

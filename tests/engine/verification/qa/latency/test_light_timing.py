@@ -194,6 +194,7 @@ def test_the_pattern_is_irregular_and_as_long_as_asked():
     assert intervals_ns(7, 57.0) == lengths != intervals_ns(8, 57.0)
     assert all(150 * NS_PER_MS <= length <= 450 * NS_PER_MS for length in lengths)
     assert 56.0e9 < sum(lengths) <= 57.0e9
+    assert {len(intervals_ns(seed, 57.0)) % 2 for seed in range(10)} == {0}
     phases = np.cumsum(lengths) % 33_366_000 / 33_366_000
     assert np.histogram(phases, bins=6, range=(0.0, 1.0))[0].min() > len(lengths) / 15
 
