@@ -182,6 +182,41 @@ class CalibrationPage(TypedDict):
     next_cursor: str | None
 
 
+class CameraMode(TypedDict):
+    """A camera in one mode, as its driver describes it; sizes are width and height [px]."""
+
+    color_size: list[object]
+    depth_size: list[object]
+    fps: float
+    name: str
+    serial: str
+
+
+class CameraLatency(TypedDict):
+    """The newest measured latency of a camera in one mode; all times from light to the receipt of the depth frame."""
+
+    at: str
+    camera: CameraMode
+    counted_ms: float
+    median_ms: float
+    method: Literal["light", "plate"]
+    operator: str
+    p95_ms: float
+    refusal: str | None
+    run_id: str
+    uncertainty_ms: float
+    verdict: Literal["pass", "warn", "fail"]
+    worst_ms: float
+
+
+class CameraLatencyList(TypedDict):
+    """The newest measured latency of each camera and mode."""
+
+    configured_ms: float
+    items: list[CameraLatency]
+    max_age_days: float
+
+
 class Device(TypedDict):
     """A camera that the OpenNI2 runtime lists."""
 
@@ -1774,6 +1809,10 @@ class TidegateClient:
     def qa_status(self) -> "QaStatus":
         """Return whether the site's QA permits arming."""
         return self._read("/api/v1/qa/status", QaStatus)
+
+    def qa_latency(self) -> "CameraLatencyList":
+        """List the newest measured latency of each camera and mode."""
+        return self._read("/api/v1/qa/latency", CameraLatencyList)
 
     def qa_checks(self) -> "QaCheckList":
         """List what QA checks, by which bounds."""

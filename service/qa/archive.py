@@ -18,7 +18,7 @@ from service.qa.latency.schemas import CameraLatencyList
 from service.storage.audit.log import AuditLog
 from service.storage.database.engine import Database
 
-KINDS: tuple[schemas.RunKind, ...] = ("daily", "monthly", "annual", "latency")
+KINDS: tuple[schemas.Kind, ...] = ("daily", "monthly", "annual")
 TREND_RUNS = 30
 
 

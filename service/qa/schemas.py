@@ -362,7 +362,7 @@ class QaBaselineHistory(QaBaseline):
 class QaStatus(Answer):
     """The newest run of each kind, simulated runs excluded, and whether the QA requirement permits arming."""
 
-    newest: dict[RunKind, QaRun | None]
+    newest: dict[Kind, QaRun | None]
     required_daily_h: float = Field(description="Longest time since the last daily QA [h]; 0: no requirement")
     is_arming_allowed: bool
     refusal: str | None = Field(description="Why arming is refused, and what to do")

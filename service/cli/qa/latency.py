@@ -3,7 +3,6 @@
 import secrets
 import sys
 import uuid
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 
-from engine.capture.source import DepthSource, SourceDescription
+from engine.capture.source import SourceDescription
 from engine.core.errors import RecordingError, TidegateError
 from engine.core.files import write_whole
 from engine.verification.qa.bounds import QaBaseline
@@ -61,15 +60,13 @@ class LatencyOptions:
     fault_delay_ms: float = 40.0
 
 
-def measure_camera(
-    options: LatencyOptions, *, open_camera: Callable[[LatencyRig, str | None], DepthSource] = LatencyRig.camera
-) -> str:
+def measure_camera(options: LatencyOptions) -> str:
     """Measure, store, print and write the report; return the verdict, ``fail`` if the run was not completed."""
     try:
         settings = load_settings(data_dir=options.data)
         with alone_in(settings.data_dir), closing(Database(settings.database_place)) as database:
             prepare(database, data_dir=settings.data_dir, min_free_disk_mb=settings.min_free_disk_mb)
-            run = _carried_out(options, settings, database, open_camera)
+            run = _carried_out(options, settings, database)
     except (SettingsError, TidegateError) as error:
         raise refused(COMMAND, error) from error
     except OSError as error:
@@ -81,14 +78,9 @@ def measure_camera(
     return run.verdict or "fail"
 
 
-def _carried_out(
-    options: LatencyOptions,
-    settings: Settings,
-    database: Database,
-    open_camera: Callable[[LatencyRig, str | None], DepthSource],
-) -> schemas.QaRunDetail:
+def _carried_out(options: LatencyOptions, settings: Settings, database: Database) -> schemas.QaRunDetail:
     _refuse_options(options, settings)
-    request, job = _virtual(options) if options.is_simulated else _real(options, settings, open_camera)
+    request, job = _virtual(options) if options.is_simulated else _real(options, settings)
     run_id = uuid.uuid4().hex
     close_interrupted(database)  # the folder's lock is held, so no other process has a run
     with database.write() as db:
@@ -139,11 +131,9 @@ def _virtual(options: LatencyOptions) -> tuple[LatencyRunRequest, LatencyJob]:
     return _request(options, job.camera, seed, **bounds), job
 
 
-def _real(
-    options: LatencyOptions, settings: Settings, open_camera: Callable[[LatencyRig, str | None], DepthSource]
-) -> tuple[LatencyRunRequest, LatencyJob]:
+def _real(options: LatencyOptions, settings: Settings) -> tuple[LatencyRunRequest, LatencyJob]:
     rig = LatencyRig(settings)
-    source = open_camera(rig, options.camera)
+    source = rig.camera(options.camera)
     with opened(source) as camera:
         pass
     seed = secrets.randbelow(2**31) if options.seed is None else options.seed
