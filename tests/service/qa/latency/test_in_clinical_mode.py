@@ -8,8 +8,8 @@ import pytest
 from engine.core.commands import Arm
 from service.storage.database.engine import Database
 from service.web.app import create_app
-from tests.service.qa.latency.test_requirement import CAMERA, put
 from tests.support.database.migrated import with_tables
+from tests.support.qa.latency_runs import CAMERA, put
 from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import act, audit_rows, make_calibration, make_session_body, upload
 from tests.support.service.clinical_site import CLINICAL
