@@ -213,7 +213,7 @@ def latency(
             show_default=False,
         ),
     ] = None,
-    seconds: Annotated[float, typer.Option(help="Time for which frames are read, 30 to 300 [s].")] = 60.0,
+    seconds: Annotated[float, typer.Option(help="Time for which frames are read, 30 to 120 [s].")] = 60.0,
     is_safe: IsSafe = False,
     note: NoteText = "",
     out: Out = None,

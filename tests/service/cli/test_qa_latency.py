@@ -142,8 +142,8 @@ def test_a_missing_trace_fails_the_run(run, plate, tmp_path):
         (("--method", "plate", "--trace", "x.csv", "--clock-error-ms", 25), "clock_error_ms"),
         (("--method", "plate", "--trace", "x.csv", "--clock-error-ms", 1, "--output-delay-ms", 1), "output_delay_ms"),
         (("--simulated", "--fault-delay-ms", 501), "--fault-delay-ms must be 0 to 500"),
-        (("--simulated", "--seconds", 29), "--seconds must be 30 to 300"),
-        (("--method", "plate", "--trace", "x.csv", "--clock-error-ms", 1, "--seconds", 301), "seconds"),
+        (("--simulated", "--seconds", 29), "--seconds must be 30 to 120"),
+        (("--method", "plate", "--trace", "x.csv", "--clock-error-ms", 1, "--seconds", 121), "seconds"),
     ],
     ids=str,
 )

@@ -20,7 +20,7 @@ from engine.verification.qa.playing import frames_of, opened
 from engine.verification.qa.results import QaCurve, QaFigure, QaNeed, QaSeries
 from engine.verification.qa.unmeasured import not_measured
 
-SECONDS_BOUNDS = (30.0, 300.0)
+SECONDS_BOUNDS = (30.0, 120.0)
 LEAD_S = 3.0
 """Time of the frames before the light's first and after its last change [s]."""
 MOST_POINTS = 1500

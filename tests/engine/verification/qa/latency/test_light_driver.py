@@ -1,5 +1,6 @@
 """The light on a beam line's output: every change between its two times, and a line that is off however it ends."""
 
+import threading
 from itertools import pairwise
 
 import pytest
@@ -100,6 +101,25 @@ def test_however_the_block_is_left_the_line_is_held_latched_and_closed(error):
     count = len(light.changes)
     time.wait_ns(NS_PER_S)
     assert len(light.changes) == count
+
+
+def test_the_line_is_held_before_its_thread_is_waited_for():
+    """A thread that hangs does not keep the line on until it is given up."""
+    clock = MonotonicClock()
+    line = Line(clock)
+    hangs, is_held = threading.Event(), []
+
+    def wait_ns(_span_ns):
+        if line.is_on() and not is_held:
+            hangs.set()
+            eventually(lambda: line.calls[-1] == "hold", within_s=2.0)
+            is_held.append(True)
+
+    light = BeamLineLight(line, clock, wait_ns, (1, 10 * NS_PER_S))
+    with light.driving():
+        assert hangs.wait(20.0)
+    assert is_held == [True]
+    assert not line.is_on()
 
 
 def test_a_line_that_does_not_open_is_closed_and_nothing_is_driven():

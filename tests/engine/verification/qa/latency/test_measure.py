@@ -82,13 +82,13 @@ def test_a_cancelled_run_ends_at_the_next_frame():
         run(virtual_light(VirtualFaults(), seed=2, seconds=SECONDS), cancel)
 
 
-@pytest.mark.parametrize(("name", "value"), [("seconds", 29.0), ("seconds", 301.0), ("output_ms", 51.0)])
+@pytest.mark.parametrize(("name", "value"), [("seconds", 29.0), ("seconds", 121.0), ("output_ms", 51.0)])
 def test_the_inputs_of_a_light_are_bounded(name, value):
     with pytest.raises(InvalidValueError):
         replace(virtual_light(VirtualFaults(), seed=2, seconds=SECONDS), **{name: value})
 
 
-@pytest.mark.parametrize(("name", "value"), [("seconds", 29.0), ("seconds", 301.0), ("clock_ms", 0.0)])
+@pytest.mark.parametrize(("name", "value"), [("seconds", 29.0), ("seconds", 121.0), ("clock_ms", 0.0)])
 def test_the_inputs_of_a_plate_are_bounded(name, value):
     with pytest.raises(InvalidValueError):
         replace(virtual_plate(VirtualFaults(), seed=2, seconds=SECONDS), **{name: value})
