@@ -182,6 +182,41 @@ class CalibrationPage(TypedDict):
     next_cursor: str | None
 
 
+class CameraMode(TypedDict):
+    """A camera in one mode, as its driver describes it; sizes are width and height [px]."""
+
+    color_size: list[object]
+    depth_size: list[object]
+    fps: float
+    name: str
+    serial: str
+
+
+class CameraLatency(TypedDict):
+    """The newest measured latency of a camera in one mode; all times from light to the receipt of the depth frame."""
+
+    at: str
+    camera: CameraMode
+    counted_ms: float
+    median_ms: float
+    method: Literal["light", "plate"]
+    operator: str
+    p95_ms: float
+    refusal: str | None
+    run_id: str
+    uncertainty_ms: float
+    verdict: Literal["pass", "warn", "fail"]
+    worst_ms: float
+
+
+class CameraLatencyList(TypedDict):
+    """The newest measured latency of each camera and mode."""
+
+    configured_ms: float
+    items: list[CameraLatency]
+    max_age_days: float
+
+
 class Device(TypedDict):
     """A camera that the OpenNI2 runtime lists."""
 
@@ -625,10 +660,10 @@ class QaCheck(TypedDict):
     fail: float
     fail_setting: str
     has_baseline: bool
-    kinds: list[Literal["daily", "monthly", "annual"]]
+    kinds: list[Literal["daily", "monthly", "annual", "latency"]]
     method: str
     most: float
-    needs: Literal["plate", "phantom", "beam"]
+    needs: Literal["plate", "phantom", "beam", "camera"]
     sidedness: Literal["absolute", "at_most"]
     source: str
     title: str
@@ -696,7 +731,7 @@ class QaRunDetail(TypedDict):
     id: str
     is_simulated: bool
     is_simulated_beam: bool
-    kind: Literal["daily", "monthly", "annual"]
+    kind: Literal["daily", "monthly", "annual", "latency"]
     machine: str
     note: str
     operator: str
@@ -719,7 +754,7 @@ class QaRun(TypedDict):
     id: str
     is_simulated: bool
     is_simulated_beam: bool
-    kind: Literal["daily", "monthly", "annual"]
+    kind: Literal["daily", "monthly", "annual", "latency"]
     machine: str
     operator: str
     progress: NotRequired[QaProgress | None]
@@ -753,7 +788,7 @@ class QaTrendPoint(TypedDict):
     deviation: float | None
     expected: float | None
     fail: float
-    kind: Literal["daily", "monthly", "annual"]
+    kind: Literal["daily", "monthly", "annual", "latency"]
     run_id: str
     value: float | None
     verdict: Literal["pass", "warn", "fail"]
@@ -772,6 +807,7 @@ class QaTrend(TypedDict):
 
 ReadinessCode = Literal[
     "audit_trouble",
+    "camera_latency",
     "camera_runtime_missing",
     "certificate_ended",
     "certificate_ends_soon",
@@ -1773,6 +1809,10 @@ class TidegateClient:
     def qa_status(self) -> "QaStatus":
         """Return whether the site's QA permits arming."""
         return self._read("/api/v1/qa/status", QaStatus)
+
+    def qa_latency(self) -> "CameraLatencyList":
+        """List the newest measured latency of each camera and mode."""
+        return self._read("/api/v1/qa/latency", CameraLatencyList)
 
     def qa_checks(self) -> "QaCheckList":
         """List what QA checks, by which bounds."""

@@ -12,14 +12,16 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from engine.calibration.camera_calibration import Calibration
 from engine.capture.source import DepthSource
 from engine.core.clock import ManualClock
-from engine.core.errors import ModelError, RecordingError, SourceEndedError
+from engine.core.errors import CommandRefusedError, InvalidValueError, ModelError, RecordingError, SourceEndedError
 from engine.core.frames import Measurement, MeasurementState, RgbdFrame
 from engine.core.motion_model import MotionModel
 from engine.core.provenance import ModelOrigin
+from engine.gating.duty_cycle import duty_percent, refuse_never_left
 from engine.gating.limits import GateLimits
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.model_file import save_model
@@ -238,9 +240,22 @@ def _saved(
         damage=found.damage,
         passes=passes,
         live_from_frame=found.live_from,
+        **_duty(run.limits, learner),
     )
     summary.save(run.out / "motion_summary.json")
     return summary
+
+
+def _duty(limits: GateLimits | None, learner: Learner) -> dict[str, Any]:
+    """Return the window's predicted duty cycle, and why a session would refuse to arm with it."""
+    if limits is None:
+        return {}
+    levels = learner.learned_levels(limits.window.choices)
+    try:
+        refuse_never_left(limits, levels)
+    except (InvalidValueError, CommandRefusedError) as error:
+        return {"predicted_duty_percent": duty_percent(limits.window, levels), "duty_refusal": str(error)}
+    return {"predicted_duty_percent": duty_percent(limits.window, levels)}
 
 
 def _do_nothing(_value: object) -> None:

@@ -103,6 +103,10 @@ class OfflineSummary:
         2 if every frame was measured with the model that the recording's first pass learned, 1 if as in a live session.
     live_from_frame
         Index of the first frame that a live session measures; None if there is none.
+    predicted_duty_percent
+        Share of the learned breaths inside the gating window, 0 to 100, as a session predicts it; None without one.
+    duty_refusal
+        Why a session would refuse to arm with this window; None if it would not.
     """
 
     frames: int
@@ -124,6 +128,8 @@ class OfflineSummary:
     damage: str | None = None
     passes: int = 1
     live_from_frame: int | None = None
+    predicted_duty_percent: float | None = None
+    duty_refusal: str | None = None
 
     def save(self, path: Path) -> None:
         """Write the summary as JSON, atomically; the same values give the same bytes."""

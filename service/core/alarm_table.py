@@ -169,6 +169,13 @@ ALARM_RULES: tuple[AlarmRule, ...] = (
     ),
     *_holds(
         _P.LOW,
+        "the beam is held for breathing that has ceased, or that is irregular where the site chose so; it goes on by "
+        "itself with regular breathing",
+        SIGHT_DELAY_S,
+        _R.BREATHING_IRREGULAR,
+    ),
+    *_holds(
+        _P.LOW,
         "the beam is held until a person sets the session up again; nothing changes meanwhile",
         SIGHT_DELAY_S,
         _R.MODEL_OLD,
@@ -216,7 +223,6 @@ NOT_ALARMS: Mapping[HoldReason, str] = {
     _R.DWELL: _GATING,
     _R.SHORTEST_OFF: _GATING,
     _R.CYCLE_LIMIT: _GATING,
-    _R.BREATHING_IRREGULAR: _PATIENT_BREATHES,
     _R.PHASE_UNKNOWN: _PATIENT_BREATHES,
     _R.RANGE_UNKNOWN: _PATIENT_BREATHES,
     _R.BREATH_HOLD_AWAITED: _PATIENT_BREATHES,

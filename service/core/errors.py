@@ -87,6 +87,12 @@ class QaOverdueError(ServiceError):
     code = "qa_overdue"
 
 
+class CameraLatencyError(ServiceError):
+    """Clinical mode requires a measured latency of this camera, and it is missing, too old, failed, or too large."""
+
+    code = "camera_latency"
+
+
 class IdempotencyError(ServiceError):
     """The Idempotency-Key was used before with another body."""
 

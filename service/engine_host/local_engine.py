@@ -87,6 +87,7 @@ class LocalEngine:
             plan.regions,
             is_calibrated=not plan.calibration.is_device_registration,
             head_direction=plan.head_direction,
+            camera_latency_ms=plan.camera_latency_ms,
         )
         measuring = measuring_with(self._measuring, plan.regions, plan.window, plan.head_direction)
         tape = SessionTape(plan, self._settings)

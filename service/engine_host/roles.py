@@ -35,7 +35,8 @@ class SessionPlan:
     """What an engine needs to run a session; ``recording`` is None for a live camera.
 
     ``model`` is the stored one to begin with, None to learn one; ``head_direction`` is None if it was not given;
-    ``first_reference`` is that of an earlier session of the same fraction.
+    ``first_reference`` is that of an earlier session of the same fraction; ``camera_latency_ms`` is what the gate
+    counts for the camera, None for the site's value.
     """
 
     session_id: str
@@ -50,6 +51,7 @@ class SessionPlan:
     model_id: str | None = None
     head_direction: HeadDirection | None = None
     first_reference: FirstReference | None = None
+    camera_latency_ms: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

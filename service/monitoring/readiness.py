@@ -15,11 +15,12 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from engine.capture.openni.source import runtime_installed
 from engine.core.clock import NS_PER_MS, Clock, MonotonicClock
-from service.core.errors import QaOverdueError
+from service.core.errors import CameraLatencyError, QaOverdueError
 from service.core.schemas.readiness import Readiness, ReadinessCode, ReadinessReason
 from service.core.settings.settings import Settings
 from service.monitoring.certificate import CertificateWatch
 from service.qa.arming_requirement import refuse_without_qa
+from service.qa.latency.requirement import refuse_unmeasured_site
 from service.storage.audit.startup import clock_went_back
 from service.storage.database.engine import Database
 
@@ -113,6 +114,7 @@ class ReadinessProbe:
         yield from self._disk_trouble()
         yield from self._folder_trouble()
         yield from self._qa_trouble()
+        yield from self._latency_trouble()
         for trouble in self._audit_troubles():
             yield _reason(ReadinessCode.AUDIT_TROUBLE, trouble)
         for name in () if self._is_stopping() else self._ended_threads():
@@ -147,6 +149,14 @@ class ReadinessProbe:
             refuse_without_qa(self._database, self._settings)
         except QaOverdueError as error:
             yield _reason(ReadinessCode.QA_OVERDUE, str(error))
+        except SQLAlchemyError:
+            return  # reported by _database_trouble
+
+    def _latency_trouble(self) -> Iterator[ReadinessReason]:
+        try:
+            refuse_unmeasured_site(self._database, self._settings)
+        except CameraLatencyError as error:
+            yield _reason(ReadinessCode.CAMERA_LATENCY, str(error))
         except SQLAlchemyError:
             return  # reported by _database_trouble
 

@@ -13,6 +13,8 @@ from service.core.settings.settings import Settings
 from service.qa import queries, schemas, views
 from service.qa.arming_requirement import refusal
 from service.qa.current_run import CurrentRun
+from service.qa.latency.archive import latency_list
+from service.qa.latency.schemas import CameraLatencyList
 from service.storage.audit.log import AuditLog
 from service.storage.database.engine import Database
 
@@ -79,6 +81,11 @@ class QaArchive:
             is_arming_allowed=reason is None,
             refusal=reason,
         )
+
+    def latencies(self) -> CameraLatencyList:
+        """Return the newest measured latency of each camera and mode."""
+        with self._database.read() as db:
+            return latency_list(db, self._settings)
 
     def baseline(self) -> schemas.QaBaselineHistory:
         """Return the current baseline and the earlier ones, newest first."""

@@ -10,6 +10,8 @@ from service.core.schemas.base import Answer, Identifier, Name, Operator, Reques
 from service.core.schemas.sessions import DeviceSource
 
 Kind = Literal["daily", "monthly", "annual"]
+RunKind = Literal["daily", "monthly", "annual", "latency"]
+"""Kinds of stored runs: the latency is measured at the machine, by `tidegate qa latency`."""
 Verdict = Literal["pass", "warn", "fail"]
 RunStatus = Literal["running", "finished", "cancelled", "failed", "interrupted"]
 PULSE_MS = (120.0, 200.0)
@@ -192,7 +194,7 @@ class QaRun(Answer):
     """A QA run with its current status."""
 
     id: Identifier
-    kind: Kind
+    kind: RunKind
     status: RunStatus
     status_detail: str
     verdict: Verdict | None
@@ -264,7 +266,7 @@ class QaTrendPoint(Answer):
     """One check of one finished run."""
 
     run_id: Identifier
-    kind: Kind
+    kind: RunKind
     at: AwareDatetime
     value: float | None
     expected: float | None
@@ -291,8 +293,8 @@ class QaCheck(Answer):
     title: str
     unit: str
     method: str
-    needs: Literal["plate", "phantom", "beam"]
-    kinds: list[Kind]
+    needs: Literal["plate", "phantom", "beam", "camera"]
+    kinds: list[RunKind]
     sidedness: Literal["absolute", "at_most"]
     expected: float | None
     has_baseline: bool

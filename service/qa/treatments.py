@@ -9,7 +9,7 @@ import numpy as np
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from engine.verification.qa.results import QaFigure
+from engine.verification.qa.results import QaFigure, QaKind
 from service.storage.database import queries
 from service.storage.database.tables import AuditRow, QaOutcomeRow, QaRunRow, SessionRow
 
@@ -27,7 +27,11 @@ def treatment_figures(db: Session, *, is_simulated_beam: bool) -> list[QaFigure]
     since = db.scalar(
         select(func.max(QaRunRow.created_at))
         .join(QaOutcomeRow, QaOutcomeRow.run_id == QaRunRow.id)
-        .where(QaOutcomeRow.status == "finished", QaRunRow.is_simulated.is_(False))
+        .where(
+            QaOutcomeRow.status == "finished",
+            QaRunRow.is_simulated.is_(False),
+            QaRunRow.kind != QaKind.LATENCY.value,  # which has no figure of the treatments
+        )
     )
     query = (
         select(AuditRow.detail, AuditRow.session_id)

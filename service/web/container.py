@@ -4,6 +4,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 
 from engine import __version__
+from engine.capture.source import SourceDescription
 from engine.core.compiled import frame_path
 from service.access.accounts.first_admin import OnFirstAdmin, make_first_admin
 from service.access.armed_operator import ArmedOperator
@@ -19,6 +20,7 @@ from service.qa.archive import QaArchive
 from service.qa.archive import close_interrupted as close_interrupted_qa
 from service.qa.arming_requirement import refuse_without_qa
 from service.qa.current_run import CurrentRun
+from service.qa.latency.requirement import counted_latency_ms, refuse_unmeasured
 from service.qa.roles import QaRig
 from service.qa.runs import QaRunService
 from service.sessions.alarms.watch import AlarmWatch, SiteTroubles
@@ -187,12 +189,18 @@ def _open_work(dependencies: _Dependencies, storage: _Storage) -> _Work:
         samples=storage.samples,
         journals=storage.journals,
         alarms=storage.alarms,
+        camera_latency_ms=lambda db, serial: counted_latency_ms(db, settings, serial),
     )
+
+    def refuse_arming(camera: SourceDescription | None) -> None:
+        refuse_without_qa(database, settings)
+        refuse_unmeasured(database, settings, camera)
+
     runner = SessionRunner(
         starter=starter,
         log=log,
         records=records,
-        refuse_arming=lambda: refuse_without_qa(database, settings),
+        refuse_arming=refuse_arming,
     )
     return _Work(
         sessions=records,

@@ -18,6 +18,7 @@ from engine.verification.qa.results import QaCheck, QaKind, QaNeed, Sidedness
 DAILY = (QaKind.DAILY, QaKind.MONTHLY, QaKind.ANNUAL)
 MONTHLY = (QaKind.MONTHLY, QaKind.ANNUAL)
 ANNUAL = (QaKind.ANNUAL,)
+LATENCY = (QaKind.LATENCY,)
 
 _LOCALISATION = "TG-142, TG-147, TG-302: 2 mm, and 1 mm for stereotactic treatments"
 _TIMING = "TG-142: gate within 100 ms of expected"
@@ -460,7 +461,65 @@ _BEAM = (
     ),
 )
 
-CHECKS: tuple[QaCheck, ...] = _PLATE + _PHANTOM + _BEAM
+_LATE = "TG-142: surrogate within 100 ms; TG-76: 500 ms in total"
+_CAMERA = (
+    QaCheck(
+        code="camera_latency_ms",
+        title="Camera latency, median",
+        unit="ms",
+        method="From a change of light, or a position of a plate, to the receipt of the depth frame; median of all "
+        "frames. With its uncertainty it is the delay that the gate counts for the camera.",
+        needs=QaNeed.CAMERA,
+        kinds=LATENCY,
+        sidedness=Sidedness.AT_MOST,
+        warn=100.0,
+        fail=150.0,
+        most=250.0,
+        source=_LATE,
+    ),
+    QaCheck(
+        code="camera_latency_p95_ms",
+        title="Camera latency, 95th percentile",
+        unit="ms",
+        method="The same, 95th percentile.",
+        needs=QaNeed.CAMERA,
+        kinds=LATENCY,
+        sidedness=Sidedness.AT_MOST,
+        warn=120.0,
+        fail=180.0,
+        most=300.0,
+        source=_LATE,
+    ),
+    QaCheck(
+        code="camera_latency_worst_ms",
+        title="Camera latency, slowest frame",
+        unit="ms",
+        method="The same, slowest frame.",
+        needs=QaNeed.CAMERA,
+        kinds=LATENCY,
+        sidedness=Sidedness.AT_MOST,
+        warn=200.0,
+        fail=350.0,
+        most=500.0,
+        source=_LATE,
+    ),
+    QaCheck(
+        code="camera_latency_uncertainty_ms",
+        title="Camera latency, uncertainty",
+        unit="ms",
+        method="Half the width of the interval of latencies that nine tenths of the changes of the light permit; of a "
+        "plate, three standard errors and the bound of its clock.",
+        needs=QaNeed.CAMERA,
+        kinds=LATENCY,
+        sidedness=Sidedness.AT_MOST,
+        warn=15.0,
+        fail=25.0,
+        most=25.0,
+        source="A quarter of the 100 ms of TG-142",
+    ),
+)
+
+CHECKS: tuple[QaCheck, ...] = _PLATE + _PHANTOM + _BEAM + _CAMERA
 """All checks, in the order of a report."""
 
 _BY_CODE: Mapping[str, QaCheck] = MappingProxyType({check.code: check for check in CHECKS})

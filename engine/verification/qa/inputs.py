@@ -20,6 +20,7 @@ from engine.core.errors import InvalidValueError
 from engine.gating.limits import LIMIT_BOUNDS, GateLimits
 from engine.motion.settings import PipelineSettings
 from engine.verification.qa.checks import needs_of
+from engine.verification.qa.latency.measure import LatencyInput
 from engine.verification.qa.results import QaKind, QaNeed
 from engine.verification.qa.trace import CommandedTrace
 
@@ -151,6 +152,7 @@ class QaInputs:
     plate: PlateInput | None = None
     phantom: PhantomInput | None = None
     beam: BeamInput | None = None
+    camera: LatencyInput | None = None
 
     def check(self, kind: QaKind) -> None:
         """Raise InvalidValueError naming the first input that this kind of run needs and that is missing."""
@@ -158,6 +160,11 @@ class QaInputs:
             if self.of(need) is None:
                 raise InvalidValueError(need.value, None, f"given for {kind} QA")
 
-    def of(self, need: QaNeed) -> PlateInput | PhantomInput | BeamInput | None:
+    def of(self, need: QaNeed) -> PlateInput | PhantomInput | BeamInput | LatencyInput | None:
         """Return the input of one stage, None if there is none."""
-        return {QaNeed.PLATE: self.plate, QaNeed.PHANTOM: self.phantom, QaNeed.BEAM: self.beam}[need]
+        return {
+            QaNeed.PLATE: self.plate,
+            QaNeed.PHANTOM: self.phantom,
+            QaNeed.BEAM: self.beam,
+            QaNeed.CAMERA: self.camera,
+        }[need]

@@ -13,11 +13,12 @@ from engine.core.errors import InvalidValueError
 
 
 class QaKind(enum.StrEnum):
-    """Extent of a run; monthly QA includes the daily checks, annual QA includes the monthly ones."""
+    """Extent of a run; monthly QA includes the daily checks, annual QA the monthly ones, a latency run neither."""
 
     DAILY = "daily"
     MONTHLY = "monthly"
     ANNUAL = "annual"
+    LATENCY = "latency"
 
 
 class QaNeed(enum.StrEnum):
@@ -26,6 +27,7 @@ class QaNeed(enum.StrEnum):
     PLATE = "plate"
     PHANTOM = "phantom"
     BEAM = "beam"
+    CAMERA = "camera"
 
 
 class QaVerdict(enum.StrEnum):

@@ -11,6 +11,7 @@ from engine.verification.qa.bounds import QaBaseline, QaBounds
 from engine.verification.qa.checks import checks_of, needs_of
 from engine.verification.qa.drill import DRILLS, drill_line
 from engine.verification.qa.inputs import QaInputs
+from engine.verification.qa.latency.measure import measure_latency
 from engine.verification.qa.phantom import measure_phantom
 from engine.verification.qa.plate import measure_plate
 from engine.verification.qa.results import QaFigure, QaKind, QaNeed, QaReport, QaResult, QaSeries, judge
@@ -66,7 +67,7 @@ def _total(figures: Iterable[QaFigure]) -> QaFigure:
 
 def _measured(need: QaNeed, inputs: QaInputs, on_progress: Progress) -> tuple[list[QaFigure], list[QaSeries]]:
     """Measure one stage; nothing where its input is missing."""
-    plate, phantom, beam = inputs.plate, inputs.phantom, inputs.beam
+    plate, phantom, beam, camera = inputs.plate, inputs.phantom, inputs.beam, inputs.camera
 
     def progress(total: int | None) -> Callable[[int], None]:
         return lambda done: on_progress(need, done, total)
@@ -77,6 +78,8 @@ def _measured(need: QaNeed, inputs: QaInputs, on_progress: Progress) -> tuple[li
         return measure_phantom(phantom, progress(None))
     if need is QaNeed.BEAM and beam is not None:
         return drill_line(beam, progress(len(DRILLS) * beam.repeats)), []
+    if need is QaNeed.CAMERA and camera is not None:
+        return measure_latency(camera, progress(None))
     return [], []
 
 

@@ -96,6 +96,7 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", f"{V1}/qa/trend"): Permission.QA_READ,
     ("GET", f"{V1}/qa/checks"): Permission.QA_READ,
     ("GET", f"{V1}/qa/status"): Permission.QA_READ,
+    ("GET", f"{V1}/qa/latency"): Permission.QA_READ,
     ("GET", f"{V1}/qa/baseline"): Permission.QA_READ,
     ("PUT", f"{V1}/qa/baseline"): Permission.QA_BASELINE,
     # Audit

@@ -201,7 +201,7 @@ def _print_summary(summary: OfflineSummary, task: FileTask) -> None:
     say(
         f"{summary.frames} frames: {summary.in_training} in training ({'stored model, ' * (task.model is not None)}"
         f"{model}), {summary.measured} measured, {summary.lost} lost. The camera dropped {summary.missed_frames} more. "
-        f"{_live_from(summary)}Written to {task.out}"
+        f"{_live_from(summary)}{_duty(summary)}Written to {task.out}"
     )
     for note in _notes(summary, task):
         say(f"Note: {note}", "yellow")
@@ -215,9 +215,16 @@ def _live_from(summary: OfflineSummary) -> str:
     return f"A live session would have measured from frame {summary.live_from_frame} on. "
 
 
+def _duty(summary: OfflineSummary) -> str:
+    percent = summary.predicted_duty_percent
+    return "" if percent is None else f"Predicted duty cycle of the window: {percent:.0f} %. "
+
+
 def _notes(summary: OfflineSummary, task: FileTask) -> list[str]:
     """Return what was requested and could not be done."""
     notes = [] if summary.shortcoming is None else [summary.shortcoming]
+    if summary.duty_refusal is not None:
+        notes.append(f"a session would not be armed with this window: {summary.duty_refusal}")
     if task.limits is not None and task.limits.needs_head_direction and task.limits.head_direction is None:
         notes.append(f"the window is held: {HEAD_DIRECTION_UNKNOWN}; give --head")
     if task.settings.extra_markers and not summary.is_split_marked:

@@ -19,6 +19,7 @@ from service.core.schemas.base import Name
 from service.core.settings.settings import Settings, SettingsError, load_settings
 from service.qa import queries, views
 from service.qa.archive import TREND_RUNS, measured_by
+from service.qa.latency.archive import latency_list
 from service.qa.report.report import report_pdf
 from service.storage.database.engine import Database
 from service.storage.database.startup import prepare
@@ -64,6 +65,12 @@ def write_report(data: Path | None, run_id: str, out: Path) -> None:
     except OSError as error:
         raise refused("qa report", f"{out} cannot be written ({error.strerror or error})") from error
     say(f"Written to {out}")
+
+
+def print_cameras(data: Path | None) -> None:
+    """Print the newest latency of each camera and mode."""
+    with _reading("cameras", data) as (settings, db):
+        tables.print_cameras(latency_list(db, settings))
 
 
 def print_baseline(data: Path | None) -> None:

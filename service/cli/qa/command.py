@@ -182,6 +182,86 @@ qa.command("annual")(_with_phantom("annual", ANNUAL))
 
 
 @qa.command()
+def latency(
+    operator: Operator,
+    *,
+    method: Annotated[
+        Literal["light", "plate"],
+        typer.Option(help="light: an LED on the beam line's output. plate: a moving plate with a file of positions."),
+    ] = "light",
+    camera: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Address of the camera; the first one by default.")
+    ] = None,
+    output_delay_ms: Annotated[
+        float | None,
+        typer.Option(
+            help="light: longest time from the output's read-back to the light, 0 to 50; a relay takes up to 15 [ms].",
+            show_default=False,
+        ),
+    ] = None,
+    trace: Annotated[
+        Path | None,
+        typer.Option(
+            help="plate: CSV time_utc,position_mm or monotonic_s,position_mm of this machine; read after the frames.",
+            show_default=False,
+        ),
+    ] = None,
+    clock_error_ms: Annotated[
+        float | None,
+        typer.Option(
+            help="plate: longest error of the file's times, the controller's delay included, 0.1 to 20 [ms].",
+            show_default=False,
+        ),
+    ] = None,
+    seconds: Annotated[float, typer.Option(help="Time for which frames are read, 30 to 120 [s].")] = 60.0,
+    is_safe: IsSafe = False,
+    note: NoteText = "",
+    out: Out = None,
+    data: DataFolder = None,
+    is_simulated: Annotated[
+        bool,
+        typer.Option("--simulated", help="Use a virtual camera, light and plate, for demonstration; not a QA result."),
+    ] = False,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of the light's pattern; random by default.", min=0, max=2**31 - 1)
+    ] = None,
+    fault_delay_ms: Annotated[float, typer.Option(help="With --simulated: latency of the virtual camera [ms].")] = 40.0,
+) -> None:
+    """Measure a camera's latency, from light to received frame. With a light: PERMITS THE BEAM of a real line.
+
+    Clinical mode arms only with a camera whose latency was measured. No session may run. Exit code: 0 passed, 3 passed
+    with a warning, 1 failed or not completed, 2 refused.
+    """
+    from service.cli.qa.latency import LatencyOptions, measure_camera
+
+    options = LatencyOptions(
+        method=method,
+        operator=operator,
+        camera=camera,
+        trace=trace,
+        output_delay_ms=output_delay_ms,
+        clock_error_ms=clock_error_ms,
+        seconds=seconds,
+        is_safe=is_safe,
+        note=note,
+        out=out,
+        data=data,
+        is_simulated=is_simulated,
+        seed=seed,
+        fault_delay_ms=fault_delay_ms,
+    )
+    _exit_with("latency", lambda: measure_camera(options))
+
+
+@qa.command("cameras")
+def list_cameras(*, data: DataFolder = None) -> None:
+    """List the newest measured latency of each camera and mode; the service may be running."""
+    from service.cli.qa.archive import print_cameras
+
+    print_cameras(data)
+
+
+@qa.command()
 def code(
     operator: Annotated[
         str, typer.Option(help="Name of the physicist who starts the run; as typed at log-in.", show_default=False)
@@ -297,10 +377,14 @@ def _do(options: "RunOptions") -> None:
     """Run and exit with the code of the verdict."""
     from service.cli.qa.run import do_run
 
+    _exit_with(options.kind, lambda: do_run(options))
+
+
+def _exit_with(kind: str, measured: Callable[[], str]) -> None:
     try:
-        verdict = do_run(options)
+        verdict = measured()
     except KeyboardInterrupt:
-        say(f"tidegate qa {options.kind}: cancelled; the beam is held", "red")
+        say(f"tidegate qa {kind}: cancelled; the beam is held", "red")
         raise typer.Exit(_Code.CANCELLED) from None
     if verdict != "pass":
         raise typer.Exit(_Code.WARNED if verdict == "warn" else _Code.FAILED)

@@ -1,12 +1,9 @@
 """A QA run on the command line: the same as the service's, in the service's data folder."""
 
-import signal
 import uuid
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from fastapi.exceptions import RequestValidationError
@@ -17,6 +14,7 @@ from engine.calibration.camera_calibration import Calibration, load_calibration
 from engine.core.errors import TidegateError
 from engine.core.files import write_whole
 from engine.verification.qa.results import QaNeed
+from service.cli.qa.interruptible import interruptible
 from service.cli.qa.tables import print_results
 from service.cli.terminal import frame_bar, refused, say
 from service.core.errors import BoundError
@@ -38,7 +36,12 @@ from service.storage.database.startup import prepare
 from service.storage.files.folder_lock import alone_in
 from service.web.problems.table import problem_of
 
-STAGES = {QaNeed.PLATE: "plate, frames", QaNeed.PHANTOM: "phantom, frames", QaNeed.BEAM: "beam line, drills"}
+STAGES = {
+    QaNeed.PLATE: "plate, frames",
+    QaNeed.PHANTOM: "phantom, frames",
+    QaNeed.BEAM: "beam line, drills",
+    QaNeed.CAMERA: "camera, frames",
+}
 CALIBRATION_NAME = "calibration.json"
 DEVICE = "device"
 
@@ -109,7 +112,7 @@ def _carried_out(options: RunOptions, settings: Settings, database: Database) ->
         with database.write() as db:
             queries.end(db, run_id, outcome)
 
-    with _interruptible(), frame_bar() as bar:
+    with interruptible(), frame_bar() as bar:
         tasks: dict[QaNeed, Any] = {}
 
         def show(stage: QaNeed, done: int, total: int | None) -> None:
@@ -218,21 +221,3 @@ def _keep(db: Session, calibration: Calibration, options: RunOptions) -> None:
     if not is_known:
         detail = {"calibration_id": row.id, "sha256": row.sha256, "camera": row.camera, "is_new": True}
         append_audit(db, Event(actor=options.operator, action=UPLOAD, detail=detail))
-
-
-@contextmanager
-def _interruptible() -> Iterator[None]:
-    """Handle SIGTERM and SIGINT as Ctrl-C: the line is held and the run recorded before the process ends.
-
-    SIGINT explicitly too: a shell starts background processes with it ignored, and this process permits a beam.
-    """
-
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGINT)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

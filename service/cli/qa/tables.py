@@ -8,6 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from service.qa.latency.schemas import CameraLatencyList
 from service.qa.report.style import number
 from service.qa.schemas import QaBaselineHistory, QaCheckList, QaResult, QaRun, QaRunDetail, QaTrend
 
@@ -75,6 +76,29 @@ def print_checks(checks: QaCheckList) -> None:
             one.code, one.title, one.kinds[0], one.source, f"{number(one.warn)}{unit}", f"{number(one.fail)}{unit}"
         )
     _console().print(table)
+
+
+def print_cameras(cameras: CameraLatencyList) -> None:
+    """Print the newest latency of each camera and mode, and what clinical mode says of it."""
+    table = _table(
+        "", ["camera", "measured", "by", "mode"], ["median", "uncertain by", "slowest", "counted", "verdict"]
+    )
+    for one in cameras.items:
+        times_ms = (one.median_ms, one.uncertainty_ms, one.worst_ms, one.counted_ms)
+        table.add_row(
+            escape(one.camera.identity),
+            one.at.strftime("%Y-%m-%d"),
+            escape(one.operator),
+            one.camera.mode_text,
+            *(number(value, "ms") for value in times_ms),
+            _verdict(one.verdict),
+        )
+    console = _console()
+    console.print(table)
+    console.print(f"The site counts {cameras.configured_ms:g} ms; longest age {cameras.max_age_days:g} days.")
+    for one in cameras.items:
+        if one.refusal is not None:
+            console.print(f"Clinical mode refuses to arm: {one.refusal}", markup=False)
 
 
 def print_baseline(baseline: QaBaselineHistory) -> None:

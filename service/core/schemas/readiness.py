@@ -12,6 +12,7 @@ class ReadinessCode(enum.StrEnum):
     """Stable codes of what prevents sessions, now or soon."""
 
     AUDIT_TROUBLE = "audit_trouble"
+    CAMERA_LATENCY = "camera_latency"
     CAMERA_RUNTIME_MISSING = "camera_runtime_missing"
     CERTIFICATE_ENDED = "certificate_ended"
     CERTIFICATE_ENDS_SOON = "certificate_ends_soon"

@@ -37,6 +37,9 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
         low=1.0, high=150.0, reason="measured, because 0 means unmeasured; 150 ms leave time for the rest within 500 ms"
     ),
     "qa_required_daily_h": ClinicalBound(low=1.0, high=24.0, reason="TG-142 asks for daily QA"),
+    "qa_latency_max_age_days": ClinicalBound(
+        low=1.0, high=400.0, reason="TG-142, TG-302: annually, and a month to find the day"
+    ),
     "operator_timeout_s": ClinicalBound(
         low=3.0,
         high=30.0,

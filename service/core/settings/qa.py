@@ -14,6 +14,7 @@ from engine.verification.qa.results import QaBound, QaCheck
 from service.core.settings.beam import PREFIX
 
 LONGEST_DAILY_H = 744.0
+SHORTEST_LATENCY_DAYS, LONGEST_LATENCY_DAYS = 1.0, 1100.0
 MAX_NAME = 80
 
 
@@ -49,6 +50,12 @@ class QaSettings(_CheckBounds):
         ge=0.0,
         le=LONGEST_DAILY_H,
         description="Arming needs a daily QA that passed within this time; 0 is never",
+    )
+    qa_latency_max_age_days: float = Field(
+        default=365.0,
+        ge=SHORTEST_LATENCY_DAYS,
+        le=LONGEST_LATENCY_DAYS,
+        description="Clinical mode: longest time since the latency of the session's camera was measured",
     )
     site_name: str = Field(default="", max_length=MAX_NAME, description="On QA reports")
     machine_name: str = Field(default="", max_length=MAX_NAME, description="On QA reports: accelerator or room")

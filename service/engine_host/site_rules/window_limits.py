@@ -42,8 +42,11 @@ def gate_limits(
     *,
     is_calibrated: bool = True,
     head_direction: HeadDirection | None = None,
+    camera_latency_ms: float | None = None,
 ) -> GateLimits:
     """Convert the session's window and the site's limits to the engine's gate limits.
+
+    ``camera_latency_ms`` is that of the session's camera; None for the site's value, which it never undercuts.
 
     Raises
     ------
@@ -61,7 +64,7 @@ def gate_limits(
         holding_events=frozenset(settings.holding_events),
         is_calibrated=is_calibrated or settings.beam_without_calibration,
         head_direction=head_direction,
-        **settings.gate_limits,
+        **settings.gate_limits | {"camera_latency_ms": max(settings.camera_latency_ms, camera_latency_ms or 0.0)},
     )
 
 

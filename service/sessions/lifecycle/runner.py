@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 
 import cv2
 
+from engine.capture.source import SourceDescription
 from engine.control.outputs import LiveView
 from engine.core.commands import (
     ActivateModel,
@@ -57,7 +58,8 @@ class SessionRunner:
     starter
         Starts sessions; the runner uses its engine, database, models, equipment slot and settings, too.
     refuse_arming
-        Raises a TidegateError where a site rule, such as an overdue QA, forbids arming.
+        Raises a TidegateError where a site rule, such as an overdue QA, forbids arming; given the session's source,
+        None where it is not known.
     """
 
     def __init__(
@@ -66,7 +68,7 @@ class SessionRunner:
         starter: SessionStarter,
         log: AuditLog,
         records: SessionRepository,
-        refuse_arming: Callable[[], None] = lambda: None,
+        refuse_arming: Callable[[SourceDescription | None], None] = lambda _source: None,
     ) -> None:
         self._starter = starter
         self._engine, self._models, self._settings = starter.engine, starter.models, starter.settings
@@ -138,7 +140,9 @@ class SessionRunner:
         action = "session.arm"
         detail: dict[str, object] = {} if head is None else {"head_direction": head.value}
         with self._log.refusals(actor=operator, action=action, session_id=session_id, detail=detail):
-            self._refuse_arming()
+            running = self._equipment.of(session_id)
+            if running is not None:  # otherwise the command is refused
+                self._refuse_arming(running.engine.status.source)
         command = Arm(operator=operator, head_direction=head, is_person=is_person)
         self._commander.execute(session_id, command, operator, action, detail)
         return self._records.detail(session_id)

@@ -1,6 +1,7 @@
 """The start of a session: record it, create its sample file and journal, open its engine, start its writer."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
@@ -49,7 +50,15 @@ MIB = 1024 * 1024
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SessionStarter:
-    """Starts sessions; ``writer_database`` has the connections of the session writer."""
+    """Starts sessions.
+
+    Attributes
+    ----------
+    writer_database
+        The connections of the session writer.
+    camera_latency_ms
+        What the gate counts for a live camera, by its calibration's serial number [ms]; None for the site's value.
+    """
 
     engine: EnginePort
     database: Database
@@ -61,6 +70,7 @@ class SessionStarter:
     samples: SampleStore
     journals: Journals
     alarms: AlarmWatch
+    camera_latency_ms: Callable[[Session, str], float | None] = lambda _db, _serial: None
 
     def start(self, session_id: str, operator: str, action: str) -> RunningSession:
         """Record the start, then start the engine, disarmed, and the writer; raise what kept it from starting."""
@@ -95,13 +105,17 @@ class SessionStarter:
             source = SOURCE.validate_json(row.source)
             folders = self.settings.recording_folders
             first = queries.first_reference_of(db, row)
+            calibration = parse_calibration(document.encode())
             plan = SessionPlan(
                 session_id=session_id,
                 source=source,
+                camera_latency_ms=self.camera_latency_ms(db, calibration.serial)
+                if isinstance(source, sessions.DeviceSource)
+                else None,
                 recording=find_recording(source.path, folders)
                 if isinstance(source, sessions.RecordingSource)
                 else None,
-                calibration=parse_calibration(document.encode()),
+                calibration=calibration,
                 window=Window.model_validate_json(row.window),
                 regions=sessions.Regions.model_validate_json(row.regions),
                 patient_reference=row.patient_reference,
@@ -113,6 +127,7 @@ class SessionStarter:
             row.status, row.started_at = "running", datetime.now(UTC)
             row.is_simulated_beam = self.engine.is_simulated_beam  # the site may have changed its line since
             detail = {**self._beam_detail(source), **described(plan.calibration.camera), **_model_detail(row.model_id)}
+            detail |= {} if plan.camera_latency_ms is None else {"camera_latency_ms": plan.camera_latency_ms}
             detail |= {} if first is None else {"first_reference_of_session": first.session_id}
             audit.append(db, Event(actor=operator, action=action, session_id=session_id, detail=detail))
         return plan

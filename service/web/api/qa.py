@@ -20,6 +20,7 @@ from service.core.errors import (
 from service.core.list_filters import QaRunFilter
 from service.core.schemas.base import Identifier
 from service.qa import schemas as qa
+from service.qa.latency.schemas import CameraLatencyList
 from service.qa.views import baseline_etag
 from service.web import dependencies
 from service.web.api import problems
@@ -75,7 +76,7 @@ def start_qa_run(
 def list_qa_runs(
     services: dependencies.AppServices,
     pages: dependencies.Pages50,
-    kind: Annotated[qa.Kind | None, Query(description="Only runs of this kind")] = None,
+    kind: Annotated[qa.RunKind | None, Query(description="Only runs of this kind")] = None,
     verdict: Annotated[qa.Verdict | None, Query(description="Only runs with this verdict")] = None,
 ) -> qa.QaRunPage:
     """List runs, newest first."""
@@ -133,6 +134,12 @@ def list_qa_checks(services: dependencies.AppServices) -> qa.QaCheckList:
 def read_qa_status(services: dependencies.AppServices) -> qa.QaStatus:
     """Return the newest run of each kind, and whether the site's QA rule allows arming."""
     return services.qa_archive.status()
+
+
+@router.get("/latency")
+def list_camera_latencies(services: dependencies.AppServices) -> CameraLatencyList:
+    """List the newest measured latency of each camera and mode; `tidegate qa latency` measures at the machine."""
+    return services.qa_archive.latencies()
 
 
 @router.get("/baseline")

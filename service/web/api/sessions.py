@@ -21,6 +21,7 @@ from engine.core.errors import (
 from engine.core.gate_state import GateState, HoldReason
 from service.core.errors import (
     BoundError,
+    CameraLatencyError,
     EngineProcessError,
     EngineTimeoutError,
     MeshMissingError,
@@ -92,7 +93,7 @@ COMMAND_ERRORS = (
 )
 ASK = problems(*COMMAND_ERRORS)
 MOVE = problems(*COMMAND_ERRORS, ReferenceDistanceError)
-ARM = problems(*COMMAND_ERRORS, HeadDirectionError, QaOverdueError)
+ARM = problems(*COMMAND_ERRORS, HeadDirectionError, QaOverdueError, CameraLatencyError)
 
 
 @router.post("", status_code=201, name="session.create", responses=CREATE)

@@ -77,6 +77,8 @@ WHAT_TO_DO: Mapping[str, str] = {
     "picture_missing": "Retry when the session runs and a frame has arrived.",
     "precondition_failed": "Read the resource again, check the changes, and send the new ETag; "
     "`bound` is the present one.",
+    "camera_latency": "`detail` names what is missing: measure the camera's latency (`tidegate qa latency`), or raise "
+    "`TIDEGATE_CAMERA_LATENCY_MS`.",
     "qa_active": "Wait until the QA run has ended, or cancel it.",
     "qa_code": "At the machine, run `tidegate qa code` for your name, and send the displayed code within five minutes.",
     "qa_overdue": "Do the daily QA.",

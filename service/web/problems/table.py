@@ -45,6 +45,7 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     errors.QaCodeError: (403, "A one-time code from the machine is needed"),
     errors.QaStateError: (409, "The QA run's status does not allow this"),
     errors.QaOverdueError: (409, "The daily QA is due"),
+    errors.CameraLatencyError: (409, "The camera's latency has to be measured"),
     errors.IdempotencyError: (409, "The Idempotency-Key was used for another request"),
     errors.IdempotencyInProgressError: (409, "The first request with this Idempotency-Key is in progress"),
     errors.PreconditionFailedError: (412, "The resource was changed"),

@@ -13,7 +13,7 @@ from service.cli.measure.options import window
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
 from service.engine_host.site_rules.window_limits import gate_limits
-from tests.support.command_line import invoke
+from tests.support.command_line import invoke, measured
 
 POINTS = ((10, 20), (30, 40))
 NAMED = tuple(
@@ -80,3 +80,25 @@ def test_the_settings_of_the_measurement_are_the_defaults_of_the_service(tmp_pat
     invoke(tmp_path, tmp_path / "out")
     settings = Settings.model_construct()
     assert tasks[0].settings == PipelineSettings(training=settings.training, likeness=settings.likeness)
+
+
+def test_the_predicted_duty_cycle_of_the_window_is_stated(measured_twice):
+    percent = measured_twice.summary["predicted_duty_percent"]
+    inside = [-1.0 <= float(row["whole_mm"]) <= 3.0 for row in measured_twice.rows]
+    assert percent == pytest.approx(100.0 * sum(inside) / len(inside), abs=15.0)
+    assert f"Predicted duty cycle of the window: {percent:.0f} %. " in measured_twice.said
+    assert measured_twice.summary["duty_refusal"] is None
+    assert "would not be armed with this window" not in measured_twice.said
+
+
+def test_a_window_that_the_learned_breaths_never_leave_is_noted_as_a_session_refuses_it(
+    regular_volunteer, measured_twice, tmp_path
+):
+    model = ("--single-pass", "--model", str(measured_twice.out / "model.npz"), "--patient", "P-0001")
+    wide = measured(regular_volunteer, tmp_path / "wide", "--window", "whole:-100:100", *model)
+    assert wide.summary["predicted_duty_percent"] == 100.0
+    assert "100 % of the learned breaths lie inside, and at most 90 % may" in wide.summary["duty_refusal"]
+    assert "Note: a session would not be armed with this window: window is" in wide.said
+    without = measured(regular_volunteer, tmp_path / "without", *model)
+    assert without.summary["predicted_duty_percent"] is None
+    assert "duty cycle" not in without.said

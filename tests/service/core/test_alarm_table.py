@@ -29,8 +29,15 @@ def test_high_is_where_the_beam_may_be_on_and_nothing_else():
 
 
 def test_honest_gating_is_no_alarm():
-    for reason in ("outside_window", "dwell", "breathing_irregular", "breath_hold_awaited", "operator_hold"):
+    for reason in ("outside_window", "dwell", "phase_unknown", "breath_hold_awaited", "operator_hold"):
         assert reason not in ALARMS
+
+
+def test_ceased_breathing_is_an_alarm_like_that_of_the_same_patient_inside_the_window():
+    outside, inside = (ALARMS[code] for code in ("breathing_irregular", "beam_on_limit"))
+    for name in ("priority", "scope", "delay_s", "ends"):
+        assert getattr(outside, name) == getattr(inside, name), name
+    assert (outside.priority, outside.delay_s) == (AlarmPriority.LOW, 5.0)
 
 
 def test_the_table_is_sorted_by_urgency():

@@ -105,7 +105,9 @@ def test_a_missing_camera_runtime_is_a_warning_in_research_and_a_reason_in_the_c
     probe = probe_of(has_camera_runtime=lambda: False)
     probe._settings = probe._settings.model_copy(update={"mode": "clinical"})
     found = probe.readiness()
-    assert (codes(found.reasons), codes(found.warnings)) == ([ReadinessCode.CAMERA_RUNTIME_MISSING], [])
+    reasons = [ReadinessCode.CAMERA_LATENCY, ReadinessCode.CAMERA_RUNTIME_MISSING]
+    assert (codes(found.reasons), codes(found.warnings)) == (reasons, [])
+    assert "no camera's latency was ever measured: measure it (tidegate qa latency" in found.not_ready[0]
 
 
 @pytest.mark.parametrize(

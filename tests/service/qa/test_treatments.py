@@ -1,15 +1,18 @@
 """The holds of the treatments in QA: each time to beam off since the last run, judged, in the report and its trend."""
 
 from collections.abc import Iterator
+from datetime import UTC, datetime
 
 import pytest
 
 from engine.beam.beam_on import BeamOff, BeamOnState
 from engine.core.errors import BeamLineError
 from engine.verification.qa.results import QaKind, QaReport
+from service.storage.database.engine import Database
 from service.web.app import create_app
 from tests.support.database.migrated import with_tables
 from tests.support.qa.fake_rig import FakeRig, qa_files
+from tests.support.qa.latency_runs import put
 from tests.support.qa.sample_runs import report
 from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import act, audit_rows
@@ -122,4 +125,13 @@ def test_a_run_that_was_not_finished_does_not_end_the_time_that_the_next_one_cov
     rig.fail_with = BeamLineError("cut")
     assert run_qa()["status"] == "failed"
     rig.fail_with = None
+    assert result_of(run_qa())["value"] == 55.0
+
+
+def test_a_latency_run_does_not_end_the_time_that_the_next_one_covers(treat, run_qa, settings):
+    """It has no figure of the treatments."""
+    treat(55.0)
+    database = Database(settings.database_place)
+    put(database, now=datetime.now(UTC), age_days=0.0)
+    database.close()
     assert result_of(run_qa())["value"] == 55.0

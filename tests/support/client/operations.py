@@ -47,6 +47,7 @@ OPERATIONS: dict[str, tuple[str, str]] = {
     "verify_audit": ("GET", "/api/v1/audit/verify"),
     "export_audit": ("GET", "/api/v1/audit/export"),
     "qa_status": ("GET", "/api/v1/qa/status"),
+    "qa_latency": ("GET", "/api/v1/qa/latency"),
     "qa_checks": ("GET", "/api/v1/qa/checks"),
     "qa_runs": ("GET", "/api/v1/qa/runs"),
     "read_qa_run": ("GET", "/api/v1/qa/runs/{run_id}"),

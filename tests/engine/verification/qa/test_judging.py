@@ -109,8 +109,10 @@ def test_every_check_stands_once_with_bounds_it_may_have_and_says_where_they_are
 
 
 def test_each_kind_holds_all_of_the_one_before():
-    daily, monthly, annual = (set(checks_of(kind)) for kind in QaKind)
-    assert daily < monthly < annual == set(CHECKS)
+    daily, monthly, annual, latency = (set(checks_of(kind)) for kind in QaKind)
+    assert daily < monthly < annual == set(CHECKS) - latency
+    assert not annual & latency
+    assert needs_of(QaKind.LATENCY) == (QaNeed.CAMERA,)
     assert needs_of(QaKind.DAILY) == (QaNeed.PLATE, QaNeed.BEAM)
     assert needs_of(QaKind.MONTHLY) == needs_of(QaKind.ANNUAL) == (QaNeed.PLATE, QaNeed.PHANTOM, QaNeed.BEAM)
 

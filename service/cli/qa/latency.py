@@ -1,0 +1,217 @@
+"""``tidegate qa latency``: measure a camera's latency and store it with the other QA results."""
+
+import secrets
+import sys
+import uuid
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fastapi.exceptions import RequestValidationError
+from pydantic import ValidationError
+
+from engine.capture.source import SourceDescription
+from engine.core.errors import RecordingError, TidegateError
+from engine.core.files import write_whole
+from engine.verification.qa.bounds import QaBaseline
+from engine.verification.qa.latency.measure import SECONDS_BOUNDS
+from engine.verification.qa.playing import opened
+from engine.verification.qa.results import QaKind, QaNeed
+from service.cli.qa.interruptible import interruptible
+from service.cli.qa.tables import print_results
+from service.cli.terminal import frame_bar, refused, say
+from service.core.errors import BoundError
+from service.core.settings.settings import Settings, SettingsError, load_settings
+from service.qa import queries, schemas, views
+from service.qa.archive import TREND_RUNS, close_interrupted
+from service.qa.jobs import Handle, run_job
+from service.qa.latency.rig import LatencyJob, LatencyRig, PlateTrace, virtual_job
+from service.qa.latency.schemas import CameraMode, LatencyRunRequest, Method
+from service.qa.queries import NewQaRun
+from service.qa.report.report import report_pdf
+from service.qa.runs import refuse_open_session
+from service.storage.database.engine import Database
+from service.storage.database.startup import prepare
+from service.storage.files.folder_lock import alone_in
+from service.web.problems.table import problem_of
+
+COMMAND = "qa latency"
+MAX_VIRTUAL_DELAY_MS = 500.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LatencyOptions:
+    """The options of a measurement."""
+
+    method: Method
+    operator: str
+    camera: str | None = None
+    trace: Path | None = None
+    output_delay_ms: float | None = None
+    clock_error_ms: float | None = None
+    seconds: float = 60.0
+    is_safe: bool = False
+    note: str = ""
+    out: Path | None = None
+    data: Path | None = None
+    is_simulated: bool = False
+    seed: int | None = None
+    fault_delay_ms: float = 40.0
+
+
+def measure_camera(options: LatencyOptions) -> str:
+    """Measure, store, print and write the report; return the verdict, ``fail`` if the run was not completed."""
+    try:
+        settings = load_settings(data_dir=options.data)
+        with alone_in(settings.data_dir), closing(Database(settings.database_place)) as database:
+            prepare(database, data_dir=settings.data_dir, min_free_disk_mb=settings.min_free_disk_mb)
+            run = _carried_out(options, settings, database)
+    except (SettingsError, TidegateError) as error:
+        raise refused(COMMAND, error) from error
+    except OSError as error:
+        raise refused(COMMAND, f"{options.out} cannot be written ({error.strerror or error})") from error
+    if run.status != "finished":
+        say(f"tidegate {COMMAND}: {run.status}: {run.status_detail}", "red")
+        return "fail"
+    print_results(run)
+    return run.verdict or "fail"
+
+
+def _carried_out(options: LatencyOptions, settings: Settings, database: Database) -> schemas.QaRunDetail:
+    _refuse_options(options, settings)
+    request, job = _virtual(options) if options.is_simulated else _real(options, settings)
+    run_id = uuid.uuid4().hex
+    close_interrupted(database)  # the folder's lock is held, so no other process has a run
+    with database.write() as db:
+        refuse_open_session(db)
+        queries.begin(db, _new_run(run_id, request, options, settings))
+
+    def end(outcome: queries.QaOutcome) -> None:
+        with database.write() as db:
+            queries.end(db, run_id, outcome)
+
+    with interruptible(), frame_bar() as bar:
+        task = bar.add_task("camera, frames", total=None)
+
+        def show(_stage: QaNeed, done: int, total: int | None) -> None:
+            bar.update(task, completed=done, total=total)
+
+        run_job(job, Handle(job.line), bounds=settings.qa_bounds, baseline=QaBaseline(), on_end=end, also=show)
+    return _kept(database, run_id, options)
+
+
+def _refuse_options(options: LatencyOptions, settings: Settings) -> None:
+    """Refuse a simulation in clinical mode, a real beam that is not declared safe, and a light without a real line."""
+    if options.is_simulated:
+        if settings.mode == "clinical":
+            raise _broken("simulated", "given", "omitted: clinical mode permits no simulation")
+        if not 0.0 <= options.fault_delay_ms <= MAX_VIRTUAL_DELAY_MS:
+            raise _broken("fault_delay_ms", options.fault_delay_ms, f"0 to {MAX_VIRTUAL_DELAY_MS:g}")
+        return
+    if options.method == "plate":
+        if options.trace is None:
+            raise _broken("trace", "missing", "given for the method plate: the file with the plate's positions")
+        return
+    if not settings.has_real_beam:
+        raise _broken("method", "light", "plate: a simulated beam line switches no light")
+    if not options.is_safe:
+        lines = " and ".join(settings.beam_lines)
+        bound = (
+            f"given: the light hangs on the output that permits the real beam ({lines}). Give it when the treatment "
+            "room is empty and the accelerator is in a safe state"
+        )
+        raise _broken("yes-the-beam-is-safe", "missing", bound)
+
+
+def _virtual(options: LatencyOptions) -> tuple[LatencyRunRequest, LatencyJob]:
+    seed = 1 if options.seed is None else options.seed
+    job = virtual_job(options.method, seed=seed, seconds=_seconds(options.seconds), delay_ms=options.fault_delay_ms)
+    bounds: dict[str, float] = {"output_delay_ms": 0.0} if options.method == "light" else {"clock_error_ms": 0.5}
+    return _request(options, job.camera, seed, **bounds), job
+
+
+def _real(options: LatencyOptions, settings: Settings) -> tuple[LatencyRunRequest, LatencyJob]:
+    rig = LatencyRig(settings)
+    source = rig.camera(options.camera)
+    with opened(source) as camera:
+        pass
+    seed = secrets.randbelow(2**31) if options.seed is None else options.seed
+    request = _request(
+        options, camera, seed, output_delay_ms=options.output_delay_ms, clock_error_ms=options.clock_error_ms
+    )
+    if options.method == "light":
+        return request, rig.light_job(request, source, camera)
+    assert options.trace is not None, "refused before"
+    return request, rig.plate_job(request, source, camera, PlateTrace(options.trace, _await_file))
+
+
+def _request(
+    options: LatencyOptions, camera: SourceDescription, seed: int, **bounds: float | None
+) -> LatencyRunRequest:
+    """Check the options by the schema, so that a refusal names the field and its bound."""
+    fields: dict[str, Any] = {
+        "method": options.method,
+        "operator": options.operator,
+        "camera": CameraMode.of(camera).model_dump(),
+        "seconds": options.seconds,
+        "is_beam_safe": options.is_safe,
+        "seed": seed,
+        "note": options.note,
+        **bounds,
+    }
+    try:
+        return LatencyRunRequest.model_validate(fields)
+    except ValidationError as error:
+        details = [{**one, "loc": ("body", *one["loc"])} for one in error.errors()]
+        problem = problem_of(RequestValidationError(details))
+        raise BoundError(problem.detail, field=problem.field, bound=problem.bound) from error
+
+
+def _seconds(seconds: float) -> float:
+    low, high = SECONDS_BOUNDS
+    if not low <= seconds <= high:
+        raise _broken("seconds", seconds, f"{low:g} to {high:g}")
+    return seconds
+
+
+def _new_run(run_id: str, request: LatencyRunRequest, options: LatencyOptions, settings: Settings) -> NewQaRun:
+    recorded = request.model_dump(mode="json", exclude_none=True, exclude={"operator"})
+    return NewQaRun(
+        run_id=run_id,
+        kind=QaKind.LATENCY,
+        operator=request.operator,
+        request={**recorded, "beam_place": settings.beam_place},
+        site=settings.site_name,
+        machine=settings.machine_name,
+        bounds=settings.qa_bounds,
+        is_simulated=options.is_simulated,
+        is_simulated_beam=settings.is_simulated_beam or options.is_simulated,
+    )
+
+
+def _await_file(path: Path) -> None:
+    """Wait for a person to provide the file, on a terminal."""
+    if path.is_file() or not sys.stdin.isatty():
+        return
+    say(f"Frames are read. Write the plate's positions to {path}, then press Enter.", "yellow")
+    if not sys.stdin.readline():
+        msg = f"{path.name}: was not provided"
+        raise RecordingError(msg)
+
+
+def _kept(database: Database, run_id: str, options: LatencyOptions) -> schemas.QaRunDetail:
+    """Read the run from the database, and write its report if one is requested."""
+    with database.read() as db:
+        row = queries.run_row(db, run_id)
+        run = views.run_detail(db, row, is_under_way=False)
+        if options.out is not None and run.status == "finished":
+            trends = [views.trend_answer(db, one.code, TREND_RUNS, before=row) for one in run.results]
+            options.out.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(options.out, report_pdf(run, trends))
+            say(f"Written to {options.out}")
+    return run
+
+
+def _broken(field: str, value: object, bound: str) -> BoundError:
+    return BoundError(f"--{field.replace('_', '-')} must be {bound}", field=field, value=value, bound=bound)
