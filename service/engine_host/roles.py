@@ -33,7 +33,8 @@ class SessionPlan:
     """What an engine needs to run a session; ``recording`` is None for a live camera.
 
     ``model`` is the stored one to begin with, None to learn one; ``head_direction`` is None if it was not given;
-    ``first_reference`` is that of an earlier session of the same fraction.
+    ``first_reference`` is that of an earlier session of the same fraction; ``plan_position`` is that of the plan's
+    first fraction, where this is another one, and ``plan_session_id`` the session that confirmed it.
     """
 
     session_id: str
@@ -48,6 +49,8 @@ class SessionPlan:
     model_id: str | None = None
     head_direction: HeadDirection | None = None
     first_reference: FirstReference | None = None
+    plan_position: FirstReference | None = None
+    plan_session_id: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
