@@ -165,7 +165,7 @@ class GateLimits:
     max_reference_distance_mm: float = 2.0
     max_position_shift_mm: float = 2.0
     max_position_turn_deg: float = 1.0
-    max_position_shape_mm: float = 3.0
+    max_position_shape_mm: float = 2.0
     window_lower_mm: float = -100.0
     window_upper_mm: float = 100.0
     is_calibrated: bool = True

@@ -27,6 +27,10 @@ LEAST_SHARE = 0.6
 """Least share of the nodes that must lie over the second surface."""
 FOOT_STEPS = 2
 ROUNDS = 15
+CHOOSING_ROUNDS = 4
+"""Rounds in which the nodes over the other surface are chosen; then they stay, so that the solution settles."""
+RIM = 0.1
+"""How far nodes may lie over the second surface's rim [nodes]: there the distance along its normal is still known."""
 CONVERGED = 1e-2
 """Largest step [mm, and mm at 100 mm from the middle] of a solution."""
 LEVER_MM = 100.0
@@ -170,8 +174,8 @@ def _between(grid: FloatArray, places: FloatArray) -> FloatArray:
 
 
 def _is_over(places: FloatArray) -> BoolArray:
-    rows, columns = places.T
-    return np.asarray((rows >= 0.0) & (rows <= ROWS - 1.0) & (columns >= 0.0) & (columns <= COLUMNS - 1.0))
+    last = np.array([ROWS - 1.0, COLUMNS - 1.0])
+    return np.asarray(((places >= -RIM) & (places <= last + RIM)).all(axis=1))
 
 
 def _node_mm2(surface: _Surface) -> float:
@@ -191,6 +195,8 @@ class _Registration:
         self._middle_mm, self._axes = points_mm.mean(axis=0), body_axes(grid_mm)
         self._arms_mm = points_mm - self._middle_mm
         self._places: FloatArray = np.mgrid[0:ROWS, 0:COLUMNS].reshape(2, -1).T.astype(np.float64)
+        self._is_over: BoolArray = np.ones(len(points_mm), dtype=np.bool_)
+        self._rounds = 0
         self._alike = max(1.0, PATCH_MM**2 / _node_mm2(other))
 
     def start(self, rotation: FloatArray) -> _Pose:
@@ -203,7 +209,10 @@ class _Registration:
         arms_mm = self._arms_mm @ pose.rotation.T
         moved_mm = arms_mm + self._middle_mm + pose.shift_mm
         self._places = self._other.feet(moved_mm, self._places)
-        if _is_over(self._places).mean() < LEAST_SHARE:
+        self._rounds += 1
+        if self._rounds <= CHOOSING_ROUNDS:
+            self._is_over = _is_over(self._places)
+        if self._is_over.mean() < LEAST_SHARE:
             return None
         surface, markers = self._on_surface(moved_mm, arms_mm), self._at_markers(moved_mm, arms_mm)
         covariance = np.asarray(np.linalg.inv(surface.normal + markers.normal))
@@ -232,7 +241,7 @@ class _Registration:
 
     def _on_surface(self, moved_mm: FloatArray, arms_mm: FloatArray) -> _Equations:
         """Ask that each node lies on the other surface."""
-        is_over = _is_over(self._places)
+        is_over = self._is_over
         places = self._places[is_over]
         normals = self._other.normals_at(places)
         distance_mm = ((moved_mm[is_over] - self._other.at(places)) * normals).sum(axis=1)
