@@ -1,68 +1,94 @@
 """How exactly a patient who lies elsewhere by a known move is compared with the plan's position.
 
-`python -m tests.campaigns.measurements.position_check --volunteer 1` prints the error of each degree of freedom, first
-on the exact surface of the resting body, then between the references of two sessions, each with the sensor's errors, a
-breathing and a model of its own. Markers are where they were, or put back elsewhere on the skin.
+`python -m tests.campaigns.measurements.position_check --volunteer 1` prints the errors of each degree of freedom: of the
+exact surface of the resting body, and between the references of two sessions, each with the sensor's errors, a breathing
+and a model of its own. Markers are where they were, or put back elsewhere on the skin.
 """
 
-from collections.abc import Callable
-from typing import Annotated
+from collections.abc import Callable, Iterator, Sequence
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import typer
 
 from engine.core.frames import FloatArray
-from engine.motion.learning.position_fit import PositionFit, position_between
+from engine.motion.learning.position_fit import position_between
 from engine.verification.phantom.falsifications import Move
 from tests.support.evaluation.fractions import Fraction
 
-NAMES = ("lateral", "longit.", "vertical", "pitch", "roll", "yaw")
-UNITS = ("mm",) * 3 + ("deg",) * 3
-AXES = ("x_mm", "y_mm", "up_mm", "tilt_deg", "roll_deg", "turn_deg")
-EXACT = tuple(Move(**{axis: size}) for axis in AXES for size in ((1.0, 5.0) if axis.endswith("mm") else (0.5, 3.0)))
+SHIFTS, TURNS = ("x_mm", "y_mm", "up_mm"), ("tilt_deg", "roll_deg", "turn_deg")
+NAMES = ("lateral mm", "longitudinal mm", "vertical mm", "pitch deg", "roll deg", "yaw deg")
+TOLERANCE = np.array([2.0] * 3 + [1.0] * 3)
+EXACT = (
+    *(Move(**{axis: size}) for axis in SHIFTS for size in (1.0, 5.0)),
+    *(Move(**{axis: size}) for axis in TURNS for size in (0.5, 3.0)),
+)
 BETWEEN_SESSIONS = (
     Move(),
-    *(Move(**{axis: 3.0 if axis.endswith("mm") else 1.5}) for axis in AXES),
+    *(Move(**{axis: 3.0}) for axis in SHIFTS),
+    *(Move(**{axis: 1.5}) for axis in TURNS),
 )
-MARKERS = (0.0, 3.0)
-"""Standard deviation of each marker's place on the skin from fraction to fraction [mm]."""
-TOLERANCE = np.array([2.0] * 3 + [1.0] * 3)
+KINDS: tuple[tuple[str, tuple[Move, ...], Callable[[Fraction], FloatArray]], ...] = (
+    ("at rest, exact", EXACT, Fraction.resting_surface),
+    ("two sessions", BETWEEN_SESSIONS, Fraction.reference_surface),
+)
 
 
-def errors(
-    volunteer: int, moves: tuple[Move, ...], markers_mm: float, placement_mm: float, surface_of: Callable[..., FloatArray]
-) -> tuple[FloatArray, FloatArray]:
-    """Return errors and standard uncertainties of all moves, each of shape (moves, 6) [mm; deg]."""
+class Markers(NamedTuple):
+    """Standard deviation of each marker's place on the skin, and what the site's setting says of it [mm]."""
+
+    off_mm: float
+    placement_mm: float
+
+
+MARKERS = (Markers(0.0, 5.0), Markers(1.0, 1.0), Markers(3.0, 5.0))
+
+
+class Found(NamedTuple):
+    """Errors and stated uncertainties [mm; deg], shapes (moves, 6)."""
+
+    error: FloatArray
+    stated: FloatArray
+
+    def lines(self) -> Iterator[str]:
+        """Yield one line for each degree of freedom."""
+        within, determined = np.abs(self.error) <= 2.0 * self.stated, 2.0 * self.stated <= TOLERANCE
+        for index, name in enumerate(NAMES):
+            error = self.error[:, index]
+            yield (
+                f"  {name:15} {np.sqrt((error**2).mean()):5.2f} {np.abs(error).max():7.2f}"
+                f" {self.stated[:, index].mean():7.2f} {within[:, index].mean():9.0%} {determined[:, index].mean():10.0%}"
+            )
+
+
+def found(
+    volunteer: int, moves: Sequence[Move], markers: Markers, surface_of: Callable[[Fraction], FloatArray]
+) -> Found:
+    """Compare each move with the first fraction."""
     rng = np.random.default_rng(volunteer)
     first_mm = surface_of(Fraction(volunteer=volunteer))
-    found, uncertainties = [], []
+    errors, stated = [], []
     for number, move in enumerate(moves):
-        offsets_mm = rng.normal(0.0, markers_mm, (4, 2)) if markers_mm else np.zeros((4, 2))
+        offsets_mm = rng.normal(0.0, 1.0, (4, 2)) * markers.off_mm
         fraction = Fraction(volunteer=volunteer, move=move, offsets_mm=offsets_mm, seed=2 + number)
-        fit = position_between(first_mm, surface_of(fraction), marker_placement_mm=placement_mm)
-        assert isinstance(fit, PositionFit), "the surfaces were not compared"
-        found.append(np.concatenate([fit.shift_mm, fit.turn_deg]) - fraction.moved(first_mm))
-        uncertainties.append(np.concatenate([fit.shift_uncertainty_mm, fit.turn_uncertainty_deg]))
-    return np.array(found), np.array(uncertainties)
+        fit = position_between(first_mm, surface_of(fraction), marker_placement_mm=markers.placement_mm)
+        assert fit is not None, "the surfaces were not compared"
+        errors.append(np.concatenate([fit.shift_mm, fit.turn_deg]) - fraction.moved(first_mm))
+        stated.append(np.concatenate([fit.shift_uncertainty_mm, fit.turn_uncertainty_deg]))
+    return Found(np.array(errors), np.array(stated))
 
 
-def main(volunteer: Annotated[list[int] | None, typer.Option(min=1, max=10)] = None, sessions: bool = True) -> None:
-    """Print a table for each volunteer: root mean square and largest error, and the stated uncertainty."""
-    kinds = [("at rest, exact", EXACT, Fraction.resting_surface)]
-    kinds += [("two sessions", BETWEEN_SESSIONS, Fraction.reference_surface)] if sessions else []
+def main(volunteer: Annotated[list[int] | None, typer.Option(min=1, max=10)] = None) -> None:
+    """Print a table for each volunteer, kind of surface, and place of the markers."""
     for number in volunteer or (1, 3):
-        for name, moves, surface_of in kinds:
-            for markers_mm in MARKERS:
-                for placement_mm in (1.0,) if not markers_mm else (5.0,):
-                    found, stated = errors(number, moves, markers_mm, placement_mm, surface_of)
-                    typer.echo(f"volunteer {number}, {name}, {len(moves)} moves, markers off by {markers_mm:g} mm, taken as {placement_mm:g} mm")
-                    for index, (label, unit) in enumerate(zip(NAMES, UNITS, strict=True)):
-                        error, deviation = found[:, index], stated[:, index]
-                        typer.echo(
-                            f"  {label:8} rms {np.sqrt((error**2).mean()):5.2f}  largest {np.abs(error).max():5.2f} {unit:3}"
-                            f"  stated {deviation.mean():5.2f}  within twice {np.mean(np.abs(error) <= 2 * deviation):5.0%}"
-                            f"  determined {np.mean(2 * deviation <= TOLERANCE[index]):5.0%}"
-                        )
+        for name, moves, surface_of in KINDS:
+            for markers in MARKERS:
+                typer.echo(
+                    f"volunteer {number}, {name}, {len(moves)} moves; markers off by {markers.off_mm:g} mm, "
+                    f"setting {markers.placement_mm:g} mm\n  {'':15}   rms largest  stated in 2 dev. determined"
+                )
+                for line in found(number, moves, markers, surface_of).lines():
+                    typer.echo(line)
 
 
 if __name__ == "__main__":

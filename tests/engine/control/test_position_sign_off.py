@@ -26,7 +26,10 @@ UNKNOWN = PositionCheck(unknown="it was measured with another calibration")
 ARM = Arm(operator="ann")
 SIGN = SignPosition(operator="ann", reference_number=1, may_exceed=True)
 SURFACE_MM = np.stack(
-    [*np.meshgrid(np.linspace(-90.0, 90.0, NODE_COLUMNS), np.linspace(-160.0, 160.0, NODE_ROWS)), np.full((NODE_ROWS, NODE_COLUMNS), 850.0)],
+    [
+        *np.meshgrid(np.linspace(-90.0, 90.0, NODE_COLUMNS), np.linspace(-160.0, 160.0, NODE_ROWS)),
+        np.full((NODE_ROWS, NODE_COLUMNS), 850.0),
+    ],
     axis=-1,
 ).reshape(-1, 3)
 REASON = {"reason": "longitudinal by the lasers"}
@@ -46,7 +49,9 @@ def asked(*commands, check=WITHIN, prepare=lambda _bench: None, frames=12):
 
 
 def test_without_an_earlier_fraction_nothing_is_to_be_signed():
-    bench, (armed, signed) = asked(ARM, SIGN, prepare=lambda bench: setattr(bench.pipeline, "is_position_required", False))
+    bench, (armed, signed) = asked(
+        ARM, SIGN, prepare=lambda bench: setattr(bench.pipeline, "is_position_required", False)
+    )
     assert armed is None
     assert isinstance(signed, PositionUncheckedError)
     assert bench.records()[-1].line_on
