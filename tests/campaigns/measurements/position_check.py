@@ -1,8 +1,8 @@
 """How exactly a patient who lies elsewhere by a known move is compared with the plan's position.
 
-`python -m tests.campaigns.measurements.position_check --volunteer 1` prints the errors of each degree of freedom: of the
-exact surface of the resting body, and between the references of two sessions, each with the sensor's errors, a breathing
-and a model of its own. Markers are where they were, or put back elsewhere on the skin.
+`python -m tests.campaigns.measurements.position_check --volunteer 1` prints the errors of each degree of freedom: of
+the exact surface of the resting body, and between the references of two sessions, each with the sensor's errors, a
+breathing and a model of its own. Markers are where they were, or put back elsewhere on the skin.
 """
 
 from collections.abc import Callable, Iterator, Sequence

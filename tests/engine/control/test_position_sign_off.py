@@ -127,7 +127,7 @@ def spoil_from_now(spoil, frames=3):
 
 
 def away(frame):
-    return replace(frame, motion=replace(frame.motion, surface_mm=frame.motion.surface_mm + [40.0, 0.0, 0.0]))
+    return replace(frame, motion=replace(frame.motion, surface_mm=frame.motion.surface_mm + np.array([40.0, 0.0, 0.0])))
 
 
 def pushed(frame):

@@ -11,6 +11,7 @@ from tests.support.browser.tab import Tab
 from tests.system.browser.test_learning_panel import detail
 
 pytestmark = pytest.mark.browser
+SHIFTS, TURNS = ("lateral", "longitudinal", "vertical"), ("pitch", "roll", "yaw")
 
 
 def degree(name: str, value: float | None, tolerance: float) -> dict[str, Any]:
@@ -30,8 +31,8 @@ def check(*, within: bool = False, **changes: Any) -> dict[str, Any]:
         "plan_session_id": "0" * 32,
         "reference_number": 2,
         "degrees": [
-            *(degree(name, value, 2.0) for name, value in zip(("lateral", "longitudinal", "vertical"), values)),
-            *(degree(name, value, 1.0) for name, value in zip(("pitch", "roll", "yaw"), (0.1, -0.4, 0.2))),
+            *(degree(name, value, 2.0) for name, value in zip(SHIFTS, values, strict=True)),
+            *(degree(name, value, 1.0) for name, value in zip(TURNS, (0.1, -0.4, 0.2), strict=True)),
         ],
         "shape_mm": 0.6,
         "is_within": within,

@@ -80,7 +80,7 @@ def test_a_smooth_surface_does_not_determine_a_slide_along_it():
     rows, columns = np.meshgrid(np.linspace(-150.0, 150.0, NODE_ROWS), np.linspace(-100.0, 100.0, NODE_COLUMNS))
     rows, columns = rows.T, columns.T
     bent = np.stack([columns, rows, 800.0 + columns**2 / 400.0], axis=-1).reshape(-1, 3)  # a cylinder along the body
-    fit = position_between(bent, bent + [0.0, -5.0, -1.0], marker_placement_mm=BARE_SKIN_MM)
+    fit = position_between(bent, bent + np.array([0.0, -5.0, -1.0]), marker_placement_mm=BARE_SKIN_MM)
     assert fit is not None
     assert fit.shift_uncertainty_mm[1] > 4.0  # along the cylinder: what the markers are worth, no more
     assert fit.shift_uncertainty_mm[2] < 0.3
