@@ -34,6 +34,9 @@ KINDS: tuple[tuple[str, tuple[Move, ...], Callable[[Fraction], FloatArray]], ...
 )
 
 
+SurfaceOf = Callable[[Fraction], FloatArray]
+
+
 class Markers(NamedTuple):
     """Standard deviation of each marker's place on the skin, and what the site's setting says of it [mm]."""
 
@@ -54,10 +57,10 @@ class Found(NamedTuple):
         """Yield one line for each degree of freedom."""
         within, determined = np.abs(self.error) <= 2.0 * self.stated, 2.0 * self.stated <= TOLERANCE
         for index, name in enumerate(NAMES):
-            error = self.error[:, index]
+            error, stated = self.error[:, index], self.stated[:, index].mean()
             yield (
-                f"  {name:15} {np.sqrt((error**2).mean()):5.2f} {np.abs(error).max():7.2f}"
-                f" {self.stated[:, index].mean():7.2f} {within[:, index].mean():9.0%} {determined[:, index].mean():10.0%}"
+                f"  {name:15} {np.sqrt((error**2).mean()):5.2f} {np.abs(error).max():7.2f} {stated:7.2f}"
+                f" {within[:, index].mean():9.0%} {determined[:, index].mean():10.0%}"
             )
 
 
