@@ -589,6 +589,14 @@ class PlanSessionRequest(TypedDict):
     window: Window
 
 
+class PositionCheckRequest(TypedDict):
+    """The person who signs the patient's position, and which comparison that person was shown."""
+
+    operator: NotRequired[str]
+    reason: NotRequired[str]
+    reference_number: int
+
+
 class PreparedSession(TypedDict):
     """A session created from a plan, with notes for the operator."""
 

@@ -6,9 +6,8 @@ import pytest
 from playwright.sync_api import expect
 
 from service.core.schemas.live_messages import LivePositionCheck
-from tests.support.browser.fake_service import PROPOSAL, SESSION_ID, FakeService, sample
+from tests.support.browser.fake_service import PROPOSAL, SESSION, SESSION_ID, FakeService, sample
 from tests.support.browser.tab import Tab
-from tests.system.browser.test_learning_panel import detail
 
 pytestmark = pytest.mark.browser
 SHIFTS, TURNS = ("lateral", "longitudinal", "vertical"), ("pitch", "roll", "yaw")
@@ -53,7 +52,9 @@ def disarmed(**changes: Any) -> dict[str, Any]:
 @pytest.fixture
 def learned(fake: FakeService) -> FakeService:
     fake.mode = "samples"
-    fake.sessions = [detail(reference_proposals=[PROPOSAL], has_reference=True)]
+    fake.sessions = [
+        SESSION | {"measurement_state": "measuring", "has_reference": True, "reference_proposals": [PROPOSAL]}
+    ]
     return fake
 
 
