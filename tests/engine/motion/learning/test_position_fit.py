@@ -66,6 +66,16 @@ def test_markers_put_back_elsewhere_are_not_taken_for_the_patient(volunteer, see
         assert (np.abs(error) < 2.0 * uncertainty(fit)).all()
 
 
+@pytest.mark.parametrize("volunteer", [*VOLUNTEERS, 6])
+def test_nodes_that_lie_a_third_of_their_distance_elsewhere_are_laid_on_the_curved_surface(volunteer):
+    offsets_mm = np.full((4, 2), [8.0, -8.0])
+    fraction = Fraction(volunteer=volunteer, move=Move(x_mm=3.0), offsets_mm=offsets_mm)
+    error, _ = errors(fraction, marker_placement_mm=50.0)
+    assert np.abs(error[:2]).max() < 1.5
+    assert abs(error[2]) < 0.2
+    assert np.abs(error[3:]).max() < 0.5
+
+
 def test_markers_on_tattoos_determine_a_slide_and_bare_skin_says_that_it_does_not():
     offsets_mm = np.full((4, 2), [OFF_MM, -OFF_MM])
     fraction = Fraction(volunteer=1, offsets_mm=offsets_mm)
