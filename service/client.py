@@ -624,6 +624,14 @@ class PlanSessionRequest(TypedDict):
     window: Window
 
 
+class PositionCheckRequest(TypedDict):
+    """The person who signs the patient's position, and which comparison that person was shown."""
+
+    operator: NotRequired[str]
+    reason: NotRequired[str]
+    reference_number: int
+
+
 class PreparedSession(TypedDict):
     """A session created from a plan, with notes for the operator."""
 
@@ -968,6 +976,33 @@ class LivePosition(TypedDict):
     turn_deg: float | None
 
 
+class LiveDegree(TypedDict):
+    """One degree of freedom of the patient's position against the plan's."""
+
+    is_within: bool
+    name: Literal["lateral", "longitudinal", "vertical", "pitch", "roll", "yaw"]
+    tolerance: float
+    uncertainty: float | None
+    unit: Literal["mm", "deg"]
+    value: float | None
+
+
+class LivePositionCheck(TypedDict):
+    """The patient's position against that of the plan, and who signed it."""
+
+    degrees: list[LiveDegree]
+    is_within: bool
+    lapse: str
+    plan_session_id: str | None
+    reason: str
+    reference_number: int | None
+    shape_mm: float | None
+    shortcomings: list[str]
+    signed_by: str | None
+    status: Literal["first_fraction", "no_reference", "unsigned", "lapsed", "signed"]
+    text: str
+
+
 class LiveReference(TypedDict):
     """How far the reference, and the window with its corrections, lie from the first reference of the fraction."""
 
@@ -1067,6 +1102,7 @@ class Sample(TypedDict):
     named_mm: dict[str, float | None] | None
     operator_hold: NotRequired[str | None]
     position: NotRequired[LivePosition | None]
+    position_check: NotRequired[LivePositionCheck | None]
     received_at: NotRequired[str | None]
     reference: NotRequired[LiveReference | None]
     regions_mm: list[list[float | None]] | None
@@ -1174,6 +1210,7 @@ class ReferenceProposalView(TypedDict):
     is_beyond: NotRequired[bool]
     level: float
     percent: float | None
+    position: NotRequired[list[LiveDegree]]
     scatter: float
     signal: str
     unit: Literal["mm", "l"]
@@ -1248,6 +1285,7 @@ class SessionDetail(TypedDict):
     operator: str
     patient_reference: str
     plan_id: str
+    position_check: NotRequired[LivePositionCheck | None]
     predicted_duty_percent: NotRequired[float | None]
     reference: NotRequired[LiveReference | None]
     reference_proposals: NotRequired[list[ReferenceProposalView]]
@@ -1663,6 +1701,23 @@ class TidegateClient:
         if level_seen is not None:
             arguments["level_seen"] = level_seen
         return self._do(session_id, "reference", SessionDetail, operator, if_match, arguments)
+
+    def sign_position(
+        self,
+        session_id: str,
+        *,
+        reference_number: int,
+        reason: str = "",
+        operator: str | None = None,
+        if_match: str | None = None,
+    ) -> "SessionDetail":
+        """Sign the patient's position against the plan's, which a later fraction needs before arming. Never repeated.
+
+        For a person who logged in; no key may. ``reference_number`` is that of the session's ``position_check`` that
+        the person was shown; ``reason`` is required where it is beyond the tolerance or not determined.
+        """
+        arguments: dict[str, object] = {"reference_number": reference_number, "reason": reason}
+        return self._do(session_id, "position-check", SessionDetail, operator, if_match, arguments)
 
     def arm(
         self,

@@ -9,6 +9,7 @@ from engine.control.decisions import Cause
 from engine.control.duty_forecast import DutyForecast
 from engine.control.gate_controller import GateController
 from engine.control.line_orders import LineOrders
+from engine.control.position_sign_off import PositionSignOff
 from engine.control.reference_budget import ReferenceBudget
 from engine.control.roles import Learner, Measurer
 from engine.control.session_limits import SessionLimits
@@ -26,6 +27,7 @@ from engine.core.commands import (
     ReleaseBeam,
     Retrain,
     SetReference,
+    SignPosition,
 )
 from engine.core.errors import CommandRefusedError, HeadDirectionError
 from engine.core.gate_state import GateState, HoldReason
@@ -63,9 +65,10 @@ class CommandHandler:
         presence: OperatorPresence,
         supervisor: FrameSupervisor,
         budget: ReferenceBudget,
+        sign_off: PositionSignOff,
     ) -> None:
         self._measurer, self._learner, self._line, self._limits = measurer, learner, line, limits
-        self._budget = budget
+        self._budget, self._sign_off = budget, sign_off
         self._controller, self._presence, self._supervisor = controller, presence, supervisor
         self._forecast = DutyForecast(learner, limits)
         self._generation = learner.status.model_generation
@@ -112,6 +115,9 @@ class CommandHandler:
                 self._budget.check_correction(command)
                 self._controller.correct_baseline(command)
                 self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], self._limits.correction)
+            case SignPosition():
+                self._sign_off.sign(command)
+                self._controller.decide(cause=Cause(operator=command.operator))
             case _:
                 self._change(command)
 
@@ -213,6 +219,7 @@ class CommandHandler:
             raise CommandRefusedError("there is no reference yet: set it first")
         if self._limits.is_window_unresolved:
             raise CommandRefusedError("The window is in per cent, but this model has no breathing range. Train again.")
+        self._sign_off.refuse_unsigned()
         self._limits.refuse_wide_window()
         if not inputs.is_watchdog_running:
             raise CommandRefusedError("the watchdog does not run: this engine cannot be armed")

@@ -12,6 +12,7 @@ from engine.control.decisions import Decision
 from engine.control.latency import LatencyStatistics
 from engine.control.output_queues import OutputQueues
 from engine.control.outputs import FrameRecord, LiveView, LoopStatus
+from engine.control.position_state import PositionState
 from engine.control.session_limits import SessionLimits
 from engine.control.watchdog import Watchdog
 from engine.core.frames import ColorImage, RgbdFrame
@@ -26,6 +27,11 @@ BACK_DETAIL = "; it is back: acknowledge, set the reference, arm"
 
 def no_signal() -> BeamOnState | None:
     """Return None: the accelerator's beam-on signal is no input."""
+    return None
+
+
+def no_position() -> PositionState | None:
+    """Return None: the patient's position is not compared."""
     return None
 
 
@@ -47,8 +53,10 @@ class LiveViews:
         beam_on: Callable[[], BeamOnState | None] = no_signal,
         reference_distance: Callable[[], ReferenceDistance | None],
         movement: Callable[[], Movement | None],
+        position: Callable[[], PositionState | None] = no_position,
     ) -> None:
         self._beam_on, self._reference_distance, self._movement = beam_on, reference_distance, movement
+        self._position = position
         self._limits, self._outputs, self._watchdog = limits, outputs, watchdog
         self._latency = LatencyStatistics(warn_latency_ms=limits.current.warn_latency_ms)
         self._shown_by_watchdog: tuple[LiveView, LiveView] | None = None
@@ -129,5 +137,6 @@ class LiveViews:
             reference_distance=self._reference_distance(),
             reference_budget_mm=limits.max_reference_distance_mm,
             movement=None if motion is None else self._movement(),
+            position=self._position(),
             unseen_cells=() if motion is None else motion.seen.unseen_cells(limits.min_signal_share),
         )

@@ -26,6 +26,7 @@ from engine.control.line_orders import LineOrders
 from engine.control.live_views import LiveViews, no_signal
 from engine.control.output_queues import OutputQueues
 from engine.control.outputs import FrameRecord, GateTransition, LoopStatus
+from engine.control.position_sign_off import PositionSignOff
 from engine.control.reference_budget import ReferenceBudget
 from engine.control.roles import Learner, Measurer
 from engine.control.session_limits import SessionLimits
@@ -129,6 +130,7 @@ class EngineLoop:
         self._line = LineOrders(beam, clock=clock, watchdog=self._watchdog, tap=tap)
         self._supervisor = FrameSupervisor(limits)
         budget = ReferenceBudget(learner, self._limits)
+        self._sign_off = PositionSignOff(learner, self._limits)
         self._views = LiveViews(
             limits=self._limits,
             outputs=self._outputs,
@@ -136,6 +138,7 @@ class EngineLoop:
             beam_on=beam_on,
             reference_distance=budget.present,
             movement=lambda: self._supervisor.movement,
+            position=self._sign_off.present,
         )
         self._controller = self._make_controller()
         self._handler = CommandHandler(
@@ -147,6 +150,7 @@ class EngineLoop:
             presence=self._presence,
             supervisor=self._supervisor,
             budget=budget,
+            sign_off=self._sign_off,
         )
         self.on_turn: Callable[[], None] = _do_nothing
         beam.on_trouble = self.report_fault  # a line with its own thread detects faults between two frames
@@ -354,7 +358,15 @@ class EngineLoop:
             has_reference=self._learner.status.has_reference,
             notices=notices,
         )
+        self._follow_position(measurement)
         self._decide_on(frame, measurement)
+
+    def _follow_position(self, measurement: Measurement) -> None:
+        """End the signature of a position that the patient or the camera has left; without a valid one, hold."""
+        self._sign_off.follow(measurement, self._controller.supervision)
+        unsigned = self._sign_off.interruption()
+        if unsigned is not None:
+            self._controller.supervision = (unsigned, *self._controller.supervision)
 
     def _decide_without_camera(self, detail: str) -> None:
         """Fault for as long as the camera is away; an acknowledgement meanwhile does not clear it."""

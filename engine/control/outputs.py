@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from engine.beam.beam_on import BeamOnState
 from engine.capture.source import SourceDescription
+from engine.control.position_state import PositionState
 from engine.core.clock import NS_PER_MS
 from engine.core.frames import ColorImage, Measurement
 from engine.core.gate_state import GateState, HoldReason
@@ -139,6 +140,8 @@ class LiveView:
         the distance is None while no reference is set.
     movement
         Movement of the markers since the present reference; None where it is not known.
+    position
+        The patient's position against the plan's, and who signed it; None where it is not compared.
     unseen_cells
         Row and column of each cell of which the frame shows less than a gated cell needs; its motion is extrapolated.
     """
@@ -165,3 +168,4 @@ class LiveView:
     reference_distance: ReferenceDistance | None = None
     reference_budget_mm: float = 2.0
     movement: Movement | None = None
+    position: PositionState | None = None

@@ -68,6 +68,26 @@ class SetReference:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SignPosition:
+    """Sign the patient's position against the plan's, as it is with the reference in use.
+
+    Attributes
+    ----------
+    reference_number
+        The reference whose comparison the person was shown: refused if another one is in use by now.
+    reason
+        Required beyond the tolerance, and where a degree of freedom is not determined.
+    may_exceed
+        Whether the operator is a person who may arm: with a reason, a position beyond the tolerance may be signed.
+    """
+
+    operator: str
+    reference_number: int
+    reason: str = ""
+    may_exceed: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Retrain:
     """Collect frames and train a new model in the background; it becomes active while the gate is not armed.
 
@@ -138,6 +158,7 @@ Command = (
     | Disarm
     | Acknowledge
     | SetReference
+    | SignPosition
     | Retrain
     | ApplyModel
     | ActivateModel

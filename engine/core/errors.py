@@ -133,6 +133,12 @@ class ReferenceDistanceError(CommandRefusedError):
         super().__init__(_sentence(self.field, self.value, bound, advice))
 
 
+class PositionUncheckedError(CommandRefusedError):
+    """The patient's position was not compared with that of the plan and signed, or lies beyond the tolerance."""
+
+    code = "position_unchecked"
+
+
 def _short(value: object) -> str:
     shown = str(value)
     return shown if len(shown) <= 80 else f"{shown[:77]}..."

@@ -11,9 +11,12 @@ import numpy as np
 
 from engine.core.errors import InvalidValueError
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, frozen
+from engine.core.reference_proposal import ReferenceMoment
 from engine.core.strict_json import ROOT, StrictJson
 
-SCHEMA = "tidegate.first-reference/1"
+SCHEMA = "tidegate.first-reference/2"
+SCHEMA_WITHOUT_MOMENT = "tidegate.first-reference/1"
+"""Documents of before the position check: at which moment of the breath they were set is not known."""
 DIGITS = 4
 MAX_DEPTH_MM = 20_000.0
 MAX_VOLUME_L = 1_000.0
@@ -37,6 +40,8 @@ class FirstReference:
         The region's surface at its nodes in the depth camera's frame [mm], shape (nodes, 3).
     plane_mm, volume_l
         Depth of the plane that its volume is measured from [mm], and the volume [l].
+    moment
+        The moment of the breath that it was set at; None where that was not recorded.
     """
 
     calibration_sha256: str
@@ -45,6 +50,7 @@ class FirstReference:
     surface_mm: FloatArray
     plane_mm: float
     volume_l: float
+    moment: ReferenceMoment | None = None
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -62,6 +68,7 @@ class FirstReference:
                 "surface_mm": _listed(self.surface_mm.ravel()),
                 "plane_mm": round(self.plane_mm, DIGITS),
                 "volume_l": self.volume_l,
+                "moment": None if self.moment is None else self.moment.value,
             },
             allow_nan=False,
         )
@@ -69,8 +76,8 @@ class FirstReference:
 
 def read_first_reference(text: str) -> FirstReference:
     """Read a document; raise InvalidValueError, with the field, for one that is damaged."""
-    fields = _JSON.fields(ROOT, _JSON.parse(text.encode()), required=_KEYS)
-    if fields["schema"] != SCHEMA:
+    fields = _JSON.fields(ROOT, _JSON.parse(text.encode()), required=_KEYS, optional=("moment",))
+    if fields["schema"] not in {SCHEMA, SCHEMA_WITHOUT_MOMENT}:
         raise InvalidValueError("schema", fields["schema"], SCHEMA)
     surface = _JSON.items("surface_mm", fields["surface_mm"], 3 * NODES, 3 * NODES)
     regions = _JSON.items("regions_mm", fields["regions_mm"], 1, MAX_REGIONS)
@@ -81,7 +88,17 @@ def read_first_reference(text: str) -> FirstReference:
         surface_mm=_numbers("surface_mm", surface).reshape(NODES, 3),
         plane_mm=_JSON.number("plane_mm", fields["plane_mm"], 0.0, MAX_DEPTH_MM),
         volume_l=_JSON.number("volume_l", fields["volume_l"], -MAX_VOLUME_L, MAX_VOLUME_L),
+        moment=_moment(fields.get("moment")),
     )
+
+
+def _moment(found: object) -> ReferenceMoment | None:
+    if found is None:
+        return None
+    name = _JSON.name("moment", found)
+    if name not in set(ReferenceMoment):
+        raise InvalidValueError("moment", name, f"one of {', '.join(ReferenceMoment)}")
+    return ReferenceMoment(name)
 
 
 def _listed(values: FloatArray) -> list[float | None]:

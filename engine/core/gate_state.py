@@ -41,6 +41,7 @@ class HoldReason(enum.StrEnum):
     FRAME_FROZEN = "frame_frozen"
     FRAME_RATE_LOW = "frame_rate_low"
     PATIENT_SHIFTED = "patient_shifted"
+    POSITION_UNCHECKED = "position_unchecked"
     BASELINE_DRIFTED = "baseline_drifted"
     MODEL_OLD = "model_old"
     CALIBRATION_MISSING = "calibration_missing"
@@ -105,6 +106,7 @@ _CLEARS_BY_ITSELF = frozenset(
         HoldReason.FRAME_FROZEN,
         HoldReason.FRAME_RATE_LOW,
         HoldReason.PATIENT_SHIFTED,
+        HoldReason.POSITION_UNCHECKED,
         HoldReason.BASELINE_DRIFTED,
         HoldReason.MODEL_OLD,
         HoldReason.CALIBRATION_MISSING,

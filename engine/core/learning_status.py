@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from engine.core.motion_model import MotionModel
 from engine.core.patient_match import PatientMatch
+from engine.core.position_check import PositionCheck
 from engine.core.reference_distance import ReferenceDistance
 from engine.core.reference_proposal import ReferenceProposal
 
@@ -32,6 +33,10 @@ class LearningStatus:
         How far the reference in use lies from the fraction's first, without the window's correction; None without one.
     patient_match
         How far today's patient is from the stored model the session began with; None without one, or not known yet.
+    position_check
+        Where the reference in use lies against the plan's position; None without one, and in the plan's first fraction.
+    is_position_required
+        Whether another fraction of the plan has a position, so that a person has to sign this one.
     """
 
     model: MotionModel | None = None
@@ -43,3 +48,5 @@ class LearningStatus:
     reference_proposals: tuple[ReferenceProposal, ...] = ()
     reference_distance: ReferenceDistance | None = None
     patient_match: PatientMatch | None = None
+    position_check: PositionCheck | None = None
+    is_position_required: bool = False

@@ -4,6 +4,7 @@ import enum
 from dataclasses import dataclass
 
 from engine.core.breath import WHOLE, SignalChoice
+from engine.core.position_check import PositionCheck
 from engine.core.reference_distance import ReferenceDistance
 
 
@@ -30,6 +31,8 @@ class ReferenceProposal:
         is not known.
     distance
         How far it lies from the fraction's first reference; None without one.
+    position_check
+        Where it lies against the plan's position; None without one, while the gate is armed, and for the end of inhale.
     """
 
     moment: ReferenceMoment
@@ -39,3 +42,4 @@ class ReferenceProposal:
     breaths: int
     percent: float | None
     distance: ReferenceDistance | None = None
+    position_check: PositionCheck | None = None

@@ -13,6 +13,7 @@ OWN = "own"
 GATING_INTERLOCK = "AAPM TG-142: gating interlock, functional"
 TIMING = "AAPM TG-142: within 100 ms of expected; AAPM TG-76: 0.5 s in all"
 PATIENT_POSITION = "DICOM PS3.3 C.7.3.1.1.2: patient position"
+SETUP = "AAPM TG-302: position by the surface before treatment; AAPM TG-147"
 TERMINATION = "IEC 60601-2-1: termination of irradiation; AAPM TG-142: gating interlock, functional"
 LOCALIZATION = "AAPM TG-147: calibration of the localization system"
 
@@ -84,6 +85,14 @@ INTERLOCKS: tuple[Interlock, ...] = (
         "max_shift_mm",
         "max_turn_deg",
         "max_height_mm",
+    ),
+    _row(
+        _R.POSITION_UNCHECKED,
+        "in a later fraction, the position was not compared with the plan's and signed, or the patient moved since",
+        "max_position_shift_mm",
+        "max_position_turn_deg",
+        "max_position_shape_mm",
+        source=SETUP,
     ),
     _row(
         _R.BASELINE_DRIFTED,

@@ -111,6 +111,9 @@ class GateLimits:
     max_reference_distance_mm
         Greatest distance of the reference, and of the window with its corrections, from the first reference of the
         fraction; for a window on the volume, 0.1 l per mm. Beyond it a person who may arm has to give a reason.
+    max_position_shift_mm, max_position_turn_deg, max_position_shape_mm
+        Greatest shift along each axis, turn about each, and remaining difference of shape between the patient's surface
+        and that of the plan's position. Beyond them a person who may arm has to give a reason.
     window_lower_mm, window_upper_mm
         Bounds of the window's edges, after conversion and correction; arming is refused beyond them.
     holding_events
@@ -160,6 +163,9 @@ class GateLimits:
     operator_timeout_s: float = 10.0
     max_baseline_correction_mm: float = 5.0
     max_reference_distance_mm: float = 2.0
+    max_position_shift_mm: float = 2.0
+    max_position_turn_deg: float = 1.0
+    max_position_shape_mm: float = 2.0
     window_lower_mm: float = -100.0
     window_upper_mm: float = 100.0
     is_calibrated: bool = True
@@ -229,6 +235,9 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "operator_timeout_s": (0.0, 600.0),
     "max_baseline_correction_mm": (0.0, 50.0),
     "max_reference_distance_mm": (0.5, 50.0),
+    "max_position_shift_mm": (0.5, 20.0),
+    "max_position_turn_deg": (0.2, 10.0),
+    "max_position_shape_mm": (0.5, 20.0),
     "window_lower_mm": (-100.0, 100.0),
     "window_upper_mm": (-100.0, 100.0),
 }

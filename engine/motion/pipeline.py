@@ -103,7 +103,10 @@ class Pipeline:
             stages=self._stages,
             trainer=BackgroundTrainer() if trainer is None else trainer,
             history=ReferenceHistory(
-                calibration_sha256=calibration.sha256, layout=settings.layout(), choices=settings.breath_signals
+                calibration_sha256=calibration.sha256,
+                layout=settings.layout(),
+                choices=settings.breath_signals,
+                marker_placement_mm=settings.marker_placement_mm,
             ),
         )
         self._tracker = RegionTracker(

@@ -2,12 +2,17 @@
 
 from dataclasses import dataclass, field
 
+from engine.core.bounds import check_number
 from engine.core.breath import WHOLE, SignalChoice
 from engine.motion.learning.patient_match import PatientMatchLimits
+from engine.motion.learning.position_fit import MARKER_PLACEMENT_MM
 from engine.motion.learning.trainer import TrainingSettings
 from engine.motion.named_regions import NamedRegion
 from engine.motion.stages.regions import WIDE, RegionLayout, horizontal_split
 from engine.motion.tracking.breath_tracker import check_signals
+
+MARKER_PLACEMENT_BOUNDS = (0.5, 50.0)
+"""Bounds of `PipelineSettings.marker_placement_mm` [mm]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +45,8 @@ class PipelineSettings:
         Least share of the region with a reading, and of its readings that the model explains, 0 to 1.
     max_residual_mm
         Largest residual of a measured frame [mm].
+    marker_placement_mm
+        How exactly the markers are put back in another fraction, standard deviation of a common shift of all [mm].
     likeness
         Limits of the match between a stored model and the patient.
     """
@@ -58,12 +65,14 @@ class PipelineSettings:
     min_valid_share: float = 0.5
     min_inlier_share: float = 0.6
     max_residual_mm: float = 4.0
+    marker_placement_mm: float = MARKER_PLACEMENT_MM
     training: TrainingSettings = field(default_factory=TrainingSettings)
     likeness: PatientMatchLimits = field(default_factory=PatientMatchLimits)
 
     def __post_init__(self) -> None:
-        """Check the grid settings and the signals."""
+        """Check the grid settings and the signals, and the placement of the markers."""
         self.layout()
+        check_number("marker_placement_mm", self.marker_placement_mm, *MARKER_PLACEMENT_BOUNDS)
         check_signals(self.breath_signals)
 
     def layout(self, marked_split: tuple[float, float] | None = None) -> RegionLayout:

@@ -182,6 +182,7 @@ ALARM_RULES: tuple[AlarmRule, ...] = (
         _R.MODEL_MISSING,
         _R.TRAINING,
         _R.REFERENCE_MISSING,
+        _R.POSITION_UNCHECKED,
         _R.CALIBRATION_MISSING,
         _R.HEAD_DIRECTION_MISSING,
     ),

@@ -23,6 +23,7 @@ HOLD_TEXTS: dict[HoldReason, str] = {
     HoldReason.FRAME_FROZEN: "The camera repeats the same picture",
     HoldReason.FRAME_RATE_LOW: "The camera's frame rate is too low",
     HoldReason.PATIENT_SHIFTED: "The patient has moved on the couch",
+    HoldReason.POSITION_UNCHECKED: "The patient's position against the plan is not signed",
     HoldReason.BASELINE_DRIFTED: "The end of exhale is not where it was",
     HoldReason.MODEL_OLD: "The motion model is too old: train again",
     HoldReason.CALIBRATION_MISSING: "This camera is not calibrated",

@@ -52,7 +52,11 @@ class LocalEngine:
 
     def __init__(self, settings: Settings, *, measuring: PipelineSettings | None = None) -> None:
         self._settings = settings
-        learned = PipelineSettings(training=settings.training, likeness=settings.likeness)
+        learned = PipelineSettings(
+            training=settings.training,
+            likeness=settings.likeness,
+            marker_placement_mm=settings.marker_placement_mm,
+        )
         self._measuring = learned if measuring is None else measuring
         self._clock: Clock = MonotonicClock()
         # Asking a camera about itself and starting a session on it do not mix: the runtime would share the device.
@@ -101,6 +105,8 @@ class LocalEngine:
             pipeline.learner.resume(plan.model)
         if plan.first_reference is not None:
             pipeline.learner.continue_fraction(plan.first_reference)
+        if plan.plan_position is not None:
+            pipeline.learner.continue_plan(plan.plan_position)
         with self._camera_lock:
             engine = self._begun(plan, pipeline, tape, limits, measuring)
             self._newest = weakref.ref(engine)

@@ -35,8 +35,9 @@ class SessionPlan:
     """What an engine needs to run a session; ``recording`` is None for a live camera.
 
     ``model`` is the stored one to begin with, None to learn one; ``head_direction`` is None if it was not given;
-    ``first_reference`` is that of an earlier session of the same fraction; ``camera_latency_ms`` is what the gate
-    counts for the camera, None for the site's value.
+    ``first_reference`` is that of an earlier session of the same fraction; ``plan_position`` is that of the plan's
+    first fraction, where this is another one, and ``plan_session_id`` the session that confirmed it;
+    ``camera_latency_ms`` is what the gate counts for the camera, None for the site's value.
     """
 
     session_id: str
@@ -52,6 +53,8 @@ class SessionPlan:
     head_direction: HeadDirection | None = None
     first_reference: FirstReference | None = None
     camera_latency_ms: float | None = None
+    plan_position: FirstReference | None = None
+    plan_session_id: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -58,6 +58,7 @@ class SessionTape:
                 calibration=plan.calibration,
                 model=plan.model,
                 first_reference=plan.first_reference,
+                plan_position=plan.plan_position,
                 frames=self._frames(),
                 software=this_software(),
                 machine=this_machine(),

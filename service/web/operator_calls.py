@@ -66,6 +66,14 @@ class OperatorCall:
 
         return self.act(session_id, request.operator, submit)
 
+    def sign_position(self, session_id: str, request: sessions.PositionCheckRequest) -> sessions.SessionDetail:
+        """Sign the patient's position; keys do not have the permission."""
+
+        def submit(session_id: str, operator: str) -> sessions.SessionDetail:
+            return self.services.runner.sign_position(session_id, operator, request, may_exceed=self._may_exceed)
+
+        return self.act(session_id, request.operator, submit)
+
     def correct_baseline(self, session_id: str, request: BaselineCorrectionRequest) -> sessions.SessionDetail:
         """Shift the window by a baseline drift."""
 

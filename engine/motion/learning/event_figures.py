@@ -4,6 +4,7 @@ import math
 
 from engine.core.learning_events import Figures
 from engine.core.patient_match import PatientMatch
+from engine.core.position_check import PositionCheck
 from engine.core.reference_distance import ReferenceDistance
 from engine.motion.learning.prepared_model import Reference
 from engine.motion.learning.tasks import Candidate, quality_figures
@@ -49,6 +50,16 @@ def distance_figures(distance: ReferenceDistance) -> Figures:
         **levels,
         "unknown": distance.unknown or None,
     }
+
+
+def position_figures(check: PositionCheck | None) -> Figures:
+    """Return where a reference lies against the plan's position; empty without one."""
+    if check is None:
+        return {}
+    degrees = {f"position_{one.name}_{one.unit}": _known(one.value) for one in check.degrees}
+    uncertainties = {f"position_{one.name}_uncertainty_{one.unit}": _known(one.uncertainty) for one in check.degrees}
+    shape = {"position_shape_mm": _known(check.shape_mm), "position_unknown": check.unknown or None}
+    return {**degrees, **uncertainties, **shape}
 
 
 def _known(value: float) -> float | None:

@@ -16,11 +16,12 @@ from engine.core.learning_events import Figures, LearningEvent, LearningEventKin
 from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
 from engine.core.patient_match import PatientMatch
+from engine.core.position_check import PositionCheck
 from engine.core.ranges import LearnedLevels, Ranges
 from engine.core.reference_distance import ReferenceDistance
 from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
 from engine.motion.learning.depth_steps import steps_mismatch, with_steps
-from engine.motion.learning.event_figures import distance_figures, match_figures, transfer_figures
+from engine.motion.learning.event_figures import distance_figures, match_figures, position_figures, transfer_figures
 from engine.motion.learning.learned import Learned
 from engine.motion.learning.learned_range import learned_levels, learned_ranges
 from engine.motion.learning.past_frames import FOLLOWED_AT_ONCE, PastBreaths, PastFrames
@@ -87,6 +88,7 @@ class Learner:
         self._trainer = trainer
         self._history = history
         self._distance: ReferenceDistance | None = None
+        self._position_check: PositionCheck | None = None
         self._most_mm: float | None = None
         self._newest: _Newest | None = None
         self._task: LearningTask | None = None
@@ -99,6 +101,7 @@ class Learner:
         self._reference: Reference | None = None
         self._is_reference_requested = False
         self._requested_position: Reference | None = None
+        self._requested_moment = ReferenceMoment.NOW
         self._requested_us = 0
         self._proposals = ReferenceProposals()
         self._proposed: tuple[ReferenceProposal, ...] = ()
@@ -137,6 +140,8 @@ class Learner:
             reference_proposals=self._proposed,
             reference_distance=self._distance if has_reference else None,
             patient_match=self._patient_match,
+            position_check=self._position_check if has_reference else None,
+            is_position_required=self._history.has_plan,
         )
 
     def _shortcoming(self) -> str | None:
@@ -206,6 +211,10 @@ class Learner:
         """Measure distances from the first reference of this fraction, which an earlier session has set."""
         self._history.restore(first)
 
+    def continue_plan(self, plan: FirstReference) -> None:
+        """Compare the patient's position with that of the plan, which another fraction has set."""
+        self._history.restore_plan(plan)
+
     def reference_distance(self, moment: ReferenceMoment) -> ReferenceDistance | None:
         """Return how far the position that would become the reference lies from the fraction's first; None without one.
 
@@ -244,6 +253,7 @@ class Learner:
             raise CommandRefusedError(msg)
         position = None if moment is ReferenceMoment.NOW else self._position(moment, self._now_us)
         self._is_reference_requested, self._requested_position, self._most_mm = True, position, most_mm
+        self._requested_moment = moment
         self._requested_us = self._now_us
         self._change()
 
@@ -261,14 +271,17 @@ class Learner:
         """Accept a reference that a person confirmed, unless it lies further from the first than was allowed."""
         if self._active is None:
             return
-        self._distance, first = self._history.confirm(self._active, reference)
+        moment = self._requested_moment
+        self._distance, first = self._history.confirm(self._active, reference, moment)
+        self._position_check = self._place(reference, moment)
         self._needs_reference = first is None and not self._distance.is_within(self._most_mm)
         if self._needs_reference:
             detail = f"the reference was dropped, because it lies {self._distance.text}: set it again"
             self._emit(LearningEventKind.ZERO_NEEDED, detail, distance_figures(self._distance))
             return
         detail = FIRST if first is not None else f"the reference lies {self._distance.text}"
-        self._emit(LearningEventKind.REFERENCE_SET, detail, distance_figures(self._distance), first)
+        figures = {**distance_figures(self._distance), **position_figures(self._position_check)}
+        self._emit(LearningEventKind.REFERENCE_SET, detail, figures, first)
 
     def follow(self, coefficients: FloatArray, motion: Motion, breath: Breath, timestamp_us: int) -> None:
         """Add a measured frame to the positions that are proposed as the reference."""
@@ -280,9 +293,25 @@ class Learner:
             self._proposed_for = self._generation
             ranges = self.learned_ranges((breath.signal,))
             self._proposed = tuple(
-                replace(one, distance=self._history.distance(self._active, self._position(one.moment, timestamp_us)))
+                self._compared(one, self._active, self._position(one.moment, timestamp_us))
                 for one in self._proposals.proposals(ranges, timestamp_us)
             )
+
+    def _compared(self, one: ReferenceProposal, active: PreparedModel, position: Reference) -> ReferenceProposal:
+        """Return a proposal with its distance from the fraction's first reference, and its place against the plan's.
+
+        The latter takes milliseconds: it is left out while the gate is armed, and for the end of inhale.
+        """
+        is_compared = not self._is_model_held and one.moment is ReferenceMoment.END_EXHALE
+        return replace(
+            one,
+            distance=self._history.distance(active, position),
+            position_check=self._place(position, one.moment) if is_compared else None,
+        )
+
+    def _place(self, reference: Reference, moment: ReferenceMoment) -> PositionCheck | None:
+        """Return where a reference lies against the plan's position; None without one."""
+        return self._history.position(reference, moment)
 
     @property
     def levels_from(self) -> Reference | None:

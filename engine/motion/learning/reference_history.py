@@ -16,8 +16,11 @@ import numpy as np
 from engine.core.breath import SignalChoice
 from engine.core.first_reference import FirstReference
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, frozen
+from engine.core.position_check import PositionCheck
 from engine.core.reference_distance import ReferenceDistance, SignalLevel
+from engine.core.reference_proposal import ReferenceMoment
 from engine.motion.learning.learned_range import position_of
+from engine.motion.learning.position_fit import MARKER_PLACEMENT_MM, position_between
 from engine.motion.learning.prepared_model import PreparedModel, Reference
 from engine.motion.learning.reference_transfer import ReferenceTransfer
 from engine.motion.learning.rigid_fit import RigidFit, rigid_between
@@ -31,6 +34,9 @@ OTHER_CAMERA = "it was measured with another calibration"
 OTHER_REGIONS = "it was measured with other regions"
 NOT_MEASURED = "the patient is not measured at present"
 TOO_LITTLE = "too little of the surface is known"
+NO_MOMENT = "the plan's position does not name the moment of the breath that it was set at"
+OTHER_MOMENT = "the plan's position was set at another moment of the breath ({plan}, not {moment})"
+NO_OVERLAP = "too little of both surfaces is known, or they do not overlap"
 
 _TRIANGLES = grid_triangles(NODE_ROWS, NODE_COLUMNS)
 
@@ -54,13 +60,25 @@ class ReferenceHistory:
     ----------
     choices
         The gated signals, whose levels are part of the distance.
+    marker_placement_mm
+        How exactly the markers are put back in another fraction, standard deviation [mm].
     """
 
-    def __init__(self, *, calibration_sha256: str, layout: RegionLayout, choices: Sequence[SignalChoice]) -> None:
+    def __init__(
+        self,
+        *,
+        calibration_sha256: str,
+        layout: RegionLayout,
+        choices: Sequence[SignalChoice],
+        marker_placement_mm: float = MARKER_PLACEMENT_MM,
+    ) -> None:
         self._calibration_sha256, self._layout_sha256 = calibration_sha256, layout_sha256(layout)
         self._choices = tuple(choices)
+        self._marker_placement_mm = marker_placement_mm
         self._first: FirstReference | None = None
+        self._plan: FirstReference | None = None
         self._unknown = ""
+        self._is_camera_lost = False
 
     def restore(self, first: FirstReference) -> None:
         """Continue a fraction whose first reference was confirmed in an earlier session."""
@@ -70,8 +88,52 @@ class ReferenceHistory:
         elif first.layout_sha256 != self._layout_sha256:
             self._unknown = OTHER_REGIONS
 
+    def restore_plan(self, plan: FirstReference) -> None:
+        """Compare the patient's position with that of the plan, of another fraction."""
+        self._plan = plan
+
+    @property
+    def has_plan(self) -> bool:
+        """Whether another fraction of the plan has a position."""
+        return self._plan is not None
+
+    def position(self, reference: Reference | None, moment: ReferenceMoment) -> PositionCheck | None:
+        """Return where a reference of this moment lies against the plan's position; None where there is none.
+
+        The plan's is the first reference of its first fraction. Retrainings leave it as it is: it was measured with a
+        model of its own.
+        """
+        plan = self._plan
+        if plan is None:
+            return None
+        unknown = self._position_unknown(plan, moment)
+        if unknown or reference is None:
+            return PositionCheck(unknown=unknown or NOT_MEASURED)
+        if plan.surface_mm.shape != reference.surface_mm.shape:
+            return PositionCheck(unknown=TOO_LITTLE)
+        fit = position_between(plan.surface_mm, reference.surface_mm, marker_placement_mm=self._marker_placement_mm)
+        if fit is None:
+            return PositionCheck(unknown=NO_OVERLAP)
+        return PositionCheck(
+            shift_mm=_three(fit.shift_mm),
+            turn_deg=_three(fit.turn_deg),
+            shift_uncertainty_mm=_three(fit.shift_uncertainty_mm),
+            turn_uncertainty_deg=_three(fit.turn_uncertainty_deg),
+            shape_mm=fit.shape_mm,
+        )
+
+    def _position_unknown(self, plan: FirstReference, moment: ReferenceMoment) -> str:
+        if plan.calibration_sha256 != self._calibration_sha256:
+            return OTHER_CAMERA
+        if self._is_camera_lost:
+            return AWAY
+        if plan.moment is None:
+            return NO_MOMENT
+        return "" if plan.moment is moment else OTHER_MOMENT.format(plan=plan.moment, moment=moment)
+
     def lose_camera(self) -> None:
         """Note that the camera was disconnected: it may have moved, so positions are not comparable any more."""
+        self._is_camera_lost = True
         if self._first is not None:
             self._unknown = self._unknown or AWAY
 
@@ -86,7 +148,7 @@ class ReferenceHistory:
                 surface_mm=transfer.applied_to_surface(first.surface_mm),
             )
 
-    def confirm(self, active: PreparedModel, reference: Reference) -> Confirmed:
+    def confirm(self, active: PreparedModel, reference: Reference, moment: ReferenceMoment) -> Confirmed:
         """Return the distance of a reference that a person confirmed; the first one is kept."""
         distance = self.distance(active, reference)
         if distance is not None:
@@ -98,6 +160,7 @@ class ReferenceHistory:
             surface_mm=reference.surface_mm,
             plane_mm=reference.plane_mm,
             volume_l=reference.volume_l,
+            moment=moment,
         )
         return Confirmed(self.distance(active, reference) or ReferenceDistance(unknown=TOO_LITTLE), self._first)
 
@@ -117,6 +180,11 @@ class ReferenceHistory:
             return ReferenceDistance(unknown=TOO_LITTLE)
         levels = (SignalLevel(choice, _level(choice, active, first, reference)) for choice in self._choices)
         return _measured(first, reference, rigid, tuple(levels))
+
+
+def _three(values: FloatArray) -> tuple[float, float, float]:
+    first, second, third = values.tolist()
+    return first, second, third
 
 
 def _level(choice: SignalChoice, active: PreparedModel, first: FirstReference, reference: Reference) -> float:

@@ -23,6 +23,7 @@ from engine.core.commands import (
     ReleaseBeam,
     Retrain,
     SetReference,
+    SignPosition,
 )
 from engine.core.errors import InvalidValueError, ModelError, RecordingError
 from engine.core.gate_state import GateState, HoldReason
@@ -48,7 +49,16 @@ _CLASSES: dict[str, type] = {
     _TAPE_NAMES.get(known, known.__name__): known
     for known in (
         *(Acknowledge, ActivateModel, ApplyModel, Arm, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam, Retrain),
-        *(SetReference, GateLimits, AmplitudeWindow, BreathHoldWindow, JoinedWindow, PhaseWindow, SignalChoice),
+        *(
+            SetReference,
+            SignPosition,
+            GateLimits,
+            AmplitudeWindow,
+            BreathHoldWindow,
+            JoinedWindow,
+            PhaseWindow,
+            SignalChoice,
+        ),
         *(PipelineSettings, TrainingSettings, PatientMatchLimits, NamedRegion, SourceDescription, Interruption),
         *(FrameHead, Raised, *_INPUTS),
     )

@@ -48,6 +48,8 @@ class TapeHeader:
         The stored model it started with; None where it learned one.
     first_reference
         That of an earlier session of the same fraction; None where there was none.
+    plan_position
+        The first reference of the plan's first fraction; None in that fraction, and on earlier tapes.
     software, machine
         Version and processor. Equal bits are promised where both are the same; for others see
         :mod:`engine.offline.replay.comparison`.
@@ -61,6 +63,7 @@ class TapeHeader:
     calibration: Calibration
     model: MotionModel | None
     first_reference: FirstReference | None = None
+    plan_position: FirstReference | None = None
     frames: Frames
     software: str
     machine: dict[str, str]
@@ -75,6 +78,7 @@ class TapeHeader:
             "calibration": self.calibration.to_json(),
             "model": encoding.encode(self.model),
             "first_reference": None if self.first_reference is None else self.first_reference.to_json(),
+            "plan_position": None if self.plan_position is None else self.plan_position.to_json(),
             "frames": {"kind": self.frames.kind, "path": None if self.frames.path is None else str(self.frames.path)},
             "software": self.software,
             "machine": self.machine,
@@ -95,7 +99,7 @@ def read_head(encoded: dict[str, Any], encoding: TapeEncoding) -> TapeHeader:
             msg = f"the tape's head is damaged: its method is {method!r}"
             raise RecordingError(msg)
         measuring, limits = encoding.decode(encoded["measuring"]), encoding.decode(encoded["limits"])
-        first = encoded.get("first_reference")
+        first, position = encoded.get("first_reference"), encoded.get("plan_position")
         return TapeHeader(
             session_id=encoded["session_id"],
             limits=_without_bounds(limits) if method < HISTORY_METHOD else limits,
@@ -103,6 +107,7 @@ def read_head(encoded: dict[str, Any], encoding: TapeEncoding) -> TapeHeader:
             calibration=parse_calibration(encoded["calibration"].encode()),
             model=encoding.decode(encoded["model"]),
             first_reference=None if first is None else read_first_reference(first),
+            plan_position=None if position is None else read_first_reference(position),
             frames=Frames(kind=frames["kind"], path=None if frames["path"] is None else Path(frames["path"])),
             software=encoded["software"],
             machine=machine,

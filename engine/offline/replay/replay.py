@@ -143,6 +143,8 @@ def _run(tape: Tape, head: TapeHeader, tap: ReplayingTap) -> Replay:
             pipeline.learner.resume(head.model)
         if head.first_reference is not None:
             pipeline.learner.continue_fraction(head.first_reference)
+        if head.plan_position is not None:
+            pipeline.learner.continue_plan(head.plan_position)
         loop = EngineLoop(
             source=_NoSource(),
             measurer=pipeline,

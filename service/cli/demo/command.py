@@ -164,8 +164,8 @@ def _gate(api: TidegateClient, recording: Path, console: Console) -> str:
     session = api.create_session(
         {
             "patient_reference": "PHANTOM-1",
-            "plan_id": "DEMO",
-            "fraction_id": f"FX-{datetime.now(UTC):%Y%m%d-%H%M%S}",  # of its own: another volunteer lies elsewhere
+            "plan_id": f"DEMO-{datetime.now(UTC):%Y%m%d-%H%M%S}",  # of its own: another volunteer lies elsewhere
+            "fraction_id": "FX-1",
             "source": {"kind": "recording", "path": str((recording / "recording.oni").resolve()), "player": player},
             "calibration_id": calibration["id"],
             "window": WINDOW,

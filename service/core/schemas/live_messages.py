@@ -265,6 +265,40 @@ class LiveReference(Message):
     unknown: str = Field(default="", description="Reason why the distance is not known")
 
 
+class LiveDegree(Message):
+    """One degree of freedom of the patient's position against the plan's."""
+
+    name: Literal["lateral", "longitudinal", "vertical", "pitch", "roll", "yaw"]
+    unit: Literal["mm", "deg"]
+    value: float | None = Field(
+        description="Positive: to the patient's left, to the head, towards the camera; right-handed about these axes."
+        " null where it is not determined"
+    )
+    uncertainty: float | None = Field(description="Standard uncertainty; null where nothing can be compared")
+    tolerance: float
+    is_within: bool = Field(description="Determined, and within the tolerance")
+
+
+class LivePositionCheck(Message):
+    """The patient's position against that of the plan, and who signed it."""
+
+    status: Literal["first_fraction", "no_reference", "unsigned", "lapsed", "signed"] = Field(
+        description="`first_fraction`: nothing is to be signed, the confirmed reference becomes the plan's position;"
+        " `lapsed`: the patient or the camera may have moved since the reference was set. Unless it is `first_fraction`"
+        " or `signed`, arming is refused"
+    )
+    text: str = Field(description="Sentence to display")
+    plan_session_id: str | None = Field(description="The session whose first reference is the plan's position")
+    reference_number: int | None = Field(description="For `POST .../position-check`; null while no reference is set")
+    degrees: list[LiveDegree] = Field(description="Of the reference in use; empty where nothing is compared")
+    shape_mm: float | None = Field(description="Distance of the surfaces that remains, root mean square")
+    is_within: bool = Field(description="Compared, and all within the tolerance; else a signature needs a reason")
+    shortcomings: list[str] = Field(description="What is beyond the tolerance or not determined")
+    signed_by: str | None
+    reason: str = Field(description="Given with the signature; empty where none was needed")
+    lapse: str = Field(description="Why the position has to be taken again; empty where it has not")
+
+
 class LivePosition(Message):
     """How far the patient has moved since the present reference, breathing aside; null where that is not known."""
 
@@ -325,6 +359,7 @@ class Sample(Message):
     breath: LiveBreath | None = Field(default=None, description="null while no frame is measured")
     breath_hold: LiveBreathHold | None = Field(default=None, description="null if the window has no breath hold")
     reference: LiveReference | None = Field(default=None, description="null while no reference is set")
+    position_check: LivePositionCheck | None = Field(default=None, description="null until a frame was decided on")
     position: LivePosition | None = Field(default=None, description="null while no frame is measured")
     signal_mm: float | None
     whole_mm: float | None

@@ -13,7 +13,15 @@ from engine.gating.windows import MAX_MOTION_MM
 from engine.motion.named_regions import MAX_REGIONS, MAX_VERTICES, MIN_VERTICES, NAME_PATTERN, NamedRegion
 from engine.motion.stages.regions import MIN_PART_ROWS
 from service.core.schemas.base import Answer, Identifier, Name, Operator, Request, SourceText, broken
-from service.core.schemas.live_messages import LiveAlarm, LiveBreath, LiveBreathHold, LiveReference, LiveWindow
+from service.core.schemas.live_messages import (
+    LiveAlarm,
+    LiveBreath,
+    LiveBreathHold,
+    LiveDegree,
+    LivePositionCheck,
+    LiveReference,
+    LiveWindow,
+)
 from service.core.schemas.windows import Window
 
 SessionStatus = Literal["created", "running", "ended", "stopped", "failed", "interrupted"]
@@ -207,6 +215,23 @@ class ReferenceRequest(OperatorRequest):
     )
 
 
+class PositionCheckRequest(OperatorRequest):
+    """The person who signs the patient's position, and which comparison that person was shown."""
+
+    reference_number: int = Field(
+        ge=1,
+        le=2**31,
+        description="As in the session's `position_check`: refused if another reference is in use by now",
+        examples=[1],
+    )
+    reason: str = Field(
+        default="",
+        max_length=200,
+        description="Required where the position is beyond the tolerance or not determined, such as by which other"
+        " means it was checked; there the person also needs the permission `gate.arm`",
+    )
+
+
 class ReferenceProposalView(Answer):
     """A position of the last breaths that a person may make the reference."""
 
@@ -225,6 +250,11 @@ class ReferenceProposalView(Answer):
     distance_mm: float | None = Field(default=None, description="The same as a number; null if it is not known")
     is_beyond: bool = Field(
         default=False, description="Beyond `max_reference_distance_mm`, or at an unknown distance: a reason is required"
+    )
+    position: list[LiveDegree] = Field(
+        default=[],
+        description="Where it lies against the plan's position; empty in the plan's first fraction, while the gate is"
+        " armed, for the end of inhale, and where nothing can be compared",
     )
 
 
@@ -404,6 +434,9 @@ class SessionDetail(Session):
     has_reference: bool | None = Field(default=None, description="Whether the reference is set; null unless running")
     reference: LiveReference | None = Field(
         default=None, description="The reference's distance from the fraction's first; null while none is set"
+    )
+    position_check: LivePositionCheck | None = Field(
+        default=None, description="The patient's position against the plan's; null unless running"
     )
     reference_proposals: list[ReferenceProposalView] = Field(
         default=[], description="For `POST .../reference`; empty unless running, and until two breaths are known"

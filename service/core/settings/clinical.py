@@ -67,6 +67,12 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
     "max_height_mm": ClinicalBound(low=0.5, high=3.0, reason=f"{TG_302}, and 1 mm of the estimate's own error"),
     "max_baseline_drift_mm": ClinicalBound(low=0.5, high=2.0, reason=TG_302),
     "max_reference_distance_mm": ClinicalBound(low=0.5, high=2.0, reason=TG_302),
+    "max_position_shift_mm": ClinicalBound(low=0.5, high=2.0, reason=TG_302),
+    "max_position_turn_deg": ClinicalBound(low=0.2, high=1.0, reason="moves a point 115 mm from the middle by 2 mm"),
+    "max_position_shape_mm": ClinicalBound(low=0.5, high=2.0, reason="the default: another body differs by more"),
+    "marker_placement_mm": ClinicalBound(
+        low=1.0, high=50.0, reason="markers are put back on tattoos no better: a smaller one determines by assumption"
+    ),
     "max_baseline_correction_mm": ClinicalBound(
         low=0.0, high=3.0, reason="a patient who lies further off needs a new reference, not a correction"
     ),

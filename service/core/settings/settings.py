@@ -17,7 +17,9 @@ from engine.core.errors import InvalidValueError
 from engine.gating.limits import BREATHING_CEASED, LIMIT_BOUNDS, GateLimits
 from engine.gating.windows import HOLD_BOUNDS, amplitude_window
 from engine.motion.learning.patient_match import PATIENT_MATCH_BOUNDS, PatientMatchLimits
+from engine.motion.learning.position_fit import MARKER_PLACEMENT_MM
 from engine.motion.learning.trainer import TRAINING_BOUNDS, TrainingSettings
+from engine.motion.settings import MARKER_PLACEMENT_BOUNDS
 from service.core.settings.access import AccessSettings
 from service.core.settings.audit import AuditSettings
 from service.core.settings.beam import PREFIX, BeamSettings
@@ -160,6 +162,16 @@ class Settings(
     max_height_mm: float = _limit("max_height_mm")
     max_baseline_drift_mm: float = _limit("max_baseline_drift_mm")
     max_reference_distance_mm: float = _limit("max_reference_distance_mm")
+    max_position_shift_mm: float = _limit("max_position_shift_mm")
+    max_position_turn_deg: float = _limit("max_position_turn_deg")
+    max_position_shape_mm: float = _limit("max_position_shape_mm")
+    marker_placement_mm: float = Field(
+        default=MARKER_PLACEMENT_MM,
+        ge=MARKER_PLACEMENT_BOUNDS[0],
+        le=MARKER_PLACEMENT_BOUNDS[1],
+        description="How exactly the markers are put back in another fraction, standard deviation: 5 on bare skin, "
+        "1 to 2 on tattoos",
+    )
     warn_latency_ms: float = _limit("warn_latency_ms")
     max_latency_ms: float = _limit("max_latency_ms")
     camera_latency_ms: float = _limit("camera_latency_ms")

@@ -28,6 +28,8 @@ MAX_AGE_S = 1.0
 """Limit of a frame's age at sending plus its transport time; no call that can lead to beam follows an older frame."""
 
 
+SIGNED_BECAUSE = "simulation: the position was not checked by other means"
+"""Reason of the simulated therapist for a position beyond the tolerance, or that is not determined."""
 PRESENCE_S = 1.0
 """Period in which a person's page reports their presence."""
 
@@ -257,7 +259,7 @@ class SessionDriver:
             return
         therapist, session = self._therapist, self._await_service()
         if session.get("has_reference"):
-            self._enter(Stage.ARMING, sample)
+            self._position(session, sample)
             return
         proposed = next((one for one in session.get("reference_proposals", []) if one["at"] == "end_exhale"), None)
         if therapist is None or proposed is None:
@@ -265,6 +267,20 @@ class SessionDriver:
             self._check_timeout(sample)
             return
         self._call_once(lambda: therapist.set_reference(self.session_id, level_seen=proposed["level"]))
+
+    def _position(self, session: SessionDetail, sample: Sample) -> None:
+        """Sign the position as the therapist, where a later fraction needs it; else wait until a person has."""
+        therapist, check = self._therapist, session.get("position_check")
+        if check is None or check["status"] in {"first_fraction", "signed"}:
+            self._enter(Stage.ARMING, sample)
+            return
+        number = check["reference_number"]
+        if therapist is None or check["status"] != "unsigned" or number is None:
+            self._last_call_s = self._now_s()  # look again after a while
+            self._check_timeout(sample)
+            return
+        reason = "" if check["is_within"] else SIGNED_BECAUSE
+        self._call_once(lambda: therapist.sign_position(self.session_id, reference_number=number, reason=reason))
 
     def _arm(self, sample: Sample) -> None:
         """Arm; repeat the call only if later frames show a disarmed gate."""

@@ -18,6 +18,7 @@ from engine.core.commands import (
     ReleaseBeam,
     Retrain,
     SetReference,
+    SignPosition,
 )
 from engine.core.head_direction import HeadDirection
 from engine.core.reference_proposal import ReferenceMoment
@@ -37,6 +38,7 @@ from service.sessions.lifecycle.start import WRITER_JOIN_S, SessionStarter, awai
 from service.sessions.records.sessions import SessionRepository, session_answer
 from service.sessions.records.withdrawals import Withdrawals
 from service.sessions.views.live import camera_view, live_sample
+from service.sessions.views.position import live_position_check, tolerance_of
 from service.sessions.views.reference import proposal_views
 from service.sessions.views.surface import mesh_answer
 from service.storage import audit
@@ -164,10 +166,38 @@ class SessionRunner:
         )
         running = self._equipment.of(session_id)
         budget_mm = self._settings.max_reference_distance_mm
-        views = [] if running is None else proposal_views(running.engine.status.learning, budget_mm)
+        views = (
+            []
+            if running is None
+            else proposal_views(running.engine.status.learning, budget_mm, tolerance_of(self._settings))
+        )
         proposed = next((view.model_dump() for view in views if view.at == request.at), None)
         detail = {**request.model_dump(exclude={"operator"}), "proposed": proposed}
         self._commander.execute(session_id, command, operator, "session.reference", detail)
+        return self._records.detail(session_id)
+
+    def sign_position(
+        self, session_id: str, operator: str, request: sessions.PositionCheckRequest, *, may_exceed: bool
+    ) -> sessions.SessionDetail:
+        """Sign the patient's position against the plan's; the audit records the figures that were shown.
+
+        ``may_exceed`` is whether the operator is a person who may arm; with a reason, the position may be beyond the
+        tolerance.
+        """
+        command = SignPosition(
+            operator=operator,
+            reference_number=request.reference_number,
+            reason=request.reason,
+            may_exceed=may_exceed,
+        )
+        running = self._equipment.of(session_id)
+        view = None if running is None else running.engine.status.view
+        shown = None if running is None or view is None else live_position_check(view, running.plan)
+        detail = {
+            **request.model_dump(exclude={"operator"}),
+            "shown": None if shown is None else shown.model_dump(exclude={"signed_by", "reason", "status", "text"}),
+        }
+        self._commander.execute(session_id, command, operator, "session.position_check", detail)
         return self._records.detail(session_id)
 
     def release(self, session_id: str, operator: str, *, is_person: bool) -> sessions.SessionDetail:

@@ -104,7 +104,7 @@ class SessionStarter:
             document = queries.calibration_row(db, row.calibration_id).document
             source = SOURCE.validate_json(row.source)
             folders = self.settings.recording_folders
-            first = queries.first_reference_of(db, row)
+            first, position = queries.first_reference_of(db, row), queries.plan_position_of(db, row)
             calibration = parse_calibration(document.encode())
             plan = SessionPlan(
                 session_id=session_id,
@@ -122,6 +122,8 @@ class SessionStarter:
                 model_id=row.model_id,
                 head_direction=head_of_row(row.head_direction),
                 first_reference=None if first is None else read_first_reference(first.document),
+                plan_position=None if position is None else read_first_reference(position.document),
+                plan_session_id=None if position is None else position.session_id,
                 model=None if row.model_id is None else self._stored_model(db, row.model_id, row.patient_reference),
             )
             row.status, row.started_at = "running", datetime.now(UTC)
@@ -129,6 +131,7 @@ class SessionStarter:
             detail = {**self._beam_detail(source), **described(plan.calibration.camera), **_model_detail(row.model_id)}
             detail |= {} if plan.camera_latency_ms is None else {"camera_latency_ms": plan.camera_latency_ms}
             detail |= {} if first is None else {"first_reference_of_session": first.session_id}
+            detail |= {} if position is None else {"position_of_session": position.session_id}
             audit.append(db, Event(actor=operator, action=action, session_id=session_id, detail=detail))
         return plan
 

@@ -24,6 +24,7 @@ DECISIONS = (
     "session.create",
     "session.start",
     "session.reference",
+    "session.position_check",
     "session.arm",
     "session.disarm",
     "session.hold",

@@ -31,6 +31,7 @@ from service.sessions.alarms.views import live_alarms
 from service.sessions.records.calibrations import kept_row
 from service.sessions.views.breath import live_breath, live_breath_hold
 from service.sessions.views.live import body_view, camera_view, gate_view, likeness_view, training_view
+from service.sessions.views.position import live_position_check, tolerance_of
 from service.sessions.views.reference import live_reference, proposal_views
 from service.sessions.views.window import live_window
 from service.storage import audit
@@ -140,9 +141,12 @@ class SessionRepository:
             active_model_id=None if running is None else running.writer.active_model_id,
             has_reference=None if running is None else running.engine.status.learning.has_reference,
             reference=None if view is None else live_reference(view),
+            position_check=None if view is None or running is None else live_position_check(view, running.plan),
             reference_proposals=[]
             if running is None
-            else proposal_views(running.engine.status.learning, self._settings.max_reference_distance_mm),
+            else proposal_views(
+                running.engine.status.learning, self._settings.max_reference_distance_mm, tolerance_of(self._settings)
+            ),
             likeness=None if running is None else likeness_view(running.engine.status.learning.patient_match),
             gate_window=None if view is None else live_window(view.window, view.conditions, view.record.measurement),
             predicted_duty_percent=None

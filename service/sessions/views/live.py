@@ -16,6 +16,7 @@ from service.engine_host.roles import BodyMatch, SessionPlan
 from service.engine_host.site_rules.camera_serial import serial_warning
 from service.engine_host.site_rules.uncalibrated import kind_of
 from service.sessions.views.breath import live_breath, live_breath_hold
+from service.sessions.views.position import live_position_check
 from service.sessions.views.reference import live_reference
 from service.sessions.views.window import live_window
 
@@ -55,6 +56,7 @@ def live_sample(
         breath=live_breath(view),
         breath_hold=live_breath_hold(view),
         reference=live_reference(view),
+        position_check=live_position_check(view, plan),
         position=_position(view),
         signal_mm=rounded_or_none(record.signal_mm),
         **(NOT_MEASURED if measurement.motion is None else _motion_fields(measurement.motion, plan)),

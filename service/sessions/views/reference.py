@@ -2,18 +2,22 @@
 
 from engine.control.outputs import LiveView
 from engine.core.learning_status import LearningStatus
+from engine.core.position_check import PositionTolerance
 from engine.core.reference_distance import ReferenceDistance
 from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
 from service.core.finite import rounded_or_none
 from service.core.schemas.live_messages import LiveReference
 from service.core.schemas.sessions import ReferenceProposalView
+from service.sessions.views.position import degree_views
 
 DIGITS = 3
 
 
-def proposal_views(learning: LearningStatus, budget_mm: float) -> list[ReferenceProposalView]:
+def proposal_views(
+    learning: LearningStatus, budget_mm: float, tolerance: PositionTolerance
+) -> list[ReferenceProposalView]:
     """Return the positions of the last breaths that a person may make the reference; those beyond need a reason."""
-    return [_view(one, budget_mm) for one in learning.reference_proposals]
+    return [_view(one, budget_mm, tolerance) for one in learning.reference_proposals]
 
 
 def live_reference(view: LiveView) -> LiveReference | None:
@@ -47,7 +51,7 @@ def _rounded(value: float | None) -> float | None:
     return rounded_or_none(value, DIGITS)
 
 
-def _view(one: ReferenceProposal, budget_mm: float) -> ReferenceProposalView:
+def _view(one: ReferenceProposal, budget_mm: float, tolerance: PositionTolerance) -> ReferenceProposalView:
     is_inhale = one.moment is ReferenceMoment.END_INHALE
     return ReferenceProposalView(
         at="end_inhale" if is_inhale else "end_exhale",
@@ -60,4 +64,5 @@ def _view(one: ReferenceProposal, budget_mm: float) -> ReferenceProposalView:
         distance=None if one.distance is None else one.distance.text,
         distance_mm=None if one.distance is None else _rounded(one.distance.distance_mm),
         is_beyond=one.distance is not None and not one.distance.is_within(budget_mm),
+        position=degree_views(one.position_check, tolerance),
     )

@@ -75,6 +75,23 @@ def first_reference_of(db: Session, row: SessionRow) -> FractionStart | None:
     return None if found is None else FractionStart(found[0], found[1] or "")
 
 
+def plan_position_of(db: Session, row: SessionRow) -> FractionStart | None:
+    """Return the position of a session's plan: the first reference of its first fraction; None in that fraction.
+
+    The first fraction is that of the earliest session of this patient and plan with a confirmed reference. A fraction
+    number that is left out is any, as in `first_reference_of`.
+    """
+    of_plan = [getattr(SessionRow, name) == getattr(row, name) for name in ("patient_reference", "plan_id")]
+    columns = (SessionRow.id, SessionRow.first_reference, SessionRow.fraction_id, SessionRow.fraction_number)
+    query = select(*columns).where(*of_plan, SessionRow.first_reference.is_not(None), SessionRow.id != row.id)
+    found = db.execute(query.order_by(SessionRow.created_at, SessionRow.id).limit(1)).first()
+    if found is None:
+        return None
+    is_same_number = found[3] is None or row.fraction_number is None or found[3] == row.fraction_number
+    is_first = found[2] == row.fraction_id and is_same_number
+    return None if is_first else FractionStart(found[0], found[1] or "")
+
+
 def open_session_id(db: Session) -> str | None:
     """Return the id of the session that is created or running; None if there is none."""
     return db.scalar(select(SessionRow.id).where(SessionRow.status.in_(OPEN_STATUSES)).limit(1))

@@ -13,6 +13,7 @@ from engine.core.errors import (
     HeadDirectionError,
     ModelError,
     ModelMismatchError,
+    PositionUncheckedError,
     RecordingError,
     ReferenceDistanceError,
     RuntimeMissingError,
@@ -93,7 +94,8 @@ COMMAND_ERRORS = (
 )
 ASK = problems(*COMMAND_ERRORS)
 MOVE = problems(*COMMAND_ERRORS, ReferenceDistanceError)
-ARM = problems(*COMMAND_ERRORS, HeadDirectionError, QaOverdueError, CameraLatencyError)
+SIGN = problems(*COMMAND_ERRORS, PositionUncheckedError)
+ARM = problems(*COMMAND_ERRORS, HeadDirectionError, PositionUncheckedError, QaOverdueError, CameraLatencyError)
 
 
 @router.post("", status_code=201, name="session.create", responses=CREATE)
@@ -177,6 +179,17 @@ def set_reference(
     Far from the fraction's first reference it needs a reason, and the permission `gate.arm`.
     """
     return call.set_reference(session_id, request)
+
+
+@router.post("/{session_id}/position-check", name="session.position_check", responses=SIGN)
+def sign_position(
+    session_id: dependencies.SessionId, request: sessions.PositionCheckRequest, call: Operated
+) -> sessions.SessionDetail:
+    """Sign the patient's position against that of the plan's first fraction; arming needs it. For people only.
+
+    Beyond the tolerance, and where the surface does not determine it, it needs a reason and the permission `gate.arm`.
+    """
+    return call.sign_position(session_id, request)
 
 
 @router.post("/{session_id}/acknowledge", name="session.acknowledge", responses=ASK)

@@ -8,6 +8,7 @@ OF_SESSION = (
     "read_session",
     "start_session",
     "set_reference",
+    "sign_position",
     "arm_session",
     "hold_beam",
     "release_beam",

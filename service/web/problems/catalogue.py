@@ -75,6 +75,8 @@ WHAT_TO_DO: Mapping[str, str] = {
     "plan_truncated": "Export or send the file again: its end is missing.",
     "plan_wrong_kind": "Export the RT Plan or RT Ion Plan itself, not an object that refers to it.",
     "picture_missing": "Retry when the session runs and a frame has arrived.",
+    "position_unchecked": "Read the session's `position_check`. A person sets the reference, looks at the six figures, "
+    "and signs them with `POST .../position-check`; beyond the tolerance with a `reason`. A key cannot.",
     "precondition_failed": "Read the resource again, check the changes, and send the new ETag; "
     "`bound` is the present one.",
     "camera_latency": "`detail` names what is missing: measure the camera's latency (`tidegate qa latency`), or raise "

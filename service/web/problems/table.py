@@ -32,6 +32,7 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     engine_errors.CommandRefusedError: (409, "The engine refuses the command"),
     engine_errors.HeadDirectionError: (409, "The head direction is missing or not confirmed"),
     engine_errors.ReferenceDistanceError: (409, "The reference would lie too far from the fraction's first"),
+    engine_errors.PositionUncheckedError: (409, "The patient's position is not checked and signed"),
     engine_errors.RuntimeMissingError: (503, "The OpenNI2 runtime is missing"),
     engine_errors.SourceLostError: (503, "The camera does not answer"),
     engine_errors.BeamLineError: (503, "The beam line does not answer"),

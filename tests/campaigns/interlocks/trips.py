@@ -223,6 +223,12 @@ TRIPS: tuple[Trip, ...] = (
         undo=_pipeline(has_reference=True),
     ),
     Trip(
+        code=R.POSITION_UNCHECKED,
+        how="the position is to be signed, and is not",
+        act=_pipeline(is_position_required=True),
+        undo=_pipeline(is_position_required=False),
+    ),
+    Trip(
         code=R.RECORDER_BEHIND,
         how="nobody takes the samples",
         act=_run(is_recording=False),

@@ -6,7 +6,8 @@ from service.client import ProblemError, TidegateClient, UnreachableError
 from tests.support.client.scripted_server import KEY, cuts, refuses, says, writes
 
 SESSION = "0" * 32
-NEVER_TWICE = ("start", "set_reference", "arm", "release", "acknowledge", "retrain", "apply_model")
+NEVER_TWICE = ("start", "set_reference", "sign_position", "arm", "release", "acknowledge", "retrain", "apply_model")
+NEEDED = {"sign_position": {"reference_number": 1}}
 TAKES_AWAY = ("hold", "disarm")
 EMPTY_PAGE = {"items": [], "next_cursor": None}
 
@@ -16,7 +17,7 @@ EMPTY_PAGE = {"items": [], "next_cursor": None}
 def test_what_could_lead_to_a_beam_is_sent_once_whatever_becomes_of_it(client, script, call, step):
     script.steps = [step]
     with pytest.raises((UnreachableError, ProblemError)):
-        getattr(client, call)(SESSION)
+        getattr(client, call)(SESSION, **NEEDED.get(call, {}))
     assert len(script.requests) == 1
 
 

@@ -29,6 +29,7 @@ OPERATIONS: dict[str, tuple[str, str]] = {
     "read_session": ("GET", SESSION),
     "start": ("POST", f"{SESSION}/start"),
     "set_reference": ("POST", f"{SESSION}/reference"),
+    "sign_position": ("POST", f"{SESSION}/position-check"),
     "arm": ("POST", f"{SESSION}/arm"),
     "release": ("POST", f"{SESSION}/release"),
     "acknowledge": ("POST", f"{SESSION}/acknowledge"),

@@ -156,6 +156,7 @@ class World:
         """Return how the body of each call is made that needs more than its schema says."""
         return {
             "create_session": lambda given: self._session_body() | _of(given, "fraction_number", "plan_id"),
+            "sign_position": lambda _: {"reference_number": 1},
             "start_qa_run": lambda _: self._qa_body(),
             "fix_qa_baseline": lambda _: {"reason": "mounted anew", "expected": {"camera_distance_mm": 850.0}},
             "upload_calibration": lambda _: json.loads(make_calibration(f"camera {next(self._numbers)}").to_json()),
@@ -308,6 +309,7 @@ def _with_surface(view: LiveView) -> LiveView:
 NEEDS_A_SESSION = frozenset(
     {
         "set_reference",
+        "sign_position",
         "acknowledge_fault",
         "hold_beam",
         "release_beam",

@@ -19,11 +19,12 @@ from engine.core.breath import WHOLE, SignalChoice
 from engine.core.clock import Clock, ManualClock
 from engine.core.commands import Command
 from engine.core.errors import FrameTimeoutError, SourceEndedError
-from engine.core.frames import Measurement, RgbdFrame
+from engine.core.frames import FloatArray, Measurement, RgbdFrame
 from engine.core.gate_state import HoldReason, Lease
 from engine.core.learning_events import LearningEvent
 from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
+from engine.core.position_check import PositionCheck
 from engine.core.ranges import LearnedLevels, LearnedRange, Ranges
 from engine.core.reference_distance import ReferenceDistance
 from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
@@ -142,6 +143,9 @@ class RecordingPipeline:
         self.most_mm: list[float | None] = []
         self.distance_of_next: ReferenceDistance | None = None
         self.distance: ReferenceDistance | None = None
+        self.is_position_required = False
+        self.position_check: PositionCheck | None = None
+        self.surface_mm: FloatArray | None = None
         self.zero_number = 1
         self.calls: list[str] = []
         self.trouble: Exception | None = None
@@ -157,6 +161,8 @@ class RecordingPipeline:
             missed_frames=frame.missed_frames,
             measured_ns=self.clock.now_ns(),
         )
+        if self.surface_mm is not None and good_frame.motion is not None:
+            good_frame = replace(good_frame, motion=replace(good_frame.motion, surface_mm=self.surface_mm.copy()))
         return self.spoil.get(frame.index, lambda same: same)(good_frame)
 
     @property
@@ -174,6 +180,8 @@ class RecordingPipeline:
             reference_number=self.zero_number,
             reference_proposals=self.proposals,
             reference_distance=self.distance if self.has_reference else None,
+            is_position_required=self.is_position_required,
+            position_check=self.position_check if self.has_reference else None,
         )
 
     def learned_ranges(self, choices: Iterable[SignalChoice]) -> Ranges:

@@ -58,6 +58,7 @@ RATINGS: dict[str, Rating] = {
     "P8": Rating(3, 4, 2, "1 6"),
     "P9": Rating(3, 4, 2, "1 2"),
     "P10": Rating(3, 3, 1, "1 6"),
+    "P11": Rating(4, 3, 2, "1 6"),
     "B1": Rating(3, 2, 1, "1"),
     "B2": Rating(3, 2, 1, "1 4"),
     "B3": Rating(4, 2, 1, "2 4"),

@@ -126,6 +126,7 @@ def play(
     regions: dict | None = None,
     earlier: str | None = None,
     person: "Person | None" = None,
+    fraction: int | None = None,
 ) -> Played:
     """Run one session with a person whose mind is made up by a seed, until its recording is over.
 
@@ -139,6 +140,8 @@ def play(
         calibration_id = upload(client, (volunteer / "calibration.json").read_bytes()).json()["id"]
         source = {"kind": "recording", "path": "recording.oni", "player": "reader"}
         body = make_session_body(calibration_id) | {"window": window or WIDE, "source": source}
+        if fraction is not None:
+            body |= {"fraction_id": f"FX-{fraction}", "fraction_number": fraction}
         if regions is not None:
             body["regions"] = regions
         if earlier is not None:
@@ -204,10 +207,18 @@ def make_ready(hands: Hands, detail: dict) -> bool:
         hands.act("acknowledge")
     elif not gate["is_armed"] and detail["measurement_state"] == "measuring":
         _ = detail["has_reference"] or hands.act("reference")
+        _sign(hands, detail["position_check"])
         hands.act("arm")
     else:
         return gate["is_armed"]
     return False
+
+
+def _sign(hands: Hands, check: dict | None) -> None:
+    """Sign the position where a later fraction needs it."""
+    if check is not None and check["status"] == "unsigned":
+        number = check["reference_number"]
+        hands.post(f"sessions/{hands.session_id}/position-check", reference_number=number, reason="by the lasers")
 
 
 @dataclass(frozen=True, slots=True)

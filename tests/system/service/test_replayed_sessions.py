@@ -82,6 +82,22 @@ def test_a_later_session_of_the_fraction_replays_the_same_with_its_first_referen
     assert again(later).differences == []
 
 
+def test_a_later_fraction_of_the_plan_is_signed_before_its_beam_and_replays_the_same(copied, regular_volunteer):
+    later = play(copied.data_dir, regular_volunteer, seed=13, person=DeliberatePerson(), fraction=9)
+    head = stored(later).head
+    assert head.first_reference is None
+    assert head.plan_position is not None
+    rows = [row for row in audited(later) if row.session_id == later.session_id]
+    signed = next(row for row in rows if row.action == "session.position_check" and row.outcome == "done")
+    armed = next(row for row in rows if row.action == "session.arm" and row.outcome == "done")
+    assert signed.sequence < armed.sequence
+    shown = json.loads(signed.detail)["shown"]
+    assert [one["name"] for one in shown["degrees"]][:3] == ["lateral", "longitudinal", "vertical"]
+    outcome = again(later)
+    assert outcome.differences == []
+    assert "beam_on" in {row["to"] for row in outcome.replay.transitions}
+
+
 def test_what_happened_in_it_happened_indeed(played, verdict):
     observed = [reading for turn in turns(played) for reading in turn.observed]
     values = [(kind, encoded["d"][1]) for kind, encoded in observed if kind in {InputKind.TURN, InputKind.FRAME}]

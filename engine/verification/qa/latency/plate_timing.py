@@ -7,7 +7,6 @@ make, gives no number.
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize_scalar
 
 from engine.core.bounds import check_number
 from engine.core.frames import FloatArray
@@ -99,6 +98,8 @@ def _delay_ms(at_s: FloatArray, height_mm: FloatArray, trace: CommandedTrace) ->
     ):
         return "the plate follows the trace at more than one delay: its motion repeats itself within a second"
     span = (float(coarse[best]) - STEP_MS, float(coarse[best]) + STEP_MS)
+    from scipy.optimize import minimize_scalar
+
     found = minimize_scalar(lambda delay: -_likeness(delay, at_s, height_mm, trace), bounds=span, method="bounded")
     scale = float(np.polyfit(trace.at(at_s - S_PER_MS * found.x), height_mm, 1)[0])
     if not SCALE_BOUNDS[0] <= scale <= SCALE_BOUNDS[1]:

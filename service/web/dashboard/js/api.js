@@ -104,6 +104,9 @@ export const acknowledgeAlarms = (id, operator, numbers) => call("POST", `${sess
 /** `proposal` is the one that the person was shown; null for the present position. */
 export const setReference = (id, operator, at, proposal, reason) =>
   call("POST", `${session(id)}/reference`, { operator, at, reason, ...(proposal === null ? {} : { level_seen: proposal.level }) });
+/** `number` is that of the reference whose position the person was shown. */
+export const signPosition = (id, operator, number, reason) =>
+  call("POST", `${session(id)}/position-check`, { operator, reference_number: number, reason });
 /** `head` is the side of the picture at which the page shows the patient's head, which the person confirms by arming; null if unknown. */
 export const arm = (id, operator, head) => call("POST", `${session(id)}/arm`, head === null ? { operator } : { operator, head_direction: head });
 export const retrain = (id, operator, keepsReference) =>

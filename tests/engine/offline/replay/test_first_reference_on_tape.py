@@ -7,6 +7,7 @@ import pytest
 
 from engine.core.errors import RecordingError
 from engine.core.first_reference import NODES, FirstReference
+from engine.core.reference_proposal import ReferenceMoment
 from engine.gating.limits import LIMIT_BOUNDS
 from engine.motion.settings import PipelineSettings
 from engine.offline.replay.header import HISTORY_METHOD, METHOD, Frames, TapeHeader, read_head
@@ -42,6 +43,17 @@ def test_the_head_names_it(first):
     if again.first_reference is not None:
         assert again.first_reference.to_json() == FIRST.to_json()
         assert np.array_equal(again.first_reference.surface_mm, FIRST.surface_mm)
+
+
+def test_the_head_names_the_plan_s_position_and_earlier_tapes_have_none():
+    plan = replace(FIRST, moment=ReferenceMoment.END_EXHALE)
+    encoded = replace(HEAD, plan_position=plan).encoded(NO_MODELS)
+    again = read_head(encoded, NO_MODELS)
+    assert again.first_reference is None
+    assert again.plan_position is not None
+    assert again.plan_position.to_json() == plan.to_json()
+    del encoded["plan_position"]
+    assert read_head(encoded, NO_MODELS).plan_position is None
 
 
 def test_an_earlier_tape_has_none_and_no_budget():

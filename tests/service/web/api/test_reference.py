@@ -5,6 +5,7 @@ import pytest
 from engine.core.breath import WHOLE, SignalChoice
 from engine.core.commands import SetReference
 from engine.core.learning_status import LearningStatus
+from engine.core.position_check import PositionTolerance
 from engine.core.reference_distance import ReferenceDistance, SignalLevel
 from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
 from service.core.permissions import KEY_PERMISSIONS, ROLE_PERMISSIONS, Permission, Role
@@ -13,6 +14,7 @@ from tests.support.service.api_calls import audit_rows
 
 URL = "/api/v1/sessions"
 BODY = {"operator": "A. Therapist"}
+TOLERANCE = PositionTolerance(shift_mm=2.0, turn_deg=1.0, shape_mm=2.0)
 
 
 def test_without_a_moment_it_is_the_end_of_exhale(client, session_id, running):
@@ -68,10 +70,10 @@ def test_a_session_shows_what_is_proposed(client, session_id, running):
             moment=ReferenceMoment.END_INHALE, level=8.0, scatter=0.2, breaths=5, percent=97.12345, distance=far
         ),
     )
-    shown = [one.model_dump() for one in proposal_views(LearningStatus(reference_proposals=proposals), 2.0)]
+    shown = [one.model_dump() for one in proposal_views(LearningStatus(reference_proposals=proposals), 2.0, TOLERANCE)]
     assert shown == [
         {"at": "end_exhale", "signal": "volume", "unit": "l", "level": -0.123, "scatter": 0.01, "breaths": 3}
-        | {"percent": None, "distance": None, "distance_mm": None, "is_beyond": False},
+        | {"percent": None, "distance": None, "distance_mm": None, "is_beyond": False, "position": []},
         {"at": "end_inhale", "signal": "whole", "unit": "mm", "level": 8.0, "scatter": 0.2, "breaths": 5}
-        | {"percent": 97.1235, "distance": far.text, "distance_mm": 8.1, "is_beyond": True},
+        | {"percent": 97.1235, "distance": far.text, "distance_mm": 8.1, "is_beyond": True, "position": []},
     ]

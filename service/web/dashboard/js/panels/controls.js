@@ -5,18 +5,19 @@
  * they work with one click or their key whenever a running session is known, with or without a fresh connection.
  */
 
-import { act, applyModel, arm, retrain, setReference } from "../api.js";
+import { act, applyModel, arm, retrain, setReference, signPosition } from "../api.js";
 import { setText } from "../drawing/elements.js";
 import { needsReference, stageOf } from "./training.js";
 import { obstacle as forbidden } from "../people/permissions.js";
 import { rememberArming } from "../people/presence.js";
 import { ClickGuard } from "./click_guard.js";
+import { positionObstacle, renderPosition, signObstacle } from "./position.js";
 
 /** Actions that take the beam off, and their keys: never confirmed twice; the result of a key press is always shown. */
 const HALTS = { disarm: "Escape", hold: "F8" };
 const HALT_TITLES = { disarm: "Holds the beam until a person arms again", hold: "Holds the beam until a person releases it; the session stays armed" };
 /** Actions that lead to beam on: clicks that may have been meant for another button are ignored. */
-const PERMITTING = ["acknowledge", "arm", "release"];
+const PERMITTING = ["acknowledge", "arm", "release", "sign"];
 const MOVED = "the buttons moved less than 2 s ago";
 /** Time in which "Stop" and "Release" accept the second click [ms], and after which "Release" does. */
 const CONFIRM_MS = 4000;
@@ -32,6 +33,7 @@ const DONE = {
   correct: "Disarmed. The window was shifted.",
   disarm: "Disarmed.",
   reference: "Reference set.",
+  sign: "Position signed.",
   acknowledge: "Fault acknowledged.",
   alarms: "Alarms acknowledged.",
   stop: "Session stopped.",
@@ -41,9 +43,10 @@ const DONE = {
 
 /** Why an action is not possible now, in the order to fix it; empty if it is. Permissions are checked before. */
 const OBSTACLES = {
-  arm: (c) => running(c) || still(c) || (c.sample.gate === "fault" ? "acknowledge the fault first" : "") || measuring(c) || compared(c) || hasReference(c) || hasHead(c),
+  arm: (c) => running(c) || still(c) || (c.sample.gate === "fault" ? "acknowledge the fault first" : "") || measuring(c) || compared(c) || hasReference(c) || positionObstacle(c.sample.position_check) || hasHead(c),
   release: (c) => running(c) || (c.sample.operator_hold ? "" : "no operator holds the beam"),
   reference: (c) => running(c) || still(c) || measuring(c) || isProposed(c),
+  sign: (c) => running(c) || still(c) || signObstacle(c.sample.position_check, typedReason()),
   retrain: (c) => running(c) || compared(c) || (isLearning(c.sample) ? "already training" : ""),
   apply: (c) => running(c) || (stageOf(c.sample) === "waiting" ? "" : "no new model is ready"),
   acknowledge: (c) => running(c) || (c.sample.gate === "fault" ? "" : "there is no fault"),
@@ -57,6 +60,7 @@ const running = (c) => (c.sample === null ? "no running session" : "");
 const still = (c) => (c.sample.is_armed ? "disarm first" : "");
 const compared = (c) => (stageOf(c.sample) === "comparing" ? "the stored model is still being compared" : "");
 const hasReference = (c) => (needsReference(c.sample, c.selected) ? "set the reference first" : "");
+const typedReason = () => document.getElementById("reference-reason").value.trim();
 const referenceAt = () => document.getElementById("reference-at").value;
 /** The proposed position for the chosen moment of the breath; null for the present position, and before it is known. */
 const proposalOf = (c) => c.selected?.reference_proposals?.find((one) => one.at === referenceAt()) ?? null;
@@ -99,7 +103,7 @@ export class Controls {
 
   /** The reason typed beside the reference, which a correction far from the fraction's first needs too. */
   get reason() {
-    return document.getElementById("reference-reason").value.trim();
+    return typedReason();
   }
 
   /** Clear the reason: it is given for one call only. */
@@ -135,6 +139,7 @@ export class Controls {
     const proposal = proposalText(this.context);
     document.getElementById("reference").hidden = proposal === "";
     setText(document.getElementById("reference-proposal"), proposal);
+    renderPosition(context.sample?.position_check, proposalOf(context), this.operatorName);
     for (const action of Object.keys(HALTS)) {
       const why = this.forbids(action) || (this.lastRunningId === null ? "no running session" : "");
       button(action).disabled = why !== "";
@@ -240,6 +245,9 @@ export class Controls {
     else if (action === "reference") {
       await setReference(id, operator, referenceAt(), proposalOf(this.context), this.reason);
       this.forgetReason();
+    } else if (action === "sign") {
+      await signPosition(id, operator, this.context.sample.position_check.reference_number, this.reason);
+      this.forgetReason();
     } else if (action === "arm") {
       await arm(id, operator, headOf(this.context));
       rememberArming(id, operator);
@@ -319,5 +327,5 @@ function button(action) {
 }
 
 function label(action) {
-  return { reference: "Set reference", retrain: "Train again", apply: "Apply", correct: "Correct baseline", alarms: "Acknowledge alarms" }[action] ?? action[0].toUpperCase() + action.slice(1);
+  return { reference: "Set reference", sign: "Sign position", retrain: "Train again", apply: "Apply", correct: "Correct baseline", alarms: "Acknowledge alarms" }[action] ?? action[0].toUpperCase() + action.slice(1);
 }

@@ -5,6 +5,7 @@ export const NEEDS = {
   create: "sessions.run",
   start: "sessions.run",
   reference: "gate.reference",
+  sign: "gate.reference",
   arm: "gate.arm",
   release: "gate.arm",
   correct: "gate.arm",

@@ -1,0 +1,84 @@
+"""The patient's position against the plan's, for people and programs."""
+
+from engine.control.outputs import LiveView
+from engine.control.position_state import PositionState
+from engine.core.position_check import Degree, PositionCheck, PositionTolerance
+from service.core.finite import rounded_or_none
+from service.core.schemas.live_messages import LiveDegree, LivePositionCheck
+from service.core.settings.settings import Settings
+from service.engine_host.roles import SessionPlan
+
+DIGITS = 2
+FIRST_FRACTION = "first fraction of the plan: the confirmed reference becomes the plan's position"
+NO_REFERENCE = "set the reference: its position is then compared with the plan's"
+
+
+def tolerance_of(settings: Settings) -> PositionTolerance:
+    """Return the site's tolerance."""
+    return PositionTolerance(
+        shift_mm=settings.max_position_shift_mm,
+        turn_deg=settings.max_position_turn_deg,
+        shape_mm=settings.max_position_shape_mm,
+    )
+
+
+def degree_views(check: PositionCheck | None, tolerance: PositionTolerance) -> list[LiveDegree]:
+    """Return the six degrees of freedom; empty where nothing is compared, or nothing can be."""
+    if check is None or check.unknown:
+        return []
+    return [_degree(one, tolerance) for one in check.degrees]
+
+
+def live_position_check(view: LiveView, plan: SessionPlan) -> LivePositionCheck | None:
+    """Return the position of the reference in use, and who signed it."""
+    found = view.position
+    if found is None:
+        return None
+    signature, check = found.signature, found.check
+    return LivePositionCheck(
+        status=_status(found),
+        text=position_text(found),
+        plan_session_id=plan.plan_session_id,
+        reference_number=found.reference_number,
+        degrees=degree_views(check, found.tolerance),
+        shape_mm=None if check is None else rounded_or_none(check.shape_mm, DIGITS),
+        is_within=check is not None and not found.shortcomings,
+        shortcomings=list(found.shortcomings),
+        signed_by=None if signature is None else signature.operator,
+        reason="" if signature is None else signature.reason,
+        lapse=found.lapse,
+    )
+
+
+def position_text(found: PositionState) -> str:
+    """Return the position as it is displayed."""
+    if not found.is_required:
+        return FIRST_FRACTION
+    if found.reference_number is None:
+        return NO_REFERENCE
+    if found.lapse:
+        return f"position to be taken again: {found.lapse}"
+    place = f"not within the tolerance ({', '.join(found.shortcomings)})" if found.shortcomings else "within tolerance"
+    signed = "not signed" if found.signature is None else f"signed by {found.signature.operator}"
+    return f"position {place}, {signed}"
+
+
+def _status(found: PositionState) -> str:
+    if not found.is_required:
+        return "first_fraction"
+    if found.reference_number is None:
+        return "no_reference"
+    if found.lapse:
+        return "lapsed"
+    return "unsigned" if found.signature is None else "signed"
+
+
+def _degree(one: Degree, tolerance: PositionTolerance) -> LiveDegree:
+    return LiveDegree(
+        name=one.name,
+        unit=one.unit,
+        value=rounded_or_none(one.value, DIGITS) if tolerance.determines(one) else None,
+        uncertainty=rounded_or_none(one.uncertainty, DIGITS),
+        tolerance=tolerance.of(one),
+        is_within=tolerance.holds(one),
+    )
