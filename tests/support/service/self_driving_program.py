@@ -59,8 +59,7 @@ def main() -> None:
             app,
             host=settings.host,
             port=settings.port,
-            tls_cert=settings.tls_cert,
-            tls_key=settings.tls_key,
+            certificate=app.state.certificate,
             connection_limits=settings.connection_limits,
         ).run()
 

@@ -134,6 +134,6 @@ def test_a_certificate_that_cannot_be_used_is_said_in_one_line(tmp_path, broken)
 
 def test_the_oldest_version_does_not_depend_on_what_the_system_refuses_anyway(tmp_path):
     cert, key = make_certificate(tmp_path)
-    app = create_app(Settings(data_dir=tmp_path))
-    server = make_server(app, host="127.0.0.1", port=0, tls_cert=cert, tls_key=key)
+    app = create_app(Settings(data_dir=tmp_path, tls_cert=cert, tls_key=key))
+    server = make_server(app, host="127.0.0.1", port=0, certificate=app.state.certificate)
     assert server.config.ssl.minimum_version is ssl.TLSVersion.TLSv1_2
