@@ -29,7 +29,7 @@ openni:
 # What the tests use for real beside the Python packages: the runtime, what a driver for it is built with, a browser.
 test-system:
 	@docker/install-debian-packages.sh libopenni2-0 libopenni2-dev g++ chromium poppler-utils rsyslog rsyslog-openssl libxml2-utils postgresql curl jq \
-		mono-mcs mono-runtime libmono-system-net-http4.0-cil libmono-system-runtime-serialization4.0-cil libmono-system-xml-linq4.0-cil
+		nginx caddy libnss3-tools mono-mcs mono-runtime libmono-system-net-http4.0-cil libmono-system-runtime-serialization4.0-cil libmono-system-xml-linq4.0-cil
 	@docker/install-debian-packages.sh chromium-headless-shell || echo "Browser tests run chromium itself, which takes twice the time."
 
 # Four parts. One after the other: what computes and starts services and browsers, where no time is judged; then what starts
@@ -42,7 +42,7 @@ ALONE := tests/engine/capture/openni tests/system/virtual_camera tests/system/se
 	tests/service/engine_host/site_rules/test_uncalibrated.py tests/service/cli/test_recordings.py
 BESIDE := tests/campaigns/interlocks/test_live_run.py tests/system/beam_line/test_engine_on_wired_line.py
 WAITING := tests/campaigns/faults tests/campaigns/kills tests/campaigns/load tests/system/engine_process \
-	tests/service/engine_host/process tests/service/web/stream/test_slow_clients.py tests/service/web/stream/test_over_tls.py \
+	tests/service/engine_host/process tests/service/web/stream/test_slow_clients.py tests/service/web/stream/test_over_tls.py tests/system/tls \
 	tests/system/browser/test_real_service.py tests/system/service/test_shutdown.py tests/system/service/test_process.py tests/system/service/test_folder_lock.py \
 	tests/system/client/test_example_programs.py tests/system/client/test_real_service.py tests/system/client/test_whole_fractions.py \
 	tests/system/beam_line/test_killed_processes.py tests/system/beam_line/test_qa_drill.py tests/system/beam_line/test_real_receivers.py tests/system/beam_line/test_service_line.py

@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 from engine.core.gate_state import GateState, HoldReason
+from service.access.request.addresses import LOOPBACK
 from service.core.settings.settings import Settings
 from service.web.app import create_app
 from service.web.server import make_server
@@ -61,6 +62,7 @@ def main() -> None:
             port=settings.port,
             certificate=app.state.certificate,
             connection_limits=settings.connection_limits,
+            trusted_proxies=LOOPBACK if settings.behind_proxy else (),
         ).run()
 
 
