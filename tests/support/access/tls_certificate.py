@@ -10,9 +10,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
 DAY = timedelta(days=1)
-NAMES = x509.SubjectAlternativeName(
-    [x509.IPAddress(ipaddress.ip_address("127.0.0.1")), x509.DNSName("localhost"), x509.DNSName("gating.example")]
-)
+NAMES = (x509.DNSName("localhost"), x509.DNSName("gating.example"))
 
 
 def make_certificate(
@@ -21,10 +19,12 @@ def make_certificate(
     ends_in: timedelta = DAY,
     began_before: timedelta = timedelta(days=2),
     passphrase: str | None = None,
+    addresses: tuple[str, ...] = ("127.0.0.1",),
 ) -> tuple[Path, Path]:
     """Write a certificate and its key; returns where."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "tidegate test")])
+    names = [*(x509.IPAddress(ipaddress.ip_address(one)) for one in addresses), *NAMES]
     now = datetime.now(UTC)
     certificate = (
         x509.CertificateBuilder()
@@ -34,7 +34,10 @@ def make_certificate(
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - began_before)
         .not_valid_after(now + ends_in)
-        .add_extension(NAMES, critical=False)
+        .add_extension(
+            x509.SubjectAlternativeName([*map(x509.IPAddress, map(ipaddress.ip_address, addresses)), *NAMES]),
+            critical=False,
+        )
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .sign(key, hashes.SHA256())
     )
