@@ -1,7 +1,7 @@
 """``make docker-test``: the image is built, looked at, run, killed, upgraded, rolled back and restored elsewhere.
 
-``python -m tests.campaigns.image [--image NAME] [--base BASE] [--ca-bundle FILE] [--out FILE]``. Each step is printed with
-its time and figures; exit code 1 at the first that fails. With ``--image`` an image that is there is tested.
+``python -m tests.campaigns.image [--image NAME] [--base BASE] [--ca-bundle FILE] [--out FILE]``. Each step is printed
+with its time and figures; exit code 1 at the first that fails. With ``--image`` an image that is there is tested.
 """
 
 import argparse

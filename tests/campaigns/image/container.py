@@ -29,6 +29,7 @@ FORK = f"{ENTER}sys.exit(subprocess.call(sys.argv[1:]))"
 STOP_S = 20.0
 
 INIT = """set -e
+PATH=/usr/sbin:/usr/bin:/sbin:/bin
 mount --bind {root} {root}
 {binds}
 mount -t tmpfs -o size=64m,noexec,nosuid,nodev tmpfs {root}/tmp
@@ -169,11 +170,11 @@ class Container:
 
     def pids(self) -> list[int]:
         """Return all its processes."""
-        own = os.readlink(f"/proc/{self.pid}/ns/pid")
+        own = Path(f"/proc/{self.pid}/ns/pid").readlink()
         found = []
         for folder in Path("/proc").iterdir():
             with contextlib.suppress(OSError):
-                if folder.name.isdecimal() and os.readlink(folder / "ns/pid") == own:
+                if folder.name.isdecimal() and (folder / "ns/pid").readlink() == own:
                     found.append(int(folder.name))
         return found
 
@@ -201,13 +202,8 @@ class Container:
             inside = root / place.lstrip("/")
             inside.mkdir(exist_ok=True)  # an engine makes the place of a volume, too
             binds.append(f"mount --bind {folder} {inside}")
-        # The PATH is the image's, and the tools before `exec chroot` are this machine's.
-        script = "PATH=/usr/sbin:/usr/bin:/sbin:/bin; " + INIT.format(
-            root=root,
-            binds="\n".join(binds),
-            uid=UID,
-            command=f"{PYTHON} -c {shlex.quote(FORK if self.has_init else EXEC)} {shlex.join(command)}",
-        )
+        entered = shlex.join([PYTHON, "-c", FORK if self.has_init else EXEC, *command])
+        script = INIT.format(root=root, binds="\n".join(binds), uid=UID, command=entered)
         apart = ("--mount", "--pid", "--ipc", "--uts", "--fork", "--kill-child", "--propagation", "private")
         return [_tool("ip"), "netns", "exec", NETWORK, _tool("unshare"), *apart, _tool("bash"), "-c", script]
 

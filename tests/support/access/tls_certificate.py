@@ -34,10 +34,7 @@ def make_certificate(
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - began_before)
         .not_valid_after(now + ends_in)
-        .add_extension(
-            x509.SubjectAlternativeName([*map(x509.IPAddress, map(ipaddress.ip_address, addresses)), *NAMES]),
-            critical=False,
-        )
+        .add_extension(x509.SubjectAlternativeName(names), critical=False)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .sign(key, hashes.SHA256())
     )
