@@ -8,7 +8,7 @@ STAMP := $(VENV)/.stamp
 export PYTHONDONTWRITEBYTECODE ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup openni test-system check check-tests test tests-computing tests-waiting tests-alone tests-behind processors lint security types contracts openapi demo bench load faults kills mutants fuzz sanitize sbom scan safety lock clean
+.PHONY: help setup openni test-system check check-tests test tests-computing tests-waiting tests-alone tests-behind processors lint security types contracts openapi demo bench load faults kills mutants fuzz sanitize sbom scan safety lock clean docker-test docker-test-system release
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -169,6 +169,15 @@ types: $(STAMP)  ## mypy --strict
 
 contracts: $(STAMP)  ## import-linter: who may import whom
 	$(BIN)/lint-imports
+
+docker-test-system:
+	@docker/install-debian-packages.sh buildah iproute2 util-linux libopenni2-0
+
+docker-test: $(STAMP) docker-test-system  ## as root: build the image, run a whole session in it, kill, upgrade, roll back, restore; BASE=, CA_BUNDLE=, IMAGE= (test one that is there)
+	$(BIN)/python -m tests.campaigns.image $(if $(IMAGE),--image $(IMAGE)) $(if $(BASE),--base $(BASE)) $(if $(CA_BUNDLE),--ca-bundle $(CA_BUNDLE)) $(if $(OUT),--out $(OUT))
+
+release: $(STAMP)  ## refuse what is not ready; else wheel, source archive, bill of materials and sums in dist/
+	$(BIN)/python -m tests.campaigns.release
 
 lock: $(STAMP)  ## resolve the newest versions into the lock files
 	$(BIN)/pip-compile -q --upgrade --strip-extras --generate-hashes --allow-unsafe --no-emit-index-url --no-emit-find-links --no-emit-trusted-host --no-header -o requirements.lock pyproject.toml
