@@ -28,7 +28,7 @@ from tests.campaigns.image.container import ADDRESS, Container, Image, mounted, 
 from tests.campaigns.supply.sbom import trouble_with
 from tests.support.access.tls_certificate import make_certificate
 from tests.support.earlier_files import FOLDER as EARLIER
-from tests.support.earlier_files import unpacked
+from tests.support.earlier_files import RELEASES, unpacked
 from tests.support.phantom_recordings import volunteer
 from tests.support.planning.treatment_services import SCOPES
 from tests.support.repository import ROOT
@@ -323,6 +323,17 @@ def _inside(container: Container, *command: str) -> str:
     return done.stdout + done.stderr
 
 
+def newest_release() -> Path | None:
+    """Return the data folder of the release before this version; None without one."""
+    kept = {_version(path.name.removesuffix(".tar.xz")): path for path in RELEASES.glob("*.tar.xz")}
+    earlier = [version for version in kept if version < _version(__version__)]
+    return kept[max(earlier)] if earlier else None
+
+
+def _version(text: str) -> tuple[int, ...]:
+    return tuple(map(int, text.split(".")))
+
+
 def revision_of(data: Path) -> str:
     """Read the schema's revision from a database file."""
     with contextlib.closing(sqlite3.connect(f"file:{data / 'tidegate.db'}?mode=ro", uri=True)) as db:
@@ -333,7 +344,12 @@ def upgraded(bench: Bench) -> tuple[dict[str, object], Container, str, str]:
     """Start on the data folder of an earlier version: its tables are upgraded, its content is there."""
     folders = bench.place / "earlier"
     folders.mkdir()
-    unpacked("folders.tar.xz", folders)
+    release = newest_release()
+    if release is None:
+        unpacked("folders.tar.xz", folders)
+    else:
+        with tarfile.open(release) as packed:
+            packed.extractall(folders, filter="data")
     container = bench.container(new_folder(bench.place / "upgraded", folders / "data"))
     before = revision_of(container.data)
     scopes = [part for scope in SCOPES for part in ("--scope", str(scope))]
@@ -363,7 +379,8 @@ def rolled_back(bench: Bench, container: Container, before: str) -> dict[str, ob
     refused = container.command("database", "downgrade", before, is_refusal_expected=True)
     container.command("database", "downgrade", before, "--force")
     require(revision_of(container.data) == before, "another revision")
-    commit = EARLIER.name.removeprefix("written_by_")
+    release = newest_release()
+    commit = EARLIER.name.removeprefix("written_by_") if release is None else f"v{release.name.removesuffix('.tar.xz')}"
     tree = bench.place / "older"
     tree.mkdir()
     archive = bench.place / "older.tar"

@@ -1,7 +1,8 @@
-"""``make release``: refuse what is not ready, build wheel and source archive, list them with the bill, keep a data folder.
+"""``make release``: refuse what is not ready, build wheel and source archive, keep a data folder.
 
-Writes into ``dist/``: the wheel, the source archive, the bill of materials, SHA256SUMS. The release's data folder goes to
-tests/data/releases/VERSION.tar.xz where it is not there yet: commit it, then run once more. Neither tags nor publishes.
+Writes into ``dist/``: the wheel, the source archive, the bill of materials, SHA256SUMS. The release's data folder goes
+to tests/data/releases/VERSION.tar.xz where it is not there yet: commit it, then run once more. Tags and publishes
+nothing.
 """
 
 import argparse
@@ -81,13 +82,8 @@ def build(out: Path) -> None:
 def keep_data_folder(archive: Path) -> None:
     """Deliver a fraction of a virtual volunteer, and pack the data folder that it leaves."""
     with tempfile.TemporaryDirectory() as place:
-        folder = volunteer(
-            SimpleNamespace(mktemp=lambda _: Path(tempfile.mkdtemp(dir=place))),
-            "occlusion",
-            volunteer=1,
-            seconds=36.0,
-            seed=1,
-        )
+        places = SimpleNamespace(mktemp=lambda _: Path(tempfile.mkdtemp(dir=place)))
+        folder = volunteer(places, "occlusion", volunteer=1, seconds=36.0, seed=1)
         with treating(folder, *SERVE, has_therapist=True, **PATIENT) as room:
             plan = folder / "plan.dcm"
             plan.write_bytes(built_in_plan(uid="1.2.826.0.1.3680043.8.498.1.8", beams=(("AP", 8.0),)))

@@ -1,4 +1,4 @@
-"""What must be true before a release: one version everywhere, a clean tree, a changelog, the contract and the bill kept."""
+"""What must be true before a release: one version everywhere, a clean tree, a changelog, the contract kept."""
 
 import re
 import subprocess

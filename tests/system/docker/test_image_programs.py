@@ -91,3 +91,12 @@ def test_libraries_inside_wheels_are_named_with_the_version_that_they_tell(tmp_p
         "libscipy_openblas64_": None,
         "libgfortran": "5.0.0",
     }
+
+
+def test_no_video_is_opened_with_opencv():
+    """Why FFmpeg and its OpenSSL, which OpenCV's wheel brings, are never called (docs/3-operate/image.md)."""
+    sources = [path for package in ("engine", "service") for path in (ROOT / package).rglob("*.py")]
+    assert len(sources) > 100
+    for path in sources:
+        for name in ("VideoCapture", "VideoWriter", "videoio", "cv2.dnn", "imread("):
+            assert name not in path.read_text(encoding="utf-8"), f"{path}: {name}"
