@@ -263,14 +263,19 @@ def whole_session(bench: Bench, container: Container, key: str) -> dict[str, obj
     return {"transitions": len(transitions), "processor so far": f"{container.processor_s():.0f} s"}
 
 
+def _said_by(process: subprocess.Popen[str]) -> str:
+    return process.communicate()[0][-2000:] if process.poll() is not None else "it runs"
+
+
 def killed(bench: Bench, container: Container, key: str) -> dict[str, object]:
     """Kill the service while the beam is on; the next start finds everything."""
-    process = fraction(bench, key, **{"--beam-seconds": "60"})
+    process = fraction(bench, key, **{"--beam-seconds": "60", "--first": "2"})
     with bench.client(key) as tidegate:
         end_s = time.monotonic() + 120
         before = {one["id"] for one in tidegate.sessions()}
         session_id = ""
         while time.monotonic() < end_s:
+            require(process.poll() is None, "the planning system ended: " + _said_by(process))
             new = [one["id"] for one in tidegate.sessions() if one["id"] not in before]
             if new and tidegate.read_session(new[0])["status"] == "running":
                 session_id = new[0]

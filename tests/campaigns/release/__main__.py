@@ -68,11 +68,13 @@ def build(out: Path) -> None:
         subprocess.run(["git", "archive", "-o", str(archive), "HEAD"], cwd=ROOT, check=True)
         with tarfile.open(archive) as packed:
             packed.extractall(tree, filter="data")
-        code = "import setuptools.build_meta as b, sys; b.build_sdist(sys.argv[1]); b.build_wheel(sys.argv[1])"
+        code = "import setuptools.build_meta as b, sys; out = sys.argv[1]; b.build_sdist(out); b.build_wheel(out)"
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         subprocess.run([sys.executable, "-c", code, str(out.resolve())], cwd=tree, check=True, **quiet)
     shutil.copy(ROOT / "docker/sbom.cdx.json", out / "sbom.cdx.json")
     files = sorted(path for path in out.iterdir() if path.name != "SHA256SUMS")
+    kinds = sorted(path.suffix for path in files)
+    assert kinds == [".gz", ".json", ".whl"], f"{out} must hold one source archive, one wheel and the bill: {kinds}"
     lines = [f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}" for path in files]
     (out / "SHA256SUMS").write_text("\n".join(lines) + "\n", encoding="utf-8")
     for path in files:
