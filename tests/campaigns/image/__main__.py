@@ -32,6 +32,7 @@ from tests.support.earlier_files import RELEASES, unpacked
 from tests.support.phantom_recordings import volunteer
 from tests.support.planning.treatment_services import SCOPES
 from tests.support.repository import ROOT
+from tests.support.service.processes import free_port
 
 LARGEST_MB = 700
 READY_S = 5.0
@@ -164,20 +165,24 @@ def look(bench: Bench) -> dict[str, object]:
     return {"MB": image.size_mb, "components": len(parts), "of Debian": len(debian)}
 
 
+def await_ready(tidegate: TidegateClient, check: Callable[[], None]) -> None:
+    """Wait until a session could begin; ``check`` fails where that can no longer be."""
+    end_s = time.monotonic() + START_S
+    while True:
+        check()
+        require(time.monotonic() < end_s, f"not ready in {START_S:g} s")
+        with contextlib.suppress(UnreachableError):
+            if tidegate.readiness()["is_ready"]:
+                return
+        time.sleep(0.02)
+
+
 def started(bench: Bench, container: Container, key: str) -> dict[str, object]:
     """Start a container and wait until it is ready, asked from outside."""
-    container.start()
-    with contextlib.suppress(FileNotFoundError), bench.client(key) as tidegate:
-        end_s = time.monotonic() + START_S
-        while True:
-            require(
-                container.process is not None and container.process.poll() is None, container.log.read_text()[-3000:]
-            )
-            require(time.monotonic() < end_s, f"not ready in {START_S:g} s")
-            with contextlib.suppress(UnreachableError):
-                if tidegate.readiness()["is_ready"]:
-                    break
-            time.sleep(0.02)
+    process = container.start().process
+    assert process is not None
+    with bench.client(key) as tidegate:
+        await_ready(tidegate, lambda: require(process.poll() is None, container.log.read_text()[-3000:]))
     ready_s = time.monotonic() - container.started_s
     load = os.getloadavg()[0]
     note = "" if ready_s <= READY_S else f" (more than {READY_S:g} s; load average {load:.1f})"
@@ -358,10 +363,9 @@ def upgraded(bench: Bench) -> tuple[dict[str, object], Container, str, str]:
     container = bench.container(new_folder(bench.place / "upgraded", folders / "data"))
     before = revision_of(container.data)
     scopes = [part for scope in SCOPES for part in ("--scope", str(scope))]
-    told = container.command("keys", "create", "after the upgrade", *scopes, "--days", "2", is_refusal_expected=True)
-    require("upgrade" in told, f"a command on an older database says: {told}")
-    container.command("database", "upgrade")
     told = container.command("keys", "create", "after the upgrade", *scopes, "--days", "2")
+    copy = container.data / f"tidegate-before-upgrade-from-{before}.db"
+    require(revision_of(container.data) > before and copy.exists(), f"not upgraded, or no copy kept: {told}")
     key = next(word for word in told.split() if word.startswith("tg_") and len(word) > 20)
     again = started(bench, container, key)
     with bench.client(key) as tidegate:
@@ -379,27 +383,31 @@ def upgraded(bench: Bench) -> tuple[dict[str, object], Container, str, str]:
     return {**figures, **again}, container, before, key
 
 
-def rolled_back(bench: Bench, container: Container, before: str) -> dict[str, object]:
-    """Go back: the newer program downgrades, and the older program runs on what that left."""
-    refused = container.command("database", "downgrade", before, is_refusal_expected=True)
-    container.command("database", "downgrade", before, "--force")
+def rolled_back(bench: Bench, container: Container, before: str, key: str) -> dict[str, object]:
+    """Go back: the newer program downgrades, and the older program serves what that left, sessions and audit."""
+    told = container.command("database", "downgrade", before, "--force").strip()
     require(revision_of(container.data) == before, "another revision")
     release = newest_release()
     commit = EARLIER.name.removeprefix("written_by_") if release is None else f"v{release.name.removesuffix('.tar.xz')}"
-    tree = bench.place / "older"
-    tree.mkdir()
-    archive = bench.place / "older.tar"
+    tree, archive, port = bench.place / "older", bench.place / "older.tar", free_port()
     run("git", "archive", "-o", archive, commit, cwd=ROOT)
     with tarfile.open(archive) as packed:
         packed.extractall(tree, filter="data")
-    environment = {**os.environ, "PYTHONPATH": str(tree)}
-    told = run(
-        sys.executable, "-m", "service.cli", "audit", "verify", "--data", container.data, cwd=tree, env=environment
-    )
-    return {
-        "refused without --force": refused.strip().splitlines()[-1][:90],
-        "the older program says": told.strip()[:60],
-    }
+    words = [sys.executable, "-m", "service.cli", "serve", "--port", str(port), "--data", str(container.data)]
+    environment = {**os.environ, "PYTHONPATH": str(tree), "TIDEGATE_JOURNAL_DIR": str(container.data / "journal")}
+    with (bench.place / "older.log").open("wb") as log:
+        older = subprocess.Popen(words, cwd=tree, env=environment, stdout=log, stderr=log)
+    try:
+        with TidegateClient(f"http://127.0.0.1:{port}", key=key) as tidegate:
+            await_ready(
+                tidegate, lambda: require(older.poll() is None, (bench.place / "older.log").read_text()[-2000:])
+            )
+            sessions, audit = len(list(tidegate.sessions())), tidegate.verify_audit()
+    finally:
+        older.terminate()
+        older.wait(20)
+    require(sessions and audit["is_intact"], "sessions or audit are lost")
+    return {"said": told[:60], "the older program": commit, "sessions": sessions, "audit rows": audit["rows"]}
 
 
 @contextlib.contextmanager
@@ -473,7 +481,7 @@ def _steps(bench: Bench) -> None:
             return figures
 
         bench.step("upgrade from an earlier version", up)
-        bench.step("rollback", lambda: rolled_back(bench, upgrade[0], upgrade[1]))
+        bench.step("rollback", lambda: rolled_back(bench, *upgrade))
     finally:
         if container.process is not None:
             container.kill()
