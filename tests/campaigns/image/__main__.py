@@ -11,19 +11,23 @@ import os
 import platform
 import signal
 import sqlite3
+import ssl
 import subprocess
 import sys
 import tarfile
 import tempfile
 import time
+import urllib.error
+import urllib.request
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 from engine import __version__
-from service.client import TidegateClient, UnreachableError
+from service.client import TidegateClient
 from tests.campaigns.image.container import ADDRESS, Container, Image, mounted, network, new_folder, run
 from tests.campaigns.supply.sbom import trouble_with
 from tests.support.access.tls_certificate import make_certificate
@@ -165,24 +169,32 @@ def look(bench: Bench) -> dict[str, object]:
     return {"MB": image.size_mb, "components": len(parts), "of Debian": len(debian)}
 
 
-def await_ready(tidegate: TidegateClient, check: Callable[[], None]) -> None:
-    """Wait until a session could begin; ``check`` fails where that can no longer be."""
+def await_ready(url: str, key: str, trusted: ssl.SSLContext | None, check: Callable[[], None]) -> None:
+    """Wait until a session could begin, asked anew ten times a second; ``check`` fails where that can no longer be."""
+    asked = urllib.request.Request(f"{url}/readyz", headers={"Authorization": f"Bearer {key}"})
     end_s = time.monotonic() + START_S
     while True:
         check()
         require(time.monotonic() < end_s, f"not ready in {START_S:g} s")
-        with contextlib.suppress(UnreachableError):
-            if tidegate.readiness()["is_ready"]:
-                return
-        time.sleep(0.02)
+        with (
+            contextlib.suppress(urllib.error.URLError, ConnectionError, TimeoutError),
+            urllib.request.urlopen(asked, timeout=5.0, context=trusted),
+        ):
+            return
+        time.sleep(0.1)
+
+
+def _require_running(process: subprocess.Popen[bytes], log: Path) -> None:
+    require(process.poll() is None, log.read_text()[-3000:])
 
 
 def started(bench: Bench, container: Container, key: str) -> dict[str, object]:
     """Start a container and wait until it is ready, asked from outside."""
     process = container.start().process
     assert process is not None
-    with bench.client(key) as tidegate:
-        await_ready(tidegate, lambda: require(process.poll() is None, container.log.read_text()[-3000:]))
+    trusted = ssl.create_default_context(cafile=bench.tls / "cert.pem")
+    check = partial(_require_running, process, container.log)
+    await_ready(f"https://{ADDRESS}:{PORT}", key, trusted, check)
     ready_s = time.monotonic() - container.started_s
     load = os.getloadavg()[0]
     note = "" if ready_s <= READY_S else f" (more than {READY_S:g} s; load average {load:.1f})"
@@ -398,10 +410,8 @@ def rolled_back(bench: Bench, container: Container, before: str, key: str) -> di
     with (bench.place / "older.log").open("wb") as log:
         older = subprocess.Popen(words, cwd=tree, env=environment, stdout=log, stderr=log)
     try:
+        await_ready(f"http://127.0.0.1:{port}", key, None, partial(_require_running, older, bench.place / "older.log"))
         with TidegateClient(f"http://127.0.0.1:{port}", key=key) as tidegate:
-            await_ready(
-                tidegate, lambda: require(older.poll() is None, (bench.place / "older.log").read_text()[-2000:])
-            )
             sessions, audit = len(list(tidegate.sessions())), tidegate.verify_audit()
     finally:
         older.terminate()
