@@ -8,7 +8,7 @@ STAMP := $(VENV)/.stamp
 export PYTHONDONTWRITEBYTECODE ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup openni test-system check check-tests test tests-computing tests-waiting tests-alone tests-behind processors lint security types contracts openapi demo bench load faults kills mutants fuzz sanitize sbom scan safety lock clean
+.PHONY: help setup openni test-system check check-tests test tests-computing tests-waiting tests-alone tests-behind processors lint security types contracts openapi demo bench load faults kills mutants fuzz sanitize sbom scan safety lock clean docker-test docker-test-system release
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -29,7 +29,7 @@ openni:
 # What the tests use for real beside the Python packages: the runtime, what a driver for it is built with, a browser.
 test-system:
 	@docker/install-debian-packages.sh libopenni2-0 libopenni2-dev g++ chromium poppler-utils rsyslog rsyslog-openssl libxml2-utils postgresql curl jq \
-		mono-mcs mono-runtime libmono-system-net-http4.0-cil libmono-system-runtime-serialization4.0-cil libmono-system-xml-linq4.0-cil
+		nginx caddy libnss3-tools mono-mcs mono-runtime libmono-system-net-http4.0-cil libmono-system-runtime-serialization4.0-cil libmono-system-xml-linq4.0-cil
 	@docker/install-debian-packages.sh chromium-headless-shell || echo "Browser tests run chromium itself, which takes twice the time."
 
 # Four parts. One after the other: what computes and starts services and browsers, where no time is judged; then what starts
@@ -42,7 +42,7 @@ ALONE := tests/engine/capture/openni tests/system/virtual_camera tests/system/se
 	tests/service/engine_host/site_rules/test_uncalibrated.py tests/service/cli/test_recordings.py
 BESIDE := tests/campaigns/interlocks/test_live_run.py tests/system/beam_line/test_engine_on_wired_line.py
 WAITING := tests/campaigns/faults tests/campaigns/kills tests/campaigns/load tests/system/engine_process \
-	tests/service/engine_host/process tests/service/web/stream/test_slow_clients.py tests/service/web/stream/test_over_tls.py \
+	tests/service/engine_host/process tests/service/web/stream/test_slow_clients.py tests/service/web/stream/test_over_tls.py tests/system/tls \
 	tests/system/browser/test_real_service.py tests/system/service/test_shutdown.py tests/system/service/test_process.py tests/system/service/test_folder_lock.py \
 	tests/system/client/test_example_programs.py tests/system/client/test_real_service.py tests/system/client/test_whole_fractions.py \
 	tests/system/beam_line/test_killed_processes.py tests/system/beam_line/test_qa_drill.py tests/system/beam_line/test_real_receivers.py tests/system/beam_line/test_service_line.py
@@ -169,6 +169,15 @@ types: $(STAMP)  ## mypy --strict
 
 contracts: $(STAMP)  ## import-linter: who may import whom
 	$(BIN)/lint-imports
+
+docker-test-system:
+	@docker/install-debian-packages.sh buildah iproute2 util-linux libopenni2-0
+
+docker-test: $(STAMP) docker-test-system  ## as root: build the image, run a whole session in it, kill, upgrade, roll back, restore; BASE=, CA_BUNDLE=, IMAGE= (test one that is there)
+	$(BIN)/python -m tests.campaigns.image $(if $(IMAGE),--image $(IMAGE)) $(if $(BASE),--base $(BASE)) $(if $(CA_BUNDLE),--ca-bundle $(CA_BUNDLE)) $(if $(OUT),--out $(OUT))
+
+release: $(STAMP)  ## refuse what is not ready; else wheel, source archive, bill of materials and sums in dist/
+	$(BIN)/python -m tests.campaigns.release
 
 lock: $(STAMP)  ## resolve the newest versions into the lock files
 	$(BIN)/pip-compile -q --upgrade --strip-extras --generate-hashes --allow-unsafe --no-emit-index-url --no-emit-find-links --no-emit-trusted-host --no-header -o requirements.lock pyproject.toml

@@ -80,28 +80,28 @@ def _run(settings: "Settings") -> None:
     start_log.info("Tidegate %s: data folder %s, database %s", __version__, settings.data_dir.absolute(), database)
     _warn(settings)
     from service.engine_host.process.process_engine import ProcessEngine
+    from service.monitoring.certificate import CertificateError
     from service.web.app import create_app
-    from service.web.server import CertificateError, make_server
+    from service.web.server import make_server
 
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     _raise_file_limit()
-    app = create_app(settings, ProcessEngine, tell_first=_print_first_password)
     try:
-        server = make_server(
-            app,
-            host=settings.host,
-            port=settings.port,
-            tls_cert=settings.tls_cert,
-            tls_key=settings.tls_key,
-            connection_limits=settings.connection_limits,
-            max_body_bytes=max(settings.max_body_bytes, settings.max_plan_bytes),
-            leave=os._exit,
-            trusted_proxies=(settings.trusted_proxies or LOOPBACK) if settings.behind_proxy else (),
-            on_listening=lambda: start_log.info("%s", _listening(settings)),
-        )
+        app = create_app(settings, ProcessEngine, tell_first=_print_first_password)
     except CertificateError as error:
         flush_log()
         raise refused("serve", error) from error
+    server = make_server(
+        app,
+        host=settings.host,
+        port=settings.port,
+        certificate=app.state.certificate,
+        connection_limits=settings.connection_limits,
+        max_body_bytes=max(settings.max_body_bytes, settings.max_plan_bytes),
+        leave=os._exit,
+        trusted_proxies=(settings.trusted_proxies or LOOPBACK) if settings.behind_proxy else (),
+        on_listening=lambda: start_log.info("%s", _listening(settings)),
+    )
     _exclude_from_garbage_collection()
     start_log.info("opening the database, the audit log and the engine's process")
     server.run()

@@ -10,7 +10,7 @@ from service.access.service import AccessService
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
 from service.engine_host.roles import EnginePort
-from service.monitoring.certificate import CertificateWatch
+from service.monitoring.certificate import ServedCertificate
 from service.monitoring.metrics.engine import EngineMetrics
 from service.monitoring.metrics.http import HttpCounters
 from service.monitoring.metrics.machine import DatabaseFigures, MachineMetrics
@@ -37,6 +37,7 @@ class MonitoredServices:
     access: AccessService
     armed_operator: ArmedOperator
     alarms: AlarmWatch
+    certificate: ServedCertificate | None = None
 
     def ended_threads(self) -> list[str]:
         """Return the names of threads that ended unexpectedly."""
@@ -46,6 +47,8 @@ class MonitoredServices:
             "tidegate-cleanup": self.cleanup.has_ended,
             "tidegate-alarms": self.alarms.has_ended,
         }
+        if self.certificate is not None:
+            checked["tidegate-certificate"] = self.certificate.has_ended
         return [name for name, has_ended in checked.items() if has_ended]
 
 
@@ -67,11 +70,12 @@ def make_monitoring(services: MonitoredServices, others: Iterable[Collector] = (
         ended_threads=services.ended_threads,
         engine_trouble=_trouble_of(services.engine),
         is_stopping=lambda: services.equipment.is_closed,
+        certificate=services.certificate,
     )
     machine = MachineMetrics(
         data_dir=services.settings.data_dir,
         figures=DatabaseFigures(services.database),
-        certificate=CertificateWatch(services.settings.tls_cert),
+        certificate=services.certificate,
         access=services.access,
         readiness=health.readiness,
         forwarded_rows=lambda: services.audit_supervision.passed_on,

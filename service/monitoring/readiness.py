@@ -18,7 +18,7 @@ from engine.core.clock import NS_PER_MS, Clock, MonotonicClock
 from service.core.errors import CameraLatencyError, QaOverdueError
 from service.core.schemas.readiness import Readiness, ReadinessCode, ReadinessReason
 from service.core.settings.settings import Settings
-from service.monitoring.certificate import CertificateWatch
+from service.monitoring.certificate import ServedCertificate
 from service.qa.arming_requirement import refuse_without_qa
 from service.qa.latency.requirement import refuse_unmeasured_site
 from service.storage.audit.startup import clock_went_back
@@ -42,6 +42,8 @@ class ReadinessProbe:
         Returns why no engine can be started; None if one can.
     is_stopping
         Whether the service is stopping.
+    certificate
+        The service's own TLS certificate; None without one.
     """
 
     def __init__(
@@ -53,6 +55,7 @@ class ReadinessProbe:
         ended_threads: Callable[[], Iterable[str]] = tuple,
         engine_trouble: Callable[[], str | None] = lambda: None,
         is_stopping: Callable[[], bool] = lambda: False,
+        certificate: ServedCertificate | None = None,
         has_camera_runtime: Callable[[], bool] = runtime_installed,
         now: Callable[[], datetime] = lambda: datetime.now(UTC),
         clock: Clock | None = None,
@@ -67,7 +70,7 @@ class ReadinessProbe:
         self._has_camera_runtime = cache(has_camera_runtime)
         self._now = now
         self._clock = clock or MonotonicClock()
-        self._certificate = CertificateWatch(settings.tls_cert)
+        self._certificate = certificate
         self._probing = threading.Lock()
         self._cached: tuple[int, Readiness] | None = None
 
@@ -172,23 +175,18 @@ class ReadinessProbe:
             yield _reason(ReadinessCode.CAMERA_RUNTIME_MISSING, detail)
 
     def _certificate_trouble(self) -> Iterator[ReadinessReason]:
-        try:
-            ends_at = self._certificate.ends_at()
-        except (OSError, ValueError) as error:
-            detail = f"the TLS certificate cannot be read any more ({type(error).__name__})"
-            yield _reason(ReadinessCode.CERTIFICATE_UNREADABLE, detail)
-            return
-        if ends_at is not None and ends_at <= self._now():
-            yield _reason(ReadinessCode.CERTIFICATE_ENDED, f"the TLS certificate ended on {ends_at:%Y-%m-%d}")
+        if self._certificate is not None and self._certificate.ends_at <= self._now():
+            detail = f"the TLS certificate ended on {self._certificate.ends_at:%Y-%m-%d}"
+            yield _reason(ReadinessCode.CERTIFICATE_ENDED, detail)
 
     def _certificate_warning(self) -> Iterator[ReadinessReason]:
-        try:
-            ends_at = self._certificate.ends_at()
-        except (OSError, ValueError):
+        if self._certificate is None:
             return
-        if ends_at is None or ends_at <= self._now():
-            return
-        if ends_at - self._now() <= timedelta(days=self._settings.certificate_warn_days):
+        ends_at, refusal = self._certificate.ends_at, self._certificate.refusal
+        if refusal is not None:
+            detail = f"{refusal}; the one that ends on {ends_at:%Y-%m-%d} is served, and the next start would fail"
+            yield _reason(ReadinessCode.CERTIFICATE_UNREADABLE, detail)
+        if timedelta() < ends_at - self._now() <= timedelta(days=self._settings.certificate_warn_days):
             yield _reason(ReadinessCode.CERTIFICATE_ENDS_SOON, f"the TLS certificate ends on {ends_at:%Y-%m-%d}")
 
     def _clock_trouble(self) -> Iterator[ReadinessReason]:

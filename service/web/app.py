@@ -16,6 +16,7 @@ from service.access.request.addresses import ClientAddresses
 from service.core.settings.settings import Settings
 from service.engine_host.local_engine import LocalEngine
 from service.engine_host.roles import EnginePort
+from service.monitoring.certificate import ServedCertificate
 from service.qa.late_rig import LateRig
 from service.qa.roles import QaRig
 from service.web.api import (
@@ -70,8 +71,14 @@ def create_app(
     """Make the application; nothing is opened before its lifespan begins.
 
     ``tell_first`` is called with name and password of the administrator that is made if there is no account yet;
-    without it none is made.
+    without it none is made. The site's TLS certificate is ``app.state.certificate``, None without one.
+
+    Raises
+    ------
+    CertificateError
+        The certificate or its key cannot be used.
     """
+    certificate = ServedCertificate.of(settings)
     app = FastAPI(
         title="Tidegate",
         version=__version__,
@@ -82,7 +89,7 @@ def create_app(
         docs_url=None,
         redoc_url=None,
         routes=list(_api_routes()),
-        lifespan=make_lifespan(settings, make_engine, make_rig, tell_first),
+        lifespan=make_lifespan(settings, make_engine, make_rig, tell_first, certificate),
         middleware=[
             Middleware(Arrival),
             Middleware(RequestLog, page_files=_page_files()),
@@ -103,6 +110,7 @@ def create_app(
         ],
     )
     app.state.own_threads = ReservedThreads()
+    app.state.certificate = certificate
     install_problem_handlers(app)
     describe_contract(app)
     app.mount("/", StaticFiles(directory=DASHBOARD, html=True, check_dir=False), name="page")

@@ -13,6 +13,7 @@ from service.access.service import AccessService, open_access
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
 from service.engine_host.roles import EnginePort
+from service.monitoring.certificate import ServedCertificate
 from service.monitoring.monitoring import MonitoredServices, Monitoring, make_monitoring
 from service.planning.rt_plan.planned_sessions import PlannedSessions
 from service.planning.rt_plan.repository import PlanRepository
@@ -58,6 +59,7 @@ class _Dependencies:
     engine: EnginePort
     rig: QaRig
     tell_first: OnFirstAdmin | None
+    certificate: ServedCertificate | None = None
     equipment: EquipmentSlot = field(default_factory=EquipmentSlot)
     counters: SessionCounters = field(default_factory=SessionCounters)
 
@@ -104,6 +106,7 @@ class Container:
     work: _Work
     access: _Access
     monitoring: Monitoring
+    certificate: ServedCertificate | None
 
     def hold_and_close_session(self) -> None:
         """Refuse new sessions and QA runs, hold the beam, and end the one that runs."""
@@ -120,6 +123,8 @@ class Container:
         self.access.armed_operator.close()
         self.storage.alarms.close()
         self.storage.cleanup.close()
+        if self.certificate is not None:
+            self.certificate.close()
         self.access.oidc.close()
         self.access.service.close()
         try:
@@ -129,9 +134,17 @@ class Container:
             self.storage.database.close()
 
 
-def open_container(settings: Settings, engine: EnginePort, rig: QaRig, tell_first: OnFirstAdmin | None) -> Container:
+def open_container(
+    settings: Settings,
+    engine: EnginePort,
+    rig: QaRig,
+    tell_first: OnFirstAdmin | None,
+    certificate: ServedCertificate | None = None,
+) -> Container:
     """Open everything and start the workers; a start that fails leaves nothing open, the engine included."""
-    dependencies = _Dependencies(settings=settings, engine=engine, rig=rig, tell_first=tell_first)
+    dependencies = _Dependencies(
+        settings=settings, engine=engine, rig=rig, tell_first=tell_first, certificate=certificate
+    )
     with ExitStack() as on_failure:
         on_failure.callback(engine.close)
         storage = _open_storage(dependencies, on_failure)
@@ -148,6 +161,7 @@ def open_container(settings: Settings, engine: EnginePort, rig: QaRig, tell_firs
         work=work,
         access=access,
         monitoring=monitoring,
+        certificate=certificate,
     )
 
 
@@ -245,6 +259,7 @@ def _open_monitoring(dependencies: _Dependencies, storage: _Storage, access: _Ac
         access=access.service,
         armed_operator=access.armed_operator,
         alarms=storage.alarms,
+        certificate=dependencies.certificate,
     )
     storage.alarms.troubles = SiteTroubles(
         audit=lambda: storage.audit_supervision.troubles, ended_threads=monitored.ended_threads
@@ -285,6 +300,9 @@ def _begin(dependencies: _Dependencies, storage: _Storage, access: _Access, on_f
     storage.cleanup.start()
     storage.alarms.start()
     on_failure.callback(storage.alarms.close)
+    if dependencies.certificate is not None:
+        dependencies.certificate.start()
+        on_failure.callback(dependencies.certificate.close)
 
 
 def _start_detail(dependencies: _Dependencies, journals: Journals) -> dict[str, object]:

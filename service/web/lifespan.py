@@ -14,6 +14,7 @@ from engine.core.errors import TidegateError
 from service.access.accounts.first_admin import OnFirstAdmin
 from service.core.settings.settings import Settings
 from service.engine_host.roles import EnginePort
+from service.monitoring.certificate import ServedCertificate
 from service.qa.roles import QaRig
 from service.storage.database.startup import SAMPLES_FOLDER
 from service.storage.samples.store import SampleStore
@@ -39,6 +40,7 @@ def make_lifespan(
     make_engine: Callable[[Settings], EnginePort],
     make_rig: Callable[[Settings], QaRig],
     tell_first: OnFirstAdmin | None = None,
+    certificate: ServedCertificate | None = None,
 ) -> Callable[[FastAPI], AbstractAsyncContextManager[None]]:
     """Make the application's lifespan."""
 
@@ -46,7 +48,7 @@ def make_lifespan(
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         try:
             container = await anyio.to_thread.run_sync(
-                open_container, settings, make_engine(settings), make_rig(settings), tell_first
+                open_container, settings, make_engine(settings), make_rig(settings), tell_first, certificate
             )
         except (TidegateError, SQLAlchemyError) as error:
             app.state.start_refusal = _refusal(error)

@@ -3,10 +3,8 @@
 import asyncio
 import signal
 import socket
-import ssl
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from types import FrameType
 from typing import cast
 
@@ -16,6 +14,7 @@ import uvicorn
 from fastapi import FastAPI
 
 from service.core.settings.connection_limits import ConnectionLimits
+from service.monitoring.certificate import ServedCertificate
 from service.web.connections.http_protocol import BoundedHttp
 from service.web.connections.registry import ConnectionRegistry
 from service.web.connections.socket_protocol import BoundedSocket
@@ -28,10 +27,6 @@ GOODBYE_S = 1
 """Time for requests in progress and closing streams after the beam is held [s]."""
 TLS_GOODBYE_S = 5.0
 MAX_BODY_BYTES = 1_048_576
-
-
-class CertificateError(Exception):
-    """The TLS certificate or key cannot be used; the message is for the person who starts the service."""
 
 
 class BeamFirstServer(uvicorn.Server):
@@ -111,8 +106,7 @@ def make_server(
     *,
     host: str,
     port: int,
-    tls_cert: Path | None = None,
-    tls_key: Path | None = None,
+    certificate: ServedCertificate | None = None,
     connection_limits: ConnectionLimits | None = None,
     trusted_proxies: Sequence[str] = (),
     max_body_bytes: int = MAX_BODY_BYTES,
@@ -131,11 +125,6 @@ def make_server(
         Ends the process where something does not let go of it in time; left out, it is waited for.
     on_listening
         Called on the event loop once the port accepts connections.
-
-    Raises
-    ------
-    CertificateError
-        The certificate or its key cannot be read, or they do not belong together.
     """
     connection_limits = connection_limits or ConnectionLimits()
     registry = ConnectionRegistry(connection_limits, trusted_proxies=trusted_proxies)
@@ -159,14 +148,7 @@ def make_server(
         ws_max_size=MAX_INCOMING_MESSAGE_BYTES,
         ws_per_message_deflate=False,
         timeout_graceful_shutdown=GOODBYE_S,
-        ssl_certfile=tls_cert,
-        ssl_keyfile=tls_key,
+        ssl_context_factory=None if certificate is None else lambda _config, _default: certificate.context,
     )
-    try:
-        config.load()
-    except (OSError, ssl.SSLError) as error:
-        msg = f"{tls_cert} and {tls_key} cannot be used for TLS: {error.strerror or error}"
-        raise CertificateError(msg) from error
-    if config.ssl is not None:
-        config.ssl.minimum_version = ssl.TLSVersion.TLSv1_2
+    config.load()
     return BeamFirstServer(config, app, connection_limits, leave, on_listening)

@@ -7,6 +7,8 @@ from pathlib import Path
 
 TESTS = next(folder for folder in Path(__file__).parents if folder.name == "tests")
 FOLDER = TESTS / "data" / "written_by_92d6c8d"
+RELEASES = TESTS / "data" / "releases"
+"""A data folder of each release, packed by `make release`."""
 TAPE = FOLDER / "scripted.tape"
 LEARNING, RESUMED, KILLED = (
     "94ad93b891924c52acecbd0097aba2b3",

@@ -19,7 +19,7 @@ from service.access.login import lockout
 from service.access.service import AccessService
 from service.core.logging.nonblocking import dropped_lines
 from service.core.schemas.readiness import Readiness, ReadinessCode
-from service.monitoring.certificate import CertificateWatch
+from service.monitoring.certificate import ServedCertificate
 from service.storage.audit.verification import head_sequence
 from service.storage.database.engine import Database
 
@@ -92,7 +92,7 @@ class MachineMetrics(Collector):
         *,
         data_dir: Path,
         figures: DatabaseFigures,
-        certificate: CertificateWatch,
+        certificate: ServedCertificate | None,
         access: AccessService,
         readiness: Callable[[], Readiness],
         forwarded_rows: Callable[[], int | None] = lambda: None,
@@ -160,13 +160,9 @@ class MachineMetrics(Collector):
             yield _gauge("tidegate_audit_waiting_rows", "Audit rows not yet forwarded", waiting)
 
     def _certificate_end(self) -> Iterator[Metric]:
-        try:
-            ends_at = self._certificate.ends_at()
-        except (OSError, ValueError):
-            return  # readiness reports it
-        if ends_at is not None:
+        if self._certificate is not None:
             name = "tidegate_certificate_end_timestamp_seconds"
-            yield _gauge(name, "Expiry of the TLS certificate", ends_at.timestamp())
+            yield _gauge(name, "Expiry of the TLS certificate", self._certificate.ends_at.timestamp())
 
     def _logins(self) -> Iterator[Metric]:
         store = self._access.store

@@ -9,6 +9,7 @@ import pytest
 from fastapi import FastAPI, WebSocket
 
 from service.core.settings.connection_limits import ConnectionLimits
+from service.monitoring.certificate import ServedCertificate
 from service.web.server import make_server
 from tests.campaigns.attack.raw_connections import connection, read_all
 from tests.support.access.tls_certificate import make_certificate
@@ -40,7 +41,11 @@ def spoken(tmp_path_factory):
     port = free_port()
     connection_limits = ConnectionLimits(handshake_s=1.0, header_s=1.0, write_s=1.0)
     server = make_server(
-        app, host="127.0.0.1", port=port, tls_cert=cert, tls_key=key, connection_limits=connection_limits
+        app,
+        host="127.0.0.1",
+        port=port,
+        certificate=ServedCertificate(cert, key),
+        connection_limits=connection_limits,
     )
     thread = threading.Thread(target=lambda: asyncio.run(server.serve()))
     thread.start()

@@ -68,6 +68,7 @@ def _load(asked: argparse.Namespace) -> Load:
         rounds=rounds,
         checkout=asked.checkout,
         database_url=asked.database_url,
+        has_tls=asked.tls,
     )
     a_round_s = seconds / rounds
     quiet_s = min(a_round_s * (1.0 - LOADED_SHARE), 20.0)
@@ -90,6 +91,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--rounds", type=int, help="of a quiet and a loaded block")
     parser.add_argument("--checkout", type=Path, help="run the service of another checkout, with this environment")
     parser.add_argument("--database-url", help="of a PostgreSQL database that the service uses")
+    parser.add_argument("--tls", action="store_true", help="all of it over the service's own TLS")
     parser.add_argument("--out", type=Path, help="file for all figures, in JSON")
     parser.add_argument("--strict", action="store_true", help="exit code 1 when a mark is not met")
     return parser

@@ -12,7 +12,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 
-from tests.campaigns.load.program_protocol import processor_s, say, work_as_asked
+from tests.campaigns.load.program_protocol import processor_s, say, trusted_by, work_as_asked
 
 SESSION = "/api/v1/sessions/{id}"
 MIX = (
@@ -36,7 +36,7 @@ class Callers:
     """Sends the mix, and counts what comes back."""
 
     def __init__(self, asked: dict[str, object]) -> None:
-        self._asked = asked
+        self._asked, self._trusted = asked, trusted_by(asked)
         self._idle: list[tuple[asyncio.StreamReader, asyncio.StreamWriter]] = []
         self._open = 0
         self.latencies_ms: defaultdict[str, list[float]] = defaultdict(list)
@@ -109,7 +109,9 @@ class Callers:
                 if getattr(error, "partial", b""):
                     raise
         self._open += 1
-        return await self._ask_over(await asyncio.open_connection("127.0.0.1", self._port), method, path)
+        return await self._ask_over(
+            await asyncio.open_connection("127.0.0.1", self._port, ssl=self._trusted), method, path
+        )
 
     async def _ask_over(
         self, place: tuple[asyncio.StreamReader, asyncio.StreamWriter], method: str, path: str

@@ -12,6 +12,7 @@ import http.client
 import json
 import os
 import secrets
+import ssl
 import subprocess
 import sys
 import tempfile
@@ -69,8 +70,8 @@ def watch(port: int, headers: dict[str, str], seconds: float) -> np.ndarray:
 class Flood:
     """Clients that try to log in as fast as they are answered."""
 
-    def __init__(self, port: int) -> None:
-        self._port = port
+    def __init__(self, port: int, trusted: ssl.SSLContext | None = None) -> None:
+        self._port, self._trusted = port, trusted
         self._is_over = threading.Event()
         self.answers: Counter[int] = Counter()
         self._threads = [threading.Thread(target=self._try, daemon=True) for _ in range(FLOODERS)]
@@ -86,7 +87,10 @@ class Flood:
             thread.join()
 
     def _try(self) -> None:
-        client = http.client.HTTPConnection("127.0.0.1", self._port, timeout=30.0)
+        if self._trusted is None:
+            client = http.client.HTTPConnection("127.0.0.1", self._port, timeout=30.0)
+        else:
+            client = http.client.HTTPSConnection("127.0.0.1", self._port, timeout=30.0, context=self._trusted)
         while not self._is_over.is_set():
             address = ".".join(str(1 + secrets.randbelow(200)) for _ in range(4))
             body = json.dumps({"name": secrets.token_hex(8), "password": secrets.token_hex(12)})

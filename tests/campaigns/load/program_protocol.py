@@ -7,12 +7,19 @@ import asyncio
 import json
 import os
 import resource
+import ssl
 import sys
 from collections.abc import Awaitable, Callable
 
 NICENESS = 10
 Work = Callable[[dict[str, object], asyncio.StreamReader], Awaitable[dict[str, object]]]
 """Does what is asked, says ``ready``, reads the lines ``begin`` and ``end``, and returns what it counted between."""
+
+
+def trusted_by(asked: dict[str, object]) -> ssl.SSLContext | None:
+    """Return what the service's certificate is verified with; None where it speaks plain HTTP."""
+    certificate = asked.get("certificate")
+    return None if certificate is None else ssl.create_default_context(cafile=str(certificate))
 
 
 def say(line: str) -> None:

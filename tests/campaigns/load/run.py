@@ -14,10 +14,12 @@ from typing import Any
 from tests.campaigns.load.frames import Block, read_frames
 from tests.campaigns.load.interruption import Ending
 from tests.campaigns.load.login_flood import Flood
+from tests.campaigns.load.program_protocol import trusted_by
 from tests.campaigns.load.programs import LoadProgram
 from tests.campaigns.load.recording import base_folder, write_long
 from tests.campaigns.load.service import Service, samples_of, served, start_session, stop_session, transitions_of
 from tests.campaigns.load.usage import Usage, machine_busy_s, usage_of
+from tests.support.access.tls_certificate import make_certificate
 
 LEARN_S = 60.0
 CHANGE_S = 20.0
@@ -43,6 +45,7 @@ class Load:
     loaded_s: float = 20.0
     checkout: Path | None = None
     database_url: str | None = None
+    has_tls: bool = False
 
     @property
     def seconds(self) -> float:
@@ -137,7 +140,10 @@ def run(load: Load, on_step: Callable[[str], None] = lambda _step: None, ending:
         on_step("making the recording")
         folder = base_folder()
         write_long(folder / "recording.oni", load.seconds, recording)
-        with served(place, recording.parent, checkout=load.checkout, environment=_environment(load)) as service:
+        tls = make_certificate(place) if load.has_tls else None
+        with served(
+            place, recording.parent, checkout=load.checkout, environment=_environment(load), tls=tls
+        ) as service:
             on_step("learning")
             session_id = start_session(service, folder, recording)
             begun_s = time.monotonic()
@@ -237,6 +243,8 @@ def _counting(counted: Counted, kind: str, service: Service) -> Iterator[None]:
 @contextlib.contextmanager
 def _programs(load: Load, service: Service, session_id: str) -> Iterator[tuple[LoadProgram, LoadProgram]]:
     speaking: dict[str, object] = {"port": service.port, "authorization": service.authorization}
+    if service.certificate is not None:
+        speaking["certificate"] = str(service.certificate)
     watching = {"clients": load.dashboards, "events": load.events, "stalled": load.stalled, "query": load.stream_query}
     calling = {"session_id": session_id, "per_s": load.requests_per_s, "is_holding": load.is_holding}
     with (
@@ -252,6 +260,6 @@ def _flood(load: Load, service: Service) -> Iterator[dict[str, int]]:
     if not load.is_flooded:
         yield answers
         return
-    with Flood(service.port) as flood:
+    with Flood(service.port, trusted_by({"certificate": service.certificate})) as flood:
         yield answers
     answers.update({f"log-in {status}": count for status, count in flood.answers.items()})

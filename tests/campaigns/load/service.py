@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import re
+import ssl
 import subprocess
 import sys
 import time
@@ -15,6 +16,7 @@ from typing import Any
 import httpx2
 
 from service.core.permissions import Role
+from service.core.settings.settings import Settings
 from tests.support.repository import ROOT
 from tests.support.service.accounts import provision
 from tests.support.service.processes import free_port
@@ -44,6 +46,17 @@ class Service:
     data: Path
     log: Path
     person_headers: dict[str, str]
+    certificate: Path | None = None
+
+    @property
+    def url(self) -> str:
+        """Where it is reached: over TLS where it has a certificate."""
+        return f"{'http' if self.certificate is None else 'https'}://127.0.0.1:{self.port}"
+
+    @property
+    def trusted(self) -> ssl.SSLContext | bool:
+        """What a client verifies the service's certificate with."""
+        return True if self.certificate is None else ssl.create_default_context(cafile=self.certificate)
 
     @property
     def authorization(self) -> str:
@@ -53,11 +66,11 @@ class Service:
     def client(self, timeout_s: float = 60.0) -> httpx2.Client:
         """Open a client that speaks with the key."""
         headers = {"Authorization": self.authorization}
-        return httpx2.Client(base_url=f"http://127.0.0.1:{self.port}", headers=headers, timeout=timeout_s)
+        return httpx2.Client(base_url=self.url, headers=headers, timeout=timeout_s, verify=self.trusted)
 
     def person(self) -> httpx2.Client:
         """Open a client of a logged-in person, who sets the reference."""
-        return httpx2.Client(base_url=f"http://127.0.0.1:{self.port}", headers=self.person_headers, timeout=60.0)
+        return httpx2.Client(base_url=self.url, headers=self.person_headers, timeout=60.0, verify=self.trusted)
 
     def require_alive(self) -> None:
         """Raise with the log's end where it is dead."""
@@ -67,12 +80,19 @@ class Service:
 
 @contextlib.contextmanager
 def served(
-    place: Path, recordings: Path, *, checkout: Path | None = None, environment: Mapping[str, str] | None = None
+    place: Path,
+    recordings: Path,
+    *,
+    checkout: Path | None = None,
+    environment: Mapping[str, str] | None = None,
+    tls: tuple[Path, Path] | None = None,
 ) -> Iterator[Service]:
-    """Run a service on a new data folder until the block ends."""
+    """Run a service on a new data folder until the block ends; ``tls`` is its certificate and key."""
     root, port, data = (checkout or ROOT).resolve(), free_port(), place / "data"
     # A key arms here, and no person is at a page: presence is switched off, as a figure does not depend on it.
     given = {"TIDEGATE_MAX_LIVE_CLIENTS": "256", "TIDEGATE_OPERATOR_TIMEOUT_S": "0", **(environment or {})}
+    if tls is not None:
+        given |= {"TIDEGATE_TLS_CERT": str(tls[0]), "TIDEGATE_TLS_KEY": str(tls[1])}
     known = {**os.environ, "PYTHONPATH": str(root), **given}
     command = [sys.executable, "-m", "service.cli"]
     scopes = [part for scope in SCOPES for part in ("--scope", scope)]
@@ -87,7 +107,9 @@ def served(
     secret = re.search(r"tg_[\w-]{20,}", made.stdout + made.stderr)
     if made.returncode or secret is None:
         raise LoadError(f"no key could be made: {made.stdout}{made.stderr}")
-    let_in = provision(data, people={OPERATOR: {Role.THERAPIST}}, origin=f"http://127.0.0.1:{port}")
+    settings = None if tls is None else Settings(data_dir=data, tls_cert=tls[0], tls_key=tls[1])
+    origin = f"{'http' if tls is None else 'https'}://127.0.0.1:{port}"
+    let_in = provision(data, people={OPERATOR: {Role.THERAPIST}}, origin=origin, settings=settings)
     log = place / "serve.log"
     with log.open("wb") as output:
         process = subprocess.Popen(
@@ -98,7 +120,15 @@ def served(
             stderr=subprocess.STDOUT,
             start_new_session=True,  # Ctrl-C is for the run, which closes the session and reads its samples first
         )
-    service = Service(process=process, port=port, secret=secret[0], data=data, log=log, person_headers=let_in.headers)
+    service = Service(
+        process=process,
+        port=port,
+        secret=secret[0],
+        data=data,
+        log=log,
+        person_headers=let_in.headers,
+        certificate=None if tls is None else tls[0],
+    )
     try:
         _wait_until_it_answers(service)
         yield service

@@ -18,7 +18,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from tests.campaigns.load.message_heads import Head, read_head
-from tests.campaigns.load.program_protocol import processor_s, say, work_as_asked
+from tests.campaigns.load.program_protocol import processor_s, say, trusted_by, work_as_asked
 
 OPENED_PER_S = 100
 TICK_S = 0.01
@@ -183,6 +183,7 @@ class Watcher(asyncio.Protocol):
 
 async def _run(asked: dict[str, object], lines: asyncio.StreamReader) -> dict[str, object]:
     loop, newest, watchers = asyncio.get_running_loop(), Newest(), []
+    trusted = trusted_by(asked)
     clients, events, stalled = (int(str(asked[name])) for name in ("clients", "events", "stalled"))
     for number in range(clients):
         place = socket.socket()
@@ -194,6 +195,8 @@ async def _run(asked: dict[str, object], lines: asyncio.StreamReader) -> dict[st
         _, watcher = await loop.create_connection(
             lambda: Watcher(asked, newest, is_events=is_events, is_stalled=number < stalled),  # noqa: B023 - called now
             sock=place,
+            ssl=trusted,
+            server_hostname=None if trusted is None else "127.0.0.1",
         )
         watchers.append(watcher)
         await asyncio.sleep(1.0 / OPENED_PER_S)

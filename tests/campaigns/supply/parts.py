@@ -50,10 +50,10 @@ def python_parts(lock: str | None = None) -> list[Part]:
 
 
 def debian_parts(dockerfile: str | None = None) -> list[str]:
-    """Names of what the image's last stage installs; their versions are those of the day it is built."""
+    """Names of what the image's system stage installs; the image's own bill names all of Debian's, with versions."""
     text = DOCKERFILE.read_text(encoding="utf-8") if dockerfile is None else dockerfile
-    last = text.rsplit("\nFROM ", 1)[1].replace("\\\n", " ")
-    installed = re.findall(r"apt-get install -y --no-install-recommends ([^&\n]+)", last)
+    stage = text.partition(" AS system\n")[2].partition("\nFROM ")[0].replace("\\\n", " ")
+    installed = re.findall(r"apt-get install -y --no-install-recommends ([^&\n]+)", stage)
     return sorted(name for names in installed for name in names.split())
 
 

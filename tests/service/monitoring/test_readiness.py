@@ -13,7 +13,7 @@ from service.core.periodic import PeriodicWorker
 from service.core.schemas.readiness import ReadinessCode
 from service.core.settings.settings import Settings
 from service.monitoring import readiness as module
-from service.monitoring.certificate import CertificateWatch
+from service.monitoring.certificate import ServedCertificate
 from service.monitoring.readiness import LONGEST_AGE_MS, ReadinessProbe
 from tests.support.access.tls_certificate import make_certificate
 from tests.support.waiting import eventually
@@ -50,7 +50,7 @@ def probe_of(database, tmp_path):
     return make
 
 
-LOOKS = ("audit_troubles", "ended_threads", "engine_trouble", "is_stopping", "has_camera_runtime")
+LOOKS = ("audit_troubles", "ended_threads", "engine_trouble", "is_stopping", "has_camera_runtime", "certificate")
 
 
 def codes(reasons):
@@ -120,25 +120,25 @@ def test_a_missing_camera_runtime_is_a_warning_in_research_and_a_reason_in_the_c
     ids=["soon", "over", "long"],
 )
 def test_a_certificate_is_warned_of_before_it_ends_and_missed_after(probe_of, tmp_path, later, reasons, warnings):
-    cert, key = make_certificate(tmp_path)
-    found = probe_of(tls_cert=cert, tls_key=key, now=lambda: datetime.now(UTC) + later).readiness()
+    certificate = ServedCertificate(*make_certificate(tmp_path))
+    found = probe_of(certificate=certificate, now=lambda: datetime.now(UTC) + later).readiness()
     assert (codes(found.reasons), codes(found.warnings)) == (reasons, warnings)
 
 
-def test_a_certificate_is_read_again_when_it_was_replaced_and_missed_when_it_is_none_any_more(probe_of, tmp_path):
-    cert, key = make_certificate(tmp_path)
-    probe = probe_of(tls_cert=cert, tls_key=key)
-    assert probe.readiness().is_ready
+def test_a_new_certificate_that_cannot_be_used_is_a_warning_while_the_one_before_is_served(probe_of, tmp_path):
+    cert, key = make_certificate(tmp_path, ends_in=timedelta(days=300))
+    certificate = ServedCertificate(cert, key)
+    probe = probe_of(certificate=certificate)
+    assert probe.readiness().warnings == []
     cert.write_text("not a certificate")
-    assert codes(probe.readiness().reasons) == [ReadinessCode.CERTIFICATE_UNREADABLE]
-    cert.unlink()
-    assert codes(probe.readiness().reasons) == [ReadinessCode.CERTIFICATE_UNREADABLE]
-    make_certificate(tmp_path)
-    assert probe.readiness().is_ready
-
-
-def test_without_tls_no_certificate_ends():
-    assert CertificateWatch(None).ends_at() is None
+    certificate.look()
+    found = probe.readiness()
+    assert (found.is_ready, codes(found.warnings)) == (True, [ReadinessCode.CERTIFICATE_UNREADABLE])
+    assert str(cert) in found.warnings[0].detail
+    assert f"{certificate.ends_at:%Y-%m-%d}" in found.warnings[0].detail
+    make_certificate(tmp_path, ends_in=timedelta(days=300))
+    certificate.look()
+    assert probe.readiness().warnings == []
 
 
 def test_a_wall_clock_behind_the_audit_is_a_warning(database, probe_of):

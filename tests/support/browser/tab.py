@@ -34,7 +34,7 @@ NOTE_TRAFFIC = """(() => {
       this.addEventListener("open", () => { isOpen = true; traffic.inFlight -= 1; traffic.openSockets += 1; });
       this.addEventListener("close", () => { if (isOpen) traffic.openSockets -= 1; else traffic.inFlight -= 1; });
       this.addEventListener("message", (event) => {
-        const found = /"sequence": (\\d+)/.exec(event.data);
+        const found = /"sequence": ?(\\d+)/.exec(event.data);
         if (found !== null) traffic.sequence = Number(found[1]);
       });
     }

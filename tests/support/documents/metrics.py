@@ -44,8 +44,7 @@ class FullEngine(FakeEngine):
 
 
 class _Certificate:
-    def ends_at(self):
-        return datetime(2027, 1, 1, tzinfo=UTC)
+    ends_at = datetime(2027, 1, 1, tzinfo=UTC)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

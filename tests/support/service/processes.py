@@ -86,11 +86,13 @@ def service_process(
     environment: dict[str, str] | None = None,
     data: Path | None = None,
     tls: tuple[Path, Path] | None = None,
+    certificate: Path | None = None,
 ) -> Iterator[tuple[subprocess.Popen, PeopleOverHttp]]:
     """Run a Python module as a service until the block ends; kill the process if it still runs then.
 
     With its ``data`` folder given, the client speaks as people who are logged in there; else without a log-in. ``tls``
-    is a certificate and its key: the service reads them from its environment, and the client speaks HTTPS.
+    is a certificate and its key: the service reads them from its environment, and the client speaks HTTPS. With a
+    ``certificate`` alone the client does, and the environment is the caller's.
     """
     provisioned = None if data is None else provisioned_for(data, port, tls)
     spoken = {} if tls is None else {"TIDEGATE_TLS_CERT": str(tls[0]), "TIDEGATE_TLS_KEY": str(tls[1])}
@@ -103,7 +105,7 @@ def service_process(
             env={**os.environ, "TIDEGATE_JOURNAL_DIR": str(log.parent / "journals"), **spoken, **(environment or {})},
         )
         try:
-            with PeopleOverHttp(port, provisioned, certificate=None if tls is None else tls[0]) as client:
+            with PeopleOverHttp(port, provisioned, certificate=certificate if tls is None else tls[0]) as client:
                 _wait_until_it_answers(process, client, log)
                 yield process, client
         finally:

@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 from engine.core.gate_state import GateState, HoldReason
+from service.access.request.addresses import LOOPBACK
 from service.core.settings.settings import Settings
 from service.web.app import create_app
 from service.web.server import make_server
@@ -59,9 +60,9 @@ def main() -> None:
             app,
             host=settings.host,
             port=settings.port,
-            tls_cert=settings.tls_cert,
-            tls_key=settings.tls_key,
+            certificate=app.state.certificate,
             connection_limits=settings.connection_limits,
+            trusted_proxies=LOOPBACK if settings.behind_proxy else (),
         ).run()
 
 

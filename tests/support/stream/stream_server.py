@@ -161,7 +161,7 @@ def served(folder: Path, **settings: Any) -> Iterator[Served]:
     )
     engine = FakeEngine()
     app = create_app(chosen, lambda _settings: engine)
-    server = make_server(app, host="127.0.0.1", port=port, tls_cert=chosen.tls_cert, tls_key=chosen.tls_key)
+    server = make_server(app, host="127.0.0.1", port=port, certificate=app.state.certificate)
     trusted = ssl.create_default_context(cafile=chosen.tls_cert) if chosen.has_tls else None
     thread = threading.Thread(target=lambda: asyncio.run(server.serve()), name="server of a test")
     thread.start()

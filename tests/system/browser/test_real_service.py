@@ -1,4 +1,7 @@
-"""End to end: a real `tidegate serve`, people who log in, a volunteer played in real time, gated on the page."""
+"""End to end: a real `tidegate serve`, people who log in, a volunteer played in real time, gated on the page.
+
+The volunteer is gated over the service's own TLS, as in a clinic; the first start is on this machine, without.
+"""
 
 import contextlib
 import json
@@ -6,6 +9,7 @@ import os
 import re
 import shutil
 import socket
+import ssl
 import subprocess
 import sysconfig
 import urllib.error
@@ -18,7 +22,8 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, Playwright, expect
 from playwright.sync_api import TimeoutError as BrowserTimeoutError
 
-from tests.support.browser.chromium import launch_chromium
+from tests.support.access.tls_certificate import make_certificate
+from tests.support.browser.chromium import launch_chromium, trust
 from tests.support.browser.tab import Tab
 from tests.support.service.accounts import EVERY_ROLE, provision
 from tests.support.waiting import PATIENCE_S, eventually
@@ -64,17 +69,21 @@ REMEMBER_STATES = """() => {
 class Controller:
     """A `tidegate serve` process with one person, and its HTTP API as the planning software calls it."""
 
-    def __init__(self, data: Path, recordings: Path, *, is_new: bool = False) -> None:
+    def __init__(
+        self, data: Path, recordings: Path, *, is_new: bool = False, tls: tuple[Path, Path] | None = None
+    ) -> None:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             port = probe.getsockname()[1]
-        self.url = f"http://127.0.0.1:{port}"
+        self.url = f"{'http' if tls is None else 'https'}://127.0.0.1:{port}"
+        self._trusted = None if tls is None else ssl.create_default_context(cafile=tls[0])
+        spoken = {} if tls is None else {"TIDEGATE_TLS_CERT": str(tls[0]), "TIDEGATE_TLS_KEY": str(tls[1])}
         self._key = {} if is_new else self._let_in(data)
         self.log = data.with_name("log")
         command = [COMMAND, "serve", "--port", str(port), "--data", data, "--recordings", recordings]
         with self.log.open("wb") as log:
             self._process = subprocess.Popen(
-                [str(word) for word in command], env=os.environ | PATIENCE, stdout=log, stderr=log
+                [str(word) for word in command], env=os.environ | PATIENCE | spoken, stdout=log, stderr=log
             )
 
     def _let_in(self, data: Path) -> dict[str, str]:
@@ -87,7 +96,7 @@ class Controller:
             data=None if body is None else json.dumps(body).encode(),
             headers={"Content-Type": "application/json", **self._key},
         )
-        with urllib.request.urlopen(request, timeout=PATIENCE_S) as response:
+        with urllib.request.urlopen(request, timeout=PATIENCE_S, context=self._trusted) as response:
             return json.load(response)
 
     def wait_until_up(self) -> None:
@@ -97,7 +106,7 @@ class Controller:
         assert self._process.poll() is None, "tidegate serve ended"
         with (
             contextlib.suppress(urllib.error.URLError),
-            urllib.request.urlopen(f"{self.url}/healthz", timeout=PATIENCE_S),
+            urllib.request.urlopen(f"{self.url}/healthz", timeout=PATIENCE_S, context=self._trusted),
         ):
             return True
         return False
@@ -112,16 +121,25 @@ class Controller:
 
 
 @pytest.fixture(scope="module")
-def chromium(playwright: Playwright) -> Iterator[Browser]:
-    """The whole browser, as in a clinic."""
-    browser = launch_chromium(playwright, is_shell=False)
+def chromium(
+    playwright: Playwright, tls: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Browser]:
+    """The whole browser, as in a clinic, which trusts the service's certificate."""
+    home = tmp_path_factory.mktemp("home")
+    trust(home, tls[0])
+    browser = launch_chromium(playwright, is_shell=False, home=home)
     yield browser
     browser.close()
 
 
+@pytest.fixture(scope="module")
+def tls(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    return make_certificate(tmp_path_factory.mktemp("tls"))
+
+
 @pytest.fixture
-def controller(tmp_path: Path, calm_volunteer: Path) -> Iterator[Controller]:
-    controller = Controller(tmp_path / "data", calm_volunteer.parent)
+def controller(tmp_path: Path, calm_volunteer: Path, tls: tuple[Path, Path]) -> Iterator[Controller]:
+    controller = Controller(tmp_path / "data", calm_volunteer.parent, tls=tls)
     try:
         controller.wait_until_up()
         yield controller

@@ -2,12 +2,14 @@
 
 import os
 import re
+import shutil
 import signal
 import socket
 import ssl
 import subprocess
 import sys
 from contextlib import contextmanager
+from datetime import timedelta
 
 import httpx2
 import pytest
@@ -111,29 +113,47 @@ def _no_warning_of_old_versions():
         yield
 
 
-@pytest.mark.parametrize("broken", ["missing", "not a certificate"])
+REFUSED = {
+    "missing": "No such file",
+    "not a certificate": "cert.pem",
+    "ended": "the certificate ended on",
+    "other key": "the key does not belong to the certificate",
+    "passphrase": "the key has a passphrase",
+}
+
+
+@pytest.mark.parametrize("broken", REFUSED)
 def test_a_certificate_that_cannot_be_used_is_said_in_one_line(tmp_path, broken):
     cert, key = make_certificate(tmp_path)
     if broken == "missing":
         cert.unlink()
-    else:
+    elif broken == "not a certificate":
         cert.write_text("nothing")
+    elif broken == "ended":
+        make_certificate(tmp_path, ends_in=-timedelta(minutes=1))
+    elif broken == "passphrase":
+        make_certificate(tmp_path, passphrase="secret")
+    else:
+        (tmp_path / "other").mkdir()
+        shutil.copy(make_certificate(tmp_path / "other")[1], key)
     done = subprocess.run(
         [sys.executable, "-m", "service.cli", "serve", "--port", str(free_port()), "--data", str(tmp_path / "data")],
         env={**os.environ, "TIDEGATE_TLS_CERT": str(cert), "TIDEGATE_TLS_KEY": str(key)},
         cwd=ROOT,
         capture_output=True,
         text=True,
+        stdin=subprocess.DEVNULL,
         timeout=60,
         check=False,
     )
     assert done.returncode == 2
     assert "cannot be used for TLS" in done.stderr.splitlines()[-1]
+    assert REFUSED[broken] in done.stderr.splitlines()[-1]
     assert "Traceback" not in done.stderr
 
 
 def test_the_oldest_version_does_not_depend_on_what_the_system_refuses_anyway(tmp_path):
     cert, key = make_certificate(tmp_path)
-    app = create_app(Settings(data_dir=tmp_path))
-    server = make_server(app, host="127.0.0.1", port=0, tls_cert=cert, tls_key=key)
+    app = create_app(Settings(data_dir=tmp_path, tls_cert=cert, tls_key=key))
+    server = make_server(app, host="127.0.0.1", port=0, certificate=app.state.certificate)
     assert server.config.ssl.minimum_version is ssl.TLSVersion.TLSv1_2

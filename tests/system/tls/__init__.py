@@ -1,0 +1,1 @@
+"""The service over TLS as its users reach it."""
