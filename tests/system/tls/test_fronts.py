@@ -138,6 +138,7 @@ def test_a_slow_reader_is_reported_what_it_missed_and_goes_on_with_the_newest(fr
     slow.close()
     check_stream(found)
     waited = next(number for number, one in enumerate(found) if one["type"] == "dropped")
+    print("WAITED", front.kind, waited)
     assert waited <= MOST_WAITING[front.kind]
 
 
