@@ -8,7 +8,7 @@ import ssl
 import threading
 from collections.abc import Iterator
 from datetime import timedelta
-from itertools import islice, pairwise
+from itertools import pairwise
 from pathlib import Path
 
 import httpx2
@@ -56,6 +56,15 @@ def chromium(playwright: Playwright, front: Front, tmp_path_factory: pytest.Temp
     browser.close()
 
 
+def enough(found: Iterator[dict]) -> list[dict]:
+    """Take messages until there are enough samples."""
+    taken, samples = [], 0
+    while samples < SAMPLES:
+        taken.append(next(found))
+        samples += taken[-1]["type"] == "sample"
+    return taken
+
+
 def check_stream(found: list[dict]) -> None:
     """Check that every frame came once and in order, or is counted as dropped."""
     samples = [one for one in found if one["type"] == "sample"]
@@ -65,7 +74,7 @@ def check_stream(found: list[dict]) -> None:
     assert sum(steps) == len(steps) + sum(one["skipped"] for one in found if one["type"] == "dropped")
 
 
-def test_a_person_logs_in_on_the_page_sees_the_session_live_and_logs_out(front: Front, chromium: Browser):
+def test_a_person_logs_in_on_the_page_and_its_stream_goes_on(front: Front, chromium: Browser):
     page = chromium.new_page()
     tab = Tab(page=page, url=front.url)
     tab.watch()
@@ -80,8 +89,6 @@ def test_a_person_logs_in_on_the_page_sees_the_session_live_and_logs_out(front: 
     seen = page.evaluate("traffic.sequence")
     tab.await_that(lambda: page.evaluate("traffic.sequence") > seen + SAMPLES, "the stream stands still")
     assert {url.partition(":")[0] for url in tab.requests} == {"https", "wss"}
-    page.click("#do-log-out")
-    tab.sees("out")
     page.close()
     assert tab.complaints == []
 
@@ -99,14 +106,14 @@ def test_a_program_with_the_client_reads_calls_and_follows(front: Front):
     with TidegateClient(front.url, key=key, ca_file=front.cert, operator=SOMEBODY) as tidegate:
         assert tidegate.readiness()["is_ready"]
         assert tidegate.hold(front.session_id)["gate"]["operator_hold"] is not None
-        found = list(islice(tidegate.live(form="full"), 2 * SAMPLES))
+        found = enough(tidegate.live(form="full"))
     check_stream(found)
 
 
 def test_a_websocket_gets_every_sample(front: Front):
     url = f"wss://127.0.0.1:{front.port}/api/v1/live"
     with connect(url, additional_headers=front.client.key_headers, ssl=front.trusted, max_queue=None) as socket:
-        check_stream(list(islice(messages(socket), 2 * SAMPLES)))
+        check_stream(enough(messages(socket)))
 
 
 def events(answer: http.client.HTTPResponse) -> Iterator[dict]:
@@ -118,7 +125,7 @@ def events(answer: http.client.HTTPResponse) -> Iterator[dict]:
 def test_server_sent_events_carry_every_sample(front: Front):
     connection = http.client.HTTPSConnection("127.0.0.1", front.port, context=front.trusted, timeout=PATIENCE_S)
     connection.request("GET", "/api/v1/live/events", headers=front.client.key_headers)
-    check_stream(list(islice(events(connection.getresponse()), 2 * SAMPLES)))
+    check_stream(enough(events(connection.getresponse())))
     connection.close()
 
 
@@ -159,7 +166,7 @@ def test_many_clients_at_once_and_each_is_up_to_date(front: Front):
         with connect(
             url, additional_headers=front.client.key_headers, ssl=front.trusted, open_timeout=PATIENCE_S, max_queue=None
         ) as socket:
-            found[number] = list(islice(messages(socket), 2 * SAMPLES))
+            found[number] = enough(messages(socket))
 
     threads = [threading.Thread(target=watch, args=(number,)) for number in range(len(found))]
     for thread in threads:
@@ -207,7 +214,7 @@ def test_a_renewed_certificate_is_shown_without_a_restart_and_open_streams_go_on
         for name in ("cert.pem", "key.pem"):
             shutil.copy(renewed / name, own.cert.with_name(name))
         eventually(lambda: shown(own) != first, pause_s=0.2, detail=lambda: "the old certificate is still shown")
-        check_stream(list(islice(messages(stream), 4 * SAMPLES)))
+        check_stream(enough(messages(stream)))
     Tab(page=trusting_second.new_page(), url=own.url).open("out")
     ends_at = x509.load_pem_x509_certificate(own.cert.read_bytes()).not_valid_after_utc.timestamp()
     with TidegateClient(own.url, key=_key(own), ca_file=own.cert) as tidegate:
