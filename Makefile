@@ -39,10 +39,10 @@ test-system:
 # start no service, judge no time and have no deadline, in the scheduler's idle class. It is interrupted at once by anything in
 # front, where nice 10 was not, and sessions in real time were late; what has a deadline starved there.
 ALONE := tests/engine/capture/openni tests/system/virtual_camera tests/system/service/test_real_engine.py \
-	tests/service/engine_host/site_rules/test_uncalibrated.py tests/service/cli/test_recordings.py
+	tests/service/engine_host/site_rules/test_uncalibrated.py tests/service/cli/test_recordings.py tests/system/tls
 BESIDE := tests/campaigns/interlocks/test_live_run.py tests/system/beam_line/test_engine_on_wired_line.py
 WAITING := tests/campaigns/faults tests/campaigns/kills tests/campaigns/load tests/system/engine_process \
-	tests/service/engine_host/process tests/service/web/stream/test_slow_clients.py tests/service/web/stream/test_over_tls.py tests/system/tls \
+	tests/service/engine_host/process tests/service/web/stream/test_slow_clients.py tests/service/web/stream/test_over_tls.py \
 	tests/system/browser/test_real_service.py tests/system/service/test_shutdown.py tests/system/service/test_process.py tests/system/service/test_folder_lock.py \
 	tests/system/client/test_example_programs.py tests/system/client/test_real_service.py tests/system/client/test_whole_fractions.py \
 	tests/system/beam_line/test_killed_processes.py tests/system/beam_line/test_qa_drill.py tests/system/beam_line/test_real_receivers.py tests/system/beam_line/test_service_line.py
