@@ -1,7 +1,7 @@
 """Completes the bill of materials with what is only known in the image: ``bill.py BILL STATUS SITE_PACKAGES OUT``.
 
 Debian's packages with their versions (from a status file of dpkg), and the shared libraries that Python wheels bundle,
-each with its hash and, where the file tells it, its version: a scanner of vulnerabilities knows them by no package.
+each with its hash and, where the file contains it, its version: a scanner of vulnerabilities knows them by no package.
 """
 
 import hashlib
@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 BUNDLED = re.compile(r"^(?P<name>lib[\w+]+?)(?:-r0)?(?:-[0-9a-f]{8})*\.(?:so\.)?(?P<version>[\w.]*?)(?:\.?so)?$")
-TOLD = {
+VERSION_INSIDE = {
     "libcrypto": re.compile(rb"OpenSSL (\d+\.\d+\.\d+[a-z]?) "),
     "libssl": re.compile(rb"OpenSSL (\d+\.\d+\.\d+[a-z]?) "),
     "libavcodec": re.compile(rb"FFmpeg version (\S+?)\0"),
 }
-"""What a library's own bytes say, where its name has a version of the interface only."""
+"""Where a library's bytes contain its version, because its file name has the interface's version only."""
 
 
 def main() -> None:
@@ -57,9 +57,9 @@ def bundled(site: Path) -> Iterator[dict[str, Any]]:
         if found is None:
             continue
         content = path.read_bytes()
-        told = TOLD.get(found["name"])
-        said = told.search(content) if told else None
-        version = said[1].decode() if said else found["version"]
+        pattern = VERSION_INSIDE.get(found["name"])
+        inside = pattern.search(content) if pattern else None
+        version = inside[1].decode() if inside else found["version"]
         purl = f"pkg:generic/{found['name']}@{version}" if version else f"pkg:generic/{found['name']}"
         sha256 = hashlib.sha256(content).hexdigest()
         yield {

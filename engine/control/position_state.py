@@ -27,7 +27,7 @@ class PositionState:
     check
         Its comparison; None without one.
     signature
-        Who signed it; None while nobody did, and after a lapse.
+        The person who signed; None before the signature and after a lapse.
     lapse
         Why a signature of this reference is not valid any more; empty where it is.
     """

@@ -1,6 +1,6 @@
 """Rigid motion between the patient's surfaces of two fractions, without trusting that the markers are where they were.
 
-Markers are attached anew in every fraction, and the grid's nodes move with them. So nodes are not compared by their
+Markers are attached again in every fraction, and the grid's nodes move with them. So nodes are not compared by their
 number: each node of the first surface is to lie anywhere *on* the second one (point-to-plane registration; Chen and
 Medioni, Image and Vision Computing 10, 1992, doi:10.1016/0262-8856(92)90066-C). How well that determines each degree of
 freedom follows from the shape itself: a slide along a smooth surface changes nothing. The markers add what their

@@ -3,38 +3,26 @@
 import secrets
 import sys
 import uuid
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fastapi.exceptions import RequestValidationError
-from pydantic import ValidationError
-
 from engine.capture.source import SourceDescription
-from engine.core.errors import RecordingError, TidegateError
-from engine.core.files import write_whole
+from engine.core.errors import RecordingError
 from engine.verification.qa.bounds import QaBaseline
 from engine.verification.qa.latency.measure import SECONDS_BOUNDS
 from engine.verification.qa.playing import opened
-from engine.verification.qa.results import QaKind, QaNeed
-from service.cli.qa.interruptible import interruptible
-from service.cli.qa.tables import print_results
-from service.cli.terminal import frame_bar, refused, say
+from engine.verification.qa.results import QaKind
+from service.cli.qa.stored_run import BegunRun, carry_out, checked
+from service.cli.terminal import say
 from service.core.errors import BoundError
-from service.core.settings.settings import Settings, SettingsError, load_settings
-from service.qa import queries, schemas, views
-from service.qa.archive import TREND_RUNS, close_interrupted
-from service.qa.jobs import Handle, run_job
+from service.core.settings.settings import Settings
+from service.qa import queries
 from service.qa.latency.rig import LatencyJob, LatencyRig, PlateTrace, virtual_job
 from service.qa.latency.schemas import CameraMode, LatencyRunRequest, Method
 from service.qa.queries import NewQaRun
-from service.qa.report.report import report_pdf
 from service.qa.runs import refuse_open_session
 from service.storage.database.engine import Database
-from service.storage.database.startup import prepare
-from service.storage.files.folder_lock import alone_in
-from service.web.problems.table import problem_of
 
 COMMAND = "qa latency"
 MAX_VIRTUAL_DELAY_MS = 500.0
@@ -62,43 +50,17 @@ class LatencyOptions:
 
 def measure_camera(options: LatencyOptions) -> str:
     """Measure, store, print and write the report; return the verdict, ``fail`` if the run was not completed."""
-    try:
-        settings = load_settings(data_dir=options.data)
-        with alone_in(settings.data_dir), closing(Database(settings.database_place)) as database:
-            prepare(database, data_dir=settings.data_dir, min_free_disk_mb=settings.min_free_disk_mb)
-            run = _carried_out(options, settings, database)
-    except (SettingsError, TidegateError) as error:
-        raise refused(COMMAND, error) from error
-    except OSError as error:
-        raise refused(COMMAND, f"{options.out} cannot be written ({error.strerror or error})") from error
-    if run.status != "finished":
-        say(f"tidegate {COMMAND}: {run.status}: {run.status_detail}", "red")
-        return "fail"
-    print_results(run)
-    return run.verdict or "fail"
 
-
-def _carried_out(options: LatencyOptions, settings: Settings, database: Database) -> schemas.QaRunDetail:
-    _refuse_options(options, settings)
-    request, job = _virtual(options) if options.is_simulated else _real(options, settings)
-    run_id = uuid.uuid4().hex
-    close_interrupted(database)  # the folder's lock is held, so no other process has a run
-    with database.write() as db:
-        refuse_open_session(db)
-        queries.begin(db, _new_run(run_id, request, options, settings))
-
-    def end(outcome: queries.QaOutcome) -> None:
+    def begin(settings: Settings, database: Database) -> BegunRun:
+        _refuse_options(options, settings)
+        request, job = _virtual(options) if options.is_simulated else _real(options, settings)
+        run_id = uuid.uuid4().hex
         with database.write() as db:
-            queries.end(db, run_id, outcome)
+            refuse_open_session(db)
+            queries.begin(db, _new_run(run_id, request, options, settings))
+        return BegunRun(run_id=run_id, job=job, baseline=QaBaseline())
 
-    with interruptible(), frame_bar() as bar:
-        task = bar.add_task("camera, frames", total=None)
-
-        def show(_stage: QaNeed, done: int, total: int | None) -> None:
-            bar.update(task, completed=done, total=total)
-
-        run_job(job, Handle(job.line), bounds=settings.qa_bounds, baseline=QaBaseline(), on_end=end, also=show)
-    return _kept(database, run_id, options)
+    return carry_out(COMMAND, begin, data=options.data, out=options.out)
 
 
 def _refuse_options(options: LatencyOptions, settings: Settings) -> None:
@@ -160,12 +122,7 @@ def _request(
         "note": options.note,
         **bounds,
     }
-    try:
-        return LatencyRunRequest.model_validate(fields)
-    except ValidationError as error:
-        details = [{**one, "loc": ("body", *one["loc"])} for one in error.errors()]
-        problem = problem_of(RequestValidationError(details))
-        raise BoundError(problem.detail, field=problem.field, bound=problem.bound) from error
+    return checked(LatencyRunRequest, fields)
 
 
 def _seconds(seconds: float) -> float:
@@ -198,19 +155,6 @@ def _await_file(path: Path) -> None:
     if not sys.stdin.readline():
         msg = f"{path.name}: was not provided"
         raise RecordingError(msg)
-
-
-def _kept(database: Database, run_id: str, options: LatencyOptions) -> schemas.QaRunDetail:
-    """Read the run from the database, and write its report if one is requested."""
-    with database.read() as db:
-        row = queries.run_row(db, run_id)
-        run = views.run_detail(db, row, is_under_way=False)
-        if options.out is not None and run.status == "finished":
-            trends = [views.trend_answer(db, one.code, TREND_RUNS, before=row) for one in run.results]
-            options.out.parent.mkdir(parents=True, exist_ok=True)
-            write_whole(options.out, report_pdf(run, trends))
-            say(f"Written to {options.out}")
-    return run
 
 
 def _broken(field: str, value: object, bound: str) -> BoundError:

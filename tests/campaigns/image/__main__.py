@@ -170,7 +170,7 @@ def look(bench: Bench) -> dict[str, object]:
 
 
 def await_ready(url: str, key: str, trusted: ssl.SSLContext | None, check: Callable[[], None]) -> None:
-    """Wait until a session could begin, asked anew ten times a second; ``check`` fails where that can no longer be."""
+    """Wait until a session could begin, asked ten times a second; ``check`` fails where that can no longer be."""
     asked = urllib.request.Request(f"{url}/readyz", headers={"Authorization": f"Bearer {key}"})
     end_s = time.monotonic() + START_S
     while True:

@@ -34,7 +34,7 @@ OUTPUT_BOUNDS_MS = (0.0, 50.0)
 def latency_by_light(
     times: FrameTimes, pictures: Pictures, changes: Sequence[LightChange], *, output_ms: float
 ) -> CameraLatency | str:
-    """Estimate the latency; return the reason, a sentence, where it cannot be told.
+    """Estimate the latency; return the reason, a sentence, where it cannot be estimated.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ MAX_WIDTH_MS = 50.0
 def latency_by_plate(
     times: FrameTimes, distance_mm: FloatArray, trace: CommandedTrace, *, zero_ns: int, clock_ms: float
 ) -> CameraLatency | str:
-    """Estimate the latency; return the reason, a sentence, where it cannot be told.
+    """Estimate the latency; return the reason, a sentence, where it cannot be estimated.
 
     Parameters
     ----------
