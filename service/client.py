@@ -105,6 +105,140 @@ class ArmRequest(TypedDict):
     operator: NotRequired[str]
 
 
+class LiveCondition(TypedDict):
+    """One condition of the window as the gate applies it; fields that its kind does not have are null."""
+
+    column: int | None
+    from_percent: NotRequired[float | None]
+    hold: NotRequired[Literal["inspiration", "expiration"] | None]
+    hysteresis: NotRequired[float | None]
+    is_inside: bool
+    kind: Literal["amplitude", "breath_hold", "phase"]
+    label: str
+    lower: NotRequired[float | None]
+    max_drift: NotRequired[float | None]
+    min_confidence: NotRequired[float | None]
+    name: str | None
+    row: int | None
+    seen_share: NotRequired[float | None]
+    settle_ms: NotRequired[float | None]
+    signal: Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]
+    stage: NotRequired[Literal["awaited", "settling", "held", "drifted", "over"] | None]
+    still: NotRequired[float | None]
+    timeout_s: NotRequired[float | None]
+    to_percent: NotRequired[float | None]
+    unit: NotRequired[Literal["mm", "l", "percent"] | None]
+    upper: NotRequired[float | None]
+
+
+class LiveWindow(TypedDict):
+    """The gating window; the edges outside the list are those of the first condition, null if it has none in mm."""
+
+    column: int | None
+    conditions: NotRequired[list[LiveCondition]]
+    hysteresis_mm: float | None
+    join: NotRequired[Literal["and", "or"]]
+    lower_mm: float | None
+    row: int | None
+    signal: Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]
+    upper_mm: float | None
+
+
+class ArmingItem(TypedDict):
+    """One thing that has to be right before the gate is armed."""
+
+    code: Literal[
+        "patient",
+        "plan",
+        "camera",
+        "head_direction",
+        "view",
+        "model",
+        "reference",
+        "window",
+        "position",
+        "site",
+        "gate",
+    ]
+    state: Literal["ok", "attention", "missing"]
+    text: str
+
+
+class Condition(TypedDict):
+    """A condition that the breathing must meet."""
+
+    column: NotRequired[int | None]
+    from_percent: NotRequired[float | None]
+    hold: NotRequired[Literal["inspiration", "expiration"] | None]
+    hysteresis_l: NotRequired[float | None]
+    hysteresis_mm: NotRequired[float | None]
+    hysteresis_percent: NotRequired[float | None]
+    kind: NotRequired[Literal["amplitude", "breath_hold", "phase"]]
+    lower_l: NotRequired[float | None]
+    lower_mm: NotRequired[float | None]
+    lower_percent: NotRequired[float | None]
+    max_drift_l: NotRequired[float | None]
+    max_drift_mm: NotRequired[float | None]
+    min_confidence: NotRequired[float | None]
+    name: NotRequired[str | None]
+    row: NotRequired[int | None]
+    settle_ms: NotRequired[float | None]
+    signal: NotRequired[Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]]
+    still_l: NotRequired[float | None]
+    still_mm: NotRequired[float | None]
+    timeout_s: NotRequired[float | None]
+    to_percent: NotRequired[float | None]
+    upper_l: NotRequired[float | None]
+    upper_mm: NotRequired[float | None]
+    upper_percent: NotRequired[float | None]
+
+
+class Window(TypedDict):
+    """The gating window; the beam may be on only while the patient stays inside it."""
+
+    column: NotRequired[int | None]
+    dwell_ms: NotRequired[float]
+    from_percent: NotRequired[float | None]
+    further: NotRequired[list[Condition]]
+    hold: NotRequired[Literal["inspiration", "expiration"] | None]
+    hysteresis_l: NotRequired[float | None]
+    hysteresis_mm: NotRequired[float | None]
+    hysteresis_percent: NotRequired[float | None]
+    join: NotRequired[Literal["and", "or"]]
+    kind: NotRequired[Literal["amplitude", "breath_hold", "phase"]]
+    lower_l: NotRequired[float | None]
+    lower_mm: NotRequired[float | None]
+    lower_percent: NotRequired[float | None]
+    max_cycles_per_min: NotRequired[int | None]
+    max_drift_l: NotRequired[float | None]
+    max_drift_mm: NotRequired[float | None]
+    min_confidence: NotRequired[float | None]
+    min_off_ms: NotRequired[float | None]
+    min_on_ms: NotRequired[float | None]
+    name: NotRequired[str | None]
+    row: NotRequired[int | None]
+    settle_ms: NotRequired[float | None]
+    signal: NotRequired[Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]]
+    still_l: NotRequired[float | None]
+    still_mm: NotRequired[float | None]
+    timeout_s: NotRequired[float | None]
+    to_percent: NotRequired[float | None]
+    upper_l: NotRequired[float | None]
+    upper_mm: NotRequired[float | None]
+    upper_percent: NotRequired[float | None]
+
+
+class ArmingSummary(TypedDict):
+    """What the gate would be armed with. Send the ETag of this answer as `If-Match` of `POST .../arm`."""
+
+    gate_window: LiveWindow | None
+    is_ready: bool
+    items: list[ArmingItem]
+    predicted_duty_percent: float | None
+    session_id: str
+    window: Window
+
+
 class AuditEntry(TypedDict):
     """One row of the append-only log."""
 
@@ -543,70 +677,6 @@ class DeviceSource(TypedDict):
     uri: NotRequired[str | None]
 
 
-class Condition(TypedDict):
-    """A condition that the breathing must meet."""
-
-    column: NotRequired[int | None]
-    from_percent: NotRequired[float | None]
-    hold: NotRequired[Literal["inspiration", "expiration"] | None]
-    hysteresis_l: NotRequired[float | None]
-    hysteresis_mm: NotRequired[float | None]
-    hysteresis_percent: NotRequired[float | None]
-    kind: NotRequired[Literal["amplitude", "breath_hold", "phase"]]
-    lower_l: NotRequired[float | None]
-    lower_mm: NotRequired[float | None]
-    lower_percent: NotRequired[float | None]
-    max_drift_l: NotRequired[float | None]
-    max_drift_mm: NotRequired[float | None]
-    min_confidence: NotRequired[float | None]
-    name: NotRequired[str | None]
-    row: NotRequired[int | None]
-    settle_ms: NotRequired[float | None]
-    signal: NotRequired[Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]]
-    still_l: NotRequired[float | None]
-    still_mm: NotRequired[float | None]
-    timeout_s: NotRequired[float | None]
-    to_percent: NotRequired[float | None]
-    upper_l: NotRequired[float | None]
-    upper_mm: NotRequired[float | None]
-    upper_percent: NotRequired[float | None]
-
-
-class Window(TypedDict):
-    """The gating window; the beam may be on only while the patient stays inside it."""
-
-    column: NotRequired[int | None]
-    dwell_ms: NotRequired[float]
-    from_percent: NotRequired[float | None]
-    further: NotRequired[list[Condition]]
-    hold: NotRequired[Literal["inspiration", "expiration"] | None]
-    hysteresis_l: NotRequired[float | None]
-    hysteresis_mm: NotRequired[float | None]
-    hysteresis_percent: NotRequired[float | None]
-    join: NotRequired[Literal["and", "or"]]
-    kind: NotRequired[Literal["amplitude", "breath_hold", "phase"]]
-    lower_l: NotRequired[float | None]
-    lower_mm: NotRequired[float | None]
-    lower_percent: NotRequired[float | None]
-    max_cycles_per_min: NotRequired[int | None]
-    max_drift_l: NotRequired[float | None]
-    max_drift_mm: NotRequired[float | None]
-    min_confidence: NotRequired[float | None]
-    min_off_ms: NotRequired[float | None]
-    min_on_ms: NotRequired[float | None]
-    name: NotRequired[str | None]
-    row: NotRequired[int | None]
-    settle_ms: NotRequired[float | None]
-    signal: NotRequired[Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]]
-    still_l: NotRequired[float | None]
-    still_mm: NotRequired[float | None]
-    timeout_s: NotRequired[float | None]
-    to_percent: NotRequired[float | None]
-    upper_l: NotRequired[float | None]
-    upper_mm: NotRequired[float | None]
-    upper_percent: NotRequired[float | None]
-
-
 class PlanSessionRequest(TypedDict):
     """The part of a session that the plan does not define: camera, calibration, edges of the window, fraction."""
 
@@ -1034,45 +1104,6 @@ class LiveTraining(TypedDict):
     shift_mm: NotRequired[float | None]
 
 
-class LiveCondition(TypedDict):
-    """One condition of the window as the gate applies it; fields that its kind does not have are null."""
-
-    column: int | None
-    from_percent: NotRequired[float | None]
-    hold: NotRequired[Literal["inspiration", "expiration"] | None]
-    hysteresis: NotRequired[float | None]
-    is_inside: bool
-    kind: Literal["amplitude", "breath_hold", "phase"]
-    label: str
-    lower: NotRequired[float | None]
-    max_drift: NotRequired[float | None]
-    min_confidence: NotRequired[float | None]
-    name: str | None
-    row: int | None
-    seen_share: NotRequired[float | None]
-    settle_ms: NotRequired[float | None]
-    signal: Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]
-    stage: NotRequired[Literal["awaited", "settling", "held", "drifted", "over"] | None]
-    still: NotRequired[float | None]
-    timeout_s: NotRequired[float | None]
-    to_percent: NotRequired[float | None]
-    unit: NotRequired[Literal["mm", "l", "percent"] | None]
-    upper: NotRequired[float | None]
-
-
-class LiveWindow(TypedDict):
-    """The gating window; the edges outside the list are those of the first condition, null if it has none in mm."""
-
-    column: int | None
-    conditions: NotRequired[list[LiveCondition]]
-    hysteresis_mm: float | None
-    join: NotRequired[Literal["and", "or"]]
-    lower_mm: float | None
-    row: int | None
-    signal: Literal["whole", "thorax", "abdomen", "region", "named", "point", "volume"]
-    upper_mm: float | None
-
-
 class Sample(TypedDict):
     """The newest frame with its measurement and gate decision."""
 
@@ -1177,6 +1208,7 @@ class CameraView(TypedDict):
 class GateView(TypedDict):
     """State of the gate of a running session."""
 
+    armed_at: NotRequired[str | None]
     armed_by: NotRequired[str | None]
     hold_detail: NotRequired[str]
     hold_reason: str | None
@@ -1393,6 +1425,13 @@ class UploadedCalibration(TypedDict):
     notes: NotRequired[list[str]]
     sha256: str
     uploaded_by: str
+
+
+class WindowRequest(TypedDict):
+    """Another window for a session that runs, with the conditions of the present one and other numbers."""
+
+    operator: NotRequired[str]
+    window: Window
 
 
 LiveMessage = Hello | Idle | Ping | Dropped | Gap | Resumed | Alarms | Sample | ThinSample | RecordedSample
@@ -1672,6 +1711,10 @@ class TidegateClient:
         """Read a session with its gate, its learning and its figures."""
         return self._read(_session(session_id), SessionDetail)
 
+    def read_arming(self, session_id: str) -> "ArmingSummary":
+        """Read what the gate would be armed with, and what is missing."""
+        return self._read(f"{_session(session_id)}/arming", ArmingSummary)
+
     def read_session_tagged(self, session_id: str) -> TaggedSession:
         """Read a session with its version."""
         answer = self._exchange(SentCall(method="GET", path=_session(session_id), is_repeatable=True))
@@ -1772,6 +1815,17 @@ class TidegateClient:
         if reason:
             arguments["reason"] = reason
         return self._do(session_id, "baseline-correction", SessionDetail, operator, if_match, arguments)
+
+    def set_window(
+        self,
+        session_id: str,
+        window: "Window",
+        *,
+        operator: str | None = None,
+        if_match: str | None = None,
+    ) -> "SessionDetail":
+        """Set the window of a running session, on the same signals, while the gate is disarmed. Never repeated."""
+        return self._do(session_id, "window", SessionDetail, operator, if_match, {"window": window})
 
     def note_presence(self, session_id: str, *, operator: str | None = None) -> None:
         """Report that the person who is logged in sees this session: every second while they do. Refused to a key."""

@@ -5,6 +5,7 @@ Owned by the engine thread; runs between two frames. A command is refused before
 
 from typing import NamedTuple
 
+from engine.control.commands import Command
 from engine.control.decisions import Cause
 from engine.control.duty_forecast import DutyForecast
 from engine.control.gate_controller import GateController
@@ -20,7 +21,6 @@ from engine.core.commands import (
     ActivateModel,
     ApplyModel,
     Arm,
-    Command,
     CorrectBaseline,
     Disarm,
     HoldBeam,
@@ -36,6 +36,7 @@ from engine.gating.frame_checks import HEAD_DIRECTION_UNKNOWN
 from engine.gating.gate import Ending
 from engine.gating.supervision.operator_presence import OperatorPresence
 from engine.gating.supervision.supervisor import FrameSupervisor
+from engine.gating.window_change import SetWindow
 from engine.gating.windows import AmplitudeWindow
 
 LEVEL_TOLERANCE_MM = 0.5
@@ -121,9 +122,18 @@ class CommandHandler:
             case _:
                 self._change(command)
 
-    def _change(self, command: SetReference | Retrain | ApplyModel | ActivateModel) -> None:
-        """Carry out a command that changes the reference or the model."""
+    def _set_window(self, command: SetWindow) -> None:
+        """Use another window on the same signals; per cent are converted at once where the range is known."""
+        ranges = self._learner.learned_ranges(command.window.choices)
+        self._controller.set_window(command, ranges)
+        self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], 0.0)
+        self._resolved_for = self._learner.status.reference_number if ranges else None
+
+    def _change(self, command: SetReference | SetWindow | Retrain | ApplyModel | ActivateModel) -> None:
+        """Carry out a command that changes the reference, the window or the model."""
         match command:
+            case SetWindow():
+                self._set_window(command)
             case SetReference():
                 self._set_reference(command)
             case Retrain():

@@ -10,8 +10,9 @@ from collections import deque
 from concurrent.futures import Future
 from dataclasses import dataclass
 
+from engine.control.commands import Command
 from engine.core.clock import NS_PER_MS, Clock
-from engine.core.commands import Arm, Command, Disarm, HoldBeam, ReleaseBeam
+from engine.core.commands import Arm, Disarm, HoldBeam, ReleaseBeam
 from engine.core.errors import CommandRefusedError
 from engine.core.gate_state import HoldReason
 from engine.gating.gate import Interruption

@@ -19,11 +19,13 @@ from engine.core.commands import Acknowledge, CorrectBaseline, Disarm, HoldBeam,
 from engine.core.errors import CommandRefusedError
 from engine.core.frames import Measurement, MeasurementState
 from engine.core.gate_state import GateState, HoldReason
+from engine.core.ranges import Ranges
 from engine.core.signals import signal_of
 from engine.gating.active_window import window_text
 from engine.gating.frame_checks import captured_ns, too_slow
 from engine.gating.gate import Ending, Gate, GateEvent, Interruption, step_gate
 from engine.gating.interlocks import WATCHDOG_DETAIL, DecisionInputs, interlocks
+from engine.gating.window_change import SetWindow
 
 
 class GateController:
@@ -138,6 +140,16 @@ class GateController:
         detail = f"the baseline is corrected by {command.by:g}: {change}"
         self.decide(Ending(HoldReason.DISARMED, detail), cause=Cause(operator=command.operator, detail=detail))
         self._limits.use(corrected)
+
+    def set_window(self, command: SetWindow, ranges: Ranges) -> None:
+        """Gate by another window; refused while the gate is armed. Both windows are recorded."""
+        if self.gate.is_armed:
+            raise CommandRefusedError("the gate is armed: disarm it before its window is set")
+        change = self._limits.changed(command, ranges)
+        before, after = self._limits.current.window, change.limits.window
+        detail = f"the window was {window_text(before)} and is {window_text(after)}"
+        self.decide(Ending(HoldReason.DISARMED, detail), cause=Cause(operator=command.operator, detail=detail))
+        self._limits.use_change(change)
 
     def refuse_without_fresh_signal(self) -> None:
         """Raise CommandRefusedError unless the newest frame is fresh and its gated motion was measured."""

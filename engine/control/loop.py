@@ -17,6 +17,7 @@ from engine.beam.line import BeamLine
 from engine.capture.source import DepthSource
 from engine.control.command_handler import CommandHandler
 from engine.control.command_queue import URGENT, CommandQueue, QueuedCommand
+from engine.control.commands import Command
 from engine.control.decision_records import DecisionRecords
 from engine.control.decisions import Cause
 from engine.control.engine_status import EngineStatus
@@ -34,7 +35,6 @@ from engine.control.turn_inputs import CommandInputs
 from engine.control.turn_reader import TurnReader
 from engine.control.watchdog import Watchdog
 from engine.core.clock import NS_PER_S, Clock
-from engine.core.commands import Command
 from engine.core.errors import (
     BeamLineError,
     RecordingError,

@@ -13,6 +13,7 @@ from engine.core.signals import signal_of
 from engine.gating.active_window import ActiveWindow, refuse_wide
 from engine.gating.frame_checks import unseen_signal
 from engine.gating.limits import GateLimits
+from engine.gating.window_change import SetWindow, WindowChange, checked_change
 from engine.gating.windows import GateWindow
 
 
@@ -52,9 +53,17 @@ class SessionLimits:
         self._window = window
         self.current = replace(self.current, window=window.window)
 
+    def changed(self, command: SetWindow, ranges: Ranges) -> WindowChange:
+        """Return the window and limits after ``command``, in use only with `use_change`; raise InvalidValueError."""
+        return checked_change(self._window.requested, command, self.current, ranges)
+
+    def use_change(self, change: WindowChange) -> None:
+        """Decide by another window and its times from now on."""
+        self._window, self.current = change.window, change.limits
+
     @property
     def prescribed_window(self) -> GateWindow:
-        """The window the session was created with: still in per cent where it was prescribed so, and not corrected."""
+        """The window that was prescribed: still in per cent where it was prescribed so, and not corrected."""
         return self._window.requested
 
     @property

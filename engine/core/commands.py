@@ -151,18 +151,3 @@ class CorrectBaseline:
     by: float
     reason: str = ""
     may_exceed: bool = False
-
-
-Command = (
-    Arm
-    | Disarm
-    | Acknowledge
-    | SetReference
-    | SignPosition
-    | Retrain
-    | ApplyModel
-    | ActivateModel
-    | HoldBeam
-    | ReleaseBeam
-    | CorrectBaseline
-)

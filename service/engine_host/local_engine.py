@@ -15,11 +15,11 @@ from engine.capture.openni.source import OpenNiSource, list_devices, runtime_ava
 from engine.capture.reconnecting import LiveSource, ReturningSource
 from engine.capture.recording_source import OniFileSource
 from engine.capture.source import DepthSource
+from engine.control.commands import Command
 from engine.control.engine_status import EngineStatus
 from engine.control.loop import EngineLoop
 from engine.control.outputs import FrameRecord, GateTransition, LoopStatus
 from engine.core.clock import Clock, MonotonicClock
-from engine.core.commands import Command
 from engine.core.errors import CommandRefusedError, InvalidValueError, RuntimeMissingError, SourceLostError
 from engine.core.frames import ColorImage
 from engine.core.gate_state import HoldReason

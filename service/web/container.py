@@ -28,6 +28,7 @@ from service.sessions.alarms.watch import AlarmWatch, SiteTroubles
 from service.sessions.lifecycle.counters import SessionCounters
 from service.sessions.lifecycle.runner import SessionRunner
 from service.sessions.lifecycle.start import SessionStarter, writer_connections
+from service.sessions.records.arming import ArmingSummaries
 from service.sessions.records.calibrations import CalibrationRepository
 from service.sessions.records.etags import SessionRevisions
 from service.sessions.records.models import ModelRepository
@@ -83,6 +84,7 @@ class _Work:
 
     sessions: SessionRepository
     runner: SessionRunner
+    arming: ArmingSummaries
     qa_runs: QaRunService
     qa_archive: QaArchive
 
@@ -219,6 +221,14 @@ def _open_work(dependencies: _Dependencies, storage: _Storage) -> _Work:
     return _Work(
         sessions=records,
         runner=runner,
+        arming=ArmingSummaries(
+            sessions=records,
+            models=ModelRepository(database, equipment),
+            database=database,
+            equipment=equipment,
+            settings=settings,
+            refuse_arming=refuse_arming,
+        ),
         qa_runs=QaRunService(
             database=database,
             log=log,
@@ -272,6 +282,7 @@ def _services(dependencies: _Dependencies, storage: _Storage, work: _Work, monit
     return Services(
         sessions=work.sessions,
         runner=work.runner,
+        arming=work.arming,
         samples=SampleService(database, storage.samples),
         calibrations=CalibrationRepository(database, log),
         models=ModelRepository(database, dependencies.equipment),

@@ -27,6 +27,7 @@ from service.qa.archive import QaArchive
 from service.qa.runs import QaRunService
 from service.sessions.alarms.board import AlarmBoard
 from service.sessions.lifecycle.runner import SessionRunner
+from service.sessions.records.arming import ArmingSummaries
 from service.sessions.records.calibrations import CalibrationRepository
 from service.sessions.records.etags import SessionRevisions
 from service.sessions.records.models import ModelRepository
@@ -53,6 +54,7 @@ class Services:
 
     sessions: SessionRepository
     runner: SessionRunner
+    arming: ArmingSummaries
     samples: SampleService
     calibrations: CalibrationRepository
     models: ModelRepository

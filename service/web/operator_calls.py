@@ -83,6 +83,10 @@ class OperatorCall:
 
         return self.act(session_id, request.operator, submit)
 
+    def set_window(self, session_id: str, request: sessions.WindowRequest) -> sessions.SessionDetail:
+        """Gate by another window."""
+        return self.act(session_id, request.operator, partial(self.services.runner.set_window, window=request.window))
+
     @property
     def _may_exceed(self) -> bool:
         """Whether the caller is a person who may arm: only such a person goes beyond a fraction's budget."""

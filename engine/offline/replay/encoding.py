@@ -33,6 +33,7 @@ from engine.core.reference_proposal import ReferenceMoment
 from engine.gating.gate import Interruption
 from engine.gating.interlocks import DecisionInputs
 from engine.gating.limits import GateLimits
+from engine.gating.window_change import SetWindow
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, HoldKind, Join, JoinedWindow, PhaseWindow, Unit
 from engine.motion.learning.patient_match import PatientMatchLimits
 from engine.motion.learning.trainer import TrainingSettings
@@ -52,6 +53,7 @@ _CLASSES: dict[str, type] = {
         *(
             SetReference,
             SignPosition,
+            SetWindow,
             GateLimits,
             AmplitudeWindow,
             BreathHoldWindow,

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar, cast
 
 from engine.control.command_queue import QueuedCommand
+from engine.control.commands import Command
 from engine.control.turn_inputs import CommandInputs, FrameInput, LineAnswer, TurnInputs
-from engine.core.commands import Command
 from engine.core.errors import RecordingError
 from engine.core.frames import RgbdFrame
 from engine.core.input_tap import InputKind

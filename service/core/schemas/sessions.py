@@ -178,6 +178,14 @@ class AcknowledgeRequest(OperatorRequest):
     )
 
 
+class WindowRequest(OperatorRequest):
+    """Another window for a session that runs, with the conditions of the present one and other numbers."""
+
+    window: Window = Field(
+        description="Conditions of the same kinds, on the same signals, in the same order as the session's window"
+    )
+
+
 class ArmRequest(OperatorRequest):
     """The operator who arms, and the head direction that the operator confirms."""
 
@@ -295,6 +303,9 @@ class GateView(Answer):
     armed_by: str | None = Field(
         default=None, description="Who armed the gate, or released a hold since; null while it is disarmed"
     )
+    armed_at: AwareDatetime | None = Field(
+        default=None, description="When that was, from the audit; null while it is disarmed"
+    )
     line_on: bool
 
 
@@ -408,7 +419,7 @@ class Session(Answer):
     source_warning: str | None = Field(
         default=None, description="Warning to display if a recording gates a real beam line"
     )
-    window: Window
+    window: Window = Field(description="As prescribed: at the creation of the session, or by `POST .../window` since")
     regions: Regions = Field(default=Regions())
     model_id: Identifier | None = Field(default=None, description="The stored model that the session started with")
     rt_plan_id: Identifier | None = Field(default=None, description="The RT Plan that the session was created from")

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 from engine.calibration.camera_calibration import Calibration
+from engine.control.commands import Command
 from engine.control.engine_status import EngineStatus
 from engine.control.outputs import FrameRecord, GateTransition
-from engine.core.commands import Command
 from engine.core.errors import TidegateError
 from engine.core.gate_state import HoldReason
 from engine.core.learning_events import LearningEvent

@@ -12,8 +12,10 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 
 from engine.control.command_queue import MAX_WAIT_NS
-from engine.core.commands import Acknowledge, Arm, Command, Disarm, HoldBeam, ReleaseBeam, SetReference
+from engine.control.commands import Command
+from engine.core.commands import Acknowledge, Arm, Disarm, HoldBeam, ReleaseBeam, SetReference
 from engine.core.errors import CommandRefusedError
+from engine.gating.window_change import SetWindow
 from service.core.errors import EngineTimeoutError, SessionStateError
 from service.core.request_time import request_time_ns
 from service.engine_host.equipment import EquipmentSlot
@@ -28,7 +30,7 @@ COMMANDS: dict[CommandName, Callable[[str], Command]] = {
     "disarm": lambda operator: Disarm(operator=operator),
     "hold": lambda operator: HoldBeam(operator=operator),
 }
-AGES_FROM_ARRIVAL = (Arm, ReleaseBeam, SetReference, Acknowledge)
+AGES_FROM_ARRIVAL = (Arm, ReleaseBeam, SetReference, SetWindow, Acknowledge)
 """Their age counts from the arrival of the request: waiting for a thread or the audit makes them older, too. A command
 that takes permission away has no age: it revokes everything that was submitted before it."""
 TAKES_PERMISSION_AWAY = (Disarm, HoldBeam)

@@ -25,6 +25,7 @@ from engine.core.reference_proposal import ReferenceMoment
 from service.core.errors import PictureMissingError
 from service.core.schemas import sessions
 from service.core.schemas.gate import BaselineCorrectionRequest
+from service.core.schemas.windows import Window
 from service.engine_host.roles import CommandName, LiveFrame, Picture, RunningSession
 from service.sessions.lifecycle.acknowledgement import Acknowledgement
 from service.sessions.lifecycle.baseline_correction import (
@@ -35,6 +36,7 @@ from service.sessions.lifecycle.baseline_correction import (
 )
 from service.sessions.lifecycle.commands import COMMANDS, EngineCommander, state_error, takes_permission_away
 from service.sessions.lifecycle.start import WRITER_JOIN_S, SessionStarter, await_start
+from service.sessions.lifecycle.window_setting import WindowSetting
 from service.sessions.records.sessions import SessionRepository, session_answer
 from service.sessions.records.withdrawals import Withdrawals
 from service.sessions.views.live import camera_view, live_sample
@@ -92,6 +94,12 @@ class SessionRunner:
             priority_log=self._priority_log,
             priority_database=self._priority_database,
             answer_timeout_s=starter.settings.command_timeout_s,
+        )
+        self._window_setting = WindowSetting(
+            commander=self._commander,
+            equipment=starter.equipment,
+            database=starter.database,
+            settings=starter.settings,
         )
         self._acknowledgement = Acknowledgement(
             alarms=starter.alarms, equipment=starter.equipment, commander=self._commander
@@ -256,6 +264,11 @@ class SessionRunner:
             self._commander.execute(
                 session_id, command, request.operator, action, detail, after=lambda now: moved_window(now, before)
             )
+        return self._records.detail(session_id)
+
+    def set_window(self, session_id: str, operator: str, window: Window) -> sessions.SessionDetail:
+        """Gate by another window; refused while the gate is armed."""
+        self._window_setting.set_window(session_id, operator, window)
         return self._records.detail(session_id)
 
     def note_presence(self, session_id: str, operator: str) -> None:

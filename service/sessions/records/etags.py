@@ -31,6 +31,7 @@ DECISIONS = (
     "session.release",
     "session.acknowledge",
     "session.baseline_correction",
+    "session.window",
     "session.stop",
     "session.close",
     "model.retrain",

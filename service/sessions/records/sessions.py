@@ -45,6 +45,7 @@ from service.storage.files.capacity import refuse_without_room
 from service.storage.samples.figures import Figures
 
 ACTION = "session.create"
+ARMING = ("session.arm", "session.release")
 SOURCE: TypeAdapter[sessions.RecordingSource | sessions.DeviceSource] = TypeAdapter(sessions.Source)
 
 
@@ -130,11 +131,13 @@ class SessionRepository:
             row = queries.session_row(db, session_id)
             record = session_answer(row)
             stored = row.summary
+            armed = queries.newest_done(db, session_id, ARMING)
+            armed_by_at = None if armed is None else (armed.actor, datetime.fromisoformat(armed.at))
         running = self._equipment.of(session_id)
         view = None if running is None else running.engine.status.view
         return sessions.SessionDetail(
             **dict(record),
-            gate=None if view is None else gate_view(view),
+            gate=None if view is None else gate_view(view, armed_by_at),
             alarms=live_alarms(self._alarms.active_of(session_id)),
             measurement_state=None if view is None else view.record.measurement.state.value,
             training=None if view is None else training_view(view),

@@ -144,8 +144,9 @@ def _latency(view: LiveView) -> LiveLatency:
     )
 
 
-def gate_view(view: LiveView) -> sessions.GateView:
-    """Return the state of the gate, with the reason for a hold."""
+def gate_view(view: LiveView, newest_arming: tuple[str, datetime] | None) -> sessions.GateView:
+    """Return the state of the gate, with the reason for a hold; the newest arming is by whom and when."""
+    is_in_force = newest_arming is not None and newest_arming[0] == view.armed_by
     record = view.record
     return sessions.GateView(
         state=record.gate_state.value,
@@ -155,6 +156,7 @@ def gate_view(view: LiveView) -> sessions.GateView:
         hold_detail="" if record.hold_reason is None else view.detail,
         operator_hold=view.operator_hold,
         armed_by=view.armed_by,
+        armed_at=newest_arming[1] if newest_arming is not None and is_in_force else None,
         line_on=record.line_on,
     )
 

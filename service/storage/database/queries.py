@@ -165,6 +165,14 @@ def transition_count(db: Session, session_id: str) -> int:
     return db.scalar(query.where(AuditRow.session_id == session_id, AuditRow.action == TRANSITION)) or 0
 
 
+def newest_done(db: Session, session_id: str, actions: Sequence[str]) -> AuditRow | None:
+    """Return the newest row of these actions of a session that were done; None without one."""
+    query = select(AuditRow).where(
+        AuditRow.session_id == session_id, AuditRow.action.in_(actions), AuditRow.outcome == "done"
+    )
+    return db.scalar(query.order_by(AuditRow.sequence.desc()).limit(1))
+
+
 def newest_first(
     db: Session,
     kind: type[DatedT],

@@ -22,7 +22,7 @@ class CalibrationRow(Base):
 
 
 class SessionRow(Base):
-    """A treatment session; source and window are fixed when it is created."""
+    """A treatment session; its source is fixed when it is created, its window while the gate is armed."""
 
     __tablename__ = "sessions"
     __table_args__ = (Index("ix_sessions_created", "created_at", "id"),)

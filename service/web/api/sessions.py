@@ -42,6 +42,7 @@ from service.core.errors import (
 )
 from service.core.list_filters import SessionFilter, TransitionFilter
 from service.core.schemas import sessions
+from service.core.schemas.arming import ArmingSummary
 from service.core.schemas.base import Name
 from service.core.schemas.gate import BaselineCorrectionRequest
 from service.storage.samples.service import SampleFormat
@@ -164,6 +165,18 @@ def arm_session(
     return call.arm(session_id, request)
 
 
+@router.get("/{session_id}/arming", responses=READ)
+def read_arming(
+    session_id: dependencies.SessionId, services: dependencies.AppServices, fresh: dependencies.IfNoneMatch
+) -> ArmingSummary:
+    """Return what the gate would be armed with, and what is missing; for the person who arms.
+
+    Its ETag is the session's: with `If-Match`, arming is refused if anything was decided since.
+    """
+    etag = services.revisions.etag(session_id)  # before the session is read
+    return fresh.answer(services.arming.of(session_id), etag, may_be_304=False)
+
+
 @router.post("/{session_id}/disarm", name="session.disarm", responses=HOLD)
 async def disarm_session(session_id: dependencies.SessionId, call: Withdrawing) -> sessions.SessionDetail:
     """Disarm the gate: hold the beam until a person arms again."""
@@ -245,6 +258,17 @@ def correct_baseline(
     Far from the fraction's first reference it needs a person, and a reason.
     """
     return call.correct_baseline(session_id, request)
+
+
+@router.post("/{session_id}/window", name="session.window", responses=problems(*COMMAND_ERRORS, BoundError))
+def set_window(
+    session_id: dependencies.SessionId, request: sessions.WindowRequest, call: Operated
+) -> sessions.SessionDetail:
+    """Set the window of a running session, once its breathing is known; refused while the gate is armed.
+
+    Signals and kinds of conditions stay those of the session. A baseline correction ends with it.
+    """
+    return call.set_window(session_id, request)
 
 
 @router.post("/{session_id}/stop", name="session.stop", responses=problems(NotFoundError, SessionStateError))

@@ -23,7 +23,8 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from engine.core.commands import Acknowledge, Arm, Command, Disarm, HoldBeam, ReleaseBeam, SetReference
+from engine.control.commands import Command
+from engine.core.commands import Acknowledge, Arm, Disarm, HoldBeam, ReleaseBeam, SetReference
 from engine.core.errors import BeamLineError, TidegateError
 from engine.core.frames import LostReason, Measurement, MeasurementState
 from engine.core.gate_state import HoldReason, Lease

@@ -11,13 +11,13 @@ import numpy as np
 from engine.beam.simulated import SimulatedBeamLine
 from engine.capture.source import SourceDescription
 from engine.control.beam_driver import BeamDriver
+from engine.control.commands import Command
 from engine.control.line_orders import LineOrders
 from engine.control.loop import EngineLoop
 from engine.control.outputs import FrameRecord, GateTransition
 from engine.control.watchdog import Watchdog
 from engine.core.breath import WHOLE, SignalChoice
 from engine.core.clock import Clock, ManualClock
-from engine.core.commands import Command
 from engine.core.errors import FrameTimeoutError, SourceEndedError
 from engine.core.frames import FloatArray, Measurement, RgbdFrame
 from engine.core.gate_state import HoldReason, Lease

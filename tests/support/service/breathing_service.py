@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from engine.capture.source import SourceDescription
+from engine.control.commands import Command
 from engine.control.outputs import FrameRecord, GateTransition, LatencySummary, LiveView
-from engine.core.commands import Acknowledge, Command, Disarm
+from engine.core.commands import Acknowledge, Disarm
 from engine.core.frames import MeasurementState, TrainingProgress
 from engine.core.gate_state import GateState, HoldReason
 from service.core.settings.settings import Settings

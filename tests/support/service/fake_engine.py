@@ -11,10 +11,11 @@ import numpy as np
 from engine.beam.beam_on import BeamOnState
 from engine.calibration.camera_calibration import Calibration, nominal_calibration
 from engine.capture.source import SourceDescription
+from engine.control.commands import Command
 from engine.control.engine_status import EngineStatus
 from engine.control.outputs import FrameRecord, GateTransition, LatencySummary, LiveView, LoopStatus
 from engine.core.breath import Breath
-from engine.core.commands import Acknowledge, Arm, Command, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam
+from engine.core.commands import Acknowledge, Arm, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam
 from engine.core.errors import CommandRefusedError, TidegateError
 from engine.core.frames import (
     Lost,
@@ -31,6 +32,7 @@ from engine.core.learning_events import LearningEvent
 from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
 from engine.core.patient_match import PatientMatch
+from engine.gating.window_change import SetWindow
 from engine.gating.windows import ConditionState, GateWindow, amplitude_window
 from service.core.schemas import sessions
 from service.engine_host.roles import SessionPlan
@@ -152,6 +154,10 @@ class FakeRunning:
                     self.latest = replace(self.latest, record=record)
             case CorrectBaseline():
                 self.window = self.window.shifted(self.window.choices[0], command.by)
+                if self.latest is not None:
+                    self.latest = replace(self.latest, window=self.window)
+            case SetWindow():
+                self.window = command.window
                 if self.latest is not None:
                     self.latest = replace(self.latest, window=self.window)
         if self.latest is not None:

@@ -12,6 +12,7 @@ from engine.core.errors import BeamLineMismatchError, InvalidValueError, Recordi
 from engine.core.gate_state import HoldReason
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
+from engine.gating.window_change import SetWindow
 from engine.gating.windows import (
     AmplitudeWindow,
     BreathHoldWindow,
@@ -49,6 +50,10 @@ VALUES = (
     1e-17,
     "words",
     [Arm(operator="A"), Retrain(operator="B", keeps_zero=False), CorrectBaseline(operator="C", by=-0.1)],
+    *(
+        SetWindow(operator="D", window=one, dwell_ms=120.5, min_on_ms=0.0, min_off_ms=1.0, max_cycles_per_min=9)
+        for one in WINDOWS
+    ),
     (HoldReason.DISK_LOW, "full"),
     Interruption(HoldReason.OPERATOR_LOST, "no request"),
     FrameHead(

@@ -11,6 +11,8 @@ from engine.core.commands import Acknowledge, Arm, CorrectBaseline, Disarm, Hold
 from engine.core.errors import BeamLineError, RecordingError, SourceAwayError, SourceLostError
 from engine.core.gate_state import HoldReason
 from engine.core.input_tap import InputKind
+from engine.gating.window_change import SetWindow
+from engine.gating.windows import amplitude_window
 from engine.offline.replay.comparison import within_rounding
 from engine.offline.replay.outcomes import text_of
 from engine.offline.replay.replaying_tap import ReplayingTap
@@ -22,6 +24,14 @@ from tests.support.repository import DATA
 
 FAULTS = (HoldReason.DISK_LOW, HoldReason.AUDIT_BEHIND, HoldReason.RECORDER_BEHIND)
 ARM = Arm(operator="A. Therapist")
+ANOTHER_WINDOW = SetWindow(
+    operator="B",
+    window=amplitude_window(lower_mm=-1.5, upper_mm=3.5),
+    dwell_ms=120.0,
+    min_on_ms=0.0,
+    min_off_ms=0.0,
+    max_cycles_per_min=60,
+)
 
 
 @pytest.fixture
@@ -45,6 +55,7 @@ def busy(tmp_path):
         ask(SetReference(operator="B")),
         ask(Retrain(operator="B", keeps_zero=False)),
         ask(CorrectBaseline(operator="B", by=0.25)),
+        ask(ANOTHER_WINDOW),
         ask(ARM),
         *(good for _ in range(10)),
         ask(Disarm(operator="A. Therapist")),

@@ -24,6 +24,7 @@ POSTS = {
     "/api/v1/sessions/{session_id}/release",
     "/api/v1/sessions/{session_id}/presence",
     "/api/v1/sessions/{session_id}/baseline-correction",
+    "/api/v1/sessions/{session_id}/window",
     "/api/v1/sessions/{session_id}/stop",
     "/api/v1/sessions/{session_id}/models/retrain",
     "/api/v1/sessions/{session_id}/models/apply",
