@@ -270,6 +270,29 @@ def api_key(name: str, *scopes: str, **changes: Any) -> dict[str, Any]:
     return row | times | {"revoked_at": None, "last_used_at": None} | changes
 
 
+def arming(**missing: str) -> dict[str, Any]:
+    """Return what would be armed; ``missing`` are texts of the parts that keep it from being armed."""
+    texts = {
+        "patient": "P-0117",
+        "plan": "PLAN-LUNG-4, fraction FX-03 (no. 3)",
+        "camera": "Xtion, calibrated as Xtion 03",
+        "head_direction": "at the top of the picture: arming confirms it",
+        "view": "the patient is measured",
+        "model": "model 1 of 08:31 UTC, learned from 312 frames, 4 breaths; breathing 9.0 mm, 99.1 % explained, "
+        "residual 0.41 mm",
+        "reference": "end of exhale of 4 breaths, scatter 0.21 mm, set by A. Therapist at 08:32 UTC; reference 0.0 mm "
+        "from the fraction's first",
+        "window": "38 % of the learned breaths lie inside",
+        "position": "first fraction of the plan: the confirmed reference becomes the plan's position",
+        "site": "QA and camera latency as this site requires",
+        "gate": "SIMULATED beam line, disarmed",
+    } | missing
+    items = [
+        {"code": code, "state": "missing" if code in missing else "ok", "text": text} for code, text in texts.items()
+    ]
+    return {"session_id": SESSION_ID, "is_ready": not missing, "items": items}
+
+
 ONE_TIME = "quiet-otter-plays-1729"
 SECRET = "tg_plan_0123456789abcdef"
 
@@ -335,6 +358,9 @@ class FakeService:
         self.calibrations: list[dict[str, Any]] = [dict(CALIBRATION)]
         self.audit: list[dict[str, Any]] = []
         self.qa: dict[str, Any] = qa_status()
+        self.arming: dict[str, Any] = arming()
+        self.arming_etag = '"as-looked-at"'
+        self.if_match: list[str | None] = []
         self.problem: tuple[int, dict[str, Any]] | None = None
         self.calls: list[tuple[str, str, Any]] = []
         self.person: dict[str, Any] | None = person()
@@ -450,6 +476,10 @@ class FakeService:
             return self._about_log_ins(path, body)
         if self.person is None:
             return UNKNOWN
+        if request.method == "GET" and path.endswith("/arming"):
+            return JSONResponse(self.arming, headers={"ETag": self.arming_etag})
+        if path.endswith("/arm"):
+            self.if_match.append(request.headers.get("If-Match"))
         if request.method != "GET" and self.problem is not None:
             status, problem = self.problem
             return JSONResponse(problem, status, media_type="application/problem+json")

@@ -28,6 +28,8 @@ class PeopleOverHttp(httpx2.Client):
 
     Attributes
     ----------
+    first
+        The headers of the first person's log-in.
     key_headers
         Those of an API key: for sockets, and wherever a program calls.
     trusted
@@ -45,11 +47,11 @@ class PeopleOverHttp(httpx2.Client):
         self.trusted = None if certificate is None else ssl.create_default_context(cafile=certificate)
         super().__init__(base_url=_origin(port, certificate), timeout=timeout_s, verify=self.trusted or True)
         self._people = provisioned.people if provisioned else {}
-        self._first = provisioned.headers if provisioned else {}
+        self.first = provisioned.headers if provisioned else {}
         self.key_headers = provisioned.key if provisioned else {}
 
     def request(self, method: str, url: Any, **options: Any) -> httpx2.Response:
-        mine = self._people.get(_named(options), self._first)
+        mine = self._people.get(_named(options), self.first)
         options["headers"] = {**mine, **(options.get("headers") or {})}
         return super().request(method, url, **options)
 

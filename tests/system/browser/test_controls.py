@@ -6,6 +6,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from service.core.permissions import Role
+from tests.support.browser.arming import press_arm, press_arm_stepped
 from tests.support.browser.fake_service import SESSION, SESSION_ID, WAITING, FakeService, person, sample
 from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
@@ -77,7 +78,6 @@ def test_each_button_is_offered_only_where_it_makes_sense(fake: FakeService, tab
 @pytest.mark.parametrize(
     ("button", "path", "message"),
     [
-        ("arm", "arm", DISARMED),
         ("reference", "reference", DISARMED),
         ("disarm", "disarm", sample(gate="hold")),
         ("acknowledge", "acknowledge", FAULT),
@@ -119,7 +119,7 @@ def test_escape_disarms_from_anywhere_even_while_typing(fake: FakeService, tab: 
 def test_a_key_hit_after_arming_does_not_press_the_button_again(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", DISARMED
     page = tab.open("disarmed")
-    page.click("#do-arm")
+    press_arm(page)
     expect(page.locator("#outcome")).to_have_attribute("data-kind", "done")
     page.keyboard.press("Space")
     page.keyboard.press("Enter")
@@ -136,7 +136,7 @@ def test_a_refusal_shows_the_field_and_the_bound(fake: FakeService, tab: Tab):
         | {"bound": "set first"},
     )
     page = tab.open("disarmed")
-    page.click("#do-arm")
+    press_arm(page)
     expect(page.locator("#outcome")).to_have_attribute("data-kind", "failed")
     for part in ("Arm:", "no reference", "None", "set first"):
         expect(page.locator("#outcome")).to_contain_text(part)
@@ -195,7 +195,7 @@ def test_nothing_the_page_can_send_names_a_beam(fake: FakeService, tab: Tab):
 def test_a_message_ends_with_the_state_it_belongs_to(fake: FakeService, stepped: SteppedPage, after: dict):
     """'Armed' below a fault, or under another patient's name, would contradict what the gate shows."""
     page = stepped.open_settled(DISARMED)
-    page.click("#do-arm")
+    press_arm_stepped(stepped)
     stepped.shows(sample(gate="hold"))
     expect(page.locator("#outcome")).to_have_text("Armed: the gate controls the beam.")
     stepped.advance(2_400)

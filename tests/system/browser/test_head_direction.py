@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import expect
 
+from tests.support.browser.arming import press_arm
 from tests.support.browser.fake_service import FakeService, condition, person, sample, window
 from tests.support.browser.tab import Tab
 
@@ -23,8 +24,7 @@ def test_arming_confirms_the_side_that_the_picture_shows(fake: FakeService, tab:
     fake.mode, fake.sample, fake.person = "samples", message, person("Ada L.")
     fake.sessions[0]["head_direction"] = "left"
     page = tab.open("disarmed")
-    expect(page.locator("#do-arm")).to_have_attribute("title", "Confirms that the head lies at the left of the picture")
-    page.click("#do-arm")
+    press_arm(page)
     expect(page.locator("#outcome")).to_have_attribute("data-kind", "done")
     assert armings(fake) == [{"operator": "Ada L.", "head_direction": "left"}]
 

@@ -4,6 +4,7 @@ import pytest
 from playwright.sync_api import expect
 
 from service.core.permissions import Role
+from tests.support.browser.arming import press_arm_stepped
 from tests.support.browser.fake_service import SESSION_ID, FakeService, person, sample
 from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
@@ -103,7 +104,7 @@ def test_who_holds_is_said_also_where_another_reason_is_told(fake: FakeService, 
 def test_the_page_of_whoever_armed_tells_every_second_that_they_are_there(fake: FakeService, stepped: SteppedPage):
     fake.person = ADA
     page = stepped.open_settled(DISARMED)
-    page.click("#do-arm")
+    press_arm_stepped(stepped)
     stepped.shows(BEAM_ON | {"armed_by": "Ada L."})
     before = len(calls_to(fake, "presence"))
     stepped.advance(5_000)
@@ -122,7 +123,7 @@ def test_the_page_of_whoever_armed_tells_every_second_that_they_are_there(fake: 
 def test_presence_is_kept_over_a_reload(fake: FakeService, stepped: SteppedPage):
     fake.person = ADA
     page = stepped.open_settled(DISARMED)
-    page.click("#do-arm")
+    press_arm_stepped(stepped)
     stepped.shows(BEAM_ON | {"armed_by": "Ada L."})
     page.reload()
     stepped.advance_until(lambda: stepped.kind == "beam_on")
@@ -169,4 +170,4 @@ def test_the_page_of_whoever_released_answers_from_then_on(fake: FakeService, st
 
 def test_who_armed_is_shown(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", BEAM_ON | {"armed_by": "C. Nurse"}
-    expect(tab.open("beam_on").locator("#gate-detail")).to_have_text("Armed by C. Nurse.")
+    expect(tab.open("beam_on").locator("#gate-by")).to_have_text("Armed by C. Nurse")

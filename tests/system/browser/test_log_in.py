@@ -6,6 +6,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from service.core.permissions import Role
+from tests.support.browser.arming import press_arm
 from tests.support.browser.fake_service import SESSION_ID, FakeService, person, sample
 from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
@@ -294,7 +295,7 @@ def test_a_refused_call_ends_the_log_in_also_while_the_stream_goes_on(fake: Fake
     page = tab.open("disarmed")
     problem = {"status": 401, "content_type": "application/problem+json", "body": "{}"}
     page.route("**/api/v1/sessions/*/arm", lambda route: route.fulfill(**problem))
-    page.click("#do-arm")
+    press_arm(page)
     tab.sees("out")
 
 
@@ -316,7 +317,7 @@ def test_less_that_one_may_do_shows_as_soon_as_a_call_is_refused(fake: FakeServi
     page = tab.open("disarmed")
     fake.person = person("A. Therapist", Role.VIEWER)
     fake.problem = (403, {"code": "forbidden", "detail": "gate.arm is needed"})
-    page.click("#do-arm")
+    press_arm(page)
     expect(page.locator("#outcome")).to_have_text("Arm: gate.arm is needed")
     expect(page.locator("#person-roles")).to_have_text("viewer")
     expect(page.locator("#do-arm")).to_be_disabled()
@@ -328,7 +329,7 @@ def test_another_person_s_log_in_in_the_same_browser_shows_when_one_looks_again(
     fake.person = person("B. Other")
     page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
     expect(page.locator("#person-name")).to_have_text("B. Other")
-    page.click("#do-arm")
+    press_arm(page)
     expect(page.locator("#outcome")).to_have_attribute("data-kind", "done")
     assert fake.posts()[-1][1] == {"operator": "B. Other"}
 

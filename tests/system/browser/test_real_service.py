@@ -188,7 +188,8 @@ def seen_on(page: Page) -> set[tuple[str, str, str]]:
 def press_what_is_offered(page: Page) -> None:
     """Set the reference once it is asked for, arm, and acknowledge a busy machine's fault: a frame may well be late."""
     is_reference_asked = "Set the reference" in page.locator("#gate-reason").inner_text()
-    for action in ("acknowledge", "reference" if is_reference_asked else "arm"):
+    step = "reference" if is_reference_asked else "arm-now" if page.locator("#arming").is_visible() else "arm"
+    for action in ("acknowledge", step):
         button = page.locator(f"#do-{action}")
         if button.is_visible() and button.is_enabled():
             # What was offered a moment ago may be gone with the next frame.

@@ -107,8 +107,20 @@ export const setReference = (id, operator, at, proposal, reason) =>
 /** `number` is that of the reference whose position the person was shown. */
 export const signPosition = (id, operator, number, reason) =>
   call("POST", `${session(id)}/position-check`, { operator, reference_number: number, reason });
-/** `head` is the side of the picture at which the page shows the patient's head, which the person confirms by arming; null if unknown. */
-export const arm = (id, operator, head) => call("POST", `${session(id)}/arm`, head === null ? { operator } : { operator, head_direction: head });
+/**
+ * `head` is the side of the picture at which the page shows the patient's head, which the person confirms by arming; null if
+ * unknown. `etag` is that of the summary the person looked at: refused if anything was decided since.
+ */
+export const arm = (id, operator, head, etag) =>
+  call("POST", `${session(id)}/arm`, head === null ? { operator } : { operator, head_direction: head }, { "If-Match": etag });
+/** @returns {Promise<{answer: object, etag: string}>} what would be armed, and its ETag */
+export async function readArming(id) {
+  const response = await send("GET", `${session(id)}/arming`, undefined, {});
+  const answer = await response.json().catch(() => null);
+  if (!response.ok) throw new ApiError(response.status, answer ?? {});
+  return { answer, etag: response.headers.get("ETag") };
+}
+export const setWindow = (id, operator, window) => call("POST", `${session(id)}/window`, { operator, window });
 export const retrain = (id, operator, keepsReference) =>
   call("POST", `${session(id)}/models/retrain`, { operator, keeps_reference: keepsReference });
 /** `unit` is mm or l; `by` and `drift` are the displayed values that the person confirms; `reason` may be empty. */

@@ -1,6 +1,7 @@
 /** Assembles the page: the stream feeds the panels, two timers redraw them so that old data is never shown as new. */
 
 import { AlarmPanel, urgentText } from "./panels/alarms.js";
+import { ArmingPanel } from "./panels/arming.js";
 import { Access } from "./people/access.js";
 import { listSessions, readSession } from "./api.js";
 import { BaselineButton } from "./panels/baseline_correction.js";
@@ -22,6 +23,7 @@ import { Range } from "./drawing/color_scale.js";
 import { Setup } from "./panels/setup.js";
 import { MismatchWatch, present, presentLocked } from "./stream/gate_state.js";
 import { Trace } from "./panels/trace.js";
+import { WindowEditor } from "./panels/window_editor.js";
 import { describe as describeWindow, gatedUnit, gatedValue } from "./stream/gating_window.js";
 
 const TICK_MS = 50;
@@ -46,7 +48,9 @@ const trace = new Trace(byId("trace"));
 const picture = new PicturePanel(byId("picture"), byId("overlay"));
 const grid = new GridPanel(byId("grid"), byId("legend"), byId("grid-readout"));
 const events = new EventList(byId("events"), byId("events-empty"));
-const controls = new Controls(() => lookAgain());
+const controls = new Controls(() => lookAgain(), (id, head) => arming.open(id, head), () => arming.close() || windowEditor.close());
+const arming = new ArmingPanel(byId("arming"), controls);
+const windowEditor = new WindowEditor(byId("window-editor"), trace, controls);
 const alarms = new AlarmPanel(byId("alarms"), controls);
 const baseline = new BaselineButton(byId("do-correct"), controls);
 const presence = new Presence();
@@ -99,6 +103,8 @@ function leave() {
   shownSessionId = null;
   hasLooked = false;
   trace.reset(null);
+  arming.close();
+  windowEditor.close();
   picture.follow(null, false);
   setup.forget();
   controls.forget();
@@ -108,6 +114,8 @@ function leave() {
 /** Remove what was measured in another session: nothing of one patient is shown under another's name. */
 function forgetSession() {
   trace.reset(null);
+  arming.close();
+  windowEditor.close();
   picture.follow(null, false);
   events.follow(null);
 }
@@ -236,6 +244,9 @@ function render() {
   const running = sample?.session_status === "running" ? sample : null;
   follow(view, sample, nowMs);
   controls.update({ kind: view.kind, sample: running, selected: session, person: access.state === "in" ? access.person : null });
+  arming.update(view.isCurrent ? running : null, nowMs);
+  windowEditor.update(view.isCurrent ? running : null, session, controls.forbids("window"), nowMs);
+  setText(byId("gate-by"), armedText(sample));
   alarms.render(activeAlarms, view.kind === "fault", nowMs);
   baseline.update(view.isCurrent ? running : null);
   presence.tend(running, access.may("arm") ? controls.operatorName : "", nowMs);
@@ -248,6 +259,14 @@ function render() {
 function lineText(sample) {
   if (sample === null) return "–";
   return sample.line_on === true ? "ON" : "OFF";
+}
+
+/** Who armed the gate, or released a hold since, and when; the time comes with the session, a moment later. */
+function armedText(sample) {
+  if (!sample?.is_armed || !sample.armed_by) return "";
+  const known = session?.id === sample.session_id && session.gate?.armed_by === sample.armed_by ? session.gate.armed_at : null;
+  const at = known ? ` ${new Date(known).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" })}` : "";
+  return `Armed by ${sample.armed_by}${at}`;
 }
 
 function draw() {

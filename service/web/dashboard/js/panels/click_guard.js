@@ -20,10 +20,11 @@ export class ClickGuard {
    * Compare the layout with the last one. Call it whenever the page is drawn.
    *
    * @param {number} nowMs on the clock of `performance.now()` and `event.timeStamp`
+   * @param {string} content what has to be looked at before the click; another one counts as another layout
    * @returns {boolean} whether clicks are ignored now
    */
-  update(nowMs) {
-    const layout = this.buttons.map(placeOf).join("; ");
+  update(nowMs, content = "") {
+    const layout = [...this.buttons.map(placeOf), content].join("; ");
     if (layout !== this.layout) {
       this.layout = layout;
       this.changedMs = nowMs;
@@ -32,10 +33,10 @@ export class ClickGuard {
   }
 
   /** @returns {string} why this click is ignored; "repeated" needs no message, the first click was accepted */
-  refusal(event) {
+  refusal(event, content = "") {
     if (event.detail > 1) return "repeated";
     // The layout may have changed since the page was drawn last.
-    this.update(performance.now());
+    this.update(performance.now(), content);
     // The time of the click itself: it may have waited while the page was busy.
     return this.#isStill(event.timeStamp) ? "" : "moved";
   }

@@ -5,7 +5,7 @@
  * they work with one click or their key whenever a running session is known, with or without a fresh connection.
  */
 
-import { act, applyModel, arm, retrain, setReference, signPosition } from "../api.js";
+import { act, applyModel, retrain, setReference, signPosition } from "../api.js";
 import { setText } from "../drawing/elements.js";
 import { needsReference, stageOf } from "./training.js";
 import { obstacle as forbidden } from "../people/permissions.js";
@@ -24,6 +24,11 @@ const CONFIRM_MS = 4000;
 const CONSIDER_MS = 1000;
 /** Time in which the state that an action leads to is expected; its message stays [ms]. */
 const EXPECT_MS = 2000;
+/** The state that each action leads to; under any other its message would contradict what is shown. */
+const LEADS_TO = {
+  start: "disarmed", arm: "armed", release: "armed", correct: "disarmed", disarm: "disarmed", reference: "disarmed",
+  sign: "disarmed", window: "disarmed", acknowledge: "disarmed", stop: "idle", retrain: "disarmed", apply: "disarmed",
+};
 
 const DONE = {
   start: "Session started.",
@@ -34,6 +39,7 @@ const DONE = {
   disarm: "Disarmed.",
   reference: "Reference set.",
   sign: "Position signed.",
+  window: "Window set.",
   acknowledge: "Fault acknowledged.",
   alarms: "Alarms acknowledged.",
   stop: "Session stopped.",
@@ -75,14 +81,18 @@ const hasHead = (c) => (headOf(c) !== null || (c.sample.window?.conditions ?? []
 const measuring = (c) => (c.sample.state === "measuring" ? "" : c.sample.state === "training" ? "still training" : "the patient is not visible");
 
 export class Controls {
-  /** @param {() => void} onChange called when an action has been done */
-  constructor(onChange) {
-    this.onChange = onChange;
+  /**
+   * @param {() => void} onChange called when an action has been done
+   * @param {(sessionId: string, head: ?string) => void} onArm shows what would be armed
+   * @param {() => boolean} onEscape closes what is open over the page; returns whether something was
+   */
+  constructor(onChange, onArm, onEscape) {
+    Object.assign(this, { onChange, onArm, onEscape });
     this.busy = null;
     this.lastRunningId = null;
     this.context = { kind: "connecting", sample: null, selected: null, person: null };
     this.outcome = document.getElementById("outcome");
-    this.said = { state: "", atMs: -Infinity };
+    this.said = { state: "", atMs: -Infinity, action: "" };
     this.asked = {};
     this.keepsReference = document.getElementById("keep-reference");
     for (const action of Object.keys(OBSTACLES)) button(action).addEventListener("click", (event) => this.#press(action, event));
@@ -92,6 +102,8 @@ export class Controls {
       const action = Object.keys(HALTS).find((one) => HALTS[one] === event.key);
       if (action === undefined) return;
       if (action === "hold") event.preventDefault();
+      // An armed gate is disarmed at once, whatever is open.
+      if (action === "disarm" && this.context.sample?.is_armed !== true && this.onEscape()) return;
       if (!event.repeat) this.halt(action);
     }, { capture: true });
   }
@@ -99,6 +111,10 @@ export class Controls {
   /** Name of the person who is logged in; empty if there is none. */
   get operatorName() {
     return this.context.person?.name ?? "";
+  }
+
+  get isBusy() {
+    return this.busy !== null;
   }
 
   /** The reason typed beside the reference, which a correction far from the fraction's first needs too. */
@@ -134,7 +150,7 @@ export class Controls {
       button(action).disabled = why !== "" || this.busy !== null;
       button(action).title = why === "" ? "" : `Not now: ${why}`;
     }
-    if (!button("arm").disabled && headOf(context) !== null) button("arm").title = `Confirms that the head lies at the ${headOf(context)} of the picture`;
+    if (!button("arm").disabled) button("arm").title = "Shows what would be armed, before it is";
     setText(document.getElementById("hint"), hint(this.context));
     const proposal = proposalText(this.context);
     document.getElementById("reference").hidden = proposal === "";
@@ -175,6 +191,10 @@ export class Controls {
     if (action === "release" && isAnothers(this.context) && !this.#isConfirmed(action, CONSIDER_MS)) return;
     // Focus must not stay on a button whose action has changed.
     document.activeElement?.blur();
+    if (action === "arm") {
+      this.onArm(this.context.sample.session_id, headOf(this.context));
+      return;
+    }
     const id = this.context.sample?.session_id ?? this.context.selected.id;
     this.#send(action, id, this.operatorName);
   }
@@ -205,18 +225,22 @@ export class Controls {
 
   /** Clear a message whose state has passed: under another state it would contradict what is shown. */
   #forgetOutcome() {
-    const state = stateOf(this.context);
-    if (state === this.said.state || this.busy !== null) return;
+    if (this.busy !== null || this.#isStillSo(stateOf(this.context))) return;
     // What failed while the state was known stays while it is unknown: it names the other way to stop the beam.
     const isUnknown = this.context.kind !== "idle" && this.context.sample === null;
     if (isUnknown && this.outcome.dataset.kind === "failed") return;
-    if (performance.now() - this.said.atMs < EXPECT_MS && this.context.sample?.gate !== "fault") {
-      this.said = { state, atMs: -Infinity }; // what the action has led to
-      return;
-    }
     this.outcome.dataset.kind = "";
     setText(this.outcome, "");
-    this.said = { state, atMs: -Infinity };
+    this.said = { state: stateOf(this.context), atMs: -Infinity, action: "" };
+  }
+
+  /** Whether the message is about this state: the one it was said in, or the one its action leads to, of the same session. */
+  #isStillSo(state) {
+    const { action, atMs, state: before } = this.said;
+    if (action === "") return state === before;
+    if (state === before && performance.now() - atMs < EXPECT_MS) return true;
+    const isLedTo = action === "hold" ? Boolean(this.context.sample?.operator_hold) : kindOf(state) === LEADS_TO[action];
+    return isLedTo && sessionOf(state) === sessionOf(before);
   }
 
   async #send(action, id, operator) {
@@ -229,7 +253,7 @@ export class Controls {
     this.update(this.context);
     try {
       await call();
-      if (this.busy === mine) this.say("done", DONE[action]);
+      if (this.busy === mine) this.say("done", DONE[action], action);
     } catch (error) {
       // A failed hold or disarm stays visible after later answers: it names the other way to stop the beam.
       this.say("failed", `${label(action)}: ${error.message}${action in HALTS ? elsewhere(action) : ""}`);
@@ -248,9 +272,6 @@ export class Controls {
     } else if (action === "sign") {
       await signPosition(id, operator, this.context.sample.position_check.reference_number, this.reason);
       this.forgetReason();
-    } else if (action === "arm") {
-      await arm(id, operator, headOf(this.context));
-      rememberArming(id, operator);
     } else if (action === "release") {
       await act(id, action, operator);
       rememberArming(id, operator);
@@ -262,8 +283,9 @@ export class Controls {
     }
   }
 
-  say(kind, text) {
-    this.said = { state: stateOf(this.context), atMs: performance.now() };
+  /** @param {string} action the action that succeeded: its message stays with the state it leads to */
+  say(kind, text, action = "") {
+    this.said = { state: stateOf(this.context), atMs: performance.now(), action };
     this.outcome.dataset.kind = kind;
     setText(this.outcome, text);
   }
@@ -282,6 +304,9 @@ function stateOf({ kind, sample, selected }) {
   const gate = { hold: "armed", dwell: "armed", beam_on: "armed" }[sample.gate] ?? sample.gate;
   return `${gate} ${sample.session_id} ${sample.operator_hold}`;
 }
+
+const kindOf = (state) => state.split(" ")[0];
+const sessionOf = (state) => state.split(" ")[1];
 
 /** The other way to stop the beam, if this page cannot. */
 function elsewhere(action) {
@@ -327,5 +352,5 @@ function button(action) {
 }
 
 function label(action) {
-  return { reference: "Set reference", sign: "Sign position", retrain: "Train again", apply: "Apply", correct: "Correct baseline", alarms: "Acknowledge alarms" }[action] ?? action[0].toUpperCase() + action.slice(1);
+  return { reference: "Set reference", sign: "Sign position", retrain: "Train again", apply: "Apply", correct: "Correct baseline", window: "Set window", alarms: "Acknowledge alarms" }[action] ?? action[0].toUpperCase() + action.slice(1);
 }

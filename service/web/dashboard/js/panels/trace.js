@@ -10,16 +10,23 @@ import { BreathMarks } from "../drawing/breath_marks.js";
 import { conditionsOf, gatedUnit, gatedValue, hasEdges, hasSameSignal, signalName } from "../stream/gating_window.js";
 
 const SPAN_S = 30;
+/** What is kept, for the prediction of another window [s]. */
+const KEPT_S = 60;
 /** Longest time between two samples that are joined [s]; the stream may drop frames for a slow client. */
 const JOIN_S = 0.15;
 const MARGIN = { left: 58, right: 14, top: 12, bottom: 24 };
-const COLORS = { line: "#8fd3ff", on: "46, 214, 140", window: "#e8d27a", now: "#ffffff" };
+const COLORS = { line: "#8fd3ff", on: "46, 214, 140", window: "#e8d27a", proposal: "#ff9de1", now: "#ffffff" };
 
 export class Trace {
   constructor(canvas) {
     this.canvas = canvas;
     this.choice = "gated";
     this.range = null;
+    /** A condition that is being edited: in mm or litres, drawn beside the window in use; null if none is. */
+    this.proposal = null;
+    this.scale = null;
+    /** Whether the scale stays: it must not move under a pointer that drags an edge. */
+    this.keepsRange = false;
     this.marks = new BreathMarks();
     this.reset(null);
   }
@@ -50,7 +57,7 @@ export class Trace {
       isInPhase: conditionsOf(sample.window).some((one) => one.kind === "phase" && one.is_inside),
     });
     this.marks.add(sample.breath, t, t - SPAN_S - 2);
-    while (this.samples.length > 0 && this.samples[0].t < t - SPAN_S - 2) this.samples.shift();
+    while (this.samples.length > 0 && this.samples[0].t < t - KEPT_S - 2) this.samples.shift();
   }
 
   draw(nowMs) {
@@ -66,6 +73,7 @@ export class Trace {
     const box = { x0: MARGIN.left, x1: width - MARGIN.right, y0: MARGIN.top, y1: height - MARGIN.bottom };
     const x = (t) => box.x1 - ((nowS - t) / SPAN_S) * (box.x1 - box.x0);
     const y = (value) => box.y1 - ((value - this.range.low) / (this.range.high - this.range.low)) * (box.y1 - box.y0);
+    this.scale = { box, range: this.range };
     drawAxes(context, box, this.range, y, this.#unit());
     context.save();
     context.beginPath();
@@ -74,6 +82,10 @@ export class Trace {
     this.#drawBeam(context, box, x);
     this.#drawGaps(context, box, x, nowS);
     for (const condition of this.#shown()) if (hasEdges(condition)) drawWindow(context, box, y, condition);
+    if (this.proposal !== null && this.choice === "gated") {
+      drawProposal(context, box, y, this.proposal);
+      this.canvas.dataset.edges = `${y(this.proposal.lower)} ${y(this.proposal.upper)}`;
+    }
     if (this.#showsGated()) {
       this.#drawPhase(context, box, x);
       this.marks.draw(context, box, x, y);
@@ -81,6 +93,18 @@ export class Trace {
     this.#drawLine(context, x, y);
     context.restore();
     this.#labelGated(context, box);
+  }
+
+  /** Height of a value on the canvas, as last drawn [px]. */
+  yOf(value) {
+    const { box, range } = this.scale;
+    return box.y1 - ((value - range.low) / (range.high - range.low)) * (box.y1 - box.y0);
+  }
+
+  /** Value at a height of the canvas, as last drawn. */
+  valueAt(y) {
+    const { box, range } = this.scale;
+    return range.low + ((box.y1 - y) / (box.y1 - box.y0)) * (range.high - range.low);
   }
 
   #showsGated() {
@@ -99,7 +123,10 @@ export class Trace {
   }
 
   #fitRange() {
-    const values = this.samples.map((s) => s[this.choice]).filter(Number.isFinite);
+    if (this.keepsRange && this.range?.choice === this.choice) return;
+    const since = this.samples.at(-1).t - SPAN_S - 2;
+    const values = this.samples.filter((s) => s.t >= since).map((s) => s[this.choice]).filter(Number.isFinite);
+    if (this.proposal !== null && this.choice === "gated") values.push(this.proposal.lower, this.proposal.upper);
     for (const condition of this.#shown()) if (hasEdges(condition)) values.push(condition.lower, condition.upper);
     if (this.choice === "gated") values.push(...this.marks.newestBaseline());
     values.push(0);
@@ -243,6 +270,24 @@ function drawWindow(context, box, y, condition) {
   const digits = unit === "l" ? 2 : 1;
   const name = condition.kind === "breath_hold" ? "breath hold" : "window";
   context.fillText(`${name} ${lower.toFixed(digits)} to ${upper.toFixed(digits)} ${unit}`.replaceAll("-", "−"), box.x0 + 6, y(upper) - 3);
+}
+
+/** Draw edges that are being edited, each with a grip. */
+function drawProposal(context, box, y, { lower, upper, unit }) {
+  context.strokeStyle = COLORS.proposal;
+  context.fillStyle = COLORS.proposal;
+  context.lineWidth = 2;
+  context.font = font(12);
+  context.textAlign = "right";
+  const digits = unit === "l" ? 2 : 1;
+  for (const [edge, baseline, shift] of [[upper, "bottom", -4], [lower, "top", 4]]) {
+    context.setLineDash([8, 4]);
+    stroke(context, box.x0, y(edge), box.x1, y(edge));
+    context.setLineDash([]);
+    context.fillRect(box.x1 - 34, y(edge) - 3, 28, 6);
+    context.textBaseline = baseline;
+    context.fillText(`${edge.toFixed(digits)} ${unit}`.replace("-", "−"), box.x1 - 40, y(edge) + shift);
+  }
 }
 
 function stroke(context, x0, y0, x1, y1) {

@@ -4,6 +4,7 @@ export const NEEDS = {
   watch: "sessions.read",
   create: "sessions.run",
   start: "sessions.run",
+  window: "sessions.run",
   reference: "gate.reference",
   sign: "gate.reference",
   arm: "gate.arm",

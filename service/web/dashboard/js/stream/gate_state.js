@@ -67,11 +67,10 @@ function gate(message, ageMs) {
   return { ...fresh(kind, WORDS[kind], message.hold_text || REASONS[kind], ageMs), detail: detailOf(message) };
 }
 
-/** Details of the hold reason, the operator who holds in addition to it, and who armed. */
+/** Details of the hold reason, and the operator who holds in addition to it. */
 function detailOf(message) {
   const holder = message.operator_hold && message.hold_reason !== "operator_hold" ? `Also held by ${message.operator_hold}.` : "";
-  const armed = message.is_armed && message.armed_by ? `Armed by ${message.armed_by}.` : "";
-  return [message.hold_detail ?? "", holder, armed].filter(Boolean).join(" · ");
+  return [message.hold_detail ?? "", holder].filter(Boolean).join(" · ");
 }
 
 /** Detects a beam line that reads on without a permit. */

@@ -5,8 +5,8 @@
  */
 
 export const SCHEMA = "tidegate.live/1";
-/** A sample older than this is stale [ms]; one comes every 33 ms, and 99 of 100 are drawn within 80 ms. */
-export const STALE_MS = 300;
+/** A frame older than this is stale [ms], so that the page is grey within 300 ms of it: what is old is noticed with the next drawing. */
+export const STALE_MS = 260;
 /** Silence in which a latched fault is still shown [ms]: the beam was held, and only a named person ends a fault. */
 export const FAULT_MS = 1500;
 /** Limit for idle messages [ms], which come only twice a second. */

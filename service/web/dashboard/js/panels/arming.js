@@ -1,0 +1,140 @@
+/**
+ * What would be armed, looked at before it is: patient, plan, camera, reference, window and what is missing. One button
+ * arms, and only what is shown: the controller refuses if anything was decided since the summary was read.
+ */
+
+import { arm, readArming } from "../api.js";
+import { byId, part, setText } from "../drawing/elements.js";
+import { rememberArming } from "../people/presence.js";
+import { conditionsOf, hasEdges, signalName } from "../stream/gating_window.js";
+import { ClickGuard } from "./click_guard.js";
+
+const READ_MS = 2000;
+/** Time after which the summary closes: what was looked at longer ago is looked at again [ms]. */
+const CLOSE_MS = 60000;
+const TITLES = {
+  patient: "Patient", plan: "Plan", camera: "Camera", head_direction: "Head", view: "View", model: "Model",
+  reference: "Reference", window: "Window", position: "Position", site: "QA", gate: "Gate",
+};
+const MARKS = { ok: "✓", attention: "!", missing: "✕" };
+const WORDS = { ok: "", attention: "Look: ", missing: "Missing: " };
+
+export class ArmingPanel {
+  /** @param {object} controls runs the call and shows its result */
+  constructor(root, controls) {
+    this.root = root;
+    this.controls = controls;
+    this.button = byId("do-arm-now");
+    this.guard = new ClickGuard([this.button]);
+    this.#forget();
+    this.button.addEventListener("click", (event) => this.#press(event));
+    byId("arming-close").addEventListener("click", () => this.close());
+  }
+
+  get isOpen() {
+    return !this.root.hidden;
+  }
+
+  open(sessionId, headDirection) {
+    if (this.isOpen && this.id === sessionId) return;
+    this.#forget();
+    Object.assign(this, { id: sessionId, head: headDirection, openedMs: performance.now() });
+    this.root.hidden = false;
+    byId("arming-heading").focus();
+    this.#read();
+  }
+
+  /** @returns {boolean} whether it was open */
+  close() {
+    const wasOpen = this.isOpen;
+    this.root.hidden = true;
+    this.#forget();
+    return wasOpen;
+  }
+
+  /** Close where what is shown is no longer what would be armed; call it whenever the page is drawn. */
+  update(sample, nowMs) {
+    if (!this.isOpen) return;
+    if (sample === null || sample.session_id !== this.id || sample.is_armed || nowMs - this.openedMs > CLOSE_MS) {
+      this.close();
+      return;
+    }
+    if (nowMs - this.readMs > READ_MS) this.#read();
+    setText(byId("arming-edges"), edgesText(sample.window));
+    const isIgnored = this.guard.update(nowMs, this.key);
+    this.button.disabled = this.summary?.is_ready !== true || this.controls.isBusy;
+    if (isIgnored && !this.button.disabled) this.button.setAttribute("aria-disabled", "true");
+    else this.button.removeAttribute("aria-disabled");
+    const why = this.summary === null ? "" : this.summary.is_ready ? (isIgnored ? "Look at each line first." : "") : "Something is missing.";
+    setText(byId("arming-why"), this.trouble || why);
+  }
+
+  #forget() {
+    Object.assign(this, { id: null, head: null, summary: null, etag: null, key: "", trouble: "", openedMs: 0, readMs: -Infinity });
+    byId("arming-items").replaceChildren();
+    setText(byId("arming-patient"), "");
+    setText(byId("arming-edges"), "");
+    setText(byId("arming-why"), "");
+    this.button.disabled = true;
+  }
+
+  async #read() {
+    const id = this.id;
+    this.readMs = performance.now();
+    try {
+      const { answer, etag } = await readArming(id);
+      if (id === this.id) this.#show(answer, etag);
+    } catch (error) {
+      if (id !== this.id) return;
+      // What was read before may have changed: nothing is armed by it.
+      this.summary = null;
+      this.trouble = error.message;
+    }
+  }
+
+  #show(summary, etag) {
+    const key = JSON.stringify([etag, summary.items.map((one) => [one.code, one.state, one.code === "position" ? "" : one.text])]);
+    this.trouble = "";
+    if (key === this.key && this.summary !== null) return;
+    Object.assign(this, { summary, etag, key });
+    setText(byId("arming-patient"), summary.items.find((one) => one.code === "patient")?.text ?? "");
+    byId("arming-items").replaceChildren(...summary.items.filter((one) => one.code !== "patient").map(itemLine));
+  }
+
+  #press(event) {
+    // A click that was meant for the button at this place before, or the second one of two.
+    if (this.guard.refusal(event, this.key) !== "" || this.button.disabled) return;
+    const { id, head, etag } = this;
+    const operator = this.controls.operatorName;
+    this.close();
+    this.controls.run("arm", async () => {
+      await arm(id, operator, head, etag);
+      rememberArming(id, operator);
+    });
+  }
+}
+
+function itemLine({ code, state, text }) {
+  const line = part("div", "");
+  line.dataset.code = code;
+  line.dataset.state = state;
+  const mark = part("span", MARKS[state], "mark-of");
+  mark.setAttribute("aria-hidden", "true");
+  const words = part("dd", "");
+  if (WORDS[state] !== "") words.append(part("strong", WORDS[state]));
+  words.append(text);
+  line.append(mark, part("dt", TITLES[code] ?? code), words);
+  return line;
+}
+
+function edgesText(window) {
+  return conditionsOf(window)
+    .map((one) => {
+      if (one.kind === "phase") return `${signalName(one)}: ${one.from_percent} to ${one.to_percent} % of the breath`;
+      const digits = one.unit === "l" ? 2 : 1;
+      const name = one.kind === "breath_hold" ? ", breath hold" : "";
+      return hasEdges(one) ? `${signalName(one)}${name}: ${one.lower.toFixed(digits)} to ${one.upper.toFixed(digits)} ${one.unit}` : `${signalName(one)}${name}: ${one.lower} to ${one.upper} %`;
+    })
+    .join(window?.join === "or" ? " or " : " and ")
+    .replaceAll("-", "−");
+}

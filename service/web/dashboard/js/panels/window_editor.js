@@ -1,0 +1,245 @@
+/**
+ * Sets the window of a running session while it is not armed: edges in per cent of the patient's breath, in mm or litres,
+ * typed or dragged on the trace, with what they would have done in the last minute.
+ */
+
+import { setWindow } from "../api.js";
+import { byId, setText } from "../drawing/elements.js";
+import { conditionsOf, gatedUnit } from "../stream/gating_window.js";
+import { forecast } from "../stream/window_forecast.js";
+
+/** Distance from an edge at which the pointer takes it [px]. */
+const REACH_PX = 14;
+/** Shortest useful pulse [s]: shorter ones are marked. */
+const SHORT_S = 1;
+const STEPS = { percent: 1, mm: 0.1, l: 0.01 };
+const DIGITS = { percent: 0, mm: 1, l: 2 };
+const FORECAST_MS = 250;
+
+export class WindowEditor {
+  /** @param {object} trace whose last minute is judged, and on which the edges are dragged */
+  constructor(form, trace, controls) {
+    Object.assign(this, { form, trace, controls, session: null, sample: null, unit: "mm", grip: null, drawnMs: -Infinity });
+    this.opener = byId("do-window");
+    this.opener.addEventListener("click", () => (this.isOpen ? this.close() : this.#open()));
+    byId("window-cancel").addEventListener("click", () => this.close());
+    form.addEventListener("submit", (event) => this.#submit(event));
+    form.addEventListener("input", (event) => this.#follow(event));
+    const canvas = trace.canvas;
+    canvas.addEventListener("pointerdown", (event) => this.#take(event));
+    canvas.addEventListener("pointermove", (event) => this.#drag(event));
+    for (const kind of ["pointerup", "pointercancel"]) canvas.addEventListener(kind, () => this.#release());
+  }
+
+  get isOpen() {
+    return !this.form.hidden;
+  }
+
+  /** @returns {boolean} whether it was open */
+  close() {
+    const wasOpen = this.isOpen;
+    this.form.hidden = true;
+    this.opener.setAttribute("aria-expanded", "false");
+    this.trace.proposal = null;
+    this.#release();
+    this.trace.canvas.style.cursor = "";
+    return wasOpen;
+  }
+
+  /** @param {string} why why the log-in or the state does not permit it; empty if they do */
+  update(sample, session, why, nowMs) {
+    this.sample = sample;
+    this.session = session?.id === sample?.session_id ? session : null;
+    const obstacle = why || this.#obstacle();
+    this.opener.disabled = obstacle !== "" && !this.isOpen;
+    this.opener.title = obstacle === "" ? "Set the window on the patient's last minute" : `Not now: ${obstacle}`;
+    if (!this.isOpen) return;
+    if (obstacle !== "" || this.session.id !== this.openedFor) {
+      this.close();
+      return;
+    }
+    byId("window-apply").disabled = this.controls.isBusy || this.#edges() === null;
+    if (nowMs - this.drawnMs < FORECAST_MS) return;
+    this.drawnMs = nowMs;
+    this.#show();
+  }
+
+  #obstacle() {
+    if (this.sample === null) return "no running session";
+    if (this.sample.is_armed) return "disarm first";
+    if (this.session === null || !this.session.window) return "the session is being read";
+    return this.#place === -1 ? "no condition has edges: create another session" : "";
+  }
+
+  /** Place of the first condition with edges; the others stay as they are. */
+  get #place() {
+    return conditionsOf(this.sample?.window).findIndex((one) => one.kind !== "phase");
+  }
+
+  get #length() {
+    return conditionsOf(this.sample.window)[this.#place]?.signal === "volume" ? "l" : "mm";
+  }
+
+  #open() {
+    this.openedFor = this.session.id;
+    this.form.hidden = false;
+    this.opener.setAttribute("aria-expanded", "true");
+    const shown = conditionsOf(this.sample.window)[this.#place];
+    const isInPercent = shown.unit === "percent";
+    this.form.elements.unit.options[1].textContent = this.#length;
+    this.form.elements.unit.options[1].value = this.#length;
+    this.unit = isInPercent || this.#range() !== null ? "percent" : this.#length;
+    this.form.elements.unit.value = this.unit;
+    this.form.elements.dwell_ms.value = this.session.window.dwell_ms;
+    const toUnit = (value) => (isInPercent || this.unit !== "percent" ? value : this.#inPercent(value));
+    this.#enter(toUnit(shown.lower), toUnit(shown.upper));
+    setText(byId("window-others"), conditionsOf(this.sample.window).length > 1 ? "Other conditions stay as they are." : "");
+    this.#show();
+    this.form.elements.lower.focus();
+  }
+
+  /** End of exhale and end of inhale against the reference, from the proposed references; null until both are known. */
+  #range() {
+    const [low, high] = ["end_exhale", "end_inhale"].map((at) => this.session?.reference_proposals?.find((one) => one.at === at));
+    if (this.#place !== 0 || !Number.isFinite(low?.percent) || !Number.isFinite(high?.percent) || high.percent - low.percent < 1) return null;
+    const perPercent = (high.level - low.level) / (high.percent - low.percent);
+    return perPercent > 0 ? { zero: low.level - low.percent * perPercent, perPercent } : null;
+  }
+
+  #inPercent(value) {
+    const range = this.#range();
+    return range === null ? value : (value - range.zero) / range.perPercent;
+  }
+
+  #inLength(value) {
+    const range = this.#range();
+    if (this.unit !== "percent") return value;
+    return range === null ? null : range.zero + value * range.perPercent;
+  }
+
+  #enter(lower, upper) {
+    const { elements } = this.form;
+    for (const [name, value] of [["lower", lower], ["upper", upper]]) {
+      elements[name].step = STEPS[this.unit];
+      elements[name].value = value.toFixed(DIGITS[this.unit]);
+    }
+  }
+
+  #follow(event) {
+    if (event.target.name === "unit") {
+      const edges = this.#edges();
+      const from = this.unit;
+      const lengths = edges === null ? null : [this.#inLength(edges.lower), this.#inLength(edges.upper)];
+      this.unit = event.target.value;
+      if (lengths !== null && lengths[0] !== null && from !== this.unit) this.#enter(...(this.unit === "percent" ? lengths.map((one) => this.#inPercent(one)) : lengths));
+    }
+    this.#show();
+  }
+
+  /** The edges as typed, in the chosen unit; null while they are no window. */
+  #edges() {
+    const [lower, upper] = ["lower", "upper"].map((name) => this.form.elements[name].valueAsNumber);
+    return Number.isFinite(lower) && Number.isFinite(upper) && lower < upper ? { lower, upper } : null;
+  }
+
+  /** The edges in mm or litres; null while they are not known. */
+  #proposal() {
+    const edges = this.#edges();
+    if (edges === null) return null;
+    const [lower, upper] = [this.#inLength(edges.lower), this.#inLength(edges.upper)];
+    if (lower === null) return null;
+    const present = conditionsOf(this.sample.window)[this.#place];
+    return { ...present, unit: this.#length, lower, upper, hysteresis: this.#hysteresis(present) };
+  }
+
+  /** The session's hysteresis where its unit stays, else the controller's default for the new unit. */
+  #hysteresis(present) {
+    const given = this.#target(this.session.window)[`hysteresis_${this.unit}`];
+    const value = given ?? { percent: 2, mm: 0.2, l: 0.01 }[this.unit];
+    if (this.unit !== "percent") return value;
+    return (this.#range()?.perPercent ?? 0) * value || present.hysteresis;
+  }
+
+  #target(window) {
+    return this.#place === 0 ? window : window.further[this.#place - 1];
+  }
+
+  #show() {
+    const proposal = this.#proposal();
+    this.trace.proposal = proposal;
+    const text = byId("window-forecast");
+    const found = proposal === null ? null : this.#forecast(proposal);
+    text.dataset.short = found?.shortestS !== null && found?.shortestS < SHORT_S ? "yes" : "no";
+    setText(text, this.#edges() === null ? "The lower edge must be below the upper one." : forecastText(found, this.#whyNoForecast(proposal)));
+  }
+
+  #whyNoForecast(proposal) {
+    if (proposal === null) return "The learned breath is not known: no prediction in per cent.";
+    if (conditionsOf(this.sample.window).length > 1 || proposal.kind !== "amplitude") return "No prediction for this kind of window.";
+    return "No prediction until 10 s were measured.";
+  }
+
+  #forecast(proposal) {
+    if (conditionsOf(this.sample.window).length > 1 || proposal.kind !== "amplitude") return null;
+    const samples = this.trace.samples.map(({ t, gated }) => ({ t, value: gated }));
+    return forecast(samples, proposal, this.form.elements.dwell_ms.valueAsNumber / 1000);
+  }
+
+  #take(event) {
+    const proposal = this.isOpen ? this.trace.proposal : null;
+    if (proposal === null || this.trace.choice !== "gated" || gatedUnit(this.sample.window) !== proposal.unit) return;
+    const distances = ["lower", "upper"].map((name) => [Math.abs(this.trace.yOf(proposal[name]) - event.offsetY), name]);
+    const [distance, name] = distances.sort(([one], [other]) => one - other)[0];
+    if (distance > REACH_PX) return;
+    this.grip = name;
+    this.trace.keepsRange = true;
+    this.trace.canvas.setPointerCapture(event.pointerId);
+    event.preventDefault();
+  }
+
+  #release() {
+    this.grip = null;
+    this.trace.keepsRange = false;
+  }
+
+  #drag(event) {
+    if (!this.isOpen) return;
+    this.trace.canvas.style.cursor = "ns-resize";
+    if (this.grip === null) return;
+    const value = this.trace.valueAt(event.offsetY);
+    const edges = { ...this.#edges(), [this.grip]: this.unit === "percent" ? this.#inPercent(value) : value };
+    if (edges.lower < edges.upper) this.#enter(edges.lower, edges.upper);
+    this.#show();
+  }
+
+  #submit(event) {
+    event.preventDefault();
+    const edges = this.#edges();
+    if (edges === null || this.session === null) return;
+    const { id } = this.session;
+    const window = withoutNulls(this.session.window);
+    const target = this.#target(window);
+    for (const unit of Object.keys(STEPS)) {
+      for (const edge of ["lower", "upper"]) delete target[`${edge}_${unit}`];
+      if (unit !== this.unit) delete target[`hysteresis_${unit}`];
+    }
+    Object.assign(target, { [`lower_${this.unit}`]: edges.lower, [`upper_${this.unit}`]: edges.upper });
+    window.dwell_ms = this.form.elements.dwell_ms.valueAsNumber;
+    this.controls.run("window", async () => {
+      await setWindow(id, this.controls.operatorName, window);
+      this.close();
+    });
+  }
+}
+
+function forecastText(found, why) {
+  if (found === null) return why;
+  const shortest = found.shortestS === null ? "no complete pulse" : `shortest ${found.shortestS.toFixed(1)} s`;
+  return `Predicted from the last ${Math.round(found.seconds)} s: beam on ${Math.round(found.percent)} %, ${found.pulsesPerMin.toFixed(0)} pulses/min, ${shortest}`;
+}
+
+function withoutNulls(value) {
+  if (Array.isArray(value)) return value.map(withoutNulls);
+  if (value === null || typeof value !== "object") return value;
+  return Object.fromEntries(Object.entries(value).filter(([, one]) => one !== null).map(([name, one]) => [name, withoutNulls(one)]));
+}
