@@ -201,7 +201,8 @@ CLICK_ALL = """
   for (const [index, [x, y]] of places.entries()) {
     const target = document.elementFromPoint(x, y);
     if (target === null || target.closest("#do-log-out, .upload") !== null) continue;
-    if (index % 25 !== 0 && target.closest("#do-hold, #do-disarm, #do-stop, #do-reference, #do-retrain") !== null) continue;
+    const sends = "#do-hold, #do-disarm, #do-stop, #do-reference, #do-retrain";
+    if (index % 25 !== 0 && target.closest(sends) !== null) continue;
     const place = { bubbles: true, cancelable: true, clientX: x, clientY: y };
     target.dispatchEvent(new MouseEvent("click", { ...place, detail }));
     document.querySelector("#arming-close").click();
