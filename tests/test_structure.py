@@ -71,6 +71,12 @@ def test_only_the_listed_test_modules_sleep():
     assert sleeping == SLEEPS.keys()
 
 
+def test_no_test_module_compiles_grammars_where_it_is_collected():
+    """Every process of every run would: tests/support/contract/schemas.py imports jsonschema where a test validates."""
+    found = [path for path in MODULES if re.search(r"^(from|import) jsonschema\b", path.read_text(), re.MULTILINE)]
+    assert found == []
+
+
 def test_make_check_runs_some_tests_of_every_package():
     slow = {ROOT / path for path in SLOW_PATHS}
     modules = [path for path in MODULES if path.name.startswith("test_")]
