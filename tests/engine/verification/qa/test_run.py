@@ -35,7 +35,7 @@ from tests.support.qa.altered_plate import Altered
 from tests.support.qa.faulty_lines import Line, NeverLatches, beam_of
 from tests.support.qa.phantom_frames import watched
 
-PLATE_S = 8.0
+PLATE_S = 12.0
 RUNS, BATCHES, PLATES = 20, 2, 4
 FAULTY_RUNS = 4
 BLOCK = 45
@@ -48,7 +48,7 @@ def run(inputs, kind=QaKind.ANNUAL, **given):
 def quick(faults=None, *, seed=7):
     """A set-up with a phantom that takes less long."""
     faults = faults or RigFaults()
-    phantom = virtual_phantom(faults, seed=seed, periods_s=(2.3, 5.3), cycles_each=3)
+    phantom = virtual_phantom(faults, seed=seed, periods_s=(2.3, 5.3), cycles_each=4)
     return QaInputs(plate=virtual_plate(faults, seed=seed, seconds=PLATE_S), phantom=phantom, beam=virtual_beam(5))
 
 
