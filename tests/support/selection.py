@@ -236,7 +236,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Begin with the longest files, end with the browser; leave out slow tests for ``--fast``."""
     further = _further_cases_on_postgresql(items)
     config.hook.pytest_deselected(items=further)
-    items[:] = [item for item in items if item not in set(further)]
+    left = set(items).difference(further)
+    items[:] = [item for item in items if item in left]
     if config.getoption("--fast"):
         slow = [item for item in items if is_slow(item)]
         config.hook.pytest_deselected(items=slow)
