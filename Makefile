@@ -34,13 +34,14 @@ test-system:
 
 # Four parts. One after the other: what computes and starts services and browsers, where no time is judged; then what starts
 # services, kills them and waits; then, with a core to itself, what plays through the OpenNI2 runtime in the tests' own process: the
-# runtime's own threads race where they are not run in time, and crash. Beside the last goes what trips an engine that runs in real
-# time and needs little. What waits leaves a third of the processors idle: behind it goes the fourth part, numeric tests that
+# runtime's own threads race where they are not run in time, and crash. Beside the last goes what trips an engine, or times a camera,
+# in a process of its own in real time and needs little. What waits leaves a third of the processors idle: behind it goes the fourth part, numeric tests that
 # start no service, judge no time and have no deadline, in the scheduler's idle class. It is interrupted at once by anything in
 # front, where nice 10 was not, and sessions in real time were late; what has a deadline starved there.
 ALONE := tests/engine/capture/openni tests/system/virtual_camera tests/system/service/test_real_engine.py \
 	tests/service/engine_host/site_rules/test_uncalibrated.py tests/service/cli/test_recordings.py tests/system/tls
-BESIDE := tests/campaigns/interlocks/test_live_run.py tests/system/beam_line/test_engine_on_wired_line.py
+BESIDE := tests/campaigns/interlocks/test_live_run.py tests/system/beam_line/test_engine_on_wired_line.py \
+	tests/system/virtual_camera/test_latency.py
 WAITING := tests/campaigns/faults tests/campaigns/kills tests/campaigns/load tests/system/engine_process \
 	tests/service/engine_host/process tests/service/web/stream/test_slow_clients.py tests/service/web/stream/test_over_tls.py \
 	tests/system/browser/test_real_service.py tests/system/service/test_shutdown.py tests/system/service/test_process.py tests/system/service/test_folder_lock.py \
@@ -108,7 +109,7 @@ tests-waiting:
 tests-alone:
 	@mkdir -p build; \
 	$(PART) beside $(BESIDE) >build/beside.log 2>&1 & beside=$$!; \
-	$(PART) alone $(ALONE); failed=$$?; \
+	$(PART) alone --leave-out $(subst $(SPACE),$(COMMA),$(strip $(BESIDE))) $(ALONE); failed=$$?; \
 	wait $$beside || failed=1; cat build/beside.log; exit $$failed
 
 tests-behind:

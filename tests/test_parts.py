@@ -86,4 +86,4 @@ def test_a_skipped_test_is_not_among_those_that_ran(run, tmp_path):
     late = "def test_skips_itself():\n    pytest.skip('later')\n\n"
     assert run(skipped + late + GREEN).returncode == 0
     lines = (tmp_path / part.BUILD / "timings" / "some.tsv").read_text().splitlines()
-    assert [line.split("\t")[1] for line in lines] == ["test_it.py::test_green"]
+    assert [line.split("\t")[2] for line in lines] == ["test_it.py::test_green"]

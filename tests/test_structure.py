@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.repository import ROOT
 from tests.support.selection import LONGEST, SLOW_PATHS
-from tests.support.timings import read_timings, table
+from tests.support.timings import Timing, read_timings, table
 
 TESTS = ROOT / "tests"
 MODULES = sorted(path for path in TESTS.rglob("*.py") if "data" not in path.relative_to(TESTS).parts)
@@ -71,6 +71,12 @@ def test_only_the_listed_test_modules_sleep():
     assert sleeping == SLEEPS.keys()
 
 
+def test_no_test_module_compiles_grammars_where_it_is_collected():
+    """Every process of every run would: tests/support/contract/schemas.py imports jsonschema where a test validates."""
+    found = [path for path in MODULES if re.search(r"^(from|import) jsonschema\b", path.read_text(), re.MULTILINE)]
+    assert found == []
+
+
 def test_make_check_runs_some_tests_of_every_package():
     slow = {ROOT / path for path in SLOW_PATHS}
     modules = [path for path in MODULES if path.name.startswith("test_")]
@@ -97,11 +103,16 @@ def test_every_path_of_the_order_and_of_the_selection_exists(path):
 
 
 def test_the_slowest_of_all_parts_are_shown_with_the_longest_first():
-    parts = {"one": {"a": 1.0, "b": 30.0}, "two": {f"c{number}": 2.0 + number / 100 for number in range(40)}}
+    many = {f"two.py::c{number}": Timing(2.0 + number / 100, 0.25) for number in range(40)}
+    parts = {"one": {"one.py::a": Timing(1.0, 20.0), "one.py::b": Timing(30.0, 2.0)}, "two": many}
     lines = table(parts).splitlines()
-    assert lines[:2] == ["one: 2 tests, 31 s in all", "two: 40 tests, 88 s in all"]
-    shown = [line.split()[-1] for line in lines[3:]]
+    assert lines[:2] == [
+        "one: 2 tests, 31 s in all, 22 s of processor time",
+        "two: 40 tests, 88 s in all, 10 s of processor time",
+    ]
+    shown = [line.partition("::")[2] for line in lines[3:23]]
     assert shown == ["b", *(f"c{number}" for number in range(39, 20, -1))]
+    assert [line.split() for line in lines[24:]] == [["22.0", "s", "one.py"], ["10.0", "s", "two.py"]]
 
 
 def test_timings_are_written_for_each_test_with_its_set_up_and_without_its_subtests(pytester):
@@ -116,9 +127,10 @@ def test_timings_are_written_for_each_test_with_its_set_up_and_without_its_subte
         def test_one(slow, subtests):
             for number in range(3):
                 with subtests.test(str(number)):
-                    pass
+                    sum(range(1_000_000))
         """
     )
     pytester.runpytest_inprocess("-p", "tests.support.timings", "--timings", "out.tsv")
-    (test,) = read_timings(pytester.path / "out.tsv")
+    ((test, timing),) = read_timings(pytester.path / "out.tsv").items()
     assert test.endswith("::test_one")
+    assert timing.processor_s > 0.0

@@ -38,9 +38,9 @@ def test_a_named_test_that_did_not_run_is_found_among_cases_and_files():
 def test_the_check_of_a_run_names_what_did_not_run(tmp_path, capsys):
     every = [test for row in ROWS for test in row.tests]
     ran = tmp_path / "part.tsv"
-    ran.write_text("".join(f"0.1\t{test if '::' in test else f'{test}::test_it'}\n" for test in every[1:]))
+    ran.write_text("".join(f"0.1\t0.1\t{test if '::' in test else f'{test}::test_it'}\n" for test in every[1:]))
     first = every[0]
     assert check([ran, tmp_path / "absent.tsv"]) == (0 if first in every[1:] else 1)
     assert capsys.readouterr().out == ("" if first in every[1:] else f"safety.md names {first}, which did not run\n")
-    ran.write_text(ran.read_text() + f"0.1\t{first}\n")
+    ran.write_text(ran.read_text() + f"0.1\t0.1\t{first}\n")
     assert check([ran]) == 0

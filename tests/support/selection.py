@@ -20,11 +20,18 @@ LONGEST = tuple(
         "system/engine_process/test_service",
         "system/client/test_whole_fractions",
         "campaigns/kills/test_short_campaign",
+        "service/cli/test_measure",
+        "system/service/test_replayed_sessions",
+        "engine/motion/learning/test_reference_history",
         "engine/verification/qa/test_run",
         "campaigns/fuzz/test_short_run",
         "engine/verification/performance/test_performance_bench",
         "engine/verification/evaluation/runs/test_bench",
         "engine/verification/phantom/test_recording",
+        "service/cli/test_qa",
+        "engine/motion/learning/test_refit",
+        "engine/motion/learning/test_confirmed_references",
+        "service/web/api/test_qa",
         "system/service/test_process",
         "system/client/test_real_service",
         "service/storage/backup/test_backup",
@@ -157,6 +164,8 @@ SLOW_PATHS = tuple(
 or take more than two seconds, so that the rest fits into two minutes. Longer ones stay where they are a package's most
 important. tests/test_structure.py holds that each package keeps some."""
 
+STORAGE = "tests/service/storage/"
+
 SLOW_FIXTURES = frozenset(
     {
         "postgres_server",
@@ -205,8 +214,30 @@ def is_slow(item: pytest.Item) -> bool:
     )
 
 
+def _further_cases_on_postgresql(items: list[pytest.Item]) -> list[pytest.Item]:
+    """Return what a second case on PostgreSQL would not find: a rule's values are in no statement of its own.
+
+    Each test that runs on both databases runs there once, with its first case. In the storage package, where the cases
+    are statements and damages, all of them do.
+    """
+    seen: set[str] = set()
+    further = []
+    for item in items:
+        test, _, case = item.nodeid.partition("[")
+        if "postgresql" not in case or item.get_closest_marker("both_databases") is None:
+            continue
+        if test in seen and not test.startswith(STORAGE):
+            further.append(item)
+        seen.add(test)
+    return further
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Begin with the longest files, end with the browser; leave out slow tests for ``--fast``."""
+    further = _further_cases_on_postgresql(items)
+    config.hook.pytest_deselected(items=further)
+    left = set(items).difference(further)
+    items[:] = [item for item in items if item in left]
     if config.getoption("--fast"):
         slow = [item for item in items if is_slow(item)]
         config.hook.pytest_deselected(items=slow)

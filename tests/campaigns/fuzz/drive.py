@@ -1,8 +1,9 @@
 """Targets under atheris, one after the other, each in a child of a process that has instrumented our packages once.
 
-``python -m tests.campaigns.fuzz.drive WORK SECONDS SEED TARGET...``; what each child says lies in
+``python -m tests.campaigns.fuzz.drive WORK SECONDS INPUTS SEED TARGET...``; what each child says lies in
 ``WORK/TARGET.log``. Only our
-own packages are instrumented, and before anything of them is imported. A seed of 0 is another one each time.
+own packages are instrumented, and before anything of them is imported. A seed of 0 is another one each time, and
+``INPUTS`` of 0 as many as there is time for.
 """
 
 import logging
@@ -22,18 +23,18 @@ from tests.campaigns.fuzz.target import Target
 def main() -> int:
     """Run each for its time; 1 where something came out of any that is no refusal."""
     logging.disable()
-    work, seconds, seed, *names = sys.argv[1:]
-    ended = [_in_a_child(TARGETS[name], Path(work), int(seconds), int(seed)) for name in names]
+    work, seconds, inputs, seed, *names = sys.argv[1:]
+    ended = [_in_a_child(TARGETS[name], Path(work), int(seconds), int(inputs), int(seed)) for name in names]
     return max(ended)
 
 
-def _in_a_child(target: Target, work: Path, seconds: int, seed: int) -> int:
+def _in_a_child(target: Target, work: Path, seconds: int, inputs: int, seed: int) -> int:
     child = os.fork()
     if child == 0:
         with (work / f"{target.name}.log").open("wb") as log:
             os.dup2(log.fileno(), 1)
             os.dup2(log.fileno(), 2)
-        _fuzz(target, options_of(target, work=work, seconds=seconds, seed=seed))
+        _fuzz(target, options_of(target, work=work, seconds=seconds, inputs=inputs, seed=seed))
     return min(1, os.waitpid(child, 0)[1])
 
 

@@ -8,7 +8,7 @@ TIMEOUT_S = 10
 MEMORY_MB = 1024
 
 
-def options_of(target: Target, *, work: Path, seconds: int, seed: int) -> list[str]:
+def options_of(target: Target, *, work: Path, seconds: int, inputs: int = 0, seed: int) -> list[str]:
     """Options and folders: the corpus grows in ``work``, the kept one is only read; findings come beside it."""
     grown = work / "grown" / target.name
     grown.mkdir(parents=True, exist_ok=True)
@@ -21,6 +21,7 @@ def options_of(target: Target, *, work: Path, seconds: int, seed: int) -> list[s
         f"-rss_limit_mb={MEMORY_MB}",
         f"-artifact_prefix={findings_of(target, work)}/",
         "-print_final_stats=1",
+        *([f"-runs={inputs}"] if inputs else []),
         *([f"-seed={seed}"] if seed else []),
         *([f"-dict={words}"] if words else []),
         str(grown),

@@ -37,13 +37,25 @@ class Run:
         return f"{self.target}: what came out is no documented refusal. See it again with\n  {command}\n{tail}"
 
 
-def run(targets: Sequence[Target], *, seconds: int, work: Path, seed: int = 0) -> list[Run]:
-    """Fuzz each target for so long, from the corpus that is kept and the one that grows in ``work``."""
+def run(targets: Sequence[Target], *, seconds: int, work: Path, inputs: int = 0, seed: int = 0) -> list[Run]:
+    """Fuzz each target for so long, from the kept corpus and the one that grows in ``work``.
+
+    With ``inputs`` given, a target ends after so many where that is sooner.
+    """
     work.mkdir(parents=True, exist_ok=True)
     before = {target.name: _findings(target, work) for target in targets}
     names = [target.name for target in targets]
     ended = subprocess.run(
-        [sys.executable, "-m", "tests.campaigns.fuzz.drive", str(work.absolute()), str(seconds), str(seed), *names],
+        [
+            sys.executable,
+            "-m",
+            "tests.campaigns.fuzz.drive",
+            str(work.absolute()),
+            str(seconds),
+            str(inputs),
+            str(seed),
+            *names,
+        ],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

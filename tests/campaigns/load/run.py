@@ -17,13 +17,21 @@ from tests.campaigns.load.login_flood import Flood
 from tests.campaigns.load.program_protocol import trusted_by
 from tests.campaigns.load.programs import LoadProgram
 from tests.campaigns.load.recording import base_folder, write_long
-from tests.campaigns.load.service import Service, samples_of, served, start_session, stop_session, transitions_of
+from tests.campaigns.load.service import (
+    Service,
+    learn,
+    samples_of,
+    served,
+    start_session,
+    stop_session,
+    transitions_of,
+)
 from tests.campaigns.load.usage import Usage, machine_busy_s, usage_of
 from tests.support.access.tls_certificate import make_certificate
 
-LEARN_S = 60.0
-CHANGE_S = 20.0
-"""What a round takes beside its blocks: opening and closing the clients of a loaded one."""
+ARM_S = 30.0
+CHANGE_S = 40.0
+"""What a round takes beside its blocks, at most: programs that open the clients of a loaded one, and close them."""
 SETTLE_S = 1.0
 LOOK_EVERY_S = 5.0
 
@@ -50,7 +58,7 @@ class Load:
     @property
     def seconds(self) -> float:
         """How long the recording has to be."""
-        return LEARN_S + self.rounds * (self.quiet_s + self.loaded_s + CHANGE_S)
+        return ARM_S + self.rounds * (self.quiet_s + self.loaded_s + CHANGE_S)
 
 
 @dataclass(slots=True)
@@ -145,7 +153,7 @@ def run(load: Load, on_step: Callable[[str], None] = lambda _step: None, ending:
             place, recording.parent, checkout=load.checkout, environment=_environment(load), tls=tls
         ) as service:
             on_step("learning")
-            session_id = start_session(service, folder, recording)
+            session_id = start_session(service, recording, learn(service, folder, recording))
             begun_s = time.monotonic()
             quiet, loaded = Counted(), Counted()
             with MemoryWatch(service.process.pid) as memory:

@@ -26,7 +26,7 @@ SCOPES = (
     *("metrics.read", "audit.read"),
 )
 OPERATOR = "Load"
-START_S, LEARN_S, STOP_S = 60.0, 120.0, 60.0
+START_S, LEARN_S, STOP_S = 60.0, 300.0, 60.0
 LOOK_S = 0.1
 WINDOW = {"signal": "whole", "lower_mm": -3.0, "upper_mm": 2.0, "hysteresis_mm": 0.2, "dwell_ms": 200.0}
 """The beam goes on and off with every breath."""
@@ -142,24 +142,57 @@ def served(
             process.wait()
 
 
-def start_session(service: Service, folder: Path, recording: Path) -> str:
-    """Begin a session, learn, set the reference, and arm; returns its id."""
+def learn(service: Service, folder: Path, recording: Path) -> dict[str, str]:
+    """Learn a model in a session of its own; returns what a session of this patient then needs.
+
+    How long that takes is the machine's business: where a busy one has not learned by the end of the recording, the
+    recording is played again.
+    """
     with service.client() as client:
         json_type = {"Content-Type": "application/json"}
         document = (folder / "calibration.json").read_bytes()
         calibration = _done(client.post("/api/v1/calibrations", content=document, headers=json_type))
-        body = {
-            "operator": "Load",
-            "patient_reference": "P-0001",
-            "plan_id": "PLAN-1",
-            "fraction_id": "FX-1",
-            "source": {"kind": "recording", "path": str(recording), "player": "reader"},
-            "calibration_id": calibration["id"],
-            "window": WINDOW,
-        }
-        session_id = str(_done(client.post("/api/v1/sessions", json=body))["id"])
-        _done(client.post(f"/api/v1/sessions/{session_id}/start", json={"operator": "Load"}))
+        given = {"calibration_id": str(calibration["id"])}
         end_s = time.monotonic() + LEARN_S
+        while True:
+            session_id = _begin(client, recording, given)
+            models = _models_of(service, client, session_id, end_s)
+            stop_session(service, session_id)
+            if models:
+                return {**given, "model_id": str(models[0]["id"])}
+
+
+def _begin(client: httpx2.Client, recording: Path, given: Mapping[str, str]) -> str:
+    body = {
+        "operator": "Load",
+        "patient_reference": "P-0001",
+        "plan_id": "PLAN-1",
+        "fraction_id": "FX-1",
+        "source": {"kind": "recording", "path": str(recording), "player": "reader"},
+        "window": WINDOW,
+        **given,
+    }
+    session_id = str(_done(client.post("/api/v1/sessions", json=body))["id"])
+    _done(client.post(f"/api/v1/sessions/{session_id}/start", json={"operator": "Load"}))
+    return session_id
+
+
+def _models_of(service: Service, client: httpx2.Client, session_id: str, end_s: float) -> list[dict[str, Any]]:
+    """Wait for a model of the session; none where its recording ends before."""
+    while time.monotonic() < end_s:
+        service.require_alive()
+        is_running = _done(client.get(f"/api/v1/sessions/{session_id}"))["status"] == "running"
+        models = _done(client.get(f"/api/v1/sessions/{session_id}/models"))["items"]
+        if models or not is_running:
+            return list(models)
+        time.sleep(LOOK_S)
+    raise LoadError(f"no model was learned within {LEARN_S:.0f} s")
+
+
+def start_session(service: Service, recording: Path, given: Mapping[str, str]) -> str:
+    """Begin a session with a model that was learned, set the reference, and arm; returns its id."""
+    with service.client() as client:
+        session_id = _begin(client, recording, given)
         while True:
             service.require_alive()
             detail = _done(client.get(f"/api/v1/sessions/{session_id}"))
@@ -170,15 +203,17 @@ def start_session(service: Service, folder: Path, recording: Path) -> str:
             answer = client.post(f"/api/v1/sessions/{session_id}/arm", json={"operator": "Load"})
             if answer.is_success:
                 return session_id
-            if answer.status_code != 409 or time.monotonic() > end_s:
+            if answer.status_code != 409 or detail["status"] != "running":
                 raise LoadError(f"the session cannot be armed: {answer.status_code} {answer.text}")
-            time.sleep(LOOK_S * 5)
+            time.sleep(LOOK_S)
 
 
 def stop_session(service: Service, session_id: str) -> dict[str, Any]:
     """End a session and return what is known of it when all of it is written."""
     with service.client() as client:
-        _done(client.post(f"/api/v1/sessions/{session_id}/stop", json={"operator": "Load"}))
+        answer = client.post(f"/api/v1/sessions/{session_id}/stop", json={"operator": "Load"})
+        if answer.status_code != 409:  # it may have ended by itself
+            _done(answer)
         end_s = time.monotonic() + STOP_S
         while True:
             reported = _done(client.get(f"/api/v1/sessions/{session_id}"))

@@ -177,4 +177,4 @@ def session(
 
 
 def test_a_load_says_how_long_its_recording_has_to_be():
-    assert replace(SMALL, rounds=3).seconds - SMALL.seconds == pytest.approx(2 * (5.0 + 20.0))
+    assert replace(SMALL, rounds=3).seconds - SMALL.seconds == pytest.approx(2 * (5.0 + 40.0))

@@ -84,14 +84,15 @@ def test_after_a_kill_the_service_starts_again_and_says_the_session_was_interrup
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=str)
 def test_on_a_stop_signal_it_holds_first_although_a_client_stays_then_closes_the_session(self_driving, number):
-    process, client, _, folder = self_driving
+    process, client, session_id, folder = self_driving
+    assert "P-0001" in client.get(f"/api/v1/sessions/{session_id}").text
     with live_stream(client) as socket:
         eventually(lambda: json.loads(socket.recv())["type"] == "sample", within_s=20.0)
         process.send_signal(number)
         with pytest.raises(ConnectionClosed):
             _read_to_the_end(socket)
         closed_ns = time.monotonic_ns()
-        process.wait(20.0)
+        assert process.wait(20.0) == 0
     ((_, stopped_ns),) = lines(folder, "stopped")
     assert stopped_ns < closed_ns
     raw = sqlite3.connect(folder / "data" / "tidegate.db")
@@ -100,6 +101,7 @@ def test_on_a_stop_signal_it_holds_first_although_a_client_stays_then_closes_the
     raw.close()
     assert rows[-3:] == ["gate.transition", "session.close", "service.stop"]
     assert status == "stopped"
+    assert "P-0001" not in (folder / "log").read_text(), "nothing about patients is logged"
 
 
 def _read_to_the_end(socket):
@@ -119,36 +121,22 @@ def test_the_live_stream_over_a_real_socket_comes_at_the_engine_s_rate(self_driv
     assert {sample["session_id"] for sample in samples} == {session_id}
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=str)
-def test_the_command_ends_with_0_on_a_stop_signal(tmp_path, number):
+def test_the_command_says_in_one_line_that_its_port_is_taken_and_ends_with_0_on_a_stop_signal(tmp_path):
+    """On SIGINT; on SIGTERM, as every system sends it, in test_tls_and_first_admin.py too."""
     port = free_port()
     arguments = ("service.cli", "serve", "--port", str(port), "--data", str(tmp_path / "data"))
     with service_process(*arguments, port=port, log=tmp_path / "log") as (process, client):
         assert client.get("/").status_code == 200
-        process.send_signal(number)
+        done = subprocess.run(
+            [sys.executable, "-m", *arguments], capture_output=True, text=True, timeout=60, env=os.environ, check=False
+        )
+        process.send_signal(signal.SIGINT)
         assert process.wait(20.0) == 0
     log = (tmp_path / "log").read_text()
     assert "SIMULATED" in log
     assert "Traceback" not in log
-
-
-def test_a_taken_port_is_said_in_one_line(tmp_path):
-    port = free_port()
-    arguments = ("service.cli", "serve", "--port", str(port), "--data", str(tmp_path / "data"))
-    with service_process(*arguments, port=port, log=tmp_path / "log"):
-        done = subprocess.run(
-            [sys.executable, "-m", *arguments], capture_output=True, text=True, timeout=60, env=os.environ, check=False
-        )
     assert done.returncode == 2
     started, *refusal = done.stderr.strip().splitlines()
     assert started.startswith("Tidegate ")
     assert len(refusal) == 1
     assert str(port) in refusal[0]
-
-
-def test_nothing_about_patients_is_logged(self_driving):
-    process, client, session_id, folder = self_driving
-    client.get(f"/api/v1/sessions/{session_id}")
-    process.send_signal(signal.SIGTERM)
-    process.wait(20.0)
-    assert "P-0001" not in (folder / "log").read_text()

@@ -13,7 +13,9 @@ from datetime import timedelta
 
 import httpx2
 import pytest
+from typer.testing import CliRunner
 
+from service.cli import app as command_line
 from service.core.settings.settings import Settings
 from service.web.app import create_app
 from service.web.server import make_server
@@ -122,8 +124,8 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("broken", REFUSED)
-def test_a_certificate_that_cannot_be_used_is_said_in_one_line(tmp_path, broken):
+def broken_certificate(tmp_path, broken):
+    """Return the settings of a certificate that cannot be used."""
     cert, key = make_certificate(tmp_path)
     if broken == "missing":
         cert.unlink()
@@ -136,9 +138,22 @@ def test_a_certificate_that_cannot_be_used_is_said_in_one_line(tmp_path, broken)
     else:
         (tmp_path / "other").mkdir()
         shutil.copy(make_certificate(tmp_path / "other")[1], key)
+    return {"TIDEGATE_TLS_CERT": str(cert), "TIDEGATE_TLS_KEY": str(key)}
+
+
+@pytest.mark.parametrize("broken", REFUSED)
+def test_a_certificate_that_cannot_be_used_is_said_in_one_line(tmp_path, broken):
+    words = ["serve", "--port", str(free_port()), "--data", str(tmp_path / "data")]
+    done = CliRunner().invoke(command_line, words, env=broken_certificate(tmp_path, broken))
+    assert done.exit_code == 2
+    assert "cannot be used for TLS" in done.stderr.splitlines()[-1]
+    assert REFUSED[broken] in done.stderr.splitlines()[-1]
+
+
+def test_a_process_whose_certificate_cannot_be_used_ends_without_a_traceback(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "service.cli", "serve", "--port", str(free_port()), "--data", str(tmp_path / "data")],
-        env={**os.environ, "TIDEGATE_TLS_CERT": str(cert), "TIDEGATE_TLS_KEY": str(key)},
+        env={**os.environ, **broken_certificate(tmp_path, "other key")},
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -147,8 +162,7 @@ def test_a_certificate_that_cannot_be_used_is_said_in_one_line(tmp_path, broken)
         check=False,
     )
     assert done.returncode == 2
-    assert "cannot be used for TLS" in done.stderr.splitlines()[-1]
-    assert REFUSED[broken] in done.stderr.splitlines()[-1]
+    assert REFUSED["other key"] in done.stderr.splitlines()[-1]
     assert "Traceback" not in done.stderr
 
 

@@ -9,14 +9,13 @@ import sys
 import threading
 from pathlib import Path
 
-import pytest
-
 from tests.support.beam.receivers import REGISTERS, receiver
 from tests.support.repository import ROOT
 from tests.support.virtual_camera.block import Kind, Streams
 
 LIGHT_RECT = (500, 60, 24, 24)
-SECONDS = 36.0
+SECONDS = 30.0
+"""Changes of the light come 0.3 s apart on average, and 40 are needed in each direction."""
 PATIENCE_S = 150.0
 TRIES = 3
 
@@ -85,8 +84,8 @@ def results(data: Path) -> dict[str, tuple[float | None, str]]:
 LIGHT = ("--output-delay-ms", 5, "--yes-the-beam-is-safe")
 
 
-@pytest.mark.parametrize("late_ms", [0.0, 60.0])
-def test_a_light_on_the_line_measures_the_camera_through_the_runtime(camera, tmp_path, late_ms):
+def test_a_light_on_the_line_measures_the_camera_through_the_runtime(camera, tmp_path):
+    late_ms = 60.0
     for _ in range(TRIES):
         with receiver("tcp") as far, LightOnContact(camera, far, late_ms=late_ms):
             measured(camera, tmp_path, far, *LIGHT)

@@ -2,13 +2,13 @@
 
 import json
 from datetime import UTC, datetime, timedelta
-from itertools import product
 
 import anyio
 import pytest
 
 from service.access.request.claimed_operator import ClaimedOperator, read_claim
-from tests.support.service.api_calls import audit_rows
+from tests.support.service.api_calls import act, audit_rows
+from tests.support.service.fake_engine import FakeRunning
 
 AWAY = ["hold", "disarm", "stop"]
 JSON = "application/json"
@@ -82,49 +82,72 @@ def was_reported(running, action: str) -> bool:
     return running.status.is_over if action == "stop" else len(running.commands) == 1
 
 
-@pytest.mark.parametrize(
-    ("action", "name"),
-    [*product(["hold"], UNREAD), *product(["disarm", "stop"], ["no body", "half of an object", "a number for a name"])],
-)
-def test_it_is_done_whatever_its_body_is_and_the_audit_says_what_was_not_read(
-    client, session_id, running, action, name
-):
-    body, media_type, unread = UNREAD[name]
-    answer = send(client, session_id, action, body, media_type, **by_key(client))
-    assert answer.status_code == 200, answer.text
-    assert was_reported(running, action)
-    client.speaks_as = "A. Therapist"
-    row = audit_rows(client, f"session.{action}")[-1]
-    assert (row["actor"], row["outcome"]) == ("key:tps", "done")
-    assert row["detail"].get("body_not_read") == unread
+@pytest.fixture
+def begun(client, session_body, engine):
+    """Begin a session and end the one before: a session that was stopped takes no second call."""
+    kept = []
+
+    def begin() -> tuple[str, FakeRunning]:
+        if kept and not kept[-1][1].status.is_over:
+            assert act(client, kept[-1][0], "stop").status_code == 200
+        session_id = client.post("/api/v1/sessions", json=session_body).json()["id"]
+        assert act(client, session_id, "start").status_code == 200
+        kept.append((session_id, engine.running))
+        return kept[-1]
+
+    return begin
 
 
-@pytest.mark.parametrize("name", UNFINISHED)
 @pytest.mark.parametrize("action", AWAY)
-def test_it_is_done_though_its_body_does_not_come_whole(client, session_id, running, action, name):
-    said, messages = UNFINISHED[name]
-    headers = by_key(client) | said
-    assert status_of(client, f"/api/v1/sessions/{session_id}/{action}", headers, messages) == 200
-    assert was_reported(running, action)
-    client.speaks_as = "A. Therapist"
-    row = audit_rows(client, f"session.{action}")[-1]
-    assert (row["actor"], row["detail"].get("body_not_read")) == ("key:tps", "it did not come whole")
+def test_it_is_done_whatever_its_body_is_and_the_audit_says_what_was_not_read(client, begun, subtests, action):
+    machine = by_key(client)
+    for name in UNREAD if action == "hold" else ("no body", "half of an object", "a number for a name"):
+        with subtests.test(name):
+            body, media_type, unread = UNREAD[name]
+            client.speaks_as = "A. Therapist"
+            session_id, running = begun()
+            client.speaks_as = None
+            answer = send(client, session_id, action, body, media_type, **machine)
+            assert answer.status_code == 200, answer.text
+            assert was_reported(running, action)
+            client.speaks_as = "A. Therapist"
+            row = audit_rows(client, f"session.{action}")[-1]
+            assert (row["actor"], row["outcome"], row["session_id"]) == ("key:tps", "done", session_id)
+            assert row["detail"].get("body_not_read") == unread
 
 
-@pytest.mark.parametrize(
-    ("action", "name"), [*product(AWAY, UNFINISHED), *product(["hold"], UNREAD)], ids=lambda word: word
-)
-def test_of_a_person_s_call_no_body_is_waited_for_nor_read(client, session_id, running, monkeypatch, action, name):
+@pytest.mark.parametrize("action", AWAY)
+def test_it_is_done_though_its_body_does_not_come_whole(client, begun, subtests, action):
+    machine = by_key(client)
+    for name, (said, messages) in UNFINISHED.items():
+        with subtests.test(name):
+            client.speaks_as = "A. Therapist"
+            session_id, running = begun()
+            client.speaks_as = None
+            assert status_of(client, f"/api/v1/sessions/{session_id}/{action}", machine | said, messages) == 200
+            assert was_reported(running, action)
+            client.speaks_as = "A. Therapist"
+            row = audit_rows(client, f"session.{action}")[-1]
+            found = (row["actor"], row["session_id"], row["detail"].get("body_not_read"))
+            assert found == ("key:tps", session_id, "it did not come whole")
+
+
+@pytest.mark.parametrize("action", AWAY)
+def test_of_a_person_s_call_no_body_is_waited_for_nor_read(client, begun, subtests, monkeypatch, action):
     monkeypatch.setattr("service.web.dependencies.BODY_WAIT_S", 10 * LONGEST_S)
-    body, media_type, _ = UNREAD.get(name, (b"", None, None))
-    whole = {"type": "http.request", "body": body, "more_body": False}
-    said, messages = UNFINISHED.get(name, ({} if media_type is None else {"Content-Type": media_type}, [whole]))
-    headers = client.headers_as("A. Therapist") | said
-    assert status_of(client, f"/api/v1/sessions/{session_id}/{action}", headers, messages) == 200
-    assert was_reported(running, action)
-    row = audit_rows(client, f"session.{action}")[-1]
-    assert (row["actor"], row["outcome"]) == ("A. Therapist", "done")
-    assert "body_not_read" not in row["detail"], "there is nothing in it that was needed"
+    person = client.headers_as("A. Therapist")
+    for name in [*UNFINISHED, *(UNREAD if action == "hold" else ())]:
+        with subtests.test(name):
+            session_id, running = begun()
+            body, media_type, _ = UNREAD.get(name, (b"", None, None))
+            whole = {"type": "http.request", "body": body, "more_body": False}
+            typed = {} if media_type is None else {"Content-Type": media_type}
+            said, messages = UNFINISHED.get(name, (typed, [whole]))
+            assert status_of(client, f"/api/v1/sessions/{session_id}/{action}", person | said, messages) == 200
+            assert was_reported(running, action)
+            row = audit_rows(client, f"session.{action}")[-1]
+            assert (row["actor"], row["outcome"], row["session_id"]) == ("A. Therapist", "done", session_id)
+            assert "body_not_read" not in row["detail"], "there is nothing in it that was needed"
 
 
 def test_cancelling_a_qa_run_waits_for_no_body_either(client):
@@ -134,23 +157,29 @@ def test_cancelling_a_qa_run_waits_for_no_body_either(client):
         assert status_of(client, path, headers | said, messages) == 404, name
 
 
-@pytest.mark.parametrize("name", UNFINISHED)
-def test_what_may_lead_to_a_permit_needs_its_body_whole(client, session_id, running, name):
-    said, messages = UNFINISHED[name]
-    headers = client.headers_as("A. Therapist") | {"Content-Type": "application/json"} | said
-    ended = [*messages, {"type": "http.disconnect"}]
-    assert status_of(client, f"/api/v1/sessions/{session_id}/arm", headers, ended) in {400, 413, 415}
-    assert running.commands == []
+def test_what_may_lead_to_a_permit_needs_its_body_whole(client, session_id, running, subtests):
+    headers = client.headers_as("A. Therapist") | {"Content-Type": "application/json"}
+    for name, (said, messages) in UNFINISHED.items():
+        with subtests.test(name):
+            ended = [*messages, {"type": "http.disconnect"}]
+            assert status_of(client, f"/api/v1/sessions/{session_id}/arm", headers | said, ended) in {400, 413, 415}
+            assert running.commands == []
 
 
 @pytest.mark.parametrize("action", AWAY)
-@pytest.mark.parametrize("body", FOR_WHOM)
-def test_a_machine_that_may_is_obeyed_and_acts_for_whom_it_legibly_says(client, session_id, running, action, body):
-    answer = send(client, session_id, action, body, None, **by_key(client))
-    assert answer.status_code == 200, answer.text
-    client.speaks_as = "A. Therapist"
-    row = audit_rows(client, f"session.{action}")[-1]
-    assert (row["actor"], row["detail"].get("on_behalf_of")) == ("key:tps", FOR_WHOM[body])
+def test_a_machine_that_may_is_obeyed_and_acts_for_whom_it_legibly_says(client, begun, subtests, action):
+    machine = by_key(client)
+    for body, for_whom in FOR_WHOM.items():
+        with subtests.test(str(body)):
+            client.speaks_as = "A. Therapist"
+            session_id, _ = begun()
+            client.speaks_as = None
+            answer = send(client, session_id, action, body, None, **machine)
+            assert answer.status_code == 200, answer.text
+            client.speaks_as = "A. Therapist"
+            row = audit_rows(client, f"session.{action}")[-1]
+            found = (row["actor"], row["session_id"], row["detail"].get("on_behalf_of"))
+            assert found == ("key:tps", session_id, for_whom)
 
 
 @pytest.mark.parametrize("action", AWAY)
@@ -165,11 +194,12 @@ def test_a_caller_without_the_permission_is_refused_with_any_body(client, sessio
 
 
 @pytest.mark.parametrize("action", ["arm", "release", "acknowledge", "reference"])
-@pytest.mark.parametrize("name", ["no body", "the type of a form", "an unknown field", "a list"])
-def test_what_may_lead_to_a_permit_is_as_strict_as_ever(client, session_id, running, action, name):
-    body, media_type, _ = UNREAD[name]
-    assert send(client, session_id, action, body, media_type).status_code in {415, 422}
-    assert running.commands == []
+def test_what_may_lead_to_a_permit_is_as_strict_as_ever(client, session_id, running, subtests, action):
+    for name in ("no body", "the type of a form", "an unknown field", "a list"):
+        with subtests.test(name):
+            body, media_type, _ = UNREAD[name]
+            assert send(client, session_id, action, body, media_type).status_code in {415, 422}
+            assert running.commands == []
 
 
 def test_cancelling_a_qa_run_minds_neither_body_nor_accept(client):

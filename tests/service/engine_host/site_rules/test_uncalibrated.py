@@ -202,9 +202,9 @@ class StillSource:
         pass
 
 
-def test_the_engine_leaves_a_running_session_s_camera_alone(camera, monkeypatch):
+def test_the_engine_leaves_a_running_session_s_camera_alone(camera, settings, monkeypatch):
     monkeypatch.setattr(local_engine, "OpenNiSource", lambda *_args, **_named: StillSource())
-    adapter = LocalEngine(Settings())
+    adapter = LocalEngine(settings)
     engine = adapter.open(make_plan(make_calibration()))
     try:
         with pytest.raises(CommandRefusedError, match="a session is running"):
@@ -217,7 +217,7 @@ def test_the_engine_leaves_a_running_session_s_camera_alone(camera, monkeypatch)
 @pytest.mark.parametrize(
     ("may_gate", "is_nominal", "expected"), [(False, True, False), (False, False, True), (True, True, True)]
 )
-def test_the_gate_gets_whether_the_camera_was_calibrated(camera, monkeypatch, may_gate, is_nominal, expected):
+def test_the_gate_gets_whether_the_camera_was_calibrated(camera, settings, monkeypatch, may_gate, is_nominal, expected):
     monkeypatch.setattr(local_engine, "OpenNiSource", lambda *_args, **_named: StillSource())
     taken = []
 
@@ -227,17 +227,17 @@ def test_the_gate_gets_whether_the_camera_was_calibrated(camera, monkeypatch, ma
             super().__init__(**parts)
 
     monkeypatch.setattr(local_engine, "EngineLoop", WatchedLoop)
-    adapter = LocalEngine(Settings(beam_without_calibration=may_gate))
+    adapter = LocalEngine(settings.model_copy(update={"beam_without_calibration": may_gate}))
     calibration = adapter.registered_calibration(None) if is_nominal else make_calibration()
     adapter.open(make_plan(calibration)).stop()
     assert [limits.is_calibrated for limits in taken] == [expected]
 
 
-def test_presence_reaches_the_loop(camera, monkeypatch):
+def test_presence_reaches_the_loop(camera, settings, monkeypatch):
     monkeypatch.setattr(local_engine, "OpenNiSource", lambda *_args, **_named: StillSource())
     heard = []
     monkeypatch.setattr(local_engine.EngineLoop, "note_presence", lambda _loop, operator: heard.append(operator))
-    engine = LocalEngine(Settings()).open(make_plan(make_calibration()))
+    engine = LocalEngine(settings).open(make_plan(make_calibration()))
     engine.note_presence("Ada L.")
     engine.stop()
     assert heard == ["Ada L."]

@@ -1,5 +1,6 @@
 """The report of a QA run, read back as paper: every check, its verdict as a word, and the same bytes each time."""
 
+import hashlib
 import os
 import subprocess
 import sys
@@ -112,14 +113,16 @@ def test_the_same_run_gives_the_same_bytes_in_every_process():
         "d = run_detail(made=report(series=sample_series())); "
         "sys.stdout.write(hashlib.sha256(report_pdf(d, trends(d))).hexdigest())"
     )
-    seen = set()
-    for seed in ("1", "2"):
-        environment = os.environ | {"PYTHONHASHSEED": seed}
-        done = subprocess.run(
-            [sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
-        )
-        seen.add(done.stdout)
-    assert len(seen) == 1
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONHASHSEED": "1"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    detail = run_detail(made=report(series=sample_series()))
+    assert done.stdout == hashlib.sha256(report_pdf(detail, trends(detail))).hexdigest()
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import pytest
-from jsonschema import Draft202012Validator
 from sqlalchemy.exc import OperationalError
 
 from engine.beam.beam_on import BeamOnState
@@ -12,6 +11,7 @@ from engine.core.commands import Acknowledge
 from engine.core.errors import CommandRefusedError
 from engine.core.gate_state import GateState, HoldReason
 from service.sessions.alarms.watch import AlarmRecorder
+from tests.support.contract.schemas import Schema
 from tests.support.repository import ROOT
 from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import audit_rows
@@ -20,7 +20,7 @@ from tests.support.waiting import eventually
 
 pytestmark = pytest.mark.both_databases
 URL = "/api/v1/sessions"
-SCHEMA = Draft202012Validator(json.loads((Path(ROOT) / "openapi" / "live.schema.json").read_text()))
+SCHEMA = Schema(json.loads((Path(ROOT) / "openapi" / "live.schema.json").read_text()))
 
 
 def alarms_of(client: PeopleClient, session_id: str) -> list[dict]:
