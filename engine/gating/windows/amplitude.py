@@ -1,13 +1,14 @@
 """The amplitude window: a signal between two edges."""
 
 import enum
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from engine.core.bounds import check_number
 from engine.core.breath import WHOLE, GateSignal, SignalChoice
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
 from engine.core.ranges import Ranges
+from engine.core.replacing import replace
 from engine.core.signals import check_choice, signal_of
 from engine.gating.windows.conditions import ConditionState, WindowInput, WindowVerdict, outside
 
