@@ -42,7 +42,7 @@ from engine.motion.settings import PipelineSettings
 from engine.motion.stages.phase_lag import follow_lags, start_lags
 from engine.motion.stages.projection import STRIDE_PX, project
 from engine.motion.stages.regions import WIDE
-from engine.motion.stages.surface import end_at_markers, vertices_mm
+from engine.motion.stages.surface import node_surface_mm
 from engine.motion.tracking.breath_tracker import BreathTracker
 from engine.motion.tracking.costal_line import CostalLineTracker
 from engine.motion.tracking.depth_table import DepthTable
@@ -55,6 +55,13 @@ US_PER_S = 1e6
 MARKERS_BETWEEN_NODES = 1.0 - 1.0 / NODE_STEP
 # Training samples more finely than measuring, since the components are interpolated to the full grid.
 LEARNING_STRIDE_PX = 2
+
+
+class _Explained(NamedTuple):
+    """A frame as the model explains it, and its depth at the nodes [mm], shape (nodes,)."""
+
+    projection: Projection
+    node_depth_mm: FloatArray
 
 
 class LearnedInPass(NamedTuple):
@@ -186,13 +193,14 @@ class Pipeline:
         if active is None:
             self._keep(roi, frame.timestamp_us, nodes.pixels_px)
             return self._without_model(frame, roi, found)
-        outcome = self._explain_continuous(active, roi, found, frame.timestamp_us)
-        if isinstance(outcome, Lost):
-            return self._lost(frame, outcome, found)
+        explained = self._explain_continuous(active, roi, found, frame.timestamp_us)
+        if isinstance(explained, Lost):
+            return self._lost(frame, explained, found)
+        outcome = explained.projection
         self._cross_check.confirm()
         self._coefficients, self._projected_model = outcome.coefficients, active
-        self._tracker.expect_depth(active.node_depth_mm(outcome.coefficients))
-        motion = self._motion(active, outcome, nodes.rays, frame.timestamp_us)
+        self._tracker.expect_depth(explained.node_depth_mm)
+        motion = self._motion(active, explained, nodes.rays, frame.timestamp_us)
         if not takes_lost_frames:
             self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
         self._keep(roi, frame.timestamp_us, nodes.pixels_px)
@@ -308,17 +316,18 @@ class Pipeline:
 
     def _explain_continuous(
         self, active: PreparedModel, roi: RoiDepth, found: Markers, timestamp_us: int
-    ) -> Projection | Lost:
+    ) -> _Explained | Lost:
         """Project a frame and check the continuity of its surface."""
         outcome = self._explain(active, roi)
         disagreement = self._cross_check.lost(active.model, is_reference_due=self.learner.is_reference_due)
         if isinstance(outcome, Lost):
             return outcome
+        explained = _Explained(outcome, active.node_depth_mm(outcome.coefficients))
         return (
             self._layout_lost(roi, found, timestamp_us)
             or disagreement
-            or self._discontinuity(active, outcome, found, timestamp_us)
-            or outcome
+            or self._discontinuity(active, explained, found, timestamp_us)
+            or explained
         )
 
     def _layout_lost(self, roi: RoiDepth, found: Markers, timestamp_us: int) -> Lost | None:
@@ -328,12 +337,13 @@ class Pipeline:
         return self._marker_layout.lost(marker_points_mm(rays, roi), timestamp_us)
 
     def _discontinuity(
-        self, active: PreparedModel, outcome: Projection, found: Markers, timestamp_us: int
+        self, active: PreparedModel, explained: _Explained, found: Markers, timestamp_us: int
     ) -> Lost | None:
         """Return the loss if the surface is not continuous with the previous one, otherwise None."""
         self._continuity.restart(self.learner.position_generation)
-        depth_mm = active.node_depth_mm(outcome.coefficients)
-        observed = ObservedSurface(depth_mm=depth_mm, markers_px=found.centers_px, timestamp_us=timestamp_us)
+        observed = ObservedSurface(
+            depth_mm=explained.node_depth_mm, markers_px=found.centers_px, timestamp_us=timestamp_us
+        )
         detail = self._continuity.rejection(
             observed, active.node_modes[: active.basis.components], active.model.noise_mm
         )
@@ -351,22 +361,22 @@ class Pipeline:
             )
         return None
 
-    def _motion(self, active: PreparedModel, outcome: Projection, rays: FloatArray, timestamp_us: int) -> Motion:
+    def _motion(self, active: PreparedModel, explained: _Explained, rays: FloatArray, timestamp_us: int) -> Motion:
+        outcome = explained.projection
         depth_mm = active.regions.depth_mm(outcome.coefficients)
-        node_depth_mm = active.node_depth_mm(outcome.coefficients)
-        surface = _surface(rays, node_depth_mm)
+        surface = _surface(rays, explained.node_depth_mm)
         self._lags = follow_lags(self._lags, timestamp_us / US_PER_S, -depth_mm[active.regions.cells :])
         is_reference_new = self.learner.is_reference_due
         last_reference, reference = self._last_reference, self._reference(active, outcome, rays)
-        motion = motion_from(reference, active, outcome, surface, self._lags.lags)
+        motion = motion_from(reference, active, outcome, surface, depth_mm, self._lags.lags)
         levels_from = self.learner.levels_from
         if levels_from is not None:
-            self.learner.move_levels(motion_from(levels_from, active, outcome, surface), motion)
+            self.learner.move_levels(motion_from(levels_from, active, outcome, surface, depth_mm), motion)
         if (
             self._breaths.has_reference_changed(active, is_reference_new=is_reference_new)
             and last_reference is not None
         ):
-            before = motion_from(last_reference, active, outcome, surface)
+            before = motion_from(last_reference, active, outcome, surface, depth_mm)
             self._breaths.move(before, motion)
             self.learner.move_levels(before, motion)
         self._last_reference = reference
@@ -385,4 +395,4 @@ class Pipeline:
 
 def _surface(rays: FloatArray, depth_mm: FloatArray) -> FloatArray:
     """Return the vertices at the nodes' depth [mm]; the last nodes are moved from a pixel beyond to the markers."""
-    return vertices_mm(end_at_markers(rays, NODE_ROWS, NODE_COLUMNS, MARKERS_BETWEEN_NODES), depth_mm)
+    return node_surface_mm(rays, depth_mm, NODE_ROWS, NODE_COLUMNS, MARKERS_BETWEEN_NODES)

@@ -41,10 +41,16 @@ _COLUMN_WEIGHTS = _hat_weights(ROI_COLUMNS)
 _NODES = np.stack(np.meshgrid(np.arange(NODE_COLUMNS) * NODE_STEP, np.arange(NODE_ROWS) * NODE_STEP), axis=-1).astype(
     np.float64
 )
+_NODES_FLAT = _NODES.reshape(-1, 2)
 
 
 def color_from_roi(centers_px: FloatArray) -> FloatArray:
-    """Return the homography from the grid (column, row) to colour pixels (x, y), shape (3, 3).
+    """Return the homography from the grid (column, row) to colour pixels (x, y), shape (3, 3)."""
+    return color_from_grid(centers_px, ROI_COLUMNS - 1.0, ROI_ROWS - 1.0)
+
+
+def color_from_grid(centers_px: FloatArray, right: float, bottom: float) -> FloatArray:
+    """Return the homography from a grid, whose last column and row are ``right`` and ``bottom``, to colour pixels.
 
     In closed form, for speed (Heckbert, Fundamentals of texture mapping and image warping, 1989, section 2.2.3).
     """
@@ -53,7 +59,6 @@ def color_from_roi(centers_px: FloatArray) -> FloatArray:
     dx1, dy1, dx2, dy2 = x1 - x2, y1 - y2, x3 - x2, y3 - y2
     determinant = dx1 * dy2 - dx2 * dy1 or DEGENERATE
     g, h = (sum_x * dy2 - dx2 * sum_y) / determinant, (dx1 * sum_y - sum_x * dy1) / determinant
-    right, bottom = ROI_COLUMNS - 1.0, ROI_ROWS - 1.0
     return np.array(
         [
             [(x1 - x0 + g * x1) / right, (x3 - x0 + h * x3) / bottom, x0],
@@ -66,7 +71,12 @@ def color_from_roi(centers_px: FloatArray) -> FloatArray:
 def roi_nodes(centers_px: FloatArray) -> FloatArray:
     """Return the colour pixels (x, y) of the region's nodes [px], shape (nodes, 2)."""
     homography = color_from_roi(centers_px)
-    points = _NODES.reshape(-1, 2) @ homography[:, :2].T + homography[:, 2]
+    compiled = kernels()
+    if compiled is not None:
+        nodes_px = np.empty(_NODES_FLAT.shape)
+        compiled.map_points(homography, _NODES_FLAT, nodes_px)
+        return nodes_px
+    points = _NODES_FLAT @ homography[:, :2].T + homography[:, 2]
     return points[:, :2] / points[:, 2:]
 
 

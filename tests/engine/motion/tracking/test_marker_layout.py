@@ -130,4 +130,4 @@ def test_a_marker_beside_which_nothing_is_seen_has_no_place():
 
 
 def test_distances_are_those_between_all_six_pairs():
-    assert distances_mm(np.array([[0.0, 0, 0], [3, 0, 0], [3, 4, 0], [0, 4, 0]])).tolist() == [3, 5, 4, 4, 5, 3]
+    assert distances_mm(np.array([[0.0, 0, 0], [3, 0, 0], [3, 4, 0], [0, 4, 0]])) == (3, 5, 4, 4, 5, 3)
