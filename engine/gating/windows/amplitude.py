@@ -123,7 +123,7 @@ class AmplitudeWindow:
             )
         value = signal_of(self.choice, frame_input.motion)
         if self.contains(value, was_inside=state.is_inside):
-            return WindowVerdict(is_inside=True, states=(replace(state, is_inside=True),))
+            return WindowVerdict(is_inside=True, states=(state if state.is_inside else replace(state, is_inside=True),))
         detail = f"{value:.2f} {self.unit} is not inside {self.lower:g} to {self.upper:g} {self.unit}"
         return outside(state, HoldReason.OUTSIDE_WINDOW, detail)
 
