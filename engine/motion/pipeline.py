@@ -30,6 +30,7 @@ from engine.core.native_threads import keep_calls_in_their_thread
 from engine.motion.cross_check.cell_surface import BreathingShapes
 from engine.motion.cross_check.cross_check import CrossCheck
 from engine.motion.learning.depth_steps import stored_steps
+from engine.motion.learning.frames_first import FramesFirst
 from engine.motion.learning.learned import Learned
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.prepared_model import PreparedModel, Reference, prepare_model
@@ -97,6 +98,7 @@ class Pipeline:
         self._calibration = calibration
         self._settings = settings
         self._clock = clock
+        self._frames_first = FramesFirst()
         self._stages = LearningStages(
             prepare=self._prepare,
             explain=self._explain_for_job,
@@ -172,6 +174,10 @@ class Pipeline:
         CalibrationError
             The pictures' sizes differ from the calibration's. No other content of a frame raises.
         """
+        with self._frames_first:
+            return self._measure(frame)
+
+    def _measure(self, frame: RgbdFrame) -> Measurement:
         self._calibration.check_sizes(depth=frame.depth_mm.shape, color=frame.color.shape)
         self.learner.collect(frame.timestamp_us)
         found = self._tracker.find(frame)
@@ -280,6 +286,7 @@ class Pipeline:
 
     def _prepare(self, model: MotionModel) -> PreparedModel:
         """Prepare a model for measuring; called in the trainer's thread."""
+        self._frames_first.give_way()
         return prepare_model(model, self._settings.layout(self.marked_split))
 
     @property
@@ -296,6 +303,7 @@ class Pipeline:
 
     def _explain_for_job(self, active: PreparedModel, roi: RoiDepth, start: FloatArray | None) -> Projection | None:
         """Project a region with the limits of a measured frame; called in the trainer's thread."""
+        self._frames_first.give_way()
         best = project(active.basis, roi, start)
         return best if best is not None and self._refusal(best) is None else None
 
@@ -305,6 +313,7 @@ class Pipeline:
 
     def _vertices(self, nodes_px: FloatArray, depth_mm: FloatArray) -> FloatArray:
         """Compute the points at the nodes [mm], shape (nodes, 3); called in the trainer's thread."""
+        self._frames_first.give_way()
         return _surface(self._calibration.depth.rays(nodes_px)[:, :2], depth_mm)
 
     # -- measuring ----------------------------------------------------------------------------------------------

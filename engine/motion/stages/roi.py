@@ -6,10 +6,11 @@ the interpolation of their neighbours.
 """
 
 import math
-from functools import cache
+from functools import cache, lru_cache
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from engine.core.compiled import kernels
 from engine.core.frames import (
@@ -24,6 +25,7 @@ from engine.core.frames import (
     RoiDepth,
 )
 
+IndexArray = npt.NDArray[np.intp]
 MIN_VALID_WEIGHT = 0.5
 MIN_WHOLLY_VALID_SHARE = 0.8
 # Replaces the zero determinant of three collinear markers; the resulting region lies outside of any picture.
@@ -85,11 +87,15 @@ def at_nodes(surface: FloatArray | BoolArray, stride_px: int = 1) -> FloatArray:
 
     The nearest sample is taken; the last row and column repeat.
     """
-    rows, columns = (
-        np.minimum(np.arange(count) * NODE_STEP // stride_px, size - 1)
-        for count, size in zip((NODE_ROWS, NODE_COLUMNS), surface.shape, strict=True)
+    return np.ascontiguousarray(surface[_samples_at_nodes(*surface.shape, stride_px)], dtype=np.float64).ravel()
+
+
+@lru_cache(maxsize=16)
+def _samples_at_nodes(rows: int, columns: int, stride_px: int) -> tuple[IndexArray, ...]:
+    return np.ix_(
+        np.minimum(np.arange(NODE_ROWS) * NODE_STEP // stride_px, rows - 1),
+        np.minimum(np.arange(NODE_COLUMNS) * NODE_STEP // stride_px, columns - 1),
     )
-    return np.ascontiguousarray(surface[np.ix_(rows, columns)], dtype=np.float64).ravel()
 
 
 def cut_out(depth_mm: DepthImage, nodes_px: FloatArray, table_mm: FloatArray, stride_px: int = 1) -> RoiDepth:
