@@ -287,6 +287,7 @@ class Pipeline:
     def _prepare(self, model: MotionModel) -> PreparedModel:
         """Prepare a model for measuring; called in the trainer's thread."""
         self._frames_first.give_way()
+        self._cross_check.learn_ahead()
         return prepare_model(model, self._settings.layout(self.marked_split))
 
     @property

@@ -89,6 +89,8 @@ class CrossCheck:
         self._scene = StaticScene(calibration.depth)
         self._recent: deque[_Observed] = deque(maxlen=MOST_FRAMES)
         self._gathered: deque[FloatArray] = deque(maxlen=MOST_SURFACES)
+        self._gathered_count = 0
+        self._learned_ahead: tuple[int, BreathingShapes | None] | None = None
         self._shapes: BreathingShapes | None = None
         self._model: MotionModel | None = None
         self._reference: _Reference | None = None
@@ -119,6 +121,17 @@ class CrossCheck:
         """Keep the surface of the newest frame, which the model is learned from, to learn the shapes of breathing."""
         if self._recent:
             self._gathered.append(self._recent[-1].cells_mm)
+            self._gathered_count += 1
+
+    def learn_ahead(self) -> None:
+        """Learn the shapes of breathing from what was gathered, in the trainer's thread; `lost` takes them over.
+
+        It takes milliseconds, which the first frame of a new model would take longer. Of what has been gathered
+        meanwhile, `lost` learns them itself.
+        """
+        count, surfaces_mm = self._gathered_count, list(self._gathered)
+        if surfaces_mm:
+            self._learned_ahead = count, learn_shapes(np.array(surfaces_mm))
 
     def observe(self, frame: RgbdFrame, found: Markers, roi: RoiDepth) -> None:
         """Take what is compared of a frame whose markers were found."""
@@ -163,8 +176,11 @@ class CrossCheck:
     def _learn_shapes(self, model: MotionModel) -> None:
         """Learn the shapes of breathing from what was gathered; a refit, for which nothing was, changes none."""
         if self._gathered or self._shapes is None:
-            self._shapes = learn_shapes(np.array(self._gathered)) or shapes_of(model)
-        self._model = model
+            ahead = self._learned_ahead
+            is_of_all = ahead is not None and ahead[0] == self._gathered_count
+            learned = ahead[1] if ahead is not None and is_of_all else learn_shapes(np.array(self._gathered))
+            self._shapes = learned or shapes_of(model)
+        self._model, self._learned_ahead = model, None
         self._gathered.clear()
 
     def confirm(self) -> None:
