@@ -13,7 +13,8 @@ static PyMethodDef methods[] = {
     FUNCTION(scene_plane), FUNCTION(least_squares),  FUNCTION(cell_means),     FUNCTION(corner_medians),
     FUNCTION(surface_change), FUNCTION(camera_rays), FUNCTION(changed_cells),
     FUNCTION(align_nodes), FUNCTION(cut_out),        FUNCTION(project),
-    FUNCTION(map_points),  FUNCTION(node_surface),   FUNCTION(mesh_volume),    FUNCTION(seen_shares),    {NULL, NULL, 0, NULL},
+    FUNCTION(map_points),  FUNCTION(node_surface),   FUNCTION(mesh_volume),    FUNCTION(seen_shares),
+    FUNCTION(replaced),    {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef definition = {
