@@ -144,7 +144,7 @@ def test_nodes_of_any_quadrilateral_are_the_same(seed, size):
 
 
 @settings(max_examples=40, deadline=None)
-@given(SEEDS, st.integers(2, 15), st.integers(2, 9), st.floats(0.0, 1.0), st.sampled_from([0.0, np.nan, 1e9]))
+@given(SEEDS, st.integers(2, 15), st.integers(2, 9), st.floats(0.0, 1.0), st.sampled_from([0.0, np.nan]))
 def test_the_surface_and_its_volume_are_the_same(seed, rows, columns, share, bad):
     rng = np.random.default_rng(seed)
     rays, depth_mm = rng.normal(0.0, 0.3, (rows * columns, 2)), rng.uniform(700.0, 1000.0, rows * columns)
