@@ -8,11 +8,12 @@ Pure: the caller passes times and readings. `engine.beam.compared_line` is the l
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeAlias
 
 from engine.core.bounds import check_number
 from engine.core.clock import NS_PER_MS, NS_PER_S
+from engine.core.replacing import replace
 
 AFTER_PERMIT_BOUNDS_MS = (20.0, 1000.0)
 AFTER_PERMIT_MS = 250.0

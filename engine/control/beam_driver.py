@@ -1,12 +1,13 @@
 """Drives the beam line as the gate decided, and trusts only what the line reads back."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from engine.control.line_orders import LineOrders
 from engine.control.turn_inputs import LineAnswer
 from engine.core.clock import Clock
 from engine.core.errors import BeamLineMismatchError
 from engine.core.gate_state import GateState, HoldReason, Lease
+from engine.core.replacing import replace
 from engine.gating.gate import Gate, Interruption, lease_of
 from engine.gating.limits import GateLimits
 

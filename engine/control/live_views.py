@@ -4,7 +4,6 @@ A view is a frozen value that is replaced whole. A view that a hung engine left 
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 
 from engine.beam.beam_on import BeamOnState
 from engine.capture.source import SourceDescription
@@ -18,6 +17,7 @@ from engine.control.watchdog import Watchdog
 from engine.core.frames import ColorImage, RgbdFrame
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.reference_distance import ReferenceDistance
+from engine.core.replacing import replace
 from engine.gating.interlocks import WATCHDOG_DETAIL
 from engine.gating.supervision.patient_shift import Movement
 

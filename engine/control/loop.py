@@ -10,7 +10,7 @@ import queue
 import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from engine.beam.beam_on import BeamOnState
 from engine.beam.line import BeamLine
@@ -46,6 +46,7 @@ from engine.core.frames import Measurement, RgbdFrame
 from engine.core.gate_state import HoldReason
 from engine.core.input_tap import NO_TAP, InputKind, InputTap, TappedClock
 from engine.core.learning_events import LearningEvent
+from engine.core.replacing import replace
 from engine.gating.gate import Ending, Gate, GateEvent, Interruption, Silence
 from engine.gating.limits import GateLimits, ns_from_ms
 from engine.gating.supervision.operator_presence import OperatorPresence

@@ -8,7 +8,6 @@ import queue
 import threading
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import TypeVar
 
 from engine.control.journal.journal import Journal, NoJournal
@@ -16,6 +15,7 @@ from engine.control.outputs import FrameRecord, GateTransition
 from engine.core.clock import NS_PER_MS
 from engine.core.gate_state import HoldReason
 from engine.core.learning_events import LearningEvent
+from engine.core.replacing import replace
 
 T = TypeVar("T")
 

@@ -54,8 +54,8 @@ class Intrinsics:
         compiled = kernels()
         if compiled is not None:
             rays = np.empty((len(pixels_px), 3))
-            steps = UNDISTORTION_STEPS if any(self.distortion) else 0
-            compiled.camera_rays(np.ascontiguousarray(pixels_px, dtype=np.float64), self.constants, steps, rays)
+            _, constants, steps = _prepared(self)
+            compiled.camera_rays(np.ascontiguousarray(pixels_px, dtype=np.float64), constants, steps, rays)
             return rays
         if not any(self.distortion):
             normalised = (pixels_px - (self.cx, self.cy)) / (self.fx, self.fy)
@@ -81,10 +81,11 @@ class Intrinsics:
 
 
 @lru_cache(maxsize=16)
-def _prepared(camera: Intrinsics) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
-    """Return a camera's matrix and distortion, and all of its constants in a row; they are wanted in every frame."""
+def _prepared(camera: Intrinsics) -> tuple[tuple[FloatArray, FloatArray], FloatArray, int]:
+    """Return what every frame needs: matrix and distortion, all constants in a row, and the steps of undistortion."""
     constants = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
-    return (frozen(camera.matrix), frozen(constants[4:].copy())), frozen(constants)
+    steps = UNDISTORTION_STEPS if any(camera.distortion) else 0
+    return (frozen(camera.matrix), frozen(constants[4:].copy())), frozen(constants), steps
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -5,9 +5,10 @@ and by a delay that grows or shrinks. The least lag of ten seconds is nearly fre
 minutes in a row agree on it, because one step of the delay, as by a busier host, looks like a rate within one minute.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from engine.core.clock import NS_PER_S
+from engine.core.replacing import replace
 
 MAX_RATE_ERROR_PPM = 200.0
 """Greatest rate at which the two clocks may differ: twice what quartz does."""

@@ -9,8 +9,6 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
 from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from engine.core.frames import LostReason, Measurement, MeasurementState, Motion, SeenShares
 from engine.core.gate_state import HoldReason
@@ -257,7 +255,7 @@ def _refuse_bad_value(motion: Motion, limits: GateLimits) -> Verdict | None:
         "inlier share": fit.inlier_share,
     }
     bad = [name for name, value in values.items() if not math.isfinite(value)]
-    if not (np.isfinite(fit.beta).all() and np.isfinite(fit.coefficients).all()):
+    if not all(map(math.isfinite, (*fit.beta.tolist(), *fit.coefficients.tolist()))):
         bad.append("coefficients")
     shares_are = 0.0 <= fit.valid_share <= 1.0 and 0.0 <= fit.inlier_share <= 1.0
     if fit.residual_mm < 0.0 or not shares_are:

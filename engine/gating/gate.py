@@ -8,12 +8,13 @@ by a full dwell of frames that were each good, fresh, next in order and inside t
 Times are host monotonic nanoseconds and are arguments: nothing here reads a clock.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from engine.core.commands import Acknowledge, Arm, Disarm, ReleaseBeam
 from engine.core.frames import Measurement, Motion
 from engine.core.gate_state import GateState, HoldReason, Lease
+from engine.core.replacing import replace
 from engine.gating.beam_on_limit import OUTSIDE, Stay, allowed_on_s
 from engine.gating.frame_checks import EventKind, LastFrame, Verdict, check_frame, fault, last_frame, unusable
 from engine.gating.limits import GateLimits, ns_from_ms

@@ -30,6 +30,7 @@ from engine.core.native_threads import keep_calls_in_their_thread
 from engine.motion.cross_check.cell_surface import BreathingShapes
 from engine.motion.cross_check.cross_check import CrossCheck
 from engine.motion.learning.depth_steps import stored_steps
+from engine.motion.learning.frames_first import FramesFirst
 from engine.motion.learning.learned import Learned
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.prepared_model import PreparedModel, Reference, prepare_model
@@ -42,7 +43,7 @@ from engine.motion.settings import PipelineSettings
 from engine.motion.stages.phase_lag import follow_lags, start_lags
 from engine.motion.stages.projection import STRIDE_PX, project
 from engine.motion.stages.regions import WIDE
-from engine.motion.stages.surface import end_at_markers, vertices_mm
+from engine.motion.stages.surface import node_surface_mm
 from engine.motion.tracking.breath_tracker import BreathTracker
 from engine.motion.tracking.costal_line import CostalLineTracker
 from engine.motion.tracking.depth_table import DepthTable
@@ -55,6 +56,13 @@ US_PER_S = 1e6
 MARKERS_BETWEEN_NODES = 1.0 - 1.0 / NODE_STEP
 # Training samples more finely than measuring, since the components are interpolated to the full grid.
 LEARNING_STRIDE_PX = 2
+
+
+class _Explained(NamedTuple):
+    """A frame as the model explains it, and its depth at the nodes [mm], shape (nodes,)."""
+
+    projection: Projection
+    node_depth_mm: FloatArray
 
 
 class LearnedInPass(NamedTuple):
@@ -90,6 +98,7 @@ class Pipeline:
         self._calibration = calibration
         self._settings = settings
         self._clock = clock
+        self._frames_first = FramesFirst()
         self._stages = LearningStages(
             prepare=self._prepare,
             explain=self._explain_for_job,
@@ -165,6 +174,10 @@ class Pipeline:
         CalibrationError
             The pictures' sizes differ from the calibration's. No other content of a frame raises.
         """
+        with self._frames_first:
+            return self._measure(frame)
+
+    def _measure(self, frame: RgbdFrame) -> Measurement:
         self._calibration.check_sizes(depth=frame.depth_mm.shape, color=frame.color.shape)
         self.learner.collect(frame.timestamp_us)
         found = self._tracker.find(frame)
@@ -186,13 +199,14 @@ class Pipeline:
         if active is None:
             self._keep(roi, frame.timestamp_us, nodes.pixels_px)
             return self._without_model(frame, roi, found)
-        outcome = self._explain_continuous(active, roi, found, frame.timestamp_us)
-        if isinstance(outcome, Lost):
-            return self._lost(frame, outcome, found)
+        explained = self._explain_continuous(active, roi, found, frame.timestamp_us)
+        if isinstance(explained, Lost):
+            return self._lost(frame, explained, found)
+        outcome = explained.projection
         self._cross_check.confirm()
         self._coefficients, self._projected_model = outcome.coefficients, active
-        self._tracker.expect_depth(active.node_depth_mm(outcome.coefficients))
-        motion = self._motion(active, outcome, nodes.rays, frame.timestamp_us)
+        self._tracker.expect_depth(explained.node_depth_mm)
+        motion = self._motion(active, explained, nodes.rays, frame.timestamp_us)
         if not takes_lost_frames:
             self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
         self._keep(roi, frame.timestamp_us, nodes.pixels_px)
@@ -272,6 +286,8 @@ class Pipeline:
 
     def _prepare(self, model: MotionModel) -> PreparedModel:
         """Prepare a model for measuring; called in the trainer's thread."""
+        self._frames_first.give_way()
+        self._cross_check.learn_ahead()
         return prepare_model(model, self._settings.layout(self.marked_split))
 
     @property
@@ -288,6 +304,7 @@ class Pipeline:
 
     def _explain_for_job(self, active: PreparedModel, roi: RoiDepth, start: FloatArray | None) -> Projection | None:
         """Project a region with the limits of a measured frame; called in the trainer's thread."""
+        self._frames_first.give_way()
         best = project(active.basis, roi, start)
         return best if best is not None and self._refusal(best) is None else None
 
@@ -297,6 +314,7 @@ class Pipeline:
 
     def _vertices(self, nodes_px: FloatArray, depth_mm: FloatArray) -> FloatArray:
         """Compute the points at the nodes [mm], shape (nodes, 3); called in the trainer's thread."""
+        self._frames_first.give_way()
         return _surface(self._calibration.depth.rays(nodes_px)[:, :2], depth_mm)
 
     # -- measuring ----------------------------------------------------------------------------------------------
@@ -308,17 +326,18 @@ class Pipeline:
 
     def _explain_continuous(
         self, active: PreparedModel, roi: RoiDepth, found: Markers, timestamp_us: int
-    ) -> Projection | Lost:
+    ) -> _Explained | Lost:
         """Project a frame and check the continuity of its surface."""
         outcome = self._explain(active, roi)
         disagreement = self._cross_check.lost(active.model, is_reference_due=self.learner.is_reference_due)
         if isinstance(outcome, Lost):
             return outcome
+        explained = _Explained(outcome, active.node_depth_mm(outcome.coefficients))
         return (
             self._layout_lost(roi, found, timestamp_us)
             or disagreement
-            or self._discontinuity(active, outcome, found, timestamp_us)
-            or outcome
+            or self._discontinuity(active, explained, found, timestamp_us)
+            or explained
         )
 
     def _layout_lost(self, roi: RoiDepth, found: Markers, timestamp_us: int) -> Lost | None:
@@ -328,12 +347,13 @@ class Pipeline:
         return self._marker_layout.lost(marker_points_mm(rays, roi), timestamp_us)
 
     def _discontinuity(
-        self, active: PreparedModel, outcome: Projection, found: Markers, timestamp_us: int
+        self, active: PreparedModel, explained: _Explained, found: Markers, timestamp_us: int
     ) -> Lost | None:
         """Return the loss if the surface is not continuous with the previous one, otherwise None."""
         self._continuity.restart(self.learner.position_generation)
-        depth_mm = active.node_depth_mm(outcome.coefficients)
-        observed = ObservedSurface(depth_mm=depth_mm, markers_px=found.centers_px, timestamp_us=timestamp_us)
+        observed = ObservedSurface(
+            depth_mm=explained.node_depth_mm, markers_px=found.centers_px, timestamp_us=timestamp_us
+        )
         detail = self._continuity.rejection(
             observed, active.node_modes[: active.basis.components], active.model.noise_mm
         )
@@ -351,22 +371,22 @@ class Pipeline:
             )
         return None
 
-    def _motion(self, active: PreparedModel, outcome: Projection, rays: FloatArray, timestamp_us: int) -> Motion:
+    def _motion(self, active: PreparedModel, explained: _Explained, rays: FloatArray, timestamp_us: int) -> Motion:
+        outcome = explained.projection
         depth_mm = active.regions.depth_mm(outcome.coefficients)
-        node_depth_mm = active.node_depth_mm(outcome.coefficients)
-        surface = _surface(rays, node_depth_mm)
+        surface = _surface(rays, explained.node_depth_mm)
         self._lags = follow_lags(self._lags, timestamp_us / US_PER_S, -depth_mm[active.regions.cells :])
         is_reference_new = self.learner.is_reference_due
         last_reference, reference = self._last_reference, self._reference(active, outcome, rays)
-        motion = motion_from(reference, active, outcome, surface, self._lags.lags)
+        motion = motion_from(reference, active, outcome, surface, depth_mm, self._lags.lags)
         levels_from = self.learner.levels_from
         if levels_from is not None:
-            self.learner.move_levels(motion_from(levels_from, active, outcome, surface), motion)
+            self.learner.move_levels(motion_from(levels_from, active, outcome, surface, depth_mm), motion)
         if (
             self._breaths.has_reference_changed(active, is_reference_new=is_reference_new)
             and last_reference is not None
         ):
-            before = motion_from(last_reference, active, outcome, surface)
+            before = motion_from(last_reference, active, outcome, surface, depth_mm)
             self._breaths.move(before, motion)
             self.learner.move_levels(before, motion)
         self._last_reference = reference
@@ -385,4 +405,4 @@ class Pipeline:
 
 def _surface(rays: FloatArray, depth_mm: FloatArray) -> FloatArray:
     """Return the vertices at the nodes' depth [mm]; the last nodes are moved from a pixel beyond to the markers."""
-    return vertices_mm(end_at_markers(rays, NODE_ROWS, NODE_COLUMNS, MARKERS_BETWEEN_NODES), depth_mm)
+    return node_surface_mm(rays, depth_mm, NODE_ROWS, NODE_COLUMNS, MARKERS_BETWEEN_NODES)

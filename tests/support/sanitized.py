@@ -16,6 +16,7 @@ from tests.support.repository import ROOT
 FLAGS = "-fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer -g -O1"
 TESTS = (
     "tests/engine/core/test_compiled.py",
+    "tests/engine/core/test_replacing.py",
     "tests/engine/capture/oni/test_compiled_decoding.py",
     "tests/engine/motion/test_compiled_forms.py",
 )

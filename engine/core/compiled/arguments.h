@@ -53,6 +53,11 @@ PyObject *changed_cells(PyObject *module, PyObject *const *args, Py_ssize_t coun
 PyObject *align_nodes(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *cut_out(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *project(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *map_points(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *node_surface(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *mesh_volume(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *seen_shares(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *replaced(PyObject *module, PyObject *const *args, Py_ssize_t count);
 
 /* The k-th smallest of n values, which are reordered; 0 <= k < n, no NaN. */
 double select_kth(double *values, Py_ssize_t n, Py_ssize_t k);

@@ -387,7 +387,7 @@ PyObject *surface_change(PyObject *module, PyObject *const *args, Py_ssize_t cou
     Py_ssize_t k = terms->shape[0], n = terms->shape[1], used = 0;
     require(&arrays, k <= MOST_TERMS && first <= k && n <= MOST_CELLS, "too many terms or cells");
     require(&arrays, change->shape[0] == n && misfit->shape[0] == n, "change_mm and misfit_mm must be one a cell");
-    require(&arrays, weights->shape[0] == first && spreads->shape[0] == 2, "weights must be one a first term");
+    require(&arrays, weights->shape[0] == first && spreads->shape[0] == 3, "weights must be one a first term");
     if (arrays.failed)
         return finish(&arrays, Py_None);
     const double *term = terms->buf, *values = change->buf;
@@ -418,13 +418,15 @@ PyObject *surface_change(PyObject *module, PyObject *const *args, Py_ssize_t cou
     PyMem_Free(copy);
     if (!is_solved)
         return finish(&arrays, Py_None);
+    double squares = 0.0, *spread = spreads->buf;
     for (Py_ssize_t i = 0; i < n; i++) {
         double left = values[i];
         for (Py_ssize_t j = 0; j < k; j++)
             left -= all[j] * term[j * n + i];
         ((double *)misfit->buf)[i] = is_used[i] ? left : (double)NAN;
+        squares += is_used[i] ? left * left : 0.0;
     }
-    double *spread = spreads->buf;
+    spread[2] = sqrt(squares / (double)used);
     spread[0] = spread_of(term, n, weights->buf, 3, first, is_used, used);
     spread[1] = spread_of(term, n, weights->buf, first - 1, first, is_used, used);
     return finish(&arrays, Py_True);

@@ -1,13 +1,14 @@
 """The amplitude window: a signal between two edges."""
 
 import enum
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from engine.core.bounds import check_number
 from engine.core.breath import WHOLE, GateSignal, SignalChoice
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
 from engine.core.ranges import Ranges
+from engine.core.replacing import replace
 from engine.core.signals import check_choice, signal_of
 from engine.gating.windows.conditions import ConditionState, WindowInput, WindowVerdict, outside
 
@@ -122,7 +123,7 @@ class AmplitudeWindow:
             )
         value = signal_of(self.choice, frame_input.motion)
         if self.contains(value, was_inside=state.is_inside):
-            return WindowVerdict(is_inside=True, states=(replace(state, is_inside=True),))
+            return WindowVerdict(is_inside=True, states=(state if state.is_inside else replace(state, is_inside=True),))
         detail = f"{value:.2f} {self.unit} is not inside {self.lower:g} to {self.upper:g} {self.unit}"
         return outside(state, HoldReason.OUTSIDE_WINDOW, detail)
 

@@ -1,7 +1,7 @@
 """The breath-hold window: a level that is reached and held still, for a limited time."""
 
 import enum
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from engine.core.bounds import check_number
 from engine.core.breath import SignalChoice
@@ -9,6 +9,7 @@ from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
 from engine.core.ranges import Ranges
+from engine.core.replacing import replace
 from engine.core.signals import signal_of
 from engine.gating.windows.amplitude import AmplitudeWindow
 from engine.gating.windows.conditions import ENDED_BY, ConditionState, HoldStage, WindowInput, WindowVerdict, outside

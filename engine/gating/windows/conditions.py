@@ -2,12 +2,13 @@
 
 import enum
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from engine.core.breath import Breath
 from engine.core.frames import Motion
 from engine.core.gate_state import HoldReason
+from engine.core.replacing import replace
 
 
 class HoldStage(enum.StrEnum):

@@ -1,11 +1,12 @@
 """Conditions joined by and, or by or."""
 
 import enum
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from engine.core.breath import SignalChoice
 from engine.core.errors import InvalidValueError
 from engine.core.ranges import Ranges
+from engine.core.replacing import replace
 from engine.gating.windows.amplitude import AmplitudeWindow
 from engine.gating.windows.breath_hold import BreathHoldWindow
 from engine.gating.windows.conditions import ConditionState, WindowInput, WindowVerdict

@@ -1,12 +1,13 @@
 """The phase window: a breath between two phases."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from engine.core.bounds import check_number
 from engine.core.breath import WHOLE, SignalChoice
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
 from engine.core.ranges import Ranges
+from engine.core.replacing import replace
 from engine.core.signals import check_choice
 from engine.gating.windows.conditions import ConditionState, WindowInput, WindowVerdict, outside
 

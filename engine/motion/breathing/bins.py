@@ -1,7 +1,9 @@
 """Averages a signal over bins of 0.1 s, and detects where it is at rest. In mm and s."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+
+from engine.core.replacing import replace
 
 BIN_S = 0.1
 LEVEL_BINS = 6

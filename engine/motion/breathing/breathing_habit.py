@@ -5,9 +5,10 @@ A disturbed breath (cough, sigh, speech, pause) is kept but does not enter the m
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import median
 
+from engine.core.replacing import replace
 from engine.motion.breathing.shape import Shape, usual_shape
 
 KEPT_CYCLES = 8

@@ -4,9 +4,10 @@ It is updated at turning points and ten times a second, not in every frame.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import median
 
+from engine.core.replacing import replace
 from engine.motion.breathing import events as event_rules
 from engine.motion.breathing.breathing_habit import (
     BreathingHabit,

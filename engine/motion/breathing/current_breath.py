@@ -1,8 +1,9 @@
 """The current breath: data from one end of inhale until the next is detected. In mm and s."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+from engine.core.replacing import replace
 from engine.motion.breathing.breathing_habit import Cycle
 from engine.motion.breathing.shape import Path, shape_of
 from engine.motion.breathing.turning_points import RISING, TurningPoints

@@ -4,9 +4,10 @@ Rules and bounds: docs/2-clinical/breathing.md.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from engine.core.breath import BreathEvent, BreathEventKind
+from engine.core.replacing import replace
 from engine.motion.breathing.breathing_habit import BreathingHabit
 
 US_PER_S = 1e6

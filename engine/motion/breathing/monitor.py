@@ -6,9 +6,10 @@ signal has left it; until then the phase is predicted from the previous breaths.
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from engine.core.breath import Breath, BreathEventKind, SignalChoice
+from engine.core.replacing import replace
 from engine.motion.breathing import breathing_history as histories
 from engine.motion.breathing import events as event_rules
 from engine.motion.breathing.bins import Bins, follow_bins

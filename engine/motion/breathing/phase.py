@@ -7,8 +7,9 @@ after a synchronisation, it waits.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+from engine.core.replacing import replace
 from engine.motion.breathing.breathing_habit import BreathingHabit
 from engine.motion.breathing.turning_points import RISING
 

@@ -5,8 +5,10 @@ tenths of a millimetre, a cough by its whole height. One bump bends three times 
 All in mm and s; a volume is scaled to mm.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
+
+from engine.core.replacing import replace
 
 ARM_S = 0.15
 MIN_BEND_MM = 1.2

@@ -1,6 +1,8 @@
 """Detects the ends of inhale and exhale: an extreme is a turning point once the signal has left it by a threshold."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+
+from engine.core.replacing import replace
 
 RISING, FALLING, UNKNOWN = 1, -1, 0
 

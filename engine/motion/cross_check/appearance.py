@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from engine.core.compiled import kernels
 from engine.core.frames import ColorImage, FloatArray
+from engine.motion.stages.roi import color_from_grid
 
 CELL_ROWS, CELL_COLUMNS = 35, 20
 _WARPED_PX = (4 * CELL_COLUMNS, 4 * CELL_ROWS)
@@ -32,12 +33,11 @@ def chroma_of(color: ColorImage, markers_px: FloatArray) -> Chroma:
 
     What the whole picture shares with others of its kind is subtracted.
     """
-    corners_px = markers_px.astype(np.float32)
     compiled = kernels()
     if compiled is None:
-        return _chroma_of(color, corners_px)
+        return _chroma_of(color, markers_px.astype(np.float32))
     chroma = np.empty((CELL_ROWS * CELL_COLUMNS, 2), dtype=np.float32)
-    from_region = cv2.getPerspectiveTransform(_CORNERS_PX, corners_px)
+    from_region = color_from_grid(markers_px, _WARPED_PX[0] - 1.0, _WARPED_PX[1] - 1.0)
     compiled.sample_chroma(
         np.ascontiguousarray(color), from_region, CELL_COLUMNS, PICTURE_STEP_PX, LEAST_BRIGHTNESS, chroma
     )

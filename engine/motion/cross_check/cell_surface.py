@@ -50,6 +50,8 @@ class SurfaceChange(NamedTuple):
     misfit_mm
         What breathing, a rigid movement and a smooth bend leave of each cell's change, shape (cells,); NaN for cells
         not seen.
+    spread_mm
+        Root mean square of the misfit.
     """
 
     height_mm: float
@@ -58,11 +60,7 @@ class SurfaceChange(NamedTuple):
     breath_mm: float
     redistributed_mm: float
     misfit_mm: FloatArray
-
-    @property
-    def spread_mm(self) -> float:
-        """Root mean square of the misfit."""
-        return _rms(self.misfit_mm[np.isfinite(self.misfit_mm)])
+    spread_mm: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -97,7 +95,7 @@ class BreathingShapes:
         compiled = kernels()
         if compiled is None:
             return self._change(now_mm - before_mm)
-        weights, misfit_mm, spreads_mm = np.empty(FIRST_TERMS), np.empty(CELLS), np.empty(2)
+        weights, misfit_mm, spreads_mm = np.empty(FIRST_TERMS), np.empty(CELLS), np.empty(3)
         is_fitted = compiled.surface_change(
             self.terms, now_mm - before_mm, FIRST_TERMS, LEAST_CELLS, weights, misfit_mm, spreads_mm
         )
@@ -106,8 +104,8 @@ class BreathingShapes:
         if not is_fitted:
             return None
         height, along, across = (-weights[:3]).tolist()
-        breath_mm, redistributed_mm = spreads_mm.tolist()
-        return SurfaceChange(height, along, across, breath_mm, redistributed_mm, misfit_mm)
+        breath_mm, redistributed_mm, spread_mm = spreads_mm.tolist()
+        return SurfaceChange(height, along, across, breath_mm, redistributed_mm, misfit_mm, spread_mm)
 
     def _change(self, difference: FloatArray) -> SurfaceChange | None:
         """Return the change with numpy."""
@@ -129,6 +127,7 @@ class BreathingShapes:
             breath_mm=_rms(weights[3:] @ breathing[:, is_seen]),
             redistributed_mm=_rms(weights[-1] * breathing[-1, is_seen]),
             misfit_mm=misfit_mm,
+            spread_mm=_rms(misfit_mm[is_seen]),
         )
 
 

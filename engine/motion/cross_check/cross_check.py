@@ -85,10 +85,12 @@ class CrossCheck:
     """Follows surface, colour and scene; owned by the pipeline's thread."""
 
     def __init__(self, calibration: Calibration) -> None:
-        self._calibration = calibration
+        self._color_camera, self._depth_from_color = calibration.color, calibration.color_from_depth.inverse
         self._scene = StaticScene(calibration.depth)
         self._recent: deque[_Observed] = deque(maxlen=MOST_FRAMES)
         self._gathered: deque[FloatArray] = deque(maxlen=MOST_SURFACES)
+        self._gathered_count = 0
+        self._learned_ahead: tuple[int, BreathingShapes | None] | None = None
         self._shapes: BreathingShapes | None = None
         self._model: MotionModel | None = None
         self._reference: _Reference | None = None
@@ -119,6 +121,17 @@ class CrossCheck:
         """Keep the surface of the newest frame, which the model is learned from, to learn the shapes of breathing."""
         if self._recent:
             self._gathered.append(self._recent[-1].cells_mm)
+            self._gathered_count += 1
+
+    def learn_ahead(self) -> None:
+        """Learn the shapes of breathing from what was gathered, in the trainer's thread; `lost` takes them over.
+
+        It takes milliseconds, which the first frame of a new model would take longer. Of what has been gathered
+        meanwhile, `lost` learns them itself.
+        """
+        count, surfaces_mm = self._gathered_count, list(self._gathered)
+        if surfaces_mm:
+            self._learned_ahead = count, learn_shapes(np.array(surfaces_mm))
 
     def observe(self, frame: RgbdFrame, found: Markers, roi: RoiDepth) -> None:
         """Take what is compared of a frame whose markers were found."""
@@ -126,10 +139,10 @@ class CrossCheck:
         while recent and not 0 <= now_us - recent[0].timestamp_us <= AVERAGED_US:
             recent.popleft()
         cells_mm = cell_means(roi)
-        corners_mm = self._calibration.color.rays(found.centers_px) * _marker_depth_mm(cells_mm)
+        corners_mm = self._color_camera.rays(found.centers_px) * _marker_depth_mm(cells_mm)
         scene_mm = None
         if np.isfinite(corners_mm).all():
-            in_depth_camera = self._calibration.color_from_depth.inverse.apply(corners_mm)
+            in_depth_camera = self._depth_from_color.apply(corners_mm)
             scene_mm = self._scene.follow(frame.depth_mm, in_depth_camera, now_us)
         recent.append(
             _Observed(
@@ -163,8 +176,11 @@ class CrossCheck:
     def _learn_shapes(self, model: MotionModel) -> None:
         """Learn the shapes of breathing from what was gathered; a refit, for which nothing was, changes none."""
         if self._gathered or self._shapes is None:
-            self._shapes = learn_shapes(np.array(self._gathered)) or shapes_of(model)
-        self._model = model
+            ahead = self._learned_ahead
+            is_of_all = ahead is not None and ahead[0] == self._gathered_count
+            learned = ahead[1] if ahead is not None and is_of_all else learn_shapes(np.array(self._gathered))
+            self._shapes = learned or shapes_of(model)
+        self._model, self._learned_ahead = model, None
         self._gathered.clear()
 
     def confirm(self) -> None:
@@ -175,15 +191,14 @@ class CrossCheck:
     def _compare(self, reference: _Reference, cells_mm: FloatArray, chroma: Chroma) -> Lost | None:
         reference.see_color(chroma)
         found = {
-            "camera": self._camera_moved(_mean_seen([one.scene_mm for one in self._recent])),
+            "camera": self._camera_moved(_largest_mean_mm([one.scene_mm for one in self._recent])),
             "colour": self._color_changed(changed_share(reference.chroma, reference.newest_chroma)),
             "surface": self._surface_changed(reference, cells_mm),
         }
         self._disagreements = {name: lost for name, lost in found.items() if lost is not None}
         return next(iter(self._disagreements.values()), None)
 
-    def _camera_moved(self, scene_mm: FloatArray) -> Lost | None:
-        moved_mm = float(np.abs(scene_mm).max())
+    def _camera_moved(self, moved_mm: float) -> Lost | None:
         if math.isnan(moved_mm):
             return self._disagreements.get("camera")
         if moved_mm <= self._bound("camera", CAMERA_MM):
@@ -228,9 +243,7 @@ class CrossCheck:
         height_mm = self._settled_mm + unexplained_mm
         if deeper_mm == 0.0:
             self._settled_mm = height_mm
-        superior_right, superior_left, inferior_left, inferior_right = self._recent[-1].corners_mm
-        length_mm = np.linalg.norm(inferior_left + inferior_right - superior_left - superior_right) / 2.0
-        width_mm = np.linalg.norm(superior_left + inferior_left - superior_right - inferior_right) / 2.0
+        length_mm, width_mm = _length_and_width_mm(self._recent[-1].corners_mm)
         return BodyPosition(
             measured_us=self._recent[-1].timestamp_us,
             height_mm=height_mm,
@@ -254,6 +267,16 @@ def _marker_depth_mm(cells_mm: FloatArray) -> float:
     return below_mm + share * (above_mm - below_mm)
 
 
+def _length_and_width_mm(corners_mm: FloatArray) -> tuple[float, float]:
+    """Return the mean distances along and across the body between the corners of the region [mm], shape (4, 3)."""
+    superior_right, superior_left, inferior_left, inferior_right = corners_mm.tolist()
+    along, across = [], []
+    for sr, sl, il, ir in zip(superior_right, superior_left, inferior_left, inferior_right, strict=True):
+        along.append(il + ir - sl - sr)
+        across.append(sl + il - sr - ir)
+    return math.hypot(*along) / 2.0, math.hypot(*across) / 2.0
+
+
 def _mean_seen(surfaces_mm: list[FloatArray]) -> FloatArray:
     """Return the mean of each cell over the frames that saw it, NaN where none did."""
     stacked = np.array(surfaces_mm)
@@ -261,6 +284,17 @@ def _mean_seen(surfaces_mm: list[FloatArray]) -> FloatArray:
     count = is_seen.sum(axis=0)
     sums = np.where(is_seen, stacked, 0.0).sum(axis=0)
     return np.where(count > 0, sums / np.maximum(count, 1), np.nan)
+
+
+def _largest_mean_mm(changes_mm: list[FloatArray]) -> float:
+    """Return the largest mean of any marker's changes, shapes (4,), over the frames that saw it; NaN where none did."""
+    largest_mm = 0.0
+    for of_marker in zip(*(one.tolist() for one in changes_mm), strict=True):
+        seen_mm = [change_mm for change_mm in of_marker if math.isfinite(change_mm)]
+        if not seen_mm:
+            return math.nan
+        largest_mm = max(largest_mm, abs(sum(seen_mm) / len(seen_mm)))
+    return largest_mm
 
 
 def _mean(values: list[FloatArray]) -> FloatArray:

@@ -108,7 +108,10 @@ class StaticScene:
 def _movement(reference: _Reference, blocks_mm: FloatArray, points_mm: FloatArray) -> FloatArray | None:
     """Fit a plane to the blocks' change robustly; return it at the points [mm]."""
     plane = _plane(reference, blocks_mm)
-    return None if plane is None else np.asarray(_terms(points_mm) @ plane)
+    if plane is None:
+        return None
+    middle, across, along = plane.tolist()
+    return np.array([middle + across * x / 1000.0 + along * y / 1000.0 for x, y, _ in points_mm.tolist()])
 
 
 def _plane(reference: _Reference, blocks_mm: FloatArray) -> FloatArray | None:

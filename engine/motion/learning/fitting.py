@@ -6,12 +6,15 @@ noise in a component reduces the measured motion; frames are not filtered by the
 and the sensor's noise is estimated, which later sets the weight of the readings in the projection.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
+import numpy.typing as npt
 
 from engine.core.errors import ModelError
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray
 from engine.core.motion_model import MotionModel
-from engine.motion.learning.shape_smoothing import fill_unknown, scatter, smooth_shapes
+from engine.motion.learning.shape_smoothing import fill_unknown, smooth_shapes
 
 MIN_FRAMES = 20
 KNOWN_SHARE = 0.5
@@ -55,17 +58,17 @@ def fit(
     if n < MIN_FRAMES:
         msg = f"{n} training frames: at least {MIN_FRAMES} are needed"
         raise ModelError(msg)
-    known = valid.mean(axis=0) >= KNOWN_SHARE
+    counts = np.add.reduce(valid.view(np.uint8), axis=0, dtype=np.int64)
+    known = counts >= KNOWN_SHARE * n
     if known.mean() < KNOWN_SHARE:
         msg = f"only {known.mean():.0%} of the region had readings in training: at least {KNOWN_SHARE:.0%} are needed"
         raise ModelError(msg)
     stride_px = -(-ROI_ROWS // depth_mm.shape[1])
-    data, seen = depth_mm[:, known], valid[:, known]
-    mean, centred, scores, eigenvalues = _principal_components(data, seen, known, stride_px, components)
-    shapes = smooth_shapes(centred, scores, known, stride_px, float(mean.mean()))
-    noise_mm = _noise_mm(centred - scores @ (scores.T @ centred), known, stride_px)
+    mean, centred, scores, eigenvalues = _principal_components(depth_mm, valid, known, stride_px, components)
+    shapes = smooth_shapes(centred, scores, known, stride_px, float(mean[known].mean()))
+    noise_mm = _noise_mm(centred, scores, known, stride_px)
     return MotionModel(
-        mean_mm=_on_grid(fill_unknown(scatter(mean, known), known), stride_px),
+        mean_mm=_on_grid(fill_unknown(mean, known), stride_px),
         components=_orthonormal(np.array([_on_grid(shape, stride_px) for shape in shapes])),
         eigenvalues_mm2=eigenvalues * stride_px**2,
         known=np.repeat(np.repeat(known, stride_px, axis=0), stride_px, axis=1)[:ROI_ROWS, :ROI_COLUMNS].copy(),
@@ -78,66 +81,106 @@ def fit(
 
 
 def _principal_components(
-    data: FloatArray, seen: BoolArray, known: BoolArray, stride_px: int, k: int
+    depth_mm: FloatArray, valid: BoolArray, known: BoolArray, stride_px: int, k: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """PCA of (n, m) data with gaps: fill with the mean, then with the reconstruction, and repeat.
+    """PCA of frames with gaps: fill with the mean, then with the reconstruction, and repeat.
 
     The n x n covariance of the article is computed from means over cells of 10 px: motion is smooth and noise is not,
     so the spectrum is that of the motion.
 
-    Returns the mean (m,), the centred data (n, m), the frames' scores as orthonormal columns (n, k), and all
-    eigenvalues (n,), summed over the m points.
+    Returns the mean (rows, columns), the centred frames (n, points), both zero at unknown points, the frames' scores as
+    orthonormal columns (n, k), and all eigenvalues (n,), summed over the points.
     """
-    gaps = ~seen
-    has_gaps = bool(gaps.any())
-    mean = data.sum(axis=0, where=seen, dtype=np.float64) / seen.sum(axis=0)
-    centred = (data - mean.astype(np.float32)) * seen
+    n = len(depth_mm)
+    mean, centred, gaps = _centred(depth_mm, valid, known)
+    blocks = _Blocks(known, max(CELL_PX // stride_px, 1))
     largest = 0.0
-    for _ in range(MAX_FILLINGS if has_gaps else 1):
-        cells = _cell_means(centred, known, stride_px)
-        covariance = (cells @ cells.T).astype(np.float64) / (len(data) - 1)
+    for _ in range(MAX_FILLINGS if gaps.points.size else 1):
+        cells = blocks.sums(centred) / np.sqrt(blocks.counts, dtype=np.float32)
+        covariance = (cells @ cells.T).astype(np.float64) / (n - 1)
         eigenvalues, vectors = np.linalg.eigh(covariance)
-        eigenvalues, scores = np.maximum(eigenvalues[::-1], 0.0), vectors[:, ::-1][:, :k].astype(np.float32)
-        if eigenvalues[0] <= 1e-6 * data.shape[1]:
+        eigenvalues = np.maximum(eigenvalues[::-1], 0.0)
+        scores = np.ascontiguousarray(vectors[:, ::-1][:, :k], dtype=np.float32)
+        if eigenvalues[0] <= 1e-6 * np.count_nonzero(known):
             msg = "there was no motion during training: no breathing to learn"
             raise ModelError(msg)
-        if not has_gaps or eigenvalues[0] - largest < FILLED_CHANGE * eigenvalues[0]:
+        if not gaps.points.size or eigenvalues[0] - largest < FILLED_CHANGE * eigenvalues[0]:
             break
         largest = eigenvalues[0]
-        np.copyto(centred, scores @ (scores.T @ centred), where=gaps)
-        shift = centred.mean(axis=0)
-        centred -= shift
-        mean += shift
+        mean.ravel()[gaps.points] += gaps.fill(centred, scores)
     return mean.astype(np.float32), centred, scores, eigenvalues
 
 
-def _cell_means(centred: FloatArray, known: BoolArray, stride_px: int) -> FloatArray:
-    """Average points, shape (n, m), over cells, shape (n, cells), each scaled by the root of its number of points."""
-    side = max(CELL_PX // stride_px, 1)
-    rows, columns = (np.arange(size) // side for size in known.shape)
-    cell = (rows[:, None] * (columns[-1] + 1) + columns)[known]
-    order = np.argsort(cell, kind="stable")
-    first = np.flatnonzero(np.diff(cell[order], prepend=-1))
-    counts = np.diff(np.append(first, len(order)))
-    return np.asarray(np.add.reduceat(centred[:, order], first, axis=1) / np.sqrt(counts, dtype=np.float32))
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Gaps:
+    """Points that some frames did not see, shape (g,), and which frames, shape (n, g)."""
+
+    points: npt.NDArray[np.intp]
+    is_missing: BoolArray
+
+    def fill(self, centred: FloatArray, scores: FloatArray) -> FloatArray:
+        """Fill the gaps with what the scores reconstruct; return by how much the means have moved, shape (g,)."""
+        values = centred[:, self.points]
+        np.copyto(values, scores @ (scores.T @ values), where=self.is_missing)
+        shift = values.mean(axis=0)
+        centred[:, self.points] = values - shift
+        return np.asarray(shift)
 
 
-def _noise_mm(unexplained: FloatArray, known: BoolArray, stride_px: int) -> float:
+def _centred(depth_mm: FloatArray, valid: BoolArray, known: BoolArray) -> tuple[FloatArray, FloatArray, _Gaps]:
+    """Return the mean of the valid readings, shape (rows, columns), the frames without it, (n, points), and the gaps.
+
+    Unknown points and gaps are zero. Sums are of differences from the first readings, which 32 bit resolve.
+    """
+    n, shape = len(depth_mm), known.shape
+    flat, seen = depth_mm.reshape(n, -1), valid.reshape(n, -1)
+    first = np.where(known.ravel(), flat[seen.argmax(axis=0), np.arange(flat.shape[1])], np.float32(0.0))
+    centred = flat - first
+    points = np.flatnonzero(known.ravel() & ~seen.all(axis=0))
+    counts = np.full(flat.shape[1], float(n))
+    counts[points] = np.count_nonzero(seen[:, points], axis=0)
+    centred[:, ~known.ravel()] = 0.0
+    centred[:, points] *= seen[:, points]
+    shift = (np.ones(n, dtype=np.float32) @ centred) / counts
+    centred -= shift.astype(np.float32)
+    is_missing = ~seen[:, points]
+    centred[:, points] *= ~is_missing
+    return (first + shift).reshape(shape), centred, _Gaps(points=points, is_missing=is_missing)
+
+
+class _Blocks:
+    """Sums the known points of frames over square blocks; a product with ones along each axis does it fastest."""
+
+    def __init__(self, known: BoolArray, side: int) -> None:
+        self._shape = known.shape
+        rows, columns = (np.arange(size) // side for size in known.shape)
+        self._rows = (np.arange(rows[-1] + 1)[:, None] == rows).astype(np.float32)
+        self._columns = (columns[:, None] == np.arange(columns[-1] + 1)).astype(np.float32)
+        counts = (self._rows @ known.astype(np.float32) @ self._columns).ravel()
+        self._is_known = counts > 0.0
+        self.counts = counts[self._is_known]
+
+    def sums(self, values: FloatArray) -> FloatArray:
+        """Return the sums of values, shape (n, points), in the blocks with known points, shape (n, blocks)."""
+        along = values.reshape(-1, self._shape[1]) @ self._columns
+        sums = self._rows @ along.reshape(len(values), self._shape[0], -1)
+        return np.ascontiguousarray(sums.reshape(len(values), -1)[:, self._is_known])
+
+
+def _noise_mm(centred: FloatArray, scores: FloatArray, known: BoolArray, stride_px: int) -> float:
     """Estimate the sensor's noise: the mean of a square of n x n grid pixels has this standard deviation over n [mm].
 
-    From differences of consecutive frames, since the slow part of the residual is not noise.
+    From differences of consecutive frames of what the scores do not explain, since the slow part is not noise. Only
+    wholly known squares count.
     """
     side = NOISE_SQUARE_PX // stride_px
-    rows, columns = (size // side for size in known.shape)
-    inside = known[: rows * side, : columns * side].reshape(rows, side, columns, side).all(axis=(1, 3))
-    which = np.full(known.shape, -1)
-    label = np.where(inside, np.arange(rows * columns).reshape(rows, columns), -1)
-    which[: rows * side, : columns * side] = np.repeat(np.repeat(label, side, axis=0), side, axis=1)
-    steps = np.diff(unexplained, axis=0)
-    means = [steps[:, which[known] == square].mean(axis=1) for square in label[inside]]
-    if not means:
+    blocks = _Blocks(known, side)
+    is_whole = blocks.counts == side * side
+    if not is_whole.any():
         return MIN_NOISE_MM * NOISE_SQUARE_PX
-    variance = float(np.median(np.square(means))) / _MEDIAN_SQUARE / 2.0
+    means = blocks.sums(centred)[:, is_whole] / np.float32(side * side)
+    steps = np.diff(means - scores @ (scores.T @ means), axis=0)
+    variance = float(np.median(np.square(steps))) / _MEDIAN_SQUARE / 2.0
     return max(float(np.sqrt(variance)) * NOISE_SQUARE_PX, MIN_NOISE_MM)
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from engine.core.compiled import kernels
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, BoolArray, FloatArray, SeenShares, frozen
 from engine.motion.named_regions import coverage
 from engine.motion.stages.projection import SAMPLED_SHAPE, STRIDE_PX
@@ -50,7 +51,15 @@ class SeenWeights:
         seen
             Whether each sampled point was seen, or the share of several frames in which it was, shape (88, 50).
         """
-        share = seen.astype(np.float32)
+        compiled = kernels()
+        if compiled is None or seen.dtype != np.bool_:
+            return self._shares(seen.astype(np.float32))
+        shares = np.empty(len(self.rows) * self.columns.shape[1] + len(self.others), dtype=np.float32)
+        compiled.seen_shares(np.ascontiguousarray(seen), self.rows, self.columns, self.others, 10.0**DIGITS, shares)
+        return frozen(shares)
+
+    def _shares(self, share: FloatArray) -> FloatArray:
+        """Compute them with numpy."""
         cells = self.rows @ share @ self.columns
         shares = np.concatenate([cells.ravel(), self.others @ share.ravel()])
         return frozen(np.clip(np.round(shares, DIGITS), 0.0, 1.0))  # so that all of a region is 1

@@ -12,6 +12,7 @@ Gaussian), so it attenuates structures of the body less than a Gaussian of equal
 
 import itertools
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -84,7 +85,7 @@ def smooth_shapes(
     Parameters
     ----------
     centred
-        Training frames without their mean [mm], shape (n, m).
+        Training frames without their mean [mm], shape (n, points of the thinned grid).
     scores
         Scores of the frames, orthonormal columns, shape (n, k), the largest component first.
     known
@@ -93,9 +94,9 @@ def smooth_shapes(
         Mean depth of the region.
     """
     bands = Bands(known, stride_px)
-    raw = scores.T @ centred
-    parts = [bands.split(shape) for shape in raw]
-    errors = estimate_errors(centred, scores, [wide[known] for _, wide in parts], bands, depth_mm)
+    sums = weighted_sums(centred, scores, known)
+    parts = [bands.split(shape) for shape in sums.even + sums.odd]
+    errors = estimate_errors(sums, scores, [wide[known] for _, wide in parts], bands, depth_mm)
     shapes = []
     for (fine, wide), error in zip(parts, errors.energy, strict=True):
         kept = kept_shares(np.array([float(np.square(band[known]).sum()) for band in fine]), error)
@@ -108,23 +109,39 @@ def kept_shares(total: FloatArray, error: FloatArray) -> FloatArray:
     return np.clip(1.0 - error / np.maximum(total, 1e-9), 0.0, 1.0).astype(np.float32)
 
 
+class WeightedSums(NamedTuple):
+    """Sums of the frames at the known points: even and odd frames by their scores, (k, m), all by the curvature, (m,).
+
+    All at once, since the frames are far larger than the caches.
+    """
+
+    even: FloatArray
+    odd: FloatArray
+    bent: FloatArray
+
+
+def weighted_sums(centred: FloatArray, scores: FloatArray, known: BoolArray) -> WeightedSums:
+    """Return the sums of centred frames, shape (n, points), weighted by scores, shape (n, k)."""
+    k, is_even = scores.shape[1], (np.arange(len(scores)) % 2 == 0)[:, None]
+    weights = np.column_stack([scores * is_even, scores * ~is_even, _curvature(scores)])
+    sums = (weights.T @ centred)[:, known.ravel()]
+    return WeightedSums(even=sums[:k], odd=sums[k : 2 * k], bent=sums[2 * k])
+
+
 def estimate_errors(
-    centred: FloatArray, scores: FloatArray, wide: list[FloatArray], bands: Bands, depth_mm: float
+    sums: WeightedSums, scores: FloatArray, wide: list[FloatArray], bands: Bands, depth_mm: float
 ) -> ShapeErrors:
     """Estimate the errors of raw components; ``wide`` are smooth versions of these, k of shape (m,)."""
     # Half the difference of two halves of the frames has the noise of the whole.
-    halves = [scores[start::2].T @ centred[start::2] for start in (0, 1)]
-    first = [half[0] for half in halves]
-    noise = np.array([bands.energy(one - other) for one, other in zip(*halves, strict=True)])
+    noise = np.array([bands.energy(one - other) for one, other in zip(sums.even, sums.odd, strict=True)])
     # Where the most motion is, locking is bent the most against the same noise.
     moving = np.abs(wide[0]) >= np.quantile(np.abs(wide[0]), 1.0 - MOVING_SHARE)
-    curvature = _curvature(scores)
-    bent = bands.energy(curvature @ centred, moving)[0]
-    unbent = bands.energy(first[0] - first[1], moving)[0]
+    bent = bands.energy(sums.bent, moving)[0]
+    unbent = bands.energy(sums.even[0] - sums.odd[0], moving)[0]
     ratio = float(bent / max(unbent, 1e-9))
     certainty = float(np.clip((ratio - CERTAINLY_NOISE) / (CERTAINLY_LOCKING - CERTAINLY_NOISE), 0.0, 1.0))
     locking = CAUTION * certainty * max(float(bent - unbent), 0.0)
-    gains = _gains(scores, curvature, wide, moving, depth_mm)
+    gains = _gains(scores, _curvature(scores), wide, moving, depth_mm)
     return ShapeErrors(energy=noise + locking * gains[:, None] * LOCKING_BANDS, locking_ratio=ratio)
 
 

@@ -13,6 +13,7 @@ import itertools
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -70,9 +71,8 @@ class MarkerSearch:
     superior_px: tuple[float, float] | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Blob:
-    center_px: FloatArray
+class _Blob(NamedTuple):
+    center_px: tuple[float, float]
     score: float
     diameter_px: float
 
@@ -272,8 +272,8 @@ def _refine(color: ColorImage, starts_px: FloatArray, search: MarkerSearch) -> l
         is_found,
     )
     return [
-        _validate(one[:6], one[6:], search) if is_one else None
-        for one, is_one in zip(found, is_found.tolist(), strict=True)
+        _validate(one, search) if is_one else None
+        for one, is_one in zip(found.tolist(), is_found.tolist(), strict=True)
     ]
 
 
@@ -295,7 +295,7 @@ def _refine_together(
         centers = middles[pending] + moments[:, 1:3]
         has_converged = np.abs(moments[:, 1:3]).max(axis=1, initial=0.0) <= CONVERGED_PX
         for index in np.flatnonzero(has_converged):
-            blobs[pending[index]] = _validate(moments[index], centers[index], search)
+            blobs[pending[index]] = _validate([*moments[index].tolist(), *centers[index].tolist()], search)
         middles[pending] = np.rint(centers)
         pending = pending[~has_converged]
     return blobs
@@ -347,9 +347,15 @@ def _upper_median(values: FloatArray) -> FloatArray:
     return np.asarray(np.partition(values, half, axis=1)[:, half])
 
 
-def _validate(moments: FloatArray, center: FloatArray, search: MarkerSearch) -> _Blob | None:
-    """Check size and roundness by second moments: a uniform disc of diameter D has the variance D^2 / 16."""
-    total, _, _, xx, xy, yy = moments.tolist()
+def _validate(moments: list[float], search: MarkerSearch) -> _Blob | None:
+    """Check size and roundness by second moments: a uniform disc of diameter D has the variance D^2 / 16.
+
+    Parameters
+    ----------
+    moments
+        Total, mean x, y and central second moments xx, xy, yy of the sticker, then its centre x, y [px].
+    """
+    total, _, _, xx, xy, yy, x, y = moments
     mean, half_spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
     minor, major = (4.0 * math.sqrt(max(variance, 1e-9)) for variance in (mean - half_spread, mean + half_spread))
     # A sticker on a slope is foreshortened across it and keeps its diameter along it.
@@ -359,7 +365,7 @@ def _validate(moments: FloatArray, center: FloatArray, search: MarkerSearch) -> 
         return None
     if minor / major < MIN_ASPECT or not MIN_FILL <= fill <= MAX_FILL:
         return None
-    return _Blob(center_px=center, score=1.0 - abs(math.log(ratio)), diameter_px=major)
+    return _Blob(center_px=(x, y), score=1.0 - abs(math.log(ratio)), diameter_px=major)
 
 
 def _distinct(blobs: list[_Blob]) -> list[_Blob]:

@@ -8,11 +8,12 @@ a cycle. Without motion, periodicity or agreement there is a reason instead of a
 The functions are pure: state goes in and comes out. Frames are averaged over bins of 0.1 s.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from engine.core.frames import FloatArray, PhaseLag, frozen
+from engine.core.replacing import replace
 
 BIN_S = 0.1
 WINDOW_S = 20.0

@@ -6,10 +6,11 @@ the interpolation of their neighbours.
 """
 
 import math
-from functools import cache
+from functools import cache, lru_cache
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from engine.core.compiled import kernels
 from engine.core.frames import (
@@ -24,6 +25,7 @@ from engine.core.frames import (
     RoiDepth,
 )
 
+IndexArray = npt.NDArray[np.intp]
 MIN_VALID_WEIGHT = 0.5
 MIN_WHOLLY_VALID_SHARE = 0.8
 # Replaces the zero determinant of three collinear markers; the resulting region lies outside of any picture.
@@ -41,10 +43,16 @@ _COLUMN_WEIGHTS = _hat_weights(ROI_COLUMNS)
 _NODES = np.stack(np.meshgrid(np.arange(NODE_COLUMNS) * NODE_STEP, np.arange(NODE_ROWS) * NODE_STEP), axis=-1).astype(
     np.float64
 )
+_NODES_FLAT = _NODES.reshape(-1, 2)
 
 
 def color_from_roi(centers_px: FloatArray) -> FloatArray:
-    """Return the homography from the grid (column, row) to colour pixels (x, y), shape (3, 3).
+    """Return the homography from the grid (column, row) to colour pixels (x, y), shape (3, 3)."""
+    return color_from_grid(centers_px, ROI_COLUMNS - 1.0, ROI_ROWS - 1.0)
+
+
+def color_from_grid(centers_px: FloatArray, right: float, bottom: float) -> FloatArray:
+    """Return the homography from a grid, whose last column and row are ``right`` and ``bottom``, to colour pixels.
 
     In closed form, for speed (Heckbert, Fundamentals of texture mapping and image warping, 1989, section 2.2.3).
     """
@@ -53,7 +61,6 @@ def color_from_roi(centers_px: FloatArray) -> FloatArray:
     dx1, dy1, dx2, dy2 = x1 - x2, y1 - y2, x3 - x2, y3 - y2
     determinant = dx1 * dy2 - dx2 * dy1 or DEGENERATE
     g, h = (sum_x * dy2 - dx2 * sum_y) / determinant, (dx1 * sum_y - sum_x * dy1) / determinant
-    right, bottom = ROI_COLUMNS - 1.0, ROI_ROWS - 1.0
     return np.array(
         [
             [(x1 - x0 + g * x1) / right, (x3 - x0 + h * x3) / bottom, x0],
@@ -66,7 +73,12 @@ def color_from_roi(centers_px: FloatArray) -> FloatArray:
 def roi_nodes(centers_px: FloatArray) -> FloatArray:
     """Return the colour pixels (x, y) of the region's nodes [px], shape (nodes, 2)."""
     homography = color_from_roi(centers_px)
-    points = _NODES.reshape(-1, 2) @ homography[:, :2].T + homography[:, 2]
+    compiled = kernels()
+    if compiled is not None:
+        nodes_px = np.empty(_NODES_FLAT.shape)
+        compiled.map_points(homography, _NODES_FLAT, nodes_px)
+        return nodes_px
+    points = _NODES_FLAT @ homography[:, :2].T + homography[:, 2]
     return points[:, :2] / points[:, 2:]
 
 
@@ -75,11 +87,15 @@ def at_nodes(surface: FloatArray | BoolArray, stride_px: int = 1) -> FloatArray:
 
     The nearest sample is taken; the last row and column repeat.
     """
-    rows, columns = (
-        np.minimum(np.arange(count) * NODE_STEP // stride_px, size - 1)
-        for count, size in zip((NODE_ROWS, NODE_COLUMNS), surface.shape, strict=True)
+    return np.ascontiguousarray(surface[_samples_at_nodes(*surface.shape, stride_px)], dtype=np.float64).ravel()
+
+
+@lru_cache(maxsize=16)
+def _samples_at_nodes(rows: int, columns: int, stride_px: int) -> tuple[IndexArray, ...]:
+    return np.ix_(
+        np.minimum(np.arange(NODE_ROWS) * NODE_STEP // stride_px, rows - 1),
+        np.minimum(np.arange(NODE_COLUMNS) * NODE_STEP // stride_px, columns - 1),
     )
-    return np.ascontiguousarray(surface[np.ix_(rows, columns)], dtype=np.float64).ravel()
 
 
 def cut_out(depth_mm: DepthImage, nodes_px: FloatArray, table_mm: FloatArray, stride_px: int = 1) -> RoiDepth:

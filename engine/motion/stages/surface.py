@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from engine.core.compiled import kernels
 from engine.core.frames import FloatArray, frozen
 
 MM3_PER_L = 1_000_000.0
@@ -75,8 +76,27 @@ def vertices_mm(rays: FloatArray, depth_mm: FloatArray) -> FloatArray:
     return np.column_stack([rays * depth_mm[:, None], depth_mm])
 
 
+def node_surface_mm(rays: FloatArray, depth_mm: FloatArray, rows: int, columns: int, share: float) -> FloatArray:
+    """Return the vertices at the nodes' depth, with the last row and column moved to the markers: both of the above."""
+    compiled = kernels()
+    if compiled is None:
+        return vertices_mm(end_at_markers(rays, rows, columns, share), depth_mm)
+    vertices = np.empty((rows * columns, 3))
+    compiled.node_surface(np.ascontiguousarray(rays), np.ascontiguousarray(depth_mm), columns, share, vertices)
+    return vertices
+
+
 def volume_l(vertices: FloatArray, triangles: npt.NDArray[np.intp], plane_mm: float) -> float:
     """Volume between a surface and the plane at depth ``plane_mm`` [l]; positive in front of the plane."""
+    compiled = kernels()
+    if compiled is None:
+        return _volume_l(vertices, triangles, plane_mm)
+    volume_mm3: float = compiled.mesh_volume(np.ascontiguousarray(vertices), triangles, plane_mm)
+    return volume_mm3 / MM3_PER_L
+
+
+def _volume_l(vertices: FloatArray, triangles: npt.NDArray[np.intp], plane_mm: float) -> float:
+    """Compute it with numpy."""
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     area = 0.5 * ((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
     height = plane_mm - (a[:, 2] + b[:, 2] + c[:, 2]) / 3.0

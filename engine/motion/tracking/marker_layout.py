@@ -6,6 +6,7 @@ measurement, every distance has to be within that range and a small margin.
 """
 
 import itertools
+import math
 
 import numpy as np
 
@@ -14,13 +15,13 @@ from engine.core.frames import FloatArray, Lost, LostReason, RoiDepth
 from engine.motion.tracking.surface_continuity import MAX_HIDDEN_US
 
 NAMES = ("superior right", "superior left", "inferior left", "inferior right")
-PAIRS = np.array(list(itertools.combinations(range(4), 2)))
-_HAS_MARKER = np.array([[float(marker in pair) for pair in PAIRS.tolist()] for marker in range(4)])
+PAIRS = tuple(itertools.combinations(range(4), 2))
 MARGIN_MM = 3.0
 """How far a distance may be outside of its range so far; a marker is found within some tenths of a millimetre."""
 
 CORNER_PX = 20
 LEAST_READINGS = 9
+Distances = tuple[float, ...]
 
 
 def marker_points_mm(rays: FloatArray, roi: RoiDepth) -> FloatArray | None:
@@ -59,9 +60,9 @@ class MarkerLayout:
     """Follows the six distances between the markers; owned by the pipeline's thread."""
 
     def __init__(self) -> None:
-        self._last_mm: FloatArray | None = None
-        self._lowest_mm: FloatArray | None = None
-        self._highest_mm: FloatArray | None = None
+        self._last_mm: Distances | None = None
+        self._lowest_mm: Distances | None = None
+        self._highest_mm: Distances | None = None
         self._seen_us = 0
         self._generation = -1
         self._is_doubted = False
@@ -87,26 +88,28 @@ class MarkerLayout:
         else:
             is_followed = not self._is_doubted and timestamp_us - self._seen_us <= MAX_HIDDEN_US
             low_mm, high_mm = (self._last_mm, self._last_mm) if is_followed else (self._lowest_mm, self._highest_mm)
-            beyond_mm = np.maximum(np.maximum(low_mm - now_mm, now_mm - high_mm), 0.0)
-            if not beyond_mm.max() <= MARGIN_MM:
+            beyond_mm = tuple(
+                max(low - now, now - high, 0.0) for low, now, high in zip(low_mm, now_mm, high_mm, strict=True)
+            )
+            if not all(beyond <= MARGIN_MM for beyond in beyond_mm):  # also for NaN
                 self._is_doubted = True
                 return Lost(reason=LostReason.LAYOUT_CHANGED, detail=_described(beyond_mm))
-            self._lowest_mm = np.minimum(self._lowest_mm, now_mm)
-            self._highest_mm = np.maximum(self._highest_mm, now_mm)
+            self._lowest_mm = tuple(map(min, self._lowest_mm, now_mm))
+            self._highest_mm = tuple(map(max, self._highest_mm, now_mm))
         self._last_mm, self._seen_us, self._is_doubted = now_mm, timestamp_us, False
         return None
 
 
-def distances_mm(points_mm: FloatArray) -> FloatArray:
-    """Return the six distances between four points [mm]."""
-    apart_mm = points_mm[PAIRS[:, 0]] - points_mm[PAIRS[:, 1]]
-    return np.asarray(np.sqrt((apart_mm * apart_mm).sum(axis=1)))
+def distances_mm(points_mm: FloatArray) -> Distances:
+    """Return the six distances between four points, shape (4, 3) [mm], in the order of `PAIRS`."""
+    places = points_mm.tolist()
+    return tuple(math.dist(places[one], places[other]) for one, other in PAIRS)
 
 
-def _described(beyond_mm: FloatArray) -> str:
+def _described(beyond_mm: Distances) -> str:
     """Name the marker whose distances to the three others changed most in sum, and their largest change."""
-    sums = _HAS_MARKER @ beyond_mm
+    sums = [sum(beyond for beyond, pair in zip(beyond_mm, PAIRS, strict=True) if marker in pair) for marker in range(4)]
     return (
-        f"a distance of the {NAMES[int(np.argmax(sums))]} marker is {beyond_mm.max():.0f} mm beyond its range: "
+        f"a distance of the {NAMES[sums.index(max(sums))]} marker is {max(beyond_mm):.0f} mm beyond its range: "
         "put the marker back, or set the reference again"
     )

@@ -1,10 +1,13 @@
 """Measures frames from before the model, once there is one, as live frames are; runs in the trainer's thread."""
 
+from functools import lru_cache
+
 from engine.core.breath import SignalChoice
-from engine.core.frames import FloatArray, Motion, PhaseLag, Projection, frozen
+from engine.core.frames import FloatArray, Motion, PhaseLag, Projection, SeenShares, frozen
 from engine.motion.learning.prepared_model import PreparedModel, Reference
 from engine.motion.learning.reference_proposals import PastMotion
 from engine.motion.learning.reference_transfer import Explain
+from engine.motion.learning.seen_shares import SeenWeights
 from engine.motion.learning.training_set import TrainingFrame, Vertices
 from engine.motion.tracking.breath_tracker import BreathTracker
 
@@ -14,10 +17,18 @@ def motion_from(
     active: PreparedModel,
     outcome: Projection,
     surface: FloatArray,
+    depth_mm: FloatArray,
     lags: tuple[PhaseLag, ...] = (),
 ) -> Motion:
-    """Return the motion of a projected frame from a reference; ``surface`` has its vertices [mm], shape (nodes, 3)."""
-    depth_mm = active.regions.depth_mm(outcome.coefficients)
+    """Return the motion of a projected frame from a reference.
+
+    Parameters
+    ----------
+    surface
+        Its vertices [mm], shape (nodes, 3).
+    depth_mm
+        Its mean depth of every region [mm], by the regions of ``active``.
+    """
     motion_mm = reference.regions_mm - depth_mm
     regions = active.regions
     cells, shape = regions.cells, (regions.rows, regions.columns)
@@ -37,8 +48,14 @@ def motion_from(
         surface_mm=frozen(surface),
         split_rows=regions.layout.split,
         seen=weights.by_region(weights.shares(outcome.is_seen)),
-        reference_seen=weights.by_region(reference.seen_shares),
+        reference_seen=_reference_seen(reference, weights),
     )
+
+
+@lru_cache(maxsize=4)
+def _reference_seen(reference: Reference, weights: SeenWeights) -> SeenShares:
+    """Return what was seen at a reference; it stands for many frames. Both are compared by identity."""
+    return weights.by_region(reference.seen_shares)
 
 
 class PastMeasurement:
@@ -63,6 +80,7 @@ class PastMeasurement:
         if self._reference is None:
             shares = active.seen_weights.shares(outcome.is_seen)
             self._reference = active.reference(outcome.coefficients, surface, shares)
-        motion = motion_from(self._reference, active, outcome, surface)
+        depth_mm = active.regions.depth_mm(outcome.coefficients)
+        motion = motion_from(self._reference, active, outcome, surface, depth_mm)
         breaths = self._breaths.follow(motion, frame.timestamp_us)
         return PastMotion(outcome.coefficients, motion, breaths[0], self._reference) if breaths else None

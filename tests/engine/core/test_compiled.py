@@ -76,8 +76,15 @@ CALLS = {
         *(np.ones((40, 40), np.uint16), np.full((135, 2), 20.0), np.ones(65536, F32), 25, 0.5, 0.8),
         *(np.zeros((14, 8), F32), np.zeros((14, 8), bool)),
     ],
-    "surface_change": [np.eye(6, 30), np.ones(30), 4, 5, np.zeros(4), np.zeros(30), np.zeros(2)],
+    "surface_change": [np.eye(6, 30), np.ones(30), 4, 5, np.zeros(4), np.zeros(30), np.zeros(3)],
     "camera_rays": [np.ones((7, 2)), np.ones(9), 5, np.zeros((7, 3))],
+    "map_points": [np.eye(3), np.ones((5, 2)), np.zeros((5, 2))],
+    "node_surface": [np.ones((12, 2)), np.ones(12), 4, 0.9, np.zeros((12, 3))],
+    "mesh_volume": [np.ones((6, 3)), np.array([[0, 1, 2], [3, 4, 5]]), 900.0],
+    "seen_shares": [
+        *(np.ones((4, 3), bool), np.ones((2, 4), F32), np.ones((3, 2), F32), np.ones((5, 12), F32), 1e4),
+        np.zeros(9, F32),
+    ],
     "changed_cells": [np.zeros((12, 2), F32), np.ones((12, 2), F32), 4, 2, 0.03],
     "scene_plane": [
         *(np.ones(6), np.array([True] * 5 + [False]), np.ones(5), np.ones((5, 3)), np.ones(5), 15.0, 0.5, 3),
@@ -168,14 +175,16 @@ def test_an_array_of_another_size_is_refused_or_of_no_consequence(name, at):
         ("refine_markers", 4, [-1]),
         ("project", 14, [0, 0, 1, 2]),
         ("project", 15, [0, -1, 1]),
+        ("mesh_volume", 1, [[0, 1, 6], [3, 4, 5]]),
+        ("mesh_volume", 1, [[0, 1, 2], [3, -1, 5]]),
     ],
 )
 def test_an_index_off_its_array_is_refused(name, at, values):
-    with pytest.raises(ValueError, match=r"patch|cell"):
+    with pytest.raises(ValueError, match=r"patch|cell|vertex"):
         called(name, [*args_of(name)[:at], np.array(values), *args_of(name)[at + 1 :]])
 
 
-@pytest.mark.parametrize(("name", "at"), [("decode_16zt", 1), ("cut_out", 6), ("project", 19)])
+@pytest.mark.parametrize(("name", "at"), [("decode_16zt", 1), ("seen_shares", 5), ("cut_out", 6), ("project", 19)])
 def test_a_read_only_result_is_refused(name, at):
     frozen = args_of(name)[at].copy()
     frozen.setflags(write=False)

@@ -19,11 +19,14 @@ from engine.core.geometry import Intrinsics, RigidTransform
 from engine.motion.cross_check.appearance import CELL_COLUMNS, CELL_ROWS, changed_share, chroma_of
 from engine.motion.cross_check.cell_surface import CELLS, BreathingShapes, cell_means
 from engine.motion.cross_check.static_scene import StaticScene
+from engine.motion.learning.seen_shares import prepare_seen_weights
 from engine.motion.settings import PipelineSettings
 from engine.motion.stages.markers import MarkerSearch, find_markers, track_markers
 from engine.motion.stages.projection import SAMPLED_SHAPE, STRIDE_PX, prepare_basis, project
+from engine.motion.stages.regions import RegionLayout
 from engine.motion.stages.registration import align
 from engine.motion.stages.roi import cut_out, roi_nodes
+from engine.motion.stages.surface import grid_triangles, node_surface_mm, volume_l
 from engine.motion.tracking.marker_layout import marker_points_mm
 from tests.support.motion import small_scene, static_room
 from tests.support.motion.fitting_frames import BREATH, COLUMNS, REST_MM, ROWS, frames, learn
@@ -132,6 +135,41 @@ def test_cells_and_corners_have_the_same_means_and_medians(seed, hole_share, str
 
 
 @settings(max_examples=40, deadline=None)
+@given(SEEDS, st.floats(-5.0, 5.0))
+def test_nodes_of_any_quadrilateral_are_the_same(seed, size):
+    corners_px = np.random.default_rng(seed).normal(320.0, 100.0 * abs(size), (4, 2))
+    with np.errstate(all="ignore"):
+        found, expected = both(roi_nodes, corners_px)
+    assert found == pytest.approx(expected, rel=1e-9, abs=1e-9, nan_ok=True)
+
+
+@settings(max_examples=40, deadline=None)
+@given(SEEDS, st.integers(2, 15), st.integers(2, 9), st.floats(0.0, 1.0), st.sampled_from([0.0, np.nan]))
+def test_the_surface_and_its_volume_are_the_same(seed, rows, columns, share, bad):
+    rng = np.random.default_rng(seed)
+    rays, depth_mm = rng.normal(0.0, 0.3, (rows * columns, 2)), rng.uniform(700.0, 1000.0, rows * columns)
+    if bad:
+        depth_mm[rng.integers(len(depth_mm))] = bad
+    found, expected = both(node_surface_mm, rays, depth_mm, rows, columns, share)
+    assert np.array_equal(found, expected, equal_nan=True)  # the same operations in the same order
+    volumes_l = both(volume_l, found, grid_triangles(rows, columns), 850.0)
+    assert volumes_l[0] == pytest.approx(volumes_l[1], rel=1e-9, abs=1e-9, nan_ok=True)
+
+
+@settings(max_examples=40, deadline=None)
+@given(SEEDS, st.sampled_from([0.0, 0.01, 0.5, 0.99, 1.0]), st.sampled_from([5, 10, 25, 99]))
+def test_the_seen_shares_are_the_same(seed, seen_share, cell_px):
+    weights = prepare_seen_weights(RegionLayout(cell_px=cell_px, points=((3, 4), (349, 199)), split=(150.0, 190.0)))
+    seen = np.random.default_rng(seed).random(SAMPLED_SHAPE) < seen_share
+    found, expected = both(weights.shares, seen)
+    # They are rounded to four digits; sums of 32 bit in another order may fall to the next.
+    assert found == pytest.approx(expected, rel=0.0, abs=1.01e-4)
+    assert np.count_nonzero(found != expected) <= 0.02 * len(found) + 1
+    if seen_share in {0.0, 1.0}:
+        assert set(found.tolist()) == set(expected.tolist()) == {seen_share}
+
+
+@settings(max_examples=40, deadline=None)
 @given(SEEDS, st.floats(0.0, 1.0), st.booleans())
 def test_colour_is_the_same(seed, dark_share, is_inside):
     rng = np.random.default_rng(seed)
@@ -180,6 +218,8 @@ def test_a_change_of_the_surface_is_taken_apart_alike(seed, hole_share, kind):
     if expected is not None:
         assert_same(found.misfit_mm, expected.misfit_mm, 1e-6)
         assert found[:5] == pytest.approx(expected[:5], rel=1e-6, abs=1e-6)
+        assert found.spread_mm == pytest.approx(expected.spread_mm, rel=1e-6, abs=1e-6)
+        assert found.spread_mm == pytest.approx(np.sqrt(np.nanmean(np.square(found.misfit_mm))), abs=1e-9)
 
 
 @settings(max_examples=40, deadline=None)

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from engine.core.frames import LostReason, Markers, RgbdFrame, RoiDepth
+from engine.motion.cross_check import cross_check
+from engine.motion.cross_check.cell_surface import learn_shapes
 from engine.motion.cross_check.cross_check import AVERAGED_US, CrossCheck
 from tests.support.motion.small_scene import CALIBRATION
 from tests.support.motion.static_room import CAMERA, FRAMES, STEP_US, scene_mm
@@ -234,6 +236,27 @@ def test_a_new_model_without_a_new_reference_changes_nothing(session):
         session.check.gather()
     session.model = stored_model()
     assert reasons(session.run(1)) == [LostReason.SURFACE_CHANGED]
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_shapes_learned_ahead_are_those_of_all_that_was_gathered(more, monkeypatch):
+    """The trainer's thread learns them; what is gathered after that makes the measuring thread learn them again."""
+    learned = []
+    monkeypatch.setattr(
+        cross_check, "learn_shapes", lambda cells_mm: learned.append(cells_mm) or learn_shapes(cells_mm)
+    )
+    found, alone = Session(), Session()
+    for number in range(80 + more):
+        for session in (found, alone):
+            session.observe()
+            session.check.gather()
+        if number == 79:
+            found.check.learn_ahead()
+    found.run(1)
+    assert [len(cells_mm) for cells_mm in learned] == [80, *[81] * more]
+    alone.run(1)
+    assert np.array_equal(found.check.shapes.terms, alone.check.shapes.terms, equal_nan=True)
+    assert found.check.shapes.misfit_mm == alone.check.shapes.misfit_mm
 
 
 def test_a_reference_set_on_the_first_frame_is_no_noisier_than_a_later_one(learned):

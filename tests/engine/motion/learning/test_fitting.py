@@ -53,6 +53,19 @@ def test_what_was_never_seen_is_unknown_and_finite():
     assert np.isfinite(model.components).all()
 
 
+def test_points_that_were_seldom_seen_teach_nothing_whatever_they_read():
+    depth, valid = frames(0.8)
+    valid[:, 42:57, 23:48] = False
+    never = learn(depth, valid)
+    valid[::3, 42:57, 23:48] = True
+    depth[:, 42:57, 23:48] += 30.0 * np.sin(np.arange(len(depth)))[:, None, None]
+    seldom = learn(depth, valid)
+    assert np.array_equal(seldom.known, never.known)
+    assert seldom.components == pytest.approx(never.components, abs=1e-7)
+    assert seldom.eigenvalues_mm2 == pytest.approx(never.eigenvalues_mm2, rel=1e-4, abs=1.0)
+    assert seldom.noise_mm == pytest.approx(never.noise_mm, abs=1e-4)
+
+
 def test_inhale_is_positive_whatever_the_first_frame_was():
     for signal in (SIGNAL_MM, SIGNAL_MM[::-1], 8.0 - SIGNAL_MM):
         model = learn(*frames(0.8, signal_mm=signal))

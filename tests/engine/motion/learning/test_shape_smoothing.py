@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.motion.learning.shape_smoothing import Bands, estimate_errors, gaussian, smooth_shapes
+from engine.motion.learning.shape_smoothing import Bands, estimate_errors, gaussian, smooth_shapes, weighted_sums
 
 ROWS, COLUMNS = np.mgrid[0:350:2, 0:200:2].astype(np.float32)
 KNOWN = np.ones(ROWS.shape, dtype=bool)
@@ -45,7 +45,7 @@ def shape_error_mm(centred, scores):
 def ratio_of(centred, scores):
     bands = Bands(KNOWN, 2)
     wide = [bands.split(shape)[1][KNOWN] for shape in scores.T @ centred]
-    return estimate_errors(centred, scores, wide, bands, DEPTH_MM).locking_ratio
+    return estimate_errors(weighted_sums(centred, scores, KNOWN), scores, wide, bands, DEPTH_MM).locking_ratio
 
 
 @pytest.fixture(scope="module")

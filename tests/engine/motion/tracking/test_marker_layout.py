@@ -66,6 +66,16 @@ def test_markers_that_were_hidden_and_are_where_they_were_are_accepted_at_any_ph
         assert layout.lost(breathing(frame), at(frame)) is None
 
 
+@pytest.mark.parametrize("towards_mm", [8.0, -8.0])
+def test_the_range_widens_both_ways_while_the_markers_are_followed(followed, towards_mm):
+    layout, frame = followed
+    for step in range(41):
+        assert layout.lost(moved(breathing(frame), 2, towards_mm * step / 40.0), at(frame + step)) is None
+    for step in range(41):
+        assert layout.lost(moved(breathing(frame), 2, towards_mm * (1.0 - step / 40.0)), at(frame + 41 + step)) is None
+    assert layout.lost(moved(breathing(frame), 2, towards_mm), at(frame + 200)) is None
+
+
 def test_a_whole_patient_who_moved_keeps_the_layout(followed):
     layout, frame = followed
     cos, sin = np.cos(np.deg2rad(20.0)), np.sin(np.deg2rad(20.0))
@@ -130,4 +140,4 @@ def test_a_marker_beside_which_nothing_is_seen_has_no_place():
 
 
 def test_distances_are_those_between_all_six_pairs():
-    assert distances_mm(np.array([[0.0, 0, 0], [3, 0, 0], [3, 4, 0], [0, 4, 0]])).tolist() == [3, 5, 4, 4, 5, 3]
+    assert distances_mm(np.array([[0.0, 0, 0], [3, 0, 0], [3, 4, 0], [0, 4, 0]])) == (3, 5, 4, 4, 5, 3)

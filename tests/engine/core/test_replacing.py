@@ -1,0 +1,99 @@
+"""`replace` of the frame path does what the standard library's does, in both forms."""
+
+import dataclasses
+import gc
+import weakref
+from contextlib import nullcontext
+
+import pytest
+
+from engine.core import compiled
+from engine.core.gate_state import GateState, HoldReason
+from engine.core.replacing import replace
+from engine.gating.gate import Gate
+
+FUNCTIONS = compiled.kernels()
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class Bounded:
+    low: float
+    high: float
+    width: float = dataclasses.field(init=False)
+
+    def __post_init__(self) -> None:
+        if self.high < self.low:
+            raise ValueError("high")
+        object.__setattr__(self, "width", self.high - self.low)
+
+
+@dataclasses.dataclass(frozen=True)
+class WithoutSlots:
+    first: int
+    second: int
+
+
+@dataclasses.dataclass(frozen=True, slots=True, weakref_slot=True)
+class Pair:
+    first: object
+    second: object
+
+
+@pytest.fixture(params=["compiled", "numpy"], autouse=True)
+def form(request):
+    with compiled.numpy_forms() if request.param == "numpy" else nullcontext():
+        yield
+
+
+def test_the_changed_fields_change_and_the_others_stay():
+    gate = Gate(state=GateState.DWELL, reason=HoldReason.DWELL, since_ns=5, good_frames=3, armed_by="a")
+    changes = {"good_frames": 4, "since_ns": 9}
+    changed = replace(gate, **changes)
+    assert changed == dataclasses.replace(gate, **changes)
+    assert type(changed) is Gate
+    assert gate.good_frames == 3
+    assert replace(gate) == gate
+    assert replace(gate) is not gate
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        changed.good_frames = 5
+
+
+def test_the_constructor_checks_a_changed_value():
+    assert replace(Bounded(low=1.0, high=2.0), high=4.0).width == 3.0
+    with pytest.raises(ValueError, match="high"):
+        replace(Bounded(low=1.0, high=2.0), high=0.0)
+
+
+@pytest.mark.parametrize(("value", "name"), [(Bounded(low=1.0, high=2.0), "width"), (Gate(), "unknown")])
+def test_a_name_that_the_constructor_does_not_take_is_refused(value, name):
+    with pytest.raises(TypeError, match=name):
+        replace(value, **{name: 1.0})
+
+
+def test_values_without_slots_are_replaced_too():
+    assert replace(WithoutSlots(1, 2), second=3) == WithoutSlots(1, 3)
+
+
+def test_a_copy_keeps_no_more_alive_than_its_fields():
+    kept, dropped = Pair(1, 2), Pair(3, 4)
+    copy = replace(Pair(kept, dropped), second=None)
+    alive, gone = weakref.ref(kept), weakref.ref(dropped)
+    del kept, dropped
+    gc.collect()
+    assert copy.first is alive()
+    assert gone() is None
+    del copy
+    gc.collect()
+    assert alive() is None
+
+
+@pytest.mark.skipif(FUNCTIONS is None, reason="the compiled path is not built")
+@pytest.mark.parametrize("names", [("first",), ["first", "second"]])
+def test_slots_of_another_class_are_refused(names):
+    functions = FUNCTIONS
+    with pytest.raises(TypeError):
+        functions.replaced(Gate(), ("first", "second"), (Pair.first, Pair.second), {})
+    with pytest.raises(TypeError):
+        functions.replaced(Pair(1, 2), names, (Pair.first, Pair.second), {})
+    with pytest.raises(TypeError):
+        functions.replaced(Pair(1, 2), ("first", "second"), (1, 2), {})
