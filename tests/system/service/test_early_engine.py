@@ -89,7 +89,7 @@ def test_the_engine_is_started_before_the_web_server_is_imported(start, tmp_path
 
 
 REFUSED = """
-import sys, time
+import sys, threading
 from engine.core.errors import InvalidValueError
 from service.engine_host.process import process_engine
 from service.web import app as web
@@ -113,7 +113,7 @@ app(["serve", "--port", sys.argv[1], "--data", sys.argv[2]])
 WAITS = {
     "at once": "pass",
     "ready": """while _arguments[1](None).trouble is not None:
-        time.sleep(0.01)""",
+        threading.Event().wait(0.01)""",
 }
 
 
