@@ -122,8 +122,10 @@ if $debs; then
     for file in debs/*.deb; do
         dpkg -s "$(dpkg-deb -f "$file" Package)" >/dev/null 2>&1 || missing="$missing ./$file"
     done
+    # From these files alone: no source of the machine's own is asked.
     # shellcheck disable=SC2086 # one word a file: the names are the bundle's own
-    [ -z "$missing" ] || DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends --no-download $missing || fail "the Debian packages"
+    [ -z "$missing" ] || DEBIAN_FRONTEND=noninteractive apt-get -o Dir::Etc::sourcelist=/dev/null -o Dir::Etc::sourceparts=/dev/null \
+        install -y --no-install-recommends $missing || fail "the Debian packages"
 fi
 "$python" -c 'import sys, venv; sys.exit(sys.version_info[:2] != (3, 11))' || refuse "$python must be Python 3.11 with venv"
 
@@ -132,8 +134,8 @@ install -d -m 0755 "$root" "$settings"
 install -d -m 0700 -o "$user" -g "$user" "$data"
 rm -rf "$target"
 "$python" -m venv "$target"
-"$target/bin/python" -m pip install --quiet --disable-pip-version-check --no-index --find-links wheels --require-hashes -r requirements.lock \
-    && "$target/bin/python" -m pip install --quiet --disable-pip-version-check --no-index --no-deps own/*.whl \
+"$target/bin/python" -m pip --isolated install --quiet --disable-pip-version-check --no-index --find-links wheels --require-hashes -r requirements.lock \
+    && "$target/bin/python" -m pip --isolated install --quiet --disable-pip-version-check --no-index --no-deps own/*.whl \
     || { rm -rf "$target"; fail "the Python packages"; }
 revision=$("$target/bin/python" -I -c 'from service.storage.database.migrations import titles; print(list(titles())[-1])')
 [ -e "$settings/room.env" ] || install -m 0640 -g "$user" room/room.env.example "$settings/room.env"
