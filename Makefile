@@ -8,7 +8,7 @@ STAMP := $(VENV)/.stamp
 export PYTHONDONTWRITEBYTECODE ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup openni test-system check check-tests test tests-computing tests-waiting tests-alone tests-behind processors lint security types contracts openapi demo bench load faults kills mutants fuzz sanitize sbom scan safety lock clean docker-test docker-test-system release
+.PHONY: help setup openni test-system check check-tests test tests-computing tests-waiting tests-alone tests-behind processors lint security types contracts openapi demo bench load faults kills mutants fuzz sanitize sbom scan safety lock clean docker-test docker-test-system release bundle
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -118,8 +118,8 @@ tests-behind:
 processors: $(STAMP)  ## the numeric tests under other processor features (x86): no AVX-512, no AVX at all, numpy forms
 	nice $(BIN)/python -m tests.support.processor_features $(BY_TWO)
 
-demo: $(STAMP) openni  ## a 60 s volunteer through the whole of Tidegate; KEEP=1 stays up
-	$(BIN)/tidegate demo $(if $(KEEP),--keep)
+demo: $(STAMP) openni  ## a 60 s volunteer through the whole of Tidegate; KEEP=1 stays up, PORT=8080 another port
+	$(BIN)/tidegate demo $(if $(KEEP),--keep) $(if $(PORT),--port $(PORT))
 
 bench: $(STAMP)  ## how fast it is, against the marks, then two minutes of load; QUICK=1 is shorter, MINUTES=60 watches memory for an hour
 	$(BIN)/tidegate bench $(if $(QUICK),--quick) $(if $(MINUTES),--memory-minutes $(MINUTES)) $(if $(OUT),--out $(OUT))
@@ -180,6 +180,10 @@ docker-test: $(STAMP) docker-test-system  ## as root: build the image, run a who
 
 release: $(STAMP)  ## refuse what is not ready; else wheel, source archive, bill of materials and sums in dist/
 	$(BIN)/python -m tests.campaigns.release
+
+bundle: $(STAMP)  ## KEY=FILE signs: one archive to install without a network; IMAGE=FILE brings an image archive along, TRY=1 installs it (root)
+	@[ "$(KEY)" ] || { echo "KEY=FILE: the private SSH key that signs the bundle"; exit 1; }
+	$(BIN)/python -m tests.campaigns.bundle --key $(KEY) $(if $(IMAGE),--image $(IMAGE)) $(if $(OUT),--out $(OUT)) $(if $(TRY),--try)
 
 lock: $(STAMP)  ## resolve the newest versions into the lock files
 	$(BIN)/pip-compile -q --upgrade --strip-extras --generate-hashes --allow-unsafe --no-emit-index-url --no-emit-find-links --no-emit-trusted-host --no-header -o requirements.lock pyproject.toml

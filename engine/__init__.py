@@ -4,4 +4,4 @@ Plain numpy and OpenCV. Nothing here depends on a web framework, a database or a
 replayed, profiled and mutated alone.
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

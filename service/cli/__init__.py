@@ -41,6 +41,10 @@ COMMANDS = {
     "replay": Command(
         "replay", "Replay a stored session and compare every gate decision and sample with the original."
     ),
+    "smoke": Command(
+        "smoke.command",
+        "Check a running service from outside: certificate, readiness, live stream, a fraction.",
+    ),
     "simulate-tps": Command(
         "simulate_tps", "Simulate a treatment planning system: run whole fractions against a running service."
     ),

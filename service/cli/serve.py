@@ -16,6 +16,7 @@ from service.cli.terminal import refused, say
 
 if TYPE_CHECKING:
     from service.core.settings.settings import Settings
+    from service.engine_host.process.process_engine import ProcessEngine
 
 SWITCH_INTERVAL_S = 0.001
 """The engine thread gets the interpreter back from an API thread within this time; Python's default is 5 ms."""
@@ -69,8 +70,7 @@ def serve(
 
 
 def _run(settings: "Settings") -> None:
-    from service.access.request.addresses import LOOPBACK
-    from service.core.logging.nonblocking import NonblockingHandler, flush_log
+    from service.core.logging.nonblocking import NonblockingHandler
     from service.core.logging.redaction import install_private_log
     from service.core.settings.database_place import shown_place
 
@@ -80,14 +80,26 @@ def _run(settings: "Settings") -> None:
     start_log.info("Tidegate %s: data folder %s, database %s", __version__, settings.data_dir.absolute(), database)
     _warn(settings)
     from service.engine_host.process.process_engine import ProcessEngine
+
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    _raise_file_limit()
+    # Before the web server's imports, which take as long as those of the engine's process: they run side by side.
+    engine = ProcessEngine(settings)
+    try:
+        _serve(settings, engine)
+    finally:
+        engine.close()
+
+
+def _serve(settings: "Settings", engine: "ProcessEngine") -> None:
+    from service.access.request.addresses import LOOPBACK
+    from service.core.logging.nonblocking import flush_log
     from service.monitoring.certificate import CertificateError
     from service.web.app import create_app
     from service.web.server import make_server
 
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
-    _raise_file_limit()
     try:
-        app = create_app(settings, ProcessEngine, tell_first=_print_first_password)
+        app = create_app(settings, lambda _settings: engine, tell_first=_print_first_password)
     except CertificateError as error:
         flush_log()
         raise refused("serve", error) from error
@@ -103,7 +115,7 @@ def _run(settings: "Settings") -> None:
         on_listening=lambda: start_log.info("%s", _listening(settings)),
     )
     _exclude_from_garbage_collection()
-    start_log.info("opening the database, the audit log and the engine's process")
+    start_log.info("opening the database and the audit log")
     server.run()
 
 

@@ -128,7 +128,7 @@ def _client(
     from service.client import TidegateClient
     from service.planning.simulated_tps.fault_injection import FaultInjectingClient
 
-    key = _secret(key_file, KEY_VARIABLE)
+    key = secret_from(key_file, KEY_VARIABLE)
     ca = None if ca_file is None else str(ca_file)
     if chaos_seed is None:
         return TidegateClient(url, key=key, operator=operator, ca_file=ca)
@@ -139,11 +139,12 @@ def _therapist(url: str, name: str, password_file: Path | None, ca_file: Path | 
     from service.client import TidegateClient
 
     client = TidegateClient(url, ca_file=ca_file)
-    client.log_in(name, _secret(password_file, PASSWORD_VARIABLE))
+    client.log_in(name, secret_from(password_file, PASSWORD_VARIABLE))
     return client
 
 
-def _secret(file: Path | None, variable: str) -> str:
+def secret_from(file: Path | None, variable: str) -> str:
+    """Read a key or password from a file, else from an environment variable; raise TpsError where there is none."""
     from service.planning.simulated_tps.errors import TpsError
 
     found = file.read_text().strip() if file is not None else os.environ.get(variable, "")

@@ -25,6 +25,19 @@ def unpacked(archive: str, out: Path) -> Path:
     return out
 
 
+def released() -> list[str]:
+    """Return the versions whose data folder is kept, oldest first."""
+    found = [path.name.removesuffix(".tar.xz") for path in RELEASES.glob("*.tar.xz")]
+    return sorted(found, key=lambda version: tuple(map(int, version.split("."))))
+
+
+def data_of(version: str, out: Path) -> Path:
+    """Unpack a release's data folder, and return it."""
+    with tarfile.open(RELEASES / f"{version}.tar.xz") as packed:
+        packed.extractall(out, filter="data")
+    return out / "data"
+
+
 def copied(folders: Path, name: str, out: Path) -> Path:
     """Copy one of the data folders, to write in; a killed one's journal follows it under its new name."""
     data = Path(shutil.copytree(folders / name, out / "data"))

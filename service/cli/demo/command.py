@@ -56,7 +56,9 @@ def demo(
     folder: Annotated[Path, typer.Option(help="Folder for recordings and the service's data.")] = Path("var/demo"),
     seconds: Annotated[float, typer.Option(help="Length of the recording [s].")] = 60.0,
     volunteer: Annotated[int, typer.Option(help="Number of the volunteer, 1 to 10.")] = 10,
-    port: Annotated[int, typer.Option(help="Port of the service; if it is taken, the next free one.")] = 8000,
+    port: Annotated[
+        int, typer.Option(help="Port of the service; if it is taken, the next free one.", min=1, max=65_535)
+    ] = 8000,
     keep: Annotated[bool, typer.Option("--keep", help="Keep the service running until Ctrl-C.")] = False,
 ) -> None:
     """Run a gated session on a virtual volunteer and compare it with the true motion.
@@ -107,7 +109,7 @@ def _data(folder: Path) -> Path:
 
 
 def _free_port(wanted: int) -> int:
-    for port in range(wanted, wanted + 50):
+    for port in range(wanted, min(wanted + 50, 65_536)):
         with socket.socket() as probe, contextlib.suppress(OSError):
             probe.bind(("127.0.0.1", port))
             return port

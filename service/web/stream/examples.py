@@ -82,7 +82,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "Hello": {
         "type": "hello",
         "schema": "tidegate.live/1",
-        "version": "0.1.0",
+        "version": "0.2.0",
         "sent_at": SENT,
         "form": "full",
         "encoding": "json",

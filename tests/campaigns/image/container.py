@@ -1,7 +1,7 @@
 """An image's file system and containers on it: namespaces of its own, root read-only, one user, a network of two ends.
 
 Debian's buildah has no option for a read-only root and adds an init of its own; `unshare` and `mount` do what an engine
-does with the options of docker/compose.yaml. What an engine adds beside (seccomp, cgroups) is not tested here.
+does with the options of docker/room/compose.yaml. What an engine adds beside (seccomp, cgroups) is not tested here.
 """
 
 import contextlib

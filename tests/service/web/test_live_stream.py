@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from starlette.websockets import WebSocketDisconnect
 
+from engine import __version__
 from engine.control.outputs import LatencySummary
 from engine.core.breath import Breath
 from engine.core.frames import BodyPosition, Markers, TrainingProgress
@@ -81,7 +82,7 @@ def test_the_stream_says_hello_and_is_idle_while_no_session_runs(client):
         assert hello == {
             "type": "hello",
             "schema": "tidegate.live/1",
-            "version": "0.1.0",
+            "version": __version__,
             "form": "full",
             "encoding": "json",
             "ping_s": 1.0,

@@ -1,4 +1,7 @@
-"""A real syslog daemon over TLS, as a hospital runs one: Debian's rsyslog, with certificates of the tests' own."""
+"""A real syslog daemon over TLS, as a hospital runs one: Debian's rsyslog, with certificates of the tests' own.
+
+It runs with the department's file (docker/department/rsyslog.conf); only folders, certificates and port are replaced.
+"""
 
 import shutil
 import signal
@@ -11,17 +14,10 @@ from typing import Self
 import pytest
 
 from tests.support.audit.syslog_certificates import Pair
+from tests.support.repository import ROOT
 
 DAEMON = shutil.which("rsyslogd") or "/usr/sbin/rsyslogd"
-CONFIG = """
-global(workDirectory="{folder}" maxMessageSize="64k" defaultNetstreamDriver="ossl"
-  defaultNetstreamDriverCAFile="{ca}" defaultNetstreamDriverCertFile="{cert}" defaultNetstreamDriverKeyFile="{key}")
-module(load="imtcp" streamDriver.name="ossl" streamDriver.mode="1" streamDriver.authMode="x509/name"
-  permittedPeer=["tidegate.test"])
-template(name="whole" type="string" string="%rawmsg%\\n")
-ruleset(name="audit") {{ action(type="omfile" file="{out}" template="whole" fileCreateMode="0600") }}
-input(type="imtcp" port="{port}" address="127.0.0.1" ruleset="audit")
-"""
+CONFIG = ROOT / "docker/department/rsyslog.conf"
 
 
 def free_port() -> int:
@@ -36,10 +32,21 @@ class SyslogDaemon:
     def __init__(self, folder: Path, *, ca_file: Path, pair: Pair) -> None:
         assert Path(DAEMON).exists(), "rsyslog is not installed: make test-system"
         self.port = free_port()
-        self.out = folder / "received.log"
+        self.out = folder / "received"
         self._config, self._pid_file = folder / "rsyslog.conf", folder / "rsyslog.pid"
-        values = {"folder": folder, "ca": ca_file, "cert": pair.cert, "key": pair.key}
-        self._config.write_text(CONFIG.format(out=self.out, port=self.port, **values))
+        own = {
+            "/var/spool/rsyslog": folder,
+            "/run/secrets/site_ca": ca_file,
+            "/run/secrets/tls_cert": pair.cert,
+            "/run/secrets/collector_tls_key": pair.key,
+            'port="6514"': f'address="127.0.0.1" port="{self.port}"',
+            "/var/log/tidegate": self.out,
+        }
+        text = CONFIG.read_text(encoding="utf-8")
+        for shipped, mine in own.items():
+            assert shipped in text, shipped
+            text = text.replace(shipped, str(mine))
+        self._config.write_text(text)
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> Self:
@@ -63,4 +70,5 @@ class SyslogDaemon:
         self._process = None
 
     def messages(self) -> list[bytes]:
-        return [line for line in self.out.read_bytes().split(b"\n") if line] if self.out.exists() else []
+        files = sorted(self.out.rglob("*.log"))
+        return [line for file in files for line in file.read_bytes().split(b"\n") if line]

@@ -1,6 +1,6 @@
 """A service with a session under way that is reached by TLS: its own, or a proxy's in front of it.
 
-The proxies run with the files of `docker/proxy`; only ports, names and paths are replaced.
+The proxies run with the files of `docker/room`; only ports, names and paths are replaced.
 """
 
 import contextlib
@@ -153,7 +153,7 @@ def _proxy(kind: str, folder: Path, port: int, inner: int) -> Iterator[None]:
 
 
 def _nginx(executable: str, folder: Path, port: int, inner: int) -> list[str]:
-    site = (ROOT / "docker/proxy/nginx.conf").read_text(encoding="utf-8")
+    site = (ROOT / "docker/room/nginx.conf").read_text(encoding="utf-8")
     own = {
         "listen 443": f"listen 127.0.0.1:{port}",
         "127.0.0.1:8000": f"127.0.0.1:{inner}",
@@ -166,7 +166,7 @@ def _nginx(executable: str, folder: Path, port: int, inner: int) -> list[str]:
 
 
 def _caddy(executable: str, folder: Path, port: int, inner: int) -> list[str]:
-    site = (ROOT / "docker/proxy/Caddyfile").read_text(encoding="utf-8")
+    site = (ROOT / "docker/room/Caddyfile").read_text(encoding="utf-8")
     own = {
         "gating.hospital.example:443": f"127.0.0.1:{port}",
         "127.0.0.1:8000": f"127.0.0.1:{inner}",

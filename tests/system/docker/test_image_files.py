@@ -12,8 +12,9 @@ from service.core.settings.settings import PREFIX, Settings
 from tests.support.repository import ROOT
 
 DOCKERFILE = (ROOT / "docker/Dockerfile").read_text()
-COMPOSE = (ROOT / "docker/compose.yaml").read_text()
-QUADLET = (ROOT / "docker/quadlet/tidegate.container").read_text()
+COMPOSE = (ROOT / "docker/room/compose.yaml").read_text()
+TRY = (ROOT / "docker/room/try.yaml").read_text()
+QUADLET = (ROOT / "docker/room/tidegate.container").read_text()
 INSTRUCTIONS = [
     line for line in re.sub(r"\\\n", " ", re.sub(r"(?m)^\s*#.*\n", "", DOCKERFILE)).splitlines() if line.strip()
 ]
@@ -86,7 +87,7 @@ def test_data_lives_in_a_volume():
     assert "TIDEGATE_DATA_DIR=/data" in " ".join(final("ENV"))
 
 
-@pytest.mark.parametrize("text", [DOCKERFILE, COMPOSE, QUADLET], ids=["Dockerfile", "compose", "quadlet"])
+@pytest.mark.parametrize("text", [DOCKERFILE, COMPOSE, TRY, QUADLET], ids=["Dockerfile", "room", "try", "quadlet"])
 def test_every_setting_named_is_one_that_exists(text: str):
     named = set(re.findall(rf"{PREFIX}([A-Z_]+)", text))
     assert named
@@ -108,10 +109,11 @@ def test_nothing_but_the_sources_is_given_to_the_builder():
     assert not set(served()) & {".git", ".venv", "var", "data", "tests"}
 
 
-def test_compose_publishes_to_this_machine_alone():
-    assert re.search(r"(?m)^    ports:", COMPOSE) is None
-    assert re.search(r"(?m)^    network_mode: host$", COMPOSE)
-    assert re.search(r"(?m)^      TIDEGATE_HOST: 127.0.0.1$", COMPOSE)
+@pytest.mark.parametrize("text", [COMPOSE, TRY], ids=["room", "try"])
+def test_compose_publishes_to_this_machine_alone(text: str):
+    assert re.search(r"(?m)^    ports:", text) is None
+    assert re.search(r"(?m)^    network_mode: host$", text)
+    assert re.search(r"(?m)^      TIDEGATE_HOST: 127.0.0.1$", text)
 
 
 def test_the_image_by_itself_does_not_serve_others_without_tls():
@@ -133,14 +135,15 @@ def test_the_image_by_itself_does_not_serve_others_without_tls():
 )
 def test_compose_gives_no_more_than_is_needed(line: str):
     assert line in COMPOSE
+    assert line in TRY
 
 
-def test_no_camera_is_handed_in_unless_somebody_says_so():
-    active = [line for line in COMPOSE.splitlines() if not line.strip().startswith("#")]
+def test_no_camera_is_handed_in_on_a_desk_unless_it_is_asked_for():
+    active = [line for line in TRY.splitlines() if not line.strip().startswith("#")]
     assert "/dev/" not in "\n".join(active)
     assert "privileged: true" not in "\n".join(active)
 
 
-@pytest.mark.parametrize("text", [DOCKERFILE, COMPOSE, QUADLET], ids=["Dockerfile", "compose", "quadlet"])
+@pytest.mark.parametrize("text", [DOCKERFILE, COMPOSE, TRY, QUADLET], ids=["Dockerfile", "room", "try", "quadlet"])
 def test_no_address_but_our_own_is_written_down(text: str):
     assert re.findall(r"https?://(?!127\.0\.0\.1)", text) == []

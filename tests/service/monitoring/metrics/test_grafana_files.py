@@ -11,9 +11,9 @@ from service.core.schemas.readiness import ReadinessCode
 from tests.support.documents.metrics import families, sample_names
 from tests.support.repository import ROOT
 
-DASHBOARD = ROOT / "docker" / "grafana" / "tidegate.json"
-RULES = ROOT / "docker" / "prometheus" / "tidegate.rules.yml"
-SCRAPE = ROOT / "docker" / "prometheus" / "prometheus.yml"
+DASHBOARD = ROOT / "docker" / "department" / "grafana" / "tidegate.json"
+RULES = ROOT / "docker" / "department" / "prometheus" / "tidegate.rules.yml"
+SCRAPE = ROOT / "docker" / "department" / "prometheus" / "prometheus.yml"
 WORDS = re.compile(r"[a-zA-Z_:][a-zA-Z0-9_:]*")
 STRINGS = re.compile(r'"[^"]*"')
 SELECTOR = re.compile(r"([a-zA-Z_:][a-zA-Z0-9_:]*)\s*\{([^}]*)\}")
@@ -21,7 +21,7 @@ MATCHER = re.compile(r'([a-zA-Z_]+)\s*(?:=~|!~|!=|=)\s*"([^"]*)"')
 LANGUAGE = frozenset(
     {"histogram_quantile", "sum", "rate", "increase", "by", "le", "topk", "sort_desc", "time", "on", "and"}
 )
-OF_THE_SCRAPE = frozenset({"instance", "job", "up"})
+OF_THE_SCRAPE = frozenset({"instance", "job", "room", "up"})
 COLUMNS = 24
 
 
@@ -147,6 +147,12 @@ def test_what_was_asked_for_is_alerted_of():
 def test_the_scrape_asks_with_a_key_and_for_the_rules_that_there_are():
     said = yaml.safe_load(SCRAPE.read_text(encoding="utf-8"))
     assert said["rule_files"] == [RULES.name]
-    (job,) = said["scrape_configs"]
-    assert job["authorization"]["type"] == "Bearer"
-    assert "credentials" not in job["authorization"]
+    for job in said["scrape_configs"]:
+        assert job["authorization"]["type"] == "Bearer"
+        assert "credentials" not in job["authorization"]
+
+
+def test_every_alert_names_the_room_and_none_asks_for_a_job():
+    for rule in alerts():
+        assert "$labels.room" in rule["annotations"]["summary"], rule["alert"]
+        assert "job=" not in rule["expr"], rule["alert"]
