@@ -1,5 +1,7 @@
 """A controller with a coaching stream that a test sets, and a patient's page whose time the test moves."""
 
+import asyncio
+import contextlib
 import json
 import math
 from typing import Any
@@ -9,6 +11,7 @@ from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from tests.support.browser.fake_service import FakeService, Policy, page_files
 from tests.support.browser.stepped_page import SteppedPage
@@ -92,6 +95,71 @@ class FakeCoach(FakeService):
         self.frame_index += 1
         moving = {"level": round(0.45 - 0.3 * math.cos(self.frame_index / 12), 3)} if self.is_breathing else {}
         return json.dumps(self.guide | moving | stamp)
+
+
+COACHING = {"display": "bar", "band": None, "scale": None, "rest_s": 10.0, "sounds": False, "language": "en"} | {
+    "is_practice": False
+}
+SCREEN = {
+    "id": "5c" * 16,
+    "number": 1,
+    "paired_by": "A. Therapist",
+    "address": "10.0.0.7",
+    "paired_at": "2026-11-21T08:00:00Z",
+    "seen_at": "2026-11-21T08:05:00Z",
+    "expires_at": "2026-11-21T20:00:00Z",
+}
+
+
+class FakeConsole(FakeService):
+    """A controller with the live stream and the coaching stream, for the console's panel."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.guide: dict[str, Any] | None = guide()
+        self.coaching = dict(COACHING)
+        self.screens: list[dict[str, Any]] = []
+        self.mirrors = 0
+
+    def app(self) -> Starlette:
+        """Return the application."""
+        app = super().app()
+        app.router.routes.insert(0, WebSocketRoute("/api/v1/coach/live", self._mirror))
+        app.router.routes.insert(0, Route("/api/v1/sessions/{id}/coaching", self._coaching, methods=["GET", "PUT"]))
+        return app
+
+    async def _mirror(self, websocket: WebSocket) -> None:
+        await websocket.accept()
+        self.mirrors += 1
+        sequence = 0
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            await websocket.send_json({"type": "hello", "schema": "tidegate.coach/1"})
+            while self.is_up:
+                sequence += 1
+                shown = {"type": "wait", "language": "en"} if self.guide is None else self.guide
+                await websocket.send_json(shown | {"sent_at": self._now(), "sequence": sequence})
+                await asyncio.sleep(self.period_s)
+        self.mirrors -= 1
+
+    async def _coaching(self, request: Request) -> Response:
+        if request.method == "PUT":
+            body = await request.json()
+            self.calls.append(("PUT", request.url.path, body))
+            if self.problem is not None:
+                return JSONResponse(self.problem[1], self.problem[0], media_type=PROBLEM)
+            self.coaching = {name: body[name] for name in COACHING}
+        return JSONResponse(self.coaching)
+
+    def _answer(self, path: str, method: str, body: Any) -> Response:
+        if not path.startswith("/coach/"):
+            return super()._answer(path, method, body)
+        if path == "/coach/code":
+            return JSONResponse({"code": CODE, "expires_at": "2099-01-01T00:00:00Z", "expires_in_s": 120.0}, 201)
+        if path.endswith("/end"):
+            self.screens = [one for one in self.screens if one["id"] not in path]
+        return JSONResponse(
+            {"items": self.screens, "code_expires_at": None if self.screens else "2099-01-01T00:00:00Z"}
+        )
 
 
 class SteppedScreen(SteppedPage):

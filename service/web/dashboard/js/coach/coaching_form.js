@@ -99,15 +99,15 @@ export class CoachingForm {
     this.fields.append(
       part("legend", "This session's screen", "unseen"),
       choice("Display", "display", [["bar", "Bar"], ["curve", "Curve"]]),
-      choice("Language", "language", [["en", "English"], ["de", "Deutsch"]]),
       number("Band from, %", "band.lower", { min: -100, max: 300, placeholder: "window" }),
-      number("to, %", "band.upper", { min: -100, max: 300, placeholder: "window" }),
-      number("Screen shows from, %", "scale.lower", { min: -100, max: 300, placeholder: "automatic" }),
-      number("to, %", "scale.upper", { min: -100, max: 300, placeholder: "automatic" }),
+      number("Band to, %", "band.upper", { min: -100, max: 300, placeholder: "window" }),
+      choice("Language", "language", [["en", "English"], ["de", "Deutsch"]]),
+      number("Screen from, %", "scale.lower", { min: -100, max: 300, placeholder: "automatic" }),
+      number("Screen to, %", "scale.upper", { min: -100, max: 300, placeholder: "automatic" }),
       number("Rest after a hold, s", "rest_s", { min: 0, max: 120, value: 10 }),
       named(tick("Soft tones", "yes"), "sounds"),
-      part("p", "0 % is the end of exhale in the training, 100 % the end of inhale.", "small"),
       submit("Apply"),
+      part("p", "0 % is the end of exhale in the training, 100 % the end of inhale.", "small"),
     );
     this.practice = pushButton("Start practice", () => this.#togglePractice());
     this.practice.id = "do-practice";

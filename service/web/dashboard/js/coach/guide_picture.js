@@ -12,14 +12,12 @@ const SVG = "http://www.w3.org/2000/svg";
 /** The picture's size, and where things are in it [units of the viewBox]. */
 const WIDTH = 1600;
 const HEIGHT = 900;
-const BAR = { left: 200, width: 260, top: 60, bottom: 840, bandLeft: 120, bandWidth: 420 };
+const BAR = { left: 140, width: 250, top: 60, bottom: 840, bandLeft: 60, bandWidth: 410 };
 const CURVE = { left: 60, right: 1540, now: 1420, top: 50, bottom: 590 };
 const PLACES = {
-  bar: { word: [1070, 400], ring: [1070, 640], radius: 130 },
+  bar: { word: [1040, 400], ring: [1040, 650], radius: 140 },
   curve: { word: [640, 790], ring: [1380, 745], radius: 115 },
 };
-/** Font size of the word by its greatest length [characters]. */
-const SIZES = [[10, 168], [14, 128], [Infinity, 96]];
 /** A gap in the frames is a gap in the curve [ms]. */
 const GAP_MS = 300;
 const INSTRUCTIONS = new Set(["breathe_in", "hold", "breathe_out", "breathe_freely"]);
@@ -71,7 +69,7 @@ export class GuidePicture {
     else this.#drawCurve(curve, guide.level, nowMs);
     const text = INSTRUCTIONS.has(guide.instruction) ? word(guide.language, `patient.${guide.instruction}`) : "";
     this.root.dataset.instruction = guide.instruction;
-    set(this.word, { x, y, "font-size": SIZES.find(([length]) => text.length <= length)[1] });
+    set(this.word, { x, y });
     this.#text(this.word, text);
     this.#drawCountdown(guide.countdown_s, ring, radius);
     this.#text(this.practice, guide.is_practice ? word(guide.language, "patient.practice") : "");
