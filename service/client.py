@@ -329,6 +329,8 @@ Permission = Literal[
     "audit.read",
     "users.manage",
     "metrics.read",
+    "coach.watch",
+    "coach.manage",
 ]
 
 Role = Literal["viewer", "therapist", "physicist", "admin"]

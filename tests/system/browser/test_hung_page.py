@@ -1,18 +1,13 @@
 """A page whose script hangs shows nothing of before: a cover closes in the browser's own compositor."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import numpy.typing as npt
 import pytest
-from playwright.sync_api import BrowserContext
 
-from service.web.app import PATIENT
 from tests.support.browser.fake_coach import FakeCoach, guide
 from tests.support.browser.fake_service import FakeService, sample
 from tests.support.browser.screencast import HANG, Screencast
 from tests.support.browser.tab import Tab
-from tests.system.browser.conftest import Door, opened_tab
 
 pytestmark = pytest.mark.browser
 
@@ -47,27 +42,14 @@ def test_the_cover_closes_over_a_green_gate_when_the_script_hangs(fake: FakeServ
     screen.await_share(lambda share: share > 0.7, "the cover does not open again once the page is alive")
 
 
-@pytest.fixture
-def coach() -> FakeCoach:
-    coach = FakeCoach()
+def test_a_patient_s_screen_is_black_when_its_script_hangs(coach: FakeCoach, patient_tab: Tab):
     coach.is_relaxed, coach.guide = False, guide(level=0.7, instruction="hold", countdown_s=9.0)
-    return coach
-
-
-@pytest.fixture
-def patient(coach: FakeCoach, context: BrowserContext, door: tuple[Door, str]) -> Iterator[Tab]:
-    with opened_tab(coach, context, door) as tab:
-        tab.url += f"{PATIENT}/"
-        yield tab
-
-
-def test_a_patient_s_screen_is_black_when_its_script_hangs(coach: FakeCoach, patient: Tab):
-    patient.page.goto(patient.url)
-    screen = Screencast(patient, lit_share)
+    patient_tab.page.goto(patient_tab.url)
+    screen = Screencast(patient_tab, lit_share)
     screen.await_share(lambda share: share > 0.05, "the guidance is not shown")
     coach.is_hung.set()
     try:
-        patient.page.evaluate(HANG)
+        patient_tab.page.evaluate(HANG)
         screen.await_share(lambda share: share == 0.0, "the cover does not close")
         screen.watch(1.0)
         assert screen.share() == 0.0, "it stays closed"

@@ -1,38 +1,15 @@
 """The patient's screen: what it draws in each state, and that nothing is drawn of what is old."""
 
 import re
-from collections.abc import Iterator
 
 import pytest
-from playwright.sync_api import BrowserContext, Page, expect
+from playwright.sync_api import Page, expect
 
-from service.web.app import PATIENT
 from tests.support.browser.fake_coach import CODE, UNMEASURED, FakeCoach, SteppedScreen, guide
 from tests.support.browser.fake_service import DASHBOARD
-from tests.support.browser.tab import Tab
-from tests.system.browser.conftest import Door, opened_tab
 
 pytestmark = pytest.mark.browser
 STALE_MS = 300
-
-
-@pytest.fixture
-def coach() -> FakeCoach:
-    return FakeCoach()
-
-
-@pytest.fixture
-def screen(coach: FakeCoach, context: BrowserContext, door: tuple[Door, str]) -> Iterator[SteppedScreen]:
-    with opened_tab(coach, context, door) as tab:
-        tab.url += f"{PATIENT}/"
-        yield SteppedScreen(coach, tab)
-
-
-@pytest.fixture
-def tab(coach: FakeCoach, context: BrowserContext, door: tuple[Door, str]) -> Iterator[Tab]:
-    with opened_tab(coach, context, door) as tab:
-        tab.url += f"{PATIENT}/"
-        yield tab
 
 
 def shown(page: Page) -> str:
@@ -99,11 +76,11 @@ def test_a_lost_connection_is_black_and_comes_back_by_itself(coach, screen):
     assert coach.connections == 2
 
 
-def test_another_version_of_the_stream_is_not_guessed_at(coach, tab):
+def test_another_version_of_the_stream_is_not_guessed_at(coach, patient_tab):
     coach.schema = "tidegate.coach/9"
-    tab.page.goto(tab.url)
-    tab.await_that(lambda: tab.page.evaluate("traffic.sequence") > 2)
-    assert tab.page.get_attribute("#guide", "data-show") == "blank"
+    patient_tab.page.goto(patient_tab.url)
+    patient_tab.await_that(lambda: patient_tab.page.evaluate("traffic.sequence") > 2)
+    assert patient_tab.page.get_attribute("#guide", "data-show") == "blank"
 
 
 @pytest.mark.parametrize(
@@ -162,9 +139,9 @@ def test_practice_is_said_on_the_screen(coach, screen):
     expect(page.locator(".practice")).to_have_text("Practice")
 
 
-def test_a_screen_that_is_not_paired_asks_for_the_code_and_then_shows_the_guidance(coach, tab):
-    coach.is_paired, page = False, tab.page
-    page.goto(tab.url)
+def test_a_screen_that_is_not_paired_asks_for_the_code_and_then_shows_the_guidance(coach, patient_tab):
+    coach.is_paired, page = False, patient_tab.page
+    page.goto(patient_tab.url)
     expect(page.locator("#pair-code")).to_be_focused()
     page.keyboard.type("111111")
     page.keyboard.press("Enter")
@@ -176,12 +153,12 @@ def test_a_screen_that_is_not_paired_asks_for_the_code_and_then_shows_the_guidan
     assert [body for _, _, body in coach.calls] == [{"code": "111111"}, {"code": CODE}]
 
 
-def test_an_address_that_has_to_wait_is_told_how_long(coach, tab):
+def test_an_address_that_has_to_wait_is_told_how_long(coach, patient_tab):
     coach.is_paired, coach.wait_s = False, 64
-    tab.page.goto(tab.url)
-    tab.page.fill("#pair-code", "123456")
-    tab.page.keyboard.press("Enter")
-    expect(tab.page.locator("#pair-outcome")).to_contain_text("64 s")
+    patient_tab.page.goto(patient_tab.url)
+    patient_tab.page.fill("#pair-code", "123456")
+    patient_tab.page.keyboard.press("Enter")
+    expect(patient_tab.page.locator("#pair-outcome")).to_contain_text("64 s")
 
 
 def test_an_ended_pairing_brings_the_form_back_without_a_trace_of_the_patient(coach, screen):
