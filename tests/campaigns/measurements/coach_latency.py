@@ -7,7 +7,9 @@ frame; composition and the display come after it.
 """
 
 import json
+import os
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -22,16 +24,24 @@ from tests.support.service.processes import PeopleOverHttp, free_port, service_p
 from tests.support.waiting import eventually
 
 V1 = "/api/v1"
-LEARNING_S = 60.0
 LEARNED_S = 120.0
 WINDOW = {"kind": "amplitude", "signal": "whole", "lower_mm": -1.0, "upper_mm": 3.0}
 LIMIT_MS = 100.0
+# As patient as a site may be: a late frame is part of what is measured here, not a fault that ends it.
+PATIENCE = {
+    "TIDEGATE_MAX_FRAME_AGE_MS": "200",
+    "TIDEGATE_MAX_GAP_MS": "200",
+    "TIDEGATE_MAX_LAG_MS": "500",
+    "TIDEGATE_MAX_SILENCE_MS": "2000",
+    "TIDEGATE_WATCHDOG_MS": "500",
+    "TIDEGATE_LEASE_MS": "200",
+}
 
 # Notes for each frame that is drawn how long ago the engine had received it.
 NOTE_DRAWN = """(() => {
   const received = new Map();
   window.latencies = [];
-  window.messages = 0;
+  window.ages = [];
   const now = () => performance.timeOrigin + performance.now();
   window.WebSocket = class extends WebSocket {
     constructor(...given) {
@@ -39,7 +49,7 @@ NOTE_DRAWN = """(() => {
       this.addEventListener("message", (event) => {
         const message = JSON.parse(event.data);
         if (message.type !== "guide" || message.level === null) return;
-        window.messages += 1;
+        window.ages.push(message.age_ms);
         received.set(String(message.sequence), Date.parse(message.sent_at) - message.age_ms);
       });
     }
@@ -56,16 +66,21 @@ NOTE_DRAWN = """(() => {
 
 
 class Measured(NamedTuple):
-    """Latencies of the drawn frames [ms], and the number of frames that were sent to the page."""
+    """Time to the drawn picture of the drawn frames, and to the message of all frames [ms]; faults on the way."""
 
     latencies_ms: list[float]
-    messages: int
+    ages_ms: list[float]
+    faults: int
 
-    def line(self, name: str) -> str:
-        """One row of the table."""
-        p50, p95, p99 = np.percentile(self.latencies_ms, (50, 95, 99))
-        drawn = f"{len(self.latencies_ms)} of {self.messages}"
-        return f"| {name} | {drawn} | {p50:.0f} | {p95:.0f} | {p99:.0f} | {max(self.latencies_ms):.0f} |"
+    def lines(self, name: str) -> Iterator[str]:
+        """Yield two rows of the table."""
+        drawn = f"{len(self.latencies_ms)} of {len(self.ages_ms)}"
+        yield f"| {name}: drawn | {drawn} | {_figures(self.latencies_ms)} |"
+        yield f"| {name}: message made | {len(self.ages_ms)} | {_figures(self.ages_ms)} |"
+
+
+def _figures(values_ms: list[float]) -> str:
+    return " | ".join(f"{value:.0f}" for value in (*np.percentile(values_ms, (50, 95, 99)), max(values_ms)))
 
 
 def practise(http: PeopleOverHttp, folder: Path) -> str:
@@ -107,12 +122,16 @@ def pair(http: PeopleOverHttp, page: Page, port: int) -> None:
     page.locator("#guide[data-show=guide]").wait_for()
 
 
-def measured(page: Page, seconds: float) -> Measured:
-    """Watch for some time."""
+def measured(http: PeopleOverHttp, session: str, page: Page, seconds: float) -> Measured:
+    """Watch for some time; acknowledge the faults of a busy machine, which end the guidance."""
     page.wait_for_timeout(1_000)
-    page.evaluate("window.latencies = []; window.messages = 0")
-    page.wait_for_timeout(1_000 * seconds)
-    return Measured(*page.evaluate("[window.latencies, window.messages]"))
+    page.evaluate("window.latencies = []; window.ages = []")
+    faults = 0
+    for _ in range(round(seconds)):
+        page.wait_for_timeout(1_000)
+        if _ok(http.get(session))["gate"]["state"] == "fault":
+            faults += http.post(f"{session}/acknowledge", json={}).is_success
+    return Measured(*page.evaluate("[window.latencies, window.ages]"), faults)
 
 
 def _ok(answer: Any) -> dict[str, Any]:
@@ -124,15 +143,17 @@ def main(
     seconds: Annotated[float, typer.Option(help="Time of each display, s", min=1.0, max=600.0)] = 60.0,
 ) -> None:
     """Print the latencies; end with 1 where a p99 is 100 ms or more."""
+    load_before = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="tidegate-coach-") as name, sync_playwright() as playwright:
         root, port = Path(name), free_port()
         folder = root / "recordings" / "volunteer"
         folder.mkdir(parents=True)
         base = base_folder()
-        write_long(base / "recording.oni", LEARNING_S + LEARNED_S + 3.0 * seconds, folder / "recording.oni")
+        write_long(base / "recording.oni", LEARNED_S + 3.0 * seconds, folder / "recording.oni")
         (folder / "calibration.json").write_bytes((base / "calibration.json").read_bytes())
         serve = ("serve", "--port", str(port), "--data", str(root / "data"), "--recordings", str(folder.parent))
-        with service_process("service.cli", *serve, port=port, log=root / "log", data=root / "data") as (_, http):
+        place = {"port": port, "log": root / "log", "data": root / "data", "environment": PATIENCE}
+        with service_process("service.cli", *serve, **place) as (_, http):
             coaching = practise(http, folder)
             browser = launch_chromium(playwright, is_shell=False)
             page = browser.new_page(viewport={"width": 1280, "height": 800})
@@ -141,11 +162,15 @@ def main(
             found = {}
             for display in ("bar", "curve"):
                 assert _set(http, coaching, display)
-                found[display] = measured(page, seconds)
+                found[display] = measured(http, coaching.removesuffix("/coaching"), page, seconds)
             browser.close()
-    typer.echo("| display | frames drawn | p50 [ms] | p95 [ms] | p99 [ms] | longest [ms] |\n|---|---|---|---|---|---|")
+    typer.echo("| display | frames | p50 [ms] | p95 [ms] | p99 [ms] | longest [ms] |\n|---|---|---|---|---|---|")
     for display, one in found.items():
-        typer.echo(one.line(display))
+        for line in one.lines(display):
+            typer.echo(line)
+    faults = sum(one.faults for one in found.values())
+    load = f"load {load_before:.1f} before and {os.getloadavg()[0]:.1f} after"
+    typer.echo(f"{os.cpu_count()} processors, {load}; {faults} faults acknowledged")
     if max(np.percentile(one.latencies_ms, 99) for one in found.values()) >= LIMIT_MS:
         raise typer.Exit(1)
 
