@@ -211,3 +211,33 @@ def test_the_languages_have_the_same_keys():
     keys = {name: re.findall(r'^  "([a-z_.]+)":', text, re.MULTILINE) for name, text in files.items()}
     assert keys.keys() == {"en", "de"}
     assert keys["en"] == keys["de"]
+
+
+# Stands for the browser's sound: notes what would be played.
+LISTEN = """(() => {
+  window.tones = [];
+  const ramp = { linearRampToValueAtTime() {}, setValueAtTime() {} };
+  const node = { connect: (other) => other, frequency: ramp, gain: ramp };
+  window.AudioContext = class { constructor() { this.state = "running"; this.currentTime = 0; } async resume() {} };
+  window.GainNode = class { constructor() { Object.assign(this, node); } };
+  window.OscillatorNode = class {
+    constructor(context, { frequency }) { Object.assign(this, node, { pitch: frequency }); }
+    start() { window.tones.push(this.pitch); }
+    stop() {}
+  };
+})()"""
+
+
+def test_a_new_instruction_sounds_once_if_sounds_are_on_and_the_screen_was_touched(coach, screen):
+    page = screen.page
+    page.add_init_script(LISTEN)
+    shows(screen, coach, sounds=True, instruction="breathe_in")
+    assert page.evaluate("tones") == [], "no browser plays before a touch"
+    page.mouse.click(600, 400)
+    for instruction in ("hold", "hold", "breathe_out", "breathe_freely"):
+        coach.guide = guide(sounds=True, instruction=instruction)
+        screen.advance(2 * screen.step_ms)
+    assert page.evaluate("tones") == [392, 440]
+    coach.guide = guide(sounds=False, instruction="breathe_in")
+    screen.advance(2 * screen.step_ms)
+    assert page.evaluate("tones") == [392, 440]
