@@ -18,7 +18,6 @@ export const NEEDS = {
   upload: "calibrations.write",
   events: "audit.read",
   people: "users.manage",
-  mirror: "coach.watch",
   coach: "coach.manage",
 };
 
