@@ -463,6 +463,8 @@ Permission = Literal[
     "audit.read",
     "users.manage",
     "metrics.read",
+    "coach.watch",
+    "coach.manage",
 ]
 
 Role = Literal["viewer", "therapist", "physicist", "admin"]

@@ -31,6 +31,7 @@ from engine.core.commands import (
 )
 from engine.core.errors import CommandRefusedError, HeadDirectionError
 from engine.core.gate_state import GateState, HoldReason
+from engine.core.ranges import Ranges
 from engine.core.reference_proposal import ReferenceMoment
 from engine.gating.frame_checks import HEAD_DIRECTION_UNKNOWN
 from engine.gating.gate import Ending
@@ -79,6 +80,11 @@ class CommandHandler:
     def predicted_duty_percent(self) -> float | None:
         """Share of the learned breaths inside the window, 0 to 100; None where unknown, and for breath holds."""
         return self._forecast.percent
+
+    @property
+    def learned_ranges(self) -> Ranges:
+        """The learned range of each signal of the window, for display; signals whose range is not known are absent."""
+        return self._forecast.ranges
 
     def has_model_changed(self) -> bool:
         """Whether the model or the reference has changed since the last call, or since the last arming."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from engine.capture.source import SourceDescription
 from engine.control.outputs import LiveView, LoopStatus
 from engine.core.learning_status import LearningStatus
+from engine.core.ranges import Ranges
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -25,6 +26,8 @@ class EngineStatus:
         The model and the reference in use.
     predicted_duty_percent
         Share of the learned breaths inside the window, 0 to 100; None where it is not known, and for breath holds.
+    learned_ranges
+        Range of each signal of the window in the training, against the present reference; for display alone.
     """
 
     run_state: LoopStatus = LoopStatus.STARTING
@@ -33,6 +36,7 @@ class EngineStatus:
     view: LiveView | None = None
     learning: LearningStatus = field(default_factory=LearningStatus)
     predicted_duty_percent: float | None = None
+    learned_ranges: Ranges = field(default_factory=dict)
 
     @property
     def is_over(self) -> bool:

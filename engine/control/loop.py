@@ -328,6 +328,7 @@ class EngineLoop:
             view=self._views.newest,
             learning=self._learner.status,
             predicted_duty_percent=self._handler.predicted_duty_percent,
+            learned_ranges=self._handler.learned_ranges,
         )
 
     def _run_once(self, commands: Iterable[QueuedCommand]) -> None:

@@ -3,8 +3,13 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from engine.core.breath import SignalChoice
 from engine.core.frames import FloatArray
+
+PERCENTILES = (5.0, 95.0)
+"""Of the levels in the training: the end of exhale, and the end of inhale."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,3 +30,13 @@ Ranges = Mapping[SignalChoice, LearnedRange]
 LearnedLevels = Mapping[SignalChoice, FloatArray]
 """Levels against the present reference [mm, l of the volume] in training frames evenly spread over the training, shape
 (n,), of the same frames for each signal. Signals whose levels are not known are absent."""
+
+
+def ranges_of(levels: LearnedLevels) -> Ranges:
+    """Return the range of each signal from its levels; signals that did not move are left out."""
+    found = {}
+    for choice, values in levels.items():
+        low, high = np.percentile(values, PERCENTILES)
+        if high > low:
+            found[choice] = LearnedRange(low=float(low), high=float(high))
+    return found

@@ -13,6 +13,7 @@ from service.access.login.logins import LoginService
 from service.access.login.refusals import RefusedLogins
 from service.access.request.authenticator import Authenticator
 from service.access.request.identity import Identity
+from service.access.screens.screens import ScreenService
 from service.core.settings.access import AccessSettings
 from service.storage.audit.log import AuditLog
 from service.storage.database.engine import Database
@@ -26,6 +27,7 @@ class AccessService:
     logins: LoginService
     accounts: AccountService
     keys: KeyService
+    screens: ScreenService
     authenticator: Authenticator
     refused_logins: RefusedLogins
     passwords: PasswordService
@@ -57,15 +59,18 @@ def open_access(
     hashing = hashing or Argon2Hashing()
     refused_logins, passwords = RefusedLogins(), PasswordService()
     idle = timedelta(minutes=settings.login_idle_min)
+    lasts = timedelta(hours=settings.login_hours)
     keys = KeyService(store, longest=timedelta(days=settings.key_max_days))
+    screens = ScreenService(store, refused_logins, lasts=lasts, idle=idle)
     cleanup_worker = AccessCleanupWorker(store, refused_logins, log.write, idle=idle)
     cleanup_worker.start()
     return AccessService(
         store=store,
-        logins=LoginService(store, hashing, refused_logins, lasts=timedelta(hours=settings.login_hours), idle=idle),
+        logins=LoginService(store, hashing, refused_logins, lasts=lasts, idle=idle),
         accounts=AccountService(store, lambda password: passwords.submit(lambda: hashing.hash(password)).result()),
         keys=keys,
-        authenticator=Authenticator(store, keys, idle=idle, is_secure=settings.is_secure),
+        screens=screens,
+        authenticator=Authenticator(store, keys, screens, idle=idle, is_secure=settings.is_secure),
         refused_logins=refused_logins,
         passwords=passwords,
         cleanup_worker=cleanup_worker,

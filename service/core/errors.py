@@ -211,6 +211,15 @@ class StreamFullError(ServiceError):
         self.headers = {"Retry-After": "5"}
 
 
+class PairingRefusedError(ServiceError):
+    """No pairing code is open at the console, or it is another one."""
+
+    code = "pairing_refused"
+
+    def __init__(self) -> None:
+        super().__init__("the code is not the one that the console shows, or it has expired", field="code")
+
+
 class LockedOutError(ServiceError):
     """Too many log-ins failed for this name or from this address."""
 

@@ -27,6 +27,8 @@ class Permission(StrEnum):
     AUDIT_READ = "audit.read"
     USERS_MANAGE = "users.manage"
     METRICS_READ = "metrics.read"
+    COACH_WATCH = "coach.watch"
+    COACH_MANAGE = "coach.manage"
 
 
 MEANING: Mapping[Permission, str] = {
@@ -48,6 +50,8 @@ MEANING: Mapping[Permission, str] = {
     Permission.AUDIT_READ: "read and verify the audit log",
     Permission.USERS_MANAGE: "create and change people and API keys; for people only",
     Permission.METRICS_READ: "read metrics",
+    Permission.COACH_WATCH: "watch the patient screen's stream: no name, no millimetres; all that a paired screen may",
+    Permission.COACH_MANAGE: "pair and end patient screens, set band, display and practice; for people only",
 }
 
 
@@ -60,7 +64,7 @@ class Role(StrEnum):
     ADMIN = "admin"
 
 
-_SEES = frozenset({Permission.SESSIONS_READ, Permission.CALIBRATIONS_READ, Permission.QA_READ})
+_SEES = frozenset({Permission.SESSIONS_READ, Permission.CALIBRATIONS_READ, Permission.QA_READ, Permission.COACH_WATCH})
 _TREATS = _SEES | {
     Permission.SESSIONS_RUN,
     Permission.GATE_REFERENCE,
@@ -69,6 +73,7 @@ _TREATS = _SEES | {
     Permission.GATE_ACKNOWLEDGE,
     Permission.MODELS_WRITE,
     Permission.AUDIT_READ,
+    Permission.COACH_MANAGE,
 }
 
 ROLE_PERMISSIONS: Mapping[Role, frozenset[Permission]] = {
@@ -91,9 +96,10 @@ KEY_PERMISSIONS: frozenset[Permission] = frozenset(Permission) - {
     Permission.GATE_ACKNOWLEDGE,
     Permission.QA_RUN,
     Permission.USERS_MANAGE,
+    Permission.COACH_MANAGE,
 }
-"""Permissions that a machine may have: the reference, acknowledging a fault, starting QA and managing users are for
-people only."""
+"""Permissions that a machine may have: the reference, acknowledging a fault, starting QA, managing users and pairing
+patient screens are for people only."""
 
 
 def permissions_of(roles: Iterable[Role]) -> frozenset[Permission]:

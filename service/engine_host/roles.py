@@ -67,11 +67,15 @@ class Picture:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LiveFrame:
-    """The newest frame as a live message, with its times of reception and, if known, of capture [ns, monotonic]."""
+    """The newest frame as a live message, with its times of reception and, if known, of capture [ns, monotonic].
+
+    ``status`` is the engine's status that it was made from.
+    """
 
     message: Sample
     received_ns: int
     captured_ns: int | None = None
+    status: EngineStatus | None = None
 
 
 class RunningEngine(Protocol):

@@ -22,6 +22,7 @@ from service.qa.roles import QaRig
 from service.web.api import (
     audit,
     calibrations,
+    coaching,
     devices,
     health,
     interlocks,
@@ -45,9 +46,11 @@ from service.web.middleware.requests import RequestMiddleware
 from service.web.middleware.reserved_threads import ReservedThreads
 from service.web.middleware.strict_requests import require_acceptable, require_known_query
 from service.web.openapi import describe_contract, operation_id
-from service.web.stream import server_sent_events, websocket
+from service.web.stream import coach, server_sent_events, websocket
 
 DASHBOARD = Path(str(files("service.web"))) / "dashboard"
+PATIENT = "/patient"
+"""Address of the patient screen's page."""
 PLAN_IMPORT = ("POST", "/api/v1/plans")
 STRICT = (require_known_query, require_acceptable, require_json)
 DESCRIPTION = """Respiratory gating for research and commissioning; **not cleared for clinical use**.
@@ -131,6 +134,7 @@ def _api_routes() -> tuple[BaseRoute, ...]:
         users,
         keys,
         sessions,
+        coaching,
         plans,
         models,
         calibrations,
@@ -143,6 +147,7 @@ def _api_routes() -> tuple[BaseRoute, ...]:
         api.include_router(module.router)
     root.include_router(api)
     root.include_router(websocket.router, prefix="/api/v1")
+    root.include_router(coach.router, prefix="/api/v1")
     return tuple(root.routes)
 
 
@@ -150,4 +155,4 @@ def _api_routes() -> tuple[BaseRoute, ...]:
 def _page_files() -> frozenset[str]:
     """Return the paths of the page's files, listed once per process: no data, and all that is read without a rule."""
     found = (file.relative_to(DASHBOARD).as_posix() for file in DASHBOARD.rglob("*") if file.is_file())
-    return frozenset({"/", *(f"/{path}" for path in found)})
+    return frozenset({"/", PATIENT, f"{PATIENT}/", *(f"/{path}" for path in found)})

@@ -25,6 +25,7 @@ from service.qa.latency.requirement import counted_latency_ms, refuse_unmeasured
 from service.qa.roles import QaRig
 from service.qa.runs import QaRunService
 from service.sessions.alarms.watch import AlarmWatch, SiteTroubles
+from service.sessions.coaching.board import CoachingBoard
 from service.sessions.lifecycle.counters import SessionCounters
 from service.sessions.lifecycle.runner import SessionRunner
 from service.sessions.lifecycle.start import SessionStarter, writer_connections
@@ -297,6 +298,7 @@ def _services(dependencies: _Dependencies, storage: _Storage, work: _Work, monit
         qa_archive=work.qa_archive,
         revisions=SessionRevisions(database, work.runner.withdrawals),
         alarms=storage.alarms.board,
+        coaching=CoachingBoard(running=work.runner.running, log=log),
     )
 
 

@@ -26,6 +26,7 @@ from service.planning.rt_plan.repository import PlanRepository
 from service.qa.archive import QaArchive
 from service.qa.runs import QaRunService
 from service.sessions.alarms.board import AlarmBoard
+from service.sessions.coaching.board import CoachingBoard
 from service.sessions.lifecycle.runner import SessionRunner
 from service.sessions.records.arming import ArmingSummaries
 from service.sessions.records.calibrations import CalibrationRepository
@@ -69,6 +70,7 @@ class Services:
     qa_archive: QaArchive
     revisions: SessionRevisions
     alarms: AlarmBoard
+    coaching: CoachingBoard
 
 
 def services(connection: HTTPConnection) -> Services:

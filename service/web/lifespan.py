@@ -20,6 +20,7 @@ from service.storage.database.startup import SAMPLES_FOLDER
 from service.storage.samples.store import SampleStore
 from service.storage.samples.tail import SampleTails
 from service.web.container import Container, open_container
+from service.web.stream.coach_hub import CoachHub
 from service.web.stream.hub import LiveHub
 from service.web.stream.metrics import StreamMetrics
 from service.web.stream.resume import Resumption
@@ -81,6 +82,7 @@ def _install(app: FastAPI, container: Container, settings: Settings) -> None:
         max_clients=settings.max_live_clients,
         stall_s=settings.live_stall_s,
     )
+    app.state.coach = CoachHub(container.services.runner, container.services.coaching, stall_s=settings.live_stall_s)
     container.monitoring.metrics.add(StreamMetrics(app.state.live.reading))
     tails = SampleTails(SampleStore(settings.data_dir / SAMPLES_FOLDER))
     app.state.resumption = Resumption(tails, longest_s=settings.live_resume_s)

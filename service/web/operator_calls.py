@@ -53,7 +53,8 @@ class OperatorCall:
         return self.act(session_id, request.operator, partial(self.services.runner.acknowledge, alarms=request.alarms))
 
     def arm(self, session_id: str, request: sessions.ArmRequest) -> sessions.SessionDetail:
-        """Arm the gate, with the head direction that the operator confirms."""
+        """Arm the gate, with the head direction that the operator confirms; a practice ends with that."""
+        self.services.coaching.end_practice(session_id)
         head = None if request.head_direction is None else HeadDirection(request.head_direction)
         arm = partial(self.services.runner.arm, head=head, is_person=self.caller.identity.is_person)
         return self.act(session_id, request.operator, arm)

@@ -86,9 +86,9 @@ class BeamFirstServer(uvicorn.Server):
         self._stop.ask()
         # A separate limiter: this thread must not wait for those of requests.
         await anyio.to_thread.run_sync(self._stop.wait, limiter=anyio.CapacityLimiter(1))
-        live = getattr(self._app.state, "live", None)
-        if live is not None:
-            live.shut_down()  # uvicorn would otherwise wait for the streams
+        for stream in (getattr(self._app.state, name, None) for name in ("live", "coach")):
+            if stream is not None:
+                stream.shut_down()  # uvicorn would otherwise wait for the streams
         await super().shutdown(sockets)
 
     def _hold_and_close(self) -> None:

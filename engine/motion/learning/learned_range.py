@@ -11,11 +11,10 @@ import numpy as np
 
 from engine.core.breath import GateSignal, SignalChoice
 from engine.core.frames import NODE_COLUMNS, FloatArray
-from engine.core.ranges import LearnedLevels, LearnedRange, Ranges
+from engine.core.ranges import LearnedLevels, Ranges, ranges_of
 from engine.motion.learning.prepared_model import PreparedModel, Reference
 from engine.motion.stages.surface import vertices_mm
 
-PERCENTILES = (5.0, 95.0)
 MIN_SEEN_SHARE = 0.5
 
 
@@ -32,12 +31,7 @@ def learned_levels(active: PreparedModel, reference: Reference, choices: Iterabl
 
 def learned_ranges(active: PreparedModel, reference: Reference, choices: Iterable[SignalChoice]) -> Ranges:
     """Return the range of each signal relative to the reference [mm or l]; signals without a range are left out."""
-    found = {}
-    for choice, levels in learned_levels(active, reference, choices).items():
-        low, high = np.percentile(levels, PERCENTILES)
-        if high > low:
-            found[choice] = LearnedRange(low=float(low), high=float(high))
-    return found
+    return ranges_of(learned_levels(active, reference, choices))
 
 
 def _signal(choice: SignalChoice, active: PreparedModel, reference: Reference, coefficients: FloatArray) -> FloatArray:

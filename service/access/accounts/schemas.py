@@ -111,7 +111,9 @@ class KeyRequest(Request):
     """A new key for a machine."""
 
     name: Annotated[Name, StringConstraints(max_length=60)] = Field(examples=["planning"])
-    scopes: Scopes = Field(description="Any permissions but gate.acknowledge, qa.run and users.manage")
+    scopes: Scopes = Field(
+        description="Any permissions but gate.reference, gate.acknowledge, qa.run, users.manage and coach.manage"
+    )
     expires_at: Annotated[AwareDatetime, Field(strict=False)] = Field(description="Bounded by the site's settings")
 
 

@@ -7,10 +7,12 @@ from starlette.datastructures import Headers
 from service.access.accounts.names import KEY_PREFIX, MACHINE_PREFIX, name_key
 from service.access.accounts.records import ApiKey, Login
 from service.access.accounts.store import AccessStore
-from service.access.login.cookies import token_in
+from service.access.login.cookies import screen_token_in, token_in
 from service.access.login.keys import TOKEN_PREFIX, KeyService, actor_of
 from service.access.login.logins import hashed
 from service.access.request.identity import Identity, MachineVerifier
+from service.access.screens.records import Screen
+from service.access.screens.screens import ScreenService
 from service.core.permissions import KEY_PERMISSIONS, Permission, permissions_of
 
 LONGEST_TOKEN = 16_384
@@ -22,8 +24,11 @@ class Authenticator:
     ``machine_verifier`` is set by `service.access.oidc` where the site accepts the provider's machine tokens.
     """
 
-    def __init__(self, store: AccessStore, keys: KeyService, *, idle: timedelta, is_secure: bool) -> None:
+    def __init__(
+        self, store: AccessStore, keys: KeyService, screens: ScreenService, *, idle: timedelta, is_secure: bool
+    ) -> None:
         self._store = store
+        self._screens = screens
         self._keys = keys
         self._idle = idle
         self._is_secure = is_secure
@@ -37,8 +42,19 @@ class Authenticator:
         token = token_in(headers, is_secure=self._is_secure)
         return None if token is None else self._person(hashed(token))
 
+    def identify_watcher(self, headers: Headers) -> Identity | None:
+        """Return who watches the coaching stream: a paired screen before a log-in in the same browser.
+
+        The screen's cookie is read here alone; on every other route it is nothing.
+        """
+        token = screen_token_in(headers, is_secure=self._is_secure)
+        screen = None if token is None else self._screens.find(hashed(token))
+        return self.identify(headers) if screen is None else _screen_identity(screen)
+
     def is_valid(self, identity: Identity) -> bool:
         """Whether an identity is still valid with all its permissions; for open WebSockets and event streams."""
+        if identity.kind == "screen":
+            return self._screens.find(identity.anchor or "") is not None
         if identity.until is not None and self._store.now() >= identity.until:
             return False
         if identity.kind == "key":
@@ -103,3 +119,13 @@ class Authenticator:
         now = self._store.now()
         is_disabled = self._store.users[login.user_key].is_disabled
         return not is_disabled and now < login.expires_at and now - self._store.last_used_at(login) <= self._idle
+
+
+def _screen_identity(screen: Screen) -> Identity:
+    return Identity(
+        kind="screen",
+        name=f"screen:{screen.number}",
+        permissions=frozenset({Permission.COACH_WATCH}),
+        anchor=screen.token_sha256,
+        until=screen.expires_at,
+    )

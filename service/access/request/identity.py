@@ -7,7 +7,7 @@ from typing import Literal, Protocol
 
 from service.core.permissions import Permission
 
-Kind = Literal["user", "key", "oidc", "machine"]
+Kind = Literal["user", "key", "oidc", "machine", "screen"]
 STATE = "tidegate.identity"
 """Scope key under which the guard stores the identity."""
 RULE = "tidegate.rule"
@@ -16,9 +16,10 @@ RULE = "tidegate.rule"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identity:
-    """A person who has logged in (`user`, `oidc`) or a machine (`key`, `machine`); ``name`` is the audit's actor.
+    """A person who has logged in (`user`, `oidc`), a machine (`key`, `machine`) or a paired screen (`screen`).
 
-    ``anchor`` names the record that must stay valid: the SHA-256 of a log-in's token, or a key's id; None for
+    ``name`` is the audit's actor. ``anchor`` names the record that must stay valid: the SHA-256 of a log-in's or a
+    screen's token, or a key's id; None for
     machine tokens, which cannot be revoked. ``until`` is when the identity expires, None if it does not.
     """
 

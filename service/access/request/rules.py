@@ -82,6 +82,15 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", f"{V1}/models/{{model_id}}/spectrum"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/devices"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/interlocks"): Permission.SESSIONS_READ,
+    # Patient screens
+    ("POST", f"{V1}/coach/code"): Permission.COACH_MANAGE,
+    ("POST", f"{V1}/coach/pair"): Open.PUBLIC,
+    ("GET", f"{V1}/coach/screens"): Permission.COACH_MANAGE,
+    ("POST", f"{V1}/coach/screens/{{screen_id}}/end"): Permission.COACH_MANAGE,
+    ("GET", f"{V1}/coach/me"): Permission.COACH_WATCH,
+    (SOCKET, f"{V1}/coach/live"): Permission.COACH_WATCH,
+    ("GET", f"{SESSION}/coaching"): Permission.SESSIONS_READ,
+    ("PUT", f"{SESSION}/coaching"): Permission.COACH_MANAGE,
     # Treatment plans
     ("GET", f"{V1}/plans"): Permission.SESSIONS_READ,
     ("POST", f"{V1}/plans"): Permission.PLANS_WRITE,

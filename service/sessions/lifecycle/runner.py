@@ -275,6 +275,10 @@ class SessionRunner:
         """Note that the operator is present at the page; comes every second and is not audited."""
         self._commander.running(session_id).engine.note_presence(operator)
 
+    def running(self, session_id: str) -> RunningSession:
+        """Return the session if it runs; else raise SessionStateError, or NotFoundError if it does not exist."""
+        return self._commander.running(session_id)
+
     def is_running(self, session_id: str) -> bool:
         """Whether this session has an engine now, from memory."""
         return self._equipment.of(session_id) is not None
@@ -344,7 +348,8 @@ class SessionRunner:
     def newest(self) -> LiveFrame | None:
         """Return the newest frame; the same object while nothing is newer."""
         running = self._equipment.running
-        view = None if running is None else running.engine.status.view
+        status = None if running is None else running.engine.status
+        view = None if status is None else status.view
         if running is None or view is None:
             return None
         kept = self._newest
@@ -357,7 +362,9 @@ class SessionRunner:
                 body=running.writer.body,
             )
             record = view.record
-            frame = LiveFrame(message=message, received_ns=record.received_ns, captured_ns=record.captured_ns)
+            frame = LiveFrame(
+                message=message, received_ns=record.received_ns, captured_ns=record.captured_ns, status=status
+            )
             kept = self._newest = (view, frame)
         return kept[1]
 

@@ -20,6 +20,7 @@ from service.core.errors import (
     PersonRequiredError,
     ServiceError,
 )
+from service.core.permissions import Permission
 from service.storage.audit import Event
 from service.web.problems.table import problem_of, problem_response
 
@@ -77,7 +78,7 @@ class Guard:
         if rule is not None and rule.needs is Open.PUBLIC:
             scope[RULE] = (rule.method, rule.template)
             return
-        identity = desk.authenticator.identify(headers)
+        identity = _identify(desk, headers, rule)
         if identity is None:
             desk.refused_logins.count("not logged in", scope[ADDRESS])
             raise NotLoggedInError
@@ -129,6 +130,13 @@ class Guard:
         if methods:
             return HTTPException(405, headers={"Allow": ", ".join(methods)})
         return HTTPException(404)
+
+
+def _identify(desk: AccessService, headers: Headers, rule: Rule | None) -> Identity | None:
+    """Authenticate the sender; only a rule of the coaching stream accepts the credential of a paired screen."""
+    if rule is not None and rule.needs is Permission.COACH_WATCH:
+        return desk.authenticator.identify_watcher(headers)
+    return desk.authenticator.identify(headers)
 
 
 def comes_by_cookie(headers: Headers) -> bool:

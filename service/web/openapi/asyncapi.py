@@ -1,11 +1,13 @@
-"""The AsyncAPI 3.0 document of the live stream: both transports, every message with an example."""
+"""The AsyncAPI 3.0 document of the live stream, both transports, and of the coaching stream; with examples."""
 
 from typing import Any
 
+from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
 from engine import __version__
-from service.core.schemas import live_messages
+from service.core.permissions import Permission
+from service.core.schemas import coach_messages, live_messages
 from service.web.openapi.components import SECURITY_SCHEMES
 from service.web.stream.examples import EXAMPLES
 from service.web.stream.query import EventsQuery, LiveQuery
@@ -22,6 +24,11 @@ MESSAGES: tuple[type[live_messages.Message], ...] = (
     live_messages.ThinSample,
     live_messages.RecordedSample,
 )
+COACH_MESSAGES: tuple[type[coach_messages.CoachMessage], ...] = (
+    coach_messages.CoachHello,
+    coach_messages.CoachWait,
+    coach_messages.CoachGuide,
+)
 SCHEMAS = "#/components/schemas/{model}"
 WAYS = {
     "live": ("/api/v1/live", "WebSocket: each message is a text frame, or a binary frame with msgpack"),
@@ -29,13 +36,17 @@ WAYS = {
         "/api/v1/live/events",
         "Server-sent events: `event` is the message type, `data` the message as JSON, `id` the frame",
     ),
+    "coach": ("/api/v1/coach/live", "WebSocket of patient screens: places, words, no lengths, names or ids"),
 }
 
 
 def asyncapi_document() -> dict[str, Any]:
     """Return the AsyncAPI document."""
     _, described = models_json_schema(
-        [*((kind, "serialization") for kind in MESSAGES), *((kind, "validation") for kind in (LiveQuery, EventsQuery))],
+        [
+            *((kind, "serialization") for kind in (*MESSAGES, *COACH_MESSAGES)),
+            *((kind, "validation") for kind in (LiveQuery, EventsQuery)),
+        ],
         ref_template=SCHEMAS,
     )
     return {
@@ -56,26 +67,31 @@ def asyncapi_document() -> dict[str, Any]:
         "operations": {f"watch_{name}": _operation(name) for name in WAYS},
         "components": {
             "schemas": described["$defs"],
-            "messages": {kind.__name__: _message(kind) for kind in MESSAGES},
+            "messages": {kind.__name__: _message(kind) for kind in (*MESSAGES, *COACH_MESSAGES)},
             "securitySchemes": _security_schemes(),
         },
     }
 
 
+def _messages(name: str) -> tuple[type[BaseModel], ...]:
+    return COACH_MESSAGES if name == "coach" else MESSAGES
+
+
 def _channel(name: str) -> dict[str, Any]:
     address, description = WAYS[name]
-    query = LiveQuery if name == "live" else EventsQuery
-    binding = {"query": {"$ref": SCHEMAS.format(model=query.__name__)}}
-    bindings = {"ws": {"method": "GET", **binding}} if name == "live" else {}
-    return {
+    channel = {
         "address": address,
         "description": description,
-        "servers": [{"$ref": f"#/servers/{'room' if name == 'live' else 'room-events'}"}],
-        "messages": {kind.__name__: {"$ref": f"#/components/messages/{kind.__name__}"} for kind in MESSAGES},
-        "bindings": bindings,
-        "x-query": binding["query"],
-        "x-permission": "sessions.read",
+        "servers": [{"$ref": f"#/servers/{'room-events' if name == 'events' else 'room'}"}],
+        "messages": {kind.__name__: {"$ref": f"#/components/messages/{kind.__name__}"} for kind in _messages(name)},
+        "bindings": {},
+        "x-permission": str(Permission.COACH_WATCH if name == "coach" else Permission.SESSIONS_READ),
     }
+    if name == "coach":
+        return channel
+    query = {"$ref": SCHEMAS.format(model=(LiveQuery if name == "live" else EventsQuery).__name__)}
+    bindings = {"ws": {"method": "GET", "query": query}} if name == "live" else {}
+    return channel | {"bindings": bindings, "x-query": query}
 
 
 def _operation(name: str) -> dict[str, Any]:
@@ -84,11 +100,11 @@ def _operation(name: str) -> dict[str, Any]:
         "action": "send",
         "channel": {"$ref": f"#/channels/{name}"},
         "summary": "All messages that a client receives",
-        "messages": [{"$ref": f"#/channels/{name}/messages/{kind.__name__}"} for kind in MESSAGES],
+        "messages": [{"$ref": f"#/channels/{name}/messages/{kind.__name__}"} for kind in _messages(name)],
     }
 
 
-def _message(kind: type[live_messages.Message]) -> dict[str, Any]:
+def _message(kind: type[BaseModel]) -> dict[str, Any]:
     name = kind.__name__
     return {
         "name": EXAMPLES[name]["type"],

@@ -27,6 +27,7 @@ TAGS = [
     {"name": "devices", "description": "Connected cameras."},
     {"name": "interlocks", "description": "All interlocks that hold the beam, with this site's limits."},
     {"name": "qa", "description": "Quality assurance: runs, reports, trends and baseline."},
+    {"name": "coaching", "description": "The patient screen: what it shows, and the screens that are paired."},
     {"name": "live", "description": "The live stream of measurements and gate decisions."},
     {"name": "audit", "description": "The append-only audit log: read, verify, export."},
     {"name": "access", "description": "Log-ins, people and API keys."},

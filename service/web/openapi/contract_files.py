@@ -1,25 +1,27 @@
-"""The contract files in the repository: OpenAPI, and the live stream as JSON Schema and AsyncAPI."""
+"""The contract files in the repository: OpenAPI, and both streams as JSON Schema and AsyncAPI."""
 
 import json
 from pathlib import Path
+from typing import Any
 
 from fastapi import FastAPI
+from pydantic import TypeAdapter
 
-from service.core.schemas.live_messages import LIVE_MESSAGE, SCHEMA
+from service.core.schemas import coach_messages, live_messages
 from service.web.openapi.asyncapi import asyncapi_document
 
 OPENAPI_NAME = "openapi.json"
 LIVE_NAME = "live.schema.json"
+COACH_NAME = "coach.schema.json"
 ASYNCAPI_NAME = "asyncapi.json"
 
 
 def contract_files(app: FastAPI) -> dict[str, str]:
     """Return the text of each contract file, by name."""
-    live = LIVE_MESSAGE.json_schema(mode="serialization")
-    live = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": SCHEMA, **live}
     return {
         OPENAPI_NAME: _text(app.openapi()),
-        LIVE_NAME: _text(live),
+        LIVE_NAME: _schema(live_messages.LIVE_MESSAGE, live_messages.SCHEMA),
+        COACH_NAME: _schema(coach_messages.COACH_MESSAGE, coach_messages.SCHEMA),
         ASYNCAPI_NAME: _text(asyncapi_document()),
     }
 
@@ -33,6 +35,11 @@ def write_contracts(app: FastAPI, folder: Path) -> list[Path]:
         path.write_text(text, encoding="utf-8")
         written.append(path)
     return written
+
+
+def _schema(messages: TypeAdapter[Any], title: str) -> str:
+    schema = messages.json_schema(mode="serialization")
+    return _text({"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, **schema})
 
 
 def _text(document: object) -> str:

@@ -63,6 +63,7 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     errors.MediaTypeError: (415, "Media type not supported"),
     errors.NotLoggedInError: (401, "Not logged in"),
     errors.LoginFailedError: (401, "The log-in was refused"),
+    errors.PairingRefusedError: (403, "The screen was not paired"),
     errors.StreamFullError: (503, "Too many clients of the live stream"),
     errors.LockedOutError: (429, "Too many failed log-ins"),
     errors.PasswordServiceBusyError: (503, "Too many log-ins at once"),

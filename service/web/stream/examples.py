@@ -79,6 +79,23 @@ _ALARM = {
     "acknowledged_at": None,
 }
 EXAMPLES: dict[str, dict[str, Any]] = {
+    "CoachHello": {"type": "hello", "schema": "tidegate.coach/1"},
+    "CoachWait": {"type": "wait", "sequence": 1016, "sent_at": SENT, "language": "en"},
+    "CoachGuide": {
+        "type": "guide",
+        "sequence": 1017,
+        "sent_at": SENT,
+        "age_ms": 4.1,
+        "is_practice": False,
+        "is_measured": True,
+        "level": 0.71,
+        "band": {"lower": 0.62, "upper": 0.8},
+        "instruction": "hold",
+        "countdown_s": 12.3,
+        "display": "bar",
+        "sounds": False,
+        "language": "en",
+    },
     "Hello": {
         "type": "hello",
         "schema": "tidegate.live/1",

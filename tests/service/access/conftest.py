@@ -10,6 +10,7 @@ from service.access.accounts.people import AccountService
 from service.access.accounts.store import AccessStore
 from service.access.login.logins import LoginService
 from service.access.login.refusals import RefusedLogins
+from service.access.screens.screens import ScreenService
 from service.core.settings.settings import Settings
 from service.storage.database.engine import Database
 from service.web.app import create_app
@@ -60,6 +61,11 @@ def logins(store: AccessStore, hashing: QuickHashing, refused_logins: RefusedLog
 @pytest.fixture
 def people(store: AccessStore, hashing: QuickHashing) -> AccountService:
     return AccountService(store, hashing.hash)
+
+
+@pytest.fixture
+def screens(store: AccessStore, refused_logins: RefusedLogins) -> ScreenService:
+    return ScreenService(store, refused_logins, lasts=LASTS, idle=IDLE)
 
 
 @pytest.fixture

@@ -36,8 +36,8 @@ def keys(store):
 
 
 @pytest.fixture
-def door(store, keys):
-    return Authenticator(store, keys, idle=IDLE, is_secure=False)
+def door(store, keys, screens):
+    return Authenticator(store, keys, screens, idle=IDLE, is_secure=False)
 
 
 def attempt(name=NAME, password=PASSWORD, address="10.0.0.1", **more):

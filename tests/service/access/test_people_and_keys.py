@@ -26,8 +26,8 @@ def keys(store):
 
 
 @pytest.fixture
-def door(store, keys):
-    return Authenticator(store, keys, idle=IDLE, is_secure=False)
+def door(store, keys, screens):
+    return Authenticator(store, keys, screens, idle=IDLE, is_secure=False)
 
 
 def rows(database, action):

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from starlette.websockets import WebSocketDisconnect
 
+from service.access.login.cookies import screen_cookie_name
 from service.access.request.identity import Identity
 from service.access.request.rules import BEFORE_THE_PASSWORD_IS_CHANGED, PEOPLE_ONLY, RULES, SOCKET, Open, RuleTable
 from service.core.permissions import KEY_PERMISSIONS, ROLE_PERMISSIONS, Permission, Role
@@ -26,8 +27,9 @@ CALLS = sorted(
 ROLES = {role.value: ROLE_PERMISSIONS[role] for role in Role}
 KEYS = {f"key with {scope}": frozenset({scope}) for scope in sorted(KEY_PERMISSIONS)}
 NOT_LOGGED_IN = ("nobody", "expired", "idle", "disabled", "revoked key", "expired key", "made-up key", "made-up login")
-EVERYBODY = (*NOT_LOGGED_IN, "must change", *ROLES, *KEYS)
-WITHOUT_LOG_IN = {"/api/v1/login", "/api/v1/login/oidc", "/api/v1/login/oidc/return"}
+SCREEN = "paired screen"
+EVERYBODY = (*NOT_LOGGED_IN, "must change", SCREEN, *ROLES, *KEYS)
+WITHOUT_LOG_IN = {"/api/v1/login", "/api/v1/login/oidc", "/api/v1/login/oidc/return", "/api/v1/coach/pair"}
 ENDLESS = {"/api/v1/live/events": "?form=none"}
 """Answers without an end, and what is asked so that they are refused behind the guard instead."""
 PRESENCE = ("POST", "/api/v1/sessions/{session_id}/presence")
@@ -70,6 +72,9 @@ def credentials(client):
     made["made-up key"] = bearer(f"{key.secret[:-4]}AAAA")
     made["made-up login"] = {"Cookie": f"tidegate_login={'A' * 43}", "Origin": "http://testserver"}
     made["nobody"] = {}
+    screens = client.desk.screens
+    token = screens.pair(screens.open_code(by="test").code, "127.0.0.1").token
+    made[SCREEN] = {"Cookie": f"{screen_cookie_name(is_secure=False)}={token}", "Origin": "http://testserver"}
     return made
 
 
@@ -95,6 +100,8 @@ def due(who, method, path):
         return True
     if who in NOT_LOGGED_IN:
         return False
+    if who == SCREEN:
+        return needs is Permission.COACH_WATCH
     if who == "must change":
         return (method, path) in BEFORE_THE_PASSWORD_IS_CHANGED
     if who in KEYS and (method, path) in PEOPLE_ONLY:
@@ -166,6 +173,18 @@ def test_a_route_without_a_rule_is_refused_to_everybody(tmp_path):
 def test_what_is_taken_from_a_machine_is_never_let_in_by_a_key_that_has_it_all_the_same():
     identity = Identity(kind="key", name="key:x", permissions=KEY_PERMISSIONS)
     assert not identity.permissions & {Permission.GATE_ACKNOWLEDGE, Permission.QA_RUN, Permission.USERS_MANAGE}
+
+
+def test_a_paired_screen_watches_the_coaching_stream_and_nothing_else_of_all_routes():
+    open_to_it = {call for call in RULES if due(SCREEN, *call) and RULES[call] is not Open.PUBLIC}
+    assert open_to_it == {("GET", "/api/v1/coach/me"), (SOCKET, "/api/v1/coach/live")}
+
+
+def test_a_screen_s_credential_is_refused_as_a_log_in_and_as_a_key(client, credentials):
+    token = credentials[SCREEN]["Cookie"].partition("=")[2]
+    for headers in ({"Cookie": f"tidegate_login={token}"}, bearer(token), bearer(f"tg_{'0' * 12}_{token}")):
+        assert client.get("/api/v1/me", headers=headers).status_code == 401
+    assert client.get("/api/v1/coach/me", headers=bearer(token)).status_code == 401
 
 
 def test_only_physicists_start_qa_and_administrators_do_not():

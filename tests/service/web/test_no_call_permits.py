@@ -36,7 +36,7 @@ QA_RUNS = ("POST", f"{V1}/qa/runs")
 MACHINE = "a key with every scope"
 CALLERS = (MACHINE, *Role, "every role")
 STATES = ("no session", "created", "running")
-NOT_CALLED = {"/live", "/live/events"}
+NOT_CALLED = {"/live", "/live/events", "/coach/live"}
 """Streams: they never end, and take no command (`service.web.stream`)."""
 EXAMPLES = json.loads(files("service.web.openapi").joinpath("examples.json").read_text(encoding="utf-8"))
 OPERATION_OF = {

@@ -22,6 +22,8 @@ STEP_MS = 200
 class SteppedPage:
     """A tab, and the time that it and its service share."""
 
+    step_ms = STEP_MS
+
     def __init__(self, fake: FakeService, tab: Tab) -> None:
         self.fake, self.tab = fake, tab
         self.page: Page = tab.page
@@ -53,7 +55,7 @@ class SteppedPage:
     def advance(self, milliseconds: int) -> None:
         """Let this time pass, in steps."""
         self._exchange()
-        for _ in range(0, milliseconds, STEP_MS):
+        for _ in range(0, milliseconds, self.step_ms):
             self._step()
 
     def advance_until(self, is_so: Callable[[], object], within_ms: int = 10_000) -> None:
@@ -61,7 +63,7 @@ class SteppedPage:
         if is_so():
             return
         self._exchange()
-        for _ in range(0, within_ms, STEP_MS):
+        for _ in range(0, within_ms, self.step_ms):
             self._step()
             if is_so():
                 return
@@ -70,13 +72,13 @@ class SteppedPage:
     def shows(self, message: dict[str, Any]) -> None:
         """Let the service send this from now on, and wait until the page shows its state."""
         self.fake.mode, self.fake.sample = "samples", message
-        self.advance(STEP_MS)
+        self.advance(self.step_ms)
         self.advance_until(lambda: self.kind == message["gate"])
 
     def _step(self) -> None:
         # The page goes first: a message of its future, to a socket opened meanwhile, would make all others look late.
-        self.page.clock.run_for(STEP_MS)
-        self._now_s += STEP_MS / 1000
+        self.page.clock.run_for(self.step_ms)
+        self._now_s += self.step_ms / 1000
         self._exchange()
 
     def _exchange(self) -> None:

@@ -69,6 +69,8 @@ NOT_FOR_PLANNING: dict[str, str] = {
     "/api/v1/qa/baseline": "a physicist fixes it",
     "POST /api/v1/qa/runs": "QA permits the beam: a person in the room starts it",
     "POST /api/v1/qa/runs/{run_id}/cancel": "the person who started it",
+    "/api/v1/coach/": "a therapist pairs screens at the console",
+    "/api/v1/sessions/{session_id}/coaching": "a therapist chooses at the console",
     "/healthz": "a watchdog's",
     "/metrics": "Prometheus's",
 }

@@ -132,6 +132,9 @@ class World:
             self._post(f"{V1}/sessions/{self.known['session_id']}/hold")
         if operation in {"revoke_key", "read_key"}:
             self.known["key_id"] = self._make_key()["id"]
+        if operation == "end_screen":
+            screens = self.desk.screens
+            self.known["screen_id"] = screens.pair(screens.open_code(by="tests").code, "127.0.0.1").screen.id
         if operation in {"change_user", "list_user_logins", "end_user_login", "read_user"}:
             self.known["name"] = f"Somebody {next(self._numbers)}"
             opened = open_login(self.desk.store, self.known["name"], {Role.VIEWER})
@@ -169,6 +172,8 @@ class World:
             "import_plan": lambda _: written(photon_plan(SOPInstanceUID=f"{PLAN_ROOT}.{next(self._numbers)}")),
             "prepare_session": lambda _: self._planned_body(),
             "change_user": lambda _: {"is_break_glass": True},
+            "pair_screen": lambda _: {"code": self.desk.screens.open_code(by="tests").code},
+            "set_coaching": lambda _: {"display": "curve", "rest_s": 10.0, "sounds": True, "language": "de"},
         }
 
     # -- what is there ----------------------------------------------------------------------------------------------
@@ -325,5 +330,7 @@ NEEDS_A_SESSION = frozenset(
         "apply_model",
         "activate_model",
         "list_transitions",
+        "read_coaching",
+        "set_coaching",
     }
 )

@@ -91,6 +91,8 @@ RATINGS: dict[str, Rating] = {
     "U12": Rating(3, 4, 1, "3 4"),
     "U13": Rating(4, 3, 2, "3"),
     "U14": Rating(3, 3, 2, "4"),
+    "U15": Rating(2, 3, 1, "1 2"),
+    "U16": Rating(3, 2, 1, "3"),
 }
 
 

@@ -32,6 +32,7 @@ from engine.core.learning_events import LearningEvent
 from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
 from engine.core.patient_match import PatientMatch
+from engine.core.ranges import Ranges
 from engine.gating.window_change import SetWindow
 from engine.gating.windows import ConditionState, GateWindow, amplitude_window
 from service.core.schemas import sessions
@@ -112,6 +113,7 @@ class FakeRunning:
         self.window: GateWindow = amplitude_window(lower_mm=-1.0, upper_mm=3.0, hysteresis_mm=0.2)
         self.conditions: tuple[ConditionState, ...] = ()
         self.breaths: tuple[Breath, ...] = ()
+        self.learned_ranges: Ranges = {}
         self.operator_hold: str | None = None
         self.armed_by: str | None = None
         self.beam_on: BeamOnState | None = None
@@ -166,7 +168,13 @@ class FakeRunning:
     @property
     def status(self) -> EngineStatus:
         learning = LearningStatus(model=self.model, has_reference=self.has_reference, patient_match=self.likeness)
-        return EngineStatus(run_state=self.run_state, error=self.error, view=self.latest, learning=learning)
+        return EngineStatus(
+            run_state=self.run_state,
+            error=self.error,
+            view=self.latest,
+            learning=learning,
+            learned_ranges=self.learned_ranges,
+        )
 
     def picture(self):
         return None if self.latest is None else (self.latest.record.measurement.frame_index, self.latest.color)

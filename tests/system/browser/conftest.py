@@ -7,7 +7,9 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Playwright, expect, sync_playwright
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from service.web.app import PATIENT
 from tests.support.browser.chromium import launch_chromium
+from tests.support.browser.fake_coach import FakeCoach, FakeConsole, SteppedScreen
 from tests.support.browser.fake_service import FakeService, ServerThread
 from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
@@ -97,3 +99,36 @@ def stepped(fake: FakeService, context: BrowserContext, door: tuple[Door, str]) 
     """A page as it is, whose time the test moves."""
     with opened_tab(fake, context, door) as tab:
         yield SteppedPage(fake, tab)
+
+
+@pytest.fixture
+def coach() -> FakeCoach:
+    """A fake controller of a patient's screen."""
+    return FakeCoach()
+
+
+@pytest.fixture
+def patient_tab(coach: FakeCoach, context: BrowserContext, door: tuple[Door, str]) -> Iterator[Tab]:
+    """A tab for the patient's page."""
+    with opened_tab(coach, context, door) as tab:
+        tab.url += f"{PATIENT}/"
+        yield tab
+
+
+@pytest.fixture
+def screen(coach: FakeCoach, patient_tab: Tab) -> SteppedScreen:
+    """The patient's page as it is, whose time the test moves."""
+    return SteppedScreen(coach, patient_tab)
+
+
+@pytest.fixture
+def console() -> FakeConsole:
+    """A fake controller of a console with a patient screen."""
+    return FakeConsole()
+
+
+@pytest.fixture
+def console_tab(console: FakeConsole, context: BrowserContext, door: tuple[Door, str]) -> Iterator[Tab]:
+    """A tab for the console's page."""
+    with opened_tab(console, context, door) as tab:
+        yield tab

@@ -37,7 +37,7 @@ def listed(name: str) -> list[str]:
 
 def test_the_page_s_own_table_is_the_service_s():
     needs = dict(re.findall(r"^  (\w+): \"([a-z.]+)\",$", PERMISSIONS, re.MULTILINE))
-    assert len(needs) == 17
+    assert len(needs) == 18
     assert set(needs.values()) <= set(Permission)
     for action in ("start", "reference", "arm", "release", "hold", "disarm", "stop", "acknowledge"):
         assert RULES["POST", f"/api/v1/sessions/{{session_id}}/{action}"] == needs[action], action
@@ -49,6 +49,7 @@ def test_the_page_s_own_table_is_the_service_s():
     assert RULES["POST", "/api/v1/calibrations"] == needs["upload"]
     assert RULES["GET", "/api/v1/audit"] == needs["events"]
     assert RULES["GET", "/api/v1/users"] == RULES["GET", "/api/v1/keys"] == needs["people"]
+    assert RULES["POST", "/api/v1/coach/code"] == RULES["GET", "/api/v1/coach/screens"] == needs["coach"]
     assert RULES["WEBSOCKET", "/api/v1/live"] == needs["watch"]
     assert listed("ROLES") == list(Role)
     assert set(listed("KEY_SCOPES")) == KEY_PERMISSIONS

@@ -67,6 +67,8 @@ MEANINGS: dict[str, Meaning] = {
     "user.logout_other": Meaning(event=AUTHENTICATION, type=LOGOUT),
     "user.break_glass": Meaning(event=ALERT, type=EMERGENCY),
     "user.create": Meaning(event=ALERT, type=USER_CHANGED, letter="C"),
+    "screen.pair": Meaning(event=ALERT, type=USER_CHANGED, letter="C"),
+    "screen.end": Meaning(event=ALERT, type=USER_CHANGED, letter="D"),
     "key.create": Meaning(event=ALERT, type=USER_CHANGED, letter="C"),
     "key.revoke": Meaning(event=ALERT, type=USER_CHANGED, letter="D"),
     "backup.made": Meaning(event=EXPORT, letter="R"),
@@ -87,6 +89,8 @@ MEANINGS: dict[str, Meaning] = {
 FAMILIES: dict[str, Meaning] = {
     "user": Meaning(event=ALERT, type=USER_CHANGED, letter="U"),
     "key": Meaning(event=ALERT, type=USER_CHANGED, letter="U"),
+    "screen": Meaning(event=ALERT, type=USER_CHANGED, letter="U"),
+    "coaching": Meaning(event=PROCEDURE, letter="U"),
     "access": Meaning(event=ALERT, type=RESTRICTED),
     "audit": Meaning(event=LOG_USED, letter="R"),
     "backup": Meaning(event=APPLICATION),

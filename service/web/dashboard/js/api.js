@@ -16,7 +16,7 @@ export class ApiError extends Error {
 }
 
 /** Whether the call itself is a log-in, so that its 401 does not end the page's log-in. */
-const isAboutLogIn = (path) => path.startsWith("/login") || path === "/me" || path === "/me/password";
+const isAboutLogIn = (path) => path.startsWith("/login") || path === "/me" || path === "/me/password" || path.startsWith("/coach/");
 let onRefused = () => {};
 
 /** @param {(status: number) => void} listener called for every 401 and 403: the log-in has ended or lost permissions */
@@ -140,3 +140,12 @@ export async function fetchPicture(id) {
   if (!response.ok) return null;
   return { blob: await response.blob(), frameIndex: Number(response.headers.get("X-Frame-Index") ?? NaN) };
 }
+
+// The patient screen
+export const readWatcher = () => call("GET", "/coach/me");
+export const pairScreen = (code) => call("POST", "/coach/pair", { code });
+export const openPairingCode = () => call("POST", "/coach/code", {});
+export const listScreens = () => call("GET", "/coach/screens");
+export const endScreen = (id) => call("POST", `/coach/screens/${encodeURIComponent(id)}/end`, {});
+export const readCoaching = (id) => call("GET", `${session(id)}/coaching`);
+export const setCoaching = (id, operator, settings) => call("PUT", `${session(id)}/coaching`, { operator, ...settings });

@@ -6,6 +6,7 @@ import { Access } from "./people/access.js";
 import { listSessions, readSession } from "./api.js";
 import { BaselineButton } from "./panels/baseline_correction.js";
 import { renderBreath } from "./panels/breath.js";
+import { CoachPanel } from "./coach/panel.js";
 import { Controls } from "./panels/controls.js";
 import { EventList } from "./panels/events.js";
 import { renderBody, renderCalibration, renderCamera, renderFigures, renderLikeness, renderReference, renderSource } from "./panels/measurement.js";
@@ -58,6 +59,7 @@ const setup = new Setup(access, select);
 const people = new PeoplePanel(access);
 const logIn = new LogIn(access);
 const qa = new QaPanel();
+const coach = new CoachPanel(access);
 const range = new Range();
 const mismatch = new MismatchWatch();
 
@@ -249,6 +251,7 @@ function render() {
   setText(byId("gate-by"), armedText(sample));
   alarms.render(activeAlarms, view.kind === "fault", nowMs);
   baseline.update(view.isCurrent ? running : null);
+  coach.tend(running, nowMs);
   presence.tend(running, access.may("arm") ? controls.operatorName : "", nowMs);
   if (!access.may("events")) events.tell(access.state === "in" ? "Not shown: your log-in does not allow it." : "No events yet.");
   else if (view.isFresh) events.tend(nowMs);

@@ -3,12 +3,11 @@
  * page stops drawing.
  */
 
+import { ClosingCover } from "../drawing/closing_cover.js";
 import { setText } from "../drawing/elements.js";
 
 /** Time without drawing after which the cover closes [ms]. */
 const COVER_MS = 400;
-/** Period of re-opening the cover [ms]; each time costs a frame of the compositor. */
-const COVER_RENEW_MS = 80;
 
 const ASSERTIVE_KINDS = new Set(["fault", "stale", "offline", "out"]);
 
@@ -23,12 +22,11 @@ export class GatePanel {
     this.politely = root.querySelector("#say-politely");
     this.now = root.querySelector("#say-now");
     this.said = "";
-    this.renewedMs = -Infinity;
-    this.cover = closingCover(root.querySelector("#gate-cover"));
+    this.cover = new ClosingCover(root.querySelector("#gate-cover"), COVER_MS);
   }
 
   render(view, nowMs) {
-    this.#renewCover(nowMs);
+    this.cover.keepOpen(nowMs);
     this.root.dataset.kind = view.kind;
     document.body.dataset.fresh = view.isCurrent ? "yes" : "no";
     setText(this.word, view.word);
@@ -49,26 +47,6 @@ export class GatePanel {
     this.said = key;
     (ASSERTIVE_KINDS.has(view.kind) ? this.now : this.politely).textContent = text;
   }
-
-  #renewCover(nowMs) {
-    if (nowMs - this.renewedMs < COVER_RENEW_MS) return;
-    this.renewedMs = nowMs;
-    this.cover.currentTime = 0;
-  }
-}
-
-/**
- * A dead-man for the page: an animation in the browser's compositor that closes the cover and is restarted by every
- * drawing. If this script hangs, the cover closes, so an old green state cannot stay visible.
- */
-function closingCover(element) {
-  const animation = element.animate(
-    [{ opacity: 0 }, { opacity: 0, offset: 0.98 }, { opacity: 1 }],
-    { duration: COVER_MS, fill: "forwards" },
-  );
-  animation.pause();
-  animation.play();
-  return animation;
 }
 
 function ageText(view) {

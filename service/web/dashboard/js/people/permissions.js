@@ -19,14 +19,15 @@ export const NEEDS = {
   upload: "calibrations.write",
   events: "audit.read",
   people: "users.manage",
+  coach: "coach.manage",
 };
 
 export const ROLES = ["viewer", "therapist", "physicist", "admin"];
 
-/** Permissions that an API key may have; never setting the reference, acknowledging faults, starting QA or managing people. */
+/** Permissions that an API key may have; never the reference, acknowledging faults, starting QA, people or patient screens. */
 export const KEY_SCOPES = [
   "sessions.read", "sessions.run", "gate.arm", "gate.hold", "models.write", "calibrations.read", "calibrations.write",
-  "plans.write", "qa.read", "qa.baseline", "audit.read", "metrics.read",
+  "plans.write", "qa.read", "qa.baseline", "audit.read", "metrics.read", "coach.watch",
 ];
 
 /** @returns {boolean} whether the person may do this; false without a person */

@@ -15,15 +15,21 @@ export const IDLE_STALE_MS = 1500;
 const GIVE_UP_MS = 5000;
 const FIRST_RETRY_MS = 250;
 const LAST_RETRY_MS = 5000;
+/** Messages that hold news, of the live stream; the others (pings, gaps) are ignored. */
+const NEWS = new Set(["sample", "idle"]);
 const NO_ALARMS = { active: [], ageMs: () => 0 };
 
 export class LiveStream {
   /**
    * @param {(message: object) => void} onMessage called for every valid sample and idle message
    * @param {() => void} onEnd called when a connection ended, perhaps because the log-in ended
+   * @param {string} schema version of the stream's messages
+   * @param {Set<string>} news types of messages that hold news
    */
-  constructor(url, onMessage, onEnd) {
+  constructor(url, onMessage, onEnd, schema = SCHEMA, news = NEWS) {
     this.url = url;
+    this.schema = schema;
+    this.news = news;
     this.onMessage = onMessage;
     this.onEnd = onEnd;
     this.isWanted = false;
@@ -132,7 +138,7 @@ export class LiveStream {
     if (message === null) return;
     if (message.type === "hello") {
       this.hello = message;
-      this.problem = message.schema === SCHEMA ? "" : `The controller speaks ${message.schema}, this page ${SCHEMA}. Reload the page.`;
+      this.problem = message.schema === this.schema ? "" : `The controller speaks ${message.schema}, this page ${this.schema}. Reload the page.`;
       return;
     }
     if (this.problem === "" && message.type === "alarms") {
@@ -140,7 +146,7 @@ export class LiveStream {
       this.alarmsArrivedMs = performance.now();
       return;
     }
-    if (this.problem !== "" || (message.type !== "sample" && message.type !== "idle")) return;
+    if (this.problem !== "" || !this.news.has(message.type)) return;
     const nowMs = performance.now();
     this.#measureLag(message.sent_at, nowMs);
     this.message = message;

@@ -1,0 +1,1 @@
+"""Patient screens: paired by a one-time code, with a credential that permits watching the coaching stream alone."""
