@@ -34,13 +34,13 @@ FRAMES = FrameCosts(
     whole_cpu=took(390.0),
     numpy_cpu=took(1170.0),
     stages=tuple(StageCost(name=name, timing=took(50.0), share=0.125, traffic_bytes=20_000) for name in STAGES),
-    plain=took(12_000.0, p99_us=15_000.0),
+    plain=took(16_000.0, p99_us=15_000.0),
     decoding=(
-        PictureCost(name="depth, 16zT", timing=took(1000.0), coded_bytes=100_000.0, decoded_bytes=600_000),
+        PictureCost(name="depth, 16zT", timing=took(300.0), coded_bytes=100_000.0, decoded_bytes=600_000),
         PictureCost(name="colour, JPEG", timing=took(2000.0), coded_bytes=40_000.0, decoded_bytes=900_000),
     ),
     numpy_decoding=(
-        PictureCost(name="depth, 16zT", timing=took(3000.0), coded_bytes=100_000.0, decoded_bytes=600_000),
+        PictureCost(name="depth, 16zT", timing=took(900.0), coded_bytes=100_000.0, decoded_bytes=600_000),
         PictureCost(name="colour, JPEG", timing=took(2000.0), coded_bytes=40_000.0, decoded_bytes=900_000),
     ),
     bandwidth_bytes_s=1e10,
@@ -61,14 +61,14 @@ GOOD = SpeedFigures(
     ),
     sizes=TINY,
     frames=FRAMES,
-    fit=FitCost(frames=450, fits=8, fit_s=0.8, job_s=1.0, longest_s=1.2),
+    fit=FitCost(frames=450, fits=8, fit_s=0.2, job_s=1.0, longest_s=1.2),
     while_fitting=(
-        FramesWhileFitting(cores=1, timing=took(500.0, p99_us=4000.0), fits=8, job_s=1.5),
-        FramesWhileFitting(cores=2, timing=took(450.0, p99_us=3000.0), fits=8, job_s=1.1),
+        FramesWhileFitting(cores=1, timing=took(500.0, p99_us=2000.0), fits=8, job_s=1.5),
+        FramesWhileFitting(cores=2, timing=took(450.0, p99_us=1500.0), fits=8, job_s=1.1),
     ),
     throughput=(
-        Throughput(name="one core", frames=1200, run=CommandRun(seconds=4.0, processor_s=3.0), steady_per_s=320.0),
-        Throughput(name="two cores", frames=1200, run=CommandRun(seconds=3.0, processor_s=4.0), steady_per_s=450.0),
+        Throughput(name="one core", frames=1200, run=CommandRun(seconds=3.0, processor_s=2.4), steady_per_s=520.0),
+        Throughput(name="two cores", frames=1200, run=CommandRun(seconds=2.0, processor_s=3.0), steady_per_s=750.0),
     ),
     memory=MemoryUse(
         session_s=120.0,

@@ -46,7 +46,7 @@ from engine.verification.performance.stages import (
 )
 from engine.verification.performance.tables import speed_tables
 from service.cli import app
-from tests.support.evaluation.performance_figures import GOOD, TINY, slower, took
+from tests.support.evaluation.performance_figures import FRAMES, GOOD, TINY, slower, took
 
 US = 1000.0
 MB = 1_000_000
@@ -296,29 +296,48 @@ def test_a_process_that_dies_is_an_error_not_a_wait():
 
 def test_a_machine_that_is_fast_enough_reaches_every_mark():
     marks = reach(GOOD)
-    assert len(marks) == 8
+    assert len(marks) == 10
     assert all(mark.is_met for mark in marks)
 
 
 @pytest.mark.parametrize(
     ("figures", "missed"),
     [
-        (slower(whole=took(501.0, p99_us=1000.0)), "frame to gate, median"),
-        (slower(whole=took(400.0, p99_us=1501.0)), "frame to gate, p99"),
-        (slower(plain=took(7990.0)), "plain method over ours, medians"),
-        (replace(GOOD, fit=replace(GOOD.fit, job_s=2.1)), "learning from 450 frames"),
+        (slower(whole=took(401.0, p99_us=1000.0)), "frame to gate, median"),
+        (slower(whole=took(400.0, p99_us=1001.0)), "frame to gate, p99"),
+        (slower(plain=took(11_990.0)), "plain method over ours, medians"),
+        (replace(GOOD, fit=replace(GOOD.fit, fit_s=0.31)), "fit of 450 frames"),
         (
-            replace(GOOD, while_fitting=(replace(GOOD.while_fitting[0], timing=took(500.0, p99_us=5001.0)),)),
+            replace(GOOD, while_fitting=(replace(GOOD.while_fitting[0], timing=took(500.0, p99_us=2501.0)),)),
             "frame to gate while fitting, p99, one core",
         ),
         (
-            replace(GOOD, throughput=(replace(GOOD.throughput[0], frames=999), GOOD.throughput[1])),
+            replace(GOOD, throughput=(replace(GOOD.throughput[0], frames=1_199), GOOD.throughput[1])),
             "tidegate measure, one core",
+        ),
+        (
+            replace(GOOD, throughput=(GOOD.throughput[0], replace(GOOD.throughput[1], frames=1_199))),
+            "tidegate measure, two cores",
+        ),
+        (
+            slower(decoding=(replace(FRAMES.decoding[0], timing=took(351.0)), FRAMES.decoding[1])),
+            "decode depth, 16zT",
         ),
         (replace(GOOD, memory=replace(GOOD.memory, end_mb=208.1)), "memory growth over 2 min"),
         (replace(GOOD, memory=replace(GOOD.memory, end_mb=float("nan"))), "memory growth over 2 min"),
     ],
-    ids=["median", "p99", "ratio", "fit", "while-fitting", "measure", "memory", "not-a-number"],
+    ids=[
+        "median",
+        "p99",
+        "ratio",
+        "fit",
+        "while-fitting",
+        "measure",
+        "measure-2",
+        "decoding",
+        "memory",
+        "not-a-number",
+    ],
 )
 def test_each_mark_is_missed_by_its_own_figure_and_no_other(figures, missed):
     assert [mark.name for mark in reach(figures) if not mark.is_met] == [missed]
@@ -331,12 +350,12 @@ def test_tables_say_what_the_figures_say():
     assert stages[len(STAGES)][-2:] == (160.0, 16.0)
     assert "10.0 GB/s" in tables["stages"].note
     assert "25.0%" in tables["stages"].note
-    assert tables["plain"].rows[2][1:3] == (30.0, 15.0)
-    assert [row[1:] for row in tables["compiled"].rows[:2]] == [(1170.0, 390.0, 3.0), (3000.0, 1000.0, 3.0)]
+    assert tables["plain"].rows[2][1:3] == (40.0, 15.0)
+    assert [row[1:] for row in tables["compiled"].rows[:2]] == [(1170.0, 390.0, 3.0), (900.0, 300.0, 3.0)]
     assert "compiled 0123456789abcdef" in tables["compiled"].note
     assert tables["decoding"].rows[0][-1] == pytest.approx(70.0)
-    assert tables["throughput"].rows[0][1:] == (1200, 4.0, 300.0, 320.0, 400.0)
-    assert tables["learning"].rows[2][2:6] == (1.5, 0.5, 4.0, 16.0)
+    assert tables["throughput"].rows[0][1:] == (1200, 3.0, 400.0, 520.0, 500.0)
+    assert tables["learning"].rows[2][2:6] == (1.5, 0.5, 2.0, 8.0)
     assert tables["memory"].rows[2][1:] == (pytest.approx(1.0), None, pytest.approx(0.5))
     assert all(len(row) == len(table.columns) for table in tables.values() for row in table.rows)
 
