@@ -37,9 +37,9 @@ def listed(name: str) -> list[str]:
 
 def test_the_page_s_own_table_is_the_service_s():
     needs = dict(re.findall(r"^  (\w+): \"([a-z.]+)\",$", PERMISSIONS, re.MULTILINE))
-    assert len(needs) == 18
+    assert len(needs) == 19
     assert set(needs.values()) <= set(Permission)
-    for action in ("start", "reference", "arm", "release", "hold", "disarm", "stop", "acknowledge"):
+    for action in ("start", "reference", "arm", "release", "hold", "disarm", "stop", "acknowledge", "window"):
         assert RULES["POST", f"/api/v1/sessions/{{session_id}}/{action}"] == needs[action], action
     assert RULES["POST", "/api/v1/sessions"] == needs["create"]
     assert RULES["POST", "/api/v1/sessions/{session_id}/baseline-correction"] == needs["correct"]

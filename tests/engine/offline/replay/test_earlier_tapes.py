@@ -18,7 +18,7 @@ from engine.gating.supervision import repeated_frames
 from engine.motion.learning import training_set
 from engine.offline.replay.comparison import ADDED
 from engine.offline.replay.encoding import TapeEncoding
-from engine.offline.replay.header import FIRST_METHOD, METHOD
+from engine.offline.replay.header import FIRST_METHOD, METHOD, this_software
 from engine.offline.replay.tape_file import read_tape
 from service.cli import app
 from service.core.settings.database_place import DATABASE_NAME
@@ -151,8 +151,13 @@ def test_an_earlier_session_replays_up_to_the_first_number_of_another_method(fol
     data = folders / "data"
     with closing(Database(data / DATABASE_NAME)) as database:
         stored = StoredSession(database, data, session_id)
+        with pytest.raises(NotReplayableError, match=f"ran as {stored.head.software}, this is {this_software()}"):
+            stored.refuse_other_version()
+        of_this_version = dataclasses.replace(stored.head, software=this_software())
+        stored.head, earlier = of_this_version, stored.head
         with pytest.raises(NotReplayableError, match=f"measured with method {FIRST_METHOD}, .* method {METHOD}"):
             stored.refuse_other_version()
+        stored.head = earlier
         verdict = stored.run_again(recording, lambda _frames: None)
     assert verdict.head.method == FIRST_METHOD
     assert verdict.head.limits.max_duty_percent == 100.0, "armed with any window"

@@ -90,7 +90,7 @@ export class WindowEditor {
     this.form.elements.unit.options[1].value = this.#length;
     this.unit = isInPercent || this.#range() !== null ? "percent" : this.#length;
     this.form.elements.unit.value = this.unit;
-    this.form.elements.dwell_ms.value = this.session.window.dwell_ms;
+    this.form.elements.dwell_ms.value = this.session.window.dwell_ms ?? 0;
     const toUnit = (value) => (isInPercent || this.unit !== "percent" ? value : this.#inPercent(value));
     this.#enter(toUnit(shown.lower), toUnit(shown.upper));
     setText(byId("window-others"), conditionsOf(this.sample.window).length > 1 ? "Other conditions stay as they are." : "");
