@@ -186,7 +186,7 @@ def test_who_armed_and_when_stays_visible_while_it_is_armed(fake: FakeService, t
 # -- random double clicks ---------------------------------------------------------------------------------------------
 
 CLICKS = 10_000
-ROUND = 250
+ROUND = 500
 """Double clicks between two steps of the page's clock."""
 STATES = {
     "disarmed": DISARMED,
