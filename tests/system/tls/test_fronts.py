@@ -71,7 +71,14 @@ def check_stream(found: list[dict]) -> None:
     assert len(samples) >= SAMPLES
     steps = [after["sequence"] - before["sequence"] for before, after in pairwise(samples)]
     assert min(steps) >= 1
-    assert sum(steps) == len(steps) + sum(one["skipped"] for one in found if one["type"] == "dropped")
+    assert uncounted(found) == 0
+
+
+def uncounted(found: list[dict]) -> int:
+    """Return how many frames neither came nor are counted as dropped; negative where more are counted than missing."""
+    numbers = [one["sequence"] for one in found if one["type"] == "sample"]
+    missing = numbers[-1] - numbers[0] - (len(numbers) - 1)
+    return missing - sum(one["skipped"] for one in found if one["type"] == "dropped")
 
 
 def test_a_person_logs_in_on_the_page_and_its_stream_goes_on(front: Front, chromium: Browser):
@@ -140,7 +147,9 @@ def test_a_slow_reader_is_reported_what_it_missed_and_goes_on_with_the_newest(fr
     found = []
     for one in events(answer):
         found.append(one)
-        if one["type"] == "sample" and one["frame_index"] > newest + SAMPLES:
+        # Changes of the gate that waited come after the count of all that was dropped, some of it behind the last of them.
+        is_late = one["type"] == "sample" and one["frame_index"] > newest + SAMPLES
+        if is_late and (uncounted(found) == 0 or one["frame_index"] > newest + 10 * SAMPLES):
             break
     slow.close()
     check_stream(found)
