@@ -147,7 +147,7 @@ def test_a_slow_reader_is_reported_what_it_missed_and_goes_on_with_the_newest(fr
     found = []
     for one in events(answer):
         found.append(one)
-        # Changes of the gate that waited come after the count of all that was dropped, some of it behind the last of them.
+        # Changes of the gate that waited come after the count of all that was dropped: some of it lies behind them.
         is_late = one["type"] == "sample" and one["frame_index"] > newest + SAMPLES
         if is_late and (uncounted(found) == 0 or one["frame_index"] > newest + 10 * SAMPLES):
             break
