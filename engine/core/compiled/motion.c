@@ -32,8 +32,9 @@ PyObject *map_points(PyObject *module, PyObject *const *args, Py_ssize_t count)
     return finish(&arrays, Py_None);
 }
 
-/* `target` becomes what lies between `inner` (0) and itself (1). */
-static void draw_in(const double *inner, double *target, double share)
+/* `target` becomes what lies between `inner` (0) and itself (1). Not inlined: GCC 12 makes vectors of the loop over the
+ * rows that read one row beyond the last, which is beyond the array. */
+__attribute__((noinline)) static void draw_in(const double *inner, double *target, double share)
 {
     for (int i = 0; i < 2; i++)
         target[i] = (1.0 - share) * inner[i] + share * target[i];

@@ -20,6 +20,10 @@ class FramesFirst:
         self._is_free.set()
         self._measuring: int | None = None
 
+    def __deepcopy__(self, _known: dict[int, object]) -> "FramesFirst":
+        """Return one of its own: a copied pipeline measures its own frames."""
+        return FramesFirst()
+
     def __enter__(self) -> None:
         """Have the jobs of other threads pause."""
         self._measuring = threading.get_ident()
