@@ -1,0 +1,47 @@
+"""No compiled function reads or writes beyond its arrays, with the arrays of whole sessions."""
+
+import subprocess
+import sys
+
+import pytest
+
+from engine.core import compiled
+from tests.support.repository import ROOT
+
+pytestmark = pytest.mark.skipif(compiled.kernels() is None, reason="the numpy forms run")
+SESSIONS = "tests/engine/motion/learning/test_confirmed_references.py"
+READS_BEYOND = """
+import ctypes
+import numpy as np
+from tests.support.guard_pages import Guarded
+class Functions:
+    @staticmethod
+    def beyond(array):
+        return ctypes.string_at(array.ctypes.data + array.nbytes, 1)
+Guarded(Functions).beyond(np.zeros(3))
+"""
+
+
+def test_sessions_run_with_every_array_at_the_end_of_a_page():
+    early = "ignore:Module already imported:pytest.PytestAssertRewriteWarning"
+    plugins = ("-W", early, "-p", "tests.support.guard_pages", "-p", "no:cacheprovider")
+    command = [sys.executable, "-m", "pytest", "-q", *plugins, SESSIONS]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2_000:] + done.stderr[-4_000:]
+    assert "1 passed" in done.stdout
+
+
+def test_a_function_that_reads_one_item_beyond_ends_its_process():
+    done = subprocess.run([sys.executable, "-c", READS_BEYOND], cwd=ROOT, capture_output=True, check=False)
+    assert done.returncode < 0, "killed by the fault"
+
+
+def test_results_come_back_from_the_copies():
+    code = (
+        "import numpy as np\nfrom engine.core import compiled\nimport tests.support.guard_pages\n"
+        "found = np.zeros((1, 2))\n"
+        "compiled.kernels().map_points(np.eye(3), np.array([[2.0, 3.0]]), found)\n"
+        "assert found.tolist() == [[2.0, 3.0]], found\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
