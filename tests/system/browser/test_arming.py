@@ -200,7 +200,7 @@ CLICK_ALL = """
 ([places, detail]) => {
   for (const [index, [x, y]] of places.entries()) {
     const target = document.elementFromPoint(x, y);
-    if (target === null || target.closest("#do-log-out, .upload") !== null) continue;
+    if (target === null || target.closest("#do-log-out, #do-coach, .upload") !== null) continue;
     const sends = "#do-hold, #do-disarm, #do-stop, #do-reference, #do-retrain";
     if (index % 25 !== 0 && target.closest(sends) !== null) continue;
     const place = { bubbles: true, cancelable: true, clientX: x, clientY: y };
@@ -210,8 +210,8 @@ CLICK_ALL = """
 }
 """
 """Click each place; a summary that a click has opened is closed, as it would be cancelled: each double click is judged
-from a page without one. A log-out would end the test, and an upload needs a hand; of the
-buttons that send something at once few are clicked, as each call costs as much as a hundred clicks."""
+from a page without one. A log-out would end the test, an upload needs a hand, the patient's screen has tests of its own;
+of the buttons that send something at once few are clicked, as each call costs as much as a hundred clicks."""
 
 
 BOXES = """
