@@ -210,8 +210,8 @@ CLICK_ALL = """
 }
 """
 """Click each place; a summary that a click has opened is closed, as it would be cancelled: each double click is judged
-from a page without one. A log-out would end the test, an upload needs a hand, the patient's screen has tests of its own;
-of the buttons that send something at once few are clicked, as each call costs as much as a hundred clicks."""
+from a page without one. A log-out would end the test, an upload needs a hand, and the patient's screen has tests of its
+own. Of the buttons that send something at once few are clicked, as each call costs as much as a hundred clicks."""
 
 
 BOXES = """
