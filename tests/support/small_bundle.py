@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tests.campaigns.bundle.maker import SIGNER, lay_out, seal
 
-PROGRAM = '''"""Writes down how it was called; fails where it is told to by a file."""
+PROGRAM = '''"""Records its arguments; fails where a file says so."""
 import os, pathlib, sys
 
 HERE = pathlib.Path(os.environ["TIDEGATE_DATA_DIR"])

@@ -25,7 +25,7 @@ CODE, PAIR, END = "screen.code", "screen.pair", "screen.end"
 CODE_DIGITS = 6
 CODE_LIFE = timedelta(minutes=2)
 MAX_WRONG_CODES = 5
-"""Wrong codes after which the open one is void, whoever sent them: one guess in 200 000 is right."""
+"""Wrong codes, from any address, after which the open one is void: the chance of a right guess is 1 in 200 000."""
 MAX_SCREENS = 4
 MAX_ADDRESSES = 1_000
 REFUSED = "pairing codes"

@@ -98,7 +98,7 @@ def test_another_key_is_refused(bundle, tmp_path):
 
 def test_the_key_of_another_signer_is_refused(bundle, key, tmp_path):
     other = tmp_path / "signers"
-    other.write_text(key.signers.read_text().replace("releases@tidegate", "somebody@tidegate"))
+    other.write_text(key.signers.read_text().replace("releases@tidegate", "other@tidegate"))
     assert verify(bundle, other).returncode == 2
 
 

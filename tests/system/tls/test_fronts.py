@@ -166,7 +166,7 @@ def test_a_socket_that_reads_nothing_is_closed_before_its_messages_are_old(front
 
 
 def test_many_clients_at_once_and_each_is_up_to_date(front: Front):
-    """Fifteen dashboards, five of which read nothing: the others get every sample, or are told what they missed."""
+    """Fifteen dashboards, five of which read nothing: the others get every sample, or a count of those dropped."""
     stalled = [front.slow_reader("/api/v1/live") for _ in range(5)]
     url = f"wss://127.0.0.1:{front.port}/api/v1/live"
     found: list[list[dict]] = [[] for _ in range(10)]

@@ -102,7 +102,7 @@ export class Controls {
       const action = Object.keys(HALTS).find((one) => HALTS[one] === event.key);
       if (action === undefined) return;
       if (action === "hold") event.preventDefault();
-      // An armed gate is disarmed at once, whatever is open.
+      // Disarm an armed gate at once; close open panels only while it is not armed.
       if (action === "disarm" && this.context.sample?.is_armed !== true && this.onEscape()) return;
       if (!event.repeat) this.halt(action);
     }, { capture: true });
