@@ -133,7 +133,7 @@ class CommandHandler:
         ranges = self._learner.learned_ranges(command.window.choices)
         self._controller.set_window(command, ranges)
         self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], 0.0)
-        self._resolved_for = self._learner.status.reference_number if ranges else None
+        self._resolved_for = None  # converted again with the next frame: by then a range may be known
 
     def _change(self, command: SetReference | SetWindow | Retrain | ApplyModel | ActivateModel) -> None:
         """Carry out a command that changes the reference, the window or the model."""

@@ -116,8 +116,6 @@ function leave() {
 /** Remove what was measured in another session: nothing of one patient is shown under another's name. */
 function forgetSession() {
   trace.reset(null);
-  arming.close();
-  windowEditor.close();
   picture.follow(null, false);
   events.follow(null);
 }

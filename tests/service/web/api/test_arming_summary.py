@@ -136,6 +136,19 @@ def test_the_site_s_bounds_hold_for_it_and_a_refused_one_is_audited(client, sess
     assert client.get(f"/api/v1/sessions/{session_id}").json()["window"] == before
 
 
+@pytest.mark.parametrize(
+    ("site", "field"),
+    [({"min_dwell_ms": 300.0}, "window.dwell_ms"), ({"window_upper_mm": 1.0}, "window.upper_mm")],
+)
+def test_a_site_that_is_narrower_refuses_it_by_field(client, session_id, measuring, settings, site, field):
+    runner = client.app.state.services.runner
+    runner._window_setting = replace(runner._window_setting, settings=settings.model_copy(update=site))
+    answer = set_window(client, session_id)
+    assert (answer.status_code, answer.json()["field"]) == (422, field)
+    assert audit_rows(client, "session.window")[-1]["outcome"] == "refused"
+    assert measuring.commands == []
+
+
 def test_a_refusal_of_the_engine_leaves_the_stored_window(client, session_id, measuring):
     before = client.get(f"/api/v1/sessions/{session_id}").json()["window"]
     measuring.refuse_with = CommandRefusedError("the gate is armed: disarm it before its window is set")
