@@ -142,7 +142,8 @@ def filled(page: Page) -> dict[str, str]:
     )
 
 
-def test_nothing_of_one_patient_stays_in_the_form_for_the_next(empty: Page):
+def test_nothing_of_one_patient_stays_in_the_form_for_the_next(tab: Tab, empty: Page):
+    tab.is_answered()
     untouched = filled(empty)
     fill(empty)
     empty.select_option("[name='window.kind']", "breath_hold")
@@ -151,6 +152,7 @@ def test_nothing_of_one_patient_stays_in_the_form_for_the_next(empty: Page):
     empty.click("#new-session [type=submit]")
     expect(empty.locator("#setup")).to_be_hidden()
     empty.click("#do-setup")
+    tab.is_answered()
     expect(empty.locator("#session-list .again")).to_have_count(0)
     assert filled(empty) == untouched
 
@@ -169,7 +171,7 @@ def test_a_new_session_takes_the_values_of_an_earlier_one_where_that_is_asked_fo
     further = {"kind": "amplitude", "signal": "whole", "lower_percent": -5.0, "upper_percent": 25.0}
     earlier["window"]["further"] = [further | {"hysteresis_percent": 3.0}]
     page = tab.open("idle")
-    page.click("#do-setup") if page.locator("#setup").is_hidden() else None
+    expect(page.locator("#setup")).to_be_visible()
     page.click("#session-list .again")
     assert page.input_value("[name=fraction_id]") == ""
     page.fill("[name=fraction_id]", "FX-04")

@@ -106,7 +106,7 @@ def test_what_happened_in_it_happened_indeed(played, verdict):
     assert set(commands) >= {"Arm", "HoldBeam", "ReleaseBeam", "SetReference"}
     without = [value for kind, value in values if kind is InputKind.FRAME and "frame" not in value]
     assert without, "the camera was silent"
-    assert sum(answer is True for kind, answer in observed if kind is InputKind.TRAINED) == 1, "one model was learned"
+    assert sum(answer is True for kind, answer in observed if kind is InputKind.TRAINED) >= 1, "a model was learned"
     assert {row["state"] for turn in turns(played) for row in turn.rows if "state" in row} >= {"training", "measuring"}
     assert "operator_hold" in {row["reason"] for row in verdict.replay.transitions}
 
