@@ -945,6 +945,27 @@ class RecordedSample(TypedDict):
     whole_mm: float | None
 
 
+class Recording(TypedDict):
+    """A recording in one of the site's folders, described by its first records; no frame is read."""
+
+    bytes: int | None
+    fps: int | None
+    has_color: bool | None
+    height_px: int | None
+    modified_at: str | None
+    path: str
+    problem: str | None
+    seconds: float | None
+    width_px: int | None
+
+
+class RecordingPage(TypedDict):
+    """Recordings by path; `next_cursor` is null on the last page."""
+
+    items: list[Recording]
+    next_cursor: str | None
+
+
 class ReferenceRequest(TypedDict):
     """The person who sets the reference, the moment of the breath, and what that person was shown."""
 
@@ -1643,6 +1664,10 @@ class TidegateClient:
     def devices(self) -> "DeviceList":
         """List the cameras."""
         return self._read("/api/v1/devices", DeviceList)
+
+    def recordings(self) -> Iterator["Recording"]:
+        """List the recordings in the site's folders, by path."""
+        return self._pages("/api/v1/recordings", RecordingPage)
 
     def interlocks(self) -> "InterlockList":
         """List every reason to hold, what trips it, and whether it latches."""

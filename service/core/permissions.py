@@ -33,7 +33,7 @@ class Permission(StrEnum):
 
 MEANING: Mapping[Permission, str] = {
     Permission.SESSIONS_READ: "read sessions, plans, samples, the live stream, pictures, "
-    "models, devices and interlocks",
+    "models, devices, recordings and interlocks",
     Permission.SESSIONS_RUN: "create and start sessions",
     Permission.GATE_REFERENCE: "set the reference, and sign the patient's position; for people only",
     Permission.GATE_ARM: "arm, release a hold, correct the baseline: everything that can lead to beam on; "

@@ -33,6 +33,7 @@ from service.web.api import (
     models,
     plans,
     qa,
+    recordings,
     sessions,
     users,
 )
@@ -139,6 +140,7 @@ def _api_routes() -> tuple[BaseRoute, ...]:
         models,
         calibrations,
         devices,
+        recordings,
         interlocks,
         audit,
         qa,

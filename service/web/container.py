@@ -33,6 +33,7 @@ from service.sessions.records.arming import ArmingSummaries
 from service.sessions.records.calibrations import CalibrationRepository
 from service.sessions.records.etags import SessionRevisions
 from service.sessions.records.models import ModelRepository
+from service.sessions.records.recordings import RecordingList
 from service.sessions.records.sessions import SessionRepository
 from service.sessions.recovery.interrupted import close_interrupted
 from service.sessions.recovery.journal import recover_transitions
@@ -286,6 +287,7 @@ def _services(dependencies: _Dependencies, storage: _Storage, work: _Work, monit
         arming=work.arming,
         samples=SampleService(database, storage.samples),
         calibrations=CalibrationRepository(database, log),
+        recordings=RecordingList(settings.recording_folders),
         models=ModelRepository(database, dependencies.equipment),
         plans=PlanRepository(database, log, settings),
         planned_sessions=PlannedSessions(database, log, work.sessions, settings.gantry_side),

@@ -32,6 +32,7 @@ from service.sessions.records.arming import ArmingSummaries
 from service.sessions.records.calibrations import CalibrationRepository
 from service.sessions.records.etags import SessionRevisions
 from service.sessions.records.models import ModelRepository
+from service.sessions.records.recordings import RecordingList
 from service.sessions.records.sessions import SessionRepository
 from service.sessions.views.interlocks import InterlockTable
 from service.storage.audit import on_behalf
@@ -58,6 +59,7 @@ class Services:
     arming: ArmingSummaries
     samples: SampleService
     calibrations: CalibrationRepository
+    recordings: RecordingList
     models: ModelRepository
     plans: PlanRepository
     planned_sessions: PlannedSessions

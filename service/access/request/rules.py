@@ -81,6 +81,7 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("GET", f"{V1}/models/{{model_id}}"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/models/{{model_id}}/spectrum"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/devices"): Permission.SESSIONS_READ,
+    ("GET", f"{V1}/recordings"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/interlocks"): Permission.SESSIONS_READ,
     # Patient screens
     ("POST", f"{V1}/coach/code"): Permission.COACH_MANAGE,

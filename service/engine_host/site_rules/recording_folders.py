@@ -34,6 +34,15 @@ def find_recording(path: str, folders: tuple[Path, ...], field: str = FIELD) -> 
     raise BoundError(msg, field=field, value=path, bound=bound)
 
 
+def recording_paths(folders: tuple[Path, ...]) -> list[str]:
+    """List the paths of all recordings (``*.oni``) below their folders, in order, as `find_recording` takes them.
+
+    A name that is not UTF-8 is left out: no request can contain it.
+    """
+    found = {str(file.relative_to(folder)) for folder in folders for file in folder.rglob(RECORDINGS)}
+    return sorted(path for path in found if path == path.encode(errors="replace").decode())
+
+
 def refuse_same_names(folders: tuple[Path, ...]) -> None:
     """Refuse folders in which two recordings (``*.oni``) have the same path below their folder.
 

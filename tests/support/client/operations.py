@@ -16,6 +16,7 @@ OPERATIONS: dict[str, tuple[str, str]] = {
     "me": ("GET", "/api/v1/me"),
     "readiness": ("GET", "/readyz"),
     "devices": ("GET", "/api/v1/devices"),
+    "recordings": ("GET", "/api/v1/recordings"),
     "interlocks": ("GET", "/api/v1/interlocks"),
     "upload_calibration": ("POST", "/api/v1/calibrations"),
     "calibrations": ("GET", "/api/v1/calibrations"),

@@ -10,7 +10,7 @@ from tests.support.service.api_calls import act, make_calibration, upload
 from tests.support.waiting import eventually
 
 V1 = "/api/v1"
-LISTS = ("/sessions", "/calibrations", "/audit", "/qa/runs", "/plans", "/users", "/keys", "/devices")
+LISTS = ("/sessions", "/calibrations", "/audit", "/qa/runs", "/plans", "/users", "/keys", "/devices", "/recordings")
 
 
 def get(client, path, **params):
