@@ -14,6 +14,7 @@ from engine.control.outputs import FrameRecord, LiveView, LoopStatus
 from engine.control.position_state import PositionState
 from engine.control.session_limits import SessionLimits
 from engine.control.watchdog import Watchdog
+from engine.core.camera_view import CameraView
 from engine.core.frames import ColorImage, RgbdFrame
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.reference_distance import ReferenceDistance
@@ -32,6 +33,11 @@ def no_signal() -> BeamOnState | None:
 
 def no_position() -> PositionState | None:
     """Return None: the patient's position is not compared."""
+    return None
+
+
+def no_camera_view(_frame: RgbdFrame) -> CameraView | None:
+    """Return None: how the camera looks is not measured."""
     return None
 
 
@@ -54,7 +60,10 @@ class LiveViews:
         reference_distance: Callable[[], ReferenceDistance | None],
         movement: Callable[[], Movement | None],
         position: Callable[[], PositionState | None] = no_position,
+        camera_view: Callable[[RgbdFrame], CameraView | None] = no_camera_view,
     ) -> None:
+        self._camera_view = camera_view
+        self._newest_camera_view: CameraView | None = None
         self._beam_on, self._reference_distance, self._movement = beam_on, reference_distance, movement
         self._position = position
         self._limits, self._outputs, self._watchdog = limits, outputs, watchdog
@@ -100,6 +109,7 @@ class LiveViews:
             missed_frames=frame.missed_frames,
         )
         gate = decision.gate
+        self._newest_camera_view = None if gate.is_armed else self._camera_view(frame)
         is_back = gate.state is GateState.FAULT and gate.reason is HoldReason.SOURCE_LOST
         detail = gate.detail + BACK_DETAIL if is_back else gate.detail
         self._show(decision, record, frame.color, detail)
@@ -138,5 +148,6 @@ class LiveViews:
             reference_budget_mm=limits.max_reference_distance_mm,
             movement=None if motion is None else self._movement(),
             position=self._position(),
+            camera_view=None if decision.gate.is_armed else self._newest_camera_view,
             unseen_cells=() if motion is None else motion.seen.unseen_cells(limits.min_signal_share),
         )

@@ -24,7 +24,7 @@ from engine.control.engine_status import EngineStatus
 from engine.control.gate_controller import GateController
 from engine.control.journal.journal import Journal
 from engine.control.line_orders import LineOrders
-from engine.control.live_views import LiveViews, no_signal
+from engine.control.live_views import LiveViews, no_camera_view, no_signal
 from engine.control.output_queues import OutputQueues
 from engine.control.outputs import FrameRecord, GateTransition, LoopStatus
 from engine.control.position_sign_off import PositionSignOff
@@ -34,6 +34,7 @@ from engine.control.session_limits import SessionLimits
 from engine.control.turn_inputs import CommandInputs
 from engine.control.turn_reader import TurnReader
 from engine.control.watchdog import Watchdog
+from engine.core.camera_view import CameraView
 from engine.core.clock import NS_PER_S, Clock
 from engine.core.errors import (
     BeamLineError,
@@ -80,6 +81,8 @@ class EngineLoop:
         Observes what the engine thread reads and what it outputs: records a tape, or replays one.
     beam_on
         The accelerator's signal compared with the permit, for the view alone; by default there is none.
+    camera_view
+        Describes how the camera looks, for the view alone, while the gate is disarmed; by default nothing does.
 
     Attributes
     ----------
@@ -103,6 +106,7 @@ class EngineLoop:
         journal: Journal | None = None,
         tap: InputTap = NO_TAP,
         beam_on: Callable[[], BeamOnState | None] = no_signal,
+        camera_view: Callable[[RgbdFrame], CameraView | None] = no_camera_view,
     ) -> None:
         self._source, self._measurer, self._learner, self._beam = source, measurer, learner, beam
         self._tap, self._clock = tap, TappedClock(clock, tap)
@@ -140,6 +144,7 @@ class EngineLoop:
             reference_distance=budget.present,
             movement=lambda: self._supervisor.movement,
             position=self._sign_off.present,
+            camera_view=camera_view,
         )
         self._controller = self._make_controller()
         self._handler = CommandHandler(

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from engine.beam.beam_on import BeamOnState
 from engine.capture.source import SourceDescription
 from engine.control.position_state import PositionState
+from engine.core.camera_view import CameraView
 from engine.core.clock import NS_PER_MS
 from engine.core.frames import ColorImage, Measurement
 from engine.core.gate_state import GateState, HoldReason
@@ -142,6 +143,8 @@ class LiveView:
         Movement of the markers since the present reference; None where it is not known.
     position
         The patient's position against the plan's, and who signed it; None where it is not compared.
+    camera_view
+        How the camera looks at the patient, for the set-up; None while the gate is armed.
     unseen_cells
         Row and column of each cell of which the frame shows less than a gated cell needs; its motion is extrapolated.
     """
@@ -169,3 +172,4 @@ class LiveView:
     reference_budget_mm: float = 2.0
     movement: Movement | None = None
     position: PositionState | None = None
+    camera_view: CameraView | None = None

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from engine.calibration.camera_calibration import Calibration
+from engine.calibration.camera_view import CameraViewMeter
 from engine.calibration.device_registration import registered_calibration
 from engine.capture.openni.source import OpenNiSource, list_devices, runtime_available
 from engine.capture.reconnecting import LiveSource, ReturningSource
@@ -122,6 +123,7 @@ class LocalEngine:
             learner=pipeline.learner,
             beam=beam,
             beam_on=lambda: beam_on_state(beam),
+            camera_view=camera_meter(plan).look,
             limits=limits,
             clock=self._clock,
             tap=tape.tap,
@@ -189,6 +191,11 @@ def _registered(uri: str | None) -> Calibration:
         bound = "given: this camera does not register depth to colour itself"
         raise InvalidValueError("calibration_id", "missing", bound)
     return calibration
+
+
+def camera_meter(plan: SessionPlan) -> CameraViewMeter:
+    """Return what describes how the camera of a session looks."""
+    return CameraViewMeter(plan.calibration.depth, is_live=isinstance(plan.source, sessions.DeviceSource))
 
 
 def _listed(uri: str | None) -> str:

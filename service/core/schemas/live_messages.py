@@ -311,6 +311,23 @@ class LivePosition(Message):
     roll_deg: float | None = Field(description="Of the surface, about the body's long axis")
 
 
+CameraAdviceName = Literal["too_near", "too_far", "tilted", "gaps", "too_dark", "too_bright", "warming_up"]
+
+
+class LiveCameraView(Message):
+    """How the camera looks at the patient: the middle of the picture, about once a second."""
+
+    distance_mm: float | None = Field(description="Median depth; null without a reading")
+    tilt_deg: float | None = Field(description="Of the surface's plane against the camera's axis")
+    coverage: float = Field(description="Share of the pixels with a depth reading, 0 to 1")
+    brightness: float = Field(description="Mean of the colour picture, 0 to 1")
+    saturated: float = Field(description="Share of overexposed colour pixels, 0 to 1")
+    running_s: float = Field(description="Time since the first frame of the session")
+    advice: list[CameraAdviceName] = Field(
+        description="What lies outside of the recommended ranges; nothing is refused"
+    )
+
+
 class LiveLag(Message):
     """Delay of the first region's motion behind the second's; if it is unknown, `note` says why."""
 
@@ -361,6 +378,7 @@ class Sample(Message):
     reference: LiveReference | None = Field(default=None, description="null while no reference is set")
     position_check: LivePositionCheck | None = Field(default=None, description="null until a frame was decided on")
     position: LivePosition | None = Field(default=None, description="null while no frame is measured")
+    camera_view: LiveCameraView | None = Field(default=None, description="For the set-up; null while the gate is armed")
     signal_mm: float | None
     whole_mm: float | None
     thorax_mm: float | None

@@ -6,12 +6,21 @@ from typing import Any
 from engine.calibration.camera_calibration import Calibration
 from engine.capture.source import SourceDescription
 from engine.control.outputs import LiveView, LoopStatus
+from engine.core.camera_view import CameraView
 from engine.core.frames import Measurement, Motion, PhaseLag
 from engine.core.patient_match import PatientMatch
 from service.core.finite import rounded_or_none
 from service.core.hold_texts import hold_text
 from service.core.schemas import sessions
-from service.core.schemas.live_messages import LiveLag, LiveLatency, LiveLost, LivePosition, LiveTraining, Sample
+from service.core.schemas.live_messages import (
+    LiveCameraView,
+    LiveLag,
+    LiveLatency,
+    LiveLost,
+    LivePosition,
+    LiveTraining,
+    Sample,
+)
 from service.engine_host.roles import BodyMatch, SessionPlan
 from service.engine_host.site_rules.camera_serial import serial_warning
 from service.engine_host.site_rules.uncalibrated import kind_of
@@ -58,6 +67,7 @@ def live_sample(
         reference=live_reference(view),
         position_check=live_position_check(view, plan),
         position=_position(view),
+        camera_view=_camera_view(view.camera_view),
         signal_mm=rounded_or_none(record.signal_mm),
         **(NOT_MEASURED if measurement.motion is None else _motion_fields(measurement.motion, plan)),
         unseen_cells=None if measurement.motion is None else [list(cell) for cell in view.unseen_cells],
@@ -131,6 +141,20 @@ def _position(view: LiveView) -> LivePosition | None:
         height_mm=None if surface is None else rounded_or_none(surface.height_mm, POSITION_DIGITS),
         tilt_deg=None if surface is None else rounded_or_none(surface.tilt_deg, POSITION_DIGITS),
         roll_deg=None if surface is None else rounded_or_none(surface.roll_deg, POSITION_DIGITS),
+    )
+
+
+def _camera_view(found: CameraView | None) -> LiveCameraView | None:
+    if found is None:
+        return None
+    return LiveCameraView(
+        distance_mm=rounded_or_none(found.distance_mm, 0),
+        tilt_deg=rounded_or_none(found.tilt_deg, 1),
+        coverage=round(found.coverage, 3),
+        brightness=round(found.brightness, 2),
+        saturated=round(found.saturated, 3),
+        running_s=round(found.running_s),
+        advice=[advice.value for advice in found.advice],
     )
 
 

@@ -199,6 +199,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
             "lapse": "",
         },
         "position": {"shift_mm": 0.4, "turn_deg": 0.1, "height_mm": -0.3, "tilt_deg": 0.1, "roll_deg": 0.0},
+        "camera_view": None,
         "residual_mm": 0.7,
         "valid_share": 0.98,
         "regions_mm": [[1.4, 1.5], [None, 1.9]],

@@ -69,6 +69,27 @@ CALIBRATION = {
     "created_at": "2026-11-20T08:00:00Z",
 }
 
+RECORDING = {
+    "path": "demo/recording.oni",
+    "bytes": 41_000_000,
+    "modified_at": "2026-11-20T08:00:00Z",
+    "seconds": 40.0,
+    "width_px": 640,
+    "height_px": 480,
+    "fps": 30,
+    "has_color": True,
+    "problem": None,
+}
+PLAN = {
+    "id": "9a" * 16,
+    "kind": "RT Plan",
+    "sop_instance_uid": "1.2.3",
+    "patient_reference": "P-0300",
+    "label": "LUNG_GATED",
+    "gating": "gating",
+    "imported_by": "B. Physicist",
+    "created_at": "2026-11-20T08:00:00Z",
+}
 
 WAITING = {
     "frames": 0,
@@ -356,6 +377,9 @@ class FakeService:
         self.schema = "tidegate.live/1"
         self.sessions: list[dict[str, Any]] = [copy.deepcopy(SESSION)]
         self.calibrations: list[dict[str, Any]] = [dict(CALIBRATION)]
+        self.devices: list[dict[str, Any]] = []
+        self.recordings: list[dict[str, Any]] = [dict(RECORDING)]
+        self.plans: list[dict[str, Any]] = []
         self.audit: list[dict[str, Any]] = []
         self.qa: dict[str, Any] = qa_status()
         self.arming: dict[str, Any] = arming()
@@ -536,11 +560,18 @@ class FakeService:
         return JSONResponse(found | ({"one_time_password": ONE_TIME} if found.pop("reset_password", None) else {}))
 
     def _answer(self, path: str, method: str, body: Any) -> Response:
-        pages = {"/sessions": self.sessions, "/calibrations": self.calibrations, "/audit": self.audit, "/devices": []}
+        pages = {"/sessions": self.sessions, "/calibrations": self.calibrations, "/audit": self.audit}
+        pages |= {"/devices": self.devices, "/recordings": self.recordings, "/plans": self.plans}
         if method == "GET" and path == "/qa/status":
             return JSONResponse(self.qa)
         if method == "GET" and path in pages:
             return JSONResponse({"items": pages[path], "next_cursor": None})
+        if method == "POST" and path.startswith("/plans/"):
+            (plan,) = [one for one in self.plans if path == f"/plans/{one['id']}/sessions"]
+            own = {"patient_reference": plan["patient_reference"], "plan_id": plan["label"], "rt_plan_id": plan["id"]}
+            own |= {"fraction_id": f"FX-{body['fraction_number']}", "warnings": []}
+            self.sessions.insert(0, SESSION | body | own | {"id": "88" * 16, "status": "created"})
+            return JSONResponse(self.sessions[0], 201)
         if method == "POST" and path == "/sessions":
             self.sessions.insert(0, SESSION | body | {"id": "77" * 16, "status": "created"})
             return JSONResponse(self.sessions[0], 201)

@@ -158,6 +158,7 @@ def take(page: Page, fake: FakeService, out: Path, url: str) -> None:
         _show(page, url, "hold", settle_ms=1_500)
         page.screenshot(path=out / f"size{suffix}.png")
         page.click("#do-setup")
+        page.click("#more-settings summary")
         page.click("#add-condition")
         page.select_option("[name='window.further.0.kind']", "breath_hold")
         page.click("#add-condition")

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.support.browser.fake_service import CALIBRATION, FakeService, sample
+from tests.support.browser.fake_service import CALIBRATION, PLAN, RECORDING, FakeService, sample
 from tests.support.browser.tab import Tab
 
 pytestmark = pytest.mark.browser
@@ -15,7 +15,7 @@ def fill(page: Page) -> None:
     page.fill("[name=patient_reference]", "P-0200")
     page.fill("[name=plan_id]", "PLAN-9")
     page.fill("[name=fraction_id]", "FX-1")
-    page.fill("[name='source.path']", "demo/recording.oni")
+    page.select_option("[name=source]", "recording:demo/recording.oni")
 
 
 @pytest.fixture
@@ -48,8 +48,8 @@ def test_the_form_sends_what_the_contract_asks_for(fake: FakeService, tab: Tab, 
                 "fraction_number": 2,
                 "source": {"kind": "recording", "player": "auto", "path": "demo/recording.oni"},
                 "calibration_id": CALIBRATION["id"],
-                "window": {"kind": "amplitude", "signal": "whole", "lower_mm": -1, "upper_mm": 3}
-                | {"hysteresis_mm": 0.2, "dwell_ms": 200},
+                "window": {"kind": "amplitude", "signal": "whole", "lower_percent": -10, "upper_percent": 30}
+                | {"hysteresis_percent": 2, "dwell_ms": 200},
             },
         )
     ]
@@ -59,9 +59,11 @@ def test_the_form_sends_what_the_contract_asks_for(fake: FakeService, tab: Tab, 
 
 def test_only_the_fields_of_the_chosen_source_and_signal_are_asked_and_sent(fake: FakeService, tab: Tab, empty: Page):
     fill(empty)
-    empty.select_option("[name='source.kind']", "device")
+    empty.click("#more-settings summary")
+    expect(empty.locator("[name='source.player']")).to_be_visible()
+    empty.select_option("[name=source]", "device:")
     empty.select_option("[name='window.signal']", "region")
-    expect(empty.locator("[name='source.path']")).to_be_hidden()
+    expect(empty.locator("[name='source.player']")).to_be_hidden()
     empty.fill("[name='window.row']", "4")
     empty.click("#new-session [type=submit]")
     expect(empty.locator("#setup")).to_be_hidden()
@@ -72,13 +74,16 @@ def test_only_the_fields_of_the_chosen_source_and_signal_are_asked_and_sent(fake
 
 def test_a_refusal_points_at_its_field(fake: FakeService, tab: Tab, empty: Page):
     fill(empty)
-    problem = {"code": "invalid_value", "detail": "window.lower_mm: below upper_mm (3)", "field": "window.lower_mm"}
-    fake.problem = (422, problem | {"value": "7", "bound": "below upper_mm (3)"})
+    problem = {"code": "invalid_value", "detail": "window.lower_percent: below upper_percent (30)"}
+    fake.problem = (
+        422,
+        problem | {"field": "window.lower_percent", "value": "70", "bound": "below upper_percent (30)"},
+    )
     empty.click("#new-session [type=submit]")
-    expect(empty.locator("#setup-outcome")).to_contain_text("window.lower_mm: below upper_mm (3)")
-    expect(empty.locator("[name='window.lower_mm']")).to_have_attribute("aria-invalid", "true")
-    expect(empty.locator("[name='window.lower_mm']")).to_be_focused()
-    expect(empty.locator("[name='window.upper_mm']")).to_have_attribute("aria-invalid", "false")
+    expect(empty.locator("#setup-outcome")).to_contain_text("window.lower_percent: below upper_percent (30)")
+    expect(empty.locator("[name='window.lower_percent']")).to_have_attribute("aria-invalid", "true")
+    expect(empty.locator("[name='window.lower_percent']")).to_be_focused()
+    expect(empty.locator("[name='window.upper_percent']")).to_have_attribute("aria-invalid", "false")
 
 
 def test_a_missing_calibration_is_said_and_can_be_uploaded(fake: FakeService, tab: Tab, tmp_path: Path):
@@ -109,7 +114,7 @@ def test_the_set_up_never_covers_the_gate_or_the_trace(fake: FakeService, tab: T
 
 def test_a_live_camera_can_be_asked_for_without_a_calibration(fake: FakeService, empty: Page):
     fill(empty)
-    empty.select_option("[name='source.kind']", "device")
+    empty.select_option("[name=source]", "device:")
     empty.select_option("[name=calibration_id]", label="None: the live camera's built-in registration")
     empty.click("#new-session [type=submit]")
     expect(empty.locator("#setup")).to_be_hidden()
@@ -146,9 +151,10 @@ def test_nothing_of_one_patient_stays_in_the_form_for_the_next(tab: Tab, empty: 
     tab.is_answered()
     untouched = filled(empty)
     fill(empty)
+    empty.click("#more-settings summary")
     empty.select_option("[name='window.kind']", "breath_hold")
     empty.click("#add-condition")
-    empty.fill("[name='window.further.0.upper_mm']", "7")
+    empty.fill("[name='window.further.0.upper_percent']", "70")
     empty.click("#new-session [type=submit]")
     expect(empty.locator("#setup")).to_be_hidden()
     empty.click("#do-setup")
@@ -190,3 +196,107 @@ def test_a_new_session_takes_the_values_of_an_earlier_one_where_that_is_asked_fo
         "window": {"kind": "phase", "signal": "thorax", "from_percent": 35, "to_percent": 65, "min_confidence": 0.6}
         | {"dwell_ms": 150, "join": "and"},
     }
+
+
+def test_a_prepared_plan_needs_its_fraction_camera_and_calibration_only(fake: FakeService, tab: Tab):
+    """Three fields, each with a proposal: what the plan states cannot be typed."""
+    fake.plans, fake.devices = [dict(PLAN)], [{"uri": "usb:1", "name": "Asus Xtion"}]
+    begun = {"patient_reference": "P-0300", "plan_id": "LUNG_GATED", "fraction_number": 3, "status": "stopped"}
+    fake.sessions = [fake.sessions[0] | begun | {"started_at": "2026-11-22T08:00:00Z"}]
+    page = tab.open("idle")
+    page.select_option("[name=plan]", PLAN["id"])
+    expect(page.locator("#plan-note")).to_contain_text("prescribes gating")
+    for name in ("patient_reference", "plan_id", "fraction_id"):
+        expect(page.locator(f"[name={name}]")).to_be_hidden()
+    expect(page.locator("#more-settings")).not_to_have_attribute("open", "")
+    expect(page.locator("[name=fraction_number]")).to_have_value("4")
+    expect(page.locator("[name=source]")).to_have_value("device:usb:1")
+    page.click("#new-session [type=submit]")
+    expect(page.locator("#setup")).to_be_hidden()
+    ((path, sent),) = fake.posts()
+    assert path == f"/plans/{PLAN['id']}/sessions"
+    assert sent == {
+        "operator": "A. Therapist",
+        "fraction_number": 4,
+        "source": {"kind": "device", "uri": "usb:1"},
+        "calibration_id": CALIBRATION["id"],
+        "window": {"kind": "amplitude", "signal": "whole", "lower_percent": -10, "upper_percent": 30}
+        | {"hysteresis_percent": 2, "dwell_ms": 200},
+    }
+    expect(page.locator("#who-patient")).to_have_text("P-0300")
+
+
+def test_the_chosen_plan_and_fraction_survive_a_refresh_of_the_lists(fake: FakeService, tab: Tab):
+    fake.plans = [dict(PLAN)]
+    page = tab.open("idle")
+    page.select_option("[name=plan]", PLAN["id"])
+    page.fill("[name=fraction_number]", "7")
+    page.select_option("[name=source]", "recording:demo/recording.oni")
+    fake.plans.insert(0, PLAN | {"id": "9b" * 16, "label": "NEWER"})
+    page.set_input_files("#calibration-file", {"name": "c.json", "mimeType": "application/json", "buffer": b"{}"})
+    page.evaluate("document.getElementById('do-setup').click()")
+    page.evaluate("document.getElementById('do-setup').click()")
+    expect(page.locator("[name=plan] option")).to_have_count(3)
+    tab.is_answered()
+    assert page.input_value("[name=plan]") == PLAN["id"]
+    assert page.input_value("[name=fraction_number]") == "7"
+    assert page.input_value("[name=source]") == "recording:demo/recording.oni"
+
+
+def test_a_plan_of_a_breath_hold_asks_for_a_breath_hold_and_its_edges(fake: FakeService, tab: Tab):
+    fake.plans = [PLAN | {"gating": "breath_hold"}]
+    page = tab.open("idle")
+    page.select_option("[name=plan]", PLAN["id"])
+    expect(page.locator("[name='window.kind']")).to_have_value("breath_hold")
+    expect(page.locator("[name='window.lower_mm']")).to_be_visible()
+
+
+@pytest.mark.parametrize(
+    ("code", "name"),
+    [
+        ("plan_gating", "overrides_plan_gating"),
+        ("fraction_done", "repeats_fraction"),
+        ("plan_contradicted", "overrides_contradiction"),
+    ],
+)
+def test_what_the_plan_does_not_provide_for_asks_for_a_reason(fake: FakeService, tab: Tab, code: str, name: str):
+    fake.plans = [dict(PLAN)]
+    page = tab.open("idle")
+    page.select_option("[name=plan]", PLAN["id"])
+    page.fill("[name=fraction_number]", "2")
+    page.select_option("[name=source]", "recording:demo/recording.oni")
+    expect(page.locator("#plan-reason")).to_be_hidden()
+    fake.problem = (409, {"code": code, "detail": "Not as planned."})
+    page.click("#new-session [type=submit]")
+    expect(page.locator("#setup-outcome")).to_have_text("Not as planned.")
+    expect(page.locator("#plan-reason input")).to_be_focused()
+    fake.problem = None
+    page.keyboard.type("Prescribed by Dr. C today")
+    page.click("#new-session [type=submit]")
+    expect(page.locator("#setup")).to_be_hidden()
+    assert fake.posts()[-1][1][name] == "Prescribed by Dr. C today"
+    page.click("#do-setup")
+    expect(page.locator("#plan-reason")).to_be_hidden()
+    assert page.input_value("#plan-reason input") == ""
+
+
+def test_recordings_are_chosen_from_a_list_and_what_cannot_be_played_says_why(fake: FakeService, tab: Tab):
+    fake.recordings.append(RECORDING | {"path": "cut.oni", "seconds": None, "problem": "cut.oni: is empty"})
+    fake.recordings.append(RECORDING | {"path": "depth.oni", "has_color": False})
+    fake.sessions = []
+    page = tab.open("idle")
+    options = page.locator("[name=source] option")
+    expect(options).to_have_count(5)
+    assert options.all_text_contents() == [
+        "Choose a camera or recording",
+        "First camera found",
+        "demo/recording.oni · 40 s",
+        "cut.oni: cut.oni: is empty",
+        "depth.oni · 40 s · no colour",
+    ]
+    expect(options.nth(3)).to_be_disabled()
+    page.fill("[name=patient_reference]", "P-0200")
+    page.click("#new-session [type=submit]")
+    expect(page.locator("#setup-outcome")).to_have_text("Choose a camera or a recording.")
+    expect(page.locator("[name=source]")).to_be_focused()
+    assert fake.posts() == []

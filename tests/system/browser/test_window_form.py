@@ -18,7 +18,9 @@ def form(fake: FakeService, tab: Tab) -> Page:
     page.fill("[name=patient_reference]", "P-0200")
     page.fill("[name=plan_id]", "PLAN-9")
     page.fill("[name=fraction_id]", "FX-1")
-    page.fill("[name='source.path']", "demo/recording.oni")
+    page.select_option("[name=source]", "recording:demo/recording.oni")
+    page.click("#more-settings summary")
+    page.select_option("[data-edges]", "length")
     return page
 
 
@@ -123,10 +125,10 @@ def test_a_refusal_points_into_the_condition_it_is_about(fake: FakeService, form
     form.click("#add-condition")
     fake.problem = (
         422,
-        {"code": "invalid_value", "detail": "no", "field": "window.further.0.upper_mm", "bound": "less"},
+        {"code": "invalid_value", "detail": "no", "field": "window.further.0.upper_percent", "bound": "less"},
     )
     form.click("#new-session [type=submit]")
     wrong = form.locator("[aria-invalid=true]")
     expect(wrong).to_have_count(1)
-    expect(wrong).to_have_attribute("name", "window.further.0.upper_mm")
+    expect(wrong).to_have_attribute("name", "window.further.0.upper_percent")
     expect(wrong).to_be_focused()

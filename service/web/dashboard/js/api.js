@@ -69,6 +69,10 @@ const once = () => ({ "Idempotency-Key": crypto.randomUUID?.() ?? `${Date.now()}
 export const listSessions = (limit) => call("GET", `/sessions?limit=${limit}`);
 export const readSession = (id) => call("GET", session(id));
 export const createSession = (request) => call("POST", "/sessions", request, once());
+export const listSessionsOf = (patient, plan) => call("GET", `/sessions?${new URLSearchParams({ patient_reference: patient, plan_id: plan, limit: 100 })}`);
+export const listPlans = () => call("GET", "/plans?limit=50");
+export const prepareSession = (planId, request) => call("POST", `/plans/${encodeURIComponent(planId)}/sessions`, request, once());
+export const listRecordings = () => call("GET", "/recordings?limit=100");
 export const listCalibrations = () => call("GET", "/calibrations?limit=100");
 export const readQaStatus = () => call("GET", "/qa/status");
 export const qaReportUrl = (id) => `${ROOT}/qa/runs/${encodeURIComponent(id)}/report.pdf`;

@@ -1,12 +1,11 @@
 /** The sessions panel: choose or create a session, upload a calibration. It never covers the gate or the trace. */
 
-import { createSession, listCalibrations, listDevices, listSessions, uploadCalibration } from "../api.js";
-import { Conditions } from "./conditions.js";
+import { createSession, listCalibrations, listDevices, listPlans, listRecordings, listSessions, listSessionsOf, prepareSession, uploadCalibration } from "../api.js";
 import { may, obstacle } from "../people/permissions.js";
+import { SessionForm } from "./session_form.js";
 
 const SHOWN = 12;
 const MAX_CALIBRATION_BYTES = 1_000_000;
-const OPTIONAL = new Set(["fraction_number", "head_direction", "source.uri", "calibration_id", "regions.named"]);
 
 export class Setup {
   /**
@@ -22,15 +21,13 @@ export class Setup {
     this.outcome = document.getElementById("setup-outcome");
     this.toggle.addEventListener("click", () => this.show(this.panel.hidden));
     document.getElementById("setup-close").addEventListener("click", () => this.show(false));
-    this.conditions = new Conditions(byId("conditions"), byId("condition-template"), byId("add-condition"), () => this.#showWindow());
-    this.#empty();
-    this.form.addEventListener("change", () => this.#showFields());
+    this.fields = new SessionForm(this.form);
+    this.form.elements.namedItem("plan").addEventListener("change", () => this.#proposeFraction());
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
       this.#create();
     });
     document.getElementById("calibration-file").addEventListener("change", (event) => this.#upload(event.target));
-    this.#showFields();
   }
 
   show(isShown) {
@@ -66,7 +63,7 @@ export class Setup {
   /** Reload sessions, calibrations and cameras. */
   async refresh() {
     if (this.panel.hidden) return;
-    await Promise.all([this.#loadSessions(), this.#loadCalibrations(), this.#loadDevices()]);
+    await Promise.all([this.#loadSessions(), this.#loadPlans(), this.#loadCalibrations(), this.#loadSources()]);
   }
 
   async #loadSessions() {
@@ -103,57 +100,50 @@ export class Setup {
     again.className = "again";
     again.textContent = "New, as in this";
     again.title = `Enter the values of ${session.patient_reference}, ${session.fraction_id} for a new fraction`;
-    again.addEventListener("click", () => this.#fillFrom(session));
+    again.addEventListener("click", () => {
+      this.fields.fillFrom(session);
+      this.#say("", `As in ${session.fraction_id} of ${session.patient_reference}: check each value, and enter the fraction.`);
+    });
     return again;
   }
 
-  #fillFrom(session) {
-    this.#empty();
-    const { window: { further = [], ...first }, ...rest } = session;
-    this.conditions.reset([first, ...further]);
-    const values = { ...rest, window: first, fraction_id: "", fraction_number: null };
-    for (const input of this.form.elements) {
-      if (!input.name || input.dataset.name !== undefined) continue;
-      const found = input.name.split(".").reduce((from, key) => from?.[key], values);
-      if (typeof found === "string" || typeof found === "number") input.value = found;
-    }
-    this.#input("regions.named").value = notation(session.regions?.named ?? []);
-    this.#showFields();
-    this.conditions.show();
-    this.#say("", `As in ${session.fraction_id} of ${session.patient_reference}: check each value, and enter the fraction.`);
-    this.#input("fraction_id").focus();
-  }
-
-  /** Empty the form: nothing of one patient is offered for the next. */
   #empty() {
-    this.form.reset();
-    this.conditions.reset();
-    this.#showFields();
-    this.#mark("");
+    this.fields.reset();
     this.#say("", "");
   }
 
-  async #loadCalibrations(wanted) {
-    const select = this.#input("calibration_id");
-    const kept = wanted ?? select.value;
+  async #loadPlans() {
     try {
-      const { items } = await listCalibrations();
-      const label = (item) => `${item.camera} · ${item.created_at.slice(0, 10)} · ${item.id.slice(0, 8)}`;
-      select.replaceChildren(...items.map((item) => new Option(label(item), item.id)));
-      if (items.length === 0) select.append(new Option("No calibration yet: upload one below", ""));
-      select.append(new Option("None: the live camera's built-in registration", ""));
-      if (items.some((item) => item.id === kept)) select.value = kept;
-    } catch (error) {
-      select.replaceChildren(new Option(error.message, ""));
+      this.fields.offerPlans((await listPlans()).items);
+    } catch {
+      // A session can be typed without the list.
     }
   }
 
-  async #loadDevices() {
+  async #loadCalibrations(wanted) {
     try {
-      const { items } = await listDevices();
-      this.#input("source.uri").replaceChildren(new Option("First found", ""), ...items.map((item) => new Option(item.name, item.uri)));
+      this.fields.offerCalibrations((await listCalibrations()).items, wanted);
+    } catch (error) {
+      this.fields.refuseCalibrations(error.message);
+    }
+  }
+
+  async #loadSources() {
+    const none = () => ({ items: [] });
+    const [devices, recordings] = await Promise.all([listDevices().catch(none), listRecordings().catch(none)]);
+    this.fields.offerSources(devices.items, recordings.items);
+  }
+
+  /** Propose the plan's next fraction: one more than the highest that was started. */
+  async #proposeFraction() {
+    const { plan } = this.fields;
+    if (plan === null) return;
+    try {
+      const { items } = await listSessionsOf(plan.patient_reference, plan.label);
+      const numbers = items.filter((one) => one.started_at !== null).map((one) => one.fraction_number ?? 0);
+      if (this.fields.plan?.id === plan.id) this.fields.enterFraction(1 + Math.max(0, ...numbers));
     } catch {
-      // The first camera can be requested without a list.
+      // The number can be typed.
     }
   }
 
@@ -180,91 +170,29 @@ export class Setup {
   }
 
   async #create() {
-    this.#mark("");
+    this.fields.mark("");
     const submit = this.form.querySelector("[type=submit]");
     submit.disabled = true;
+    const { plan } = this.fields;
     try {
-      const session = await createSession(this.#request());
+      const request = this.fields.request(this.access.person.name);
+      if (request.source.kind === undefined) throw Object.assign(new Error("Choose a camera or a recording."), { field: "source" });
+      const session = plan === null ? await createSession(request) : await prepareSession(plan.id, request);
       this.#empty();
       this.onSelect(session);
       this.show(false);
     } catch (error) {
       this.#say("failed", error.message);
-      this.#mark(error.field ?? "");
+      this.fields.refuse(error);
     } finally {
       submit.disabled = false;
     }
-  }
-
-  /** Return the visible fields as nested JSON: `window.lower_mm` becomes `{window: {lower_mm}}`. */
-  #request() {
-    const request = { operator: this.access.person.name };
-    for (const input of this.form.elements) {
-      if (!input.name || input.closest("[hidden]")) continue;
-      const value = read(input);
-      if (value === null) continue;
-      put(request, input.name.split("."), value);
-    }
-    return request;
-  }
-
-  #showWindow() {
-    byId("join-field").hidden = this.conditions.count < 2;
-    byId("own-regions").hidden = !this.conditions.asksForRegions;
-  }
-
-  #showFields() {
-    const chosen = new Set([this.#input("source.kind").value]);
-    for (const field of this.form.querySelectorAll("[data-only]")) field.hidden = !chosen.has(field.dataset.only);
-  }
-
-  #mark(field) {
-    const name = field.replace(/^body\./, "").replace(/^source\.(recording|device)\./, "source.");
-    for (const input of this.form.elements) {
-      const isWrong = name !== "" && input.name === name;
-      input.setAttribute("aria-invalid", String(isWrong));
-      if (isWrong) input.focus();
-    }
-  }
-
-  #input(name) {
-    return this.form.elements.namedItem(name);
   }
 
   #say(kind, text) {
     this.outcome.dataset.kind = kind;
     this.outcome.textContent = text;
   }
-}
-
-/** Set the value at a path; numbers in the path are list indices. */
-function put(target, [key, ...rest], value) {
-  if (rest.length === 0) target[key] = value;
-  else put((target[key] ??= /^\d+$/.test(rest[0]) ? [] : {}), rest, value);
-}
-
-/** Parse regions in the notation of the command line; invalid ones are sent as text, and the controller refuses them. */
-function regions(text) {
-  const found = text.split(/\s+/).map((one) => {
-    const [name, corners = ""] = one.split("=");
-    return { name, vertices: corners.split(";").map((corner) => corner.split(",").map(Number)) };
-  });
-  return found.every((one) => one.vertices.flat().every(Number.isFinite)) ? found : text;
-}
-
-/** Write regions in the notation of the command line. */
-function notation(named) {
-  return named.map(({ name, vertices }) => `${name}=${vertices.map((one) => one.join(",")).join(";")}`).join(" ");
-}
-
-/** Return the value to send; null leaves the key out. Invalid numbers are sent as text, and the controller refuses them. */
-function read(input) {
-  const text = input.value.trim();
-  if (text === "" && (OPTIONAL.has(input.name) || "optional" in input.dataset)) return null;
-  if (input.name === "regions.named") return regions(text);
-  if (input.type !== "number") return text;
-  const number = Number(text);
-  return text !== "" && Number.isFinite(number) ? number : text;
 }
 
 function byId(id) {
