@@ -73,6 +73,9 @@ export const listSessionsOf = (patient, plan) => call("GET", `/sessions?${new UR
 export const listPlans = () => call("GET", "/plans?limit=50");
 export const prepareSession = (planId, request) => call("POST", `/plans/${encodeURIComponent(planId)}/sessions`, request, once());
 export const listRecordings = () => call("GET", "/recordings?limit=100");
+const model = (id) => `/models/${encodeURIComponent(id)}`;
+export const readModel = (id) => call("GET", model(id));
+export const readSpectrum = (id) => call("GET", `${model(id)}/spectrum`);
 export const listCalibrations = () => call("GET", "/calibrations?limit=100");
 export const readQaStatus = () => call("GET", "/qa/status");
 export const qaReportUrl = (id) => `${ROOT}/qa/runs/${encodeURIComponent(id)}/report.pdf`;

@@ -23,6 +23,7 @@ import { QaPanel } from "./panels/qa.js";
 import { Range } from "./drawing/color_scale.js";
 import { Setup } from "./panels/setup.js";
 import { MismatchWatch, present, presentLocked } from "./stream/gate_state.js";
+import { Steps } from "./panels/steps.js";
 import { Trace } from "./panels/trace.js";
 import { WindowEditor } from "./panels/window_editor.js";
 import { describe as describeWindow, gatedUnit, gatedValue } from "./stream/gating_window.js";
@@ -60,6 +61,7 @@ const people = new PeoplePanel(access);
 const logIn = new LogIn(access);
 const qa = new QaPanel();
 const coach = new CoachPanel(access);
+const steps = new Steps(byId("steps"));
 const range = new Range();
 const mismatch = new MismatchWatch();
 
@@ -296,6 +298,7 @@ function drawPanels(nowMs, view, sample) {
   renderBody(sample?.body_warning ?? session?.body?.warning);
   renderLikeness(sample, session?.likeness);
   renderLearning(sample, session, view.isFresh);
+  steps.render({ may: access.may("create"), isFresh: view.isFresh, sample, session });
   renderWho(view);
   renderTraceValue(sample);
 }
