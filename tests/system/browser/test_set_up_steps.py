@@ -87,6 +87,24 @@ def test_without_a_session_the_first_step_is_to_choose_one(fake: FakeService, ta
     assert now(page) == "patient"
 
 
+def test_while_the_camera_is_opened_no_button_is_marked(fake: FakeService, tab: Tab):
+    fake.sessions[0] |= {"status": "created"}
+    page = tab.open("idle")
+    tab.await_that(lambda: marked(page) == ["do-start"], "Start is not marked")
+    fake.sessions[0] |= {"status": "running"}
+    expect(page.locator("#steps li[data-code=camera]")).to_contain_text("is being opened")
+    assert (now(page), marked(page)) == ("camera", [])
+
+
+@pytest.mark.parametrize("status", ["stopped", "ended", "failed", "interrupted"])
+def test_after_a_session_the_next_one_is_to_be_chosen(fake: FakeService, tab: Tab, status: str):
+    fake.sessions[0] |= {"status": status}
+    page = tab.open("idle")
+    page.click("#setup-close")
+    tab.await_that(lambda: marked(page) == ["do-setup"], "Sessions is not marked")
+    expect(page.locator("#steps li[data-code=patient]")).not_to_contain_text("P-0117")
+
+
 def test_after_the_window_was_looked_at_the_summary_is_next_and_after_arming_the_list_goes(fake: FakeService, tab: Tab):
     running(fake, has_reference=True)
     page = tab.open("disarmed")

@@ -40,11 +40,12 @@ export class Steps {
    * @param {{may: boolean, isFresh: boolean, sample: ?object, session: ?object}} context whether the person may run sessions;
    * the fresh sample of a running session; the session that runs or was chosen
    */
-  render({ may, isFresh, sample, session }) {
-    const id = sample?.session_id ?? (session?.status === "created" ? session.id : null);
+  render({ may, isFresh, sample, session: known }) {
+    const session = isOpen(known) ? known : null;
+    const id = sample?.session_id ?? session?.id ?? null;
     if (id !== this.sessionId) Object.assign(this, { sessionId: id, wasArmed: false, isHidden: false, windowLookedAt: false, model: null, modelId: null });
     if (sample?.is_armed) this.wasArmed = true;
-    const isOver = !may || this.wasArmed || (session !== null && !["created", "running"].includes(session.status));
+    const isOver = !may || this.wasArmed;
     const isShown = !isOver && isFresh && !this.isHidden;
     this.root.hidden = !isShown;
     this.show.hidden = isOver || !this.isHidden || !isFresh;
@@ -81,12 +82,14 @@ export class Steps {
   }
 }
 
+const isOpen = (session) => ["created", "running"].includes(session?.status);
+
 /** The steps with their states; at most one is "now". Exported for the page's tests. */
 export function stepsOf({ sample, session, windowLookedAt, model }) {
   const isKnown = session !== null;
   const steps = [
-    step("patient", sample !== null || session?.status === "created", isKnown ? `${session.patient_reference} · ${session.plan_id} · ${session.fraction_id}` : "Press Sessions: choose the plan, or type patient and plan.", "do-setup"),
-    cameraStep(sample),
+    step("patient", sample !== null || isKnown, isKnown ? `${session.patient_reference} · ${session.plan_id} · ${session.fraction_id}` : "Press Sessions: choose the plan, or type patient and plan.", "do-setup"),
+    cameraStep(sample, session),
     step("markers", sample !== null && sample.state !== "lost", markersText(sample)),
     step("training", sample?.state === "measuring", trainingText(sample, model)),
     step("reference", sample?.state === "measuring" && session?.has_reference === true && !needsReference(sample, session), referenceText(sample, session), "do-reference"),
@@ -104,7 +107,8 @@ function step(code, isDone, text, button = null) {
   return { code, state: isDone ? "done" : "later", text, button };
 }
 
-function cameraStep(sample) {
+function cameraStep(sample, session) {
+  if (sample === null && session?.status === "running") return step("camera", false, "The camera is being opened.");
   if (sample === null) return step("camera", false, "Press Start when the patient lies still.", "do-start");
   const view = sample.camera_view;
   if (!view) return step("camera", true, "");
