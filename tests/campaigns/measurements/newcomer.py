@@ -1,6 +1,6 @@
 """A newcomer at the console: does only what the page says, on a prepared plan, until the beam is permitted.
 
-`python -m tests.campaigns.measurements.newcomer` starts `tidegate serve` on a played virtual volunteer with one imported
+`python -m tests.campaigns.measurements.newcomer` starts `tidegate serve` on a played virtual volunteer with an imported
 plan, opens the page in Debian's Chromium, and follows the steps: it logs in, fills fields that are empty, clicks the
 button that is marked as the next one, and looks at window and summary. It prints the fields, clicks, decisions and
 wrong turns (a click after which the page reports a failure), the time, and where in the breath the reference lies.
