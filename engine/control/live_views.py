@@ -148,6 +148,6 @@ class LiveViews:
             reference_budget_mm=limits.max_reference_distance_mm,
             movement=None if motion is None else self._movement(),
             position=self._position(),
-            camera_view=None if decision.gate.is_armed else self._newest_camera_view,
+            camera_view=self._newest_camera_view,
             unseen_cells=() if motion is None else motion.seen.unseen_cells(limits.min_signal_share),
         )
