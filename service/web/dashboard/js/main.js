@@ -45,7 +45,7 @@ liveUrl.protocol = liveUrl.protocol === "https:" ? "wss:" : "ws:";
 const access = new Access(() => followAccess());
 const stream = new LiveStream(liveUrl, receive, () => access.ask());
 const gate = new GatePanel(byId("gate"));
-const trace = new Trace(byId("trace"));
+const trace = new Trace(byId("trace-frame"));
 const picture = new PicturePanel(byId("picture"), byId("overlay"));
 const grid = new GridPanel(byId("grid"), byId("legend"), byId("grid-readout"));
 const events = new EventList(byId("events"), byId("events-empty"));

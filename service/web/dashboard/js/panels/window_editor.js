@@ -25,10 +25,10 @@ export class WindowEditor {
     byId("window-cancel").addEventListener("click", () => this.close());
     form.addEventListener("submit", (event) => this.#submit(event));
     form.addEventListener("input", (event) => this.#follow(event));
-    const canvas = trace.canvas;
-    canvas.addEventListener("pointerdown", (event) => this.#take(event));
-    canvas.addEventListener("pointermove", (event) => this.#drag(event));
-    for (const kind of ["pointerup", "pointercancel"]) canvas.addEventListener(kind, () => this.#release());
+    const { surface } = trace;
+    surface.addEventListener("pointerdown", (event) => this.#take(event));
+    surface.addEventListener("pointermove", (event) => this.#drag(event));
+    for (const kind of ["pointerup", "pointercancel"]) surface.addEventListener(kind, () => this.#release());
   }
 
   get isOpen() {
@@ -42,7 +42,7 @@ export class WindowEditor {
     this.opener.setAttribute("aria-expanded", "false");
     this.trace.proposal = null;
     this.#release();
-    this.trace.canvas.style.cursor = "";
+    this.trace.surface.style.cursor = "";
     return wasOpen;
   }
 
@@ -193,7 +193,7 @@ export class WindowEditor {
     if (distance > REACH_PX) return;
     this.grip = name;
     this.trace.keepsRange = true;
-    this.trace.canvas.setPointerCapture(event.pointerId);
+    this.trace.surface.setPointerCapture(event.pointerId);
     event.preventDefault();
   }
 
@@ -204,7 +204,7 @@ export class WindowEditor {
 
   #drag(event) {
     if (!this.isOpen) return;
-    this.trace.canvas.style.cursor = "ns-resize";
+    this.trace.surface.style.cursor = "ns-resize";
     if (this.grip === null) return;
     const value = this.trace.valueAt(event.offsetY);
     const edges = { ...this.#edges(), [this.grip]: this.unit === "percent" ? this.#inPercent(value) : value };
