@@ -683,6 +683,7 @@ class PlanSessionRequest(TypedDict):
     """The part of a session that the plan does not define: camera, calibration, edges of the window, fraction."""
 
     calibration_id: NotRequired[str | None]
+    continues: NotRequired[str | None]
     fraction_group: NotRequired[int | None]
     fraction_number: int
     head_direction: NotRequired[Literal["top", "bottom", "left", "right"] | None]
@@ -710,6 +711,7 @@ class PreparedSession(TypedDict):
     calibration: NotRequired[Literal["uploaded", "device registration"]]
     calibration_id: str
     calibration_warning: NotRequired[str | None]
+    continues: NotRequired[str | None]
     created_at: str
     ended_at: str | None
     fraction_id: str
@@ -1165,6 +1167,7 @@ class Session(TypedDict):
     calibration: NotRequired[Literal["uploaded", "device registration"]]
     calibration_id: str
     calibration_warning: NotRequired[str | None]
+    continues: NotRequired[str | None]
     created_at: str
     ended_at: str | None
     fraction_id: str
@@ -1219,6 +1222,7 @@ class GateView(TypedDict):
     line_on: bool
     operator_hold: NotRequired[str | None]
     state: Literal["disarmed", "hold", "dwell", "beam_on", "fault"]
+    state_since: NotRequired[str | None]
 
 
 class LikenessView(TypedDict):
@@ -1259,6 +1263,14 @@ class BeamOffSummary(TypedDict):
     slowest_ms: float
 
 
+class HoldCount(TypedDict):
+    """How often the gate began to hold for one reason."""
+
+    count: int
+    reason: str
+    text: str
+
+
 class LatencyView(TypedDict):
     """Latency from frame capture to the command at the beam line [ms]."""
 
@@ -1271,8 +1283,11 @@ class Summary(TypedDict):
     """Statistics of a session so far, from the database."""
 
     beam_off: NotRequired[BeamOffSummary | None]
+    beam_on_s: NotRequired[float | None]
     duty_cycle: float | None
+    elapsed_s: NotRequired[float | None]
     frames: int
+    holds: NotRequired[list[HoldCount]]
     latency: LatencyView
     lost: int
     missed_frames: int
@@ -1303,7 +1318,9 @@ class SessionDetail(TypedDict):
     calibration_id: str
     calibration_warning: NotRequired[str | None]
     camera: NotRequired[CameraView | None]
+    continues: NotRequired[str | None]
     created_at: str
+    delivered_before_s: NotRequired[float | None]
     ended_at: str | None
     fraction_id: str
     fraction_number: int | None
@@ -1346,6 +1363,7 @@ class SessionRequest(TypedDict):
     """A new session: patient, plan, camera or recording, and gating window."""
 
     calibration_id: NotRequired[str | None]
+    continues: NotRequired[str | None]
     fraction_id: str
     fraction_number: NotRequired[int | None]
     head_direction: NotRequired[Literal["top", "bottom", "left", "right"] | None]

@@ -1,6 +1,6 @@
 """Sessions that continue an earlier one of their fraction, as after a crash.
 
-What is kept is the earlier beam-on time, to be shown. The gate, the reference and the rules of arming know nothing of it.
+Only the earlier beam-on time is kept, to be shown: gate, reference and the rules of arming know nothing of it.
 """
 
 from sqlalchemy.orm import Session

@@ -3,7 +3,7 @@
  * typed or dragged on the trace, with what they would have done in the last minute.
  */
 
-import { setWindow } from "../api.js";
+import { setWindow, withoutNulls } from "../api.js";
 import { byId, setText } from "../drawing/elements.js";
 import { conditionsOf, gatedUnit } from "../stream/gating_window.js";
 import { forecast } from "../stream/window_forecast.js";
@@ -236,10 +236,4 @@ function forecastText(found, why) {
   if (found === null) return why;
   const shortest = found.shortestS === null ? "no complete pulse" : `shortest ${found.shortestS.toFixed(1)} s`;
   return `Predicted from the last ${Math.round(found.seconds)} s: beam on ${Math.round(found.percent)} %, ${found.pulsesPerMin.toFixed(0)} pulses/min, ${shortest}`;
-}
-
-function withoutNulls(value) {
-  if (Array.isArray(value)) return value.map(withoutNulls);
-  if (value === null || typeof value !== "object") return value;
-  return Object.fromEntries(Object.entries(value).filter(([, one]) => one !== null).map(([name, one]) => [name, withoutNulls(one)]));
 }
