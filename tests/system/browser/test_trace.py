@@ -88,6 +88,12 @@ def breathing(fake: FakeService, tab: Tab) -> Page:
     return page
 
 
+def go_back(page: Page) -> None:
+    """Zoom in by the keyboard, to less than there is, and move back."""
+    for key in (*["+"] * 8, "ArrowLeft"):
+        page.keyboard.press(key)
+
+
 def point_at(page: Page, from_right_px: float) -> None:
     box = page.locator("#trace").bounding_box()
     assert box is not None
@@ -202,30 +208,69 @@ def test_the_keyboard_zooms_moves_and_returns(breathing: Page):
     breathing.focus(FRAME)
     breathing.keyboard.press("+")
     expect(breathing.locator("#trace-live")).to_be_visible()
-    breathing.keyboard.press("ArrowLeft")
+    go_back(breathing)
     expect(breathing.locator(FRAME)).to_have_attribute("data-live", "no")
     breathing.keyboard.press("ArrowRight")
     breathing.keyboard.press("ArrowRight")
     expect(breathing.locator(FRAME)).to_have_attribute("data-live", "yes")
-    breathing.keyboard.press("ArrowLeft")
-    breathing.keyboard.press("l")
+    for key in ("ArrowLeft", "l"):
+        breathing.keyboard.press(key)
     expect(breathing.locator(FRAME)).to_have_attribute("data-live", "yes")
     expect(breathing.locator("#trace-live")).to_be_hidden()
 
 
+def test_the_reference_is_named_on_the_trace_as_confirmed_and_not_after_another_one(
+    fake: FakeService, stepped: SteppedPage
+):
+    named = """() => new Promise((resolve) => {
+      const original = CanvasRenderingContext2D.prototype.fillText;
+      const found = [];
+      CanvasRenderingContext2D.prototype.fillText = function (text, ...place) {
+        found.push(text);
+        return original.call(this, text, ...place);
+      };
+      window.drawnTexts = found;
+      resolve();
+    })"""
+    page = stepped.open(sample(**at_reference(1)))
+    page.evaluate(named)
+    stepped.advance(2_000)
+    assert "end of exhale of 4 breaths, scatter 0.21 mm" in page.evaluate("window.drawnTexts")
+    fake.arming["items"] = [one for one in fake.arming["items"] if one["code"] != "reference"]
+    stepped.shows(sample(**at_reference(2)))
+    stepped.advance(400)
+    page.evaluate("window.drawnTexts.length = 0")
+    stepped.advance(2_000)
+    texts = page.evaluate("window.drawnTexts")
+    assert "new reference" in texts
+    assert not [text for text in texts if text.startswith("end of exhale")]
+
+
+def test_it_does_not_move_beyond_the_oldest_sample(fake: FakeService, tab: Tab):
+    page = tab.open("idle")
+    moved = page.evaluate("""async () => {
+      const { TraceView } = await import('/js/panels/trace_view.js');
+      const view = new TraceView();
+      for (let i = 0; i < 9; i += 1) view.move(-0.25, 5, 100, 0);
+      return view.range(100);
+    }""")
+    assert moved == [5, 35]
+
+
 def test_it_is_live_again_after_a_minute(stepped: SteppedPage):
     page = stepped.open(sample())
+    stepped.advance(20_000)
     page.focus(FRAME)
-    page.keyboard.press("ArrowLeft")
-    stepped.advance(59_000)
+    go_back(page)
+    stepped.advance(58_000)
     expect(page.locator(FRAME)).to_have_attribute("data-live", "no")
-    stepped.advance(2_000)
+    stepped.advance(3_000)
     expect(page.locator(FRAME)).to_have_attribute("data-live", "yes")
 
 
 def test_another_session_is_live_and_holds_nothing_of_the_one_before(fake: FakeService, breathing: Page, tab: Tab):
     breathing.focus(FRAME)
-    breathing.keyboard.press("ArrowLeft")
+    go_back(breathing)
     expect(breathing.locator("#trace-held")).to_have_text("Not live")
     fake.is_breathing = False
     fake.sample = sample(session_id=OTHER, **(NOTHING_MEASURED | {"state": "lost"}))

@@ -3,7 +3,7 @@
 import { AlarmPanel, urgentText } from "./panels/alarms.js";
 import { ArmingPanel } from "./panels/arming.js";
 import { Access } from "./people/access.js";
-import { listSessions, readSession } from "./api.js";
+import { listSessions, readArming, readSession } from "./api.js";
 import { BaselineButton } from "./panels/baseline_correction.js";
 import { renderBreath } from "./panels/breath.js";
 import { CoachPanel } from "./coach/panel.js";
@@ -38,6 +38,9 @@ const PANEL_MS = 120;
 const LOOKED_AT = 5;
 /** The service records a change of the gate a moment after it: delay before reading it [ms]. */
 const SOON_MS = 400;
+/** When the text of a new reference is read, and how often again [ms]: the service records it a moment after it is set. */
+const LABEL_AFTER_MS = 1000;
+const LABEL_MS = 15_000;
 /** Period of looking for a running session [ms]. */
 const LOOK_MS = 1500;
 /** Period of reading what the stream does not contain, reference and patient match [ms]. */
@@ -82,6 +85,8 @@ let isSimulatedBeam = false;
 let asking = 0;
 let nextLookMs = 0;
 let nextDescribeMs = 0;
+/** Session and number of the reference that the trace names, and when its text is read next [ms]. */
+let labelled = { key: null, nextMs: 0 };
 
 /** Update the page after a log-in, a log-out or a change of permissions. */
 function followAccess() {
@@ -113,6 +118,7 @@ function leave() {
   session = null;
   shownSessionId = null;
   hasLooked = false;
+  labelled = { key: null, nextMs: 0 };
   trace.reset(null);
   arming.close();
   windowEditor.close();
@@ -139,6 +145,7 @@ function closeTopmost() {
 
 /** Remove what was measured in another session: nothing of one patient is shown under another's name. */
 function forgetSession() {
+  labelled = { key: null, nextMs: 0 };
   trace.reset(null);
   picture.follow(null, false);
   events.follow(null);
@@ -244,6 +251,27 @@ function follow(view, sample, nowMs) {
   picture.follow(id, view.isFresh);
   events.follow(shownSessionId);
   if (sample !== null) hasLooked = true;
+  labelReference(sample?.session_status === "running" ? sample : null, nowMs);
+}
+
+/** Name the reference on the trace: how it was confirmed is in the summary before arming. */
+async function labelReference(sample, nowMs) {
+  const number = sample?.position_check?.reference_number ?? null;
+  if (sample === null) return;
+  const key = number === null ? null : `${sample.session_id} ${number}`;
+  if (key !== labelled.key) {
+    trace.referenceText = "";
+    labelled = { key, nextMs: nowMs + LABEL_AFTER_MS };
+  }
+  if (key === null || nowMs < labelled.nextMs || document.hidden) return;
+  labelled.nextMs = nowMs + LABEL_MS;
+  try {
+    const { answer } = await readArming(sample.session_id);
+    const text = answer.items.find((one) => one.code === "reference" && one.state !== "missing")?.text ?? "";
+    if (labelled.key === key) trace.referenceText = text.split(/, set by |; /)[0];
+  } catch {
+    // It is read again.
+  }
 }
 
 function renderWho(view) {

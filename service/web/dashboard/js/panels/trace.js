@@ -140,12 +140,13 @@ export class Trace {
   #key(event) {
     const nowMs = performance.now();
     const [from, to] = this.view.range(this.nowS);
+    const oldestS = this.kept.times[0] ?? this.nowS;
     const act = {
       "+": () => this.view.zoom(true, (from + to) / 2, nowMs),
       "=": () => this.view.zoom(true, (from + to) / 2, nowMs),
       "-": () => this.view.zoom(false, (from + to) / 2, nowMs),
-      ArrowLeft: () => this.view.move(-0.25, this.nowS, nowMs),
-      ArrowRight: () => this.view.move(0.25, this.nowS, nowMs),
+      ArrowLeft: () => this.view.move(-0.25, oldestS, this.nowS, nowMs),
+      ArrowRight: () => this.view.move(0.25, oldestS, this.nowS, nowMs),
       l: () => this.toLive(),
       End: () => this.toLive(),
     }[event.key];

@@ -60,10 +60,13 @@ export class TraceView {
     this.touchedMs = nowMs;
   }
 
-  /** Move by a share of what is shown, back (negative) or forth; live again where the newest sample is reached. */
-  move(share, nowS, nowMs) {
+  /**
+   * Move by a share of what is shown, back (negative) or forth: not beyond the oldest sample, and live again where the newest
+   * is reached.
+   */
+  move(share, oldestS, nowS, nowMs) {
     const [from, to] = this.range(nowS);
-    const by = share * (to - from);
+    const by = Math.max(share * (to - from), Math.min(0, oldestS - from));
     if (by > 0 && this.isLive) return;
     if (to + by >= nowS) {
       this.held = null;
