@@ -81,6 +81,20 @@ def test_an_interrupted_session_is_announced_before_anything_else(fake: FakeServ
     expect(page.locator(OFFER)).to_have_text("Continue with its model")
 
 
+def test_an_open_set_up_gives_way_to_an_interruption_and_to_the_end_of_what_ran_here(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", sample()
+    page = tab.open("hold")
+    page.click("#do-setup")
+    fake.mode, fake.sessions[:] = "idle", [over()]
+    expect(page.locator(HEADING)).to_have_text("Summary: P-0117")
+    expect(page.locator("#setup")).to_be_hidden()
+    page.click("#do-setup")
+    page.fill("[name=patient_reference]", "P-0118")
+    fake.sessions[:] = [over("interrupted", id="99" * 16)]
+    expect(page.locator(HEADING)).to_have_text("Interrupted: P-0117")
+    expect(page.locator("#setup")).to_be_hidden()
+
+
 @pytest.mark.parametrize("status", ["interrupted", "failed"])
 def test_it_is_continued_with_its_model_and_nothing_is_armed(fake: FakeService, tab: Tab, status: str):
     page = opened(fake, tab, over(status))

@@ -66,7 +66,7 @@ const alarms = new AlarmPanel(byId("alarms"), controls);
 const baseline = new BaselineButton(byId("do-correct"), controls);
 const presence = new Presence();
 const setup = new Setup(access, select);
-const report = new Report(access, select);
+const report = new Report(access, select, uncoverReport);
 const keyList = new KeyList();
 const people = new PeoplePanel(access);
 const logIn = new LogIn(access);
@@ -128,6 +128,11 @@ function leave() {
   keyList.close();
   controls.forget();
   qa.forget();
+}
+
+/** Close the set-up over an interruption, and over the end of a session that ran here unless a person is typing there. */
+function uncoverReport({ id }, isBroken) {
+  if (isBroken || (id === shownSessionId && !byId("setup").contains(document.activeElement))) setup.show(false);
 }
 
 /** Close what lies on top of the page, for Esc. @returns {boolean} whether anything was open */

@@ -24,9 +24,10 @@ export class Report {
   /**
    * @param {import("../people/access.js").Access} access the log-in and its permissions
    * @param {(session: object) => void} onCreated called with the session that continues the one shown
+   * @param {(session: object, isBroken: boolean) => void} onShown called when a session is shown: what lies over it gives way
    */
-  constructor(access, onCreated) {
-    Object.assign(this, { access, onCreated, root: byId("report"), button: byId("report-continue"), dismissed: null });
+  constructor(access, onCreated, onShown) {
+    Object.assign(this, { access, onCreated, onShown, root: byId("report"), button: byId("report-continue"), dismissed: null });
     this.forget();
     byId("report-close").addEventListener("click", () => this.close());
     this.button.addEventListener("click", () => this.#continue());
@@ -81,6 +82,7 @@ export class Report {
     this.button.hidden = !isBroken;
     if (isBroken) this.#offer();
     this.root.hidden = false;
+    this.onShown(session, isBroken);
   }
 
   /** The offer to continue: nothing is armed by it, and the reference is confirmed again. */
