@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.support.browser.fake_service import NOTHING_MEASURED, FakeService, sample, summary
+from tests.support.browser.fake_service import NOTHING_MEASURED, SESSION_ID, FakeService, sample, summary
 from tests.support.browser.stepped_page import PAUSED, SteppedPage
 from tests.support.browser.tab import Tab
 
@@ -69,6 +69,18 @@ def test_figures_of_another_session_or_of_none_are_not_shown(fake: FakeService, 
     fake.sample = sample(session_id="99" * 16)
     for name in SHOWN:
         expect(page.locator(f"#treatment-{name}")).to_have_text(NONE)
+
+
+def test_figures_of_a_session_that_was_read_before_belong_to_no_other_sample(fake: FakeService, tab: Tab):
+    page = tab.open("idle")
+    script = """async ([sample, session]) => {
+      const { renderTreatment } = await import('/js/panels/treatment.js');
+      renderTreatment(sample, session, Date.now());
+      return document.querySelector('#treatment-on').textContent;
+    }"""
+    session = {"id": SESSION_ID, "summary": summary(), "gate": None, "continues": None}
+    assert page.evaluate(script, [sample(), session]) == "41.2 s"
+    assert page.evaluate(script, [sample(session_id="99" * 16), session]) == NONE
 
 
 def test_figures_that_are_old_are_not_shown(fake: FakeService, stepped: SteppedPage):
