@@ -683,6 +683,7 @@ class PlanSessionRequest(TypedDict):
     """The part of a session that the plan does not define: camera, calibration, edges of the window, fraction."""
 
     calibration_id: NotRequired[str | None]
+    continues: NotRequired[str | None]
     fraction_group: NotRequired[int | None]
     fraction_number: int
     head_direction: NotRequired[Literal["top", "bottom", "left", "right"] | None]
@@ -710,6 +711,7 @@ class PreparedSession(TypedDict):
     calibration: NotRequired[Literal["uploaded", "device registration"]]
     calibration_id: str
     calibration_warning: NotRequired[str | None]
+    continues: NotRequired[str | None]
     created_at: str
     ended_at: str | None
     fraction_id: str
@@ -1030,6 +1032,18 @@ class LiveBreathHold(TypedDict):
     timeout_s: float
 
 
+class LiveCameraView(TypedDict):
+    """How the camera looks at the patient: the middle of the picture, about once a second."""
+
+    advice: list[Literal["too_near", "too_far", "tilted", "gaps", "too_dark", "too_bright", "warming_up"]]
+    brightness: float
+    coverage: float
+    distance_mm: float | None
+    running_s: float
+    saturated: float
+    tilt_deg: float | None
+
+
 class LiveLag(TypedDict):
     """Delay of the first region's motion behind the second's; if it is unknown, `note` says why."""
 
@@ -1137,6 +1151,7 @@ class Sample(TypedDict):
     breath: NotRequired[LiveBreath | None]
     breath_hold: NotRequired[LiveBreathHold | None]
     calibration: NotRequired[Literal["uploaded", "device registration"]]
+    camera_view: NotRequired[LiveCameraView | None]
     captured_at: NotRequired[str | None]
     form: NotRequired[Literal["full"]]
     fps: float | None
@@ -1186,6 +1201,7 @@ class Session(TypedDict):
     calibration: NotRequired[Literal["uploaded", "device registration"]]
     calibration_id: str
     calibration_warning: NotRequired[str | None]
+    continues: NotRequired[str | None]
     created_at: str
     ended_at: str | None
     fraction_id: str
@@ -1240,6 +1256,7 @@ class GateView(TypedDict):
     line_on: bool
     operator_hold: NotRequired[str | None]
     state: Literal["disarmed", "hold", "dwell", "beam_on", "fault"]
+    state_since: NotRequired[str | None]
 
 
 class LikenessView(TypedDict):
@@ -1280,6 +1297,14 @@ class BeamOffSummary(TypedDict):
     slowest_ms: float
 
 
+class HoldCount(TypedDict):
+    """How often the gate began to hold for one reason."""
+
+    count: int
+    reason: str
+    text: str
+
+
 class LatencyView(TypedDict):
     """Latency from frame capture to the command at the beam line [ms]."""
 
@@ -1292,8 +1317,11 @@ class Summary(TypedDict):
     """Statistics of a session so far, from the database."""
 
     beam_off: NotRequired[BeamOffSummary | None]
+    beam_on_s: NotRequired[float | None]
     duty_cycle: float | None
+    elapsed_s: NotRequired[float | None]
     frames: int
+    holds: NotRequired[list[HoldCount]]
     latency: LatencyView
     lost: int
     missed_frames: int
@@ -1324,7 +1352,9 @@ class SessionDetail(TypedDict):
     calibration_id: str
     calibration_warning: NotRequired[str | None]
     camera: NotRequired[CameraView | None]
+    continues: NotRequired[str | None]
     created_at: str
+    delivered_before_s: NotRequired[float | None]
     ended_at: str | None
     fraction_id: str
     fraction_number: int | None
@@ -1367,6 +1397,7 @@ class SessionRequest(TypedDict):
     """A new session: patient, plan, camera or recording, and gating window."""
 
     calibration_id: NotRequired[str | None]
+    continues: NotRequired[str | None]
     fraction_id: str
     fraction_number: NotRequired[int | None]
     head_direction: NotRequired[Literal["top", "bottom", "left", "right"] | None]

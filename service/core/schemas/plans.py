@@ -5,7 +5,7 @@ from typing import Literal
 from pydantic import AwareDatetime, ConfigDict, Field
 
 from service.core.schemas.base import Answer, Identifier, Name, Operator, Request
-from service.core.schemas.sessions import HEAD_WORDS, HeadSide, Regions, Session, Source
+from service.core.schemas.sessions import CONTINUES, HEAD_WORDS, HeadSide, Regions, Session, Source
 from service.core.schemas.windows import Window
 
 PlanKind = Literal["RT Plan", "RT Ion Plan"]
@@ -154,6 +154,7 @@ class PlanSessionRequest(Request):
         description=f"{HEAD_WORDS}; if left out, it follows from the plan's Patient Position and the site's gantry"
         " side. It must not contradict them",
     )
+    continues: Identifier | None = Field(default=None, description=CONTINUES)
     overrides_plan_gating: Name | None = Field(
         default=None,
         description="Reason for a window that does not match the plan's technique; people "

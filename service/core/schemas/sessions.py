@@ -57,6 +57,10 @@ HeadSide = Literal["top", "bottom", "left", "right"]
 HEAD_WORDS = "Side of the camera's picture at which the patient's head lies"
 
 
+CONTINUES = (
+    "An earlier session of the same fraction that is over: its beam-on time is kept and shown with the new session's."
+    " Nothing else is taken over: the gate is not armed, and a person confirms the reference again"
+)
 GridRow = Annotated[float, Field(ge=-0.5, le=349.5)]
 GridVertex = Annotated[list[GridRow], Field(min_length=2, max_length=2)]
 
@@ -134,6 +138,7 @@ class SessionRequest(Request):
         default=None,
         description=f"{HEAD_WORDS}; if left out, only windows on `whole` or `volume` can be armed",
     )
+    continues: Identifier | None = Field(default=None, description=CONTINUES)
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -299,6 +304,11 @@ class GateView(Answer):
     hold_reason: str | None
     hold_text: str | None
     hold_detail: str = Field(default="", description="Details of the hold reason, with values")
+    state_since: AwareDatetime | None = Field(
+        default=None,
+        description="When the gate changed to this state, or to its present reason, from the audit; null while that is"
+        " not recorded",
+    )
     operator_hold: str | None = Field(default=None, description="Operator who holds the beam")
     armed_by: str | None = Field(
         default=None, description="Who armed the gate, or released a hold since; null while it is disarmed"
@@ -385,6 +395,14 @@ class BeamOffSummary(Answer):
     slowest_ms: float
 
 
+class HoldCount(Answer):
+    """How often the gate began to hold for one reason."""
+
+    reason: str
+    text: str = Field(description="Sentence to display")
+    count: int
+
+
 class Summary(Answer):
     """Statistics of a session so far, from the database."""
 
@@ -392,6 +410,18 @@ class Summary(Answer):
     missed_frames: int = Field(description="Frames that the camera counted and the host never received")
     lost: int = Field(description="Frames that could not be measured")
     duty_cycle: float | None = Field(description="Share of frames with beam on while armed; null if never armed")
+    beam_on_s: float | None = Field(
+        default=None,
+        description="Time that the beam line read on, or did not answer, from frame to frame; not a dose. null for"
+        " sessions of versions that did not count it",
+    )
+    elapsed_s: float | None = Field(
+        default=None, description="From the start to the end, or to now; null if not started"
+    )
+    holds: list[HoldCount] = Field(
+        default=[],
+        description="How often the gate began to hold, or to hold for another reason; the most frequent reason first",
+    )
     transitions: int
     latency: LatencyView
     beam_off: BeamOffSummary | None = Field(
@@ -424,6 +454,7 @@ class Session(Answer):
     model_id: Identifier | None = Field(default=None, description="The stored model that the session started with")
     rt_plan_id: Identifier | None = Field(default=None, description="The RT Plan that the session was created from")
     head_direction: HeadSide | None = Field(default=None, description=f"{HEAD_WORDS}; null if unknown")
+    continues: Identifier | None = Field(default=None, description="The session that this one continues")
     is_simulated_beam: bool
     created_at: AwareDatetime
     started_at: AwareDatetime | None
@@ -470,6 +501,11 @@ class SessionDetail(Session):
     )
     body: BodyView | None = Field(
         default=None, description="null without an earlier session of the patient, and until a model was learned"
+    )
+    delivered_before_s: float | None = Field(
+        default=None,
+        description="Beam-on time of the sessions that this one continues, together; null if it continues none, or if"
+        " one of them did not count it",
     )
     summary: Summary
 

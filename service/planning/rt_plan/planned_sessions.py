@@ -126,6 +126,7 @@ class _Fraction:
             window=request.window,
             regions=request.regions,
             model_id=request.model_id,
+            continues=request.continues,
             head_direction=None if head is None else head.value,
         )
 

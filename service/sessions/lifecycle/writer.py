@@ -33,7 +33,7 @@ from engine.motion.learning.patient_match import PatientMatchLimits
 from service.engine_host.roles import BodyMatch, RunningEngine
 from service.sessions.lifecycle.beam_offs import BeamOffs, beam_off_event
 from service.sessions.lifecycle.body_comparison import EarlierBody, body_event, compare_bodies
-from service.sessions.lifecycle.counters import SessionCounters
+from service.sessions.lifecycle.counters import HELD, SessionCounters
 from service.sessions.records.audit_events import closing_event, notice_event, record_model, transition_event
 from service.sessions.recovery.journal import recover_orphan
 from service.storage import audit
@@ -225,6 +225,7 @@ class SessionWriter(threading.Thread):
         for transition in batch.transitions:
             self._counters.transition(transition)
         self.figures.transitions += len(batch.transitions)
+        self.figures.holds.update(_hold_reasons(batch.transitions))
         self.figures.beam_offs_ms += [off.off_ms for off in batch.beam_offs]
         del self._transitions[: len(batch.transitions)], self._notices[: len(batch.notices)]
         del self._beam_offs[: len(batch.beam_offs)]
@@ -323,6 +324,7 @@ class SessionWriter(threading.Thread):
             row = queries.session_row(db, self._session_id)
             row.status, row.status_detail, row.ended_at = status, detail, datetime.now(UTC)
             self.figures.transitions = queries.transition_count(db, self._session_id)
+            self.figures.holds = queries.hold_counts(db, self._session_id)
             figures = self.figures.summary()
             row.summary = figures.model_dump_json()
             event = closing_event(row, figures, samples, actor=self._stopped_by or SYSTEM)
@@ -353,6 +355,10 @@ class SessionWriter(threading.Thread):
         if self._stopped_by is not None:
             return "stopped", f"stopped by {self._stopped_by}"
         return "ended", self._engine.status.error or "the recording is over"
+
+
+def _hold_reasons(transitions: Iterable[GateTransition]) -> list[str]:
+    return [str(one.reason.value) for one in transitions if one.to_state in HELD and one.reason is not None]
 
 
 def _drain(source: "queue.Queue[RowT]", target: list[RowT]) -> None:

@@ -29,6 +29,7 @@ from service.engine_host.site_rules.window_limits import check_window, gate_limi
 from service.sessions.alarms.board import AlarmBoard
 from service.sessions.alarms.views import live_alarms
 from service.sessions.records.calibrations import kept_row
+from service.sessions.records.continuation import continued, delivered_before_s
 from service.sessions.views.breath import live_breath, live_breath_hold
 from service.sessions.views.live import body_view, camera_view, gate_view, likeness_view, training_view
 from service.sessions.views.position import live_position_check, tolerance_of
@@ -112,9 +113,10 @@ class SessionRepository:
             _refuse_other_model(db, request, calibration)
             row = _new_row(request, calibration.id, is_simulated_beam=self._engine.is_simulated_beam)
             row.rt_plan_id = None if plan is None else plan.rt_plan_id
+            origin = dict({} if plan is None else plan.detail) | continued(db, row)
             db.add(row)
             db.flush()
-            audit.append(db, self._created(row.id, request, calibration, {} if plan is None else plan.detail))
+            audit.append(db, self._created(row.id, request, calibration, origin))
             answer = session_answer(row)
             keep_answer(db, ACTION, key, body, answer)
         return IdempotentAnswer(answer=answer, is_replay=False)
@@ -133,11 +135,14 @@ class SessionRepository:
             stored = row.summary
             armed = queries.newest_done(db, session_id, ARMING)
             armed_by_at = None if armed is None else (armed.actor, datetime.fromisoformat(armed.at))
+            changed = queries.newest_done(db, session_id, (queries.TRANSITION,))
+            change = None if changed is None else (json.loads(changed.detail), datetime.fromisoformat(changed.at))
+            delivered_s = delivered_before_s(db, row)
         running = self._equipment.of(session_id)
         view = None if running is None else running.engine.status.view
         return sessions.SessionDetail(
             **dict(record),
-            gate=None if view is None else gate_view(view, armed_by_at),
+            gate=None if view is None else gate_view(view, armed_by_at, change),
             alarms=live_alarms(self._alarms.active_of(session_id)),
             measurement_state=None if view is None else view.record.measurement.state.value,
             training=None if view is None else training_view(view),
@@ -159,7 +164,8 @@ class SessionRepository:
             breath_hold=None if view is None else live_breath_hold(view),
             camera=None if running is None else camera_view(running.engine.status.source, running.plan.calibration),
             body=None if running is None else body_view(running.writer.body),
-            summary=_summary(running, view, stored),
+            delivered_before_s=delivered_s,
+            summary=_summary(running, view, stored).model_copy(update={"elapsed_s": _elapsed_s(record)}),
         )
 
     def transitions(
@@ -271,6 +277,13 @@ def _summary(running: RunningSession | None, view: LiveView | None, stored: str 
     return figures.summary(latency)
 
 
+def _elapsed_s(record: sessions.Session) -> float | None:
+    """Return the time from the start to the end, or to now [s]."""
+    if record.started_at is None:
+        return None
+    return round(((record.ended_at or datetime.now(UTC)) - record.started_at).total_seconds(), 3)
+
+
 def _refuse_other_model(db: Session, request: sessions.SessionRequest, calibration: CalibrationRow) -> None:
     """Refuse a model of another patient, calibration or head direction; the message does not name the other patient."""
     if request.model_id is None:
@@ -304,6 +317,7 @@ def _new_row(request: sessions.SessionRequest, calibration_id: str, *, is_simula
         calibration_id=calibration_id,
         model_id=request.model_id,
         head_direction=request.head_direction,
+        continues=request.continues,
         is_simulated_beam=is_simulated_beam,
         created_at=datetime.now(UTC),
     )

@@ -46,6 +46,7 @@ def _close(database: Database, store: SampleStore, session_id: str) -> None:
         row = queries.session_row(db, session_id)
         row.status, row.status_detail, row.ended_at = "interrupted", INTERRUPTED, datetime.now(UTC)
         figures.transitions = queries.transition_count(db, session_id)
+        figures.holds = queries.hold_counts(db, session_id)
         summary = figures.summary()
         row.summary = summary.model_dump_json()
         if settled is not None and not settled.is_whole:

@@ -1,5 +1,6 @@
 """Live messages and views from the engine's newest view. Pure functions; NaN and infinity become null."""
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
@@ -168,16 +169,27 @@ def _latency(view: LiveView) -> LiveLatency:
     )
 
 
-def gate_view(view: LiveView, newest_arming: tuple[str, datetime] | None) -> sessions.GateView:
-    """Return the state of the gate, with the reason for a hold; the newest arming is by whom and when."""
+def gate_view(
+    view: LiveView,
+    newest_arming: tuple[str, datetime] | None,
+    newest_change: tuple[Mapping[str, Any], datetime] | None = None,
+) -> sessions.GateView:
+    """Return the state of the gate, with the reason for a hold.
+
+    The newest arming is by whom and when; the newest change, as the audit has it, may be older than the view.
+    """
     is_in_force = newest_arming is not None and newest_arming[0] == view.armed_by
     record = view.record
+    reason = None if record.hold_reason is None else record.hold_reason.value
+    present = {"to_state": record.gate_state.value, "reason": reason}
+    is_recorded = newest_change is not None and present.items() <= newest_change[0].items()
     return sessions.GateView(
         state=record.gate_state.value,
         is_armed=view.is_armed,
-        hold_reason=None if record.hold_reason is None else record.hold_reason.value,
+        hold_reason=reason,
         hold_text=hold_text(record.hold_reason),
         hold_detail="" if record.hold_reason is None else view.detail,
+        state_since=newest_change[1] if newest_change is not None and is_recorded else None,
         operator_hold=view.operator_hold,
         armed_by=view.armed_by,
         armed_at=newest_arming[1] if newest_arming is not None and is_in_force else None,

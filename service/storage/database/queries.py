@@ -1,5 +1,7 @@
 """Queries of the tables; each runs in the caller's session, so the caller decides on the transaction."""
 
+import json
+from collections import Counter
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import NamedTuple, TypeVar
@@ -22,6 +24,7 @@ from service.storage.database.tables import AuditRow, CalibrationRow, ModelRow, 
 OPEN_STATUSES = ("created", "running")
 BEAM_OFF = "beam.off"
 TRANSITION = "gate.transition"
+HELD = ("hold", "fault")
 FRACTION = ("patient_reference", "plan_id", "fraction_id")
 RowT = TypeVar("RowT")
 DatedT = TypeVar("DatedT", SessionRow, CalibrationRow, QaRunRow, PlanRow)
@@ -163,6 +166,19 @@ def transition_count(db: Session, session_id: str) -> int:
     """Count a session's gate transitions."""
     query = select(func.count()).select_from(AuditRow)
     return db.scalar(query.where(AuditRow.session_id == session_id, AuditRow.action == TRANSITION)) or 0
+
+
+def hold_counts(db: Session, session_id: str) -> Counter[str]:
+    """Count by reason how often a session's gate began to hold, or to hold for another reason."""
+    query = select(AuditRow.detail).where(AuditRow.session_id == session_id, AuditRow.action == TRANSITION)
+    changes = (json.loads(detail) for detail in db.scalars(query))
+    return Counter(str(change["reason"]) for change in changes if change.get("to_state") in HELD)
+
+
+def continuation_of(db: Session, session_id: str) -> str | None:
+    """Return the started session that continues this one; None if there is none."""
+    continued = (SessionRow.continues == session_id, SessionRow.started_at.is_not(None))
+    return db.scalar(select(SessionRow.id).where(*continued).limit(1))
 
 
 def newest_done(db: Session, session_id: str, actions: Sequence[str]) -> AuditRow | None:

@@ -48,6 +48,7 @@ class SessionRow(Base):
     rt_plan_id: Mapped[str | None] = mapped_column(String(32), index=True)
     head_direction: Mapped[str | None] = mapped_column(String(8))
     first_reference: Mapped[str | None] = mapped_column(Text, deferred=True)
+    continues: Mapped[str | None] = mapped_column(String(32), index=True)
     calibration: Mapped[CalibrationRow] = relationship(lazy="joined")
 
 

@@ -17,13 +17,14 @@ from tests.campaigns.supply.parts import DEBIAN, debian_parts, python_parts
 from tests.support.repository import ROOT
 
 SBOM = ROOT / "docker/sbom.cdx.json"
+VENDOR = ROOT / "service/web/dashboard/vendor"
 
 
 def document() -> dict[str, Any]:
     """Make the bill."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     own = f"pkg:generic/{project['name']}@{project['version']}"
-    parts = [*_python(), *_debian()]
+    parts = [*_python(), *_debian(), *_vendored()]
     metadata: dict[str, Any] = {
         "component": {
             "type": "application",
@@ -73,6 +74,24 @@ def _python() -> list[dict[str, Any]]:
 def _debian() -> list[dict[str, Any]]:
     purls = {name: f"pkg:deb/debian/{name}?distro={DEBIAN}" for name in debian_parts()}
     return [{"type": "library", "bom-ref": purl, "name": name, "purl": purl} for name, purl in purls.items()]
+
+
+def _vendored() -> list[dict[str, Any]]:
+    """What the page brings along, with the checksums of its files."""
+    parts = []
+    for folder in sorted(path for path in VENDOR.iterdir() if path.is_dir()):
+        version = (folder / "VERSION").read_text(encoding="utf-8").strip()
+        purl = f"pkg:npm/{folder.name}@{version}"
+        lines = (folder / "SHA256SUMS").read_text(encoding="utf-8").splitlines()
+        files = [
+            {"type": "file", "name": name, "hashes": [{"alg": "SHA-256", "content": sha256}]}
+            for sha256, name in (line.split() for line in lines)
+        ]
+        parts.append(
+            {"type": "library", "bom-ref": purl, "name": folder.name, "version": version, "purl": purl}
+            | {"licenses": [{"license": {"id": "MIT"}}], "components": files}
+        )
+    return parts
 
 
 def text_of(bill: dict[str, Any]) -> str:

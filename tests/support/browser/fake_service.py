@@ -184,6 +184,25 @@ def motion_at(seconds: float) -> dict[str, Any]:
     }
 
 
+def summary(**changes: Any) -> dict[str, Any]:
+    """Return a session's figures so far."""
+    holds = [
+        {"reason": "outside_window", "text": "Outside the window", "count": 34},
+        {"reason": "marker_lost", "text": "A marker is not visible", "count": 2},
+    ]
+    latency = {"p50_ms": 5.1, "p99_ms": 9.4, "max_ms": 31.0}
+    counts = {"frames": 5400, "missed_frames": 3, "lost": 41, "transitions": 96, "beam_off": None}
+    times = {"duty_cycle": 0.381, "beam_on_s": 41.23, "elapsed_s": 187.6}
+    return counts | times | {"holds": holds, "latency": latency} | changes
+
+
+def over(status: str = "stopped", **changes: Any) -> dict[str, Any]:
+    """Return a session that is over."""
+    times = {"started_at": "2026-11-21T09:12:00Z", "ended_at": "2026-11-21T09:19:00Z"}
+    kept = {"summary": summary(), "continues": None, "delivered_before_s": None, "rt_plan_id": None}
+    return SESSION | {"status": status, "status_detail": "", "regions": {"named": []}} | times | kept | changes
+
+
 def sample(**changes: Any) -> dict[str, Any]:
     """Return a sample of a running, armed session in hold; `changes` say what is different."""
     return {
@@ -376,6 +395,7 @@ class FakeService:
         self.is_hung = threading.Event()  # while set, the page that asked for /hang waits
         self.schema = "tidegate.live/1"
         self.sessions: list[dict[str, Any]] = [copy.deepcopy(SESSION)]
+        self.models: list[dict[str, Any]] = []
         self.calibrations: list[dict[str, Any]] = [dict(CALIBRATION)]
         self.devices: list[dict[str, Any]] = []
         self.recordings: list[dict[str, Any]] = [dict(RECORDING)]
@@ -564,15 +584,16 @@ class FakeService:
         pages |= {"/devices": self.devices, "/recordings": self.recordings, "/plans": self.plans}
         if method == "GET" and path == "/qa/status":
             return JSONResponse(self.qa)
-        if method == "GET" and path in pages:
-            return JSONResponse({"items": pages[path], "next_cursor": None})
-        if method == "POST" and path.startswith("/plans/"):
-            (plan,) = [one for one in self.plans if path == f"/plans/{one['id']}/sessions"]
+        listed = self.models if path.endswith("/models") else pages.get(path)
+        if method == "GET" and listed is not None:
+            return JSONResponse({"items": listed, "next_cursor": None})
+        plan = next((one for one in self.plans if path == f"/plans/{one['id']}/sessions"), None)
+        if method == "POST" and plan is not None:
             own = {"patient_reference": plan["patient_reference"], "plan_id": plan["label"], "rt_plan_id": plan["id"]}
             own |= {"fraction_id": f"FX-{body['fraction_number']}", "warnings": []}
             self.sessions.insert(0, SESSION | body | own | {"id": "88" * 16, "status": "created"})
             return JSONResponse(self.sessions[0], 201)
-        if method == "POST" and path == "/sessions":
+        if method == "POST" and (path == "/sessions" or path.startswith("/plans/")):
             self.sessions.insert(0, SESSION | body | {"id": "77" * 16, "status": "created"})
             return JSONResponse(self.sessions[0], 201)
         if method == "POST" and path == "/calibrations":

@@ -93,6 +93,8 @@ RATINGS: dict[str, Rating] = {
     "U14": Rating(3, 3, 2, "4"),
     "U15": Rating(2, 3, 1, "1 2"),
     "U16": Rating(3, 2, 1, "3"),
+    "U17": Rating(3, 3, 1, "6 7"),
+    "U18": Rating(3, 3, 1, "2"),
 }
 
 

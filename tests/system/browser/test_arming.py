@@ -151,7 +151,7 @@ def test_escape_closes_it_first_and_disarms_an_armed_gate_at_once(fake: FakeServ
     assert [path for path, _ in fake.posts() if path.endswith("/disarm")]
 
 
-def test_a_keyboard_arms_by_two_presses_with_the_focus_moved_between(fake: FakeService, stepped: SteppedPage):
+def test_a_keyboard_arms_with_the_focus_moved_between_and_two_presses(fake: FakeService, stepped: SteppedPage):
     page = stepped.open_settled(DISARMED)
     page.focus("#do-arm")
     page.keyboard.press("Enter")
@@ -164,6 +164,9 @@ def test_a_keyboard_arms_by_two_presses_with_the_focus_moved_between(fake: FakeS
     page.keyboard.press("Tab")
     page.keyboard.press("Tab")
     expect(page.locator("#do-arm-now")).to_be_focused()
+    page.keyboard.press("Enter")
+    stepped.advance(3 * STEP_MS)
+    assert armings(fake) == []
     page.keyboard.press("Enter")
     stepped.advance(STEP_MS)
     assert len(armings(fake)) == 1

@@ -212,7 +212,7 @@ def test_logging_out_leaves_nothing_of_the_patient_on_the_page(fake: FakeService
     fake.person = person()
     page = stepped.open(DISARMED)
     stepped.advance_until(lambda: page.locator("#events li").count() == 1 and fake.pictures > 0)
-    expect(page.locator("#who-patient")).to_have_text("P-0117")
+    stepped.advance_until(lambda: page.locator("#who-patient").inner_text() == "P-0117")
     page.click("#do-log-out")
     stepped.advance_until(lambda: stepped.kind == "out")
     stepped.advance(400)

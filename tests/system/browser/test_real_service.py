@@ -81,10 +81,18 @@ class Controller:
         self._key = {} if is_new else self._let_in(data)
         self.log = data.with_name("log")
         command = [COMMAND, "serve", "--port", str(port), "--data", data, "--recordings", recordings]
-        with self.log.open("wb") as log:
-            self._process = subprocess.Popen(
-                [str(word) for word in command], env=os.environ | PATIENCE | spoken, stdout=log, stderr=log
-            )
+        self._command, self._environment = [str(word) for word in command], os.environ | PATIENCE | spoken
+        self._start()
+
+    def _start(self) -> None:
+        with self.log.open("ab") as log:
+            self._process = subprocess.Popen(self._command, env=self._environment, stdout=log, stderr=log)
+
+    def kill_and_start_again(self) -> None:
+        self._process.kill()
+        self._process.wait(PATIENCE_S)
+        self._start()
+        self.wait_until_up()
 
     def _let_in(self, data: Path) -> dict[str, str]:
         return provision(data, people={OPERATOR: EVERY_ROLE}, origin=self.url, password=PASSWORD).key
@@ -242,6 +250,43 @@ def test_a_volunteer_is_gated_on_the_page(controller: Controller, calm_volunteer
     tab.sees("out")
     page.reload()
     tab.sees("out")
+    page.close()
+    assert tab.complaints == []
+
+
+def test_a_session_of_a_killed_service_is_announced_and_continued_with_what_was_delivered(
+    controller: Controller, calm_volunteer: Path, context: BrowserContext
+):
+    tab = Tab(page=context.new_page(), url=controller.url)
+    tab.watch()
+    page = tab.open("out")
+    log_in(page, PASSWORD)
+    tab.sees("idle")
+    for _ in range(ATTEMPTS):
+        session_id = create_session(controller, calm_volunteer)
+        expect(page.locator("#who-patient")).to_have_text("P-0001")
+        if gate_one_recording(tab) == WANTED:
+            break
+        controller.call("POST", f"/sessions/{session_id}/stop", {"operator": OPERATOR})
+        tab.sees("idle")
+    path = f"/sessions/{session_id}"
+    eventually(lambda: controller.call("GET", path)["summary"]["beam_on_s"] > 0.0, detail=lambda: "no beam-on time")
+    controller.kill_and_start_again()
+    expect(page.locator("#report-heading")).to_have_text("Interrupted: P-0001")
+    delivered_s = controller.call("GET", path)["summary"]["beam_on_s"]
+    assert delivered_s > 0.0
+    page.click("#report-continue")
+    expect(page.locator("#gate-word")).to_have_text("Ready")
+    page.click("#do-start")
+    expect(page.locator("#treatment-on")).to_contain_text("before")
+    (newest, *_) = controller.call("GET", "/sessions")["items"]
+    detail = controller.call("GET", f"/sessions/{newest['id']}")
+    assert (detail["continues"], detail["delivered_before_s"]) == (session_id, delivered_s)
+    assert detail["model_id"] is not None
+    assert detail["gate"]["is_armed"] is False
+    assert detail["has_reference"] is False
+    controller.call("POST", f"/sessions/{newest['id']}/stop", {"operator": OPERATOR})
+    expect(page.locator("#report-heading")).to_have_text("Summary: P-0001")
     page.close()
     assert tab.complaints == []
 

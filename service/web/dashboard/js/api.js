@@ -62,6 +62,13 @@ async function send(method, path, body, headers, timeoutMs = TIMEOUT_MS) {
   }
 }
 
+/** A copy without the fields that are null: requests leave out what does not apply. */
+export function withoutNulls(value) {
+  if (Array.isArray(value)) return value.map(withoutNulls);
+  if (value === null || typeof value !== "object") return value;
+  return Object.fromEntries(Object.entries(value).filter(([, one]) => one !== null).map(([name, one]) => [name, withoutNulls(one)]));
+}
+
 const session = (id) => `/sessions/${encodeURIComponent(id)}`;
 /** Return a new Idempotency-Key, so that a repeated submission does not create twice. */
 const once = () => ({ "Idempotency-Key": crypto.randomUUID?.() ?? `${Date.now()}-${Math.random()}` });
@@ -76,6 +83,7 @@ export const listRecordings = () => call("GET", "/recordings?limit=100");
 const model = (id) => `/models/${encodeURIComponent(id)}`;
 export const readModel = (id) => call("GET", model(id));
 export const readSpectrum = (id) => call("GET", `${model(id)}/spectrum`);
+export const listModels = (id, limit) => call("GET", `${session(id)}/models?limit=${limit}`);
 export const listCalibrations = () => call("GET", "/calibrations?limit=100");
 export const readQaStatus = () => call("GET", "/qa/status");
 export const qaReportUrl = (id) => `${ROOT}/qa/runs/${encodeURIComponent(id)}/report.pdf`;

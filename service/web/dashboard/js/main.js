@@ -3,7 +3,7 @@
 import { AlarmPanel, urgentText } from "./panels/alarms.js";
 import { ArmingPanel } from "./panels/arming.js";
 import { Access } from "./people/access.js";
-import { listSessions, readSession } from "./api.js";
+import { listSessions, readArming, readSession } from "./api.js";
 import { BaselineButton } from "./panels/baseline_correction.js";
 import { renderBreath } from "./panels/breath.js";
 import { CoachPanel } from "./coach/panel.js";
@@ -21,9 +21,12 @@ import { PicturePanel } from "./panels/picture.js";
 import { Presence } from "./people/presence.js";
 import { QaPanel } from "./panels/qa.js";
 import { Range } from "./drawing/color_scale.js";
+import { KeyList } from "./panels/key_list.js";
+import { Report, isOver } from "./panels/report.js";
 import { Setup } from "./panels/setup.js";
 import { MismatchWatch, present, presentLocked } from "./stream/gate_state.js";
 import { Steps } from "./panels/steps.js";
+import { renderTreatment } from "./panels/treatment.js";
 import { Trace } from "./panels/trace.js";
 import { WindowEditor } from "./panels/window_editor.js";
 import { describe as describeWindow, gatedUnit, gatedValue } from "./stream/gating_window.js";
@@ -32,6 +35,13 @@ const TICK_MS = 50;
 /** Redraw periods of pictures and numbers [ms]; the trace is drawn in every animation frame. */
 const TRACE_MS = 40;
 const PANEL_MS = 120;
+/** How many of the newest sessions are looked at: those that were never started are no news. */
+const LOOKED_AT = 5;
+/** The service records a change of the gate a moment after it: delay before reading it [ms]. */
+const SOON_MS = 400;
+/** When the text of a new reference is read, and how often again [ms]: the service records it a moment after it is set. */
+const LABEL_AFTER_MS = 1000;
+const LABEL_MS = 15_000;
 /** Period of looking for a running session [ms]. */
 const LOOK_MS = 1500;
 /** Period of reading what the stream does not contain, reference and patient match [ms]. */
@@ -46,17 +56,19 @@ liveUrl.protocol = liveUrl.protocol === "https:" ? "wss:" : "ws:";
 const access = new Access(() => followAccess());
 const stream = new LiveStream(liveUrl, receive, () => access.ask());
 const gate = new GatePanel(byId("gate"));
-const trace = new Trace(byId("trace"));
+const trace = new Trace(byId("trace-frame"));
 const picture = new PicturePanel(byId("picture"), byId("overlay"));
 const grid = new GridPanel(byId("grid"), byId("legend"), byId("grid-readout"));
 const events = new EventList(byId("events"), byId("events-empty"));
-const controls = new Controls(() => lookAgain(), (id, head) => arming.open(id, head), () => arming.close() || windowEditor.close());
+const controls = new Controls(() => lookAgain(), (id, head) => arming.open(id, head), () => closeTopmost());
 const arming = new ArmingPanel(byId("arming"), controls);
 const windowEditor = new WindowEditor(byId("window-editor"), trace, controls);
 const alarms = new AlarmPanel(byId("alarms"), controls);
 const baseline = new BaselineButton(byId("do-correct"), controls);
 const presence = new Presence();
 const setup = new Setup(access, select);
+const report = new Report(access, select, uncoverReport);
+const keyList = new KeyList();
 const people = new PeoplePanel(access);
 const logIn = new LogIn(access);
 const qa = new QaPanel();
@@ -75,6 +87,8 @@ let isSimulatedBeam = false;
 let asking = 0;
 let nextLookMs = 0;
 let nextDescribeMs = 0;
+/** Session and number of the reference that the trace names, and when its text is read next [ms]. */
+let labelled = { key: null, nextMs: 0 };
 
 /** Update the page after a log-in, a log-out or a change of permissions. */
 function followAccess() {
@@ -106,17 +120,39 @@ function leave() {
   session = null;
   shownSessionId = null;
   hasLooked = false;
+  labelled = { key: null, nextMs: 0 };
   trace.reset(null);
   arming.close();
   windowEditor.close();
   picture.follow(null, false);
   setup.forget();
+  report.forget();
+  keyList.close();
   controls.forget();
   qa.forget();
 }
 
+/** Close the set-up over an interruption, and over the end of a session that ran here unless a person is typing there. */
+function uncoverReport({ id }, isBroken) {
+  if (isBroken || (id === shownSessionId && !byId("setup").contains(document.activeElement))) setup.show(false);
+}
+
+/** Close what lies on top of the page, for Esc. @returns {boolean} whether anything was open */
+function closeTopmost() {
+  if (keyList.close() || arming.close() || windowEditor.close()) return true;
+  // A secret that is shown once is closed by its own button only.
+  const isSecretShown = !byId("shown-once").hidden;
+  for (const [panel, hide] of [["people", () => !isSecretShown && people.show(false)], ["coach", () => coach.show(false)], ["setup", () => setup.show(false)]]) {
+    if (byId(panel) === null || byId(panel).hidden) continue;
+    hide();
+    return true;
+  }
+  return report.close();
+}
+
 /** Remove what was measured in another session: nothing of one patient is shown under another's name. */
 function forgetSession() {
+  labelled = { key: null, nextMs: 0 };
   trace.reset(null);
   picture.follow(null, false);
   events.follow(null);
@@ -145,12 +181,16 @@ function receive(message, nowMs) {
   trace.add(message, nowMs);
   picture.add(message);
   const gateNow = `${message.gate} ${message.hold_reason}`;
-  if (gateNow !== lastGate) events.hurry(nowMs);
+  if (gateNow !== lastGate) {
+    events.hurry(nowMs);
+    nextDescribeMs = Math.min(nextDescribeMs, nowMs + SOON_MS);
+  }
   lastGate = gateNow;
 }
 
 function select(chosen) {
   if (chosen.id !== shownSessionId) forgetSession();
+  report.forget();
   session = chosen;
   shownSessionId = chosen.id;
   controls.say("", `Session of ${chosen.patient_reference} is ready. Start it when the patient lies still.`);
@@ -169,7 +209,7 @@ async function describe(id) {
     if (id === shownSessionId) session = answer;
   } catch {
     // Keep the patient's data, drop values that may have changed. The gate depends on neither.
-    if (id === shownSessionId && session !== null) session = { ...session, has_reference: null, likeness: null };
+    if (id === shownSessionId && session !== null) session = { ...session, has_reference: null, likeness: null, gate: null, summary: null };
   }
 }
 
@@ -180,15 +220,19 @@ async function describe(id) {
 async function lookForSession() {
   const isFirstLook = !hasLooked;
   hasLooked = true;
-  let newest;
+  let items;
   try {
-    [newest] = (await listSessions(1)).items;
+    ({ items } = await listSessions(LOOKED_AT));
   } catch {
     return;
   }
   if (!access.may("watch")) return;
+  const [newest] = items;
   if (newest?.status === "created" && newest.id !== shownSessionId) select(newest);
   else if (newest !== undefined && newest.id === shownSessionId) session = newest;
+  const last = items.find((one) => one.started_at || one.status === "created");
+  if (last !== undefined && isOver(last)) report.open(last);
+  if (last?.status === "interrupted" || last?.status === "failed") return;
   if (isFirstLook && session === null && access.may("create") && people.isHidden) setup.show(true);
 }
 
@@ -203,6 +247,8 @@ function follow(view, sample, nowMs) {
     nextDescribeMs = nowMs + DESCRIBE_MS;
     describe(shownSessionId);
   }
+  // A session that runs replaces the one that is over.
+  if (sample?.session_status === "running" && report.id !== null) report.forget();
   if (view.kind !== "idle") nextLookMs = 0;
   else if (nowMs >= nextLookMs) {
     nextLookMs = nowMs + LOOK_MS;
@@ -212,6 +258,27 @@ function follow(view, sample, nowMs) {
   picture.follow(id, view.isFresh);
   events.follow(shownSessionId);
   if (sample !== null) hasLooked = true;
+  labelReference(sample?.session_status === "running" ? sample : null, nowMs);
+}
+
+/** Name the reference on the trace: how it was confirmed is in the summary before arming. */
+async function labelReference(sample, nowMs) {
+  const number = sample?.position_check?.reference_number ?? null;
+  if (sample === null) return;
+  const key = number === null ? null : `${sample.session_id} ${number}`;
+  if (key !== labelled.key) {
+    trace.referenceText = "";
+    labelled = { key, nextMs: nowMs + LABEL_AFTER_MS };
+  }
+  if (key === null || nowMs < labelled.nextMs || document.hidden) return;
+  labelled.nextMs = nowMs + LABEL_MS;
+  try {
+    const { answer } = await readArming(sample.session_id);
+    const text = answer.items.find((one) => one.code === "reference" && one.state !== "missing")?.text ?? "";
+    if (labelled.key === key) trace.referenceText = text.split(/, set by |; /)[0];
+  } catch {
+    // It is read again.
+  }
 }
 
 function renderWho(view) {
@@ -291,6 +358,7 @@ function drawPanels(nowMs, view, sample) {
   grid.draw(sample?.regions_mm ?? null, rangeMm, sample?.window, sample?.unseen_cells ?? []);
   isSimulatedBeam = sample?.is_simulated_beam ?? session?.is_simulated_beam ?? isSimulatedBeam;
   renderFigures(sample, isSimulatedBeam);
+  renderTreatment(sample, session, serverMs(nowMs));
   renderBreath(sample);
   renderCalibration(sample?.calibration ?? session?.calibration);
   renderSource(session?.source_warning);
@@ -301,6 +369,11 @@ function drawPanels(nowMs, view, sample) {
   steps.render({ may: access.may("create"), isFresh: view.isFresh, sample, session });
   renderWho(view);
   renderTraceValue(sample);
+}
+
+/** The service's time of day now [ms], from its newest message. */
+function serverMs(nowMs) {
+  return stream.message === null ? NaN : Date.parse(stream.message.sent_at) + stream.silenceMs(nowMs);
 }
 
 function renderTraceValue(sample) {

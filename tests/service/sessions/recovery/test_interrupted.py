@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 from sqlalchemy import select
 
+from engine.core.gate_state import GateState
 from service.sessions.recovery import interrupted
 from service.sessions.recovery.interrupted import close_interrupted
 from service.storage import audit
@@ -20,7 +21,7 @@ from service.storage.samples import parquet, register
 from service.storage.samples import store as shelves
 from service.storage.samples.check import check
 from service.storage.samples.register import adopt, registered
-from tests.support.samples.records import SESSION, frames_of, write_stream
+from tests.support.samples.records import HEAD, PERIOD_NS, SESSION, frames_of, record, write_stream
 from tests.support.samples.sessions import BEGUN, add_session
 
 
@@ -44,11 +45,29 @@ def test_an_interrupted_session_gets_its_parquet_and_its_figures(database, sampl
     summary = json.loads(row.summary)
     assert (row.status, summary["frames"], summary["lost"]) == ("interrupted", 40, 8)
     assert summary["latency"]["max_ms"] == pytest.approx(6.039)
+    assert summary["beam_on_s"] == 0.0
     ((_, outcome, detail),) = reported(database, "session.close")
     assert (outcome, detail["samples"]["rows"], detail["samples"]["ending"]) == ("failed", 40, "open")
     assert detail["samples"]["parquet_sha256"] == parquet.file_sha256(sample_store.parquet_path(SESSION))
     assert reported(database, "samples.repaired") == []
     assert (sample_store.left_streams(), frames_of(sample_store)) == ([], list(range(40)))
+
+
+@pytest.mark.both_databases
+def test_the_delivered_time_and_the_holds_of_an_interrupted_session_are_kept(database, sample_store):
+    add_session(database)
+    stream = sample_store.begin(HEAD)
+    stream.append([record(index, gate=GateState.BEAM_ON) for index in range(20)])
+    stream.sync()
+    stream.release()
+    with database.write() as db:
+        for reason in ("marker_lost", "outside_window", "outside_window"):
+            detail = {"from_state": "beam_on", "to_state": "hold", "reason": reason}
+            audit.append(db, audit.Event(actor="tidegate", action="gate.transition", session_id=SESSION, detail=detail))
+    close_interrupted(database, sample_store)
+    summary = json.loads(session_of(database).summary)
+    assert summary["beam_on_s"] == pytest.approx(19 * PERIOD_NS / 1e9, abs=0.001)
+    assert [(one["reason"], one["count"]) for one in summary["holds"]] == [("outside_window", 2), ("marker_lost", 1)]
 
 
 def test_a_torn_tail_is_said_in_the_audit_with_rows_and_bytes(database, sample_store):

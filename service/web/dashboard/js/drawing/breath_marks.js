@@ -40,15 +40,15 @@ export class BreathMarks {
     return Number.isFinite(value) ? [value] : [];
   }
 
-  /** Draw the marks, in the unit of the gated signal. */
-  draw(context, box, x, y) {
-    this.#drawEvents(context, box, x);
+  /** Draw the marks between two times [s], in the unit of the gated signal. */
+  draw({ context, box, x, y }, from, to) {
+    this.#drawEvents(context, box, x, from);
     context.strokeStyle = COLORS.baseline;
     context.lineWidth = 2;
     context.setLineDash([7, 4]);
     context.beginPath();
     let isOpen = false;
-    for (const { t, value } of this.baselines) {
+    for (const { t, value } of this.#baselinesIn(from, to)) {
       if (!Number.isFinite(value)) isOpen = false;
       else {
         if (isOpen) context.lineTo(x(t), y(value));
@@ -67,12 +67,19 @@ export class BreathMarks {
     else known.to = t;
   }
 
-  #drawEvents(context, box, x) {
+  #baselinesIn(from, to) {
+    let [first, end] = [this.baselines.length, this.baselines.length];
+    while (first > 0 && this.baselines[first - 1].t >= from) first -= 1;
+    while (end > first && this.baselines[end - 1].t > to) end -= 1;
+    return this.baselines.slice(first, end);
+  }
+
+  #drawEvents(context, box, x, since) {
     context.font = font(12, 600);
     context.textBaseline = "top";
     context.textAlign = "left";
     const ends = [];
-    for (const event of this.events) {
+    for (const event of this.events.filter((one) => one.to >= since)) {
       const [from, to] = [Math.max(x(event.from), box.x0), Math.max(x(event.to), x(event.from) + 2)];
       context.fillStyle = "rgba(255, 157, 107, 0.13)";
       context.fillRect(from, box.y0, to - from, box.y1 - box.y0);

@@ -8,6 +8,7 @@ import { byId, part, setText } from "../drawing/elements.js";
 import { rememberArming } from "../people/presence.js";
 import { conditionsOf, hasEdges, signalName } from "../stream/gating_window.js";
 import { ClickGuard } from "./click_guard.js";
+import { TwoPresses } from "./two_presses.js";
 
 const READ_MS = 2000;
 /** Time after which the summary closes: what was looked at longer ago is looked at again [ms]. */
@@ -26,6 +27,7 @@ export class ArmingPanel {
     this.controls = controls;
     this.button = byId("do-arm-now");
     this.guard = new ClickGuard([this.button]);
+    this.presses = new TwoPresses(this.button, "Press again to arm");
     this.#forget();
     this.button.addEventListener("click", (event) => this.#press(event));
     byId("arming-close").addEventListener("click", () => this.close());
@@ -76,6 +78,7 @@ export class ArmingPanel {
     setText(byId("arming-edges"), "");
     setText(byId("arming-why"), "");
     this.button.disabled = true;
+    this.presses.reset();
   }
 
   async #read() {
@@ -97,6 +100,7 @@ export class ArmingPanel {
     this.trouble = "";
     if (key === this.key && this.summary !== null) return;
     Object.assign(this, { summary, etag, key });
+    this.presses.reset();
     setText(byId("arming-patient"), summary.items.find((one) => one.code === "patient")?.text ?? "");
     byId("arming-items").replaceChildren(...summary.items.filter((one) => one.code !== "patient").map(itemLine));
   }
@@ -104,6 +108,7 @@ export class ArmingPanel {
   #press(event) {
     // A click that was meant for the button at this place before, or the second one of two.
     if (this.guard.refusal(event, this.key) !== "" || this.button.disabled) return;
+    if (!this.presses.isConfirmed(event)) return;
     const { id, head, etag } = this;
     const operator = this.controls.operatorName;
     this.close();

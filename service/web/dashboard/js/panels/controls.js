@@ -11,6 +11,7 @@ import { needsReference, stageOf } from "./training.js";
 import { obstacle as forbidden } from "../people/permissions.js";
 import { rememberArming } from "../people/presence.js";
 import { ClickGuard } from "./click_guard.js";
+import { TwoPresses } from "./two_presses.js";
 import { positionObstacle, renderPosition, signObstacle } from "./position.js";
 
 /** Actions that take the beam off, and their keys: never confirmed twice; the result of a key press is always shown. */
@@ -18,6 +19,8 @@ const HALTS = { disarm: "Escape", hold: "F8" };
 const HALT_TITLES = { disarm: "Holds the beam until a person arms again", hold: "Holds the beam until a person releases it; the session stays armed" };
 /** Actions that lead to beam on: clicks that may have been meant for another button are ignored. */
 const PERMITTING = ["acknowledge", "arm", "release", "sign"];
+/** Actions after which the gate is armed. */
+const ARMS = new Set(["arm", "release"]);
 const MOVED = "the buttons moved less than 2 s ago";
 /** Time in which "Stop" and "Release" accept the second click [ms], and after which "Release" does. */
 const CONFIRM_MS = 4000;
@@ -89,6 +92,8 @@ export class Controls {
   constructor(onChange, onArm, onEscape) {
     Object.assign(this, { onChange, onArm, onEscape });
     this.busy = null;
+    this.busyAction = "";
+    this.permittedMs = -Infinity;
     this.lastRunningId = null;
     this.context = { kind: "connecting", sample: null, selected: null, person: null };
     this.outcome = document.getElementById("outcome");
@@ -97,13 +102,14 @@ export class Controls {
     this.keepsReference = document.getElementById("keep-reference");
     for (const action of Object.keys(OBSTACLES)) button(action).addEventListener("click", (event) => this.#press(action, event));
     this.clickGuard = new ClickGuard(PERMITTING.map(button));
+    this.presses = new TwoPresses(button("acknowledge"), "Press again");
     for (const action of Object.keys(HALTS)) button(action).addEventListener("click", () => this.halt(action));
     document.addEventListener("keydown", (event) => {
       const action = Object.keys(HALTS).find((one) => HALTS[one] === event.key);
       if (action === undefined) return;
       if (action === "hold") event.preventDefault();
-      // Disarm an armed gate at once; close open panels only while it is not armed.
-      if (action === "disarm" && this.context.sample?.is_armed !== true && this.onEscape()) return;
+      // Disarm an armed gate at once, also one that may be; close open panels only while it is known not to be armed.
+      if (action === "disarm" && this.#isSurelyDisarmed() && this.onEscape()) return;
       if (!event.repeat) this.halt(action);
     }, { capture: true });
   }
@@ -165,10 +171,18 @@ export class Controls {
     button("release").classList.toggle("go", Boolean(context.sample?.operator_hold));
     this.#forgetOutcome();
     if (!isAnothers(context)) this.#ask("release", false);
+    if (button("acknowledge").disabled && this.presses.askedMs !== null) this.presses.reset();
     button("apply").hidden = stageOf(context.sample) !== "waiting";
     this.keepsReference.disabled = button("retrain").disabled;
     const isIgnored = this.clickGuard.update(performance.now());
     for (const action of PERMITTING) showGuard(button(action), isIgnored);
+  }
+
+  /** Whether no gate can be armed: the state is known, and nothing on its way arms. */
+  #isSurelyDisarmed() {
+    const { kind, sample } = this.context;
+    if (performance.now() - this.permittedMs < EXPECT_MS || ARMS.has(this.busyAction)) return false;
+    return sample === null ? kind === "idle" || this.lastRunningId === null : sample.is_armed === false;
   }
 
   async halt(action) {
@@ -188,6 +202,7 @@ export class Controls {
   #press(action, event) {
     if (action === "stop" && !this.#isConfirmed(action)) return;
     if (PERMITTING.includes(action) && !this.#isMeant(action, event)) return;
+    if (action === "acknowledge" && !this.presses.isConfirmed(event)) return;
     if (action === "release" && isAnothers(this.context) && !this.#isConfirmed(action, CONSIDER_MS)) return;
     // Focus must not stay on a button whose action has changed.
     document.activeElement?.blur();
@@ -249,6 +264,7 @@ export class Controls {
 
   async #attempt(action, call) {
     const mine = (this.busy = Symbol(action));
+    this.busyAction = action;
     this.say("busy", "Sending…");
     this.update(this.context);
     try {
@@ -258,7 +274,9 @@ export class Controls {
       // A failed hold or disarm stays visible after later answers: it names the other way to stop the beam.
       this.say("failed", `${label(action)}: ${error.message}${action in HALTS ? elsewhere(action) : ""}`);
     } finally {
-      if (this.busy === mine) this.busy = null;
+      // Also a call that seems to have failed may have armed.
+      if (ARMS.has(action)) this.permittedMs = performance.now();
+      if (this.busy === mine) [this.busy, this.busyAction] = [null, ""];
       this.update(this.context);
       this.onChange();
     }

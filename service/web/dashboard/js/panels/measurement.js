@@ -12,6 +12,7 @@ const FIGURES = {
   "figure-volume": (s) => with_(s.volume_l, (v) => signed(v, 2)),
   "figure-residual": (s) => with_(s.residual_mm, (v) => v.toFixed(2)),
   "figure-coverage": (s) => with_(s.valid_share, (v) => `${(100 * v).toFixed(0)} %`),
+  "figure-seen": (s) => seenCells(s),
   "figure-fps": (s) => with_(s.fps, (v) => v.toFixed(1)),
   "figure-missed": (s) => with_(s.missed_frames, (v) => String(v)),
   "figure-latency": (s) => latency(s.latency_ms),
@@ -21,6 +22,9 @@ export function renderFigures(sample, isSimulatedBeam) {
   for (const [id, textOf] of Object.entries(FIGURES)) setText(document.getElementById(id), sample ? textOf(sample) : NONE);
   document.getElementById("figure-latency").dataset.bad = sample?.latency_ms?.warned === true ? "yes" : "no";
   document.getElementById("figure-missed").dataset.bad = sample?.missed_frames > 0 ? "yes" : "no";
+  // What is marked inside is marked outside, too: the figures may be folded away.
+  const isBad = sample?.latency_ms?.warned === true || sample?.missed_frames > 0;
+  document.getElementById("technical").dataset.bad = isBad ? "yes" : "no";
   document.getElementById("badge-simulated").hidden = !isSimulatedBeam;
 }
 
@@ -85,6 +89,11 @@ export function renderLikeness(sample, likeness) {
 function distance({ shift_mm: shift, tilt_deg: tilt, shape_mm: shape }) {
   const millimetres = (value) => with_(value, (v) => `${v.toFixed(1)} mm`);
   return `${millimetres(Math.hypot(...shift))} · ${with_(tilt, (v) => `${v.toFixed(1)}°`)} · ${millimetres(shape)}`;
+}
+
+function seenCells(sample) {
+  const cells = (sample.regions_mm ?? []).flat().length;
+  return cells === 0 || !sample.unseen_cells ? NONE : `${cells - sample.unseen_cells.length} of ${cells}`;
 }
 
 function with_(value, textOf) {

@@ -1,114 +1,181 @@
 /**
- * The trace: the last 30 s of one signal in mm (or l for the volume), inhale up, on the camera's time axis.
+ * The trace: the signals of the last minutes in mm (or l for the volume), inhale up, on the camera's time axis.
  *
- * Two samples are joined only if they are consecutive and both measured; everything else is a gap, hatched if it is wide
- * enough to see. Missing values are never interpolated or drawn as zero.
+ * Two samples are joined only if they are consecutive, both measured, and against the same zero; everything else is a gap,
+ * hatched if it is wide enough to see. Missing values are never interpolated or drawn as zero.
  */
 
-import { font, hatch, INK, note, prepare } from "../drawing/canvas.js";
 import { BreathMarks } from "../drawing/breath_marks.js";
-import { conditionsOf, gatedUnit, gatedValue, hasEdges, hasSameSignal, signalName } from "../stream/gating_window.js";
+import { Chart } from "../drawing/chart.js";
+import { byId, setText } from "../drawing/elements.js";
+import * as layers from "../drawing/trace_layers.js";
+import { conditionsOf, gatedUnit, hasEdges, hasSameSignal, signalName } from "../stream/gating_window.js";
+import { KEPT_S, TraceSamples, words } from "../stream/trace_samples.js";
+import { TraceView } from "./trace_view.js";
 
-const SPAN_S = 30;
-/** What is kept, for the prediction of another window [s]. */
-const KEPT_S = 60;
-/** Longest time between two samples that are joined [s]; the stream may drop frames for a slow client. */
-const JOIN_S = 0.15;
-const MARGIN = { left: 58, right: 14, top: 12, bottom: 24 };
-const COLORS = { line: "#8fd3ff", on: "46, 214, 140", window: "#e8d27a", proposal: "#ff9de1", now: "#ffffff" };
+/** What the prediction of another window looks at [s]. */
+const JUDGED_S = 60;
+/** A long trace, and one that stands still, is drawn less often [s, ms]. */
+const LONG_S = 90;
+const LONG_MS = 200;
+const TIME_STEPS = [1, 2, 5, 10, 15, 30, 60, 120];
+const MOST_TIMES = 8;
+const EXTRA = ["thorax", "abdomen"];
+const GATES = { disarmed: "disarmed", hold: "hold", dwell: "dwell", beam_on: "beam on", fault: "fault" };
 
 export class Trace {
-  constructor(canvas) {
-    this.canvas = canvas;
+  constructor(host) {
+    this.host = host;
     this.choice = "gated";
+    this.extra = new Set();
     this.range = null;
     /** A condition that is being edited: in mm or litres, drawn beside the window in use; null if none is. */
     this.proposal = null;
-    this.scale = null;
     /** Whether the scale stays: it must not move under a pointer that drags an edge. */
     this.keepsRange = false;
+    /** Text of the reference, as confirmed; empty while it is not known. */
+    this.referenceText = "";
     this.marks = new BreathMarks();
+    this.kept = new TraceSamples();
+    this.view = new TraceView();
+    this.nowS = 0;
+    this.chart = new Chart(host, [layers.COLORS.line, layers.COLORS.thorax, layers.COLORS.abdomen], {
+      below: (pen) => this.#drawBelow(pen),
+      above: (pen) => this.#drawAbove(pen),
+      times: (from, to) => this.#times(from, to),
+      isJoined: (i) => this.kept.all[i]?.isJoined === true,
+      onPress: () => this.#press(),
+      onSelect: (from, to) => this.view.hold(from, to, performance.now()),
+      onRelease: () => this.#release(),
+    });
+    this.canvas = this.chart.canvas;
+    this.canvas.id = "trace";
+    this.canvas.setAttribute("role", "img");
+    this.canvas.setAttribute("aria-label", "Motion over time in millimetres, inhale up");
+    this.#listen();
     this.reset(null);
   }
 
-  reset(sessionId) {
-    this.sessionId = sessionId;
-    this.samples = [];
-    this.window = null;
-    this.marks.reset();
+  /** The element that the pointer is on, over the plot. */
+  get surface() {
+    return this.chart.over;
   }
 
-  add(sample, arrivedMs) {
-    const t = sample.timestamp_us / 1e6;
-    const last = this.samples.at(-1);
-    if (sample.session_id !== this.sessionId || (last && t < last.t)) this.reset(sample.session_id);
-    if (last && t === last.t) return;
-    this.window = sample.window;
-    this.samples.push({
-      t,
-      arrivedMs,
-      missed: sample.missed_frames,
-      gated: gatedValue(sample),
-      whole: sample.whole_mm,
-      thorax: sample.thorax_mm,
-      abdomen: sample.abdomen_mm,
-      isOn: sample.gate === "beam_on" && sample.line_on === true,
-      state: sample.state,
-      isInPhase: conditionsOf(sample.window).some((one) => one.kind === "phase" && one.is_inside),
-    });
-    this.marks.add(sample.breath, t, t - SPAN_S - 2);
-    while (this.samples.length > 0 && this.samples[0].t < t - KEPT_S - 2) this.samples.shift();
+  get samples() {
+    return this.kept.ofPresentZero(JUDGED_S);
+  }
+
+  reset(sessionId) {
+    this.kept.reset(sessionId);
+    this.window = null;
+    this.range = null;
+    this.referenceText = "";
+    this.pressed = false;
+    this.marks.reset();
+    this.view.toLive();
+    this.chart.clear();
+    this.drawnMs = -Infinity;
+  }
+
+  add(message, arrivedMs) {
+    const sessionId = this.kept.sessionId;
+    const steps = this.kept.steps.length;
+    const t = this.kept.add(message, arrivedMs);
+    if (this.kept.sessionId !== sessionId || this.kept.all.length === 1) {
+      this.marks.reset();
+      this.view.toLive();
+      this.range = null;
+      this.chart.clear();
+    }
+    // What was confirmed before belongs to another zero.
+    if (this.kept.steps.length !== steps) this.referenceText = "";
+    this.window = message.window;
+    this.marks.add(message.breath, t, t - KEPT_S);
   }
 
   draw(nowMs) {
-    this.canvas.dataset.session = this.sessionId ?? "";
-    const { context, width, height } = prepare(this.canvas);
-    const last = this.samples.at(-1);
-    if (!last) {
-      note(context, width, height, "No trace: no measurement yet.");
-      return;
-    }
-    const nowS = last.t + (nowMs - last.arrivedMs) / 1000;
-    this.#fitRange();
-    const box = { x0: MARGIN.left, x1: width - MARGIN.right, y0: MARGIN.top, y1: height - MARGIN.bottom };
-    const x = (t) => box.x1 - ((nowS - t) / SPAN_S) * (box.x1 - box.x0);
-    const y = (value) => box.y1 - ((value - this.range.low) / (this.range.high - this.range.low)) * (box.y1 - box.y0);
-    this.scale = { box, range: this.range };
-    drawAxes(context, box, this.range, y, this.#unit());
-    context.save();
-    context.beginPath();
-    context.rect(box.x0, box.y0, box.x1 - box.x0, box.y1 - box.y0);
-    context.clip();
-    this.#drawBeam(context, box, x);
-    this.#drawGaps(context, box, x, nowS);
-    for (const condition of this.#shown()) if (hasEdges(condition)) drawWindow(context, box, y, condition);
-    if (this.proposal !== null && this.choice === "gated") {
-      drawProposal(context, box, y, this.proposal);
-      this.canvas.dataset.edges = `${y(this.proposal.lower)} ${y(this.proposal.upper)}`;
-    }
-    if (this.#showsGated()) {
-      this.#drawPhase(context, box, x);
-      this.marks.draw(context, box, x, y);
-    }
-    this.#drawLine(context, x, y);
-    context.restore();
-    this.#labelGated(context, box);
+    this.canvas.dataset.session = this.kept.sessionId ?? "";
+    const last = this.kept.all.at(-1);
+    this.chart.show(last !== undefined);
+    byId("trace-none").hidden = last !== undefined;
+    this.view.tend(nowMs);
+    this.#showView();
+    if (last === undefined) return;
+    this.nowS = last.t + (nowMs - last.arrivedMs) / 1000;
+    const [from, to] = this.view.range(this.nowS);
+    if ((to - from > LONG_S || !this.view.isLive) && nowMs - this.drawnMs < LONG_MS && !this.pressed) return;
+    this.drawnMs = nowMs;
+    this.#fitRange(from, to);
+    const { times, values } = this.kept;
+    const extra = EXTRA.map((name) => (this.#showsExtra(name) ? values[name] : []));
+    this.chart.draw([times, extra[1], extra[0], values[this.choice]], [from, to], [this.range.low, this.range.high]);
+    this.#readOut();
   }
 
-  /** Height of a value on the canvas, as last drawn [px]. */
   yOf(value) {
-    const { box, range } = this.scale;
-    return box.y1 - ((value - range.low) / (range.high - range.low)) * (box.y1 - box.y0);
+    return this.chart.yOf(value);
   }
 
-  /** Value at a height of the canvas, as last drawn. */
   valueAt(y) {
-    const { box, range } = this.scale;
-    return range.low + ((box.y1 - y) / (box.y1 - box.y0)) * (range.high - range.low);
+    return this.chart.valueAt(y);
+  }
+
+  toLive() {
+    this.view.toLive();
+  }
+
+  #listen() {
+    this.surface.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      this.view.zoom(event.deltaY < 0, this.chart.timeAt(event.offsetX), performance.now());
+    }, { passive: false });
+    this.host.addEventListener("keydown", (event) => this.#key(event));
+    byId("trace-live").addEventListener("click", () => this.toLive());
+    byId("trace-extra").addEventListener("change", (event) => {
+      if (event.target.checked) this.extra.add(event.target.value);
+      else this.extra.delete(event.target.value);
+    });
+  }
+
+  #key(event) {
+    const nowMs = performance.now();
+    const [from, to] = this.view.range(this.nowS);
+    const oldestS = this.kept.times[0] ?? this.nowS;
+    const act = {
+      "+": () => this.view.zoom(true, (from + to) / 2, nowMs),
+      "=": () => this.view.zoom(true, (from + to) / 2, nowMs),
+      "-": () => this.view.zoom(false, (from + to) / 2, nowMs),
+      ArrowLeft: () => this.view.move(-0.25, oldestS, this.nowS, nowMs),
+      ArrowRight: () => this.view.move(0.25, oldestS, this.nowS, nowMs),
+      l: () => this.toLive(),
+      End: () => this.toLive(),
+    }[event.key];
+    if (act === undefined || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    act();
+  }
+
+  /** Stand still under a pressed pointer; not where an edge of the window is dragged. */
+  #press() {
+    if (this.keepsRange || this.kept.all.length === 0) return false;
+    this.pressed = this.view.isLive;
+    if (this.pressed) this.view.hold(...this.view.range(this.nowS), performance.now());
+    this.stoodAt = this.view.held;
+    return true;
+  }
+
+  /** A press without a selection changes nothing. */
+  #release() {
+    if (this.pressed && this.view.held === this.stoodAt) this.view.held = null;
+    this.pressed = false;
   }
 
   #showsGated() {
     return this.window !== null && (this.choice === "gated" || this.choice === this.window.signal);
+  }
+
+  #showsExtra(name) {
+    return this.extra.has(name) && this.choice !== name && this.#unit() === "mm";
   }
 
   #unit() {
@@ -122,177 +189,112 @@ export class Trace {
     return all.filter((one) => hasSameSignal(one, all[0]));
   }
 
-  #fitRange() {
+  #fitRange(from, to) {
     if (this.keepsRange && this.range?.choice === this.choice) return;
-    const since = this.samples.at(-1).t - SPAN_S - 2;
-    const values = this.samples.filter((s) => s.t >= since).map((s) => s[this.choice]).filter(Number.isFinite);
-    if (this.proposal !== null && this.choice === "gated") values.push(this.proposal.lower, this.proposal.upper);
-    for (const condition of this.#shown()) if (hasEdges(condition)) values.push(condition.lower, condition.upper);
-    if (this.choice === "gated") values.push(...this.marks.newestBaseline());
-    values.push(0);
+    const [first, end] = [this.kept.indexAt(from), this.kept.indexAt(to + 2)];
+    let [least, most] = [0, 0];
+    const stretch = (value) => {
+      if (!Number.isFinite(value)) return;
+      least = Math.min(least, value);
+      most = Math.max(most, value);
+    };
+    for (const name of [this.choice, ...EXTRA.filter((one) => this.#showsExtra(one))]) {
+      const values = this.kept.values[name];
+      for (let i = first; i < end; i += 1) if (values[i] !== null) stretch(values[i]);
+    }
+    const lines = this.#shown().filter(hasEdges);
+    if (this.proposal !== null && this.choice === "gated") lines.push(this.proposal);
+    for (const { lower, upper } of lines) [lower, upper].forEach(stretch);
+    if (this.choice === "gated") this.marks.newestBaseline().forEach(stretch);
     const whole = this.#unit() === "l" ? 0.05 : 1;
-    const low = Math.floor(Math.min(...values) / whole - 0.6) * whole;
-    const high = Math.ceil(Math.max(...values) / whole + 0.6) * whole;
+    const low = Math.floor(least / whole - 0.6) * whole;
+    const high = Math.ceil(most / whole + 0.6) * whole;
     const spare = this.range && this.range.high - this.range.low > 1.6 * (high - low);
     const fits = this.range && low >= this.range.low && high <= this.range.high;
     if (!fits || spare || this.range.choice !== this.choice) this.range = { low, high, choice: this.choice };
   }
 
-  #drawBeam(context, box, x) {
-    for (const [from, to] of runs(this.samples, (s) => s.isOn)) {
-      context.fillStyle = `rgba(${COLORS.on}, 0.16)`;
-      context.fillRect(x(from), box.y0, x(to) - x(from), box.y1 - box.y0);
-      context.fillStyle = `rgba(${COLORS.on}, 0.95)`;
-      context.fillRect(x(from), box.y1 - 5, x(to) - x(from), 5);
+  #drawBelow(pen) {
+    if (this.window === null) return;
+    const [from, to] = this.view.range(this.nowS);
+    layers.drawUnit(pen, this.#unit());
+    layers.clip(pen);
+    layers.drawBeam(pen, this.kept.runs(from, to, (sample) => sample.isOn));
+    layers.drawGaps(pen, this.kept.gaps(this.choice, from, to, this.nowS));
+    layers.drawReference(pen, this.#showsGated() ? this.referenceText : "");
+    for (const condition of this.#shown()) if (hasEdges(condition)) layers.drawWindow(pen, condition);
+    if (this.proposal !== null && this.choice === "gated") {
+      layers.drawProposal(pen, this.proposal);
+      this.canvas.dataset.edges = `${pen.y(this.proposal.lower)} ${pen.y(this.proposal.upper)}`;
     }
+    if (!this.#showsGated()) return;
+    layers.drawPhase(pen, this.kept.runs(from, to, (sample) => sample.isInPhase));
+    this.marks.draw(pen, from, to);
   }
 
-  /** Draw a strip at the top where the phase was inside its window. */
-  #drawPhase(context, box, x) {
-    context.fillStyle = COLORS.window;
-    for (const [from, to] of runs(this.samples, (s) => s.isInPhase)) context.fillRect(x(from), box.y0, Math.max(2, x(to) - x(from)), 4);
+  #drawAbove(pen) {
+    const last = this.kept.all.at(-1);
+    if (last === undefined || this.window === null) return;
+    const [from, to] = this.view.range(this.nowS);
+    layers.clip(pen);
+    layers.drawSteps(pen, this.kept.steps.filter(({ t }) => t >= from));
+    layers.drawStates(pen, this.kept.states(from, to));
+    layers.drawHolds(pen, this.kept.holds(from, to));
+    if (Number.isFinite(last[this.choice])) layers.drawNow(pen, last.t, last[this.choice]);
+    if (this.#showsGated() || this.#shown().length > 0) return;
+    layers.drawRemark(pen, `not the gated signal: the window is on ${signalName(conditionsOf(this.window)[0])}`);
   }
 
-  #drawGaps(context, box, x, nowS) {
-    context.fillStyle = hatch(context, "rgba(150, 165, 180, 0.34)");
-    let before = null;
-    for (const sample of this.samples) {
-      if (!Number.isFinite(sample[this.choice])) continue;
-      const since = before?.t ?? this.samples[0].t;
-      const isOpen = before === null || !joins(before, sample, this.choice);
-      if (isOpen && sample.t - since > JOIN_S) context.fillRect(x(since), box.y0, x(sample.t) - x(since), box.y1 - box.y0);
-      before = sample;
+  /** Seconds before now while live, and the time of day where the trace stands still. */
+  #times(from, to) {
+    if (this.kept.all.length === 0) return [];
+    const step = TIME_STEPS.find((one) => (to - from) / one <= MOST_TIMES) ?? TIME_STEPS.at(-1);
+    if (this.view.isLive) {
+      const count = Math.floor((to - from) / step + 1e-6);
+      return Array.from({ length: count + 1 }, (_, i) => ({ at: to - i * step, text: i === 0 ? "now" : ago(i * step) })).reverse();
     }
-    const since = before?.t ?? this.samples[0].t;
-    if (nowS - since > 2 * JOIN_S) context.fillRect(x(since), box.y0, box.x1 - x(since), box.y1 - box.y0);
+    const offset = this.#clockMs() / 1000;
+    const first = Math.ceil((from + offset) / step) * step - offset;
+    const count = Math.max(0, Math.floor((to - first) / step) + 1);
+    return Array.from({ length: count }, (_, i) => ({ at: first + i * step, text: this.#clock(first + i * step) }));
   }
 
-  #drawLine(context, x, y) {
-    context.strokeStyle = COLORS.line;
-    context.fillStyle = COLORS.line;
-    context.lineWidth = 2;
-    context.lineJoin = "round";
-    context.beginPath();
-    for (const [i, sample] of this.samples.entries()) {
-      const value = sample[this.choice];
-      if (!Number.isFinite(value)) continue;
-      if (i > 0 && joins(this.samples[i - 1], sample, this.choice)) context.lineTo(x(sample.t), y(value));
-      else {
-        context.moveTo(x(sample.t) - 0.5, y(value));
-        context.lineTo(x(sample.t) + 0.5, y(value));
-      }
-    }
-    context.stroke();
-    const last = this.samples.at(-1);
-    if (!Number.isFinite(last[this.choice])) return;
-    context.fillStyle = COLORS.now;
-    context.beginPath();
-    context.arc(x(last.t), y(last[this.choice]), 4, 0, 2 * Math.PI);
-    context.fill();
+  /** Time of day of the camera's zero, from the newest sample [ms]. */
+  #clockMs() {
+    const last = this.kept.all.at(-1);
+    return last.atMs - last.t * 1000;
   }
 
-  #labelGated(context, box) {
-    if (this.window === null || this.#showsGated() || this.#shown().length > 0) return;
-    context.fillStyle = INK.faint;
-    context.font = font(12);
-    context.textAlign = "right";
-    context.textBaseline = "top";
-    context.fillText(`not the gated signal: the window is on ${signalName(conditionsOf(this.window)[0])}`, box.x1 - 6, box.y0 + 4);
+  #clock(t) {
+    return new Date(Math.round(this.#clockMs() + t * 1000)).toLocaleTimeString("en-GB");
   }
-}
 
-function joins(before, after, choice) {
-  if (!Number.isFinite(before[choice]) || !Number.isFinite(after[choice])) return false;
-  return after.missed === before.missed && after.t - before.t <= JOIN_S;
-}
-
-/** Return the intervals [s] in which a condition holds, split where samples are missing. */
-function runs(samples, holds) {
-  const found = [];
-  let open = null;
-  for (const sample of samples) {
-    if (open !== null && sample.t - open[1] > JOIN_S) open = null;
-    if (open !== null) open[1] = sample.t;
-    if (!holds(sample)) open = null;
-    else if (open === null) found.push((open = [sample.t, sample.t]));
+  #showView() {
+    const text = this.view.isLive ? "" : "Not live";
+    setText(byId("trace-held"), text);
+    byId("trace-live").hidden = this.view.isDefault || this.pressed;
+    this.host.dataset.live = this.view.isLive ? "yes" : "no";
   }
-  return found;
-}
 
-function drawAxes(context, box, range, y, unit) {
-  const step = [0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50].find((s) => ((box.y1 - box.y0) * s) / (range.high - range.low) >= 32) ?? 100;
-  context.font = font(12);
-  context.lineWidth = 1;
-  context.textAlign = "right";
-  context.textBaseline = "middle";
-  const digits = step < 0.1 ? 2 : step < 1 ? 1 : 0;
-  for (let i = Math.ceil(range.low / step - 1e-6); i * step <= range.high + 1e-9; i += 1) {
-    const value = i * step;
-    context.strokeStyle = i === 0 ? "#4a5865" : INK.line;
-    stroke(context, box.x0, y(value), box.x1, y(value));
-    context.fillStyle = INK.text;
-    context.fillText(value.toFixed(digits).replace("-", "−"), box.x0 - 7, y(value));
+  /** The sample under the pointer: when, how much, and the gate. */
+  #readOut() {
+    const x = this.chart.pointerX;
+    const found = x === null ? null : this.kept.nearest(this.chart.timeAt(x));
+    const text = x === null ? "" : found === null ? "no sample" : this.#valuesOf(found);
+    setText(byId("trace-readout"), text);
   }
-  context.textBaseline = "alphabetic";
-  context.fillStyle = INK.faint;
-  for (let s = 0; s <= SPAN_S; s += 5) {
-    const x = box.x1 - (s / SPAN_S) * (box.x1 - box.x0);
-    context.strokeStyle = INK.line;
-    stroke(context, x, box.y1, x, box.y1 + 4);
-    context.textAlign = s === 0 ? "right" : "center";
-    context.fillText(s === 0 ? "now" : `−${s} s`, s === 0 ? box.x1 + 8 : x, box.y1 + 17);
-  }
-  context.save();
-  context.translate(11, (box.y0 + box.y1) / 2);
-  context.rotate(-Math.PI / 2);
-  context.textAlign = "center";
-  context.fillText(`${unit} · inhale up`, 0, 0);
-  context.restore();
-}
 
-function drawWindow(context, box, y, condition) {
-  const { lower, upper, hysteresis: inner, unit } = condition;
-  context.fillStyle = "rgba(232, 210, 122, 0.07)";
-  context.fillRect(box.x0, y(upper), box.x1 - box.x0, y(lower) - y(upper));
-  context.strokeStyle = COLORS.window;
-  context.lineWidth = 1.5;
-  for (const edge of [lower, upper]) stroke(context, box.x0, y(edge), box.x1, y(edge));
-  if (inner > 0) {
-    context.lineWidth = 1;
-    context.setLineDash([3, 5]);
-    for (const edge of [lower + inner, upper - inner]) stroke(context, box.x0, y(edge), box.x1, y(edge));
-    context.setLineDash([]);
-  }
-  context.fillStyle = COLORS.window;
-  context.font = font(11);
-  context.textAlign = "left";
-  context.textBaseline = "bottom";
-  const digits = unit === "l" ? 2 : 1;
-  const name = condition.kind === "breath_hold" ? "breath hold" : "window";
-  context.fillText(`${name} ${lower.toFixed(digits)} to ${upper.toFixed(digits)} ${unit}`.replaceAll("-", "−"), box.x0 + 6, y(upper) - 3);
-}
-
-/** Draw edges that are being edited, each with a grip. */
-function drawProposal(context, box, y, { lower, upper, unit }) {
-  context.strokeStyle = COLORS.proposal;
-  context.fillStyle = COLORS.proposal;
-  context.lineWidth = 2;
-  context.font = font(12);
-  context.textAlign = "right";
-  const digits = unit === "l" ? 2 : 1;
-  for (const [edge, baseline, shift] of [[upper, "bottom", -4], [lower, "top", 4]]) {
-    context.setLineDash([8, 4]);
-    stroke(context, box.x0, y(edge), box.x1, y(edge));
-    context.setLineDash([]);
-    context.fillRect(box.x1 - 34, y(edge) - 3, 28, 6);
-    context.textBaseline = baseline;
-    context.fillText(`${edge.toFixed(digits)} ${unit}`.replace("-", "−"), box.x1 - 40, y(edge) + shift);
+  #valuesOf(sample) {
+    const unit = this.#unit();
+    const names = [this.choice, ...EXTRA.filter((one) => this.#showsExtra(one))].filter((name) => Number.isFinite(sample[name]));
+    const values = names.map((name) => `${name === this.choice ? "" : `${name} `}${sample[name].toFixed(unit === "l" ? 2 : 1)} ${unit}`);
+    if (values.length === 0) values.push("not measured");
+    const cause = ["hold", "fault"].includes(sample.gate) && sample.reason ? `: ${words(sample.reason)}` : "";
+    return [`${(this.nowS - sample.t).toFixed(1)} s ago, ${this.#clock(sample.t)}`, ...values, `${GATES[sample.gate] ?? String(sample.gate)}${cause}`].join(" · ").replaceAll("-", "−");
   }
 }
 
-function stroke(context, x0, y0, x1, y1) {
-  context.beginPath();
-  context.moveTo(x0, y0);
-  context.lineTo(x1, y1);
-  context.stroke();
+function ago(seconds) {
+  if (seconds < 120) return `−${seconds} s`;
+  return seconds % 60 === 0 ? `−${seconds / 60} min` : `−${Math.floor(seconds / 60)} min ${seconds % 60} s`;
 }

@@ -3,7 +3,7 @@
  * typed or dragged on the trace, with what they would have done in the last minute.
  */
 
-import { setWindow } from "../api.js";
+import { setWindow, withoutNulls } from "../api.js";
 import { byId, setText } from "../drawing/elements.js";
 import { conditionsOf, gatedUnit } from "../stream/gating_window.js";
 import { forecast } from "../stream/window_forecast.js";
@@ -25,10 +25,10 @@ export class WindowEditor {
     byId("window-cancel").addEventListener("click", () => this.close());
     form.addEventListener("submit", (event) => this.#submit(event));
     form.addEventListener("input", (event) => this.#follow(event));
-    const canvas = trace.canvas;
-    canvas.addEventListener("pointerdown", (event) => this.#take(event));
-    canvas.addEventListener("pointermove", (event) => this.#drag(event));
-    for (const kind of ["pointerup", "pointercancel"]) canvas.addEventListener(kind, () => this.#release());
+    const { surface } = trace;
+    surface.addEventListener("pointerdown", (event) => this.#take(event));
+    surface.addEventListener("pointermove", (event) => this.#drag(event));
+    for (const kind of ["pointerup", "pointercancel"]) surface.addEventListener(kind, () => this.#release());
   }
 
   get isOpen() {
@@ -42,7 +42,7 @@ export class WindowEditor {
     this.opener.setAttribute("aria-expanded", "false");
     this.trace.proposal = null;
     this.#release();
-    this.trace.canvas.style.cursor = "";
+    this.trace.surface.style.cursor = "";
     return wasOpen;
   }
 
@@ -193,7 +193,7 @@ export class WindowEditor {
     if (distance > REACH_PX) return;
     this.grip = name;
     this.trace.keepsRange = true;
-    this.trace.canvas.setPointerCapture(event.pointerId);
+    this.trace.surface.setPointerCapture(event.pointerId);
     event.preventDefault();
   }
 
@@ -204,7 +204,7 @@ export class WindowEditor {
 
   #drag(event) {
     if (!this.isOpen) return;
-    this.trace.canvas.style.cursor = "ns-resize";
+    this.trace.surface.style.cursor = "ns-resize";
     if (this.grip === null) return;
     const value = this.trace.valueAt(event.offsetY);
     const edges = { ...this.#edges(), [this.grip]: this.unit === "percent" ? this.#inPercent(value) : value };
@@ -236,10 +236,4 @@ function forecastText(found, why) {
   if (found === null) return why;
   const shortest = found.shortestS === null ? "no complete pulse" : `shortest ${found.shortestS.toFixed(1)} s`;
   return `Predicted from the last ${Math.round(found.seconds)} s: beam on ${Math.round(found.percent)} %, ${found.pulsesPerMin.toFixed(0)} pulses/min, ${shortest}`;
-}
-
-function withoutNulls(value) {
-  if (Array.isArray(value)) return value.map(withoutNulls);
-  if (value === null || typeof value !== "object") return value;
-  return Object.fromEntries(Object.entries(value).filter(([, one]) => one !== null).map(([name, one]) => [name, withoutNulls(one)]));
 }
