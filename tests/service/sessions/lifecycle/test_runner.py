@@ -211,6 +211,8 @@ def test_a_running_session_shows_its_gate_and_figures(client, session_id, runnin
     assert closed["latency"]["p50_ms"] == pytest.approx(5.002), "over all that was stored"
     assert closed["latency"]["p99_ms"] == pytest.approx(5.003)
     assert closed.pop("transitions") == summary.pop("transitions") + 1
+    assert closed.pop("elapsed_s") > summary.pop("elapsed_s")
+    assert closed.pop("holds")[:1] == summary.pop("holds"), "with the end of the engine beside them"
     assert closed | {"latency": None} == summary | {"latency": None}, "counted as it ran, and read from the samples"
 
 
