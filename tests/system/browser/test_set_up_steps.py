@@ -108,6 +108,7 @@ def test_after_a_session_the_next_one_is_to_be_chosen(fake: FakeService, tab: Ta
 def test_after_the_window_was_looked_at_the_summary_is_next_and_after_arming_the_list_goes(fake: FakeService, tab: Tab):
     running(fake, has_reference=True)
     page = tab.open("disarmed")
+    expect(page.locator("#steps")).to_be_visible()
     page.click("#do-window")
     page.click("#window-cancel")
     tab.await_that(lambda: marked(page) == ["do-arm"], "Arm is not marked")
@@ -125,6 +126,7 @@ def test_after_the_window_was_looked_at_the_summary_is_next_and_after_arming_the
 def test_the_steps_of_another_session_begin_again(fake: FakeService, tab: Tab):
     running(fake, has_reference=True)
     page = tab.open("disarmed")
+    expect(page.locator("#steps")).to_be_visible()
     page.click("#do-window")
     page.click("#window-cancel")
     tab.await_that(lambda: marked(page) == ["do-arm"], "Arm is not marked")

@@ -366,7 +366,7 @@ function drawPanels(nowMs, view, sample) {
   renderBody(sample?.body_warning ?? session?.body?.warning);
   renderLikeness(sample, session?.likeness);
   renderLearning(sample, session, view.isFresh);
-  steps.render({ may: access.may("create"), isFresh: view.isFresh, sample, session });
+  steps.render({ may: access.may("create") && byId("report").hidden, isFresh: view.isFresh, sample, session });
   renderWho(view);
   renderTraceValue(sample);
 }
