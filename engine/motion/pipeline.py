@@ -189,7 +189,8 @@ class Pipeline:
         if not self._tracker.is_settled:
             return self._without_model(frame, roi, found)
         self.learner.depth_steps = stored_steps(self._tracker.depth_steps)
-        self._cross_check.observe(frame, found, roi)
+        marker_rays = self._calibration.color.rays(found.centers_px)
+        self._cross_check.observe(frame, found, marker_rays, roi)
         self._find_costal_line(frame, found)
         takes_lost_frames = self.learner.takes_lost_frames
         if takes_lost_frames:
@@ -199,7 +200,7 @@ class Pipeline:
         if active is None:
             self._keep(roi, frame.timestamp_us, nodes.pixels_px)
             return self._without_model(frame, roi, found)
-        explained = self._explain_continuous(active, roi, found, frame.timestamp_us)
+        explained = self._explain_continuous(active, roi, found, marker_rays, frame.timestamp_us)
         if isinstance(explained, Lost):
             return self._lost(frame, explained, found)
         outcome = explained.projection
@@ -325,7 +326,7 @@ class Pipeline:
         return coverage_lost(0.0) if best is None else self._refusal(best) or best
 
     def _explain_continuous(
-        self, active: PreparedModel, roi: RoiDepth, found: Markers, timestamp_us: int
+        self, active: PreparedModel, roi: RoiDepth, found: Markers, marker_rays: FloatArray, timestamp_us: int
     ) -> _Explained | Lost:
         """Project a frame and check the continuity of its surface."""
         outcome = self._explain(active, roi)
@@ -334,17 +335,16 @@ class Pipeline:
             return outcome
         explained = _Explained(outcome, active.node_depth_mm(outcome.coefficients))
         return (
-            self._layout_lost(roi, found, timestamp_us)
+            self._layout_lost(roi, marker_rays, timestamp_us)
             or disagreement
             or self._discontinuity(active, explained, found, timestamp_us)
             or explained
         )
 
-    def _layout_lost(self, roi: RoiDepth, found: Markers, timestamp_us: int) -> Lost | None:
+    def _layout_lost(self, roi: RoiDepth, marker_rays: FloatArray, timestamp_us: int) -> Lost | None:
         """Return the loss if a marker is not where it was relative to the others, otherwise None."""
         self._marker_layout.restart(self.learner.position_generation)
-        rays = self._calibration.color.rays(found.centers_px)
-        return self._marker_layout.lost(marker_points_mm(rays, roi), timestamp_us)
+        return self._marker_layout.lost(marker_points_mm(marker_rays, roi), timestamp_us)
 
     def _discontinuity(
         self, active: PreparedModel, explained: _Explained, found: Markers, timestamp_us: int

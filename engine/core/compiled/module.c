@@ -9,12 +9,32 @@
 #define FUNCTION(name) {#name, (PyCFunction)(void (*)(void))name, METH_FASTCALL, NULL}
 
 static PyMethodDef methods[] = {
-    FUNCTION(decode_16zt), FUNCTION(refine_markers), FUNCTION(sample_chroma),  FUNCTION(scene_blocks),
-    FUNCTION(scene_plane), FUNCTION(least_squares),  FUNCTION(cell_means),     FUNCTION(corner_medians),
-    FUNCTION(surface_change), FUNCTION(camera_rays), FUNCTION(changed_cells),
-    FUNCTION(align_nodes), FUNCTION(cut_out),        FUNCTION(project),
-    FUNCTION(map_points),  FUNCTION(node_surface),   FUNCTION(mesh_volume),    FUNCTION(seen_shares),
-    FUNCTION(replaced),    {NULL, NULL, 0, NULL},
+    FUNCTION(decode_16zt),
+    FUNCTION(refine_markers),
+    FUNCTION(sample_chroma),
+    FUNCTION(changed_cells),
+    FUNCTION(scene_blocks),
+    FUNCTION(scene_movement),
+    FUNCTION(least_squares),
+    FUNCTION(cell_means),
+    FUNCTION(mean_cells),
+    FUNCTION(largest_mean),
+    FUNCTION(marker_places),
+    FUNCTION(corner_medians),
+    FUNCTION(surface_change),
+    FUNCTION(mean_depth),
+    FUNCTION(camera_rays),
+    FUNCTION(align_nodes),
+    FUNCTION(cut_out),
+    FUNCTION(project),
+    FUNCTION(map_points),
+    FUNCTION(node_surface),
+    FUNCTION(mesh_volume),
+    FUNCTION(largest_difference),
+    FUNCTION(shift_correlations),
+    FUNCTION(seen_shares),
+    FUNCTION(replaced),
+    {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef definition = {

@@ -1,4 +1,4 @@
-/* What is read from the colour and the depth picture: stickers, colour, blocks of the scene, the region's grid. */
+/* What is read from the colour and the depth picture: stickers, colour, the region's grid. */
 #include "arguments.h"
 
 #include <math.h>
@@ -200,48 +200,63 @@ static void sampled_row(const double *h, double y, int samples, int32_t rows, in
     }
 }
 
-/* Mean colour of each cell in a row of cells; black where it is outside of the picture. */
+/* A pixel as red, green, blue and, above them, what follows it; of the picture's last pixel nothing follows. */
+static inline uint32_t pixel_at(const uint8_t *pixels, int32_t at, int32_t last)
+{
+    const uint8_t *pixel = pixels + (Py_ssize_t)at * 3;
+    uint32_t color = pixel[0] | (uint32_t)pixel[1] << 8 | (uint32_t)pixel[2] << 16;
+    return at < last ? color | (uint32_t)pixel[3] << 24 : color;
+}
+
+/* Mean colour of each cell in a row of cells; black where it is outside of the picture. Red and blue are summed in one
+ * number: sixteen of either stay below 2^16. */
 static void mean_colors(const uint8_t *pixels, Py_ssize_t rows, Py_ssize_t columns, const double *h, Py_ssize_t cell_row,
                         Py_ssize_t cells, uint8_t *means)
 {
-    static const uint8_t black[3] = {0, 0, 0};
-    int32_t at[MOST_SAMPLES];
-    int sums[3 * MOST_SAMPLES / SAMPLES] = {0};
+    int32_t at[MOST_SAMPLES], last = (int32_t)(rows * columns - 1);
+    uint32_t red_and_blue[MOST_SAMPLES / SAMPLES] = {0}, green[MOST_SAMPLES / SAMPLES] = {0};
     for (Py_ssize_t line = 0; line < SAMPLES; line++) {
         sampled_row(h, (double)(cell_row * SAMPLES + line), (int)cells * SAMPLES, (int32_t)rows, (int32_t)columns, at);
-        for (Py_ssize_t cell = 0; cell < cells; cell++) {
-            int red = 0, green = 0, blue = 0;
+        for (Py_ssize_t cell = 0; cell < cells; cell++)
             for (Py_ssize_t x = cell * SAMPLES; x < (cell + 1) * SAMPLES; x++) {
-                const uint8_t *pixel = at[x] < 0 ? black : pixels + (Py_ssize_t)at[x] * 3;
-                red += pixel[0];
-                green += pixel[1];
-                blue += pixel[2];
+                uint32_t color = at[x] < 0 ? 0 : pixel_at(pixels, at[x], last);
+                red_and_blue[cell] += color & 0x00FF00FFu;
+                green[cell] += color >> 8 & 0xFFu;
             }
-            sums[3 * cell] += red;
-            sums[3 * cell + 1] += green;
-            sums[3 * cell + 2] += blue;
-        }
     }
-    for (Py_ssize_t i = 0; i < 3 * cells; i++)
-        means[i] = (uint8_t)(((double)sums[i] / (SAMPLES * SAMPLES) + NEAREST) - NEAREST);
+    for (Py_ssize_t cell = 0; cell < cells; cell++) {
+        uint32_t sums[3] = {red_and_blue[cell] & 0xFFFFu, green[cell], red_and_blue[cell] >> 16};
+        for (int i = 0; i < 3; i++)
+            means[3 * cell + i] = (uint8_t)(((double)sums[i] / (SAMPLES * SAMPLES) + NEAREST) - NEAREST);
+    }
 }
 
 #define BINS 512
 
-/* The k-th smallest of n shares, from 0 to 1: only those of its bin are compared. */
-static double kth_share(const double *shares, Py_ssize_t n, Py_ssize_t k, double *chosen)
+/* The median of n shares, from 0 to 1, n > 0: only those of its bin are compared. */
+static float median_share(const double *shares, Py_ssize_t n, double *chosen)
 {
     int counts[BINS] = {0};
     for (Py_ssize_t i = 0; i < n; i++)
         counts[(int)(shares[i] * (BINS - 1))]++;
     int bin = 0;
-    Py_ssize_t found = 0;
+    Py_ssize_t k = n / 2, found = 0;
     while (k >= counts[bin])
         k -= counts[bin++];
-    for (Py_ssize_t i = 0; i < n; i++)
-        if ((int)(shares[i] * (BINS - 1)) == bin)
+    double lower = -1.0; /* the largest of the bins before */
+    for (Py_ssize_t i = 0; i < n; i++) {
+        int of = (int)(shares[i] * (BINS - 1));
+        if (of == bin)
             chosen[found++] = shares[i];
-    return select_kth(chosen, found, k);
+        else if (of < bin)
+            lower = shares[i] > lower ? shares[i] : lower;
+    }
+    double upper = select_kth(chosen, found, k);
+    if (n % 2)
+        return (float)upper;
+    for (Py_ssize_t below = 0; below < k; below++) /* all before the k-th are no larger than it */
+        lower = below == 0 || chosen[below] > lower ? chosen[below] : lower;
+    return ((float)lower + (float)upper) / 2.0f;
 }
 
 PyObject *sample_chroma(PyObject *module, PyObject *const *args, Py_ssize_t count)
@@ -292,12 +307,8 @@ PyObject *sample_chroma(PyObject *module, PyObject *const *args, Py_ssize_t coun
         }
     }
     if (n > 0)
-        for (int i = 0; i < 2; i++) {
-            const double *values = seen + i * most;
-            float upper = (float)kth_share(values, n, n / 2, chosen);
-            float lower = n % 2 ? upper : (float)kth_share(values, n, n / 2 - 1, chosen);
-            balance[i] = (lower + upper) / 2.0f;
-        }
+        for (int i = 0; i < 2; i++)
+            balance[i] = median_share(seen + i * most, n, chosen);
     PyMem_Free(seen);
     for (Py_ssize_t row = 0; row < chroma->shape[0] / cell_columns; row++) {
         uint8_t means[3 * MOST_SAMPLES / SAMPLES];
@@ -309,40 +320,6 @@ PyObject *sample_chroma(PyObject *module, PyObject *const *args, Py_ssize_t coun
             line[2 * cell + 1] = shares[1] - balance[1];
         }
     }
-    return finish(&arrays, Py_None);
-}
-
-PyObject *scene_blocks(PyObject *module, PyObject *const *args, Py_ssize_t count)
-{
-    (void)module;
-    if (!counted(count, 4, "scene_blocks"))
-        return NULL;
-    Arrays arrays = {0};
-    Py_buffer *depth = array_of(&arrays, args[0], "depth_mm", 'H', 2);
-    Py_ssize_t block = whole_of(&arrays, args[1], "block_px", 1, 256);
-    Py_ssize_t step = whole_of(&arrays, args[2], "sample_px", 1, 256);
-    Py_buffer *means = output_of(&arrays, args[3], "blocks_mm", 'd', 2);
-    if (arrays.failed)
-        return finish(&arrays, Py_None);
-    require(&arrays, block % step == 0, "block_px must be a multiple of sample_px");
-    require(&arrays, means->shape[0] == depth->shape[0] / block && means->shape[1] == depth->shape[1] / block,
-            "blocks_mm must be one for each whole block");
-    if (arrays.failed)
-        return finish(&arrays, Py_None);
-    Py_ssize_t columns = depth->shape[1], samples = (block / step) * (block / step);
-    for (Py_ssize_t row = 0; row < means->shape[0]; row++)
-        for (Py_ssize_t column = 0; column < means->shape[1]; column++) {
-            const uint16_t *corner = (const uint16_t *)depth->buf + row * block * columns + column * block;
-            uint32_t sum = 0, holes = 0;
-            for (Py_ssize_t y = step / 2; y < block; y += step)
-                for (Py_ssize_t x = step / 2; x < block; x += step) {
-                    uint32_t reading = corner[y * columns + x];
-                    sum += reading;
-                    holes += reading == 0;
-                }
-            ((double *)means->buf)[row * means->shape[1] + column] =
-                holes ? (double)NAN : (double)((float)sum / (float)samples);
-        }
     return finish(&arrays, Py_None);
 }
 

@@ -299,7 +299,7 @@ static int settle(const Basis *basis, const Frame *frame, const Limits *limits, 
         for (Py_ssize_t i = 0; i < modes; i++) {
             double step_mm = fabs(work->answer[i] - work->coefficients[i]) * basis->reach[i];
             if (!(step_mm <= largest_mm))
-                largest_mm = step_mm; /* NaN stays */
+                largest_mm = isnan(step_mm) ? (double)INFINITY : step_mm; /* which stays */
         }
         if (largest_mm < limit_mm)
             break;

@@ -18,16 +18,20 @@ from engine.core.frames import NODE_COLUMNS, NODE_ROWS, Lost, RoiDepth
 from engine.core.geometry import Intrinsics, RigidTransform
 from engine.motion.cross_check.appearance import CELL_COLUMNS, CELL_ROWS, changed_share, chroma_of
 from engine.motion.cross_check.cell_surface import CELLS, BreathingShapes, cell_means
+from engine.motion.cross_check.cross_check import _largest_mean_mm, _marker_places_mm, _mean
 from engine.motion.cross_check.static_scene import StaticScene
 from engine.motion.learning.seen_shares import prepare_seen_weights
+from engine.motion.learning.still_stretch import mean_depth_mm
 from engine.motion.settings import PipelineSettings
 from engine.motion.stages.markers import MarkerSearch, find_markers, track_markers
+from engine.motion.stages.phase_lag import _correlations
 from engine.motion.stages.projection import SAMPLED_SHAPE, STRIDE_PX, prepare_basis, project
 from engine.motion.stages.regions import RegionLayout
 from engine.motion.stages.registration import align
 from engine.motion.stages.roi import cut_out, roi_nodes
 from engine.motion.stages.surface import grid_triangles, node_surface_mm, volume_l
 from engine.motion.tracking.marker_layout import marker_points_mm
+from engine.motion.tracking.surface_continuity import _largest_difference
 from tests.support.motion import small_scene, static_room
 from tests.support.motion.fitting_frames import BREATH, COLUMNS, REST_MM, ROWS, frames, learn
 
@@ -194,8 +198,12 @@ def test_the_changed_share_is_the_same(seed, changed, dark):
         other[max(top, 0) : top + rng.integers(1, 9), max(left, 0) : left + rng.integers(1, 9)] = 1.0
     now[:, rng.integers(2)] = 0.05 * other.ravel()
     before[rng.random(len(before)) < dark] = np.nan
-    found, expected = both(changed_share, before, now)
-    assert found == expected
+    newest = np.zeros((2, *now.shape), dtype=np.float32)
+    now[rng.random(len(now)) < dark] = np.nan
+    found = changed_share(before, now, newest[0])
+    with compiled.numpy_forms():
+        assert found == changed_share(before, now, newest[1])
+    assert np.array_equal(newest[0], newest[1])
 
 
 @settings(max_examples=60, deadline=None)
@@ -231,6 +239,67 @@ def test_rays_are_the_same(seed, pixels, is_distorted):
     found, expected = both(camera.rays, rng.uniform(-300.0, 900.0, (pixels, 2)))
     assert found.shape == expected.shape
     assert found == pytest.approx(expected, rel=0.0, abs=1e-12)
+
+
+@settings(max_examples=60, deadline=None)
+@given(SEEDS, st.integers(1, 64), st.sampled_from([0.0, 0.2, 0.9, 1.0]))
+def test_means_over_frames_are_the_same(seed, count, hole_share):
+    rng = np.random.default_rng(seed)
+    frames_mm = list(rng.normal(900.0, 20.0, (count, CELLS)))
+    changes_mm = list(rng.normal(0.0, 2.0, (count, 4)))
+    for one in (*frames_mm, *changes_mm):
+        one[rng.random(len(one)) < hole_share] = rng.choice([np.nan, np.inf])
+    with np.errstate(invalid="ignore"):
+        assert_same(*both(_mean, frames_mm), 1e-9)
+    assert_same(*both(_largest_mean_mm, changes_mm), 1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(SEEDS, st.sampled_from([0.0, 0.2, 0.98, 1.0]), st.sampled_from([1, 80, 4096]))
+def test_markers_are_in_the_same_places(seed, hole_share, cells):
+    rng = np.random.default_rng(seed)
+    cells_mm, rays = rng.normal(900.0, 20.0, cells), rng.normal(0.0, 0.3, (4, 3))
+    cells_mm[rng.random(cells) < hole_share] = rng.choice([np.nan, np.inf, -np.inf])
+    rays[rng.integers(4)] *= rng.choice([1.0, 1.0, np.nan])
+    turned = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    other = RigidTransform(rotation=turned, translation_mm=rng.normal(0.0, 30.0, 3))
+    found, expected = both(_marker_places_mm, cells_mm, rays, other)
+    assert_same(found[0], expected[0], 1e-9)
+    assert_same(found[1], expected[1], 1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(SEEDS, st.sampled_from([(135,), (4, 2), (1,)]), st.sampled_from([0.0, np.nan, np.inf]))
+def test_the_largest_difference_is_the_same(seed, shape, bad):
+    one, other = np.random.default_rng(seed).normal(900.0, 3.0, (2, *shape))
+    if bad:
+        one.flat[seed % one.size] = bad
+    found, expected = both(_largest_difference, one, other)
+    assert np.array_equal(found, expected, equal_nan=True)
+    assert np.isnan(found) == bool(bad)
+
+
+@settings(max_examples=40, deadline=None)
+@given(SEEDS, st.integers(1, 260), st.sampled_from(["breath", "flat", "nan"]))
+def test_two_signals_correlate_alike(seed, size, kind):
+    rng = np.random.default_rng(seed)
+    one, other = np.sin(0.2 * np.arange(size) + rng.normal(0.0, 1.0, (2, 1))) + rng.normal(0.0, 0.1, (2, size))
+    if kind == "flat":
+        one[: size // 2 + 1] = 3.0
+    elif kind == "nan":
+        one[rng.integers(size)] = np.nan
+    with np.errstate(invalid="ignore"):
+        found, expected = both(_correlations, one, other)
+    if kind != "nan":  # of signals that were not measured nothing is computed
+        assert_same(found, expected, 1e-6)
+
+
+@settings(max_examples=25, deadline=None)
+@given(SEEDS, st.sampled_from([0.0, 0.5, 1.0]), st.sampled_from([2, 4]))
+def test_the_mean_depth_is_the_same(seed, hole_share, stride_px):
+    rng = np.random.default_rng(seed)
+    roi = roi_of(rng, hole_share, (-(-350 // stride_px), -(-200 // stride_px)), stride_px)
+    assert_same(*both(mean_depth_mm, roi), 1e-9)
 
 
 def test_a_black_picture_has_no_colour_in_either_form():
