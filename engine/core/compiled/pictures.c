@@ -200,29 +200,68 @@ static void sampled_row(const double *h, double y, int samples, int32_t rows, in
     }
 }
 
-/* A pixel as red, green, blue and, above them, what follows it; of the picture's last pixel nothing follows. */
-static inline uint32_t pixel_at(const uint8_t *pixels, int32_t at, int32_t last)
+/* Whether all samples are in the picture and before its last pixel: four bytes may be read at each of them. */
+WIDE_VECTORS
+static int are_inside(const int32_t *at, int samples, int32_t last)
 {
-    const uint8_t *pixel = pixels + (Py_ssize_t)at * 3;
-    uint32_t color = pixel[0] | (uint32_t)pixel[1] << 8 | (uint32_t)pixel[2] << 16;
-    return at < last ? color | (uint32_t)pixel[3] << 24 : color;
+    int32_t lowest = 0, highest = 0;
+    for (int x = 0; x < samples; x++) {
+        lowest = at[x] < lowest ? at[x] : lowest;
+        highest = at[x] > highest ? at[x] : highest;
+    }
+    return lowest >= 0 && highest < last;
+}
+
+/* A pixel as red, green, blue and, above them, what follows it. */
+static inline uint32_t with_next(const uint8_t *pixel)
+{
+    return pixel[0] | (uint32_t)pixel[1] << 8 | (uint32_t)pixel[2] << 16 | (uint32_t)pixel[3] << 24;
+}
+
+/* The same where nothing may follow, or the pixel is not in the picture. */
+static inline uint32_t alone(const uint8_t *pixel)
+{
+    return pixel[0] | (uint32_t)pixel[1] << 8 | (uint32_t)pixel[2] << 16;
+}
+
+#define AHEAD 4 /* every fourth sample lies in another line of the cache, at most */
+
+/* Where the samples of a row of cells lie; the picture is cold, so that they are fetched ahead. */
+static void place_samples(const uint8_t *pixels, Py_ssize_t rows, Py_ssize_t columns, const double *h,
+                          Py_ssize_t cell_row, int samples, int32_t at[SAMPLES][MOST_SAMPLES])
+{
+    for (Py_ssize_t line = 0; line < SAMPLES; line++) {
+        double y = (double)(cell_row * SAMPLES + line);
+        sampled_row(h, y, samples, (int32_t)rows, (int32_t)columns, at[line]);
+        for (int x = 0; x < samples; x += AHEAD)
+            if (at[line][x] >= 0)
+                __builtin_prefetch(pixels + (Py_ssize_t)at[line][x] * 3);
+    }
 }
 
 /* Mean colour of each cell in a row of cells; black where it is outside of the picture. Red and blue are summed in one
  * number: sixteen of either stay below 2^16. */
-static void mean_colors(const uint8_t *pixels, Py_ssize_t rows, Py_ssize_t columns, const double *h, Py_ssize_t cell_row,
-                        Py_ssize_t cells, uint8_t *means)
+static void mean_colors(const uint8_t *pixels, int32_t last, int32_t at[SAMPLES][MOST_SAMPLES], Py_ssize_t cells,
+                        uint8_t *means)
 {
-    int32_t at[MOST_SAMPLES], last = (int32_t)(rows * columns - 1);
+    static const uint8_t black[3] = {0, 0, 0};
     uint32_t red_and_blue[MOST_SAMPLES / SAMPLES] = {0}, green[MOST_SAMPLES / SAMPLES] = {0};
     for (Py_ssize_t line = 0; line < SAMPLES; line++) {
-        sampled_row(h, (double)(cell_row * SAMPLES + line), (int)cells * SAMPLES, (int32_t)rows, (int32_t)columns, at);
-        for (Py_ssize_t cell = 0; cell < cells; cell++)
-            for (Py_ssize_t x = cell * SAMPLES; x < (cell + 1) * SAMPLES; x++) {
-                uint32_t color = at[x] < 0 ? 0 : pixel_at(pixels, at[x], last);
-                red_and_blue[cell] += color & 0x00FF00FFu;
-                green[cell] += color >> 8 & 0xFFu;
+        const int32_t *samples = at[line];
+        int is_inside = are_inside(samples, (int)cells * SAMPLES, last);
+        for (Py_ssize_t cell = 0; cell < cells; cell++, samples += SAMPLES) {
+            uint32_t colors[SAMPLES];
+            if (is_inside)
+                for (int x = 0; x < SAMPLES; x++)
+                    colors[x] = with_next(pixels + (Py_ssize_t)samples[x] * 3);
+            else
+                for (int x = 0; x < SAMPLES; x++)
+                    colors[x] = alone(samples[x] < 0 ? black : pixels + (Py_ssize_t)samples[x] * 3);
+            for (int x = 0; x < SAMPLES; x++) {
+                red_and_blue[cell] += colors[x] & 0x00FF00FFu;
+                green[cell] += colors[x] >> 8 & 0xFFu;
             }
+        }
     }
     for (Py_ssize_t cell = 0; cell < cells; cell++) {
         uint32_t sums[3] = {red_and_blue[cell] & 0xFFFFu, green[cell], red_and_blue[cell] >> 16};
@@ -310,10 +349,17 @@ PyObject *sample_chroma(PyObject *module, PyObject *const *args, Py_ssize_t coun
         for (int i = 0; i < 2; i++)
             balance[i] = median_share(seen + i * most, n, chosen);
     PyMem_Free(seen);
-    for (Py_ssize_t row = 0; row < chroma->shape[0] / cell_columns; row++) {
+    int32_t at[2][SAMPLES][MOST_SAMPLES];
+    Py_ssize_t cell_rows = chroma->shape[0] / cell_columns;
+    int samples = (int)cell_columns * SAMPLES;
+    if (cell_rows > 0)
+        place_samples(pixels, rows, columns, h, 0, samples, at[0]);
+    for (Py_ssize_t row = 0; row < cell_rows; row++) {
         uint8_t means[3 * MOST_SAMPLES / SAMPLES];
         float *line = (float *)chroma->buf + 2 * row * cell_columns;
-        mean_colors(pixels, rows, columns, h, row, cell_columns, means);
+        if (row + 1 < cell_rows)
+            place_samples(pixels, rows, columns, h, row + 1, samples, at[(row + 1) % 2]);
+        mean_colors(pixels, (int32_t)(rows * columns - 1), at[row % 2], cell_columns, means);
         for (Py_ssize_t cell = 0; cell < cell_columns; cell++) {
             shares_of(means + 3 * cell, least, shares);
             line[2 * cell] = shares[0] - balance[0];
