@@ -62,6 +62,7 @@ PyObject *seen_shares(PyObject *module, PyObject *const *args, Py_ssize_t count)
 PyObject *mean_cells(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *largest_mean(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *marker_places(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *depths(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *largest_difference(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *mean_depth(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *shift_correlations(PyObject *module, PyObject *const *args, Py_ssize_t count);

@@ -30,6 +30,7 @@ static PyMethodDef methods[] = {
     FUNCTION(map_points),
     FUNCTION(node_surface),
     FUNCTION(mesh_volume),
+    FUNCTION(depths),
     FUNCTION(largest_difference),
     FUNCTION(shift_correlations),
     FUNCTION(seen_shares),

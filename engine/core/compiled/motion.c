@@ -121,6 +121,68 @@ PyObject *mesh_volume(PyObject *module, PyObject *const *args, Py_ssize_t count)
     return finished;
 }
 
+#define LANES 8
+
+WIDE_VECTORS static double product_of(const double *a, const double *b, Py_ssize_t n)
+{
+    double sums[LANES] = {0.0};
+    Py_ssize_t i = 0;
+    for (; i + LANES <= n; i += LANES)
+        for (int lane = 0; lane < LANES; lane++)
+            sums[lane] += a[i + lane] * b[i + lane];
+    for (; i < n; i++)
+        sums[0] += a[i] * b[i];
+    for (int half = LANES / 2; half > 0; half /= 2)
+        for (int lane = 0; lane < half; lane++)
+            sums[lane] += sums[lane + half];
+    return sums[0];
+}
+
+WIDE_VECTORS static void add_scaled(double *target, const double *values, double scale, Py_ssize_t n)
+{
+    for (Py_ssize_t i = 0; i < n; i++)
+        target[i] += scale * values[i];
+}
+
+/* The depth that some coefficients stand for, at the nodes and of the regions; NaN of regions that are not known. */
+PyObject *depths(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 8, "depths"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *coefficients = array_of(&arrays, args[0], "coefficients", 'd', 1);
+    Py_buffer *node_mean = array_of(&arrays, args[1], "node_mean_mm", 'd', 1);
+    Py_buffer *node_modes = array_of(&arrays, args[2], "node_modes", 'd', 2);
+    Py_buffer *region_mean = array_of(&arrays, args[3], "region_mean_mm", 'd', 1);
+    Py_buffer *region_modes = array_of(&arrays, args[4], "region_modes", 'd', 2);
+    Py_buffer *is_known = array_of(&arrays, args[5], "is_known", '?', 1);
+    Py_buffer *nodes = output_of(&arrays, args[6], "nodes_mm", 'd', 1);
+    Py_buffer *regions = output_of(&arrays, args[7], "regions_mm", 'd', 1);
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Py_ssize_t k = coefficients->shape[0], n = nodes->shape[0], m = regions->shape[0];
+    require(&arrays, node_modes->shape[0] == k && node_modes->shape[1] == n && node_mean->shape[0] == n,
+            "node_modes must be one a coefficient and node");
+    require(&arrays, region_modes->shape[0] == m && region_modes->shape[1] == k && region_mean->shape[0] == m,
+            "region_modes must be one a region and coefficient");
+    require(&arrays, is_known->shape[0] == m, "is_known must be one a region");
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    const double *weights = coefficients->buf, *modes = node_modes->buf;
+    double *target = nodes->buf;
+    memset(target, 0, (size_t)nodes->len);
+    for (Py_ssize_t j = 0; j < k; j++)
+        add_scaled(target, modes + j * n, weights[j], n);
+    add_scaled(target, node_mean->buf, 1.0, n);
+    for (Py_ssize_t i = 0; i < m; i++) {
+        double depth = product_of((const double *)region_modes->buf + i * k, weights, k);
+        ((double *)regions->buf)[i] =
+            ((const uint8_t *)is_known->buf)[i] ? ((const double *)region_mean->buf)[i] + depth : (double)NAN;
+    }
+    return finish(&arrays, Py_None);
+}
+
 /* Largest difference of two arrays' values; NaN where one of them is no finite number. */
 PyObject *largest_difference(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
@@ -150,23 +212,6 @@ PyObject *largest_difference(PyObject *module, PyObject *const *args, Py_ssize_t
     PyObject *finished = finish(&arrays, result == NULL ? Py_None : result);
     Py_XDECREF(result);
     return finished;
-}
-
-#define LANES 8
-
-WIDE_VECTORS static double product_of(const double *a, const double *b, Py_ssize_t n)
-{
-    double sums[LANES] = {0.0};
-    Py_ssize_t i = 0;
-    for (; i + LANES <= n; i += LANES)
-        for (int lane = 0; lane < LANES; lane++)
-            sums[lane] += a[i + lane] * b[i + lane];
-    for (; i < n; i++)
-        sums[0] += a[i] * b[i];
-    for (int half = LANES / 2; half > 0; half /= 2)
-        for (int lane = 0; lane < half; lane++)
-            sums[lane] += sums[lane + half];
-    return sums[0];
 }
 
 /* Pearson's correlation of two signals over their overlap, at every shift of the first; 0 where one does not vary. */

@@ -275,13 +275,13 @@ static void mean_colors(const uint8_t *pixels, int32_t last, int32_t at[SAMPLES]
 /* The median of n shares, from 0 to 1, n > 0: only those of its bin are compared. */
 static float median_share(const double *shares, Py_ssize_t n, double *chosen)
 {
-    int counts[BINS] = {0};
+    int counts[2][BINS] = {{0}}; /* of every second share: neighbours are of one bin, and would wait for each other */
     for (Py_ssize_t i = 0; i < n; i++)
-        counts[(int)(shares[i] * (BINS - 1))]++;
+        counts[i % 2][(int)(shares[i] * (BINS - 1))]++;
     int bin = 0;
     Py_ssize_t k = n / 2, found = 0;
-    while (k >= counts[bin])
-        k -= counts[bin++];
+    for (; k >= counts[0][bin] + counts[1][bin]; bin++)
+        k -= counts[0][bin] + counts[1][bin];
     double lower = -1.0; /* the largest of the bins before */
     for (Py_ssize_t i = 0; i < n; i++) {
         int of = (int)(shares[i] * (BINS - 1));
@@ -380,29 +380,42 @@ typedef struct {
     const float *table;
 } Window;
 
+/* Split places in the window into their upper left pixel and the shares of the pixels to the right and below; -1 where not
+ * all four pixels are in the window. Every place is overwritten by its shares. */
+static void pixels_of(const Window *window, float *restrict x, float *restrict y, Py_ssize_t n, int32_t *restrict at)
+{
+    float right = (float)(window->columns - 1), bottom = (float)(window->rows - 1);
+    int32_t pitch = (int32_t)window->pitch;
+    for (Py_ssize_t i = 0; i < n; i++) {
+        float u = x[i], v = y[i];
+        u = (u >= 0.0f) & (u < right) ? u : -1.0f; /* NaN too */
+        v = (v >= 0.0f) & (v < bottom) ? v : -1.0f;
+        int32_t left = (int32_t)u, top = (int32_t)v;
+        at[i] = (left | top) < 0 ? -1 : top * pitch + left;
+        x[i] = u - (float)left;
+        y[i] = v - (float)top;
+    }
+}
+
 /* Interpolate where all four pixels around a point have a reading; the number of points that have. */
-static Py_ssize_t interpolate_complete(const Window *window, const float *x, const float *y, Py_ssize_t n, float *depth,
-                                       uint8_t *valid)
+static Py_ssize_t interpolate_complete(const Window *window, const float *across, const float *along, const int32_t *at,
+                                       Py_ssize_t n, float *depth, uint8_t *valid)
 {
     Py_ssize_t complete = 0;
-    float right = (float)(window->columns - 1), bottom = (float)(window->rows - 1);
+    const float *table = window->table;
     for (Py_ssize_t i = 0; i < n; i++) {
         depth[i] = 0.0f;
         valid[i] = 0;
-        if (!(x[i] >= 0.0f && y[i] >= 0.0f && x[i] < right && y[i] < bottom))
+        if (at[i] < 0)
             continue;
-        int left = (int)x[i], top = (int)y[i];
-        const uint16_t *at = window->depth + (Py_ssize_t)top * window->pitch + left;
-        float a = window->table[at[0]], b = window->table[at[1]];
-        float c = window->table[at[window->pitch]], d = window->table[at[window->pitch + 1]];
-        float across = x[i] - (float)left, along = y[i] - (float)top;
-        float upper = a + across * (b - a), lower = c + across * (d - c);
-        float sum = upper + along * (lower - upper);
-        if (sum > 0.0f) { /* not NaN, which a hole makes */
-            depth[i] = sum;
-            valid[i] = 1;
-            complete++;
-        }
+        const uint16_t *pixel = window->depth + at[i], *below = pixel + window->pitch;
+        float a = table[pixel[0]], b = table[pixel[1]], c = table[below[0]], d = table[below[1]];
+        float upper = a + across[i] * (b - a), lower = c + across[i] * (d - c);
+        float sum = upper + along[i] * (lower - upper);
+        int is_complete = sum > 0.0f; /* not NaN, which a hole makes */
+        depth[i] = is_complete ? sum : 0.0f;
+        valid[i] = (uint8_t)is_complete;
+        complete += is_complete;
     }
     return complete;
 }
@@ -444,34 +457,62 @@ static void interpolate_partial(const Window *window, const float *x, const floa
     }
 }
 
-/* The places of the grid's points in the window, bilinear between the nodes. */
+#define MOST_COLUMNS (NODE_COLUMNS * NODE_STEP)
+
+typedef struct {
+    const double *nodes;
+    Py_ssize_t columns, stride;
+    double left, top;              /* of the window */
+    double across[MOST_COLUMNS]; /* share of the way from the node before */
+} Grid;
+
+/* The places of a row of the grid's points in the window, bilinear between the nodes. */
 WIDE_VECTORS
-static void places(const double *nodes, Py_ssize_t rows, Py_ssize_t columns, Py_ssize_t stride, double left, double top,
-                   float *x, float *y)
+static void places(const Grid *grid, Py_ssize_t row, float *x, float *y)
 {
-    double across[NODE_COLUMNS * NODE_STEP];
-    for (Py_ssize_t column = 0; column < columns; column++)
-        across[column] = (double)(column * stride % NODE_STEP) / NODE_STEP;
+    Py_ssize_t stride = grid->stride, upper = row * stride / NODE_STEP;
+    double along = (double)(row * stride % NODE_STEP) / NODE_STEP;
+    const double *above = grid->nodes + 2 * upper * NODE_COLUMNS, *below = above + 2 * NODE_COLUMNS;
+    double line[2 * NODE_COLUMNS];
+    for (int i = 0; i < NODE_COLUMNS; i++) {
+        line[i] = (1.0 - along) * (above[2 * i] - grid->left) + along * (below[2 * i] - grid->left);
+        line[NODE_COLUMNS + i] = (1.0 - along) * (above[2 * i + 1] - grid->top) + along * (below[2 * i + 1] - grid->top);
+    }
+    for (Py_ssize_t node = 0, column = 0; node < NODE_COLUMNS - 1; node++) {
+        Py_ssize_t end = ((node + 1) * NODE_STEP + stride - 1) / stride;
+        end = end < grid->columns ? end : grid->columns;
+        const double *at = line + node;
+        for (; column < end; column++) {
+            double across = grid->across[column];
+            x[column] = (float)((1.0 - across) * at[0] + across * at[1]);
+            y[column] = (float)((1.0 - across) * at[NODE_COLUMNS] + across * at[NODE_COLUMNS + 1]);
+        }
+    }
+}
+
+/* Interpolate where all four pixels around a point have a reading; the number of points that have. Row by row: what is in
+ * between stays in the nearest cache. */
+static Py_ssize_t fill_complete(const Window *window, const Grid *grid, Py_ssize_t rows, float *depth, uint8_t *valid)
+{
+    Py_ssize_t columns = grid->columns, complete = 0;
+    float x[MOST_COLUMNS], y[MOST_COLUMNS];
+    int32_t at[MOST_COLUMNS];
     for (Py_ssize_t row = 0; row < rows; row++) {
-        Py_ssize_t upper = row * stride / NODE_STEP;
-        double along = (double)(row * stride % NODE_STEP) / NODE_STEP;
-        const double *above = nodes + 2 * upper * NODE_COLUMNS, *below = above + 2 * NODE_COLUMNS;
-        double line[2 * NODE_COLUMNS];
-        for (int i = 0; i < NODE_COLUMNS; i++) {
-            line[i] = (1.0 - along) * (above[2 * i] - left) + along * (below[2 * i] - left);
-            line[NODE_COLUMNS + i] = (1.0 - along) * (above[2 * i + 1] - top) + along * (below[2 * i + 1] - top);
-        }
-        float *x_of_row = x + row * columns, *y_of_row = y + row * columns;
-        for (Py_ssize_t node = 0, column = 0; node < NODE_COLUMNS - 1; node++) {
-            Py_ssize_t end = ((node + 1) * NODE_STEP + stride - 1) / stride;
-            end = end < columns ? end : columns;
-            const double *at = line + node;
-            for (; column < end; column++) {
-                x_of_row[column] = (float)((1.0 - across[column]) * at[0] + across[column] * at[1]);
-                y_of_row[column] =
-                    (float)((1.0 - across[column]) * at[NODE_COLUMNS] + across[column] * at[NODE_COLUMNS + 1]);
-            }
-        }
+        places(grid, row, x, y);
+        pixels_of(window, x, y, columns, at);
+        complete += interpolate_complete(window, x, y, at, columns, depth + row * columns, valid + row * columns);
+    }
+    return complete;
+}
+
+/* Interpolate where readings carry at least a least weight. */
+static void fill_partial(const Window *window, const Grid *grid, Py_ssize_t rows, float least, float *depth, uint8_t *valid)
+{
+    Py_ssize_t columns = grid->columns;
+    float x[MOST_COLUMNS], y[MOST_COLUMNS];
+    for (Py_ssize_t row = 0; row < rows; row++) {
+        places(grid, row, x, y);
+        interpolate_partial(window, x, y, columns, least, depth + row * columns, valid + row * columns);
     }
 }
 
@@ -506,13 +547,9 @@ PyObject *cut_out(PyObject *module, PyObject *const *args, Py_ssize_t count)
             columns <= ((NODE_COLUMNS - 1) * NODE_STEP - 1) / stride + 1, "the grid must lie between the nodes");
     require(&arrays, valid->shape[0] == rows && valid->shape[1] == columns, "valid must be as large as depth");
     require(&arrays, least_weight > 0.0, "least_weight must be positive");
-    float *x = arrays.failed ? NULL : PyMem_Malloc((size_t)(2 * n + 1) * sizeof *x);
-    if (x == NULL) {
-        if (!arrays.failed)
-            PyErr_NoMemory();
-        arrays.failed = 1;
+    require(&arrays, picture->shape[0] < 32768 && picture->shape[1] < 32768, "depth_mm must have less than 32768 rows");
+    if (arrays.failed)
         return finish(&arrays, Py_None);
-    }
     const double *node = nodes->buf;
     double low[2] = {node[0], node[1]}, high[2] = {node[0], node[1]};
     int is_finite = 1;
@@ -526,18 +563,20 @@ PyObject *cut_out(PyObject *module, PyObject *const *args, Py_ssize_t count)
         reach_of(low[0], high[0], picture->shape[1], &left, &right);
         reach_of(low[1], high[1], picture->shape[0], &top, &bottom);
     }
-    memset(depth->buf, 0, (size_t)depth->len);
-    memset(valid->buf, 0, (size_t)valid->len);
-    if (right - left >= 2 && bottom - top >= 2) {
+    if (right - left < 2 || bottom - top < 2) {
+        memset(depth->buf, 0, (size_t)depth->len);
+        memset(valid->buf, 0, (size_t)valid->len);
+    } else {
         Window window = {
             .depth = (const uint16_t *)picture->buf + top * picture->shape[1] + left, .pitch = picture->shape[1],
             .rows = bottom - top, .columns = right - left, .table = table->buf,
         };
-        places(node, rows, columns, stride, (double)left, (double)top, x, x + n);
-        Py_ssize_t complete = interpolate_complete(&window, x, x + n, n, depth->buf, valid->buf);
+        Grid grid = {.nodes = node, .columns = columns, .stride = stride, .left = (double)left, .top = (double)top};
+        for (Py_ssize_t column = 0; column < columns; column++)
+            grid.across[column] = (double)(column * stride % NODE_STEP) / NODE_STEP;
+        Py_ssize_t complete = fill_complete(&window, &grid, rows, depth->buf, valid->buf);
         if ((double)complete < least_share * (double)n)
-            interpolate_partial(&window, x, x + n, n, (float)least_weight, depth->buf, valid->buf);
+            fill_partial(&window, &grid, rows, (float)least_weight, depth->buf, valid->buf);
     }
-    PyMem_Free(x);
     return finish(&arrays, Py_None);
 }

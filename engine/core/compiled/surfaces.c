@@ -222,6 +222,29 @@ PyObject *marker_places(PyObject *module, PyObject *const *args, Py_ssize_t coun
     return finish(&arrays, is_known ? Py_True : Py_False);
 }
 
+#define LANES 8
+
+/* Sum of the valid readings in eight sums, added at the end, and their number. */
+WIDE_VECTORS
+static double sum_valid(const float *depth, const uint8_t *valid, Py_ssize_t n, Py_ssize_t *seen)
+{
+    double sums[LANES] = {0.0};
+    int32_t found = 0;
+    Py_ssize_t i = 0;
+    for (; i + LANES <= n; i += LANES)
+        for (int lane = 0; lane < LANES; lane++)
+            sums[lane] += (double)(valid[i + lane] ? depth[i + lane] : 0.0f);
+    for (; i < n; i++)
+        sums[0] += (double)(valid[i] ? depth[i] : 0.0f);
+    for (int half = LANES / 2; half > 0; half /= 2)
+        for (int lane = 0; lane < half; lane++)
+            sums[lane] += sums[lane + half];
+    for (i = 0; i < n; i++)
+        found += valid[i] != 0;
+    *seen = found;
+    return sums[0];
+}
+
 /* Mean of the valid readings; NaN where there is none. */
 PyObject *mean_depth(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
@@ -236,13 +259,8 @@ PyObject *mean_depth(PyObject *module, PyObject *const *args, Py_ssize_t count)
                 "valid must be as large as depth_mm");
     if (arrays.failed)
         return finish(&arrays, Py_None);
-    double sums[4] = {0.0, 0.0, 0.0, 0.0};
     Py_ssize_t seen = 0;
-    for (Py_ssize_t i = 0; i < depth->shape[0] * depth->shape[1]; i++) {
-        sums[i % 4] += ((const uint8_t *)valid->buf)[i] ? (double)((const float *)depth->buf)[i] : 0.0;
-        seen += ((const uint8_t *)valid->buf)[i] != 0;
-    }
-    double sum = (sums[0] + sums[1]) + (sums[2] + sums[3]);
+    double sum = sum_valid(depth->buf, valid->buf, depth->shape[0] * depth->shape[1], &seen);
     return finish_number(&arrays, seen ? sum / (double)seen : (double)NAN);
 }
 
@@ -498,6 +516,26 @@ PyObject *surface_change(PyObject *module, PyObject *const *args, Py_ssize_t cou
     return finish(&arrays, Py_True);
 }
 
+#define MOST_TOGETHER 64
+
+/* Undistort some points, in place. What is beyond what the lens' model describes stays as without distortion. */
+WIDE_VECTORS
+static void undistort(const double *c, Py_ssize_t n, Py_ssize_t steps, double *x, double *y)
+{
+    double x0[MOST_TOGETHER], y0[MOST_TOGETHER], is_beyond[MOST_TOGETHER] = {0.0};
+    memcpy(x0, x, (size_t)n * sizeof *x);
+    memcpy(y0, y, (size_t)n * sizeof *y);
+    for (Py_ssize_t step = 0; step < steps; step++)
+        for (Py_ssize_t i = 0; i < n; i++) {
+            double r2 = x[i] * x[i] + y[i] * y[i], inverse = 1.0 / (1.0 + ((c[8] * r2 + c[5]) * r2 + c[4]) * r2);
+            double shift_x = 2.0 * c[6] * x[i] * y[i] + c[7] * (r2 + 2.0 * x[i] * x[i]);
+            double shift_y = c[6] * (r2 + 2.0 * y[i] * y[i]) + 2.0 * c[7] * x[i] * y[i];
+            is_beyond[i] = inverse < 0.0 ? 1.0 : is_beyond[i];
+            x[i] = is_beyond[i] > 0.0 ? x0[i] : (x0[i] - shift_x) * inverse;
+            y[i] = is_beyond[i] > 0.0 ? y0[i] : (y0[i] - shift_y) * inverse;
+        }
+}
+
 /* Undistorted rays of unit depth, by so many steps of the fixed point that OpenCV iterates too. */
 PyObject *camera_rays(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
@@ -517,25 +555,21 @@ PyObject *camera_rays(PyObject *module, PyObject *const *args, Py_ssize_t count)
     if (arrays.failed)
         return finish(&arrays, Py_None);
     const double *c = camera->buf;
-    for (Py_ssize_t i = 0; i < n; i++) {
-        const double *pixel = (const double *)pixels->buf + 2 * i;
-        double x0 = (pixel[0] - c[2]) / c[0], y0 = (pixel[1] - c[3]) / c[1], x = x0, y = y0;
-        for (Py_ssize_t step = 0; step < steps; step++) {
-            double r2 = x * x + y * y, inverse = 1.0 / (1.0 + ((c[8] * r2 + c[5]) * r2 + c[4]) * r2);
-            if (inverse < 0.0) { /* beyond what the model describes: as without distortion */
-                x = x0;
-                y = y0;
-                break;
-            }
-            double shift_x = 2.0 * c[6] * x * y + c[7] * (r2 + 2.0 * x * x);
-            double shift_y = c[6] * (r2 + 2.0 * y * y) + 2.0 * c[7] * x * y;
-            x = (x0 - shift_x) * inverse;
-            y = (y0 - shift_y) * inverse;
+    for (Py_ssize_t begin = 0; begin < n; begin += MOST_TOGETHER) {
+        double x[MOST_TOGETHER], y[MOST_TOGETHER];
+        Py_ssize_t together = n - begin < MOST_TOGETHER ? n - begin : MOST_TOGETHER;
+        for (Py_ssize_t i = 0; i < together; i++) {
+            const double *pixel = (const double *)pixels->buf + 2 * (begin + i);
+            x[i] = (pixel[0] - c[2]) / c[0];
+            y[i] = (pixel[1] - c[3]) / c[1];
         }
-        double *ray = (double *)rays->buf + 3 * i;
-        ray[0] = x;
-        ray[1] = y;
-        ray[2] = 1.0;
+        undistort(c, together, steps, x, y);
+        for (Py_ssize_t i = 0; i < together; i++) {
+            double *ray = (double *)rays->buf + 3 * (begin + i);
+            ray[0] = x[i];
+            ray[1] = y[i];
+            ray[2] = 1.0;
+        }
     }
     return finish(&arrays, Py_None);
 }

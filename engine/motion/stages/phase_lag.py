@@ -98,7 +98,7 @@ def follow_lags(state: LagState, seconds: float, signals_mm: FloatArray) -> LagS
 def _close_bin(state: LagState) -> LagState:
     mean_s = state.open_seconds / state.open_frames
     first = int(np.searchsorted(state.seconds, mean_s - WINDOW_S))
-    seconds = np.append(state.seconds[first:], mean_s)
+    seconds = np.concatenate([state.seconds[first:], (mean_s,)])
     signals_mm = np.concatenate([state.signals_mm[first:], np.array(state.open_signals_mm)[None] / state.open_frames])
     lags = list(state.lags)
     round_bins = EVERY_BINS * max(len(state.pairs), MIN_PAIRS)

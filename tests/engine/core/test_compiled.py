@@ -94,6 +94,10 @@ CALLS = {
     "largest_mean": [[np.ones(4), np.ones(4)]],
     "marker_places": [np.ones(7), 90.0, np.ones((4, 3)), np.eye(3), np.zeros(3), np.zeros((4, 3)), np.zeros((4, 3))],
     "mean_depth": [np.ones((9, 8), F32), np.ones((9, 8), bool)],
+    "depths": [
+        *(np.ones(3), np.ones(7), np.ones((3, 7)), np.ones(5), np.ones((5, 3)), np.ones(5, bool)),
+        *(np.zeros(7), np.zeros(5)),
+    ],
     "largest_difference": [np.ones((4, 2)), np.zeros((4, 2))],
     "shift_correlations": [np.arange(5.0), np.arange(5.0), 1e-12, np.zeros(9)],
     "sample_chroma": [np.zeros((40, 60, 3), np.uint8), np.eye(3), 4, 16, 45.0, np.zeros((8, 2), F32)],

@@ -20,6 +20,7 @@ from engine.motion.cross_check.appearance import CELL_COLUMNS, CELL_ROWS, change
 from engine.motion.cross_check.cell_surface import CELLS, BreathingShapes, cell_means
 from engine.motion.cross_check.cross_check import _largest_mean_mm, _marker_places_mm, _mean
 from engine.motion.cross_check.static_scene import StaticScene
+from engine.motion.learning.prepared_model import prepare_model
 from engine.motion.learning.seen_shares import prepare_seen_weights
 from engine.motion.learning.still_stretch import mean_depth_mm
 from engine.motion.settings import PipelineSettings
@@ -356,6 +357,19 @@ def assert_markers_alike(found, expected):
         assert found == expected
     else:
         assert found.centers_px == pytest.approx(expected.centers_px, rel=0.0, abs=1e-5)
+
+
+@settings(max_examples=25, deadline=None)
+@given(SEEDS, st.sampled_from([1, 3]), st.sampled_from([0.0, 1.0]))
+def test_coefficients_stand_for_the_same_depth(seed, components, known_share):
+    rng = np.random.default_rng(seed)
+    layout = RegionLayout(cell_px=50, points=((3, 4), (349, 199)), split=(150.0, 190.0))
+    model = learn(*frames(1.0), components=components)
+    known = model.known & (rng.random(model.known.shape[0]) < known_share)[:, None] if seed % 2 else model.known
+    active = prepare_model(replace(model, known=known), layout)
+    found, expected = both(active.depths_mm, rng.normal(0.0, 300.0, len(active.node_modes)))
+    assert_same(found[0], expected[0], 1e-9)
+    assert_same(found[1], expected[1], 1e-9)
 
 
 @cache
