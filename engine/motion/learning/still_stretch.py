@@ -79,8 +79,8 @@ def place_of(frame: TrainingFrame, vertices: Vertices) -> Place:
     points = vertices(frame.nodes_px, np.full(len(frame.nodes_px), 0.0 if math.isnan(depth_mm) else depth_mm)).reshape(
         NODE_ROWS, NODE_COLUMNS, 3
     )
-    x_mm, y_mm = points[..., :2].mean(axis=(0, 1)).tolist()
-    right_mm, down_mm = (points[-1, :, :2].mean(axis=0) - points[0, :, :2].mean(axis=0)).tolist()
+    x_mm, y_mm = (np.add.reduce(points[..., :2], axis=(0, 1)) / (NODE_ROWS * NODE_COLUMNS)).tolist()
+    right_mm, down_mm = (np.add.reduce(points[-1, :, :2] - points[0, :, :2]) / NODE_COLUMNS).tolist()
     return Place(x_mm, y_mm, math.degrees(math.atan2(down_mm, right_mm)))
 
 

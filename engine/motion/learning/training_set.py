@@ -231,6 +231,6 @@ def _coarse_motion_mm(roi: RoiDepth, first: RoiDepth) -> tuple[float, float, flo
     half = len(motion) // 2
 
     def mean(rows: slice) -> float:
-        return float(motion[rows].sum() / max(int(both[rows].sum()), 1))
+        return float(motion[rows].sum() / max(int(np.count_nonzero(both[rows])), 1))
 
     return mean(slice(None)), mean(slice(half)), mean(slice(half, None))
