@@ -187,6 +187,17 @@ def test_colour_is_the_same(seed, dark_share, is_inside):
     assert np.count_nonzero(is_other.any(axis=1)) <= 2
 
 
+@settings(max_examples=40, deadline=None)
+@given(SEEDS, st.integers(0, 2), st.sampled_from([0, 1, 4]))
+def test_the_colour_of_a_plain_picture_is_the_same(seed, dark, noise):
+    """Nearly all shares are close to the median, by an even or an odd number of pixels."""
+    rng = np.random.default_rng(seed)
+    color = rng.integers(120 - noise, 121 + noise, (192, 256, 3), dtype=np.uint8)
+    color[8, 8 : 8 + 16 * dark] = 3
+    corners_px = np.array([[60.3, 20.2], [180.1, 24.7], [170.6, 160.4], [66.2, 164.9]])
+    assert_same(*both(chroma_of, color, corners_px), 1e-7)
+
+
 @settings(max_examples=100, deadline=None)
 @given(SEEDS, st.floats(0.0, 1.0), st.floats(0.0, 0.3))
 def test_the_changed_share_is_the_same(seed, changed, dark):
