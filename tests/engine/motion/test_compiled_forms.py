@@ -243,10 +243,14 @@ def test_a_change_of_the_surface_is_taken_apart_alike(seed, hole_share, kind):
 
 
 @settings(max_examples=40, deadline=None)
-@given(SEEDS, st.integers(1, 140), st.booleans())
-def test_rays_are_the_same(seed, pixels, is_distorted):
+@given(
+    SEEDS,
+    st.integers(1, 140),
+    st.sampled_from([(0.0,) * 5, (-0.08, 0.11, 0.001, -0.0007, 0.2), (-0.9, 0.0, 0.0, 0.0, 0.0)]),
+)
+def test_rays_are_the_same(seed, pixels, lens):
+    """The last lens' model ends within the picture."""
     rng = np.random.default_rng(seed)
-    lens = (-0.08, 0.11, 0.001, -0.0007, 0.2) if is_distorted else (0.0,) * 5
     camera = Intrinsics(width=640, height=480, fx=572.0, fy=573.0, cx=318.0, cy=241.0, distortion=lens)
     found, expected = both(camera.rays, rng.uniform(-300.0, 900.0, (pixels, 2)))
     assert found.shape == expected.shape
@@ -427,6 +431,20 @@ def test_a_frame_is_explained_alike(components, seed, amplitude_mm, hole_share, 
         difference_mm = (found.coefficients - expected.coefficients) @ basis.points.T.astype(np.float64)
         assert abs(float(difference_mm.mean())) < allowed_mm
         assert np.abs(difference_mm).max() < 10.0 * allowed_mm  # at the worst of 4400 points
+
+
+@settings(max_examples=15, deadline=None)
+@given(SEEDS, st.sampled_from([0.05, 0.4]))
+def test_a_frame_is_explained_alike_where_the_model_is_not_known(seed, unknown_share):
+    rng, model = np.random.default_rng(seed), learn(*frames(1.0), components=3)
+    basis = prepare_basis(replace(model, known=model.known & (rng.random(model.known.shape) >= unknown_share)))
+    surface = (REST_MM - 8.0 * BREATH)[THIN] + rng.normal(0.0, 1.0, SAMPLED_SHAPE)
+    valid = rng.random(SAMPLED_SHAPE) >= 0.1
+    roi = RoiDepth(depth_mm=np.where(valid, surface, 0.0).astype(np.float32), valid=valid, stride_px=STRIDE_PX)
+    found, expected = both(project, basis, roi, None)
+    assert found.valid_share == expected.valid_share
+    assert np.array_equal(found.is_seen, expected.is_seen)
+    assert found.coefficients == pytest.approx(expected.coefficients, abs=0.05)
 
 
 @pytest.mark.parametrize("thick_mm", [4.5, 6.5, 9.0, 20.0])
