@@ -156,7 +156,9 @@ class RoiDepth:
         step = stride_px // self.stride_px
         if step == 1:
             return self
-        return RoiDepth(depth_mm=self.depth_mm[::step, ::step], valid=self.valid[::step, ::step], stride_px=stride_px)
+        every = (slice(None, None, step),) * 2
+        depth_mm, valid = np.ascontiguousarray(self.depth_mm[every]), np.ascontiguousarray(self.valid[every])
+        return RoiDepth(depth_mm=depth_mm, valid=valid, stride_px=stride_px)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

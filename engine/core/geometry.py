@@ -3,8 +3,7 @@
 Transforms read right to left: ``color_from_depth`` takes points of the depth camera's frame to the colour camera's.
 """
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -18,7 +17,10 @@ UNDISTORTION_STEPS = 5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Intrinsics:
-    """A pinhole camera with Brown-Conrady distortion (k1, k2, p1, p2, k3); lengths in px."""
+    """A pinhole camera with Brown-Conrady distortion (k1, k2, p1, p2, k3); lengths in px.
+
+    ``constants`` are fx, fy, cx, cy, k1, k2, p1, p2 and k3, shape (9,), read-only; ``steps`` those of undistortion.
+    """
 
     width: int
     height: int
@@ -27,16 +29,19 @@ class Intrinsics:
     cx: float
     cy: float
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    constants: FloatArray = field(init=False, repr=False, compare=False)
+    steps: int = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Prepare what every frame needs."""
+        constants = np.array([self.fx, self.fy, self.cx, self.cy, *self.distortion], dtype=np.float64)
+        object.__setattr__(self, "constants", frozen(constants))
+        object.__setattr__(self, "steps", UNDISTORTION_STEPS if any(self.distortion) else 0)
 
     @property
     def matrix(self) -> FloatArray:
         """The camera matrix, shape (3, 3), float64."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
-
-    @property
-    def constants(self) -> FloatArray:
-        """fx, fy, cx, cy, k1, k2, p1, p2 and k3, shape (9,), read-only."""
-        return _prepared(self)[1]
 
     def rays(self, pixels_px: FloatArray) -> FloatArray:
         """Undistort pixels to rays of unit depth.
@@ -54,15 +59,15 @@ class Intrinsics:
         compiled = kernels()
         if compiled is not None:
             rays = np.empty((len(pixels_px), 3))
-            _, constants, steps = _prepared(self)
-            compiled.camera_rays(np.ascontiguousarray(pixels_px, dtype=np.float64), constants, steps, rays)
+            compiled.camera_rays(np.ascontiguousarray(pixels_px, dtype=np.float64), self.constants, self.steps, rays)
             return rays
         if not any(self.distortion):
             normalised = (pixels_px - (self.cx, self.cy)) / (self.fx, self.fy)
         else:
             undistorted = cv2.undistortPoints(
                 np.ascontiguousarray(pixels_px, dtype=np.float64).reshape(-1, 1, 2),
-                *_prepared(self)[0],
+                self.matrix,
+                self.constants[4:].copy(),
                 criteria=(cv2.TERM_CRITERIA_COUNT, UNDISTORTION_STEPS, 0.0),
             )
             normalised = np.asarray(undistorted, dtype=np.float64).reshape(-1, 2)
@@ -78,14 +83,6 @@ class Intrinsics:
         x_distorted = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
         y_distorted = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
         return np.column_stack([self.fx * x_distorted + self.cx, self.fy * y_distorted + self.cy])
-
-
-@lru_cache(maxsize=16)
-def _prepared(camera: Intrinsics) -> tuple[tuple[FloatArray, FloatArray], FloatArray, int]:
-    """Return what every frame needs: matrix and distortion, all constants in a row, and the steps of undistortion."""
-    constants = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
-    steps = UNDISTORTION_STEPS if any(camera.distortion) else 0
-    return (frozen(camera.matrix), frozen(constants[4:].copy())), frozen(constants), steps
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

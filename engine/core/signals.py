@@ -1,11 +1,23 @@
 """Choice of a signal: its value in a measurement, how much of it was seen, and the check of its place."""
 
 import math
+from operator import attrgetter
 
 from engine.core.bounds import check_whole_number
 from engine.core.breath import GateSignal, SignalChoice
 from engine.core.errors import InvalidValueError
 from engine.core.frames import ROI_COLUMNS, ROI_ROWS, FloatArray, Motion, SeenShares
+
+_WIDE_MM: "dict[str, attrgetter[float]]" = {
+    GateSignal.WHOLE: attrgetter("whole_mm"),
+    GateSignal.THORAX: attrgetter("thorax_mm"),
+    GateSignal.ABDOMEN: attrgetter("abdomen_mm"),
+}
+_WIDE_SEEN: "dict[str, attrgetter[float]]" = {
+    GateSignal.WHOLE: attrgetter("whole"),
+    GateSignal.THORAX: attrgetter("thorax"),
+    GateSignal.ABDOMEN: attrgetter("abdomen"),
+}
 
 
 def signal_of(choice: SignalChoice, motion: Motion) -> float:
@@ -19,7 +31,7 @@ def signal_of(choice: SignalChoice, motion: Motion) -> float:
             return float(motion.points_mm[choice.index]) if choice.index < len(motion.points_mm) else math.nan
         case GateSignal.NAMED:
             return float(motion.named_mm[choice.index]) if choice.index < len(motion.named_mm) else math.nan
-    return float(getattr(motion, f"{choice.signal}_mm"))
+    return float(_WIDE_MM[choice.signal](motion))
 
 
 def is_wide(choice: SignalChoice) -> bool:
@@ -38,7 +50,7 @@ def seen_share_of(choice: SignalChoice, seen: SeenShares) -> float:
             return float(seen.points[choice.index]) if choice.index < len(seen.points) else math.nan
         case GateSignal.NAMED:
             return float(seen.named[choice.index]) if choice.index < len(seen.named) else math.nan
-    return float(getattr(seen, str(choice.signal)))
+    return float(_WIDE_SEEN[choice.signal](seen))
 
 
 def _at_cell(choice: SignalChoice, cells: FloatArray) -> float:

@@ -245,16 +245,17 @@ def _judge_unmeasured(frame: Measurement) -> Verdict:
 
 def _refuse_bad_value(motion: Motion, limits: GateLimits) -> Verdict | None:
     fit = motion.projection
-    values = {
-        **{f"{choice.label} (gated)": signal_of(choice, motion) for choice in limits.window.choices},
-        "whole": motion.whole_mm,
-        "thorax": motion.thorax_mm,
-        "abdomen": motion.abdomen_mm,
-        "residual": fit.residual_mm,
-        "valid share": fit.valid_share,
-        "inlier share": fit.inlier_share,
-    }
-    bad = [name for name, value in values.items() if not math.isfinite(value)]
+    values = (
+        ("whole", motion.whole_mm),
+        ("thorax", motion.thorax_mm),
+        ("abdomen", motion.abdomen_mm),
+        ("residual", fit.residual_mm),
+        ("valid share", fit.valid_share),
+        ("inlier share", fit.inlier_share),
+    )
+    gated = [choice for choice in limits.window.choices if not math.isfinite(signal_of(choice, motion))]
+    bad = [f"{choice.label} (gated)" for choice in gated]
+    bad += [name for name, value in values if not math.isfinite(value)]
     if not all(map(math.isfinite, (*fit.beta.tolist(), *fit.coefficients.tolist()))):
         bad.append("coefficients")
     shares_are = 0.0 <= fit.valid_share <= 1.0 and 0.0 <= fit.inlier_share <= 1.0

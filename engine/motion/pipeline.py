@@ -59,10 +59,11 @@ LEARNING_STRIDE_PX = 2
 
 
 class _Explained(NamedTuple):
-    """A frame as the model explains it, and its depth at the nodes [mm], shape (nodes,)."""
+    """A frame as the model explains it, and its depth at the nodes and of the regions [mm]."""
 
     projection: Projection
     node_depth_mm: FloatArray
+    regions_depth_mm: FloatArray
 
 
 class LearnedInPass(NamedTuple):
@@ -189,17 +190,20 @@ class Pipeline:
         if not self._tracker.is_settled:
             return self._without_model(frame, roi, found)
         self.learner.depth_steps = stored_steps(self._tracker.depth_steps)
-        self._cross_check.observe(frame, found, roi)
+        marker_rays = self._calibration.color.rays(found.centers_px)
+        thin = roi.thinned(STRIDE_PX)
+        points_mm = marker_points_mm(marker_rays, roi)
+        self._cross_check.observe(frame, found, marker_rays, thin)
         self._find_costal_line(frame, found)
         takes_lost_frames = self.learner.takes_lost_frames
         if takes_lost_frames:
             self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
-        self._recent.add(roi, frame.timestamp_us)
+        self._recent.add(thin, frame.timestamp_us)
         active = self.learner.active
         if active is None:
             self._keep(roi, frame.timestamp_us, nodes.pixels_px)
             return self._without_model(frame, roi, found)
-        explained = self._explain_continuous(active, roi, found, frame.timestamp_us)
+        explained = self._explain_continuous(active, thin, found, points_mm, frame.timestamp_us)
         if isinstance(explained, Lost):
             return self._lost(frame, explained, found)
         outcome = explained.projection
@@ -325,26 +329,25 @@ class Pipeline:
         return coverage_lost(0.0) if best is None else self._refusal(best) or best
 
     def _explain_continuous(
-        self, active: PreparedModel, roi: RoiDepth, found: Markers, timestamp_us: int
+        self, active: PreparedModel, roi: RoiDepth, found: Markers, points_mm: FloatArray | None, timestamp_us: int
     ) -> _Explained | Lost:
         """Project a frame and check the continuity of its surface."""
         outcome = self._explain(active, roi)
         disagreement = self._cross_check.lost(active.model, is_reference_due=self.learner.is_reference_due)
         if isinstance(outcome, Lost):
             return outcome
-        explained = _Explained(outcome, active.node_depth_mm(outcome.coefficients))
+        explained = _Explained(outcome, *active.depths_mm(outcome.coefficients))
         return (
-            self._layout_lost(roi, found, timestamp_us)
+            self._layout_lost(points_mm, timestamp_us)
             or disagreement
             or self._discontinuity(active, explained, found, timestamp_us)
             or explained
         )
 
-    def _layout_lost(self, roi: RoiDepth, found: Markers, timestamp_us: int) -> Lost | None:
+    def _layout_lost(self, points_mm: FloatArray | None, timestamp_us: int) -> Lost | None:
         """Return the loss if a marker is not where it was relative to the others, otherwise None."""
         self._marker_layout.restart(self.learner.position_generation)
-        rays = self._calibration.color.rays(found.centers_px)
-        return self._marker_layout.lost(marker_points_mm(rays, roi), timestamp_us)
+        return self._marker_layout.lost(points_mm, timestamp_us)
 
     def _discontinuity(
         self, active: PreparedModel, explained: _Explained, found: Markers, timestamp_us: int
@@ -372,8 +375,7 @@ class Pipeline:
         return None
 
     def _motion(self, active: PreparedModel, explained: _Explained, rays: FloatArray, timestamp_us: int) -> Motion:
-        outcome = explained.projection
-        depth_mm = active.regions.depth_mm(outcome.coefficients)
+        outcome, depth_mm = explained.projection, explained.regions_depth_mm
         surface = _surface(rays, explained.node_depth_mm)
         self._lags = follow_lags(self._lags, timestamp_us / US_PER_S, -depth_mm[active.regions.cells :])
         is_reference_new = self.learner.is_reference_due

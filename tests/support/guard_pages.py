@@ -32,14 +32,19 @@ class Guarded:
 
     def _called(self, function: Callable[..., Any]) -> Callable[..., Any]:
         def call(*given: Any) -> Any:
-            passed = [self._guarded(one) if _is_copied(one) else one for one in given]
+            passed = [self._passed(one) for one in given]
             answer = function(*passed)
             for one, copy in zip(given, passed, strict=True):
-                if copy is not one and one.flags.writeable:
+                if _is_copied(one) and one.flags.writeable:
                     one[...] = copy
             return answer
 
         return call
+
+    def _passed(self, given: Any) -> Any:
+        if isinstance(given, list):  # of arrays that are only read
+            return [self._passed(one) for one in given]
+        return self._guarded(given) if _is_copied(given) else given
 
     def _guarded(self, array: Any) -> Any:
         pages = -(-array.nbytes // PAGE)

@@ -29,6 +29,8 @@ static int has_item(const Py_buffer *view, char item)
     return *format == item;
 }
 
+enum { ANY_SHAPE = -1, ANY_BYTES = -2 };
+
 static Py_buffer *take(Arrays *arrays, PyObject *object, const char *name, char item, int ndim, int flags)
 {
     if (arrays->failed)
@@ -44,9 +46,9 @@ static Py_buffer *take(Arrays *arrays, PyObject *object, const char *name, char 
         return NULL;
     }
     arrays->count++;
-    if (ndim < 0)
+    if (ndim == ANY_BYTES)
         return view;
-    if (view->ndim != ndim || !has_item(view, item) || (uintptr_t)view->buf % (uintptr_t)view->itemsize != 0) {
+    if ((ndim != ANY_SHAPE && view->ndim != ndim) || !has_item(view, item) || (uintptr_t)view->buf % (uintptr_t)view->itemsize != 0) {
         PyErr_Format(PyExc_ValueError, "%s must be an aligned array of %d dimensions and items %c, not %d and %s", name,
                      ndim, item, view->ndim, view->format == NULL ? "B" : view->format);
         arrays->failed = 1;
@@ -65,9 +67,14 @@ Py_buffer *output_of(Arrays *arrays, PyObject *object, const char *name, char it
     return take(arrays, object, name, item, ndim, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | PyBUF_WRITABLE);
 }
 
+Py_buffer *values_of(Arrays *arrays, PyObject *object, const char *name, char item)
+{
+    return take(arrays, object, name, item, ANY_SHAPE, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT);
+}
+
 Py_buffer *bytes_of(Arrays *arrays, PyObject *object, const char *name)
 {
-    return take(arrays, object, name, 'B', -1, PyBUF_SIMPLE);
+    return take(arrays, object, name, 'B', ANY_BYTES, PyBUF_SIMPLE);
 }
 
 Py_ssize_t whole_of(Arrays *arrays, PyObject *object, const char *name, Py_ssize_t low, Py_ssize_t high)

@@ -27,6 +27,8 @@ typedef struct {
 Py_buffer *array_of(Arrays *arrays, PyObject *object, const char *name, char item, int ndim);
 /* The same for an array that is written to. */
 Py_buffer *output_of(Arrays *arrays, PyObject *object, const char *name, char item, int ndim);
+/* The same of any shape. */
+Py_buffer *values_of(Arrays *arrays, PyObject *object, const char *name, char item);
 /* Any contiguous bytes. */
 Py_buffer *bytes_of(Arrays *arrays, PyObject *object, const char *name);
 /* A number from low to high; 0 and an exception otherwise. */
@@ -43,7 +45,7 @@ PyObject *decode_16zt(PyObject *module, PyObject *const *args, Py_ssize_t count)
 PyObject *refine_markers(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *sample_chroma(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *scene_blocks(PyObject *module, PyObject *const *args, Py_ssize_t count);
-PyObject *scene_plane(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *scene_movement(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *least_squares(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *cell_means(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *corner_medians(PyObject *module, PyObject *const *args, Py_ssize_t count);
@@ -57,6 +59,13 @@ PyObject *map_points(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *node_surface(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *mesh_volume(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *seen_shares(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *mean_cells(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *largest_mean(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *marker_places(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *depths(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *largest_difference(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *mean_depth(PyObject *module, PyObject *const *args, Py_ssize_t count);
+PyObject *shift_correlations(PyObject *module, PyObject *const *args, Py_ssize_t count);
 PyObject *replaced(PyObject *module, PyObject *const *args, Py_ssize_t count);
 
 /* The k-th smallest of n values, which are reordered; 0 <= k < n, no NaN. */

@@ -1,4 +1,5 @@
-/* What follows from the coefficients of a frame: the surface at the nodes, its volume, and what was seen of regions. */
+/* What follows from the coefficients of a frame: the surface at the nodes, its volume, its continuity, what was seen of
+ * regions, and how two of them move alike. */
 #include "arguments.h"
 
 #include <math.h>
@@ -120,6 +121,145 @@ PyObject *mesh_volume(PyObject *module, PyObject *const *args, Py_ssize_t count)
     return finished;
 }
 
+#define LANES 8
+
+WIDE_VECTORS static double product_of(const double *a, const double *b, Py_ssize_t n)
+{
+    double sums[LANES] = {0.0};
+    Py_ssize_t i = 0;
+    for (; i + LANES <= n; i += LANES)
+        for (int lane = 0; lane < LANES; lane++)
+            sums[lane] += a[i + lane] * b[i + lane];
+    for (; i < n; i++)
+        sums[0] += a[i] * b[i];
+    for (int half = LANES / 2; half > 0; half /= 2)
+        for (int lane = 0; lane < half; lane++)
+            sums[lane] += sums[lane + half];
+    return sums[0];
+}
+
+WIDE_VECTORS static void add_scaled(double *target, const double *values, double scale, Py_ssize_t n)
+{
+    for (Py_ssize_t i = 0; i < n; i++)
+        target[i] += scale * values[i];
+}
+
+/* The depth that some coefficients stand for, at the nodes and of the regions; NaN of regions that are not known. */
+PyObject *depths(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 8, "depths"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *coefficients = array_of(&arrays, args[0], "coefficients", 'd', 1);
+    Py_buffer *node_mean = array_of(&arrays, args[1], "node_mean_mm", 'd', 1);
+    Py_buffer *node_modes = array_of(&arrays, args[2], "node_modes", 'd', 2);
+    Py_buffer *region_mean = array_of(&arrays, args[3], "region_mean_mm", 'd', 1);
+    Py_buffer *region_modes = array_of(&arrays, args[4], "region_modes", 'd', 2);
+    Py_buffer *is_known = array_of(&arrays, args[5], "is_known", '?', 1);
+    Py_buffer *nodes = output_of(&arrays, args[6], "nodes_mm", 'd', 1);
+    Py_buffer *regions = output_of(&arrays, args[7], "regions_mm", 'd', 1);
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Py_ssize_t k = coefficients->shape[0], n = nodes->shape[0], m = regions->shape[0];
+    require(&arrays, node_modes->shape[0] == k && node_modes->shape[1] == n && node_mean->shape[0] == n,
+            "node_modes must be one a coefficient and node");
+    require(&arrays, region_modes->shape[0] == m && region_modes->shape[1] == k && region_mean->shape[0] == m,
+            "region_modes must be one a region and coefficient");
+    require(&arrays, is_known->shape[0] == m, "is_known must be one a region");
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    const double *weights = coefficients->buf, *modes = node_modes->buf;
+    double *target = nodes->buf;
+    memset(target, 0, (size_t)nodes->len);
+    for (Py_ssize_t j = 0; j < k; j++)
+        add_scaled(target, modes + j * n, weights[j], n);
+    add_scaled(target, node_mean->buf, 1.0, n);
+    for (Py_ssize_t i = 0; i < m; i++) {
+        double depth = product_of((const double *)region_modes->buf + i * k, weights, k);
+        ((double *)regions->buf)[i] =
+            ((const uint8_t *)is_known->buf)[i] ? ((const double *)region_mean->buf)[i] + depth : (double)NAN;
+    }
+    return finish(&arrays, Py_None);
+}
+
+/* Largest difference of two arrays' values; NaN where one of them is no finite number. */
+PyObject *largest_difference(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 2, "largest_difference"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *one = values_of(&arrays, args[0], "one", 'd');
+    Py_buffer *other = values_of(&arrays, args[1], "other", 'd');
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    int is_alike = one->ndim == other->ndim;
+    for (int i = 0; is_alike && i < one->ndim; i++)
+        is_alike = one->shape[i] == other->shape[i];
+    require(&arrays, is_alike, "both must be of one shape");
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    double largest = 0.0;
+    int is_finite = 1;
+    for (Py_ssize_t i = 0; i < one->len / (Py_ssize_t)sizeof(double); i++) {
+        double difference = fabs(((const double *)one->buf)[i] - ((const double *)other->buf)[i]);
+        is_finite &= isfinite(difference) != 0;
+        largest = difference > largest ? difference : largest;
+    }
+    PyObject *result = PyFloat_FromDouble(is_finite ? largest : (double)NAN);
+    arrays.failed = result == NULL;
+    PyObject *finished = finish(&arrays, result == NULL ? Py_None : result);
+    Py_XDECREF(result);
+    return finished;
+}
+
+/* Pearson's correlation of two signals over their overlap, at every shift of the first; 0 where one does not vary. */
+PyObject *shift_correlations(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 4, "shift_correlations"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *first = array_of(&arrays, args[0], "first", 'd', 1);
+    Py_buffer *second = array_of(&arrays, args[1], "second", 'd', 1);
+    double least_variance = number_of(&arrays, args[2], "least_variance");
+    Py_buffer *correlations = output_of(&arrays, args[3], "correlations", 'd', 1);
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Py_ssize_t n = first->shape[0];
+    require(&arrays, n > 0 && second->shape[0] == n, "both signals must be of one length");
+    require(&arrays, correlations->shape[0] == 2 * n - 1, "correlations must be one a shift");
+    require(&arrays, least_variance > 0.0, "least_variance must be positive");
+    double *sums = arrays.failed ? NULL : PyMem_Malloc((size_t)(4 * (n + 1)) * sizeof *sums);
+    if (sums == NULL && !arrays.failed) {
+        PyErr_NoMemory();
+        arrays.failed = 1;
+    }
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    const double *a = first->buf, *b = second->buf;
+    double *of_a = sums, *of_aa = sums + n + 1, *of_b = sums + 2 * (n + 1), *of_bb = sums + 3 * (n + 1);
+    of_a[0] = of_aa[0] = of_b[0] = of_bb[0] = 0.0;
+    for (Py_ssize_t i = 0; i < n; i++) {
+        of_a[i + 1] = of_a[i] + a[i];
+        of_aa[i + 1] = of_aa[i] + a[i] * a[i];
+        of_b[i + 1] = of_b[i] + b[i];
+        of_bb[i + 1] = of_bb[i] + b[i] * b[i];
+    }
+    for (Py_ssize_t shift = 1 - n; shift < n; shift++) {
+        Py_ssize_t overlap = n - (shift < 0 ? -shift : shift), from = shift < 0 ? 0 : shift, to = shift < 0 ? -shift : 0;
+        double size = (double)overlap, sum_a = of_a[from + overlap] - of_a[from];
+        double sum_b = of_b[to + overlap] - of_b[to];
+        double variance_a = of_aa[from + overlap] - of_aa[from] - sum_a * sum_a / size;
+        double variance_b = of_bb[to + overlap] - of_bb[to] - sum_b * sum_b / size, variances = variance_a * variance_b;
+        double covariance = product_of(a + from, b + to, overlap) - sum_a * sum_b / size;
+        ((double *)correlations->buf)[shift + n - 1] = variances > least_variance ? covariance / sqrt(variances) : 0.0;
+    }
+    PyMem_Free(sums);
+    return finish(&arrays, Py_None);
+}
+
 #define MOST_ALONG 256
 
 /* Sum of the weights of the seen points in four sums, added at the end: the same bits on every processor. */
@@ -136,6 +276,16 @@ WIDE_VECTORS static float weight_seen(const float *weights, const uint8_t *is_se
         for (int lane = 0; lane < half; lane++)
             sums[lane] += sums[lane + half];
     return sums[0];
+}
+
+/* Sum the columns' weights in each cell over the seen columns, or over all of them. */
+static void row_weights(const float *weights, const uint8_t *is_seen, Py_ssize_t columns, Py_ssize_t cells, float *sums)
+{
+    memset(sums, 0, (size_t)cells * sizeof *sums);
+    for (Py_ssize_t column = 0; column < columns; column++)
+        if (is_seen == NULL || is_seen[column])
+            for (Py_ssize_t cell = 0; cell < cells; cell++)
+                sums[cell] += weights[column * cells + cell];
 }
 
 /* Share of each region that was seen: of cells by separable weights, of the others by a weight for each point. */
@@ -166,12 +316,15 @@ PyObject *seen_shares(PyObject *module, PyObject *const *args, Py_ssize_t count)
     float *share = shares->buf;
     const uint8_t *is_seen = seen->buf;
     memset(share, 0, (size_t)shares->len);
+    float all[MOST_ALONG], some[MOST_ALONG]; /* of a row that is seen wholly, as most are, and of another */
+    row_weights(of_columns->buf, NULL, columns, cell_columns, all);
     for (Py_ssize_t row = 0; row < rows; row++) {
-        float line[MOST_ALONG] = {0.0f};
-        for (Py_ssize_t column = 0; column < columns; column++)
-            if (is_seen[row * columns + column])
-                for (Py_ssize_t cell = 0; cell < cell_columns; cell++)
-                    line[cell] += ((const float *)of_columns->buf)[column * cell_columns + cell];
+        const uint8_t *is_row_seen = is_seen + row * columns;
+        const float *line = all;
+        if (memchr(is_row_seen, 0, (size_t)columns) != NULL) {
+            row_weights(of_columns->buf, is_row_seen, columns, cell_columns, some);
+            line = some;
+        }
         for (Py_ssize_t cell_row = 0; cell_row < cell_rows; cell_row++) {
             float weight = ((const float *)of_rows->buf)[cell_row * rows + row];
             if (weight != 0.0f) /* a row lies in one cell, or in two */

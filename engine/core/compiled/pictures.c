@@ -1,4 +1,4 @@
-/* What is read from the colour and the depth picture: stickers, colour, blocks of the scene, the region's grid. */
+/* What is read from the colour and the depth picture: stickers, colour, the region's grid. */
 #include "arguments.h"
 
 #include <math.h>
@@ -200,48 +200,102 @@ static void sampled_row(const double *h, double y, int samples, int32_t rows, in
     }
 }
 
-/* Mean colour of each cell in a row of cells; black where it is outside of the picture. */
-static void mean_colors(const uint8_t *pixels, Py_ssize_t rows, Py_ssize_t columns, const double *h, Py_ssize_t cell_row,
-                        Py_ssize_t cells, uint8_t *means)
+/* Whether all samples are in the picture and before its last pixel: four bytes may be read at each of them. */
+WIDE_VECTORS
+static int are_inside(const int32_t *at, int samples, int32_t last)
+{
+    int32_t lowest = 0, highest = 0;
+    for (int x = 0; x < samples; x++) {
+        lowest = at[x] < lowest ? at[x] : lowest;
+        highest = at[x] > highest ? at[x] : highest;
+    }
+    return lowest >= 0 && highest < last;
+}
+
+/* A pixel as red, green, blue and, above them, what follows it. */
+static inline uint32_t with_next(const uint8_t *pixel)
+{
+    return pixel[0] | (uint32_t)pixel[1] << 8 | (uint32_t)pixel[2] << 16 | (uint32_t)pixel[3] << 24;
+}
+
+/* The same where nothing may follow, or the pixel is not in the picture. */
+static inline uint32_t alone(const uint8_t *pixel)
+{
+    return pixel[0] | (uint32_t)pixel[1] << 8 | (uint32_t)pixel[2] << 16;
+}
+
+#define AHEAD 4 /* every fourth sample lies in another line of the cache, at most */
+
+/* Where the samples of a row of cells lie; the picture is cold, so that they are fetched ahead. */
+static void place_samples(const uint8_t *pixels, Py_ssize_t rows, Py_ssize_t columns, const double *h,
+                          Py_ssize_t cell_row, int samples, int32_t at[SAMPLES][MOST_SAMPLES])
+{
+    for (Py_ssize_t line = 0; line < SAMPLES; line++) {
+        double y = (double)(cell_row * SAMPLES + line);
+        sampled_row(h, y, samples, (int32_t)rows, (int32_t)columns, at[line]);
+        for (int x = 0; x < samples; x += AHEAD)
+            if (at[line][x] >= 0)
+                __builtin_prefetch(pixels + (Py_ssize_t)at[line][x] * 3);
+    }
+}
+
+/* Mean colour of each cell in a row of cells; black where it is outside of the picture. Red and blue are summed in one
+ * number: sixteen of either stay below 2^16. */
+static void mean_colors(const uint8_t *pixels, int32_t last, int32_t at[SAMPLES][MOST_SAMPLES], Py_ssize_t cells,
+                        uint8_t *means)
 {
     static const uint8_t black[3] = {0, 0, 0};
-    int32_t at[MOST_SAMPLES];
-    int sums[3 * MOST_SAMPLES / SAMPLES] = {0};
+    uint32_t red_and_blue[MOST_SAMPLES / SAMPLES] = {0}, green[MOST_SAMPLES / SAMPLES] = {0};
     for (Py_ssize_t line = 0; line < SAMPLES; line++) {
-        sampled_row(h, (double)(cell_row * SAMPLES + line), (int)cells * SAMPLES, (int32_t)rows, (int32_t)columns, at);
-        for (Py_ssize_t cell = 0; cell < cells; cell++) {
-            int red = 0, green = 0, blue = 0;
-            for (Py_ssize_t x = cell * SAMPLES; x < (cell + 1) * SAMPLES; x++) {
-                const uint8_t *pixel = at[x] < 0 ? black : pixels + (Py_ssize_t)at[x] * 3;
-                red += pixel[0];
-                green += pixel[1];
-                blue += pixel[2];
+        const int32_t *samples = at[line];
+        int is_inside = are_inside(samples, (int)cells * SAMPLES, last);
+        for (Py_ssize_t cell = 0; cell < cells; cell++, samples += SAMPLES) {
+            uint32_t colors[SAMPLES];
+            if (is_inside)
+                for (int x = 0; x < SAMPLES; x++)
+                    colors[x] = with_next(pixels + (Py_ssize_t)samples[x] * 3);
+            else
+                for (int x = 0; x < SAMPLES; x++)
+                    colors[x] = alone(samples[x] < 0 ? black : pixels + (Py_ssize_t)samples[x] * 3);
+            for (int x = 0; x < SAMPLES; x++) {
+                red_and_blue[cell] += colors[x] & 0x00FF00FFu;
+                green[cell] += colors[x] >> 8 & 0xFFu;
             }
-            sums[3 * cell] += red;
-            sums[3 * cell + 1] += green;
-            sums[3 * cell + 2] += blue;
         }
     }
-    for (Py_ssize_t i = 0; i < 3 * cells; i++)
-        means[i] = (uint8_t)(((double)sums[i] / (SAMPLES * SAMPLES) + NEAREST) - NEAREST);
+    for (Py_ssize_t cell = 0; cell < cells; cell++) {
+        uint32_t sums[3] = {red_and_blue[cell] & 0xFFFFu, green[cell], red_and_blue[cell] >> 16};
+        for (int i = 0; i < 3; i++)
+            means[3 * cell + i] = (uint8_t)(((double)sums[i] / (SAMPLES * SAMPLES) + NEAREST) - NEAREST);
+    }
 }
 
 #define BINS 512
 
-/* The k-th smallest of n shares, from 0 to 1: only those of its bin are compared. */
-static double kth_share(const double *shares, Py_ssize_t n, Py_ssize_t k, double *chosen)
+/* The median of n shares, from 0 to 1, n > 0: only those of its bin are compared. */
+static float median_share(const double *shares, Py_ssize_t n, double *chosen)
 {
-    int counts[BINS] = {0};
+    int counts[2][BINS] = {{0}}; /* of every second share: neighbours are of one bin, and would wait for each other */
     for (Py_ssize_t i = 0; i < n; i++)
-        counts[(int)(shares[i] * (BINS - 1))]++;
+        counts[i % 2][(int)(shares[i] * (BINS - 1))]++;
     int bin = 0;
-    Py_ssize_t found = 0;
-    while (k >= counts[bin])
-        k -= counts[bin++];
-    for (Py_ssize_t i = 0; i < n; i++)
-        if ((int)(shares[i] * (BINS - 1)) == bin)
+    Py_ssize_t k = n / 2, found = 0;
+    for (; k >= counts[0][bin] + counts[1][bin]; bin++)
+        k -= counts[0][bin] + counts[1][bin];
+    double lower = -1.0; /* the largest of the bins before */
+    for (Py_ssize_t i = 0; i < n; i++) {
+        int of = (int)(shares[i] * (BINS - 1));
+        if (of == bin)
             chosen[found++] = shares[i];
-    return select_kth(chosen, found, k);
+        else if (of < bin)
+            lower = shares[i] > lower ? shares[i] : lower;
+    }
+    double upper = select_kth(chosen, found, k);
+    if (n % 2)
+        return (float)upper;
+    for (Py_ssize_t below = 0; below < k; below++) /* all before the k-th are no larger than it */
+        lower = below == 0 || chosen[below] > lower ? chosen[below] : lower;
+    return ((float)lower + (float)upper) / 2.0f;
 }
 
 PyObject *sample_chroma(PyObject *module, PyObject *const *args, Py_ssize_t count)
@@ -292,57 +346,26 @@ PyObject *sample_chroma(PyObject *module, PyObject *const *args, Py_ssize_t coun
         }
     }
     if (n > 0)
-        for (int i = 0; i < 2; i++) {
-            const double *values = seen + i * most;
-            float upper = (float)kth_share(values, n, n / 2, chosen);
-            float lower = n % 2 ? upper : (float)kth_share(values, n, n / 2 - 1, chosen);
-            balance[i] = (lower + upper) / 2.0f;
-        }
+        for (int i = 0; i < 2; i++)
+            balance[i] = median_share(seen + i * most, n, chosen);
     PyMem_Free(seen);
-    for (Py_ssize_t row = 0; row < chroma->shape[0] / cell_columns; row++) {
+    int32_t at[2][SAMPLES][MOST_SAMPLES];
+    Py_ssize_t cell_rows = chroma->shape[0] / cell_columns;
+    int samples = (int)cell_columns * SAMPLES;
+    if (cell_rows > 0)
+        place_samples(pixels, rows, columns, h, 0, samples, at[0]);
+    for (Py_ssize_t row = 0; row < cell_rows; row++) {
         uint8_t means[3 * MOST_SAMPLES / SAMPLES];
         float *line = (float *)chroma->buf + 2 * row * cell_columns;
-        mean_colors(pixels, rows, columns, h, row, cell_columns, means);
+        if (row + 1 < cell_rows)
+            place_samples(pixels, rows, columns, h, row + 1, samples, at[(row + 1) % 2]);
+        mean_colors(pixels, (int32_t)(rows * columns - 1), at[row % 2], cell_columns, means);
         for (Py_ssize_t cell = 0; cell < cell_columns; cell++) {
             shares_of(means + 3 * cell, least, shares);
             line[2 * cell] = shares[0] - balance[0];
             line[2 * cell + 1] = shares[1] - balance[1];
         }
     }
-    return finish(&arrays, Py_None);
-}
-
-PyObject *scene_blocks(PyObject *module, PyObject *const *args, Py_ssize_t count)
-{
-    (void)module;
-    if (!counted(count, 4, "scene_blocks"))
-        return NULL;
-    Arrays arrays = {0};
-    Py_buffer *depth = array_of(&arrays, args[0], "depth_mm", 'H', 2);
-    Py_ssize_t block = whole_of(&arrays, args[1], "block_px", 1, 256);
-    Py_ssize_t step = whole_of(&arrays, args[2], "sample_px", 1, 256);
-    Py_buffer *means = output_of(&arrays, args[3], "blocks_mm", 'd', 2);
-    if (arrays.failed)
-        return finish(&arrays, Py_None);
-    require(&arrays, block % step == 0, "block_px must be a multiple of sample_px");
-    require(&arrays, means->shape[0] == depth->shape[0] / block && means->shape[1] == depth->shape[1] / block,
-            "blocks_mm must be one for each whole block");
-    if (arrays.failed)
-        return finish(&arrays, Py_None);
-    Py_ssize_t columns = depth->shape[1], samples = (block / step) * (block / step);
-    for (Py_ssize_t row = 0; row < means->shape[0]; row++)
-        for (Py_ssize_t column = 0; column < means->shape[1]; column++) {
-            const uint16_t *corner = (const uint16_t *)depth->buf + row * block * columns + column * block;
-            uint32_t sum = 0, holes = 0;
-            for (Py_ssize_t y = step / 2; y < block; y += step)
-                for (Py_ssize_t x = step / 2; x < block; x += step) {
-                    uint32_t reading = corner[y * columns + x];
-                    sum += reading;
-                    holes += reading == 0;
-                }
-            ((double *)means->buf)[row * means->shape[1] + column] =
-                holes ? (double)NAN : (double)((float)sum / (float)samples);
-        }
     return finish(&arrays, Py_None);
 }
 
@@ -357,29 +380,42 @@ typedef struct {
     const float *table;
 } Window;
 
+/* Split places in the window into their upper left pixel and the shares of the pixels to the right and below; -1 where not
+ * all four pixels are in the window. Every place is overwritten by its shares. */
+static void pixels_of(const Window *window, float *restrict x, float *restrict y, Py_ssize_t n, int32_t *restrict at)
+{
+    float right = (float)(window->columns - 1), bottom = (float)(window->rows - 1);
+    int32_t pitch = (int32_t)window->pitch;
+    for (Py_ssize_t i = 0; i < n; i++) {
+        float u = x[i], v = y[i];
+        u = (u >= 0.0f) & (u < right) ? u : -1.0f; /* NaN too */
+        v = (v >= 0.0f) & (v < bottom) ? v : -1.0f;
+        int32_t left = (int32_t)u, top = (int32_t)v;
+        at[i] = (left | top) < 0 ? -1 : top * pitch + left;
+        x[i] = u - (float)left;
+        y[i] = v - (float)top;
+    }
+}
+
 /* Interpolate where all four pixels around a point have a reading; the number of points that have. */
-static Py_ssize_t interpolate_complete(const Window *window, const float *x, const float *y, Py_ssize_t n, float *depth,
-                                       uint8_t *valid)
+static Py_ssize_t interpolate_complete(const Window *window, const float *across, const float *along, const int32_t *at,
+                                       Py_ssize_t n, float *depth, uint8_t *valid)
 {
     Py_ssize_t complete = 0;
-    float right = (float)(window->columns - 1), bottom = (float)(window->rows - 1);
+    const float *table = window->table;
     for (Py_ssize_t i = 0; i < n; i++) {
         depth[i] = 0.0f;
         valid[i] = 0;
-        if (!(x[i] >= 0.0f && y[i] >= 0.0f && x[i] < right && y[i] < bottom))
+        if (at[i] < 0)
             continue;
-        int left = (int)x[i], top = (int)y[i];
-        const uint16_t *at = window->depth + (Py_ssize_t)top * window->pitch + left;
-        float a = window->table[at[0]], b = window->table[at[1]];
-        float c = window->table[at[window->pitch]], d = window->table[at[window->pitch + 1]];
-        float across = x[i] - (float)left, along = y[i] - (float)top;
-        float upper = a + across * (b - a), lower = c + across * (d - c);
-        float sum = upper + along * (lower - upper);
-        if (sum > 0.0f) { /* not NaN, which a hole makes */
-            depth[i] = sum;
-            valid[i] = 1;
-            complete++;
-        }
+        const uint16_t *pixel = window->depth + at[i], *below = pixel + window->pitch;
+        float a = table[pixel[0]], b = table[pixel[1]], c = table[below[0]], d = table[below[1]];
+        float upper = a + across[i] * (b - a), lower = c + across[i] * (d - c);
+        float sum = upper + along[i] * (lower - upper);
+        int is_complete = sum > 0.0f; /* not NaN, which a hole makes */
+        depth[i] = is_complete ? sum : 0.0f;
+        valid[i] = (uint8_t)is_complete;
+        complete += is_complete;
     }
     return complete;
 }
@@ -421,34 +457,62 @@ static void interpolate_partial(const Window *window, const float *x, const floa
     }
 }
 
-/* The places of the grid's points in the window, bilinear between the nodes. */
+#define MOST_COLUMNS (NODE_COLUMNS * NODE_STEP)
+
+typedef struct {
+    const double *nodes;
+    Py_ssize_t columns, stride;
+    double left, top;              /* of the window */
+    double across[MOST_COLUMNS]; /* share of the way from the node before */
+} Grid;
+
+/* The places of a row of the grid's points in the window, bilinear between the nodes. */
 WIDE_VECTORS
-static void places(const double *nodes, Py_ssize_t rows, Py_ssize_t columns, Py_ssize_t stride, double left, double top,
-                   float *x, float *y)
+static void places(const Grid *grid, Py_ssize_t row, float *x, float *y)
 {
-    double across[NODE_COLUMNS * NODE_STEP];
-    for (Py_ssize_t column = 0; column < columns; column++)
-        across[column] = (double)(column * stride % NODE_STEP) / NODE_STEP;
+    Py_ssize_t stride = grid->stride, upper = row * stride / NODE_STEP;
+    double along = (double)(row * stride % NODE_STEP) / NODE_STEP;
+    const double *above = grid->nodes + 2 * upper * NODE_COLUMNS, *below = above + 2 * NODE_COLUMNS;
+    double line[2 * NODE_COLUMNS];
+    for (int i = 0; i < NODE_COLUMNS; i++) {
+        line[i] = (1.0 - along) * (above[2 * i] - grid->left) + along * (below[2 * i] - grid->left);
+        line[NODE_COLUMNS + i] = (1.0 - along) * (above[2 * i + 1] - grid->top) + along * (below[2 * i + 1] - grid->top);
+    }
+    for (Py_ssize_t node = 0, column = 0; node < NODE_COLUMNS - 1; node++) {
+        Py_ssize_t end = ((node + 1) * NODE_STEP + stride - 1) / stride;
+        end = end < grid->columns ? end : grid->columns;
+        const double *at = line + node;
+        for (; column < end; column++) {
+            double across = grid->across[column];
+            x[column] = (float)((1.0 - across) * at[0] + across * at[1]);
+            y[column] = (float)((1.0 - across) * at[NODE_COLUMNS] + across * at[NODE_COLUMNS + 1]);
+        }
+    }
+}
+
+/* Interpolate where all four pixels around a point have a reading; the number of points that have. Row by row: what is in
+ * between stays in the nearest cache. */
+static Py_ssize_t fill_complete(const Window *window, const Grid *grid, Py_ssize_t rows, float *depth, uint8_t *valid)
+{
+    Py_ssize_t columns = grid->columns, complete = 0;
+    float x[MOST_COLUMNS], y[MOST_COLUMNS];
+    int32_t at[MOST_COLUMNS];
     for (Py_ssize_t row = 0; row < rows; row++) {
-        Py_ssize_t upper = row * stride / NODE_STEP;
-        double along = (double)(row * stride % NODE_STEP) / NODE_STEP;
-        const double *above = nodes + 2 * upper * NODE_COLUMNS, *below = above + 2 * NODE_COLUMNS;
-        double line[2 * NODE_COLUMNS];
-        for (int i = 0; i < NODE_COLUMNS; i++) {
-            line[i] = (1.0 - along) * (above[2 * i] - left) + along * (below[2 * i] - left);
-            line[NODE_COLUMNS + i] = (1.0 - along) * (above[2 * i + 1] - top) + along * (below[2 * i + 1] - top);
-        }
-        float *x_of_row = x + row * columns, *y_of_row = y + row * columns;
-        for (Py_ssize_t node = 0, column = 0; node < NODE_COLUMNS - 1; node++) {
-            Py_ssize_t end = ((node + 1) * NODE_STEP + stride - 1) / stride;
-            end = end < columns ? end : columns;
-            const double *at = line + node;
-            for (; column < end; column++) {
-                x_of_row[column] = (float)((1.0 - across[column]) * at[0] + across[column] * at[1]);
-                y_of_row[column] =
-                    (float)((1.0 - across[column]) * at[NODE_COLUMNS] + across[column] * at[NODE_COLUMNS + 1]);
-            }
-        }
+        places(grid, row, x, y);
+        pixels_of(window, x, y, columns, at);
+        complete += interpolate_complete(window, x, y, at, columns, depth + row * columns, valid + row * columns);
+    }
+    return complete;
+}
+
+/* Interpolate where readings carry at least a least weight. */
+static void fill_partial(const Window *window, const Grid *grid, Py_ssize_t rows, float least, float *depth, uint8_t *valid)
+{
+    Py_ssize_t columns = grid->columns;
+    float x[MOST_COLUMNS], y[MOST_COLUMNS];
+    for (Py_ssize_t row = 0; row < rows; row++) {
+        places(grid, row, x, y);
+        interpolate_partial(window, x, y, columns, least, depth + row * columns, valid + row * columns);
     }
 }
 
@@ -483,13 +547,9 @@ PyObject *cut_out(PyObject *module, PyObject *const *args, Py_ssize_t count)
             columns <= ((NODE_COLUMNS - 1) * NODE_STEP - 1) / stride + 1, "the grid must lie between the nodes");
     require(&arrays, valid->shape[0] == rows && valid->shape[1] == columns, "valid must be as large as depth");
     require(&arrays, least_weight > 0.0, "least_weight must be positive");
-    float *x = arrays.failed ? NULL : PyMem_Malloc((size_t)(2 * n + 1) * sizeof *x);
-    if (x == NULL) {
-        if (!arrays.failed)
-            PyErr_NoMemory();
-        arrays.failed = 1;
+    require(&arrays, picture->shape[0] < 32768 && picture->shape[1] < 32768, "depth_mm must have less than 32768 rows");
+    if (arrays.failed)
         return finish(&arrays, Py_None);
-    }
     const double *node = nodes->buf;
     double low[2] = {node[0], node[1]}, high[2] = {node[0], node[1]};
     int is_finite = 1;
@@ -503,18 +563,20 @@ PyObject *cut_out(PyObject *module, PyObject *const *args, Py_ssize_t count)
         reach_of(low[0], high[0], picture->shape[1], &left, &right);
         reach_of(low[1], high[1], picture->shape[0], &top, &bottom);
     }
-    memset(depth->buf, 0, (size_t)depth->len);
-    memset(valid->buf, 0, (size_t)valid->len);
-    if (right - left >= 2 && bottom - top >= 2) {
+    if (right - left < 2 || bottom - top < 2) {
+        memset(depth->buf, 0, (size_t)depth->len);
+        memset(valid->buf, 0, (size_t)valid->len);
+    } else {
         Window window = {
             .depth = (const uint16_t *)picture->buf + top * picture->shape[1] + left, .pitch = picture->shape[1],
             .rows = bottom - top, .columns = right - left, .table = table->buf,
         };
-        places(node, rows, columns, stride, (double)left, (double)top, x, x + n);
-        Py_ssize_t complete = interpolate_complete(&window, x, x + n, n, depth->buf, valid->buf);
+        Grid grid = {.nodes = node, .columns = columns, .stride = stride, .left = (double)left, .top = (double)top};
+        for (Py_ssize_t column = 0; column < columns; column++)
+            grid.across[column] = (double)(column * stride % NODE_STEP) / NODE_STEP;
+        Py_ssize_t complete = fill_complete(&window, &grid, rows, depth->buf, valid->buf);
         if ((double)complete < least_share * (double)n)
-            interpolate_partial(&window, x, x + n, n, (float)least_weight, depth->buf, valid->buf);
+            fill_partial(&window, &grid, rows, (float)least_weight, depth->buf, valid->buf);
     }
-    PyMem_Free(x);
     return finish(&arrays, Py_None);
 }

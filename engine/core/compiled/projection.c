@@ -179,33 +179,43 @@ static inline double dot_of(const double *a, const double *b, Py_ssize_t n)
     return (sums[0] + sums[1]) + (sums[2] + sums[3]);
 }
 
-/* Solve (gram + stiffness) answer = right by Cholesky's factors; half the logarithm of the determinant beside it. 0 where
- * the matrix is not positive. */
+/* Solve (gram + stiffness) answer = right by Cholesky's factors, by rows of the upper one; half the logarithm of the
+ * determinant beside it. 0 where the matrix is not positive. */
 WIDE_VECTORS
 static int solve(Py_ssize_t n, const double *gram, const double *stiffness, const double *right, double *factor,
                  double *answer, double *log_determinant)
 {
+    double product = 1.0;
     *log_determinant = 0.0;
-    for (Py_ssize_t i = 0; i < n; i++) {
-        for (Py_ssize_t j = 0; j <= i; j++) {
-            double sum = gram[i * n + j] + (i == j ? stiffness[i] : 0.0) - dot_of(factor + i * n, factor + j * n, j);
-            if (i == j) {
-                if (!(sum > 0.0) || !isfinite(sum))
-                    return 0;
-                factor[i * n + i] = sqrt(sum);
-                *log_determinant += log(factor[i * n + i]);
-            } else {
-                factor[i * n + j] = sum / factor[j * n + j];
-            }
+    memcpy(factor, gram, (size_t)(n * n) * sizeof *factor);
+    memcpy(answer, right, (size_t)n * sizeof *answer);
+    for (Py_ssize_t j = 0; j < n; j++) {
+        double *row = factor + j * n, pivot = row[j] + stiffness[j];
+        if (!(pivot > 0.0) || !isfinite(pivot))
+            return 0;
+        row[j] = sqrt(pivot);
+        product *= row[j];
+        if (!(product > 1e-100 && product < 1e100)) {
+            *log_determinant += log(product);
+            product = 1.0;
+        }
+        double inverse = 1.0 / row[j];
+        for (Py_ssize_t l = j + 1; l < n; l++)
+            row[l] *= inverse;
+        answer[j] *= inverse;
+        double solved = answer[j];
+        for (Py_ssize_t l = j + 1; l < n; l++)
+            answer[l] -= row[l] * solved;
+        for (Py_ssize_t i = j + 1; i < n; i++) {
+            double *target = factor + i * n, share = row[i];
+            for (Py_ssize_t l = i; l < n; l++)
+                target[l] -= share * row[l];
         }
     }
-    for (Py_ssize_t i = 0; i < n; i++) {
-        answer[i] = (right[i] - dot_of(factor + i * n, answer, i)) / factor[i * n + i];
-    }
+    *log_determinant += log(product);
     for (Py_ssize_t i = n - 1; i >= 0; i--) {
-        answer[i] /= factor[i * n + i];
-        for (Py_ssize_t l = 0; l < i; l++)
-            answer[l] -= factor[i * n + l] * answer[i];
+        const double *row = factor + i * n;
+        answer[i] = (answer[i] - dot_of(row + i + 1, answer + i + 1, n - 1 - i)) / row[i];
     }
     return 1;
 }
@@ -220,6 +230,63 @@ static void ratios_of(const Frame *frame, float outlier_mm, Py_ssize_t n)
         ratio = ratio < 1.0f ? ratio : 1.0f;
         frame->ratio[i] = ratio;
         frame->weighted[i] = (1.0f - ratio) * (1.0f - ratio) * frame->inside[i];
+    }
+}
+
+/* Which points are seen and known, and their difference from the mean; returns their number. */
+WIDE_VECTORS
+static Py_ssize_t take_points(const Basis *basis, const float *depth_mm, const uint8_t *valid, const Frame *frame)
+{
+    int32_t seen = 0;
+    for (Py_ssize_t i = 0; i < basis->points; i++)
+        frame->usable[i] = (uint8_t)((valid[i] != 0) & (basis->known[i] != 0));
+    for (Py_ssize_t i = 0; i < basis->points; i++)
+        seen += frame->usable[i];
+    for (Py_ssize_t i = 0; i < basis->points; i++)
+        frame->inside[i] = (float)frame->usable[i];
+    for (Py_ssize_t i = 0; i < basis->points; i++) {
+        float difference = depth_mm[i] - basis->mean_mm[i];
+        frame->difference[i] = frame->inside[i] > 0.0f ? difference : 0.0f;
+    }
+    return seen;
+}
+
+/* Which points have a weight, and how many; returns how many others than before. */
+WIDE_VECTORS
+static Py_ssize_t take_positive(const Frame *frame, Py_ssize_t n, Py_ssize_t *positives)
+{
+    int32_t changed = 0, found = 0;
+    for (Py_ssize_t i = 0; i < n; i++)
+        frame->positive[i] = frame->weighted[i] > 0.0f;
+    for (Py_ssize_t i = 0; i < n; i++)
+        found += frame->positive[i];
+    for (Py_ssize_t i = 0; i < n; i++)
+        changed += frame->positive[i] ^ frame->inliers[i];
+    *positives = found;
+    return changed;
+}
+
+/* Which usable points are explained; returns their number. */
+WIDE_VECTORS
+static Py_ssize_t take_explained(const Frame *frame, Py_ssize_t n, float inlier_mm, uint8_t *is_seen)
+{
+    int32_t inliers = 0;
+    for (Py_ssize_t i = 0; i < n; i++)
+        is_seen[i] = fabsf(frame->misfit[i]) < inlier_mm;
+    for (Py_ssize_t i = 0; i < n; i++)
+        is_seen[i] &= frame->usable[i];
+    for (Py_ssize_t i = 0; i < n; i++)
+        inliers += is_seen[i];
+    return inliers;
+}
+
+/* The misfits within a bound. */
+WIDE_VECTORS
+static void clip_misfit(const Frame *frame, Py_ssize_t n, float clip)
+{
+    for (Py_ssize_t i = 0; i < n; i++) {
+        float misfit = frame->misfit[i] > -clip ? frame->misfit[i] : -clip;
+        frame->weighted[i] = misfit < clip ? misfit : clip;
     }
 }
 
@@ -272,13 +339,7 @@ static int settle(const Basis *basis, const Frame *frame, const Limits *limits, 
     double limit_mm = limits->small_step_mm;
     for (int round = 0; round < limits->reweightings; round++) {
         ratios_of(frame, (float)limits->outlier_mm, n);
-        Py_ssize_t changed = 0, positives = 0;
-        for (Py_ssize_t i = 0; i < n; i++) {
-            uint8_t is_positive = frame->weighted[i] > 0.0f;
-            frame->positive[i] = is_positive;
-            positives += is_positive;
-            changed += frame->inliers[i] != is_positive;
-        }
+        Py_ssize_t positives = 0, changed = take_positive(frame, n, &positives);
         if ((double)changed > limits->most_unnoticed * (double)n) {
             memcpy(frame->inliers, frame->positive, (size_t)n);
             gram_of(basis, frame->inliers, work->block, work->gram);
@@ -299,7 +360,7 @@ static int settle(const Basis *basis, const Frame *frame, const Limits *limits, 
         for (Py_ssize_t i = 0; i < modes; i++) {
             double step_mm = fabs(work->answer[i] - work->coefficients[i]) * basis->reach[i];
             if (!(step_mm <= largest_mm))
-                largest_mm = step_mm; /* NaN stays */
+                largest_mm = isnan(step_mm) ? (double)INFINITY : step_mm; /* which stays */
         }
         if (largest_mm < limit_mm)
             break;
@@ -347,7 +408,7 @@ static double largest_cell_misfit(const Basis *basis, const Frame *frame, const 
 {
     double sums[MOST_CELLS] = {0.0}, largest = -1.0;
     int counts[MOST_CELLS] = {0};
-    float clip = (float)limits->clip_mm;
+    clip_misfit(frame, basis->points, (float)limits->clip_mm);
     for (Py_ssize_t row = 0; row < basis->rows; row++)
         for (Py_ssize_t column = 0; column < basis->columns;) {
             Py_ssize_t cell = cell_of_column[column];
@@ -355,8 +416,7 @@ static double largest_cell_misfit(const Basis *basis, const Frame *frame, const 
             int seen = 0;
             for (; column < basis->columns && cell_of_column[column] == cell; column++) {
                 Py_ssize_t i = row * basis->columns + column;
-                float misfit = frame->misfit[i] > -clip ? frame->misfit[i] : -clip;
-                sum += (double)(misfit < clip ? misfit : clip);
+                sum += (double)frame->weighted[i];
                 seen += frame->usable[i];
             }
             sums[cell_of_row[row] * columns + cell] += sum;
@@ -474,15 +534,9 @@ PyObject *project(PyObject *module, PyObject *const *args, Py_ssize_t count)
     };
     work.block = f + 5 * n + (basis.a + basis.b + 1) * basis.columns;
     Py_ssize_t known_points = 0;
-    const uint8_t *valid_bytes = valid->buf;
-    const float *depth_mm = depth->buf;
-    for (Py_ssize_t i = 0; i < n; i++) {
-        frame.usable[i] = valid_bytes[i] && basis.known[i];
-        frame.inside[i] = (float)frame.usable[i];
-        frame.difference[i] = frame.usable[i] ? depth_mm[i] - basis.mean_mm[i] : 0.0f;
-        frame.seen += frame.usable[i];
+    for (Py_ssize_t i = 0; i < n; i++)
         known_points += basis.known[i] != 0;
-    }
+    frame.seen = take_points(&basis, depth->buf, valid->buf, &frame);
     for (Py_ssize_t j = 0; j < basis.b; j++)
         for (Py_ssize_t column = 0; column < basis.columns; column++)
             frame.across[j * basis.columns + column] = basis.cosine_columns[column * basis.b + j];
@@ -494,13 +548,7 @@ PyObject *project(PyObject *module, PyObject *const *args, Py_ssize_t count)
         outcome = Py_None;
     } else {
         misfit_of(&basis, &frame, coefficients->buf);
-        Py_ssize_t inliers = 0;
-        float inlier_mm = (float)limits.inlier_mm;
-        for (Py_ssize_t i = 0; i < n; i++) {
-            uint8_t is_inlier = frame.usable[i] && fabsf(frame.misfit[i]) < inlier_mm;
-            ((uint8_t *)is_seen->buf)[i] = is_inlier;
-            inliers += is_inlier;
-        }
+        Py_ssize_t inliers = take_explained(&frame, n, (float)limits.inlier_mm, is_seen->buf);
         double *figure = figures->buf;
         figure[0] = (double)frame.seen;
         figure[1] = (double)inliers;

@@ -1,4 +1,4 @@
-/* Small sums and fits over the region's surface and the scene. */
+/* Small sums and fits over the region's surface. */
 #include "arguments.h"
 
 #include <math.h>
@@ -74,6 +74,194 @@ PyObject *cell_means(PyObject *module, PyObject *const *args, Py_ssize_t count)
                          ? sums[cell] / (counts[cell] > 1 ? (double)counts[cell] : 1.0)
                          : (double)NAN;
     return finish(&arrays, Py_None);
+}
+
+/* A number as a new Python object, in place of None; NULL where something failed. */
+static PyObject *finish_number(Arrays *arrays, double number)
+{
+    PyObject *result = arrays->failed ? NULL : PyFloat_FromDouble(number);
+    arrays->failed |= result == NULL;
+    PyObject *finished = finish(arrays, result == NULL ? Py_None : result);
+    Py_XDECREF(result);
+    return finished;
+}
+
+#define MOST_FRAMES 64
+
+/* Take the arrays of a list, one a frame, all of one length; their number, 0 and an exception where they are not such. */
+static Py_ssize_t frames_of(Arrays *arrays, PyObject *list, const char *name, Py_buffer *frames, Py_ssize_t *size)
+{
+    Py_ssize_t n = PyList_CheckExact(list) ? PyList_GET_SIZE(list) : 0;
+    if (n < 1 || n > MOST_FRAMES) {
+        PyErr_Format(PyExc_ValueError, "%s must be a list of 1 to %d arrays", name, MOST_FRAMES);
+        arrays->failed = 1;
+        return 0;
+    }
+    for (Py_ssize_t i = 0; i < n; i++) {
+        Arrays one = {0};
+        Py_buffer *view = array_of(&one, PyList_GET_ITEM(list, i), name, 'd', 1);
+        if (!one.failed)
+            require(&one, i == 0 || view->shape[0] == *size, "all must be of one length");
+        if (one.failed) {
+            Py_XDECREF(finish(&one, Py_None));
+            for (Py_ssize_t taken = 0; taken < i; taken++)
+                PyBuffer_Release(&frames[taken]);
+            arrays->failed = 1;
+            return 0;
+        }
+        *size = view->shape[0];
+        frames[i] = *view;
+    }
+    return n;
+}
+
+/* Mean of each cell over some frames; NaN where one has no value. */
+PyObject *mean_cells(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 2, "mean_cells"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer frames[MOST_FRAMES];
+    Py_ssize_t size = 0, n = frames_of(&arrays, args[0], "cells_mm", frames, &size);
+    Py_buffer *mean = output_of(&arrays, args[1], "mean_mm", 'd', 1);
+    if (!arrays.failed)
+        require(&arrays, mean->shape[0] == size, "mean_mm must be one a cell");
+    if (!arrays.failed)
+        for (Py_ssize_t cell = 0; cell < size; cell++) {
+            double sum = 0.0;
+            for (Py_ssize_t i = 0; i < n; i++)
+                sum += ((const double *)frames[i].buf)[cell];
+            ((double *)mean->buf)[cell] = sum / (double)n;
+        }
+    for (Py_ssize_t i = 0; i < n; i++)
+        PyBuffer_Release(&frames[i]);
+    return finish(&arrays, Py_None);
+}
+
+/* Largest mean of any place over the frames that saw it, regardless of its sign; NaN where no frame saw one. */
+PyObject *largest_mean(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 1, "largest_mean"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer frames[MOST_FRAMES];
+    Py_ssize_t size = 0, n = frames_of(&arrays, args[0], "changes_mm", frames, &size);
+    double largest = 0.0;
+    for (Py_ssize_t at = 0; n > 0 && at < size; at++) {
+        double sum = 0.0;
+        Py_ssize_t seen = 0;
+        for (Py_ssize_t i = 0; i < n; i++) {
+            double change = ((const double *)frames[i].buf)[at];
+            sum += isfinite(change) ? change : 0.0;
+            seen += isfinite(change) != 0;
+        }
+        if (seen == 0) {
+            largest = (double)NAN;
+            break;
+        }
+        double mean = fabs(sum / (double)seen);
+        largest = mean > largest ? mean : largest;
+    }
+    for (Py_ssize_t i = 0; i < n; i++)
+        PyBuffer_Release(&frames[i]);
+    return finish_number(&arrays, largest);
+}
+
+/* The markers' places at a depth, a percentile of the cells', and the same in another camera's frame; false where they
+ * are not known. */
+PyObject *marker_places(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 7, "marker_places"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *cells = array_of(&arrays, args[0], "cells_mm", 'd', 1);
+    double percentile = number_of(&arrays, args[1], "percentile");
+    Py_buffer *rays = array_of(&arrays, args[2], "rays", 'd', 2);
+    Py_buffer *rotation = array_of(&arrays, args[3], "rotation", 'd', 2);
+    Py_buffer *translation = array_of(&arrays, args[4], "translation_mm", 'd', 1);
+    Py_buffer *places = output_of(&arrays, args[5], "places_mm", 'd', 2);
+    Py_buffer *others = output_of(&arrays, args[6], "others_mm", 'd', 2);
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Py_ssize_t n = rays->shape[0], known = 0;
+    require(&arrays, cells->shape[0] <= MOST_CELLS, "too many cells");
+    require(&arrays, percentile >= 0.0 && percentile <= 100.0, "percentile must be from 0 to 100");
+    require(&arrays, rays->shape[1] == 3, "rays must be triples");
+    require(&arrays, rotation->shape[0] == 3 && rotation->shape[1] == 3 && translation->shape[0] == 3,
+            "rotation must be 3 by 3, translation_mm 3");
+    require(&arrays, places->shape[0] == n && places->shape[1] == 3 && others->shape[0] == n && others->shape[1] == 3,
+            "places_mm and others_mm must be triples, one for each ray");
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    double seen[MOST_CELLS], depth = (double)NAN;
+    for (Py_ssize_t i = 0; i < cells->shape[0]; i++) {
+        double cell = ((const double *)cells->buf)[i];
+        if (isfinite(cell))
+            seen[known++] = cell;
+    }
+    if (known > 0) {
+        double at = percentile / 100.0 * (double)(known - 1);
+        Py_ssize_t before = (Py_ssize_t)at, next = before + 1 < known ? before + 1 : known - 1;
+        double below = select_kth(seen, known, before), above = select_kth(seen, known, next);
+        depth = below + (at - (double)before) * (above - below);
+    }
+    const double *r = rotation->buf, *t = translation->buf;
+    int is_known = 1;
+    for (Py_ssize_t i = 0; i < n; i++) {
+        double *place = (double *)places->buf + 3 * i, *other = (double *)others->buf + 3 * i;
+        for (int j = 0; j < 3; j++) {
+            place[j] = ((const double *)rays->buf)[3 * i + j] * depth;
+            is_known &= isfinite(place[j]) != 0;
+        }
+        for (int j = 0; j < 3; j++)
+            other[j] = place[0] * r[3 * j] + place[1] * r[3 * j + 1] + place[2] * r[3 * j + 2] + t[j];
+    }
+    return finish(&arrays, is_known ? Py_True : Py_False);
+}
+
+#define LANES 8
+
+/* Sum of the valid readings in eight sums, added at the end, and their number. */
+WIDE_VECTORS
+static double sum_valid(const float *depth, const uint8_t *valid, Py_ssize_t n, Py_ssize_t *seen)
+{
+    double sums[LANES] = {0.0};
+    int32_t found = 0;
+    Py_ssize_t i = 0;
+    for (; i + LANES <= n; i += LANES)
+        for (int lane = 0; lane < LANES; lane++)
+            sums[lane] += (double)(valid[i + lane] ? depth[i + lane] : 0.0f);
+    for (; i < n; i++)
+        sums[0] += (double)(valid[i] ? depth[i] : 0.0f);
+    for (int half = LANES / 2; half > 0; half /= 2)
+        for (int lane = 0; lane < half; lane++)
+            sums[lane] += sums[lane + half];
+    for (i = 0; i < n; i++)
+        found += valid[i] != 0;
+    *seen = found;
+    return sums[0];
+}
+
+/* Mean of the valid readings; NaN where there is none. */
+PyObject *mean_depth(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 2, "mean_depth"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *depth = array_of(&arrays, args[0], "depth_mm", 'f', 2);
+    Py_buffer *valid = array_of(&arrays, args[1], "valid", '?', 2);
+    if (!arrays.failed)
+        require(&arrays, valid->shape[0] == depth->shape[0] && valid->shape[1] == depth->shape[1],
+                "valid must be as large as depth_mm");
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Py_ssize_t seen = 0;
+    double sum = sum_valid(depth->buf, valid->buf, depth->shape[0] * depth->shape[1], &seen);
+    return finish_number(&arrays, seen ? sum / (double)seen : (double)NAN);
 }
 
 PyObject *corner_medians(PyObject *module, PyObject *const *args, Py_ssize_t count)
@@ -199,110 +387,6 @@ PyObject *least_squares(PyObject *module, PyObject *const *args, Py_ssize_t coun
     int is_solved = solve_terms(copy, k, m, copy + k * m, weights->buf);
     PyMem_Free(copy);
     return finish(&arrays, is_solved ? Py_True : Py_False);
-}
-
-/* Gauss with pivots; 0 where the matrix is singular. */
-static int solve_three(double a[3][4], double *answer)
-{
-    for (int j = 0; j < 3; j++) {
-        int pivot = j;
-        for (int i = j + 1; i < 3; i++)
-            if (fabs(a[i][j]) > fabs(a[pivot][j]))
-                pivot = i;
-        if (!(fabs(a[pivot][j]) > 0.0))
-            return 0;
-        for (int i = 0; i < 4; i++) {
-            double swapped = a[j][i];
-            a[j][i] = a[pivot][i];
-            a[pivot][i] = swapped;
-        }
-        for (int i = j + 1; i < 3; i++) {
-            double factor = a[i][j] / a[j][j];
-            for (int l = j; l < 4; l++)
-                a[i][l] -= factor * a[j][l];
-        }
-    }
-    for (int j = 2; j >= 0; j--) {
-        answer[j] = a[j][3];
-        for (int i = j + 1; i < 3; i++)
-            answer[j] -= a[j][i] * answer[i];
-        answer[j] /= a[j][j];
-    }
-    return 1;
-}
-
-PyObject *scene_plane(PyObject *module, PyObject *const *args, Py_ssize_t count)
-{
-    (void)module;
-    if (!counted(count, 9, "scene_plane"))
-        return NULL;
-    Arrays arrays = {0};
-    Py_buffer *blocks = array_of(&arrays, args[0], "blocks_mm", 'd', 1);
-    Py_buffer *is_picked = array_of(&arrays, args[1], "is_picked", '?', 1);
-    Py_buffer *depth = array_of(&arrays, args[2], "depth_mm", 'd', 1);
-    Py_buffer *terms = array_of(&arrays, args[3], "terms", 'd', 2);
-    Py_buffer *weights = array_of(&arrays, args[4], "weights", 'd', 1);
-    double inlier_mm = number_of(&arrays, args[5], "inlier_mm");
-    double least_inliers = number_of(&arrays, args[6], "least_inliers");
-    Py_ssize_t rounds = whole_of(&arrays, args[7], "rounds", 0, 1000);
-    Py_buffer *plane = output_of(&arrays, args[8], "plane", 'd', 1);
-    if (arrays.failed)
-        return finish(&arrays, Py_None);
-    Py_ssize_t n = depth->shape[0], picked = 0;
-    for (Py_ssize_t i = 0; i < is_picked->shape[0]; i++)
-        picked += ((const uint8_t *)is_picked->buf)[i] != 0;
-    require(&arrays, is_picked->shape[0] == blocks->shape[0] && picked == n, "depth_mm must be one a picked block");
-    require(&arrays, terms->shape[0] == n && terms->shape[1] == 3, "terms must be three a picked block");
-    require(&arrays, weights->shape[0] == n && plane->shape[0] == 3, "weights must be one a picked block");
-    double *change = arrays.failed ? NULL : PyMem_Malloc((size_t)(3 * n + 1) * sizeof *change);
-    if (change == NULL)
-        return arrays.failed ? finish(&arrays, Py_None) : out_of_memory(&arrays);
-    double *misfit = change + n, *sorted = misfit + n, *answer = plane->buf, limit_mm = inlier_mm;
-    for (Py_ssize_t i = 0, next = 0; i < blocks->shape[0]; i++)
-        if (((const uint8_t *)is_picked->buf)[i]) {
-            change[next] = ((const double *)blocks->buf)[i] - ((const double *)depth->buf)[next];
-            misfit[next] = fabs(change[next]);
-            next++;
-        }
-    PyObject *outcome = Py_True;
-    for (Py_ssize_t round = 0; round < rounds && outcome == Py_True; round++) {
-        double a[3][4] = {{0.0}};
-        Py_ssize_t inliers = 0;
-        for (Py_ssize_t i = 0; i < n; i++) {
-            if (!(misfit[i] <= limit_mm))
-                continue; /* NaN is none */
-            const double *term = (const double *)terms->buf + 3 * i;
-            double weight = ((const double *)weights->buf)[i];
-            for (int j = 0; j < 3; j++) {
-                for (int l = 0; l < 3; l++)
-                    a[j][l] += term[j] * weight * term[l];
-                a[j][3] += term[j] * weight * change[i];
-            }
-            inliers++;
-        }
-        if ((double)inliers < least_inliers * (double)n) {
-            outcome = Py_False;
-        } else if (inliers == 0 || !solve_three(a, answer)) {
-            outcome = Py_None; /* for the numpy form to judge */
-        } else {
-            Py_ssize_t next = 0;
-            for (Py_ssize_t i = 0; i < n; i++) {
-                const double *term = (const double *)terms->buf + 3 * i;
-                int was_inlier = misfit[i] <= limit_mm;
-                misfit[i] = fabs(change[i] - (term[0] * answer[0] + term[1] * answer[1] + term[2] * answer[2]));
-                if (was_inlier && misfit[i] == misfit[i])
-                    sorted[next++] = misfit[i];
-            }
-            if (next == 0) {
-                outcome = Py_None;
-            } else {
-                double limit = 3.0 * 1.5 * median_of(sorted, next) + 0.5;
-                limit_mm = limit < inlier_mm ? limit : inlier_mm;
-            }
-        }
-    }
-    PyMem_Free(change);
-    return finish(&arrays, outcome);
 }
 
 PyObject *align_nodes(PyObject *module, PyObject *const *args, Py_ssize_t count)
@@ -432,6 +516,26 @@ PyObject *surface_change(PyObject *module, PyObject *const *args, Py_ssize_t cou
     return finish(&arrays, Py_True);
 }
 
+#define MOST_TOGETHER 64
+
+/* Undistort some points, in place. What is beyond what the lens' model describes stays as without distortion. */
+WIDE_VECTORS
+static void undistort(const double *c, Py_ssize_t n, Py_ssize_t steps, double *x, double *y)
+{
+    double x0[MOST_TOGETHER], y0[MOST_TOGETHER], is_beyond[MOST_TOGETHER] = {0.0};
+    memcpy(x0, x, (size_t)n * sizeof *x);
+    memcpy(y0, y, (size_t)n * sizeof *y);
+    for (Py_ssize_t step = 0; step < steps; step++)
+        for (Py_ssize_t i = 0; i < n; i++) {
+            double r2 = x[i] * x[i] + y[i] * y[i], inverse = 1.0 / (1.0 + ((c[8] * r2 + c[5]) * r2 + c[4]) * r2);
+            double shift_x = 2.0 * c[6] * x[i] * y[i] + c[7] * (r2 + 2.0 * x[i] * x[i]);
+            double shift_y = c[6] * (r2 + 2.0 * y[i] * y[i]) + 2.0 * c[7] * x[i] * y[i];
+            is_beyond[i] = inverse < 0.0 ? 1.0 : is_beyond[i];
+            x[i] = is_beyond[i] > 0.0 ? x0[i] : (x0[i] - shift_x) * inverse;
+            y[i] = is_beyond[i] > 0.0 ? y0[i] : (y0[i] - shift_y) * inverse;
+        }
+}
+
 /* Undistorted rays of unit depth, by so many steps of the fixed point that OpenCV iterates too. */
 PyObject *camera_rays(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
@@ -451,25 +555,21 @@ PyObject *camera_rays(PyObject *module, PyObject *const *args, Py_ssize_t count)
     if (arrays.failed)
         return finish(&arrays, Py_None);
     const double *c = camera->buf;
-    for (Py_ssize_t i = 0; i < n; i++) {
-        const double *pixel = (const double *)pixels->buf + 2 * i;
-        double x0 = (pixel[0] - c[2]) / c[0], y0 = (pixel[1] - c[3]) / c[1], x = x0, y = y0;
-        for (Py_ssize_t step = 0; step < steps; step++) {
-            double r2 = x * x + y * y, inverse = 1.0 / (1.0 + ((c[8] * r2 + c[5]) * r2 + c[4]) * r2);
-            if (inverse < 0.0) { /* beyond what the model describes: as without distortion */
-                x = x0;
-                y = y0;
-                break;
-            }
-            double shift_x = 2.0 * c[6] * x * y + c[7] * (r2 + 2.0 * x * x);
-            double shift_y = c[6] * (r2 + 2.0 * y * y) + 2.0 * c[7] * x * y;
-            x = (x0 - shift_x) * inverse;
-            y = (y0 - shift_y) * inverse;
+    for (Py_ssize_t begin = 0; begin < n; begin += MOST_TOGETHER) {
+        double x[MOST_TOGETHER], y[MOST_TOGETHER];
+        Py_ssize_t together = n - begin < MOST_TOGETHER ? n - begin : MOST_TOGETHER;
+        for (Py_ssize_t i = 0; i < together; i++) {
+            const double *pixel = (const double *)pixels->buf + 2 * (begin + i);
+            x[i] = (pixel[0] - c[2]) / c[0];
+            y[i] = (pixel[1] - c[3]) / c[1];
         }
-        double *ray = (double *)rays->buf + 3 * i;
-        ray[0] = x;
-        ray[1] = y;
-        ray[2] = 1.0;
+        undistort(c, together, steps, x, y);
+        for (Py_ssize_t i = 0; i < together; i++) {
+            double *ray = (double *)rays->buf + 3 * (begin + i);
+            ray[0] = x[i];
+            ray[1] = y[i];
+            ray[2] = 1.0;
+        }
     }
     return finish(&arrays, Py_None);
 }
@@ -490,28 +590,35 @@ static void eroded_or_dilated(const uint8_t *source, Py_ssize_t rows, Py_ssize_t
         }
 }
 
-/* How many cells have another colour than before, after an opening by a square that leaves lines out. */
+/* Take the present colours into the newest known ones, NaN being none; return how many cells now have another colour than
+ * before, after an opening by a square that leaves lines out. */
 PyObject *changed_cells(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     (void)module;
-    if (!counted(count, 5, "changed_cells"))
+    if (!counted(count, 6, "changed_cells"))
         return NULL;
     Arrays arrays = {0};
     Py_buffer *before = array_of(&arrays, args[0], "before", 'f', 2);
     Py_buffer *now = array_of(&arrays, args[1], "now", 'f', 2);
-    Py_ssize_t columns = whole_of(&arrays, args[2], "columns", 1, MOST_CELLS);
-    Py_ssize_t side = whole_of(&arrays, args[3], "side", 1, 64);
-    double limit = number_of(&arrays, args[4], "limit");
+    Py_buffer *newest = output_of(&arrays, args[2], "newest", 'f', 2);
+    Py_ssize_t columns = whole_of(&arrays, args[3], "columns", 1, MOST_CELLS);
+    Py_ssize_t side = whole_of(&arrays, args[4], "side", 1, 64);
+    double limit = number_of(&arrays, args[5], "limit");
     if (arrays.failed)
         return finish(&arrays, Py_None);
     Py_ssize_t n = before->shape[0], rows = n / columns, changed = 0;
     require(&arrays, n <= MOST_CELLS && n % columns == 0 && now->shape[0] == n, "cells must be of whole rows");
     require(&arrays, before->shape[1] == 2 && now->shape[1] == 2, "colours must be pairs");
+    require(&arrays, newest->shape[0] == n && newest->shape[1] == 2, "newest must be one a cell");
     if (arrays.failed)
         return finish(&arrays, Py_None);
     uint8_t other[MOST_CELLS], eroded[MOST_CELLS], opened[MOST_CELLS];
-    const float *then = before->buf, *present = now->buf;
-    float most = (float)limit;
+    const float *then = before->buf;
+    float most = (float)limit, *present = newest->buf;
+    for (Py_ssize_t i = 0; i < 2 * n; i++) {
+        float value = ((const float *)now->buf)[i];
+        present[i] = isfinite(value) ? value : present[i];
+    }
     int is_any = 0;
     for (Py_ssize_t i = 0; i < n; i++) {
         float red = fabsf(present[2 * i] - then[2 * i]), green = fabsf(present[2 * i + 1] - then[2 * i + 1]);

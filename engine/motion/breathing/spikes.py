@@ -100,7 +100,8 @@ def _bend(recent: tuple[Sample, ...]) -> float | None:
         return None
     begin, end = recent[0], recent[-1]
     middle_s = 0.5 * (begin.seconds + end.seconds)
-    middle = min(recent[1:-1], key=lambda sample: abs(sample.seconds - middle_s))
+    apart_s = [abs(sample.seconds - middle_s) for sample in recent[1:-1]]
+    middle = recent[1 + apart_s.index(min(apart_s))]
     share = (middle.seconds - begin.seconds) / (end.seconds - begin.seconds)
     return middle.value - begin.value - share * (end.value - begin.value)
 

@@ -55,16 +55,18 @@ def _chroma_of(color: ColorImage, corners_px: FloatArray) -> Chroma:
     return np.asarray(_shares(np.asarray(cells, dtype=np.uint8)) - balance, dtype=np.float32)
 
 
-def changed_share(before: Chroma, now: Chroma) -> float:
+def changed_share(before: Chroma, now: Chroma, newest: Chroma) -> float:
     """Return the share of the region that has another colour than before, 0 to 1.
 
-    Lines are left out: a positioning laser that wanders over the skin is no object.
+    Lines are left out: a positioning laser that wanders over the skin is no object. ``newest`` takes the present
+    colour; a cell that is dark now keeps the colour it was last seen in.
     """
     compiled = kernels()
     if compiled is not None:
-        changed: int = compiled.changed_cells(before, now, CELL_COLUMNS, len(_LEAST_OBJECT), OTHER_COLOR)
+        changed: int = compiled.changed_cells(before, now, newest, CELL_COLUMNS, len(_LEAST_OBJECT), OTHER_COLOR)
         return changed / (CELL_ROWS * CELL_COLUMNS)
-    is_changed = (np.abs(now - before).max(axis=1) > OTHER_COLOR).astype(np.uint8)
+    np.copyto(newest, now, where=np.isfinite(now))
+    is_changed = (np.abs(newest - before).max(axis=1) > OTHER_COLOR).astype(np.uint8)
     objects = cv2.morphologyEx(is_changed.reshape(CELL_ROWS, CELL_COLUMNS), cv2.MORPH_OPEN, _LEAST_OBJECT)
     return float(np.count_nonzero(objects)) / objects.size
 

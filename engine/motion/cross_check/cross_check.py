@@ -15,7 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from engine.calibration.camera_calibration import Calibration
-from engine.core.frames import BodyPosition, FloatArray, Lost, LostReason, Markers, RgbdFrame, RoiDepth
+from engine.core.compiled import kernels
+from engine.core.frames import BodyPosition, FloatArray, Lost, LostReason, Markers, RgbdFrame, RoiDepth, frozen
+from engine.core.geometry import RigidTransform
 from engine.core.motion_model import MotionModel
 from engine.motion.cross_check.appearance import Chroma, changed_share, chroma_of
 from engine.motion.cross_check.cell_surface import (
@@ -47,6 +49,7 @@ MARKER_PERCENTILE = 90.0
 RETURNED = 0.8
 """A disagreement ends at this share of its limit."""
 MOST_SURFACES = 3000
+_UNKNOWN_MM = frozen(np.full(4, np.nan))
 ADVICE = "check for objects on the patient, then set the reference again"
 
 
@@ -62,17 +65,17 @@ class _Observed(NamedTuple):
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Reference:
-    """Surface and colour at the reference; the surface is that of the frames around it, since one frame has noise."""
+    """Surface and colour at the reference; the surface is that of the frames around it, since one frame has noise.
+
+    ``newest_chroma`` is the colour of later frames, owned and written to: a cell that is dark now keeps the colour it
+    was last seen in.
+    """
 
     surfaces_mm: list[FloatArray]
     chroma: Chroma
     set_us: int
     cells_mm: FloatArray
     newest_chroma: Chroma
-
-    def see_color(self, chroma: Chroma) -> None:
-        """Take the colour of a later frame; a cell that is dark now keeps the colour it was last seen in."""
-        self.newest_chroma = np.where(np.isfinite(chroma), chroma, self.newest_chroma)
 
     def add(self, cells_mm: FloatArray, timestamp_us: int) -> None:
         """Take the surface of a later frame, if it is close enough to the reference in time."""
@@ -85,7 +88,7 @@ class CrossCheck:
     """Follows surface, colour and scene; owned by the pipeline's thread."""
 
     def __init__(self, calibration: Calibration) -> None:
-        self._color_camera, self._depth_from_color = calibration.color, calibration.color_from_depth.inverse
+        self._depth_from_color = calibration.color_from_depth.inverse
         self._scene = StaticScene(calibration.depth)
         self._recent: deque[_Observed] = deque(maxlen=MOST_FRAMES)
         self._gathered: deque[FloatArray] = deque(maxlen=MOST_SURFACES)
@@ -133,16 +136,15 @@ class CrossCheck:
         if surfaces_mm:
             self._learned_ahead = count, learn_shapes(np.array(surfaces_mm))
 
-    def observe(self, frame: RgbdFrame, found: Markers, roi: RoiDepth) -> None:
-        """Take what is compared of a frame whose markers were found."""
+    def observe(self, frame: RgbdFrame, found: Markers, marker_rays: FloatArray, roi: RoiDepth) -> None:
+        """Take what is compared of a frame whose markers were found, on these rays, shape (4, 3)."""
         recent, now_us = self._recent, frame.timestamp_us
         while recent and not 0 <= now_us - recent[0].timestamp_us <= AVERAGED_US:
             recent.popleft()
         cells_mm = cell_means(roi)
-        corners_mm = self._color_camera.rays(found.centers_px) * _marker_depth_mm(cells_mm)
+        corners_mm, in_depth_camera = _marker_places_mm(cells_mm, marker_rays, self._depth_from_color)
         scene_mm = None
-        if np.isfinite(corners_mm).all():
-            in_depth_camera = self._depth_from_color.apply(corners_mm)
+        if in_depth_camera is not None:
             scene_mm = self._scene.follow(frame.depth_mm, in_depth_camera, now_us)
         recent.append(
             _Observed(
@@ -150,7 +152,7 @@ class CrossCheck:
                 corners_mm=corners_mm,
                 cells_mm=cells_mm,
                 chroma=chroma_of(frame.color, found.centers_px),
-                scene_mm=np.full(4, np.nan) if scene_mm is None else scene_mm,
+                scene_mm=_UNKNOWN_MM if scene_mm is None else scene_mm,
             )
         )
 
@@ -168,7 +170,7 @@ class CrossCheck:
                 chroma=chroma,
                 set_us=newest.timestamp_us,
                 cells_mm=_mean_seen(surfaces_mm),
-                newest_chroma=chroma,
+                newest_chroma=chroma.copy(),
             )
             self._forget_changes()
         return self._compare(self._reference, cells_mm, chroma)
@@ -189,10 +191,9 @@ class CrossCheck:
             self._reference.add(self._recent[-1].cells_mm, self._recent[-1].timestamp_us)
 
     def _compare(self, reference: _Reference, cells_mm: FloatArray, chroma: Chroma) -> Lost | None:
-        reference.see_color(chroma)
         found = {
             "camera": self._camera_moved(_largest_mean_mm([one.scene_mm for one in self._recent])),
-            "colour": self._color_changed(changed_share(reference.chroma, reference.newest_chroma)),
+            "colour": self._color_changed(changed_share(reference.chroma, chroma, reference.newest_chroma)),
             "surface": self._surface_changed(reference, cells_mm),
         }
         self._disagreements = {name: lost for name, lost in found.items() if lost is not None}
@@ -256,15 +257,39 @@ class CrossCheck:
         return RETURNED * allowed if name in self._disagreements else allowed
 
 
-def _marker_depth_mm(cells_mm: FloatArray) -> float:
-    """Return about how far away the deepest marker is [mm], by the cells; NaN where none was seen."""
-    seen_mm: list[float] = np.sort(cells_mm[np.isfinite(cells_mm)]).tolist()
-    if not seen_mm:
+def _marker_places_mm(
+    cells_mm: FloatArray, rays: FloatArray, depth_from_color: RigidTransform
+) -> tuple[FloatArray, FloatArray | None]:
+    """Return the markers' places on their rays [mm], and in the depth camera's frame; NaN and None where unknown.
+
+    They are taken to be about as far away as the deepest of them, by the cells.
+    """
+    compiled = kernels()
+    if compiled is None:
+        places_mm = rays * _percentile(cells_mm[np.isfinite(cells_mm)], MARKER_PERCENTILE)
+        return places_mm, depth_from_color.apply(places_mm) if np.isfinite(places_mm).all() else None
+    places_mm, in_depth_camera = np.empty((2, *rays.shape))
+    are_known = compiled.marker_places(
+        cells_mm,
+        MARKER_PERCENTILE,
+        rays,
+        depth_from_color.rotation,
+        depth_from_color.translation_mm,
+        places_mm,
+        in_depth_camera,
+    )
+    return places_mm, in_depth_camera if are_known else None
+
+
+def _percentile(values: FloatArray, percentile: float) -> float:
+    """Return a percentile, linearly between two values; NaN of none."""
+    ordered: list[float] = np.sort(values).tolist()
+    if not ordered:
         return math.nan
-    at = MARKER_PERCENTILE / 100.0 * (len(seen_mm) - 1)
+    at = percentile / 100.0 * (len(ordered) - 1)
     before, share = int(at), at - int(at)
-    below_mm, above_mm = seen_mm[before], seen_mm[min(before + 1, len(seen_mm) - 1)]
-    return below_mm + share * (above_mm - below_mm)
+    below, above = ordered[before], ordered[min(before + 1, len(ordered) - 1)]
+    return below + share * (above - below)
 
 
 def _length_and_width_mm(corners_mm: FloatArray) -> tuple[float, float]:
@@ -288,6 +313,10 @@ def _mean_seen(surfaces_mm: list[FloatArray]) -> FloatArray:
 
 def _largest_mean_mm(changes_mm: list[FloatArray]) -> float:
     """Return the largest mean of any marker's changes, shapes (4,), over the frames that saw it; NaN where none did."""
+    compiled = kernels()
+    if compiled is not None:
+        mean_mm: float = compiled.largest_mean(changes_mm)
+        return mean_mm
     largest_mm = 0.0
     for of_marker in zip(*(one.tolist() for one in changes_mm), strict=True):
         seen_mm = [change_mm for change_mm in of_marker if math.isfinite(change_mm)]
@@ -299,4 +328,9 @@ def _largest_mean_mm(changes_mm: list[FloatArray]) -> float:
 
 def _mean(values: list[FloatArray]) -> FloatArray:
     """Return the mean over frames; NaN where a frame has no value."""
+    compiled = kernels()
+    if compiled is not None:
+        mean = np.empty(len(values[0]))
+        compiled.mean_cells(values, mean)
+        return mean
     return np.asarray(np.add.reduce(values) / len(values))

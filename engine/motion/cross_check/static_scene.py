@@ -35,7 +35,7 @@ ROUNDS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Reference:
-    """The picked blocks, their depth [mm], the plane's terms, shape (blocks, 3), and the weight of each."""
+    """The picked blocks, shape (rows, columns), their depth [mm], the plane's terms, shape (blocks, 3), and weights."""
 
     is_picked: BoolArray
     depth_mm: FloatArray
@@ -71,13 +71,12 @@ class StaticScene:
         FloatArray | None
             Shape (n,); None while the scene is learned, and where too little of it is seen.
         """
-        blocks_mm = _blocks_mm(depth_mm)
-        if len(blocks_mm) != len(self._rays):
+        if tuple(size // BLOCK_PX for size in depth_mm.shape) != self._shape:
             return None
         if not self._has_learned:
-            self._learn(blocks_mm, float(points_mm[:, 2].max()), timestamp_us)
+            self._learn(_blocks_mm(depth_mm), float(points_mm[:, 2].max()), timestamp_us)
             return None
-        return None if self._reference is None else _movement(self._reference, blocks_mm, points_mm)
+        return None if self._reference is None else _movement(self._reference, depth_mm, points_mm)
 
     def _learn(self, blocks_mm: FloatArray, nearest_mm: float, timestamp_us: int) -> None:
         if self._began_us is None or timestamp_us < self._began_us:
@@ -98,28 +97,22 @@ class StaticScene:
             return
         depth_mm = mean_mm[is_picked]
         self._reference = _Reference(
-            is_picked=is_picked,
+            is_picked=np.ascontiguousarray(is_picked.reshape(self._shape)),
             depth_mm=depth_mm,
             terms=_terms(self._rays[is_picked] * depth_mm[:, None]),
             weights=1.0 / depth_mm**4,
         )
 
 
-def _movement(reference: _Reference, blocks_mm: FloatArray, points_mm: FloatArray) -> FloatArray | None:
+def _movement(reference: _Reference, depth_mm: DepthImage, points_mm: FloatArray) -> FloatArray | None:
     """Fit a plane to the blocks' change robustly; return it at the points [mm]."""
-    plane = _plane(reference, blocks_mm)
-    if plane is None:
-        return None
-    middle, across, along = plane.tolist()
-    return np.array([middle + across * x / 1000.0 + along * y / 1000.0 for x, y, _ in points_mm.tolist()])
-
-
-def _plane(reference: _Reference, blocks_mm: FloatArray) -> FloatArray | None:
     compiled = kernels()
     if compiled is not None:
-        plane = np.empty(3)
-        is_fitted = compiled.scene_plane(
-            blocks_mm,
+        moved_mm = np.empty(len(points_mm))
+        is_fitted = compiled.scene_movement(
+            np.ascontiguousarray(depth_mm),
+            BLOCK_PX,
+            SAMPLE_PX,
             reference.is_picked,
             reference.depth_mm,
             reference.terms,
@@ -127,16 +120,21 @@ def _plane(reference: _Reference, blocks_mm: FloatArray) -> FloatArray | None:
             INLIER_MM,
             LEAST_INLIERS,
             ROUNDS,
-            plane,
+            np.ascontiguousarray(points_mm, dtype=np.float64),
+            moved_mm,
         )
         if is_fitted is not None:
-            return plane if is_fitted else None
-    return _fit_plane(reference, blocks_mm)
+            return moved_mm if is_fitted else None
+    plane = _fit_plane(reference, _blocks_mm(depth_mm))
+    if plane is None:
+        return None
+    middle, across, along = plane.tolist()
+    return np.array([middle + across * x / 1000.0 + along * y / 1000.0 for x, y, _ in points_mm.tolist()])
 
 
 def _fit_plane(reference: _Reference, blocks_mm: FloatArray) -> FloatArray | None:
     """Fit with numpy."""
-    change = blocks_mm[reference.is_picked] - reference.depth_mm
+    change = blocks_mm[reference.is_picked.ravel()] - reference.depth_mm
     is_inlier = np.abs(change) <= INLIER_MM  # NaN is none
     plane: FloatArray = np.zeros(3)
     for _ in range(ROUNDS):

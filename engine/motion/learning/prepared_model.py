@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from engine.core.compiled import kernels
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, frozen
 from engine.core.motion_model import MotionModel
 from engine.motion.learning.seen_shares import SeenWeights, prepare_seen_weights
@@ -67,6 +68,24 @@ class PreparedModel:
     def node_depth_mm(self, coefficients: FloatArray) -> FloatArray:
         """Depth at the nodes [mm], shape (nodes,), for coefficients of shape (k + e,)."""
         return np.asarray(self.node_mean_mm + coefficients @ self.node_modes)
+
+    def depths_mm(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the depth at the nodes and of the regions [mm], for coefficients of shape (k + e,)."""
+        compiled, regions = kernels(), self.regions
+        if compiled is None:
+            return self.node_depth_mm(coefficients), regions.depth_mm(coefficients)
+        nodes_mm, regions_mm = np.empty(len(self.node_mean_mm)), np.empty(len(regions.mean_mm))
+        compiled.depths(
+            coefficients,
+            self.node_mean_mm,
+            self.node_modes,
+            regions.mean_mm,
+            regions.modes,
+            regions.is_known,
+            nodes_mm,
+            regions_mm,
+        )
+        return nodes_mm, regions_mm
 
     def reference(self, coefficients: FloatArray, surface: FloatArray, seen_shares: FloatArray) -> Reference:
         """Return the reference at these coefficients.

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from engine.core.frames import NODE_COLUMNS, NODE_ROWS
+from engine.core.compiled import kernels
+from engine.core.frames import NODE_COLUMNS, NODE_ROWS, RoiDepth
 from engine.motion.learning.trainer import TrainingSettings
 from engine.motion.learning.training_set import MAX_GAP_S, TrainingFrame, TrainingSet, Vertices
 
@@ -40,7 +41,7 @@ class StillStretch:
 
     def __init__(self, settings: TrainingSettings, vertices: Vertices) -> None:
         self._settings, self._vertices = settings, vertices
-        self._stretch = TrainingSet(settings, vertices)
+        self._stretch = TrainingSet(settings, vertices, is_watched=False)
         self._longest = self._stretch
         self._place: Place | None = None
         self._last_us: int | None = None
@@ -55,7 +56,7 @@ class StillStretch:
         has_gap = self._last_us is not None and not 0.0 < (frame.timestamp_us - self._last_us) / 1e6 <= MAX_GAP_S
         if self._place is None or has_gap or not place.is_near(self._place):
             self._place = place
-            self._stretch = TrainingSet(self._settings, self._vertices)
+            self._stretch = TrainingSet(self._settings, self._vertices, is_watched=False)
         self._last_us = frame.timestamp_us
         self._stretch.add(frame)
         if self._stretch.seconds >= self._longest.seconds:
@@ -74,9 +75,19 @@ class StillStretch:
 
 def place_of(frame: TrainingFrame, vertices: Vertices) -> Place:
     """Return where the region lies, by its nodes at its mean depth: holes and breathing do not move it."""
-    roi = frame.roi
-    depth_mm = float(roi.depth_mm[roi.valid].mean()) if roi.valid.any() else 0.0
-    points = vertices(frame.nodes_px, np.full(len(frame.nodes_px), depth_mm)).reshape(NODE_ROWS, NODE_COLUMNS, 3)
-    x_mm, y_mm = points[..., :2].mean(axis=(0, 1)).tolist()
-    right_mm, down_mm = (points[-1, :, :2].mean(axis=0) - points[0, :, :2].mean(axis=0)).tolist()
+    depth_mm = mean_depth_mm(frame.roi)
+    points = vertices(frame.nodes_px, np.full(len(frame.nodes_px), 0.0 if math.isnan(depth_mm) else depth_mm)).reshape(
+        NODE_ROWS, NODE_COLUMNS, 3
+    )
+    x_mm, y_mm = (np.add.reduce(points[..., :2], axis=(0, 1)) / (NODE_ROWS * NODE_COLUMNS)).tolist()
+    right_mm, down_mm = (np.add.reduce(points[-1, :, :2] - points[0, :, :2]) / NODE_COLUMNS).tolist()
     return Place(x_mm, y_mm, math.degrees(math.atan2(down_mm, right_mm)))
+
+
+def mean_depth_mm(roi: RoiDepth) -> float:
+    """Return the mean depth of what was seen [mm]; NaN where nothing was."""
+    compiled = kernels()
+    if compiled is not None:
+        mean_mm: float = compiled.mean_depth(np.ascontiguousarray(roi.depth_mm), np.ascontiguousarray(roi.valid))
+        return mean_mm
+    return float(roi.depth_mm[roi.valid].mean(dtype=np.float64)) if roi.valid.any() else math.nan

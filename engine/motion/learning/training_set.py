@@ -5,6 +5,7 @@ Owned by the engine thread, so adding a frame is fast; checks and fit run in the
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -69,12 +70,21 @@ class Signals:
         return np.asarray(self.motion_mm[:, int(np.argmax(depths))])
 
 
-class TrainingSet:
-    """Collects frames until the set is complete."""
+class _Judged(NamedTuple):
+    """Complete breathing cycles of the first ``frames`` frames, and the breathing's amplitude."""
 
-    def __init__(self, settings: TrainingSettings, vertices: Vertices) -> None:
+    frames: int = 0
+    cycles: int = 0
+    amplitude_mm: float | None = None
+
+
+class TrainingSet:
+    """Collects frames until the set is complete; the shift of one that is not watched is not followed."""
+
+    def __init__(self, settings: TrainingSettings, vertices: Vertices, *, is_watched: bool = True) -> None:
         self._settings = settings
         self._vertices = vertices
+        self._is_watched = is_watched
         self._begin()
 
     def _begin(self) -> None:
@@ -83,10 +93,9 @@ class TrainingSet:
         self._stride = 1
         self._seconds: list[float] = []
         self._motion_mm: list[tuple[float, float, float]] = []
-        self._centers_mm: list[FloatArray] = []
         self._first: RoiDepth | None = None
-        self._cycles = 0
-        self._amplitude_mm: float | None = None
+        self._centers_mm: list[FloatArray] = []
+        self._judged = _Judged()
 
     def snapshot(self) -> "TrainingSet":
         """Return the set as it is now, for another thread; frames added later are not in it."""
@@ -111,14 +120,21 @@ class TrainingSet:
         if len(self._frames) > self._settings.max_frames:
             self._frames, self._kept = self._frames[::2], self._kept[::2]
             self._stride *= 2
-        if number % PROGRESS_EVERY_FRAMES == PROGRESS_EVERY_FRAMES - 1:
-            self._update_progress(frame)
+        if self._is_watched and number % PROGRESS_EVERY_FRAMES == PROGRESS_EVERY_FRAMES - 1:
+            self._add_center(frame)
 
-    def _update_progress(self, frame: TrainingFrame) -> None:
-        signals, seconds = np.array(self._motion_mm).T, np.array(self._seconds)
-        excursions_mm = [excursion_mm(signal, seconds) for signal in signals]
-        self._amplitude_mm = max(excursions_mm)
-        self._cycles = count_cycles(signals[int(np.argmax(excursions_mm))], seconds)
+    def _judge(self) -> "_Judged":
+        """Judge the breathing of every tenth frame so far, once; a stretch that is only kept is judged by its fit."""
+        count = len(self._seconds) - len(self._seconds) % PROGRESS_EVERY_FRAMES
+        if count != self._judged.frames:
+            signals, seconds = np.array(self._motion_mm[:count]).T, np.array(self._seconds[:count])
+            excursions_mm = [excursion_mm(signal, seconds) for signal in signals]
+            cycles = count_cycles(signals[int(np.argmax(excursions_mm))], seconds)
+            self._judged = _Judged(count, cycles, max(excursions_mm))
+        return self._judged
+
+    def _add_center(self, frame: TrainingFrame) -> None:
+        """Add the region's centre [mm], if enough of it is seen."""
         surface = frame.surface(self._vertices)
         seen: BoolArray = np.isfinite(surface[:, 2])
         if seen.mean() >= MIN_SEEN_SHARE:
@@ -144,7 +160,7 @@ class TrainingSet:
     @property
     def cycles(self) -> int:
         """Complete breathing cycles so far."""
-        return self._cycles
+        return self._judge().cycles
 
     @property
     def is_complete(self) -> bool:
@@ -154,28 +170,30 @@ class TrainingSet:
             return False
         if self.seconds >= settings.max_seconds:
             return True
-        return self._cycles >= settings.min_cycles and self.seconds >= settings.min_seconds
+        return self.seconds >= settings.min_seconds and self.cycles >= settings.min_cycles
 
     @property
     def progress(self) -> TrainingProgress:
         """Progress of the collection."""
-        settings = self._settings
+        settings, judged = self._settings, self._judge()
         share = min(
             len(self._frames) / settings.min_frames,
             self.seconds / settings.min_seconds if settings.min_seconds else 1.0,
-            self._cycles / settings.min_cycles if settings.min_cycles else 1.0,
+            judged.cycles / settings.min_cycles if settings.min_cycles else 1.0,
             1.0,
         )
         note = ""
         if share < 1.0 and self.seconds >= 0.5 * settings.max_seconds:
-            note = f"{self._cycles} complete breathing cycles in {self.seconds:.0f} s: {settings.min_cycles} are needed"
+            note = (
+                f"{judged.cycles} complete breathing cycles in {self.seconds:.0f} s: {settings.min_cycles} are needed"
+            )
         return TrainingProgress(
             frames=len(self._frames),
-            cycles=self._cycles,
+            cycles=judged.cycles,
             seconds=self.seconds,
             share=share,
             note=note,
-            amplitude_mm=self._amplitude_mm,
+            amplitude_mm=judged.amplitude_mm,
             shift_mm=self._shift_mm(),
         )
 
@@ -213,6 +231,6 @@ def _coarse_motion_mm(roi: RoiDepth, first: RoiDepth) -> tuple[float, float, flo
     half = len(motion) // 2
 
     def mean(rows: slice) -> float:
-        return float(motion[rows].sum() / max(int(both[rows].sum()), 1))
+        return float(motion[rows].sum() / max(int(np.count_nonzero(both[rows])), 1))
 
     return mean(slice(None)), mean(slice(half)), mean(slice(half, None))

@@ -183,7 +183,7 @@ def layout_change(centers_px: FloatArray, reference_px: FloatArray) -> float:
     """Return the largest relative change of the six distances between markers from a reference layout."""
     pairs = itertools.combinations(zip(centers_px.tolist(), reference_px.tolist(), strict=True), 2)
     return max(
-        abs(math.dist(now, other_now) / math.dist(then, other) - 1.0) for (now, then), (other_now, other) in pairs
+        [abs(math.dist(now, other_now) / math.dist(then, other) - 1.0) for (now, then), (other_now, other) in pairs]
     )
 
 
@@ -357,7 +357,7 @@ def _validate(moments: list[float], search: MarkerSearch) -> _Blob | None:
     """
     total, _, _, xx, xy, yy, x, y = moments
     mean, half_spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
-    minor, major = (4.0 * math.sqrt(max(variance, 1e-9)) for variance in (mean - half_spread, mean + half_spread))
+    minor, major = 4.0 * math.sqrt(max(mean - half_spread, 1e-9)), 4.0 * math.sqrt(max(mean + half_spread, 1e-9))
     # A sticker on a slope is foreshortened across it and keeps its diameter along it.
     ratio = major / search.diameter_px
     fill = total / (0.25 * math.pi * minor * major)  # 1 for a filled ellipse, less for a ring or a ragged patch

@@ -9,9 +9,11 @@ The functions are pure: state goes in and comes out. Frames are averaged over bi
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
+from engine.core.compiled import kernels
 from engine.core.frames import FloatArray, PhaseLag, frozen
 from engine.core.replacing import replace
 
@@ -26,6 +28,8 @@ MIN_EXCURSION_MM = 0.8
 MIN_REGULARITY = 0.5
 MIN_CONFIDENCE = 0.7
 FIRST_PEAK_SHARE = 0.85  # the correlation at two cycles is as high as at one
+LEAST_VARIANCE = 1e-12
+"""Product of two signals' sums of squares below which they have no correlation."""
 EVERY_BINS = 4
 MIN_PAIRS = 3
 """One pair is evaluated every fourth bin: with three pairs each about once a second, and never two in one frame."""
@@ -94,7 +98,7 @@ def follow_lags(state: LagState, seconds: float, signals_mm: FloatArray) -> LagS
 def _close_bin(state: LagState) -> LagState:
     mean_s = state.open_seconds / state.open_frames
     first = int(np.searchsorted(state.seconds, mean_s - WINDOW_S))
-    seconds = np.append(state.seconds[first:], mean_s)
+    seconds = np.concatenate([state.seconds[first:], (mean_s,)])
     signals_mm = np.concatenate([state.signals_mm[first:], np.array(state.open_signals_mm)[None] / state.open_frames])
     lags = list(state.lags)
     round_bins = EVERY_BINS * max(len(state.pairs), MIN_PAIRS)
@@ -157,15 +161,27 @@ def _excursion_mm(signal_mm: FloatArray) -> float:
 
 def _evenly(seconds: FloatArray, signal_mm: FloatArray) -> FloatArray:
     """Resample at steps of `BIN_S` back from the newest sample, and subtract the mean."""
-    count = int((seconds[-1] - seconds[0]) / BIN_S) + 1
-    even = np.interp(seconds[-1] - BIN_S * np.arange(count - 1, -1, -1), seconds, signal_mm)
+    even = np.interp(seconds[-1] - _steps_back_s(int((seconds[-1] - seconds[0]) / BIN_S) + 1), seconds, signal_mm)
     return np.asarray(even - even.mean())
+
+
+@lru_cache(maxsize=4)
+def _steps_back_s(count: int) -> FloatArray:
+    """Return the steps back from the newest of so many samples [s]."""
+    return frozen(BIN_S * np.arange(count - 1, -1, -1))
 
 
 def _without_line(signal: FloatArray) -> FloatArray:
     """Subtract the best-fitting slope from a signal of mean zero."""
-    place = np.linspace(-1.0, 1.0, len(signal))
-    return np.asarray(signal - place * (place @ signal) / (place @ place))
+    place, square = _line(len(signal))
+    return np.asarray(signal - place * (place @ signal) / square)
+
+
+@lru_cache(maxsize=4)
+def _line(size: int) -> tuple[FloatArray, float]:
+    """Return a slope over so many samples, from -1 to 1, and its square."""
+    place = np.linspace(-1.0, 1.0, size)
+    return frozen(place), float(place @ place)
 
 
 def _without_drift(signal: FloatArray, period: float) -> FloatArray:
@@ -213,13 +229,24 @@ def _summit(around: FloatArray) -> float:
 
 def _correlations(a: FloatArray, b: FloatArray) -> FloatArray:
     """Pearson's correlation of ``a`` shifted by -(n - 1) to n - 1 with ``b``, over the overlap, shape (2n - 1,)."""
+    compiled = kernels()
+    if compiled is None:
+        return _correlate(a, b)
+    correlations = np.empty(2 * len(a) - 1)
+    compiled.shift_correlations(np.ascontiguousarray(a), np.ascontiguousarray(b), LEAST_VARIANCE, correlations)
+    return correlations
+
+
+def _correlate(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Correlate with numpy."""
     size = len(a)
     overlap = np.concatenate([np.arange(1, size + 1), np.arange(size - 1, 0, -1)])
     sum_a, sum_aa = _overlap_sums(a)
     sum_b, sum_bb = (sums[::-1] for sums in _overlap_sums(b))
     covariance = np.correlate(a, b, "full") - sum_a * sum_b / overlap
     variances = (sum_aa - sum_a**2 / overlap) * (sum_bb - sum_b**2 / overlap)
-    return np.asarray(np.where(variances > 1e-12, covariance / np.sqrt(np.maximum(variances, 1e-12)), 0.0))
+    is_known = variances > LEAST_VARIANCE
+    return np.asarray(np.where(is_known, covariance / np.sqrt(np.maximum(variances, LEAST_VARIANCE)), 0.0))
 
 
 def _overlap_sums(values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -88,12 +88,12 @@ class MarkerLayout:
         else:
             is_followed = not self._is_doubted and timestamp_us - self._seen_us <= MAX_HIDDEN_US
             low_mm, high_mm = (self._last_mm, self._last_mm) if is_followed else (self._lowest_mm, self._highest_mm)
-            beyond_mm = tuple(
+            beyond_mm = [
                 max(low - now, now - high, 0.0) for low, now, high in zip(low_mm, now_mm, high_mm, strict=True)
-            )
+            ]
             if not all(beyond <= MARGIN_MM for beyond in beyond_mm):  # also for NaN
                 self._is_doubted = True
-                return Lost(reason=LostReason.LAYOUT_CHANGED, detail=_described(beyond_mm))
+                return Lost(reason=LostReason.LAYOUT_CHANGED, detail=_described(tuple(beyond_mm)))
             self._lowest_mm = tuple(map(min, self._lowest_mm, now_mm))
             self._highest_mm = tuple(map(max, self._highest_mm, now_mm))
         self._last_mm, self._seen_us, self._is_doubted = now_mm, timestamp_us, False
@@ -103,7 +103,7 @@ class MarkerLayout:
 def distances_mm(points_mm: FloatArray) -> Distances:
     """Return the six distances between four points, shape (4, 3) [mm], in the order of `PAIRS`."""
     places = points_mm.tolist()
-    return tuple(math.dist(places[one], places[other]) for one, other in PAIRS)
+    return tuple([math.dist(places[one], places[other]) for one, other in PAIRS])
 
 
 def _described(beyond_mm: Distances) -> str:

@@ -164,7 +164,7 @@ class RegionTracker:
     def _distance_mm(self, frame: RgbdFrame) -> float | None:
         """Distance of the chest: as last measured, otherwise that of the picture's middle [mm]."""
         if self._node_depth_mm is not None:
-            return float(self._node_depth_mm.mean())
+            return float(np.add.reduce(self._node_depth_mm)) / len(self._node_depth_mm)  # their mean, sooner
         return _middle_distance_mm(frame)
 
 

@@ -11,10 +11,12 @@ A cough is also fast, and bends the body as no breath does. Some surfaces during
 may also return to the last surface before which a whole second was accepted.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from engine.core.compiled import kernels
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray
 from engine.core.least_squares import least_squares
 
@@ -90,10 +92,10 @@ class SurfaceContinuity:
         self, observed: ObservedSurface, last: ObservedSurface, shapes: FloatArray, allowed_mm: float
     ) -> float | None:
         """Return the misfit to the last surface and to the last calm one [mm]; None if the surface fits one of them."""
-        change: FloatArray = observed.depth_mm - last.depth_mm
         hidden_us = max(observed.timestamp_us - last.timestamp_us - FRAME_US, 0)
         if not self._is_broken and hidden_us <= MAX_HIDDEN_US:
-            return _beyond_mm(change, allowed_mm + MAX_SPEED_MM_S * hidden_us / 1e6)
+            return _beyond_mm(observed.depth_mm, last.depth_mm, allowed_mm + MAX_SPEED_MM_S * hidden_us / 1e6)
+        change: FloatArray = observed.depth_mm - last.depth_mm
         misfit_mm = _beyond_breathing_mm(change, shapes, allowed_mm)
         if misfit_mm is None or self._calm is None or _has_moved(observed, self._calm):
             return misfit_mm
@@ -110,11 +112,24 @@ class SurfaceContinuity:
 
 def _has_moved(observed: ObservedSurface, before: ObservedSurface) -> bool:
     """Whether a marker has moved by more than `MOVED_PX`; also True for NaN."""
-    return not np.abs(observed.markers_px - before.markers_px).max() <= MOVED_PX
+    return not _largest_difference(observed.markers_px, before.markers_px) <= MOVED_PX
 
 
-def _beyond_mm(change_mm: FloatArray, allowed_mm: float) -> float | None:
+def _largest_difference(one: FloatArray, other: FloatArray) -> float:
+    """Return the largest difference of two arrays' values; NaN where one of them is no finite number."""
+    compiled = kernels()
+    if compiled is not None:
+        difference: float = compiled.largest_difference(one, other)
+        return difference
+    largest = float(np.abs(one - other).max())
+    return largest if math.isfinite(largest) else math.nan
+
+
+def _beyond_mm(now_mm: FloatArray, before_mm: FloatArray, allowed_mm: float) -> float | None:
     """Return the largest change [mm] if it is too large for skin; None if it is not, or if the whole patient moved."""
+    if _largest_difference(now_mm, before_mm) <= allowed_mm:
+        return None
+    change_mm = now_mm - before_mm
     return _beyond_breathing_mm(change_mm, np.empty((0, len(change_mm))), allowed_mm)
 
 

@@ -169,7 +169,7 @@ def _projection(args: tuple[Any, ...], found: object) -> int:
 
 def _motion(args: tuple[Any, ...], motion: object) -> int:
     """Count the arrays that are linear in the coefficients, the rays, and the motion."""
-    _, active, (outcome, _), rays = args[:4]
+    _, active, (outcome, *_), rays = args[:4]
     read = (active.regions.mean_mm, active.regions.modes, active.regions.is_known, active.node_mean_mm)
     return array_bytes((*read, active.node_modes, outcome.coefficients, rays)) + array_bytes(motion)
 

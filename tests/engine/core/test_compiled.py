@@ -85,11 +85,21 @@ CALLS = {
         *(np.ones((4, 3), bool), np.ones((2, 4), F32), np.ones((3, 2), F32), np.ones((5, 12), F32), 1e4),
         np.zeros(9, F32),
     ],
-    "changed_cells": [np.zeros((12, 2), F32), np.ones((12, 2), F32), 4, 2, 0.03],
-    "scene_plane": [
-        *(np.ones(6), np.array([True] * 5 + [False]), np.ones(5), np.ones((5, 3)), np.ones(5), 15.0, 0.5, 3),
-        np.zeros(3),
+    "changed_cells": [np.zeros((12, 2), F32), np.ones((12, 2), F32), np.zeros((12, 2), F32), 4, 2, 0.03],
+    "scene_movement": [
+        *(np.ones((32, 48), np.uint16), 16, 4, np.array([[True] * 3, [True, True, False]]), np.ones(5)),
+        *(np.ones((5, 3)), np.ones(5), 15.0, 0.5, 3, np.ones((4, 3)), np.zeros(4)),
     ],
+    "mean_cells": [[np.ones(6), np.ones(6)], np.zeros(6)],
+    "largest_mean": [[np.ones(4), np.ones(4)]],
+    "marker_places": [np.ones(7), 90.0, np.ones((4, 3)), np.eye(3), np.zeros(3), np.zeros((4, 3)), np.zeros((4, 3))],
+    "mean_depth": [np.ones((9, 8), F32), np.ones((9, 8), bool)],
+    "depths": [
+        *(np.ones(3), np.ones(7), np.ones((3, 7)), np.ones(5), np.ones((5, 3)), np.ones(5, bool)),
+        *(np.zeros(7), np.zeros(5)),
+    ],
+    "largest_difference": [np.ones((4, 2)), np.zeros((4, 2))],
+    "shift_correlations": [np.arange(5.0), np.arange(5.0), 1e-12, np.zeros(9)],
     "sample_chroma": [np.zeros((40, 60, 3), np.uint8), np.eye(3), 4, 16, 45.0, np.zeros((8, 2), F32)],
     "refine_markers": [
         *(np.zeros((40, 60, 3), np.uint8), np.full((2, 2), 20.0), 3, np.arange(9), np.arange(4), np.ones((49, 6), F32)),
@@ -108,7 +118,10 @@ ARRAYS = [(name, at) for name, args in CALLS.items() for at, one in enumerate(ar
 
 def args_of(name):
     """Return arguments that nothing has written to."""
-    return [one.copy() if isinstance(one, np.ndarray) else one for one in CALLS[name]]
+    return [
+        [part.copy() for part in one] if isinstance(one, list) else one.copy() if isinstance(one, np.ndarray) else one
+        for one in CALLS[name]
+    ]
 
 
 def called(name, args):
@@ -150,6 +163,16 @@ def test_an_array_of_another_kind_is_refused(name, at):
             continue  # a projection without a start
         with pytest.raises((ValueError, TypeError, BufferError)):
             called(name, [*args[:at], other, *args[at + 1 :]])
+
+
+@pytest.mark.parametrize("name", ["mean_cells", "largest_mean"])
+def test_a_list_of_other_arrays_is_refused(name):
+    rest = args_of(name)[1:]
+    others = [[], [np.ones(6)] * 65, [np.ones(6), np.ones(5)], [np.ones(6), None], (np.ones(6),), np.ones((2, 6)), None]
+    others += [[np.ones(6), one] for one in misplaced(np.ones(6)) if one is not None]
+    for other in others:
+        with pytest.raises((ValueError, TypeError, BufferError)):
+            called(name, [other, *rest])
 
 
 @pytest.mark.parametrize(("name", "at"), ARRAYS)

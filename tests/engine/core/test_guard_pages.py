@@ -31,6 +31,19 @@ def test_sessions_run_with_every_array_at_the_end_of_a_page():
     assert "1 passed" in done.stdout
 
 
+def test_the_last_pixel_of_a_picture_is_read_alone():
+    """Others are read together with the byte behind them."""
+    code = (
+        "import numpy as np\nfrom engine.core import compiled\nimport tests.support.guard_pages\n"
+        "chroma = np.zeros((8, 2), np.float32)\n"
+        "color = np.full((8, 16, 3), 90, np.uint8)\n"
+        "compiled.kernels().sample_chroma(color, np.eye(3), 4, 16, 45.0, chroma)\n"
+        "assert np.isfinite(chroma).all(), chroma\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_a_function_that_reads_one_item_beyond_ends_its_process():
     done = subprocess.run([sys.executable, "-c", READS_BEYOND], cwd=ROOT, capture_output=True, check=False)
     assert done.returncode < 0, "killed by the fault"

@@ -18,16 +18,21 @@ from engine.core.frames import NODE_COLUMNS, NODE_ROWS, Lost, RoiDepth
 from engine.core.geometry import Intrinsics, RigidTransform
 from engine.motion.cross_check.appearance import CELL_COLUMNS, CELL_ROWS, changed_share, chroma_of
 from engine.motion.cross_check.cell_surface import CELLS, BreathingShapes, cell_means
+from engine.motion.cross_check.cross_check import _largest_mean_mm, _marker_places_mm, _mean
 from engine.motion.cross_check.static_scene import StaticScene
+from engine.motion.learning.prepared_model import prepare_model
 from engine.motion.learning.seen_shares import prepare_seen_weights
+from engine.motion.learning.still_stretch import mean_depth_mm
 from engine.motion.settings import PipelineSettings
 from engine.motion.stages.markers import MarkerSearch, find_markers, track_markers
+from engine.motion.stages.phase_lag import _correlations
 from engine.motion.stages.projection import SAMPLED_SHAPE, STRIDE_PX, prepare_basis, project
 from engine.motion.stages.regions import RegionLayout
 from engine.motion.stages.registration import align
 from engine.motion.stages.roi import cut_out, roi_nodes
 from engine.motion.stages.surface import grid_triangles, node_surface_mm, volume_l
 from engine.motion.tracking.marker_layout import marker_points_mm
+from engine.motion.tracking.surface_continuity import _largest_difference
 from tests.support.motion import small_scene, static_room
 from tests.support.motion.fitting_frames import BREATH, COLUMNS, REST_MM, ROWS, frames, learn
 
@@ -182,6 +187,17 @@ def test_colour_is_the_same(seed, dark_share, is_inside):
     assert np.count_nonzero(is_other.any(axis=1)) <= 2
 
 
+@settings(max_examples=40, deadline=None)
+@given(SEEDS, st.integers(0, 2), st.sampled_from([0, 1, 4]))
+def test_the_colour_of_a_plain_picture_is_the_same(seed, dark, noise):
+    """Nearly all shares are close to the median, by an even or an odd number of pixels."""
+    rng = np.random.default_rng(seed)
+    color = rng.integers(120 - noise, 121 + noise, (192, 256, 3), dtype=np.uint8)
+    color[8, 8 : 8 + 16 * dark] = 3
+    corners_px = np.array([[60.3, 20.2], [180.1, 24.7], [170.6, 160.4], [66.2, 164.9]])
+    assert_same(*both(chroma_of, color, corners_px), 1e-7)
+
+
 @settings(max_examples=100, deadline=None)
 @given(SEEDS, st.floats(0.0, 1.0), st.floats(0.0, 0.3))
 def test_the_changed_share_is_the_same(seed, changed, dark):
@@ -194,8 +210,12 @@ def test_the_changed_share_is_the_same(seed, changed, dark):
         other[max(top, 0) : top + rng.integers(1, 9), max(left, 0) : left + rng.integers(1, 9)] = 1.0
     now[:, rng.integers(2)] = 0.05 * other.ravel()
     before[rng.random(len(before)) < dark] = np.nan
-    found, expected = both(changed_share, before, now)
-    assert found == expected
+    newest = np.zeros((2, *now.shape), dtype=np.float32)
+    now[rng.random(len(now)) < dark] = np.nan
+    found = changed_share(before, now, newest[0])
+    with compiled.numpy_forms():
+        assert found == changed_share(before, now, newest[1])
+    assert np.array_equal(newest[0], newest[1])
 
 
 @settings(max_examples=60, deadline=None)
@@ -223,14 +243,79 @@ def test_a_change_of_the_surface_is_taken_apart_alike(seed, hole_share, kind):
 
 
 @settings(max_examples=40, deadline=None)
-@given(SEEDS, st.integers(1, 140), st.booleans())
-def test_rays_are_the_same(seed, pixels, is_distorted):
+@given(
+    SEEDS,
+    st.integers(1, 140),
+    st.sampled_from([(0.0,) * 5, (-0.08, 0.11, 0.001, -0.0007, 0.2), (-0.9, 0.0, 0.0, 0.0, 0.0)]),
+)
+def test_rays_are_the_same(seed, pixels, lens):
+    """The last lens' model ends within the picture."""
     rng = np.random.default_rng(seed)
-    lens = (-0.08, 0.11, 0.001, -0.0007, 0.2) if is_distorted else (0.0,) * 5
     camera = Intrinsics(width=640, height=480, fx=572.0, fy=573.0, cx=318.0, cy=241.0, distortion=lens)
     found, expected = both(camera.rays, rng.uniform(-300.0, 900.0, (pixels, 2)))
     assert found.shape == expected.shape
     assert found == pytest.approx(expected, rel=0.0, abs=1e-12)
+
+
+@settings(max_examples=60, deadline=None)
+@given(SEEDS, st.integers(1, 64), st.sampled_from([0.0, 0.2, 0.9, 1.0]))
+def test_means_over_frames_are_the_same(seed, count, hole_share):
+    rng = np.random.default_rng(seed)
+    frames_mm = list(rng.normal(900.0, 20.0, (count, CELLS)))
+    changes_mm = list(rng.normal(0.0, 2.0, (count, 4)))
+    for one in (*frames_mm, *changes_mm):
+        one[rng.random(len(one)) < hole_share] = rng.choice([np.nan, np.inf])
+    with np.errstate(invalid="ignore"):
+        assert_same(*both(_mean, frames_mm), 1e-9)
+    assert_same(*both(_largest_mean_mm, changes_mm), 1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(SEEDS, st.sampled_from([0.0, 0.2, 0.98, 1.0]), st.sampled_from([1, 80, 4096]))
+def test_markers_are_in_the_same_places(seed, hole_share, cells):
+    rng = np.random.default_rng(seed)
+    cells_mm, rays = rng.normal(900.0, 20.0, cells), rng.normal(0.0, 0.3, (4, 3))
+    cells_mm[rng.random(cells) < hole_share] = rng.choice([np.nan, np.inf, -np.inf])
+    rays[rng.integers(4)] *= rng.choice([1.0, 1.0, np.nan])
+    turned = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    other = RigidTransform(rotation=turned, translation_mm=rng.normal(0.0, 30.0, 3))
+    found, expected = both(_marker_places_mm, cells_mm, rays, other)
+    assert_same(found[0], expected[0], 1e-9)
+    assert_same(found[1], expected[1], 1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(SEEDS, st.sampled_from([(135,), (4, 2), (1,)]), st.sampled_from([0.0, np.nan, np.inf]))
+def test_the_largest_difference_is_the_same(seed, shape, bad):
+    one, other = np.random.default_rng(seed).normal(900.0, 3.0, (2, *shape))
+    if bad:
+        one.flat[seed % one.size] = bad
+    found, expected = both(_largest_difference, one, other)
+    assert np.array_equal(found, expected, equal_nan=True)
+    assert np.isnan(found) == bool(bad)
+
+
+@settings(max_examples=40, deadline=None)
+@given(SEEDS, st.integers(1, 260), st.sampled_from(["breath", "flat", "nan"]))
+def test_two_signals_correlate_alike(seed, size, kind):
+    rng = np.random.default_rng(seed)
+    one, other = np.sin(0.2 * np.arange(size) + rng.normal(0.0, 1.0, (2, 1))) + rng.normal(0.0, 0.1, (2, size))
+    if kind == "flat":
+        one[: size // 2 + 1] = 3.0
+    elif kind == "nan":
+        one[rng.integers(size)] = np.nan
+    with np.errstate(invalid="ignore"):
+        found, expected = both(_correlations, one, other)
+    if kind != "nan":  # of signals that were not measured nothing is computed
+        assert_same(found, expected, 1e-6)
+
+
+@settings(max_examples=25, deadline=None)
+@given(SEEDS, st.sampled_from([0.0, 0.5, 1.0]), st.sampled_from([2, 4]))
+def test_the_mean_depth_is_the_same(seed, hole_share, stride_px):
+    rng = np.random.default_rng(seed)
+    roi = roi_of(rng, hole_share, (-(-350 // stride_px), -(-200 // stride_px)), stride_px)
+    assert_same(*both(mean_depth_mm, roi), 1e-9)
 
 
 def test_a_black_picture_has_no_colour_in_either_form():
@@ -289,6 +374,19 @@ def assert_markers_alike(found, expected):
         assert found.centers_px == pytest.approx(expected.centers_px, rel=0.0, abs=1e-5)
 
 
+@settings(max_examples=25, deadline=None)
+@given(SEEDS, st.sampled_from([1, 3]), st.sampled_from([0.0, 1.0]))
+def test_coefficients_stand_for_the_same_depth(seed, components, known_share):
+    rng = np.random.default_rng(seed)
+    layout = RegionLayout(cell_px=50, points=((3, 4), (349, 199)), split=(150.0, 190.0))
+    model = learn(*frames(1.0), components=components)
+    known = model.known & (rng.random(model.known.shape[0]) < known_share)[:, None] if seed % 2 else model.known
+    active = prepare_model(replace(model, known=known), layout)
+    found, expected = both(active.depths_mm, rng.normal(0.0, 300.0, len(active.node_modes)))
+    assert_same(found[0], expected[0], 1e-9)
+    assert_same(found[1], expected[1], 1e-9)
+
+
 @cache
 def basis_of(components):
     return prepare_basis(learn(*frames(1.0), components=components))
@@ -333,6 +431,20 @@ def test_a_frame_is_explained_alike(components, seed, amplitude_mm, hole_share, 
         difference_mm = (found.coefficients - expected.coefficients) @ basis.points.T.astype(np.float64)
         assert abs(float(difference_mm.mean())) < allowed_mm
         assert np.abs(difference_mm).max() < 10.0 * allowed_mm  # at the worst of 4400 points
+
+
+@settings(max_examples=15, deadline=None)
+@given(SEEDS, st.sampled_from([0.05, 0.4]))
+def test_a_frame_is_explained_alike_where_the_model_is_not_known(seed, unknown_share):
+    rng, model = np.random.default_rng(seed), learn(*frames(1.0), components=3)
+    basis = prepare_basis(replace(model, known=model.known & (rng.random(model.known.shape) >= unknown_share)))
+    surface = (REST_MM - 8.0 * BREATH)[THIN] + rng.normal(0.0, 1.0, SAMPLED_SHAPE)
+    valid = rng.random(SAMPLED_SHAPE) >= 0.1
+    roi = RoiDepth(depth_mm=np.where(valid, surface, 0.0).astype(np.float32), valid=valid, stride_px=STRIDE_PX)
+    found, expected = both(project, basis, roi, None)
+    assert found.valid_share == expected.valid_share
+    assert np.array_equal(found.is_seen, expected.is_seen)
+    assert found.coefficients == pytest.approx(expected.coefficients, abs=0.05)
 
 
 @pytest.mark.parametrize("thick_mm", [4.5, 6.5, 9.0, 20.0])

@@ -23,7 +23,11 @@ BEFORE = chroma_of(picture(), MARKERS_PX)
 
 
 def share(color, markers_px=MARKERS_PX):
-    return changed_share(BEFORE, chroma_of(color, markers_px))
+    return changed(BEFORE, chroma_of(color, markers_px))
+
+
+def changed(before, now):
+    return changed_share(before, now, before.copy())
 
 
 def test_a_sheet_changes_its_share_of_the_region():
@@ -41,7 +45,7 @@ def test_the_lines_of_positioning_lasers_that_wander_are_no_object():
     for color, row, column in ((before, 200, 300), (after, 212, 320)):
         color[row : row + 5, :] = (250, 60, 50)
         color[:, column : column + 5] = (250, 60, 50)
-    assert changed_share(chroma_of(before, MARKERS_PX), chroma_of(after, MARKERS_PX)) < 0.03
+    assert changed(chroma_of(before, MARKERS_PX), chroma_of(after, MARKERS_PX)) < 0.03
 
 
 def test_a_patient_who_moves_takes_the_region_along():
@@ -51,5 +55,13 @@ def test_a_patient_who_moves_takes_the_region_along():
 
 def test_what_is_too_dark_has_no_colour():
     dark = np.zeros((480, 640, 3), dtype=np.uint8)
-    assert changed_share(chroma_of(dark, MARKERS_PX), BEFORE) == 0.0
-    assert changed_share(BEFORE, chroma_of(dark, MARKERS_PX)) == 0.0
+    assert changed(chroma_of(dark, MARKERS_PX), BEFORE) == 0.0
+    assert changed(BEFORE, chroma_of(dark, MARKERS_PX)) == 0.0
+
+
+def test_what_is_dark_now_keeps_the_colour_that_it_had_last():
+    newest, sheet = BEFORE.copy(), chroma_of(picture(sheet=slice(240, 400), seed=2), MARKERS_PX)
+    covered = changed_share(BEFORE, sheet, newest)
+    assert covered == pytest.approx(0.5, abs=0.08)
+    assert changed_share(BEFORE, np.full_like(sheet, np.nan), newest) == covered
+    assert changed_share(BEFORE, BEFORE, newest) == 0.0

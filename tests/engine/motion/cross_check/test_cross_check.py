@@ -16,6 +16,7 @@ from tests.support.motion.small_scene import CALIBRATION
 from tests.support.motion.static_room import CAMERA, FRAMES, STEP_US, scene_mm
 
 MARKERS = Markers(centers_px=np.array([[240.0, 110.0], [400.0, 110.0], [400.0, 380.0], [240.0, 380.0]]))
+MARKER_RAYS = CAMERA.rays(MARKERS.centers_px)
 ROWS, COLUMNS = np.mgrid[0:88, 0:50]
 CHEST, BELLY = np.exp(-(((ROWS - 20) / 30.0) ** 2)), np.exp(-(((ROWS - 65) / 25.0) ** 2))
 REST_MM = 850.0 + 0.01 * (COLUMNS - 25.0) ** 2
@@ -78,7 +79,7 @@ class Session:
             depth_mm=room_mm(self.camera_mm, self.index % 4) * np.uint16(self.has_room),
             color=picture(self.color),
         )
-        self.check.observe(frame, MARKERS, roi)
+        self.check.observe(frame, MARKERS, MARKER_RAYS, roi)
         self.index += 1
 
     def run(self, frames, *, is_reference_due=False):

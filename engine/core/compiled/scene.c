@@ -1,0 +1,187 @@
+/* The scene beside the patient: depth in blocks, and a plane through their change. */
+#include "arguments.h"
+
+#include <math.h>
+#include <string.h>
+
+typedef struct {
+    const uint16_t *depth;
+    Py_ssize_t columns, block, step;
+} Picture;
+
+/* Mean of a block's sampled readings; NaN where one is missing. */
+static inline double block_mean(const Picture *picture, Py_ssize_t row, Py_ssize_t column)
+{
+    Py_ssize_t block = picture->block, step = picture->step, samples = (block / step) * (block / step);
+    const uint16_t *corner = picture->depth + row * block * picture->columns + column * block;
+    uint32_t sum = 0, holes = 0;
+    for (Py_ssize_t y = step / 2; y < block; y += step)
+        for (Py_ssize_t x = step / 2; x < block; x += step) {
+            uint32_t reading = corner[y * picture->columns + x];
+            sum += reading;
+            holes += reading == 0;
+        }
+    return holes ? (double)NAN : (double)((float)sum / (float)samples);
+}
+
+PyObject *scene_blocks(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 4, "scene_blocks"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *depth = array_of(&arrays, args[0], "depth_mm", 'H', 2);
+    Py_ssize_t block = whole_of(&arrays, args[1], "block_px", 1, 256);
+    Py_ssize_t step = whole_of(&arrays, args[2], "sample_px", 1, 256);
+    Py_buffer *means = output_of(&arrays, args[3], "blocks_mm", 'd', 2);
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    require(&arrays, block % step == 0, "block_px must be a multiple of sample_px");
+    require(&arrays, means->shape[0] == depth->shape[0] / block && means->shape[1] == depth->shape[1] / block,
+            "blocks_mm must be one for each whole block");
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Picture picture = {.depth = depth->buf, .columns = depth->shape[1], .block = block, .step = step};
+    for (Py_ssize_t row = 0; row < means->shape[0]; row++)
+        for (Py_ssize_t column = 0; column < means->shape[1]; column++)
+            ((double *)means->buf)[row * means->shape[1] + column] = block_mean(&picture, row, column);
+    return finish(&arrays, Py_None);
+}
+
+/* Gauss with pivots; 0 where the matrix is singular. */
+static int solve_three(double a[3][4], double *answer)
+{
+    for (int j = 0; j < 3; j++) {
+        int pivot = j;
+        for (int i = j + 1; i < 3; i++)
+            if (fabs(a[i][j]) > fabs(a[pivot][j]))
+                pivot = i;
+        if (!(fabs(a[pivot][j]) > 0.0))
+            return 0;
+        for (int i = 0; i < 4; i++) {
+            double swapped = a[j][i];
+            a[j][i] = a[pivot][i];
+            a[pivot][i] = swapped;
+        }
+        for (int i = j + 1; i < 3; i++) {
+            double factor = a[i][j] / a[j][j];
+            for (int l = j; l < 4; l++)
+                a[i][l] -= factor * a[j][l];
+        }
+    }
+    for (int j = 2; j >= 0; j--) {
+        answer[j] = a[j][3];
+        for (int i = j + 1; i < 3; i++)
+            answer[j] -= a[j][i] * answer[i];
+        answer[j] /= a[j][j];
+    }
+    return 1;
+}
+
+typedef struct {
+    const double *terms, *weights; /* three and one for each of n blocks */
+    double inlier_mm, least_inliers;
+    Py_ssize_t n, rounds;
+} Plane;
+
+enum { FITTED, TOO_FEW, SINGULAR };
+
+/* Fit a plane to the blocks' change, leaving out what is not on it; `misfit` and `sorted` are for n values each. */
+static int fit_plane(const Plane *plane, const double *change, double *misfit, double *sorted, double *answer)
+{
+    double limit_mm = plane->inlier_mm;
+    for (Py_ssize_t i = 0; i < plane->n; i++)
+        misfit[i] = fabs(change[i]);
+    for (Py_ssize_t round = 0; round < plane->rounds; round++) {
+        double a[3][4] = {{0.0}};
+        Py_ssize_t inliers = 0, next = 0;
+        for (Py_ssize_t i = 0; i < plane->n; i++) {
+            if (!(misfit[i] <= limit_mm))
+                continue; /* NaN is none */
+            const double *term = plane->terms + 3 * i;
+            for (int j = 0; j < 3; j++) {
+                for (int l = 0; l < 3; l++)
+                    a[j][l] += term[j] * plane->weights[i] * term[l];
+                a[j][3] += term[j] * plane->weights[i] * change[i];
+            }
+            inliers++;
+        }
+        if ((double)inliers < plane->least_inliers * (double)plane->n)
+            return TOO_FEW;
+        if (inliers == 0 || !solve_three(a, answer))
+            return SINGULAR;
+        for (Py_ssize_t i = 0; i < plane->n; i++) {
+            const double *term = plane->terms + 3 * i;
+            int was_inlier = misfit[i] <= limit_mm;
+            misfit[i] = fabs(change[i] - (term[0] * answer[0] + term[1] * answer[1] + term[2] * answer[2]));
+            if (was_inlier && misfit[i] == misfit[i])
+                sorted[next++] = misfit[i];
+        }
+        if (next == 0)
+            return SINGULAR;
+        double limit = 3.0 * 1.5 * median_of(sorted, next) + 0.5;
+        limit_mm = limit < plane->inlier_mm ? limit : plane->inlier_mm;
+    }
+    return FITTED;
+}
+
+/* How the picked blocks have moved, as a plane, at some points [mm]. Only these blocks are read. False with too few of
+ * them, None where the numpy form has to judge. */
+PyObject *scene_movement(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (!counted(count, 12, "scene_movement"))
+        return NULL;
+    Arrays arrays = {0};
+    Py_buffer *depth = array_of(&arrays, args[0], "depth_mm", 'H', 2);
+    Py_ssize_t block = whole_of(&arrays, args[1], "block_px", 1, 256);
+    Py_ssize_t step = whole_of(&arrays, args[2], "sample_px", 1, 256);
+    Py_buffer *is_picked = array_of(&arrays, args[3], "is_picked", '?', 2);
+    Py_buffer *before = array_of(&arrays, args[4], "picked_mm", 'd', 1);
+    Py_buffer *terms = array_of(&arrays, args[5], "terms", 'd', 2);
+    Py_buffer *weights = array_of(&arrays, args[6], "weights", 'd', 1);
+    double inlier_mm = number_of(&arrays, args[7], "inlier_mm");
+    double least_inliers = number_of(&arrays, args[8], "least_inliers");
+    Py_ssize_t rounds = whole_of(&arrays, args[9], "rounds", 1, 1000);
+    Py_buffer *points = array_of(&arrays, args[10], "points_mm", 'd', 2);
+    Py_buffer *moved = output_of(&arrays, args[11], "moved_mm", 'd', 1);
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Py_ssize_t n = before->shape[0], rows = is_picked->shape[0], columns = is_picked->shape[1], picked = 0;
+    const uint8_t *picks = is_picked->buf;
+    for (Py_ssize_t i = 0; i < rows * columns; i++)
+        picked += picks[i] != 0;
+    require(&arrays, block % step == 0, "block_px must be a multiple of sample_px");
+    require(&arrays, rows == depth->shape[0] / block && columns == depth->shape[1] / block,
+            "is_picked must be one for each whole block");
+    require(&arrays, picked == n, "picked_mm must be one a picked block");
+    require(&arrays, terms->shape[0] == n && terms->shape[1] == 3, "terms must be three a picked block");
+    require(&arrays, weights->shape[0] == n, "weights must be one a picked block");
+    require(&arrays, points->shape[1] == 3 && moved->shape[0] == points->shape[0], "moved_mm must be one a point");
+    double *change = arrays.failed ? NULL : PyMem_Malloc((size_t)(3 * n + 1) * sizeof *change), answer[3];
+    if (change == NULL && !arrays.failed) {
+        PyErr_NoMemory();
+        arrays.failed = 1;
+    }
+    if (arrays.failed)
+        return finish(&arrays, Py_None);
+    Picture picture = {.depth = depth->buf, .columns = depth->shape[1], .block = block, .step = step};
+    Py_ssize_t next = 0;
+    for (Py_ssize_t row = 0; row < rows; row++)
+        for (Py_ssize_t column = 0; column < columns; column++)
+            if (picks[row * columns + column]) {
+                change[next] = block_mean(&picture, row, column) - ((const double *)before->buf)[next];
+                next++;
+            }
+    Plane plane = {.terms = terms->buf, .weights = weights->buf, .inlier_mm = inlier_mm,
+                   .least_inliers = least_inliers, .n = n, .rounds = rounds};
+    int outcome = fit_plane(&plane, change, change + n, change + 2 * n, answer);
+    PyMem_Free(change);
+    if (outcome != FITTED)
+        return finish(&arrays, outcome == TOO_FEW ? Py_False : Py_None);
+    for (Py_ssize_t i = 0; i < points->shape[0]; i++) {
+        const double *point = (const double *)points->buf + 3 * i;
+        ((double *)moved->buf)[i] = answer[0] + answer[1] * point[0] / 1000.0 + answer[2] * point[1] / 1000.0;
+    }
+    return finish(&arrays, Py_True);
+}
