@@ -49,7 +49,7 @@ WAITING := tests/campaigns/faults tests/campaigns/kills tests/campaigns/load tes
 	tests/system/beam_line/test_killed_processes.py tests/system/beam_line/test_qa_drill.py tests/system/beam_line/test_real_receivers.py tests/system/beam_line/test_service_line.py
 # Threads that are waited for, for so many seconds, are not for what runs behind.
 BEHIND := $(filter-out tests/engine/motion/test_pipeline_models.py tests/engine/motion/learning/test_learner.py \
-	tests/engine/motion/learning/test_trainer.py tests/engine/motion/learning/test_frames_first.py tests/engine/verification/qa/test_drill.py \
+	tests/engine/motion/learning/test_trainer.py tests/engine/motion/training_process/test_process_trainer.py tests/engine/verification/qa/test_drill.py \
 	tests/engine/verification/qa/latency/test_light_driver.py tests/service/cli/test_measure_many.py \
 	$(addsuffix /%,tests/engine/verification/performance),$(shell find tests/service/cli -name 'test_measure*.py'; \
 	find tests/engine/calibration tests/engine/gating tests/engine/motion tests/engine/verification -name 'test_*.py'))

@@ -99,6 +99,12 @@ class TrainingRefusedError(ModelError):
         super().__init__(_sentence(self.field, self.value, bound, advice))
 
 
+class TrainingFailedError(ModelError):
+    """The process of a training was killed, hung or failed: there is no new model, and the present one stays in use."""
+
+    code = "training_failed"
+
+
 class BeamLineError(TidegateError):
     """The beam line did not answer, or did not follow the command."""
 

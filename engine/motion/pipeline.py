@@ -4,15 +4,13 @@ Owned by one thread. It keeps the state between frames (tracked region, last coe
 model and reference belong to `engine.motion.learning.learner.Learner`.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 from engine.calibration.camera_calibration import Calibration
 from engine.core.breath import Breath, SignalChoice
 from engine.core.clock import Clock
 from engine.core.frames import (
-    NODE_COLUMNS,
-    NODE_ROWS,
-    NODE_STEP,
     FloatArray,
     Lost,
     LostReason,
@@ -29,11 +27,11 @@ from engine.core.native_memory import keep_freed_memory
 from engine.core.native_threads import keep_calls_in_their_thread
 from engine.motion.cross_check.cell_surface import BreathingShapes
 from engine.motion.cross_check.cross_check import CrossCheck
+from engine.motion.job_stages import JobStages, refusal, surface_mm
 from engine.motion.learning.depth_steps import stored_steps
-from engine.motion.learning.frames_first import FramesFirst
 from engine.motion.learning.learned import Learned
 from engine.motion.learning.learner import Learner
-from engine.motion.learning.prepared_model import PreparedModel, Reference, prepare_model
+from engine.motion.learning.prepared_model import PreparedModel, Reference
 from engine.motion.learning.reference_history import ReferenceHistory
 from engine.motion.learning.reference_smoothing import RecentFrames
 from engine.motion.learning.tasks import LearningStages, Outcome
@@ -43,17 +41,15 @@ from engine.motion.settings import PipelineSettings
 from engine.motion.stages.phase_lag import follow_lags, start_lags
 from engine.motion.stages.projection import STRIDE_PX, project
 from engine.motion.stages.regions import WIDE
-from engine.motion.stages.surface import node_surface_mm
 from engine.motion.tracking.breath_tracker import BreathTracker
 from engine.motion.tracking.costal_line import CostalLineTracker
 from engine.motion.tracking.depth_table import DepthTable
 from engine.motion.tracking.marker_layout import MarkerLayout, marker_points_mm
-from engine.motion.tracking.past_measurement import PastMeasurement, motion_from
+from engine.motion.tracking.past_measurement import motion_from
 from engine.motion.tracking.region_tracker import RegionTracker, coverage_lost
 from engine.motion.tracking.surface_continuity import ObservedSurface, SurfaceContinuity
 
 US_PER_S = 1e6
-MARKERS_BETWEEN_NODES = 1.0 - 1.0 / NODE_STEP
 # Training samples more finely than measuring, since the components are interpolated to the full grid.
 LEARNING_STRIDE_PX = 2
 
@@ -99,18 +95,12 @@ class Pipeline:
         self._calibration = calibration
         self._settings = settings
         self._clock = clock
-        self._frames_first = FramesFirst()
-        self._stages = LearningStages(
-            prepare=self._prepare,
-            explain=self._explain_for_job,
-            vertices=self._vertices,
-            measure_past=self._measure_past,
-        )
+        self._stages = JobStages(calibration=calibration, settings=settings)
         self.learner = Learner(
             calibration_sha256=calibration.sha256,
             settings=settings.training,
             match_limits=settings.likeness,
-            stages=self._stages,
+            stages=replace(self._stages.as_stages(), present=self._present_stages),
             trainer=BackgroundTrainer() if trainer is None else trainer,
             history=ReferenceHistory(
                 calibration_sha256=calibration.sha256,
@@ -131,6 +121,7 @@ class Pipeline:
         self._marker_layout = MarkerLayout()
         self._cross_check = CrossCheck(calibration)
         self._coefficients: FloatArray | None = None
+        self._kept: tuple[RoiDepth, TrainingFrame] | None = None
         self._projected_model: PreparedModel | None = None
         self._costal_line = CostalLineTracker() if settings.extra_markers else None
         self._reset_breathing()
@@ -175,10 +166,6 @@ class Pipeline:
         CalibrationError
             The pictures' sizes differ from the calibration's. No other content of a frame raises.
         """
-        with self._frames_first:
-            return self._measure(frame)
-
-    def _measure(self, frame: RgbdFrame) -> Measurement:
         self._calibration.check_sizes(depth=frame.depth_mm.shape, color=frame.color.shape)
         self.learner.collect(frame.timestamp_us)
         found = self._tracker.find(frame)
@@ -277,7 +264,13 @@ class Pipeline:
             self._tracker.fix_layout(found)
         if self.learner.is_gathering:
             self._cross_check.gather()
-            self.learner.learn(TrainingFrame(roi=roi, timestamp_us=timestamp_us, nodes_px=nodes_px))
+            self.learner.learn(self._kept_frame(roi, timestamp_us, nodes_px))
+
+    def _kept_frame(self, roi: RoiDepth, timestamp_us: int, nodes_px: FloatArray) -> TrainingFrame:
+        """Return the frame as it is kept: one copy for a training and a refit."""
+        if self._kept is None or self._kept[0] is not roi:
+            self._kept = roi, TrainingFrame.kept(roi, timestamp_us, nodes_px)
+        return self._kept[1]
 
     def _stride_px(self, timestamp_us: int) -> int:
         is_learning = self.learner.active is None or self.learner.is_gathering
@@ -286,13 +279,12 @@ class Pipeline:
     def _keep(self, roi: RoiDepth, timestamp_us: int, nodes_px: FloatArray) -> None:
         """Keep a measured or training frame for a refit."""
         if self.learner.is_kept(timestamp_us) and roi.valid.mean() >= self._settings.min_valid_share:
-            self.learner.keep(TrainingFrame(roi=roi, timestamp_us=timestamp_us, nodes_px=nodes_px))
+            self.learner.keep(self._kept_frame(roi, timestamp_us, nodes_px))
 
-    def _prepare(self, model: MotionModel) -> PreparedModel:
-        """Prepare a model for measuring; called in the trainer's thread."""
-        self._frames_first.give_way()
-        self._cross_check.learn_ahead()
-        return prepare_model(model, self._settings.layout(self.marked_split))
+    def _present_stages(self) -> LearningStages:
+        """Return the stages of a job that starts now."""
+        present = replace(self._stages, marked_split=self.marked_split, gathered=self._cross_check.gathered)
+        return present.as_stages()
 
     @property
     def marked_split(self) -> tuple[float, float] | None:
@@ -306,34 +298,21 @@ class Pipeline:
         if self._costal_line is not None and search is not None:
             self._costal_line.search(frame.color, search, found.centers_px)
 
-    def _explain_for_job(self, active: PreparedModel, roi: RoiDepth, start: FloatArray | None) -> Projection | None:
-        """Project a region with the limits of a measured frame; called in the trainer's thread."""
-        self._frames_first.give_way()
-        best = project(active.basis, roi, start)
-        return best if best is not None and self._refusal(best) is None else None
-
-    def _measure_past(self, active: PreparedModel) -> PastMeasurement:
-        """Measure the first gated signal of frames from before a model; called in the trainer's thread."""
-        return PastMeasurement(active, self._settings.breath_signals, self._explain_for_job, self._vertices)
-
-    def _vertices(self, nodes_px: FloatArray, depth_mm: FloatArray) -> FloatArray:
-        """Compute the points at the nodes [mm], shape (nodes, 3); called in the trainer's thread."""
-        self._frames_first.give_way()
-        return _surface(self._calibration.depth.rays(nodes_px)[:, :2], depth_mm)
-
     # -- measuring ----------------------------------------------------------------------------------------------
 
     def _explain(self, active: PreparedModel, roi: RoiDepth) -> Projection | Lost:
         before = self._coefficients if self._projected_model is active else None
         best = project(active.basis, roi, before)
-        return coverage_lost(0.0) if best is None else self._refusal(best) or best
+        return coverage_lost(0.0) if best is None else refusal(best, self._settings) or best
 
     def _explain_continuous(
         self, active: PreparedModel, roi: RoiDepth, found: Markers, points_mm: FloatArray | None, timestamp_us: int
     ) -> _Explained | Lost:
         """Project a frame and check the continuity of its surface."""
         outcome = self._explain(active, roi)
-        disagreement = self._cross_check.lost(active.model, is_reference_due=self.learner.is_reference_due)
+        disagreement = self._cross_check.lost(
+            active.model, is_reference_due=self.learner.is_reference_due, learned=active.beside
+        )
         if isinstance(outcome, Lost):
             return outcome
         explained = _Explained(outcome, *active.depths_mm(outcome.coefficients))
@@ -362,21 +341,9 @@ class Pipeline:
         )
         return Lost(reason=LostReason.RESIDUAL_HIGH, detail=detail) if detail else None
 
-    def _refusal(self, best: Projection) -> Lost | None:
-        """Return the loss if a projection exceeds the settings' limits, otherwise None."""
-        settings = self._settings
-        if best.valid_share < settings.min_valid_share:
-            return coverage_lost(best.valid_share)
-        if best.inlier_share < settings.min_inlier_share or not best.residual_mm <= settings.max_residual_mm:
-            return Lost(
-                reason=LostReason.RESIDUAL_HIGH,
-                detail=f"residual {best.residual_mm:.1f} mm, {best.inlier_share:.0%} of the pixels explained",
-            )
-        return None
-
     def _motion(self, active: PreparedModel, explained: _Explained, rays: FloatArray, timestamp_us: int) -> Motion:
         outcome, depth_mm = explained.projection, explained.regions_depth_mm
-        surface = _surface(rays, explained.node_depth_mm)
+        surface = surface_mm(rays, explained.node_depth_mm)
         self._lags = follow_lags(self._lags, timestamp_us / US_PER_S, -depth_mm[active.regions.cells :])
         is_reference_new = self.learner.is_reference_due
         last_reference, reference = self._last_reference, self._reference(active, outcome, rays)
@@ -399,12 +366,7 @@ class Pipeline:
 
         def present() -> Reference:
             smoothed = self._recent.smoothed(active, outcome)
-            smooth_surface = _surface(rays, active.node_depth_mm(smoothed.coefficients))
+            smooth_surface = surface_mm(rays, active.node_depth_mm(smoothed.coefficients))
             return active.reference(smoothed.coefficients, smooth_surface, active.seen_weights.shares(smoothed.seen))
 
         return self.learner.reference(present)
-
-
-def _surface(rays: FloatArray, depth_mm: FloatArray) -> FloatArray:
-    """Return the vertices at the nodes' depth [mm]; the last nodes are moved from a pixel beyond to the markers."""
-    return node_surface_mm(rays, depth_mm, NODE_ROWS, NODE_COLUMNS, MARKERS_BETWEEN_NODES)

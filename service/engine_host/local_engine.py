@@ -27,7 +27,8 @@ from engine.core.gate_state import HoldReason
 from engine.core.input_tap import TappedClock
 from engine.core.learning_events import LearningEvent
 from engine.gating.limits import GateLimits
-from engine.motion.learning.trainer import BackgroundTrainer
+from engine.motion.learning.tasks import Outcome
+from engine.motion.learning.trainer import BackgroundTrainer, Trainer
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
 from engine.offline.replay.tapped_trainer import TappedTrainer
@@ -49,9 +50,24 @@ RUNTIME_HINT = "the OpenNI2 runtime is missing: apt-get install libopenni2-0"
 
 
 class LocalEngine:
-    """Builds engines from the site's settings; ``measuring`` replaces the settings of measuring and training."""
+    """Builds engines from the site's settings.
 
-    def __init__(self, settings: Settings, *, measuring: PipelineSettings | None = None) -> None:
+    Parameters
+    ----------
+    measuring
+        Replaces the settings of measuring and training.
+    trainer
+        Makes what runs the training jobs of a session.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        *,
+        measuring: PipelineSettings | None = None,
+        trainer: Callable[[], Trainer[Outcome]] = BackgroundTrainer,
+    ) -> None:
+        self._trainer = trainer
         self._settings = settings
         learned = PipelineSettings(
             training=settings.training,
@@ -100,7 +116,7 @@ class LocalEngine:
             plan.calibration,
             measuring,
             TappedClock(self._clock, tape.tap),
-            TappedTrainer(BackgroundTrainer(), tape.tap),
+            TappedTrainer(self._trainer(), tape.tap),
         )
         if plan.model is not None:
             pipeline.learner.resume(plan.model)

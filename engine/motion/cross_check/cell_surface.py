@@ -157,6 +157,24 @@ def learn_shapes(surfaces_mm: FloatArray) -> BreathingShapes | None:
     )
 
 
+class GatheredSurfaces(NamedTuple):
+    """Surfaces that the shapes of breathing are learned from, shape (frames, cells) [mm]; ``total`` since the start."""
+
+    total: int
+    surfaces_mm: FloatArray
+
+    def learn(self) -> "LearnedShapes":
+        """Learn the shapes of breathing from them."""
+        return LearnedShapes(self.total, learn_shapes(self.surfaces_mm))
+
+
+class LearnedShapes(NamedTuple):
+    """The shapes of breathing, if any, of what had been gathered until then; ``total`` as in `GatheredSurfaces`."""
+
+    total: int
+    shapes: BreathingShapes | None
+
+
 def shapes_of(model: MotionModel) -> BreathingShapes:
     """Return the shapes of a stored model's first components, for a session that learned none itself."""
     found = [_means(one[::STRIDE_PX, ::STRIDE_PX], _ALL) for one in model.components[:BREATHING_SHAPES]]

@@ -21,10 +21,12 @@ from engine.core.geometry import RigidTransform
 from engine.core.motion_model import MotionModel
 from engine.motion.cross_check.appearance import Chroma, changed_share, chroma_of
 from engine.motion.cross_check.cell_surface import (
+    CELLS,
     BreathingShapes,
+    GatheredSurfaces,
+    LearnedShapes,
     SurfaceChange,
     cell_means,
-    learn_shapes,
     shapes_of,
 )
 from engine.motion.cross_check.static_scene import StaticScene
@@ -91,9 +93,8 @@ class CrossCheck:
         self._depth_from_color = calibration.color_from_depth.inverse
         self._scene = StaticScene(calibration.depth)
         self._recent: deque[_Observed] = deque(maxlen=MOST_FRAMES)
-        self._gathered: deque[FloatArray] = deque(maxlen=MOST_SURFACES)
-        self._gathered_count = 0
-        self._learned_ahead: tuple[int, BreathingShapes | None] | None = None
+        self._gathered_mm = np.empty((MOST_SURFACES, CELLS))
+        self._gathered = self._gathered_total = 0
         self._shapes: BreathingShapes | None = None
         self._model: MotionModel | None = None
         self._reference: _Reference | None = None
@@ -123,18 +124,22 @@ class CrossCheck:
     def gather(self) -> None:
         """Keep the surface of the newest frame, which the model is learned from, to learn the shapes of breathing."""
         if self._recent:
-            self._gathered.append(self._recent[-1].cells_mm)
-            self._gathered_count += 1
+            self._gathered_mm[self._gathered % MOST_SURFACES] = self._recent[-1].cells_mm
+            self._gathered += 1
+            self._gathered_total += 1
 
-    def learn_ahead(self) -> None:
-        """Learn the shapes of breathing from what was gathered, in the trainer's thread; `lost` takes them over.
+    @property
+    def gathered(self) -> GatheredSurfaces | None:
+        """What was gathered for the next model; None without anything.
 
-        It takes milliseconds, which the first frame of a new model would take longer. Of what has been gathered
-        meanwhile, `lost` learns them itself.
+        A training job learns the shapes from it, as that takes milliseconds. Of what is gathered after that, `lost`
+        learns them itself.
         """
-        count, surfaces_mm = self._gathered_count, list(self._gathered)
-        if surfaces_mm:
-            self._learned_ahead = count, learn_shapes(np.array(surfaces_mm))
+        if self._gathered == 0:
+            return None
+        oldest = max(self._gathered - MOST_SURFACES, 0)
+        places = np.arange(oldest, self._gathered) % MOST_SURFACES
+        return GatheredSurfaces(self._gathered_total, self._gathered_mm[places])
 
     def observe(self, frame: RgbdFrame, found: Markers, marker_rays: FloatArray, roi: RoiDepth) -> None:
         """Take what is compared of a frame whose markers were found, on these rays, shape (4, 3)."""
@@ -156,10 +161,13 @@ class CrossCheck:
             )
         )
 
-    def lost(self, model: MotionModel, *, is_reference_due: bool) -> Lost | None:
-        """Return the loss if the frames so far disagree with the reference; the first frame of a reference agrees."""
+    def lost(self, model: MotionModel, *, is_reference_due: bool, learned: object = None) -> Lost | None:
+        """Return the loss if the frames so far disagree with the reference; the first frame of a reference agrees.
+
+        ``learned`` are the `LearnedShapes` of the job that fitted the model, if any.
+        """
         if model is not self._model:
-            self._learn_shapes(model)
+            self._learn_shapes(model, learned if isinstance(learned, LearnedShapes) else None)
         cells_mm = _mean([one.cells_mm for one in self._recent])
         chroma = self._recent[-1].chroma
         newest = self._recent[-1]
@@ -175,15 +183,15 @@ class CrossCheck:
             self._forget_changes()
         return self._compare(self._reference, cells_mm, chroma)
 
-    def _learn_shapes(self, model: MotionModel) -> None:
+    def _learn_shapes(self, model: MotionModel, ahead: LearnedShapes | None) -> None:
         """Learn the shapes of breathing from what was gathered; a refit, for which nothing was, changes none."""
-        if self._gathered or self._shapes is None:
-            ahead = self._learned_ahead
-            is_of_all = ahead is not None and ahead[0] == self._gathered_count
-            learned = ahead[1] if ahead is not None and is_of_all else learn_shapes(np.array(self._gathered))
-            self._shapes = learned or shapes_of(model)
-        self._model, self._learned_ahead = model, None
-        self._gathered.clear()
+        gathered = self.gathered
+        if gathered is not None or self._shapes is None:
+            if ahead is None or ahead.total != self._gathered_total:
+                ahead = None if gathered is None else gathered.learn()
+            self._shapes = (None if ahead is None else ahead.shapes) or shapes_of(model)
+        self._model = model
+        self._gathered = 0
 
     def confirm(self) -> None:
         """Average the newest frame into a reference that was just set; call it for measured frames only."""

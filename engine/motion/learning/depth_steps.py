@@ -5,7 +5,7 @@ another reading of the depths is wrong by tenths of a millimetre, in a pattern t
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,16 +41,19 @@ def steps_mismatch(model: MotionModel, session: tuple[float, ...] | None) -> Mod
     return ModelMismatchError("model.depth_steps", f"{rms_mm:.2f} mm", bound, ADVICE)
 
 
-def with_steps(job: Callable[[], Outcome], steps: tuple[float, ...] | None) -> Callable[[], Outcome]:
-    """Return the job of a fit; its model gets the steps of the sensor's readings."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StepsJob:
+    """The job of a fit, whose model gets the steps of the sensor's readings."""
 
-    def run() -> Outcome:
-        outcome = job()
+    job: Callable[[], Outcome]
+    steps: tuple[float, ...] | None
+
+    def __call__(self) -> Outcome:
+        """Return the new model."""
+        outcome = self.job()
         assert isinstance(outcome, Candidate), "a fit gives a candidate"
-        model = replace(outcome.active.model, depth_steps=steps)
+        model = replace(outcome.active.model, depth_steps=self.steps)
         return replace(outcome, active=replace(outcome.active, model=model))
-
-    return run
 
 
 def _table_mm(stored: tuple[float, ...]) -> FloatArray:

@@ -20,7 +20,7 @@ from engine.core.position_check import PositionCheck
 from engine.core.ranges import LearnedLevels, Ranges
 from engine.core.reference_distance import ReferenceDistance
 from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
-from engine.motion.learning.depth_steps import steps_mismatch, with_steps
+from engine.motion.learning.depth_steps import StepsJob, steps_mismatch
 from engine.motion.learning.event_figures import distance_figures, match_figures, position_figures, transfer_figures
 from engine.motion.learning.learned import Learned
 from engine.motion.learning.learned_range import learned_levels, learned_ranges
@@ -38,8 +38,9 @@ from engine.motion.learning.tasks import (
     LearningStages,
     LearningTask,
     Outcome,
+    PastBreathsJob,
+    SwitchJob,
     SwitchTask,
-    with_past_breaths,
 )
 from engine.motion.learning.trainer import Trainer, TrainingSettings
 from engine.motion.learning.training_set import TrainingFrame
@@ -96,6 +97,7 @@ class Learner:
         self._past = PastFrames(stages.vertices)
         self._past_breaths: PastBreaths | None = None
         self._active: PreparedModel | None = None
+        self._started_with: PreparedModel | None = None
         self._begin_learning()
         self._candidate: Candidate | None = None
         self._reference: Reference | None = None
@@ -287,9 +289,12 @@ class Learner:
         """Add a measured frame to the positions that are proposed as the reference."""
         if self._active is None:
             return
+        is_model_new = self._newest is not None and self._newest.active is not self._active
         self._newest = _Newest(self._active, coefficients, motion, timestamp_us)
         is_new = self._proposals.follow(self._active, coefficients, motion, breath, timestamp_us)
-        if is_new or self._proposed_for != self._generation:
+        if is_model_new:  # the first frame of a model has enough to do: the next one compares
+            self._proposed_for = -1
+        elif is_new or self._proposed_for != self._generation:
             self._proposed_for = self._generation
             ranges = self.learned_ranges((breath.signal,))
             self._proposed = tuple(
@@ -377,8 +382,7 @@ class Learner:
             self._task = SwitchTask(model, self._settings, self._stages)
             return
         self._task = None
-        self._trainer.start(lambda: Candidate(active=self._stages.prepare(model)))
-        self._collect()
+        self._start(SwitchJob(model=model, stages=self._stages.of_now()))
 
     def _change(self, *, is_position_new: bool = True) -> None:
         """Count a change of model or reference; the position is the same where the reference was transferred."""
@@ -397,8 +401,7 @@ class Learner:
         if model.surface_mm is None:
             raise ModelMismatchError("model", "of an older version", "one that stores its patient's surface")
         self._task, self._refits = None, None
-        self._trainer.start(lambda: Candidate(active=self._stages.prepare(model), is_stored=True))
-        self._collect()
+        self._start(SwitchJob(model=model, stages=self._stages.of_now(), is_stored=True))
 
     def use(self, learned: Learned) -> None:
         """Use what another learner has learned from the same frames; learn nothing."""
@@ -489,10 +492,16 @@ class Learner:
         if task.is_complete:
             self._task = None
             job = task.job(self._active)
-            job = with_steps(job, self.depth_steps) if isinstance(task, FitTask) else job
-            is_first = self._active is None
-            self._trainer.start(with_past_breaths(job, self._past.stretch, self._stages) if is_first else job)
-            self._collect()
+            if isinstance(task, FitTask):
+                job = StepsJob(job=job, steps=self.depth_steps)
+            if self._active is None:
+                job = PastBreathsJob(job=job, stretch=self._past.stretch, stages=self._stages.of_now())
+            self._start(job)
+
+    def _start(self, job: Callable[[], Outcome]) -> None:
+        self._started_with = self._active
+        self._trainer.start(job)
+        self._collect()
 
     # -- refits to all of the session so far --------------------------------------------------------------------
 
@@ -531,8 +540,7 @@ class Learner:
         if job is not None:
             self._emit(LearningEventKind.STARTED, "the model is refitted to the session so far")
             self._is_refitting = True
-            self._trainer.start(with_steps(job, self.depth_steps))
-            self._collect()
+            self._start(StepsJob(job=job, steps=self.depth_steps))
 
     def keep_recording(self) -> None:
         """Keep frames of a whole recording, for `learned_from_recording`; refit nothing before its end."""
@@ -570,23 +578,24 @@ class Learner:
         if outcome is None:
             return
         self._is_refitting = False
+        started_with, self._started_with = self._started_with, None
         if self._discards_outcome:
             self._discards_outcome = False
             return
         match outcome:
             case Candidate():
-                self._receive(outcome)
+                self._receive(outcome, started_with)
             case PatientMatch():
                 self._receive_match(outcome)
             case ModelError():
                 self._refuse(outcome)
 
-    def _receive(self, candidate: Candidate) -> None:
+    def _receive(self, candidate: Candidate, started_with: PreparedModel | None) -> None:
         self._learned_us = self._now_us
-        if candidate.before is not self._active:  # cannot happen: models are not switched while the trainer is busy
+        if started_with is not self._active:  # cannot happen: models are not switched while the trainer is busy
             self._refuse(ModelError("another model is in use by now"))
             return
-        if candidate.before is not None:
+        if self._active is not None:
             self._emit(LearningEventKind.READY, "a new model is ready", transfer_figures(candidate, self._reference))
         self._candidate = candidate
         if not self._is_model_held:

@@ -11,7 +11,7 @@ from engine.core.compiled import kernels
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, frozen
 from engine.core.motion_model import MotionModel
 from engine.motion.learning.seen_shares import SeenWeights, prepare_seen_weights
-from engine.motion.stages.projection import Basis, prepare_basis
+from engine.motion.stages.projection import Basis, modes_of, prepare_basis
 from engine.motion.stages.regions import RegionLayout, RegionMeans, prepare_regions
 from engine.motion.stages.roi import at_nodes
 from engine.motion.stages.surface import grid_triangles, volume_l
@@ -56,6 +56,8 @@ class PreparedModel:
     ----------
     node_mean_mm, node_modes
         Mean surface [mm] and each mode at the nodes, shapes (nodes,) and (k + e, nodes).
+    beside
+        What the independent checks have learned from the same frames, which only they read; None where nothing.
     """
 
     model: MotionModel
@@ -64,6 +66,7 @@ class PreparedModel:
     seen_weights: SeenWeights
     node_mean_mm: FloatArray
     node_modes: FloatArray
+    beside: object = None
 
     def node_depth_mm(self, coefficients: FloatArray) -> FloatArray:
         """Depth at the nodes [mm], shape (nodes,), for coefficients of shape (k + e,)."""
@@ -110,12 +113,13 @@ class PreparedModel:
 
 def prepare_model(model: MotionModel, layout: RegionLayout) -> PreparedModel:
     """Precompute projection basis, region means and node surfaces of a model."""
-    basis = prepare_basis(model)
+    modes = modes_of(model)  # 7 MB, which nothing needs later
+    basis = prepare_basis(model, modes)
     return PreparedModel(
         model=model,
         basis=basis,
-        regions=prepare_regions(model.mean_mm, basis.modes, model.known, layout),
+        regions=prepare_regions(model.mean_mm, modes, model.known, layout),
         seen_weights=prepare_seen_weights(layout),
         node_mean_mm=frozen(at_nodes(model.mean_mm)),
-        node_modes=frozen(np.stack([at_nodes(mode) for mode in basis.modes])),
+        node_modes=frozen(np.stack([at_nodes(mode) for mode in modes])),
     )

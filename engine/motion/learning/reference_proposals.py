@@ -21,6 +21,8 @@ from engine.motion.learning.reference_transfer import ReferenceTransfer
 from engine.motion.learning.seen_shares import of_regions
 from engine.motion.stages.surface import vertices_mm
 
+RELEASED_AT_ONCE = 8
+"""Frames of an earlier model that are released with a later one: all at once would take half a millisecond."""
 KEPT_US = 20_000_000
 """Frames of this long are kept: a slow breath and the beginning of the next."""
 MAX_AGE_US = 45_000_000
@@ -76,6 +78,7 @@ class ReferenceProposals:
     def __init__(self) -> None:
         self._active: PreparedModel | None = None
         self._frames: deque[_Frame] = deque()
+        self._released: deque[_Frame] = deque()
         self._positions: dict[ReferenceMoment, deque[_Position]] = {
             moment: deque(maxlen=MOST_BREATHS) for moment in (ReferenceMoment.END_EXHALE, ReferenceMoment.END_INHALE)
         }
@@ -153,7 +156,10 @@ class ReferenceProposals:
         if is_gap or self._signal != signal:
             self.clear()
         if active is not self._active:
-            frames.clear()
+            self._released, self._frames = frames, deque()
+            frames = self._frames
+        for _ in range(min(RELEASED_AT_ONCE, len(self._released))):
+            self._released.popleft()
         self._active, self._signal = active, signal
         level = signal_of(signal, motion)
         if math.isfinite(level):

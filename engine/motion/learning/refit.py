@@ -5,13 +5,12 @@ and each time the stretch is twice as long as the one the model was learned from
 takes over like a retrained one: the reference is transferred, and never while the gate is armed.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from engine.core.errors import ModelError
 from engine.motion.learning.prepared_model import PreparedModel
 from engine.motion.learning.still_stretch import StillStretch
-from engine.motion.learning.tasks import Candidate, LearningStages, fit_checked, fit_job
+from engine.motion.learning.tasks import FitJob, LearningStages, fit_checked
 from engine.motion.learning.trainer import TrainingSettings
 from engine.motion.learning.training_set import TrainingFrame
 
@@ -53,19 +52,18 @@ class Refits:
         if not self.is_survey and seconds > LONGEST * self._until_s:
             self._stop()
 
-    def job(self, active: PreparedModel) -> Callable[[], Candidate] | None:
+    def job(self, active: PreparedModel) -> FitJob | None:
         """Return the job that fits another model, if the present stretch has become long enough; else None."""
         seconds = self._stretch.present.seconds
         if self._is_over or self.is_survey or seconds < GROWTH * max(active.model.seconds, self._tried_s):
             return None
         self._tried_s = seconds
-        job = fit_job(
-            self._stretch.present.snapshot(),
-            self._stages,
-            self._settings,
-            self._calibration_sha256,
+        job = FitJob(
+            training_set=self._stretch.present.snapshot(),
+            stages=self._stages.of_now(),
+            settings=self._settings,
+            calibration_sha256=self._calibration_sha256,
             before=active,
-            keeps_zero=True,
         )
         if seconds * GROWTH > self._until_s:
             self._stop()
@@ -82,7 +80,7 @@ class Refits:
         if longest.seconds < WORTHWHILE * first.model.seconds:
             return None
         try:
-            active, _ = fit_checked(longest, self._stages, self._settings, self._calibration_sha256)
+            active, _ = fit_checked(longest, self._stages.of_now(), self._settings, self._calibration_sha256)
         except ModelError:
             return None
         return replace(active, model=replace(active.model, depth_steps=first.model.depth_steps))

@@ -1,10 +1,10 @@
 """Learning tasks: fit a new model, switch to a stored model, compare a stored model with the patient.
 
-A task collects frames in the engine thread until it is complete, and then gives a job to the trainer's thread. The job
-depends only on its inputs, so it can run in any thread at any time.
+A task collects frames in the engine thread until it is complete, and then gives a job to the trainer. The job is a
+value: it depends only on its inputs, so it can run in any thread or process at any time.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Protocol
 
@@ -36,7 +36,7 @@ MIN_COMPARE_FRAMES = 10
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LearningStages:
-    """Functions of the pipeline that jobs need; pure, called in the trainer's thread.
+    """Functions of the pipeline that jobs need; pure, and methods of values where a job takes them to a process.
 
     Attributes
     ----------
@@ -49,12 +49,20 @@ class LearningStages:
     measure_past
         Returns a measurement of frames from before a model, in order of time; it gives None where the model does not
         explain a frame well enough.
+    present
+        Returns the same for a job that starts now, with all that may change later as it is now; None where nothing
+        does.
     """
 
     prepare: Callable[[MotionModel], PreparedModel]
     explain: Explain
     vertices: Vertices
     measure_past: Callable[[PreparedModel], Callable[[TrainingFrame], PastMotion | None]]
+    present: Callable[[], "LearningStages"] | None = None
+
+    def of_now(self) -> "LearningStages":
+        """Return the stages for a job that starts now."""
+        return self if self.present is None else self.present()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -63,8 +71,6 @@ class Candidate:
 
     Attributes
     ----------
-    before
-        The model in use that it was compared with; None for a first one.
     transfer
         Transfer of the reference; None without a reference, or if it must not be transferred.
     is_stored
@@ -74,7 +80,6 @@ class Candidate:
     """
 
     active: PreparedModel
-    before: PreparedModel | None = None
     transfer: ReferenceTransfer | None = None
     is_stored: bool = False
     past_breaths: PastBreaths | None = None
@@ -143,13 +148,12 @@ class FitTask:
 
     def job(self, before: PreparedModel | None) -> Callable[[], Outcome]:
         """Return the job that checks the set, fits the model and transfers the reference."""
-        return fit_job(
-            self._set,
-            self._stages,
-            self._settings,
-            self._calibration_sha256,
-            before=before,
-            keeps_zero=self._keeps_zero,
+        return FitJob(
+            training_set=self._set,
+            stages=self._stages.of_now(),
+            settings=self._settings,
+            calibration_sha256=self._calibration_sha256,
+            before=before if self._keeps_zero else None,
         )
 
 
@@ -182,15 +186,13 @@ class SwitchTask:
 
     def job(self, before: PreparedModel | None) -> Callable[[], Outcome]:
         """Return the job that prepares the model and transfers the reference."""
-        frames, stages, model = recent(self._frames), self._stages, self._model
-        most_mm = self._settings.max_carry_mm
-
-        def run() -> Candidate:
-            active = stages.prepare(model)
-            transfer = None if before is None else _transfer_reference(before, active, frames, stages, most_mm)
-            return Candidate(active=active, before=before, transfer=transfer)
-
-        return run
+        return SwitchJob(
+            model=self._model,
+            stages=self._stages.of_now(),
+            before=before,
+            frames=recent(self._frames),
+            most_mm=self._settings.max_carry_mm,
+        )
 
 
 class CompareTask:
@@ -224,43 +226,82 @@ class CompareTask:
 
     def job(self, before: PreparedModel | None) -> Callable[[], Outcome]:
         """Return the job that compares the model with the frames; the model in use is the stored one itself."""
-        frames, limits, stages = list(self._frames), self._limits, self._stages
-        active = before or self._active
-        return lambda: compare_with_patient(active, frames, limits, explain=stages.explain, vertices=stages.vertices)
+        return CompareJob(
+            active=before or self._active,
+            frames=list(self._frames),
+            limits=self._limits,
+            stages=self._stages.of_now(),
+        )
 
 
-def fit_job(
-    training_set: TrainingSet,
-    stages: LearningStages,
-    settings: TrainingSettings,
-    calibration_sha256: str,
-    *,
-    before: PreparedModel | None,
-    keeps_zero: bool,
-) -> Callable[[], Candidate]:
-    """Return the job that checks a set, fits a model and transfers the reference; nothing else adds to the set."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FitJob:
+    """Checks a set, fits a model and transfers the reference of ``before``; nothing else adds to the set."""
 
-    def run() -> Candidate:
-        active, frames = fit_checked(training_set, stages, settings, calibration_sha256)
-        transfer = None
-        if before is not None and keeps_zero:
-            transfer = _transfer_reference(before, active, recent(frames), stages, settings.max_carry_mm)
-        return Candidate(active=active, before=before, transfer=transfer)
+    training_set: TrainingSet
+    stages: LearningStages
+    settings: TrainingSettings
+    calibration_sha256: str
+    before: PreparedModel | None
 
-    return run
+    def __call__(self) -> Candidate:
+        """Return the new model; raise ModelError where the set is refused."""
+        active, frames = fit_checked(self.training_set, self.stages, self.settings, self.calibration_sha256)
+        most_mm = self.settings.max_carry_mm
+        transfer = _transferred(self.before, active, recent(frames), self.stages, most_mm)
+        return Candidate(active=active, transfer=transfer)
 
 
-def with_past_breaths(job: Callable[[], Outcome], stretch: Stretch, stages: LearningStages) -> Callable[[], Outcome]:
-    """Return the job of a first fit, which also finds the breaths of the frames so far."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SwitchJob:
+    """Prepares a stored model and transfers the reference of ``before``, by the frames."""
 
-    def run() -> Outcome:
-        outcome = job()
+    model: MotionModel
+    stages: LearningStages
+    before: PreparedModel | None = None
+    frames: Sequence[TrainingFrame] = ()
+    most_mm: float = 0.0
+    is_stored: bool = False
+
+    def __call__(self) -> Candidate:
+        """Return the prepared model; raise ModelError where the reference cannot be transferred."""
+        active = self.stages.prepare(self.model)
+        transfer = _transferred(self.before, active, self.frames, self.stages, self.most_mm)
+        return Candidate(active=active, transfer=transfer, is_stored=self.is_stored)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CompareJob:
+    """Compares a model with the patient's frames."""
+
+    active: PreparedModel
+    frames: Sequence[TrainingFrame]
+    limits: PatientMatchLimits
+    stages: LearningStages
+
+    def __call__(self) -> PatientMatch:
+        """Return the comparison."""
+        stages = self.stages
+        return compare_with_patient(
+            self.active, self.frames, self.limits, explain=stages.explain, vertices=stages.vertices
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PastBreathsJob:
+    """The job of a first fit, which also finds the breaths of the frames so far."""
+
+    job: Callable[[], Outcome]
+    stretch: Stretch
+    stages: LearningStages
+
+    def __call__(self) -> Outcome:
+        """Return the new model with the breaths."""
+        outcome = self.job()
         assert isinstance(outcome, Candidate), "a fit gives a candidate"
-        breaths = PastBreaths(outcome.active, stages.measure_past(outcome.active))
-        breaths.follow(stretch)
+        breaths = PastBreaths(outcome.active, self.stages.measure_past(outcome.active))
+        breaths.follow(self.stretch)
         return replace(outcome, past_breaths=breaths)
-
-    return run
 
 
 def fit_checked(
@@ -311,9 +352,15 @@ def _fit(
     )
 
 
-def _transfer_reference(
-    before: PreparedModel, active: PreparedModel, frames: list[TrainingFrame], stages: LearningStages, most_mm: float
-) -> ReferenceTransfer:
+def _transferred(
+    before: PreparedModel | None,
+    active: PreparedModel,
+    frames: Sequence[TrainingFrame],
+    stages: LearningStages,
+    most_mm: float,
+) -> ReferenceTransfer | None:
+    if before is None:
+        return None
     transfer = compare_models(before, active, frames, explain=stages.explain, vertices=stages.vertices)
     if not transfer.correction_mm <= most_mm:
         raise TrainingRefusedError(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from engine.core.bounds import check_numbers
-from engine.core.errors import InvalidValueError, ModelError
+from engine.core.errors import InvalidValueError, ModelError, TrainingFailedError
 from engine.core.native_memory import give_freed_memory_back
 
 
@@ -116,7 +116,7 @@ class InlineTrainer(Generic[T]):
 
     def start(self, job: Callable[[], T]) -> None:
         """Run it now."""
-        self._finished = _outcome(job)
+        self._finished = outcome_of(job)
 
     @property
     def is_busy(self) -> bool:
@@ -145,7 +145,7 @@ class BackgroundTrainer(Generic[T]):
         threading.Thread(target=self._work, args=([job],), name="tidegate-trainer", daemon=True).start()
 
     def _work(self, jobs: list[Callable[[], T]]) -> None:
-        self._finished.put(_outcome(jobs.pop()))  # popped, so that its frames are released before the next line
+        self._finished.put(outcome_of(jobs.pop()))  # popped, so that its frames are released before the next line
         give_freed_memory_back()
 
     @property
@@ -163,10 +163,13 @@ class BackgroundTrainer(Generic[T]):
         return finished
 
 
-def _outcome(job: Callable[[], T]) -> T | ModelError:
+def outcome_of(job: Callable[[], T]) -> T | ModelError:
+    """Run a job, and return its result or why there is none."""
     try:
         return job()
     except ModelError as error:
         return error
+    except MemoryError:
+        return TrainingFailedError("there was not enough memory for the training: the model in use stays as it is")
     except Exception as error:  # noqa: BLE001 - any failure of the fit is a refusal; learning must not hang
         return ModelError(f"the fit failed: {type(error).__name__}: {error}")

@@ -3,11 +3,13 @@
 Owned by the engine thread, so adding a frame is fast; checks and fit run in the trainer's thread.
 """
 
+import mmap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from engine.core.frames import BoolArray, FloatArray, RoiDepth, TrainingProgress, frozen
 from engine.motion.breathing import count_cycles, excursion_mm
@@ -20,6 +22,8 @@ MAX_GAP_S = 3.0
 """A longer gap restarts the set: the patient may have moved while lost."""
 
 MIN_SEEN_SHARE = 0.5
+ALIGNMENT = 64
+"""Of the arrays of a kept frame, for vector instructions."""
 
 Vertices = Callable[[FloatArray, FloatArray], FloatArray]
 """Maps depth pixels (nodes, 2) and depth [mm] (nodes,) to points in the depth camera's frame [mm], (nodes, 3)."""
@@ -32,6 +36,21 @@ class TrainingFrame:
     roi: RoiDepth
     timestamp_us: int
     nodes_px: FloatArray
+
+    @classmethod
+    def kept(cls, roi: RoiDepth, timestamp_us: int, nodes_px: FloatArray) -> "TrainingFrame":
+        """Copy a frame to pages of its own, which the system has back with the frame.
+
+        Hundreds of frames on the heap would leave it as large as it was with them.
+        """
+        arrays = (roi.depth_mm, nodes_px, roi.valid)
+        starts = np.cumsum([0, *(-(-array.nbytes // ALIGNMENT) * ALIGNMENT for array in arrays)]).tolist()
+        pages = mmap.mmap(-1, starts[-1], flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        depth_mm, nodes_px, valid = (
+            _copied(array, pages, start) for array, start in zip(arrays, starts[:-1], strict=True)
+        )
+        copied = RoiDepth(depth_mm=depth_mm, valid=valid, stride_px=roi.stride_px)
+        return cls(roi=copied, timestamp_us=timestamp_us, nodes_px=frozen(nodes_px))
 
     def surface(self, vertices: Vertices) -> FloatArray:
         """Return the measured points at the nodes [mm], shape (nodes, 3); NaN in holes."""
@@ -204,6 +223,12 @@ class TrainingSet:
             return None
         first, last = np.mean(self._centers_mm[:third], axis=0), np.mean(self._centers_mm[-third:], axis=0)
         return float(np.linalg.norm(last - first))
+
+
+def _copied(array: npt.NDArray[Any], pages: mmap.mmap, start: int) -> npt.NDArray[Any]:
+    copy = np.frombuffer(pages, array.dtype, array.size, start).reshape(array.shape)
+    copy[...] = array
+    return copy
 
 
 def mean_surface(frames: Sequence[TrainingFrame], vertices: Vertices) -> FloatArray:

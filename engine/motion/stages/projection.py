@@ -48,8 +48,6 @@ class Basis:
 
     Attributes
     ----------
-    modes
-        Components and cosines on the full grid, shape (k + e, 350, 200), float32.
     sampled_components, sampled_mean_mm, sampled_known
         The components, the mean and what is known of it on every fourth row and column, flattened, shapes (k, s), (s,),
         (s,).
@@ -72,7 +70,6 @@ class Basis:
     """
 
     components: int
-    modes: FloatArray
     sampled_components: FloatArray
     cosine_rows: FloatArray
     cosine_columns: FloatArray
@@ -87,7 +84,7 @@ class Basis:
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
-        for array in (self.modes, self.sampled_components, self.points, self.sampled_mean_mm, self.sampled_known):
+        for array in (self.sampled_components, self.points, self.sampled_mean_mm, self.sampled_known):
             frozen(array)
 
     def surface_mm(self, coefficients: FloatArray) -> FloatArray:
@@ -105,11 +102,16 @@ class Basis:
         return np.concatenate([self.sampled_components @ field, smooth.ravel()]).astype(np.float64)
 
 
-def prepare_basis(model: MotionModel) -> Basis:
-    """Put the model's components and the smooth correction side by side."""
+def modes_of(model: MotionModel) -> FloatArray:
+    """Put the model's components and the smooth correction side by side: unit vectors, shape (k + e, 350, 200)."""
+    return np.concatenate([model.components, _cosines()[0]])
+
+
+def prepare_basis(model: MotionModel, modes: FloatArray | None = None) -> Basis:
+    """Precompute what projections on a model need; ``modes`` are those of `modes_of`, where they are known already."""
     k = len(model.components)
-    cosines, shares = _cosines()
-    modes = np.concatenate([model.components, cosines])
+    modes = modes_of(model) if modes is None else modes
+    _, shares = _cosines()
     # A breath hold may be several times the training's excursion: the components' prior only keeps the system solvable.
     learned_mm = 10.0 * np.sqrt(np.maximum(model.eigenvalues_mm2[:k], 1.0))
     known = np.ascontiguousarray(model.known[::STRIDE_PX, ::STRIDE_PX]).ravel()
@@ -120,7 +122,6 @@ def prepare_basis(model: MotionModel) -> Basis:
     stiffness = variance_mm2 / widths_mm**2
     return Basis(
         components=k,
-        modes=modes,
         sampled_components=np.ascontiguousarray(sampled[:k]),
         cosine_rows=_cosine_rows()[::STRIDE_PX].astype(np.float32),
         cosine_columns=_cosine_columns()[::STRIDE_PX].astype(np.float32),

@@ -12,7 +12,8 @@ from engine.core.errors import ModelError
 from engine.core.frames import FloatArray
 from engine.core.learning_events import LearningEventKind
 from engine.motion.learning.tasks import Outcome
-from engine.motion.learning.trainer import BackgroundTrainer, InlineTrainer, Trainer, TrainingSettings
+from engine.motion.learning.trainer import InlineTrainer, Trainer, TrainingSettings
+from engine.motion.training_process.process_trainer import ProcessTrainer
 from engine.verification.performance.figures import Timing, timing_of
 from engine.verification.performance.machine import SpeedBenchError, set_memory_aside, settle_as_the_service
 from engine.verification.performance.session import BenchSession, Recording
@@ -60,7 +61,7 @@ class FramesWhileFitting:
 
 
 class TimedTrainer:
-    """A `Trainer` that records start and end of the jobs of another one."""
+    """A `Trainer` that records when jobs of another one are started, and when their results are collected."""
 
     def __init__(self, trainer: Trainer[Outcome]) -> None:
         self._trainer = trainer
@@ -68,16 +69,9 @@ class TimedTrainer:
         self.ended_ns: list[int] = []
 
     def start(self, job: Callable[[], Outcome]) -> None:
-        """Start a job on the wrapped trainer, timed."""
-
-        def timed() -> Outcome:
-            self.began_ns.append(time.perf_counter_ns())
-            try:
-                return job()
-            finally:
-                self.ended_ns.append(time.perf_counter_ns())
-
-        self._trainer.start(timed)
+        """Start a job on the wrapped trainer."""
+        self.began_ns.append(time.perf_counter_ns())
+        self._trainer.start(job)
 
     @property
     def is_busy(self) -> bool:
@@ -86,7 +80,10 @@ class TimedTrainer:
 
     def collect(self) -> Outcome | ModelError | None:
         """Return a finished job's result or failure once, without waiting."""
-        return self._trainer.collect()
+        outcome = self._trainer.collect()
+        if outcome is not None:
+            self.ended_ns.append(time.perf_counter_ns())
+        return outcome
 
     @property
     def seconds(self) -> list[float]:
@@ -141,7 +138,8 @@ def time_frames_while_fitting(
     model, frames come at the recording's rate, as from a camera, and each one is timed.
     """
     settle_as_the_service(switch_interval_s)
-    trainer = TimedTrainer(BackgroundTrainer())
+    background: ProcessTrainer[Outcome] = ProcessTrainer()
+    trainer = TimedTrainer(background)
     session = BenchSession(recording, trainer, training=learning_from(sizes.frames, recording.training))
     session.learn()
     set_memory_aside()
@@ -153,6 +151,7 @@ def time_frames_while_fitting(
             retraining.raise_failure()
         blocks.append(_paced(session, retraining, recording.fps))
     session.close()
+    background.close()
     return FramesWhileFitting(
         cores=cores,
         timing=timing_of([np.concatenate(blocks)]),

@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -117,6 +117,32 @@ def resident_bytes() -> int:
     """Resident memory of this process [bytes]."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def own_bytes_of_children() -> int:
+    """Memory of all processes below this one that they share with no other [bytes]."""
+    return sum(_own_bytes(process) for process in _below(os.getpid()))
+
+
+def _below(process: int) -> Iterator[int]:
+    children: dict[int, list[int]] = {}
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdecimal():
+            with suppress(OSError):
+                parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+                children.setdefault(parent, []).append(int(folder.name))
+    found = list(children.get(process, ()))
+    while found:
+        child = found.pop()
+        found += children.get(child, ())
+        yield child
+
+
+def _own_bytes(process: int) -> int:
+    with suppress(OSError):
+        lines = Path(f"/proc/{process}/smaps_rollup").read_text(encoding="ascii").splitlines()
+        return 1024 * sum(int(line.split()[1]) for line in lines if line.startswith("Private_"))
+    return 0
 
 
 class _HeapState(ctypes.Structure):

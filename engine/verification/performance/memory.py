@@ -1,8 +1,12 @@
-"""Memory over a long session: a recording repeated through the engine's loop as fast as possible."""
+"""Memory over a long session: a recording repeated through the engine's loop as fast as possible.
+
+With the training process's own memory: what it shares with this one is counted once.
+"""
 
 import queue
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,23 +16,28 @@ from engine.control.loop import EngineLoop
 from engine.control.outputs import LoopStatus
 from engine.core.clock import MonotonicClock
 from engine.core.frames import RgbdFrame
-from engine.motion.learning.trainer import BackgroundTrainer
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
+from engine.motion.training_process.process_trainer import ProcessTrainer
 from engine.verification.performance.machine import (
     SpeedBenchError,
     heap_in_use_bytes,
+    own_bytes_of_children,
     resident_bytes,
     set_memory_aside,
     settle_as_the_service,
 )
 from engine.verification.performance.session import EndlessSource, Recording
 
+if TYPE_CHECKING:
+    from engine.motion.learning.tasks import Outcome
+
 MB = 1e6
-SPAN_SHARE = 0.2
-"""Length of the averaging span at the end of warm-up and session, as a share of the warm-up time."""
+SPAN_SHARE = 5.0 / 6.0
+"""Length of the spans that are compared, as a share of the warm-up: frames are collected and released within one."""
 
 DRAIN_S = 0.5
+TRAINING_S = 30.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,7 +56,7 @@ class MemoryUse:
     Attributes
     ----------
     start_mb, end_mb
-        Median over the averaging span at the end of the warm-up, and of the session.
+        Least in the span at the end of the warm-up, and of the session: what remains once a training has ended.
     peak_start_mb, peak_end_mb
         Maximum during the warm-up, and after it.
     used_start_mb, used_end_mb
@@ -90,20 +99,20 @@ class _SampledSource(EndlessSource):
 
 def watch_memory(recording: Recording, sizes: MemorySizes, switch_interval_s: float) -> MemoryUse:
     """Run a session and sample its memory; run it in a process of its own."""
+    trainer: ProcessTrainer[Outcome] = ProcessTrainer()
     settle_as_the_service(switch_interval_s)
     resident: list[float] = []
     used: list[float] = []
 
     def sample() -> None:
-        resident.append(resident_bytes())
+        trainer.wait(TRAINING_S)  # a session in real time has a model half a second later, not many frames later
+        resident.append(resident_bytes() + own_bytes_of_children())
         used.append(heap_in_use_bytes())
 
     frames = round(sizes.session_s * recording.fps)
     clock = MonotonicClock()
     training = replace(recording.training, retrain_interval_s=sizes.retrain_s)
-    pipeline = Pipeline(
-        load_calibration(recording.calibration), PipelineSettings(training=training), clock, BackgroundTrainer()
-    )
+    pipeline = Pipeline(load_calibration(recording.calibration), PipelineSettings(training=training), clock, trainer)
     loop = EngineLoop(
         source=_SampledSource(recording, most_frames=frames, on_second=sample),
         measurer=pipeline,
@@ -118,6 +127,7 @@ def watch_memory(recording: Recording, sizes: MemorySizes, switch_interval_s: fl
         _drain(loop)
     finally:
         loop.stop(timeout_s=10.0)
+        trainer.close()
     if loop.status.run_state is not LoopStatus.ENDED:
         raise SpeedBenchError(f"the session of the memory benchmark failed: {loop.status.error}")
     return memory_use(resident, used, sizes, frames=frames, models=pipeline.learner.status.model_generation)
@@ -135,8 +145,8 @@ def memory_use(resident: list[float], used: list[float], sizes: MemorySizes, *, 
         warm_s=sizes.warm_s,
         frames=frames,
         models=models,
-        start_mb=float(np.median(mb[warm - span : warm])),
-        end_mb=float(np.median(mb[-span:])),
+        start_mb=float(mb[warm - span : warm].min()),
+        end_mb=float(mb[-span:].min()),
         peak_start_mb=float(mb[:warm].max()),
         peak_end_mb=float(mb[warm:].max()),
         used_start_mb=float(used_mb[warm - span : warm].min()),

@@ -156,7 +156,7 @@ def _memory(figures: SpeedFigures) -> Table:
     return Table(
         name="memory",
         title="Resident memory of a session",
-        columns=("", "resident [MB]", "highest [MB]", "heap in use, least [MB]"),
+        columns=("", "resident, least [MB]", "highest [MB]", "heap in use, least [MB]"),
         rows=(
             (f"after {memory.warm_s / 60.0:g} min", memory.start_mb, memory.peak_start_mb, memory.used_start_mb),
             (f"after {memory.session_s / 60.0:g} min", memory.end_mb, memory.peak_end_mb, memory.used_end_mb),
@@ -164,7 +164,8 @@ def _memory(figures: SpeedFigures) -> Table:
         ),
         digits=1,
         note=f"{memory.frames} frames through the engine's loop, {memory.models} models learned in the background. "
-        "Resident memory includes free memory that the C library keeps; a leak shows in the last column.",
+        "Least: once a training has released its frames; resident memory includes the training process's own, and free "
+        "memory that the C library keeps. A leak shows in the last column.",
     )
 
 

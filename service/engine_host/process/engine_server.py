@@ -29,6 +29,7 @@ from engine.core.frames import ColorImage, frozen
 from engine.core.gate_state import HoldReason
 from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
+from engine.motion.training_process.process_trainer import ProcessTrainer
 from service.core.logging.nonblocking import NonblockingHandler
 from service.core.logging.redaction import install_private_log
 from service.core.schemas import sessions
@@ -323,7 +324,7 @@ def serve_one_session(bulk: BulkChannel, control: ControlChannel, page: SharedPa
     settings = prepare.settings
     install_private_log(settings.log_level, settings.log_format, handler=NonblockingHandler())
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    adapter = LocalEngine(settings, measuring=prepare.measuring)
+    adapter = LocalEngine(settings, measuring=prepare.measuring, trainer=ProcessTrainer)
     gc.collect()
     gc.freeze()
     bulk.send(Ready())

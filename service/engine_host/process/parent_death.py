@@ -3,16 +3,14 @@
 Linux sends it when the thread ends that started the process: the one that keeps the standby process.
 """
 
-import ctypes
 import signal
 
-_PR_SET_PDEATHSIG = 1
-# <sys/prctl.h>
+from engine.core.parent_death import signal_at_parent_death
 
 
 def end_with_the_service() -> None:
     """Request SIGKILL: no line is open yet, and a camera driver that hangs would keep the camera."""
-    _at_the_end_of_the_service(signal.SIGKILL)
+    signal_at_parent_death(signal.SIGKILL)
 
 
 def wake_without_the_service() -> None:
@@ -20,8 +18,4 @@ def wake_without_the_service() -> None:
 
     The kernel also continues orphaned process groups; whether it does depends on the group's parents.
     """
-    _at_the_end_of_the_service(signal.SIGCONT)
-
-
-def _at_the_end_of_the_service(number: signal.Signals) -> None:
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
+    signal_at_parent_death(signal.SIGCONT)

@@ -33,17 +33,17 @@ class Usage:
 
 def usage_of(process_id: int) -> Usage:
     """Sum up a process and its descendants."""
-    family = list(_family(process_id))
-    memory = [_memory_mb(one) for one in family]
+    members = list(family(process_id))
+    memory = [_memory_mb(one) for one in members]
     return Usage(
         at_s=time.monotonic(),
-        processor_s=sum(_processor_s(one) for one in family),
-        waited_s=sum(_waited_s(one) for one in family),
+        processor_s=sum(_processor_s(one) for one in members),
+        waited_s=sum(_waited_s(one) for one in members),
         resident_mb=sum(resident for resident, _ in memory),
         own_mb=sum(own for _, own in memory),
-        threads=sum(_count(PROC / str(one) / "task") for one in family),
-        files=sum(_count(PROC / str(one) / "fd") for one in family),
-        processes=len(family),
+        threads=sum(_count(PROC / str(one) / "task") for one in members),
+        files=sum(_count(PROC / str(one) / "fd") for one in members),
+        processes=len(members),
     )
 
 
@@ -53,7 +53,7 @@ def machine_busy_s() -> float:
     return TICK_S * sum(columns[column] for column in BUSY)
 
 
-def _family(process_id: int) -> Iterator[int]:
+def family(process_id: int) -> Iterator[int]:
     """Find a process and its descendants, by whom each process has for its parent."""
     children: dict[int, list[int]] = {}
     for folder in PROC.iterdir():

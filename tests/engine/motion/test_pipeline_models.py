@@ -10,15 +10,19 @@ import pytest
 from engine.beam.simulated import SimulatedBeamLine
 from engine.capture.source import SourceDescription
 from engine.control.loop import EngineLoop
-from engine.core.clock import MonotonicClock
+from engine.core.clock import ManualClock, MonotonicClock
 from engine.core.commands import Retrain
 from engine.core.errors import SourceEndedError
-from engine.core.frames import LostReason, MeasurementState
+from engine.core.frames import LostReason, MeasurementState, RoiDepth
 from engine.core.learning_events import LearningEventKind
 from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
-from engine.motion.learning.trainer import BackgroundTrainer
+from engine.motion.cross_check import cell_surface
+from engine.motion.cross_check.cell_surface import learn_shapes
+from engine.motion.learning.trainer import BackgroundTrainer, InlineTrainer
+from engine.motion.learning.training_set import ALIGNMENT, TrainingFrame
 from engine.motion.pipeline import Pipeline
+from engine.motion.training_process.process_trainer import ProcessTrainer
 from tests.support.motion import small_scene
 from tests.support.motion.pipelines import SETTINGS, Played, measuring, new_pipeline
 
@@ -165,11 +169,70 @@ class Camera:
         """Nothing is held open."""
 
 
-def test_no_frame_is_lost_while_models_are_learned_and_swapped_in_real_threads(frames, learned):
+@pytest.fixture
+def training_process():
+    trainer = ProcessTrainer()
+    yield trainer
+    trainer.close()
+
+
+def test_a_pipeline_learns_the_same_in_a_training_process(frames, training_process):
+    """Model, what projects on it, and the shapes of breathing."""
+    here = Pipeline(small_scene.CALIBRATION, SETTINGS, ManualClock(), InlineTrainer())
+    there = Pipeline(small_scene.CALIBRATION, SETTINGS, ManualClock(), training_process)
+    camera = Played(frames)
+    while here.learner.active is None:
+        shown = next(camera)
+        for pipeline in (here, there):
+            pipeline.measure(shown)
+    assert training_process.is_busy
+    assert training_process.wait(60.0)
+    shown = next(camera)
+    assert {pipeline.measure(shown).state for pipeline in (here, there)} == {MeasurementState.MEASURING}
+    ours, theirs = here.learner.active, there.learner.active
+    assert np.array_equal(ours.model.components, theirs.model.components)
+    assert np.array_equal(ours.basis.points, theirs.basis.points)
+    assert np.array_equal(ours.beside.shapes.terms, theirs.beside.shapes.terms, equal_nan=True)
+    assert ours.beside.total == theirs.beside.total > 0
+
+
+def test_the_first_frame_of_a_model_learns_no_shapes(frames, monkeypatch):
+    """The job has learned them; the frame would take milliseconds for it."""
+    count = []
+    monkeypatch.setattr(
+        cell_surface, "learn_shapes", lambda surfaces_mm: count.append(len(surfaces_mm)) or learn_shapes(surfaces_mm)
+    )
+    pipeline, camera = new_pipeline(), Played(frames)
+    while pipeline.learner.status.model is None:
+        pipeline.measure(next(camera))
+    assert pipeline.measure(next(camera)).state is MeasurementState.MEASURING
+    assert len(count) == 1
+
+
+def test_a_kept_frame_is_a_copy_of_its_own():
+    roi = RoiDepth(depth_mm=np.arange(12, dtype=np.float32).reshape(3, 4), valid=np.eye(3, 4, dtype=bool), stride_px=2)
+    nodes_px = np.arange(10.0).reshape(5, 2)
+    kept = TrainingFrame.kept(roi, 7, nodes_px)
+    for copy, original in (
+        (kept.roi.depth_mm, roi.depth_mm),
+        (kept.roi.valid, roi.valid),
+        (kept.nodes_px, nodes_px),
+    ):
+        assert copy.dtype == original.dtype
+        assert np.array_equal(copy, original)
+        assert not np.shares_memory(copy, original)
+        assert not copy.flags.writeable
+        assert copy.ctypes.data % ALIGNMENT == 0
+    assert (kept.timestamp_us, kept.roi.stride_px) == (7, 2)
+
+
+@pytest.mark.parametrize("kind", [BackgroundTrainer, ProcessTrainer])
+def test_no_frame_is_lost_while_models_are_learned_and_swapped_in_real_threads(frames, learned, kind, request):
     """Counted: as many measurements as frames, in order, all of them measured, through two retrainings."""
-    clock = MonotonicClock()
+    clock, trainer = MonotonicClock(), kind()
+    request.addfinalizer(getattr(trainer, "close", lambda: None))
     camera = Camera(frames, clock)
-    pipeline = Pipeline(small_scene.CALIBRATION, SETTINGS, clock, BackgroundTrainer())
+    pipeline = Pipeline(small_scene.CALIBRATION, SETTINGS, clock, trainer)
     pipeline.learner.activate(learned)
     loop = EngineLoop(
         source=camera,

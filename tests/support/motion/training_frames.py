@@ -70,12 +70,15 @@ def explain(active, roi, start):
     return best
 
 
-STAGES = LearningStages(
-    prepare=lambda model: prepare_model(model, RegionLayout()),
-    explain=explain,
-    vertices=vertices,
-    measure_past=lambda active: PastMeasurement(active, (SignalChoice(),), explain, vertices),
-)
+def prepare(model):
+    return prepare_model(model, RegionLayout())
+
+
+def measure_past(active):
+    return PastMeasurement(active, (SignalChoice(),), explain, vertices)
+
+
+STAGES = LearningStages(prepare=prepare, explain=explain, vertices=vertices, measure_past=measure_past)
 
 
 class Patient:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from engine.core.frames import LostReason, Markers, RgbdFrame, RoiDepth
-from engine.motion.cross_check import cross_check
+from engine.motion.cross_check import cell_surface
 from engine.motion.cross_check.cell_surface import learn_shapes
 from engine.motion.cross_check.cross_check import AVERAGED_US, CrossCheck
 from tests.support.motion.small_scene import CALIBRATION
@@ -49,7 +49,7 @@ class Session:
 
     def __init__(self):
         self.check, self.index = CrossCheck(calibration()), 0
-        self.model = stored_model()
+        self.model, self.learned = stored_model(), None
         self.sheet_mm = self.raised_mm = self.camera_mm = 0.0
         self.depth, self.has_depth, self.has_room = 1.0, True, True
         self.color = (150, 140, 120)
@@ -87,7 +87,7 @@ class Session:
         found = []
         for _ in range(frames):
             self.observe()
-            found.append(self.check.lost(self.model, is_reference_due=is_reference_due))
+            found.append(self.check.lost(self.model, is_reference_due=is_reference_due, learned=self.learned))
             if found[-1] is None and not self.is_lost_otherwise:
                 self.check.confirm()
             is_reference_due = False
@@ -241,10 +241,10 @@ def test_a_new_model_without_a_new_reference_changes_nothing(session):
 
 @pytest.mark.parametrize("more", [0, 1])
 def test_shapes_learned_ahead_are_those_of_all_that_was_gathered(more, monkeypatch):
-    """The trainer's thread learns them; what is gathered after that makes the measuring thread learn them again."""
+    """A training job learns them; what is gathered after that makes the measuring thread learn them again."""
     learned = []
     monkeypatch.setattr(
-        cross_check, "learn_shapes", lambda cells_mm: learned.append(cells_mm) or learn_shapes(cells_mm)
+        cell_surface, "learn_shapes", lambda cells_mm: learned.append(cells_mm) or learn_shapes(cells_mm)
     )
     found, alone = Session(), Session()
     for number in range(80 + more):
@@ -252,7 +252,7 @@ def test_shapes_learned_ahead_are_those_of_all_that_was_gathered(more, monkeypat
             session.observe()
             session.check.gather()
         if number == 79:
-            found.check.learn_ahead()
+            found.learned = found.check.gathered.learn()
     found.run(1)
     assert [len(cells_mm) for cells_mm in learned] == [80, *[81] * more]
     alone.run(1)

@@ -9,7 +9,7 @@ from engine.core.breath import SignalChoice
 from engine.core.errors import CommandRefusedError
 from engine.core.reference_proposal import ReferenceMoment
 from engine.motion.learning.past_frames import PastBreaths, PastFrames
-from engine.motion.learning.tasks import Candidate, with_past_breaths
+from engine.motion.learning.tasks import Candidate, PastBreathsJob
 from engine.motion.learning.trainer import TrainingSettings
 from tests.support.motion import training_frames
 from tests.support.motion.held_trainer import HeldTrainer
@@ -181,7 +181,9 @@ def proposals_of(active, frames):
     for one in frames:
         if past.is_due(one.timestamp_us):
             past.add(one)
-    return with_past_breaths(lambda: Candidate(active=active), past.stretch, STAGES)().past_breaths.proposals
+    return PastBreathsJob(
+        job=lambda: Candidate(active=active), stretch=past.stretch, stages=STAGES
+    )().past_breaths.proposals
 
 
 def breaths(count, **surface):

@@ -6,7 +6,7 @@ import pytest
 from engine.core.frames import RoiDepth
 from engine.motion.learning.prepared_model import prepare_model
 from engine.motion.learning.reference_smoothing import FRAMES, RecentFrames
-from engine.motion.stages.projection import STRIDE_PX, project
+from engine.motion.stages.projection import STRIDE_PX, modes_of, project
 from engine.motion.stages.regions import RegionLayout
 from tests.support.motion.fitting_frames import BREATH, REST_MM, frames, learn
 
@@ -29,7 +29,7 @@ def roi(amplitude_mm, seed, noise_mm=1.0):
 
 
 def surface_error_mm(active, coefficients, amplitude_mm):
-    surface = active.model.mean_mm + np.tensordot(coefficients, active.basis.modes, axes=1)
+    surface = active.model.mean_mm + np.tensordot(coefficients, modes_of(active.model), axes=1)
     return np.abs(surface - (REST_MM - amplitude_mm * BREATH)).mean()
 
 

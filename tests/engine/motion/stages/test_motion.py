@@ -8,7 +8,7 @@ from engine.core.frames import ROI_COLUMNS, ROI_ROWS, RoiDepth
 from engine.motion.breathing import count_cycles
 from engine.motion.learning.fitting import fit
 from engine.motion.learning.model_file import load_model, save_model
-from engine.motion.stages.projection import prepare_basis, project
+from engine.motion.stages.projection import modes_of, prepare_basis, project
 from engine.motion.stages.regions import RegionLayout, check_points, grid_shape, prepare_regions, region_values
 from engine.motion.stages.surface import grid_triangles, vertices_mm, volume_l
 
@@ -51,7 +51,7 @@ def seen(depth, hole=None):
 
 
 def measured_surface(basis, model, projection):
-    return model.mean_mm + np.tensordot(projection.coefficients, basis.modes, axes=1)
+    return model.mean_mm + np.tensordot(projection.coefficients, modes_of(model), axes=1)
 
 
 def test_the_spectrum_is_descending_and_two_modes_carry_it(model):
@@ -145,11 +145,12 @@ def test_an_empty_frame_is_no_projection(model):
 
 @pytest.mark.parametrize(("cell", "shape"), [(25, (14, 8)), (10, (35, 20)), (60, (6, 4))])
 def test_region_means_are_the_means_of_the_rebuilt_surface(model, cell, shape):
-    basis = prepare_basis(model)
-    coefficients = np.random.default_rng(4).normal(0.0, 3.0, len(basis.modes))
+    coefficients = np.random.default_rng(4).normal(0.0, 3.0, len(modes_of(model)))
     points = [(10, 20), (349, 199)]
-    means = prepare_regions(model.mean_mm, basis.modes, model.known, RegionLayout(cell_px=cell, points=tuple(points)))
-    rebuilt = model.mean_mm.astype(np.float64) + np.tensordot(coefficients, basis.modes.astype(np.float64), axes=1)
+    means = prepare_regions(
+        model.mean_mm, modes_of(model), model.known, RegionLayout(cell_px=cell, points=tuple(points))
+    )
+    rebuilt = model.mean_mm.astype(np.float64) + np.tensordot(coefficients, modes_of(model).astype(np.float64), axes=1)
     values = means.depth_mm(coefficients)
     assert (means.rows, means.columns) == shape == grid_shape(cell)
     assert values[0] == pytest.approx(rebuilt[:cell, :cell].mean(), abs=1e-3)
@@ -162,9 +163,8 @@ def test_region_means_are_the_means_of_the_rebuilt_surface(model, cell, shape):
 def test_a_cell_that_was_never_seen_is_empty_not_zero(model):
     known = np.ones((ROI_ROWS, ROI_COLUMNS), dtype=bool)
     known[:25, :25] = False
-    basis = prepare_basis(model)
-    means = prepare_regions(model.mean_mm, basis.modes, known, RegionLayout())
-    values = means.depth_mm(np.zeros(len(basis.modes)))
+    means = prepare_regions(model.mean_mm, modes_of(model), known, RegionLayout())
+    values = means.depth_mm(np.zeros(len(modes_of(model))))
     assert np.isnan(values[0])
     assert np.isfinite(values[1:]).all()
 
@@ -173,9 +173,8 @@ def test_a_point_in_a_small_hole_is_interpolated_and_one_in_a_large_hole_is_empt
     known = np.ones((ROI_ROWS, ROI_COLUMNS), dtype=bool)
     known[98:103, 58:63] = False
     known[200:260, 80:140] = False
-    basis = prepare_basis(model)
-    means = prepare_regions(model.mean_mm, basis.modes, known, RegionLayout(points=((100, 60), (230, 110))))
-    values = means.depth_mm(np.zeros(len(basis.modes)))[means.points_from :]
+    means = prepare_regions(model.mean_mm, modes_of(model), known, RegionLayout(points=((100, 60), (230, 110))))
+    values = means.depth_mm(np.zeros(len(modes_of(model))))[means.points_from :]
     assert values[0] == pytest.approx(model.mean_mm[100, 60], abs=1e-3)
     assert np.isnan(values[1])
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from engine.core.frames import RoiDepth
-from engine.motion.stages.projection import CHECK_CLIP_MM, PRIOR_SPREADS_MM, STRIDE_PX, prepare_basis, project
+from engine.motion.stages.projection import CHECK_CLIP_MM, PRIOR_SPREADS_MM, STRIDE_PX, modes_of, prepare_basis, project
 from tests.support.motion.fitting_frames import BREATH, COLUMNS, REST_MM, ROWS, frames, learn
 
 THIN = (slice(None, None, STRIDE_PX),) * 2
@@ -33,13 +33,13 @@ def roi(amplitude_mm=4.0, seed=0, noise_mm=1.0, extra=None, hole=None):
 
 
 def error_mm(model, basis, found, amplitude_mm=4.0, extra=0.0):
-    surface = model.mean_mm + np.tensordot(found.coefficients, basis.modes, axes=1)
+    surface = model.mean_mm + np.tensordot(found.coefficients, modes_of(model), axes=1)
     return surface - (REST_MM - amplitude_mm * BREATH - extra)
 
 
-def cosine_noise(basis, noise_mm):
+def cosine_noise(model, basis, noise_mm):
     found = [project(basis, roi(seed=seed, noise_mm=noise_mm), None) for seed in range(12)]
-    motions = [np.tensordot(f.coefficients[1:], basis.modes[1:], axes=1) for f in found]
+    motions = [np.tensordot(f.coefficients[1:], modes_of(model)[1:], axes=1) for f in found]
     return float(np.std(motions, axis=0).mean())
 
 
@@ -47,7 +47,7 @@ def test_quiet_breathing_pays_little_noise_for_the_smooth_correction(model, basi
     widest = prepare_basis(model)
     object.__setattr__(widest, "stiffness", np.repeat(basis.stiffness[-1:], len(PRIOR_SPREADS_MM), axis=0))
     object.__setattr__(widest, "log_stiffness", np.repeat(basis.log_stiffness[-1:], len(PRIOR_SPREADS_MM)))
-    assert cosine_noise(basis, 1.0) < 0.4 * cosine_noise(widest, 1.0)
+    assert cosine_noise(model, basis, 1.0) < 0.4 * cosine_noise(model, widest, 1.0)
 
 
 def test_a_breath_hold_that_was_never_taught_is_followed(model, basis):
@@ -60,11 +60,11 @@ def test_a_breath_hold_that_was_never_taught_is_followed(model, basis):
 
 
 @pytest.mark.parametrize("before_mm", [3.7, 0.0, -20.0])
-def test_where_it_starts_from_does_not_matter(basis, before_mm):
+def test_where_it_starts_from_does_not_matter(model, basis, before_mm):
     start = project(basis, roi(before_mm, seed=8), None).coefficients
     fresh = project(basis, roi(), None)
     followed = project(basis, roi(), start)
-    difference = np.tensordot(followed.coefficients - fresh.coefficients, basis.modes, axes=1)
+    difference = np.tensordot(followed.coefficients - fresh.coefficients, modes_of(model), axes=1)
     assert np.abs(difference).mean() < 0.01
     assert np.abs(difference).max() < 0.04
 

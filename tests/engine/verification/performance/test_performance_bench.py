@@ -112,6 +112,15 @@ def test_scratch_that_comes_and_goes_is_no_growth():
     assert (use.used_start_mb, use.used_end_mb) == (150.0, 150.0)
 
 
+@pytest.mark.parametrize("first", range(15))
+def test_frames_that_are_collected_and_released_are_no_growth_at_any_phase(first):
+    resident = [(200 + 3 * ((first + second) % 15)) * MB for second in range(40)]
+    sizes = MemorySizes(session_s=40.0, warm_s=20.0, retrain_s=10.0)
+    use = memory_use(resident, resident, sizes, frames=480, models=2)
+    assert (use.start_mb, use.end_mb) == (200.0, 200.0)
+    assert use.used_end_mb == use.used_start_mb
+
+
 def test_heap_in_use_rises_by_what_is_held_and_falls_when_it_is_let_go():
     before = heap_in_use_bytes()
     held_bytes = np.ones(40 * MB, dtype=np.uint8)
