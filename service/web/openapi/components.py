@@ -25,6 +25,7 @@ TAGS = [
     {"name": "models", "description": "Motion models learned from a patient's breathing."},
     {"name": "calibrations", "description": "Camera calibrations, identified by the hash of their content."},
     {"name": "devices", "description": "Connected cameras."},
+    {"name": "recordings", "description": "Recordings that sessions may play."},
     {"name": "interlocks", "description": "All interlocks that hold the beam, with this site's limits."},
     {"name": "qa", "description": "Quality assurance: runs, reports, trends and baseline."},
     {"name": "coaching", "description": "The patient screen: what it shows, and the screens that are paired."},

@@ -101,6 +101,7 @@ WHAT_TO_DO: Mapping[str, str] = {
     "`Idempotency-Key` retrying is safe.",
     "storage_unwritable": "Have the administrator check the disk.",
     "stream_full": "Connect again after `Retry-After`, or have the site allow more clients.",
+    "training_failed": "Train again; the model in use stays.",
     "training_refused": "Read `detail`, let the patient breathe quietly, and train again.",
     "url_too_long": "Shorten the path and the query.",
     "wrong_password": "Send the present password.",

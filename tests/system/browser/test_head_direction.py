@@ -47,6 +47,7 @@ def test_the_form_sends_the_side_and_leaves_it_out_where_it_is_not_known(fake: F
     expect(choice).to_have_value("")
     choice.select_option("bottom")
     page.fill("[name=patient_reference]", "P-1")
+    page.select_option("[name=source]", "recording:demo/recording.oni")
     page.click("#new-session [type=submit]")
     page.wait_for_function("() => document.getElementById('setup').hidden")
     (body,) = [body for path, body in fake.posts() if path == "/sessions"]

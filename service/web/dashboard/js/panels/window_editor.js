@@ -51,13 +51,10 @@ export class WindowEditor {
     this.sample = sample;
     this.session = session?.id === sample?.session_id ? session : null;
     const obstacle = why || this.#obstacle();
-    this.opener.disabled = obstacle !== "" && !this.isOpen;
+    if (this.isOpen && (obstacle !== "" || this.session.id !== this.openedFor)) this.close();
+    this.opener.disabled = obstacle !== "";
     this.opener.title = obstacle === "" ? "Set the window on the patient's last minute" : `Not now: ${obstacle}`;
     if (!this.isOpen) return;
-    if (obstacle !== "" || this.session.id !== this.openedFor) {
-      this.close();
-      return;
-    }
     byId("window-apply").disabled = this.controls.isBusy || this.#edges() === null;
     if (nowMs - this.drawnMs < FORECAST_MS) return;
     this.drawnMs = nowMs;
