@@ -78,6 +78,7 @@ export class WindowEditor {
   }
 
   #open() {
+    if (this.#obstacle() !== "") return;
     this.openedFor = this.session.id;
     this.form.hidden = false;
     this.opener.setAttribute("aria-expanded", "true");
