@@ -139,7 +139,7 @@ class LocalEngine:
             learner=pipeline.learner,
             beam=beam,
             beam_on=lambda: beam_on_state(beam),
-            camera_view=camera_meter(plan).look,
+            camera_view=_camera_meter(plan).look,
             limits=limits,
             clock=self._clock,
             tap=tape.tap,
@@ -209,7 +209,7 @@ def _registered(uri: str | None) -> Calibration:
     return calibration
 
 
-def camera_meter(plan: SessionPlan) -> CameraViewMeter:
+def _camera_meter(plan: SessionPlan) -> CameraViewMeter:
     """Return what describes how the camera of a session looks."""
     return CameraViewMeter(plan.calibration.depth, is_live=isinstance(plan.source, sessions.DeviceSource))
 

@@ -129,24 +129,24 @@ class InlineTrainer(Generic[T]):
         return finished
 
 
-class BackgroundTrainer(Generic[T]):
-    """Runs jobs in a thread of its own; the engine thread collects between two frames."""
+class OneJobAtATime(Generic[T]):
+    """A trainer that works while the engine measures; the engine's thread starts a job and collects its result."""
 
     def __init__(self) -> None:
         self._finished: queue.SimpleQueue[T | ModelError] = queue.SimpleQueue()
         self._is_busy = False
 
     def start(self, job: Callable[[], T]) -> None:
-        """Start a job in a new thread; raise ModelError if one is running."""
+        """Start a job; raise ModelError if one is running."""
         if self._is_busy:
             msg = "a model is being fitted already"
             raise ModelError(msg)
         self._is_busy = True
-        threading.Thread(target=self._work, args=([job],), name="tidegate-trainer", daemon=True).start()
+        self._hand_over(job)
 
-    def _work(self, jobs: list[Callable[[], T]]) -> None:
-        self._finished.put(outcome_of(jobs.pop()))  # popped, so that its frames are released before the next line
-        give_freed_memory_back()
+    def _hand_over(self, job: Callable[[], T]) -> None:
+        """Have the job worked on, without waiting; its result is put into ``_finished``."""
+        raise NotImplementedError
 
     @property
     def is_busy(self) -> bool:
@@ -161,6 +161,17 @@ class BackgroundTrainer(Generic[T]):
             return None
         self._is_busy = False
         return finished
+
+
+class BackgroundTrainer(OneJobAtATime[T]):
+    """Runs each job in a new thread."""
+
+    def _hand_over(self, job: Callable[[], T]) -> None:
+        threading.Thread(target=self._work, args=([job],), name="tidegate-trainer", daemon=True).start()
+
+    def _work(self, jobs: list[Callable[[], T]]) -> None:
+        self._finished.put(outcome_of(jobs.pop()))  # popped, so that its frames are released before the next line
+        give_freed_memory_back()
 
 
 def outcome_of(job: Callable[[], T]) -> T | ModelError:

@@ -5,10 +5,10 @@ import queue
 import threading
 from collections.abc import Callable
 from functools import partial
-from typing import Generic, TypeVar
+from typing import TypeVar
 
-from engine.core.errors import ModelError, TrainingFailedError
-from engine.motion.learning.trainer import outcome_of
+from engine.core.errors import TrainingFailedError
+from engine.motion.learning.trainer import OneJobAtATime, outcome_of
 from engine.motion.training_process.client import TrainingProcess
 
 T = TypeVar("T")
@@ -17,7 +17,7 @@ IDLE_S = 60.0
 """Longer than between a first model and its refits."""
 
 
-class ProcessTrainer(Generic[T]):
+class ProcessTrainer(OneJobAtATime[T]):
     """Runs jobs in a training process, which is started with the session, and again for a job that finds none.
 
     A session trains in its first minutes, and later on request only: a process without a job for a while is ended, so
@@ -25,38 +25,18 @@ class ProcessTrainer(Generic[T]):
     """
 
     def __init__(self, idle_s: float = IDLE_S) -> None:
+        super().__init__()
         self._idle_s = idle_s
         self.process: TrainingProcess | None = None
         self._jobs: queue.SimpleQueue[Callable[[], T] | None] = queue.SimpleQueue()
-        self._finished: queue.SimpleQueue[T | ModelError] = queue.SimpleQueue()
-        self._is_busy = False
         self._has_ended = threading.Event()
         self._has_ended.set()
         self._thread = threading.Thread(target=self._work, name="tidegate-trainer", daemon=True)
         self._thread.start()
 
-    def start(self, job: Callable[[], T]) -> None:
-        """Start a job; raise ModelError if one is running."""
-        if self._is_busy:
-            msg = "a model is being fitted already"
-            raise ModelError(msg)
-        self._is_busy = True
+    def _hand_over(self, job: Callable[[], T]) -> None:
         self._has_ended.clear()
         self._jobs.put(job)
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether a job is running or its result was not yet collected."""
-        return self._is_busy
-
-    def collect(self) -> T | ModelError | None:
-        """Return a finished job's result once, without waiting."""
-        try:
-            finished = self._finished.get_nowait()
-        except queue.Empty:
-            return None
-        self._is_busy = False
-        return finished
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until no job is running, for at most so long [s]; return whether that is so. The engine never waits."""

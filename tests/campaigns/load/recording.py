@@ -59,3 +59,12 @@ def _write(writer: OniWriter, passage: list[tuple[int, CodedFrame]], shift_us: i
         write(timestamp_us + shift_us, frame.payload)
         depth += frame.is_depth
     return depth
+
+
+def volunteer_folder(recordings: Path, seconds: float) -> Path:
+    """Make a folder of recordings with one volunteer of this length [s] and its calibration; return the volunteer's."""
+    folder, base = recordings / "volunteer", base_folder()
+    folder.mkdir(parents=True)
+    write_long(base / "recording.oni", seconds, folder / "recording.oni")
+    (folder / "calibration.json").write_bytes((base / "calibration.json").read_bytes())
+    return folder

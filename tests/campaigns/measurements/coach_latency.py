@@ -18,7 +18,7 @@ import typer
 from playwright.sync_api import Page, sync_playwright
 
 from service.web.app import PATIENT
-from tests.campaigns.load.recording import base_folder, write_long
+from tests.campaigns.load.recording import volunteer_folder
 from tests.support.browser.chromium import launch_chromium
 from tests.support.service.processes import PeopleOverHttp, free_port, service_process
 from tests.support.waiting import eventually
@@ -146,11 +146,7 @@ def main(
     load_before = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="tidegate-coach-") as name, sync_playwright() as playwright:
         root, port = Path(name), free_port()
-        folder = root / "recordings" / "volunteer"
-        folder.mkdir(parents=True)
-        base = base_folder()
-        write_long(base / "recording.oni", LEARNED_S + 3.0 * seconds, folder / "recording.oni")
-        (folder / "calibration.json").write_bytes((base / "calibration.json").read_bytes())
+        folder = volunteer_folder(root / "recordings", LEARNED_S + 3.0 * seconds)
         serve = ("serve", "--port", str(port), "--data", str(root / "data"), "--recordings", str(folder.parent))
         place = {"port": port, "log": root / "log", "data": root / "data", "environment": PATIENCE}
         with service_process("service.cli", *serve, **place) as (_, http):

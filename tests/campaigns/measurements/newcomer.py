@@ -18,7 +18,7 @@ import typer
 from playwright.sync_api import Page, expect, sync_playwright
 
 from service.core.permissions import Role
-from tests.campaigns.load.recording import base_folder, write_long
+from tests.campaigns.load.recording import volunteer_folder
 from tests.campaigns.measurements.coach_latency import PATIENCE
 from tests.support.browser.chromium import launch_chromium
 from tests.support.planning.api_calls import DICOM
@@ -137,11 +137,7 @@ def main() -> None:
     """Print the counts; end with 1 where a plan takes more than four fields or three decisions, or a turn was wrong."""
     with tempfile.TemporaryDirectory(prefix="tidegate-newcomer-") as name, sync_playwright() as playwright:
         root, port = Path(name), free_port()
-        folder = root / "recordings" / "volunteer"
-        folder.mkdir(parents=True)
-        base = base_folder()
-        write_long(base / "recording.oni", RECORDING_S, folder / "recording.oni")
-        (folder / "calibration.json").write_bytes((base / "calibration.json").read_bytes())
+        folder = volunteer_folder(root / "recordings", RECORDING_S)
         serve = ("serve", "--port", str(port), "--data", str(root / "data"), "--recordings", str(folder.parent))
         provision(root / "data", people={NEWCOMER: [Role.THERAPIST]}, password=PASSWORD)
         place = {"port": port, "log": root / "log", "data": root / "data", "environment": PATIENCE}

@@ -25,7 +25,7 @@ import numpy.typing as npt
 import typer
 from playwright.sync_api import Page, sync_playwright
 
-from tests.campaigns.load.recording import base_folder, write_long
+from tests.campaigns.load.recording import volunteer_folder
 from tests.support.browser.chromium import launch_chromium
 from tests.support.engine_process.process_ids import engine_pids
 from tests.support.service.processes import free_port, service_process
@@ -306,11 +306,7 @@ def main(
     load_before = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="tidegate-page-") as name, sync_playwright() as playwright:
         root, port = Path(name), free_port()
-        folder = root / "recordings" / "volunteer"
-        folder.mkdir(parents=True)
-        base = base_folder()
-        write_long(base / "recording.oni", RECORDING_S, folder / "recording.oni")
-        (folder / "calibration.json").write_bytes((base / "calibration.json").read_bytes())
+        folder = volunteer_folder(root / "recordings", RECORDING_S)
         browser = launch_chromium(playwright, is_shell=False)
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.add_init_script(NOTE)

@@ -15,7 +15,7 @@ NONE = "\N{EN DASH}"
 SHOWN = ("on", "duty", "elapsed", "state", "holds")
 
 
-def told(fake: FakeService, **changes: Any) -> None:
+def describe(fake: FakeService, **changes: Any) -> None:
     fake.sessions[0] |= {"summary": summary(), "continues": None, "delivered_before_s": None, "gate": None} | changes
 
 
@@ -25,7 +25,7 @@ def figures(page: Page) -> dict[str, str]:
 
 def test_what_the_service_counted_is_shown_and_is_the_same_after_a_reload(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", sample()
-    told(fake)
+    describe(fake)
     page = tab.open("hold")
     expect(page.locator("#treatment-on")).to_have_text("41.2 s")
     expect(page.locator("#treatment-duty")).to_have_text("38 %")
@@ -39,10 +39,10 @@ def test_what_the_service_counted_is_shown_and_is_the_same_after_a_reload(fake: 
 
 def test_the_time_of_a_session_that_is_continued_is_beside_its_own(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", sample()
-    told(fake, continues="0c" * 16, delivered_before_s=118.0)
+    describe(fake, continues="0c" * 16, delivered_before_s=118.0)
     page = tab.open("hold")
     expect(page.locator("#treatment-on")).to_have_text("41.2 s + 1:58 min before")
-    told(fake, continues="0c" * 16, delivered_before_s=None)
+    describe(fake, continues="0c" * 16, delivered_before_s=None)
     expect(page.locator("#treatment-on")).to_have_text("41.2 s + unknown before")
 
 
@@ -50,7 +50,7 @@ def test_the_state_s_age_goes_on_by_the_service_s_clock_and_ends_with_the_state(
     fake: FakeService, stepped: SteppedPage
 ):
     since = PAUSED.isoformat().replace("+00:00", "Z")
-    told(fake, gate={"state": "hold", "hold_reason": "outside_window", "state_since": since, "armed_by": None})
+    describe(fake, gate={"state": "hold", "hold_reason": "outside_window", "state_since": since, "armed_by": None})
     page = stepped.open(sample())
     stepped.advance(12_000)
     shown = page.locator("#treatment-state")
@@ -63,7 +63,7 @@ def test_the_state_s_age_goes_on_by_the_service_s_clock_and_ends_with_the_state(
 
 def test_figures_of_another_session_or_of_none_are_not_shown(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", sample()
-    told(fake)
+    describe(fake)
     page = tab.open("hold")
     expect(page.locator("#treatment-on")).to_have_text("41.2 s")
     fake.sample = sample(session_id="99" * 16)
@@ -84,7 +84,7 @@ def test_figures_of_a_session_that_was_read_before_belong_to_no_other_sample(fak
 
 
 def test_figures_that_are_old_are_not_shown(fake: FakeService, stepped: SteppedPage):
-    told(fake)
+    describe(fake)
     page = stepped.open(sample())
     stepped.advance(400)
     expect(page.locator("#treatment-on")).to_have_text("41.2 s")

@@ -1,4 +1,4 @@
-"""Values in memory files: whole or refused, with arrays that nobody can change."""
+"""Values in memory files: whole or refused, with read-only arrays."""
 
 import os
 import struct
