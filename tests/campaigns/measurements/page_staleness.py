@@ -306,7 +306,7 @@ def main(
     load_before = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="tidegate-page-") as name, sync_playwright() as playwright:
         root, port = Path(name), free_port()
-        folder = volunteer_folder(root / "recordings", RECORDING_S)
+        volunteer_folder(root / "recordings", RECORDING_S)
         browser = launch_chromium(playwright, is_shell=False)
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.add_init_script(NOTE)
