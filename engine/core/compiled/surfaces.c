@@ -590,12 +590,36 @@ static void eroded_or_dilated(const uint8_t *source, Py_ssize_t rows, Py_ssize_t
         }
 }
 
+/* Mark all cells of each block in which more than half of the cells differ in the same direction by more than a limit. */
+static int mark_blocks(const float *then, const float *present, Py_ssize_t rows, Py_ssize_t columns, Py_ssize_t block_rows,
+                       Py_ssize_t block_columns, float most, uint8_t *other)
+{
+    int is_any = 0;
+    for (Py_ssize_t top = 0; top + block_rows <= rows; top += block_rows)
+        for (Py_ssize_t left = 0; left + block_columns <= columns; left += block_columns) {
+            Py_ssize_t more[2] = {0, 0}, less[2] = {0, 0}, half = block_rows * block_columns / 2;
+            for (Py_ssize_t row = top; row < top + block_rows; row++)
+                for (Py_ssize_t at = 2 * (row * columns + left); at < 2 * (row * columns + left + block_columns); at++) {
+                    float change = present[at] - then[at];
+                    more[at % 2] += change > most;
+                    less[at % 2] += change < -most;
+                }
+            if (more[0] <= half && more[1] <= half && less[0] <= half && less[1] <= half)
+                continue;
+            is_any = 1;
+            for (Py_ssize_t row = top; row < top + block_rows; row++)
+                for (Py_ssize_t column = left; column < left + block_columns; column++)
+                    other[row * columns + column] = 1;
+        }
+    return is_any;
+}
+
 /* Take the present colours into the newest known ones, NaN being none; return how many cells now have another colour than
- * before, after an opening by a square that leaves lines out. */
+ * before, by themselves or as a block, after an opening by a square that leaves lines out. */
 PyObject *changed_cells(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     (void)module;
-    if (!counted(count, 6, "changed_cells"))
+    if (!counted(count, 9, "changed_cells"))
         return NULL;
     Arrays arrays = {0};
     Py_buffer *before = array_of(&arrays, args[0], "before", 'f', 2);
@@ -604,6 +628,9 @@ PyObject *changed_cells(PyObject *module, PyObject *const *args, Py_ssize_t coun
     Py_ssize_t columns = whole_of(&arrays, args[3], "columns", 1, MOST_CELLS);
     Py_ssize_t side = whole_of(&arrays, args[4], "side", 1, 64);
     double limit = number_of(&arrays, args[5], "limit");
+    Py_ssize_t block_rows = whole_of(&arrays, args[6], "block_rows", 1, MOST_CELLS);
+    Py_ssize_t block_columns = whole_of(&arrays, args[7], "block_columns", 1, MOST_CELLS);
+    double block_limit = number_of(&arrays, args[8], "block_limit");
     if (arrays.failed)
         return finish(&arrays, Py_None);
     Py_ssize_t n = before->shape[0], rows = n / columns, changed = 0;
@@ -625,6 +652,7 @@ PyObject *changed_cells(PyObject *module, PyObject *const *args, Py_ssize_t coun
         other[i] = (red > most || green > most) && red == red && green == green;
         is_any |= other[i];
     }
+    is_any |= mark_blocks(then, present, rows, columns, block_rows, block_columns, (float)block_limit, other);
     if (is_any) {
         eroded_or_dilated(other, rows, columns, side / 2, side - 1 - side / 2, 0, eroded);
         eroded_or_dilated(eroded, rows, columns, side / 2, side - 1 - side / 2, 1, opened);

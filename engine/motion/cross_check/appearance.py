@@ -19,6 +19,10 @@ _CORNERS_PX = np.array(
 )
 OTHER_COLOR = 0.03
 """Change of the share of red or green from which a cell has another colour; noise and breathing change it by 0.015."""
+BLOCK_ROWS, BLOCK_COLUMNS = 5, 4
+OTHER_BLOCK_COLOR = 0.015
+"""The same for a block of cells, of which more than half have to change in the same direction; noise and breathing
+change the median of a block by up to 0.006. A sheet of nearly the shirt's hue changes every cell a little."""
 LEAST_BRIGHTNESS = 45.0
 """Sum of red, green and blue below which a cell's colour is noise."""
 PICTURE_STEP_PX = 16
@@ -63,12 +67,32 @@ def changed_share(before: Chroma, now: Chroma, newest: Chroma) -> float:
     """
     compiled = kernels()
     if compiled is not None:
-        changed: int = compiled.changed_cells(before, now, newest, CELL_COLUMNS, len(_LEAST_OBJECT), OTHER_COLOR)
+        changed: int = compiled.changed_cells(
+            before,
+            now,
+            newest,
+            CELL_COLUMNS,
+            len(_LEAST_OBJECT),
+            OTHER_COLOR,
+            BLOCK_ROWS,
+            BLOCK_COLUMNS,
+            OTHER_BLOCK_COLOR,
+        )
         return changed / (CELL_ROWS * CELL_COLUMNS)
     np.copyto(newest, now, where=np.isfinite(now))
-    is_changed = (np.abs(newest - before).max(axis=1) > OTHER_COLOR).astype(np.uint8)
-    objects = cv2.morphologyEx(is_changed.reshape(CELL_ROWS, CELL_COLUMNS), cv2.MORPH_OPEN, _LEAST_OBJECT)
+    change = (newest - before).reshape(CELL_ROWS, CELL_COLUMNS, 2)
+    is_changed = (np.abs(change).max(axis=2) > OTHER_COLOR) | _are_in_changed_blocks(change)
+    objects = cv2.morphologyEx(is_changed.astype(np.uint8), cv2.MORPH_OPEN, _LEAST_OBJECT)
     return float(np.count_nonzero(objects)) / objects.size
+
+
+def _are_in_changed_blocks(change: Chroma) -> npt.NDArray[np.bool_]:
+    """Return which cells lie in a block that changed as a whole, shape (35, 20); an unknown cell has not changed."""
+    blocks = change.reshape(CELL_ROWS // BLOCK_ROWS, BLOCK_ROWS, CELL_COLUMNS // BLOCK_COLUMNS, BLOCK_COLUMNS, 2)
+    limit = np.float32(OTHER_BLOCK_COLOR)
+    counts = np.maximum((blocks > limit).sum(axis=(1, 3)), (blocks < -limit).sum(axis=(1, 3))).max(axis=2)
+    are_changed = counts > BLOCK_ROWS * BLOCK_COLUMNS // 2
+    return np.repeat(np.repeat(are_changed, BLOCK_ROWS, axis=0), BLOCK_COLUMNS, axis=1)
 
 
 def _shares(color: ColorImage) -> Chroma:

@@ -85,7 +85,7 @@ CALLS = {
         *(np.ones((4, 3), bool), np.ones((2, 4), F32), np.ones((3, 2), F32), np.ones((5, 12), F32), 1e4),
         np.zeros(9, F32),
     ],
-    "changed_cells": [np.zeros((12, 2), F32), np.ones((12, 2), F32), np.zeros((12, 2), F32), 4, 2, 0.03],
+    "changed_cells": [np.zeros((12, 2), F32), np.ones((12, 2), F32), np.zeros((12, 2), F32), 4, 2, 0.03, 3, 2, 0.015],
     "scene_movement": [
         *(np.ones((32, 48), np.uint16), 16, 4, np.array([[True] * 3, [True, True, False]]), np.ones(5)),
         *(np.ones((5, 3)), np.ones(5), 15.0, 0.5, 3, np.ones((4, 3)), np.zeros(4)),

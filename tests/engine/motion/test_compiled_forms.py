@@ -208,7 +208,7 @@ def test_the_changed_share_is_the_same(seed, changed, dark):
     for _ in range(rng.integers(0, 5)):
         top, left = rng.integers(-3, CELL_ROWS), rng.integers(-3, CELL_COLUMNS)
         other[max(top, 0) : top + rng.integers(1, 9), max(left, 0) : left + rng.integers(1, 9)] = 1.0
-    now[:, rng.integers(2)] = 0.05 * other.ravel()
+    now[:, rng.integers(2)] = rng.choice([0.05, 0.016, -0.016]) * other.ravel()
     before[rng.random(len(before)) < dark] = np.nan
     newest = np.zeros((2, *now.shape), dtype=np.float32)
     now[rng.random(len(now)) < dark] = np.nan

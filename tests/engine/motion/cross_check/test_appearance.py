@@ -9,12 +9,15 @@ MARKERS_PX = np.array([[200.0, 100.0], [440.0, 110.0], [430.0, 380.0], [210.0, 3
 SKIN, SHEET = (190.0, 140.0, 120.0), (62.0, 112.0, 98.0)
 
 
-def picture(*, sheet=None, gain=(1.0, 1.0, 1.0), seed=1):
+DARK_SHIRT, SHEET_OF_ITS_HUE = (22.0, 47.0, 38.0), (60.0, 115.0, 98.0)
+
+
+def picture(*, sheet=None, gain=(1.0, 1.0, 1.0), seed=1, skin=SKIN, sheet_color=SHEET):
     """A patient in front of a grey couch; ``sheet`` are the rows that a sheet covers."""
     color = np.full((480, 640, 3), 150.0)
-    color[80:400, 180:460] = SKIN
+    color[80:400, 180:460] = skin
     if sheet is not None:
-        color[sheet, 180:460] = SHEET
+        color[sheet, 180:460] = sheet_color
     noise = np.random.default_rng(seed).normal(0.0, 4.0, color.shape)
     return np.clip(color * gain + noise, 0.0, 255.0).astype(np.uint8)
 
@@ -33,6 +36,15 @@ def changed(before, now):
 def test_a_sheet_changes_its_share_of_the_region():
     assert share(picture(sheet=slice(240, 400), seed=2)) == pytest.approx(0.5, abs=0.08)
     assert share(picture(sheet=slice(80, 400), seed=2)) > 0.95
+
+
+def test_a_sheet_of_nearly_the_shirts_hue_is_found_by_the_blocks_that_it_covers():
+    """No cell changes by as much as noise may change one; more than half of a block in one direction noise never does."""
+    before = chroma_of(picture(skin=DARK_SHIRT), MARKERS_PX)
+    for rows, covered in ((slice(80, 400), 1.0), (slice(240, 400), 0.5)):
+        after = picture(sheet=rows, seed=2, skin=DARK_SHIRT, sheet_color=SHEET_OF_ITS_HUE)
+        assert changed(before, chroma_of(after, MARKERS_PX)) == pytest.approx(covered, abs=0.12)
+    assert changed(before, chroma_of(picture(seed=3, skin=DARK_SHIRT), MARKERS_PX)) < 0.01
 
 
 @pytest.mark.parametrize("gain", [(1.0, 1.0, 1.0), (0.6, 0.6, 0.6), (1.2, 1.2, 1.2), (1.1, 1.0, 0.9)])
