@@ -106,7 +106,7 @@ class BreathHoldWindow:
             return ended
         match state.stage:
             case HoldStage.HELD:
-                return WindowVerdict(is_inside=True, states=(replace(state, is_inside=True),))
+                return WindowVerdict(is_inside=True, states=(state,))
             case HoldStage.AWAITED:
                 state = _begun(state, value, frame_input.timestamp_us)
         return self._settle(state, value, frame_input.timestamp_us)
@@ -118,7 +118,7 @@ class BreathHoldWindow:
         state = replace(state, lowest=lowest, highest=highest)
         if (now_us - state.since_us) * NS_PER_US < self.settle_ms * NS_PER_MS:
             return self._still_settling(state, f"still for {(now_us - state.since_us) / 1e6:.1f} s")
-        held = replace(state, stage=HoldStage.HELD, since_us=now_us, is_inside=True)
+        held = replace(state, stage=HoldStage.HELD, since_us=now_us)
         if held.settled_at is None:
             held = replace(held, settled_at=value, held_since_us=now_us, holds=state.holds + 1)
         return WindowVerdict(is_inside=True, states=(held,))
@@ -145,4 +145,4 @@ class BreathHoldWindow:
 
 def _begun(state: ConditionState, value: float, now_us: int) -> ConditionState:
     """Return the state of a hold that begins to settle at this frame."""
-    return replace(state, stage=HoldStage.SETTLING, since_us=now_us, lowest=value, highest=value, is_inside=False)
+    return replace(state, stage=HoldStage.SETTLING, since_us=now_us, lowest=value, highest=value)

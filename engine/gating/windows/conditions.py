@@ -36,7 +36,7 @@ class ConditionState:
     Attributes
     ----------
     is_inside
-        Whether the last checked frame was inside.
+        Of an amplitude window: whether the last checked frame was inside, which decides what its hysteresis asks.
     stage, since_us
         Of a breath hold: its stage, and since when by the device's clock [us].
     lowest, highest

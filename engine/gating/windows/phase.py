@@ -7,7 +7,6 @@ from engine.core.breath import WHOLE, SignalChoice
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import HoldReason
 from engine.core.ranges import Ranges
-from engine.core.replacing import replace
 from engine.core.signals import check_choice
 from engine.gating.windows.conditions import ConditionState, WindowInput, WindowVerdict, outside
 
@@ -74,4 +73,4 @@ class PhaseWindow:
         if not self.contains(breath.phase_percent):
             detail = f"{breath.phase_percent:.0f} % is not inside {self.from_percent:g} to {self.to_percent:g} %"
             return outside(state, HoldReason.OUTSIDE_WINDOW, detail)
-        return WindowVerdict(is_inside=True, states=(replace(state, is_inside=True),))
+        return WindowVerdict(is_inside=True, states=(state,))

@@ -9,8 +9,9 @@ from engine.core.commands import Arm, Disarm
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, HoldStage
+from engine.gating.windows.conditions import ConditionState, WindowInput, WindowVerdict
 from tests.support.gating.bad_frames import HOLDS
-from tests.support.gating.streams import LIMITS, Stream, unmeasured
+from tests.support.gating.streams import LIMITS, Stream, motion_of, unmeasured
 
 LEVEL = AmplitudeWindow(lower=18.0, upper=24.0, hysteresis=0.5)
 WINDOW = BreathHoldWindow(level=LEVEL, settle_ms=500.0, still=0.6, max_drift=1.5, timeout_s=3.0)
@@ -82,6 +83,26 @@ def test_the_hold_ends_on_drift_at_once_and_the_next_needs_a_breath():
     stream.level_mm = 21.5
     assert stream.good(SETTLE_FRAMES + DWELL_FRAMES)[-1] is GateState.BEAM_ON
     assert stream.gate.breath_holds == 2
+
+
+def test_a_hold_that_drifted_and_came_back_is_no_hold_before_a_breath():
+    stream = held(20.0)
+    stream.level_mm = 21.51
+    stream.feed()
+    stream.level_mm = 20.0
+    assert set(stream.good(3 * SETTLE_FRAMES)) == {GateState.HOLD}
+    assert stream.gate.reason is HoldReason.BREATH_HOLD_DRIFTED
+
+
+@pytest.mark.parametrize("step_mm", [0.05, -0.05])
+def test_a_level_that_creeps_is_never_still(step_mm):
+    """Each step is small; from the first frame that settles to the last they are more than ``still``."""
+    stream = armed()
+    stream.level_mm = 21.0 - 25 * step_mm
+    for _ in range(50):
+        stream.level_mm += step_mm
+        assert stream.feed().state is GateState.HOLD
+    assert stream.gate.breath_holds == 0
 
 
 def test_drift_counts_from_where_it_settled_in_both_directions():
@@ -208,3 +229,100 @@ def test_a_hold_that_is_none_is_refused_by_field_and_bound(field, value):
         replace(WINDOW, **{field: value})
     assert refusal.value.field == field
     assert refusal.value.bound
+
+
+# -- one frame at a time ----------------------------------------------------------------------------------------------
+
+FIRST_US = 40_000_000
+
+
+def judged(level_mm: float, at_ms: float, state: ConditionState) -> WindowVerdict:
+    """Judge a frame of this level, so long after the first."""
+    motion = motion_of(level_mm)
+    return WINDOW.judge(WindowInput(motion=motion, breaths=(), timestamp_us=FIRST_US + round(1e3 * at_ms)), (state,))
+
+
+def settling(lowest: float = 21.0, highest: float = 21.0) -> ConditionState:
+    return ConditionState(stage=HoldStage.SETTLING, since_us=FIRST_US, lowest=lowest, highest=highest)
+
+
+def being_held() -> ConditionState:
+    return ConditionState(
+        stage=HoldStage.HELD,
+        since_us=FIRST_US,
+        lowest=21.0,
+        highest=21.0,
+        settled_at=21.0,
+        held_since_us=FIRST_US,
+        holds=1,
+    )
+
+
+def test_the_first_frame_inside_begins_to_settle():
+    found = judged(21.0, 0.0, ConditionState(since_us=5, lowest=1.0, highest=30.0))
+    assert found.states == (settling(),)
+    assert (found.is_inside, found.reason) == (False, HoldReason.BREATH_HOLD_SETTLING)
+    assert found.detail == "still for 0.0 s; 0.5 s needed"
+
+
+def test_extremes_are_kept_while_it_settles_and_begin_with_the_frame_that_moves_too_far():
+    for level_mm, extremes in (
+        (21.3, (21.0, 21.3)),
+        (20.7, (20.7, 21.0)),
+        (21.59, (21.0, 21.59)),
+        (20.41, (20.41, 21.0)),
+    ):
+        assert judged(level_mm, 100.0, settling()).states == (settling(*extremes),)
+    for level_mm in (21.61, 20.39):
+        found = judged(level_mm, 100.0, settling())
+        assert found.states == (replace(settling(level_mm, level_mm), since_us=FIRST_US + 100_000),)
+        assert (found.reason, found.detail) == (HoldReason.BREATH_HOLD_SETTLING, "the signal moves; 0.5 s needed")
+
+
+def test_a_range_that_equals_the_bound_is_still():
+    window = replace(WINDOW, still=0.5)
+    seen = WindowInput(motion=motion_of(21.5), breaths=(), timestamp_us=FIRST_US + 500_000)
+    assert window.judge(seen, (settling(),)).is_inside
+
+
+def test_it_is_held_from_the_settle_time_itself():
+    before = judged(21.0, 499.999, settling())
+    assert (before.is_inside, before.detail) == (False, "still for 0.5 s; 0.5 s needed")
+    found = judged(21.2, 500.0, settling())
+    then_us = FIRST_US + 500_000
+    assert found.is_inside
+    assert found.states == (
+        ConditionState(
+            stage=HoldStage.HELD,
+            since_us=then_us,
+            lowest=21.0,
+            highest=21.2,
+            settled_at=21.2,
+            held_since_us=then_us,
+            holds=1,
+        ),
+    )
+
+
+def test_a_held_frame_changes_nothing():
+    assert judged(21.4, 700.0, being_held()) == WindowVerdict(is_inside=True, states=(being_held(),))
+
+
+def test_it_is_over_at_the_time_limit_itself():
+    assert judged(21.0, 2_999.999, being_held()).is_inside
+    found = judged(21.0, 3_000.0, being_held())
+    assert (found.is_inside, found.reason, found.detail) == (False, HoldReason.BREATH_HOLD_OVER, "held for 3 s")
+    assert found.states == (replace(being_held(), stage=HoldStage.OVER, since_us=FIRST_US + 3_000_000),)
+
+
+def test_its_stage_says_that_it_drifted_and_when():
+    found = judged(22.51, 800.0, being_held())
+    assert (found.is_inside, found.reason) == (False, HoldReason.BREATH_HOLD_DRIFTED)
+    assert found.detail == "1.5 mm from the settled level, 1.5 allowed"
+    assert found.states == (replace(being_held(), stage=HoldStage.DRIFTED, since_us=FIRST_US + 800_000),)
+
+
+def test_a_level_in_per_cent_waits_for_the_range_not_for_a_breath():
+    window = replace(WINDOW, level=AmplitudeWindow(lower=60.0, upper=90.0, unit="percent"))
+    seen = WindowInput(motion=motion_of(21.0), breaths=(), timestamp_us=FIRST_US)
+    assert window.judge(seen, (ConditionState(),)).reason is HoldReason.RANGE_UNKNOWN

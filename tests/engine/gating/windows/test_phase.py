@@ -69,6 +69,29 @@ def test_a_phase_that_is_not_known_well_holds_at_once(unknown):
     assert (gate.state, gate.reason) == (GateState.HOLD, HoldReason.PHASE_UNKNOWN)
 
 
+def test_a_hold_says_why_the_phase_is_unknown_or_where_it_is():
+    stream = armed()
+    for seen, reason, detail in (
+        (breath(None), HoldReason.PHASE_UNKNOWN, "as the test wants it"),
+        (
+            breath(50.0, signal=SignalChoice(signal="thorax")),
+            HoldReason.PHASE_UNKNOWN,
+            "the phase of this signal is not computed",
+        ),
+        (breath(50.0, 0.59), HoldReason.PHASE_UNKNOWN, "confidence 0.59, 0.60 needed"),
+        (breath(20.0), HoldReason.OUTSIDE_WINDOW, "20 % is not inside 30 to 70 %"),
+    ):
+        stream.breath = seen
+        gate = stream.feed()
+        assert (gate.reason, gate.detail) == (reason, detail)
+
+
+def test_the_least_confidence_itself_is_enough():
+    stream = armed()
+    stream.breath = breath(50.0, WINDOW.min_confidence)
+    assert stream.feed().state is GateState.DWELL
+
+
 def test_a_phase_that_is_no_number_is_outside():
     stream = armed()
     stream.breath = breath(math.nan)
@@ -85,7 +108,9 @@ def test_no_breath_at_all_holds():
     ("changes", "field"),
     [
         ({"from_percent": -0.1}, "from_percent"),
+        ({"from_percent": 100.1}, "from_percent"),
         ({"to_percent": 100.1}, "to_percent"),
+        ({"to_percent": -0.1}, "to_percent"),
         ({"to_percent": math.nan}, "to_percent"),
         ({"to_percent": 30.0}, "to_percent"),
         ({"from_percent": 0.0, "to_percent": 100.0}, "to_percent"),
@@ -97,3 +122,9 @@ def test_a_phase_window_that_is_none_is_refused_by_field(changes, field):
     with pytest.raises(InvalidValueError) as refusal:
         replace(WINDOW, **changes)
     assert refusal.value.field == field
+    assert str(changes[field]) in str(refusal.value)
+
+
+def test_a_window_may_end_with_the_cycle_or_begin_with_it():
+    assert PhaseWindow(from_percent=50.0, to_percent=0.0).contains(75.0)
+    assert PhaseWindow(from_percent=100.0, to_percent=50.0).contains(25.0)
