@@ -306,6 +306,18 @@ def test_a_fault_of_the_line_itself_is_forwarded_and_ends_the_permit():
     assert room.faults[1][2] - room.faults[0][2] <= BOUND_MS * MS + 10 * MS
 
 
+def test_a_permit_that_is_renewed_between_two_readings_has_stood_since_it_was_first_given():
+    room = Room(delay_ms=10_000.0)
+    for _ in range(ABSENT_MS // 10):
+        assert not room.line.state.is_absent
+        room.permit()
+        room.clock.advance_ns(6 * MS)
+        room.permit()
+        room.clock.advance_ns(4 * MS)
+        room.line.compare_once()
+    assert room.line.state.is_absent
+
+
 def test_its_thread_compares_by_itself_and_ends_with_the_line():
     clock = MonotonicClock()
     line = ComparedBeamLine(SimulatedBeamLine(clock), clock, lambda: True)

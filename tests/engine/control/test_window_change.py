@@ -9,7 +9,7 @@ from engine.core.commands import Arm, CorrectBaseline, SetReference
 from engine.core.errors import CommandRefusedError, InvalidValueError
 from engine.core.gate_state import GateState
 from engine.core.ranges import LearnedRange
-from engine.gating.window_change import SetWindow
+from engine.gating.window_change import SetWindow, checked_change
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, JoinedWindow, PhaseWindow, Unit, amplitude_window
 from tests.support.control.loop_bench import Bench, after, good
 from tests.support.gating.streams import LEVEL_MM, LIMITS
@@ -96,6 +96,15 @@ def test_per_cent_are_converted_at_once_and_only_again_for_another_reference():
     moved = {WHOLE: LearnedRange(low=LEVEL_MM + 2.0, high=LEVEL_MM + 12.0)}
     bench = after_commands(set_to(percent), window=percent, ranges=moved)
     assert bench.loop.status.view.window.lower == LEVEL_MM + 2.0
+
+
+def test_every_time_of_the_command_becomes_a_limit_and_no_other_limit_changes():
+    times = {"dwell_ms": 210.0, "min_on_ms": 350.0, "min_off_ms": 410.0, "max_cycles_per_min": 17}
+    percent = AmplitudeWindow(lower=0.0, upper=30.0, unit=Unit.PERCENT)
+    for wanted in (BESIDE, percent):
+        change = checked_change(WINDOW, set_to(wanted, **times), LIMITS, {})
+        assert change.limits == replace(LIMITS, window=wanted, **times)
+        assert (change.window.requested, change.window.window) == (wanted, wanted)
 
 
 def test_a_baseline_correction_ends_with_another_window():
