@@ -397,6 +397,7 @@ class Hello(TypedDict):
     ping_s: float
     rate_hz: NotRequired[float | None]
     resumes_after: NotRequired[int | None]
+    room: NotRequired[str | None]
     schema: NotRequired[Literal["tidegate.live/1"]]
     sent_at: str
     session_id: NotRequired[str | None]

@@ -103,8 +103,8 @@ def passes_of(task: FileTask) -> int:
 
 
 def measure_files(
-    tasks: Sequence[FileTask],
     jobs: int,
+    tasks: Sequence[FileTask],
     on_progress: Callable[[int, Progress], None],
     on_outcome: Callable[[int, FileOutcome], None],
 ) -> list[FileOutcome]:

@@ -8,6 +8,7 @@ from service.access.accounts.people import AccountService
 from service.access.accounts.records import User
 from service.access.accounts.store import AccessStore
 from service.access.housekeeping import AccessCleanupWorker
+from service.access.login.cookies import CookieScope
 from service.access.login.keys import KeyService
 from service.access.login.logins import LoginService
 from service.access.login.refusals import RefusedLogins
@@ -32,7 +33,7 @@ class AccessService:
     refused_logins: RefusedLogins
     passwords: PasswordService
     cleanup_worker: AccessCleanupWorker
-    is_secure: bool
+    cookies: CookieScope
 
     def person(self, identity: Identity) -> User:
         """Return the account of an identity that `is_person`; raise NotFoundError where there is none."""
@@ -45,7 +46,7 @@ class AccessService:
 
 
 def open_access(
-    database: Database, log: AuditLog, settings: AccessSettings, hashing: Hashing | None = None
+    database: Database, log: AuditLog, settings: AccessSettings, hashing: Hashing | None = None, *, room: str = ""
 ) -> AccessService:
     """Load all access records into memory and start the clean-up thread.
 
@@ -64,15 +65,16 @@ def open_access(
     screens = ScreenService(store, refused_logins, lasts=lasts, idle=idle)
     cleanup_worker = AccessCleanupWorker(store, refused_logins, log.write, idle=idle)
     cleanup_worker.start()
+    cookies = CookieScope(is_secure=settings.is_secure, room=room)
     return AccessService(
         store=store,
         logins=LoginService(store, hashing, refused_logins, lasts=lasts, idle=idle),
         accounts=AccountService(store, lambda password: passwords.submit(lambda: hashing.hash(password)).result()),
         keys=keys,
         screens=screens,
-        authenticator=Authenticator(store, keys, screens, idle=idle, is_secure=settings.is_secure),
+        authenticator=Authenticator(store, keys, screens, idle=idle, cookies=cookies),
         refused_logins=refused_logins,
         passwords=passwords,
         cleanup_worker=cleanup_worker,
-        is_secure=settings.is_secure,
+        cookies=cookies,
     )

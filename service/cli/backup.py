@@ -21,7 +21,7 @@ from service.storage import audit
 from service.storage.audit import Event
 from service.storage.backup.archive import opened
 from service.storage.backup.backup import CreatedBackup, Source, make_backup, needed_bytes, refuse_full_disk
-from service.storage.backup.layout import BackupError, BrokenLogError
+from service.storage.backup.layout import BackupError, BrokenLogError, OtherRoomError
 from service.storage.backup.restore import Target, check
 from service.storage.backup.restore import restore as restore_backup
 from service.storage.database.engine import Database
@@ -57,7 +57,13 @@ def backup(
 
 
 def _back_up(settings: Settings, database: Database, out: Path, *, has_raw: bool, is_verified: bool) -> None:
-    source = Source(database=database, data_dir=settings.data_dir, anchor_file=settings.anchor_file, has_raw=has_raw)
+    source = Source(
+        database=database,
+        data_dir=settings.data_dir,
+        anchor_file=settings.anchor_file,
+        has_raw=has_raw,
+        room=settings.room,
+    )
     refuse_full_disk(out, needed_bytes(source) * (2 if is_verified else 1), settings.min_free_disk_mb)
     with _Bar.drawn() as bar:
         made = make_backup(source, out, bar)
@@ -75,6 +81,10 @@ def restore(
     takes_broken_log: Annotated[
         bool, typer.Option("--accept-broken-log", help="Restore although the audit log in the backup is broken.")
     ] = False,
+    takes_other_room: Annotated[
+        bool,
+        typer.Option("--accept-other-room", help="Restore although the backup is of another room (TIDEGATE_ROOM)."),
+    ] = False,
 ) -> None:
     """Restore a backup into an empty database and data folder, SQLite or PostgreSQL.
 
@@ -88,9 +98,17 @@ def restore(
             say(f"{file} is intact: {found.manifest.rows} rows, {len(found.manifest.files)} files", "green")
             return
         with alone_in(settings.data_dir), closing(_database(settings)) as database, _Bar.drawn() as bar:
-            target = Target(database=database, data_dir=settings.data_dir, anchor_file=settings.anchor_file)
+            target = Target(
+                database=database, data_dir=settings.data_dir, anchor_file=settings.anchor_file, room=settings.room
+            )
             restore_backup(
-                found, target, actor=_os_user(), name=file.name, progress=bar, takes_broken_log=takes_broken_log
+                found,
+                target,
+                actor=_os_user(),
+                name=file.name,
+                progress=bar,
+                takes_broken_log=takes_broken_log,
+                takes_other_room=takes_other_room,
             )
             people, keys = _valid_accounts_and_keys(database)
         manifest = found.manifest
@@ -170,6 +188,7 @@ def _made_event(made: CreatedBackup, *, is_verified: bool) -> Event:
         "audit_head": manifest.audit_head,
         "sessions_without_samples": len(manifest.without_samples),
         "is_verified": is_verified,
+        "room": manifest.room,
     }
     return Event(actor=_os_user(), action="backup.made", detail=detail)
 
@@ -203,6 +222,8 @@ def _refusals(command: str) -> Iterator[None]:
     """End the command with one line if the work inside is refused."""
     try:
         yield
+    except OtherRoomError as error:
+        raise refused(command, f"{error}; --accept-other-room takes it over") from error
     except (SettingsError, TidegateError) as error:
         raise refused(command, error) from error
     except SQLAlchemyError as error:

@@ -61,6 +61,7 @@ def check(
     from engine.core.errors import TidegateError
     from service.cli.data_folder import settings_of_folder
     from service.core.settings.settings import SettingsError, load_settings
+    from service.engine_host.targets import alone_at_targets
     from service.storage.files.folder_lock import alone_in
 
     low, high = PULSE_BOUNDS_MS
@@ -69,7 +70,8 @@ def check(
     try:
         settings = load_settings() if data is None else settings_of_folder(data)
         # No service can use a folder that does not exist; the check does not create it.
-        with alone_in(settings.data_dir) if settings.data_dir.exists() else nullcontext():
+        alone = alone_in(settings.data_dir) if settings.data_dir.exists() else nullcontext()
+        with alone, alone_at_targets(settings):
             _check(settings, pulse, repeats)
     except (SettingsError, TidegateError) as error:
         raise refused(COMMAND, error) from error

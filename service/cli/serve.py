@@ -48,6 +48,7 @@ def serve(
     from service.core.logging.nonblocking import flush_log
     from service.core.settings.settings import SettingsError, load_settings
     from service.engine_host.site_rules.recording_folders import refuse_same_names
+    from service.engine_host.targets import alone_at_targets
     from service.storage.files.folder_lock import alone_in
     from service.web.shutdown import leave_at_once
 
@@ -61,7 +62,7 @@ def serve(
         refuse_same_names(settings.recording_folders)
         _refuse_taken_port(settings)
         os.umask(UMASK)
-        with alone_in(settings.data_dir):
+        with alone_in(settings.data_dir), alone_at_targets(settings):
             _run(settings)
     except (SettingsError, TidegateError) as error:
         flush_log()
@@ -74,10 +75,12 @@ def _run(settings: "Settings") -> None:
     from service.core.logging.redaction import install_private_log
     from service.core.settings.database_place import shown_place
 
-    install_private_log(settings.log_level, settings.log_format, handler=NonblockingHandler())
+    install_private_log(settings.log_level, settings.log_format, handler=NonblockingHandler(), room=settings.room)
     start_log.setLevel(logging.INFO)
     database = shown_place(settings.database_place)
-    start_log.info("Tidegate %s: data folder %s, database %s", __version__, settings.data_dir.absolute(), database)
+    room = settings.room or "without a name"
+    place = settings.data_dir.absolute()
+    start_log.info("Tidegate %s: room %s, data folder %s, database %s", __version__, room, place, database)
     _warn(settings)
     from service.engine_host.process.process_engine import ProcessEngine
 

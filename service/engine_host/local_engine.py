@@ -12,7 +12,7 @@ from pathlib import Path
 from engine.calibration.camera_calibration import Calibration
 from engine.calibration.camera_view import CameraViewMeter
 from engine.calibration.device_registration import registered_calibration
-from engine.capture.openni.source import OpenNiSource, list_devices, runtime_available
+from engine.capture.openni.source import ListedDevice, OpenNiSource, list_devices, runtime_available
 from engine.capture.reconnecting import LiveSource, ReturningSource
 from engine.capture.recording_source import OniFileSource
 from engine.capture.source import DepthSource
@@ -156,7 +156,7 @@ class LocalEngine:
             if newest is not None and not newest.status.is_over:
                 msg = "a session is running: its camera cannot be queried"
                 raise CommandRefusedError(msg)
-            return _registered(uri)
+            return _registered(uri, self._settings.camera_uri)
 
     def note_server_turn(self, turned_ns: int) -> None:
         """Do nothing: an engine in the server's own process has no silence to supervise, as tests run it."""
@@ -165,7 +165,10 @@ class LocalEngine:
         """List the cameras that could be used."""
         if not runtime_available():
             return sessions.DeviceList(is_runtime_available=False, detail=RUNTIME_HINT, items=[])
-        items = [sessions.Device(uri=device.uri, name=f"{device.vendor} {device.name}") for device in list_devices()]
+        items = [
+            sessions.Device(uri=device.uri, name=f"{device.vendor} {device.name}")
+            for device in _cameras(self._settings.camera_uri)
+        ]
         detail = "" if items else "the OpenNI2 runtime sees no camera"
         return sessions.DeviceList(is_runtime_available=True, detail=detail, items=items)
 
@@ -179,18 +182,20 @@ class LocalEngine:
         """Return a source that reopens the camera; its address may change, so all listed ones are tried in turn."""
         first = iter((self._camera(uri, calibration),))
         turns = itertools.count()
+        pinned = self._settings.camera_uri
         return ReturningSource(
-            lambda: next(first, None) or self._camera(_listed_in_turn(next(turns)), calibration),
+            lambda: next(first, None) or self._camera(_listed_in_turn(next(turns), pinned), calibration),
             self._clock,
             needs_serial=not calibration.is_device_registration,
         )
 
     def _camera(self, uri: str | None, calibration: Calibration) -> LiveSource:
         is_registered = calibration.is_device_registration
-        if is_registered and _registered(uri).sha256 != calibration.sha256:
+        pinned = self._settings.camera_uri
+        if is_registered and _registered(uri, pinned).sha256 != calibration.sha256:
             msg = "the camera is not the one whose registration this session was created for"
             raise SourceLostError(msg)
-        source = OpenNiSource(_listed(uri), clock=self._clock, use_device_registration=is_registered)
+        source = OpenNiSource(_listed(uri, pinned), clock=self._clock, use_device_registration=is_registered)
         return checked_camera(source, calibration, self._settings)
 
     def _player(self, path: Path, player: str) -> DepthSource:
@@ -201,8 +206,8 @@ class LocalEngine:
         return OpenNiSource(path, clock=self._clock)
 
 
-def _registered(uri: str | None) -> Calibration:
-    calibration = registered_calibration(_listed(uri))
+def _registered(uri: str | None, pinned: str) -> Calibration:
+    calibration = registered_calibration(_listed(uri, pinned))
     if calibration is None:
         bound = "given: this camera does not register depth to colour itself"
         raise InvalidValueError("calibration_id", "missing", bound)
@@ -214,17 +219,25 @@ def _camera_meter(plan: SessionPlan) -> CameraViewMeter:
     return CameraViewMeter(plan.calibration.depth, is_live=isinstance(plan.source, sessions.DeviceSource))
 
 
-def _listed(uri: str | None) -> str:
+def _cameras(pinned: str) -> list[ListedDevice]:
+    """Return the cameras that this room may open: those of the site's setting, or all where it names none."""
+    return [device for device in list_devices() if device.uri.startswith(pinned)]
+
+
+def _listed(uri: str | None, pinned: str) -> str:
     # Only what the runtime lists: it would open a file just as well, and files have to lie in the allowed folders.
-    found = [device.uri for device in list_devices()]
+    found = [device.uri for device in _cameras(pinned)]
+    if pinned and uri is None and len(found) > 1:
+        msg = f"TIDEGATE_CAMERA_URI {pinned} is the beginning of {len(found)} cameras: it has to name one"
+        raise SourceLostError(msg)
     if not found or (uri is not None and uri not in found):
         msg = "the OpenNI2 runtime sees no such camera"
         raise SourceLostError(msg)
     return uri or found[0]
 
 
-def _listed_in_turn(turn: int) -> str:
-    found = [device.uri for device in list_devices()]
+def _listed_in_turn(turn: int, pinned: str) -> str:
+    found = [device.uri for device in _cameras(pinned)]
     if not found:
         msg = "the OpenNI2 runtime sees no camera"
         raise SourceLostError(msg)

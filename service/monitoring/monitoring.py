@@ -78,6 +78,7 @@ def make_monitoring(services: MonitoredServices, others: Iterable[Collector] = (
         certificate=services.certificate,
         access=services.access,
         readiness=health.readiness,
+        room=services.settings.room,
         forwarded_rows=lambda: services.audit_supervision.passed_on,
     )
     collectors = (EngineMetrics(services.equipment, services.engine), machine, *others)

@@ -244,7 +244,7 @@ def _open_work(dependencies: _Dependencies, storage: _Storage) -> _Work:
 
 
 def _open_access(dependencies: _Dependencies, storage: _Storage, work: _Work, on_failure: ExitStack) -> _Access:
-    service = open_access(storage.database, storage.log, dependencies.settings)
+    service = open_access(storage.database, storage.log, dependencies.settings, room=dependencies.settings.room)
     on_failure.callback(service.close)
     if dependencies.tell_first is not None:
         make_first_admin(service.store, service.accounts, dependencies.tell_first)

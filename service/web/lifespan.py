@@ -81,6 +81,7 @@ def _install(app: FastAPI, container: Container, settings: Settings) -> None:
         container.services.alarms,
         max_clients=settings.max_live_clients,
         stall_s=settings.live_stall_s,
+        room=settings.room,
     )
     app.state.coach = CoachHub(container.services.runner, container.services.coaching, stall_s=settings.live_stall_s)
     container.monitoring.metrics.add(StreamMetrics(app.state.live.reading))

@@ -7,7 +7,7 @@ from starlette.datastructures import Headers
 from service.access.accounts.names import KEY_PREFIX, MACHINE_PREFIX, name_key
 from service.access.accounts.records import ApiKey, Login
 from service.access.accounts.store import AccessStore
-from service.access.login.cookies import screen_token_in, token_in
+from service.access.login.cookies import CookieScope, screen_token_in, token_in
 from service.access.login.keys import TOKEN_PREFIX, KeyService, actor_of
 from service.access.login.logins import hashed
 from service.access.request.identity import Identity, MachineVerifier
@@ -25,13 +25,13 @@ class Authenticator:
     """
 
     def __init__(
-        self, store: AccessStore, keys: KeyService, screens: ScreenService, *, idle: timedelta, is_secure: bool
+        self, store: AccessStore, keys: KeyService, screens: ScreenService, *, idle: timedelta, cookies: CookieScope
     ) -> None:
         self._store = store
         self._screens = screens
         self._keys = keys
         self._idle = idle
-        self._is_secure = is_secure
+        self._cookies = cookies
         self.machine_verifier: MachineVerifier | None = None
 
     def identify(self, headers: Headers) -> Identity | None:
@@ -39,7 +39,7 @@ class Authenticator:
         authorization = headers.get("authorization")
         if authorization is not None:
             return self._bearer(authorization)
-        token = token_in(headers, is_secure=self._is_secure)
+        token = token_in(headers, self._cookies)
         return None if token is None else self._person(hashed(token))
 
     def identify_watcher(self, headers: Headers) -> Identity | None:
@@ -47,7 +47,7 @@ class Authenticator:
 
         The screen's cookie is read here alone; on every other route it is nothing.
         """
-        token = screen_token_in(headers, is_secure=self._is_secure)
+        token = screen_token_in(headers, self._cookies)
         screen = None if token is None else self._screens.find(hashed(token))
         return self.identify(headers) if screen is None else _screen_identity(screen)
 

@@ -3,6 +3,7 @@
 import os
 import signal
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -15,11 +16,19 @@ from rich.table import Table as RichTable
 
 import engine
 from engine.core.errors import InvalidValueError, TidegateError
+from service.cli.cluster.options import (
+    AuthorityFile,
+    CertificateFile,
+    KeyFile,
+    SchedulerAddress,
+    SchedulerOptions,
+    scheduler_options,
+)
 from service.cli.terminal import refused, say
 
 if TYPE_CHECKING:
+    from engine.verification.evaluation.runs.bench import DoAll, Report
     from engine.verification.evaluation.runs.bench import Progress as BenchProgress
-    from engine.verification.evaluation.runs.bench import Report
     from engine.verification.evaluation.runs.datasets import Run
     from engine.verification.evaluation.runs.marks import Mark
     from engine.verification.evaluation.runs.scored_run import ScoredRun
@@ -46,6 +55,10 @@ def bench(
         Path | None, typer.Option(help="Folder that keeps the recordings and measurements; OUT/work by default.")
     ] = None,
     is_strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 when a required value is not met.")] = False,
+    scheduler: SchedulerAddress = None,
+    tls_ca: AuthorityFile = None,
+    tls_cert: CertificateFile = None,
+    tls_key: KeyFile = None,
 ) -> None:
     """Measure virtual volunteers as in the article, and print every table and figure of it with ours beside.
 
@@ -57,7 +70,12 @@ def bench(
     if out is None:
         raise refused("evaluate", InvalidValueError("out", "", "a folder to write to (--out)"))
     try:
-        marks = _bench(out, work or out / "work", is_quick=is_quick, jobs=jobs, seconds=seconds, seed=seed)
+        cluster = scheduler_options(scheduler, tls_ca, tls_cert, tls_key)
+        if cluster is not None and jobs is not None:
+            raise InvalidValueError("jobs", jobs, "left out with --scheduler: its workers are counted there")
+        marks = _bench(
+            out, work or out / "work", is_quick=is_quick, jobs=jobs, seconds=seconds, seed=seed, cluster=cluster
+        )
     except KeyboardInterrupt as stopped:
         say("tidegate evaluate: stopped; complete parts are kept, and the same command continues from there", "yellow")
         raise typer.Exit(STOPPED) from stopped
@@ -70,7 +88,16 @@ def bench(
         raise typer.Exit(1)
 
 
-def _bench(out: Path, work: Path, *, is_quick: bool, jobs: int | None, seconds: float, seed: int) -> "list[Mark]":
+def _bench(
+    out: Path,
+    work: Path,
+    *,
+    is_quick: bool,
+    jobs: int | None,
+    seconds: float,
+    seed: int,
+    cluster: SchedulerOptions | None,
+) -> "list[Mark]":
     from engine.verification.evaluation.report.report import write_report
     from engine.verification.evaluation.runs.bench import check_jobs
     from engine.verification.evaluation.runs.datasets import check_plan, full_plan, quick_plan
@@ -82,7 +109,7 @@ def _bench(out: Path, work: Path, *, is_quick: bool, jobs: int | None, seconds: 
         if folder.exists() and not folder.is_dir():
             raise InvalidValueError(field, str(folder), "a folder")
     plan = (quick_plan if is_quick else full_plan)(seed, seconds)
-    scored = _with_bar(plan, work, workers)
+    scored = _with_bar(plan, work, workers, cluster)
     command = "tidegate evaluate --out OUT" + (" --quick" if is_quick else "") + _changed(seconds, seed)
     tables, marks = write_report(
         scored,
@@ -103,7 +130,7 @@ def _changed(seconds: float, seed: int) -> str:
     return (f" --seconds {seconds:g}" if seconds != SECONDS else "") + (f" --seed {seed}" if seed != SEED else "")
 
 
-def _with_bar(plan: "list[Run]", work: Path, jobs: int) -> "list[ScoredRun]":
+def _with_bar(plan: "list[Run]", work: Path, jobs: int, cluster: SchedulerOptions | None) -> "list[ScoredRun]":
     """Run all datasets with one progress bar of generated and measured frames."""
     from engine.verification.evaluation.runs.bench import run_bench
 
@@ -119,9 +146,17 @@ def _with_bar(plan: "list[Run]", work: Path, jobs: int) -> "list[ScoredRun]":
     )
     try:
         with bar:
-            return run_bench(plan, work, jobs=jobs, report=_reporter(bar, plan))
+            return run_bench(plan, work, jobs=jobs, report=_reporter(bar, plan), do_all=_elsewhere(cluster))
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _elsewhere(cluster: SchedulerOptions | None) -> "DoAll | None":
+    if cluster is None:
+        return None
+    from service.cli.cluster.recordings import evaluate_on_cluster
+
+    return partial(evaluate_on_cluster, cluster)
 
 
 def _reporter(bar: Progress, plan: "list[Run]") -> "Report":

@@ -1,5 +1,6 @@
 """``tidegate measure``: motion in mm from one or more recordings."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +19,14 @@ from engine.motion.learning.trainer import TrainingSettings
 from engine.motion.settings import PipelineSettings
 from engine.offline.measure import FileTask, measure_recording
 from engine.offline.result_files import OfflineSummary
+from service.cli.cluster.options import (
+    AuthorityFile,
+    CertificateFile,
+    KeyFile,
+    SchedulerAddress,
+    SchedulerOptions,
+    scheduler_options,
+)
 from service.cli.measure import options
 from service.cli.measure.stored_model import model_origin, stored_model
 from service.cli.terminal import BAD_INPUT, frame_bar, refused, say
@@ -98,6 +107,10 @@ def measure(
         ),
     ] = False,
     jobs: Annotated[int, typer.Option(help="Number of recordings measured in parallel; 0 is one per core.")] = 0,
+    scheduler: SchedulerAddress = None,
+    tls_ca: AuthorityFile = None,
+    tls_cert: CertificateFile = None,
+    tls_key: KeyFile = None,
 ) -> None:
     """Measure the breathing motion in every frame of one or more recordings.
 
@@ -142,11 +155,14 @@ def measure(
                 strict=True,
             )
         ]
-        processes = options.check_jobs(jobs, len(tasks))
-        if len(tasks) == 1:
-            _print_summary(_measure(tasks[0], is_calibration_given=bool(calibration)), tasks[0])
+        cluster = scheduler_options(scheduler, tls_ca, tls_cert, tls_key)
+        processes = options.check_jobs(jobs, len(tasks), has_scheduler=cluster is not None)
+        if len(tasks) > 1:
+            _measure_many(tasks, processes, cluster, out)
+        elif cluster is not None:
+            _print_summary(_measure_elsewhere(tasks[0], cluster), tasks[0])
         else:
-            _measure_many(tasks, processes, out)
+            _print_summary(_measure(tasks[0], is_calibration_given=bool(calibration)), tasks[0])
     except TidegateError as error:
         raise refused("measure", error) from error
     except OSError as error:
@@ -189,10 +205,30 @@ def _measure(task: FileTask, *, is_calibration_given: bool) -> OfflineSummary:
     return summary
 
 
-def _measure_many(tasks: list[FileTask], processes: int, out: Path) -> None:
-    from service.cli.measure.many import measure_many
+def _measure_elsewhere(task: FileTask, cluster: SchedulerOptions) -> OfflineSummary:
+    """Measure one recording on a cluster."""
+    from service.cli.cluster.recordings import measure_on_cluster
+    from service.cli.measure.many import measure_with_bar
 
-    if not measure_many(tasks, processes, out):
+    [outcome] = measure_with_bar([task], partial(measure_on_cluster, cluster, task.out))
+    if outcome.summary is None:
+        raise refused("measure", outcome.error)
+    return outcome.summary
+
+
+def _measure_many(tasks: list[FileTask], processes: int, cluster: SchedulerOptions | None, out: Path) -> None:
+    from service.cli.measure.many import MeasureAll, measure_many
+
+    measure_all: MeasureAll
+    if cluster is None:
+        from engine.offline.batch import measure_files
+
+        measure_all = partial(measure_files, processes)
+    else:
+        from service.cli.cluster.recordings import measure_on_cluster
+
+        measure_all = partial(measure_on_cluster, cluster, out)
+    if not measure_many(tasks, measure_all, out):
         raise typer.Exit(BAD_INPUT)
 
 

@@ -2,14 +2,14 @@
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
 from engine.core.files import write_whole
-from engine.offline.batch import FileOutcome, Progress, measure_files
+from engine.offline.batch import FileOutcome, Progress
 from engine.offline.measure import FileTask
 from service.cli.measure.options import SUMMARY_NAME
 from service.cli.terminal import frame_bar
@@ -37,11 +37,16 @@ _SHOWN = {
 """Printed columns and their headings."""
 _WIDTH = 160  # of the table in a file or pipe [characters]
 
+MeasureAll = Callable[
+    [Sequence[FileTask], Callable[[int, Progress], None], Callable[[int, FileOutcome], None]], list[FileOutcome]
+]
+"""Measures recordings, on this machine or on others; calls back with a task's position and its progress or outcome."""
 
-def measure_many(tasks: Sequence[FileTask], jobs: int, out: Path) -> bool:
+
+def measure_many(tasks: Sequence[FileTask], measure_all: MeasureAll, out: Path) -> bool:
     """Measure all recordings, write ``summary.csv`` and print it; return whether all succeeded."""
     out.mkdir(parents=True, exist_ok=True)
-    outcomes = _measure(tasks, jobs)
+    outcomes = measure_with_bar(tasks, measure_all)
     rows = [summary_row(task, outcome) for task, outcome in zip(tasks, outcomes, strict=True)]
     _save(rows, out / SUMMARY_NAME)
     _show(rows)
@@ -75,7 +80,8 @@ def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.3f}"
 
 
-def _measure(tasks: Sequence[FileTask], jobs: int) -> list[FileOutcome]:
+def measure_with_bar(tasks: Sequence[FileTask], measure_all: MeasureAll) -> list[FileOutcome]:
+    """Measure recordings with one progress bar of their frames; return the outcomes in the order of the tasks."""
     done = [Progress(frames=0, total=0)] * len(tasks)
     ended: list[int] = []
     with frame_bar() as bar:
@@ -100,7 +106,7 @@ def _measure(tasks: Sequence[FileTask], jobs: int) -> list[FileOutcome]:
             show()
 
         show()
-        return measure_files(tasks, jobs, on_progress, on_outcome)
+        return measure_all(tasks, on_progress, on_outcome)
 
 
 def _save(rows: list[dict[str, str]], path: Path) -> None:

@@ -127,8 +127,10 @@ def folders(recordings: Sequence[Path], out: Path) -> list[Path]:
     return [out / name for name in names]
 
 
-def check_jobs(jobs: int, files: int) -> int:
+def check_jobs(jobs: int, files: int, *, has_scheduler: bool = False) -> int:
     """Return the number of processes: ``jobs``, or one per core if 0; at most one per file."""
+    if has_scheduler and jobs != 0:
+        raise InvalidValueError("jobs", jobs, "left out with --scheduler: its workers are counted there")
     if not 0 <= jobs <= MAX_JOBS:
         raise InvalidValueError("jobs", jobs, f"from 0 (one per core) to {MAX_JOBS}")
     return min(jobs or len(os.sched_getaffinity(0)), files, MAX_JOBS)

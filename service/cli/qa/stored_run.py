@@ -18,6 +18,7 @@ from service.cli.qa.tables import print_results
 from service.cli.terminal import frame_bar, refused, say
 from service.core.errors import BoundError
 from service.core.settings.settings import Settings, SettingsError, load_settings
+from service.engine_host.targets import alone_at_targets
 from service.qa import queries, schemas, views
 from service.qa.archive import TREND_RUNS, close_interrupted
 from service.qa.jobs import Handle, QaJob, run_job
@@ -67,7 +68,8 @@ def carry_out(command: str, begin: Begin, *, data: Path | None, out: Path | None
     """
     try:
         settings = load_settings(data_dir=data)
-        with alone_in(settings.data_dir), closing(Database(settings.database_place)) as database:
+        alone = alone_in(settings.data_dir)
+        with alone, alone_at_targets(settings), closing(Database(settings.database_place)) as database:
             prepare(database, data_dir=settings.data_dir, min_free_disk_mb=settings.min_free_disk_mb)
             close_interrupted(database)  # the folder's lock is held, so no other process has a run
             begun = begin(settings, database)

@@ -67,9 +67,10 @@ class RedactingFormatter(logging.Formatter):
 class JsonFormatter(logging.Formatter):
     """Writes records as one JSON object a line, for a collector, without the messages of exceptions."""
 
-    def __init__(self, session_id: str | None = None) -> None:
+    def __init__(self, session_id: str | None = None, room: str = "") -> None:
         super().__init__()
         self._session_id = session_id
+        self._room = room
 
     def format(self, record: logging.LogRecord) -> str:
         """Format a record."""
@@ -79,6 +80,7 @@ class JsonFormatter(logging.Formatter):
             "level": record.levelname.lower(),
             "logger": record.name,
             "message": _message_of(record),
+            "room": self._room or None,
             "request_id": current_request_id(),
             "session_id": current_session_id() or self._session_id,
             **(fields if isinstance(fields, Mapping) else {}),
@@ -118,9 +120,9 @@ def _kind(error: BaseException) -> str:
     return f"{type(error).__module__}.{type(error).__qualname__}"
 
 
-def formatter(form: LogFormat, session_id: str | None = None) -> logging.Formatter:
+def formatter(form: LogFormat, session_id: str | None = None, room: str = "") -> logging.Formatter:
     """Return the formatter for this format."""
-    return JsonFormatter(session_id) if form == "json" else RedactingFormatter(LINE)
+    return JsonFormatter(session_id, room) if form == "json" else RedactingFormatter(LINE)
 
 
 def install_private_log(
@@ -129,6 +131,7 @@ def install_private_log(
     *,
     session_id: str | None = None,
     handler: logging.Handler | None = None,
+    room: str = "",
 ) -> None:
     """Send all log records and uncaught exceptions to standard error, redacted.
 
@@ -140,9 +143,11 @@ def install_private_log(
         Session of all lines, in a process that serves one session.
     handler
         Receives the lines; a blocking one on standard error by default.
+    room
+        Name of the room, in each line of JSON.
     """
     handler = handler or logging.StreamHandler()
-    handler.setFormatter(formatter(form, session_id))
+    handler.setFormatter(formatter(form, session_id, room))
     chosen = logging.getLevelNamesMapping()[level.upper()]
     logging.basicConfig(level=max(chosen, logging.WARNING), handlers=[handler], force=True)
     for name in OURS:

@@ -29,6 +29,7 @@ class Hello(Message):
     type: Literal["hello"] = "hello"
     schema_name: Literal["tidegate.live/1"] = Field(default=SCHEMA, alias="schema")
     version: str = Field(description="Version of the server")
+    room: str | None = Field(default=None, description="The room's name, `TIDEGATE_ROOM`; left out without one")
     sent_at: AwareDatetime
     form: Literal["full", "thin"] = Field(description="Requested form of the samples")
     encoding: Literal["json", "msgpack"] = Field(description="Requested encoding; always `json` for server-sent events")

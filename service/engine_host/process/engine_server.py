@@ -322,7 +322,7 @@ def serve_one_session(bulk: BulkChannel, control: ControlChannel, page: SharedPa
     """Run an engine process: prepare, wait for a session, run it, return."""
     prepare: Prepare = bulk.receive()
     settings = prepare.settings
-    install_private_log(settings.log_level, settings.log_format, handler=NonblockingHandler())
+    install_private_log(settings.log_level, settings.log_format, handler=NonblockingHandler(), room=settings.room)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     adapter = LocalEngine(settings, measuring=prepare.measuring, trainer=ProcessTrainer)
     gc.collect()
@@ -330,7 +330,11 @@ def serve_one_session(bulk: BulkChannel, control: ControlChannel, page: SharedPa
     bulk.send(Ready())
     request = _await_open(adapter, bulk)
     install_private_log(
-        settings.log_level, settings.log_format, session_id=request.plan.session_id, handler=NonblockingHandler()
+        settings.log_level,
+        settings.log_format,
+        session_id=request.plan.session_id,
+        handler=NonblockingHandler(),
+        room=settings.room,
     )
     try:
         journal = ClientJournal(control.receive_file()) if request.has_journal else None

@@ -95,6 +95,7 @@ class MachineMetrics(Collector):
         certificate: ServedCertificate | None,
         access: AccessService,
         readiness: Callable[[], Readiness],
+        room: str = "",
         forwarded_rows: Callable[[], int | None] = lambda: None,
     ) -> None:
         self._data_dir = data_dir
@@ -102,6 +103,7 @@ class MachineMetrics(Collector):
         self._certificate = certificate
         self._access = access
         self._readiness = readiness
+        self._room = room
         self._forwarded = forwarded_rows
 
     def describe(self) -> list[Metric]:
@@ -115,6 +117,8 @@ class MachineMetrics(Collector):
             "Version of the software",
             {"version": __version__, "python": platform.python_version(), "frame_path": frame_path()},
         )
+        if self._room:
+            yield InfoMetricFamily("tidegate_room", "The room's name, TIDEGATE_ROOM", {"name": self._room})
         yield _gauge("tidegate_threads", "Threads of the service's process", threading.active_count())
         yield CounterMetricFamily(
             "tidegate_log_lines_dropped", "Log lines dropped because the output was too slow", value=dropped_lines()

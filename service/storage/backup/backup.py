@@ -67,6 +67,7 @@ class Source:
     data_dir: Path
     anchor_file: Path
     has_raw: bool = False
+    room: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,6 +124,7 @@ def _fill(archive: zipfile.ZipFile, source: Source, progress: Progress) -> Manif
         schema=SCHEMA,
         made_at=utc_text(datetime.now(UTC)),
         software=__version__,
+        room=source.room,
         database=kind,
         revision=revision,
         audit_rows=0 if head is None else head.sequence,

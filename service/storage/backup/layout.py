@@ -39,6 +39,12 @@ class BrokenLogError(BackupError):
     code: ClassVar[str] = "backup_log_broken"
 
 
+class OtherRoomError(BackupError):
+    """The backup is of another room."""
+
+    code: ClassVar[str] = "backup_other_room"
+
+
 class _Part(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
@@ -73,6 +79,8 @@ class Manifest(_Part):
     tables: list[TablePart]
     files: list[FilePart]
     left_out: list[str]
+    room: Annotated[str, Field(max_length=32)] = ""
+    """Name of the room whose data these are; empty without one, and in backups of versions before 0.2.0."""
     without_samples: list[str] = []
     """Started sessions whose samples are missing although no removal was audited."""
 

@@ -22,7 +22,7 @@ from service.storage.audit import Event
 from service.storage.audit.anchors import note_restore
 from service.storage.backup.archive import BackupFile
 from service.storage.backup.backup import Progress
-from service.storage.backup.layout import ANCHORS, BackupError, BrokenLogError, FilePart, Manifest
+from service.storage.backup.layout import ANCHORS, BackupError, BrokenLogError, FilePart, Manifest, OtherRoomError
 from service.storage.backup.rows import add_lines, digest_of, tables_of
 from service.storage.database import migrations
 from service.storage.database.engine import Database
@@ -39,14 +39,23 @@ class Target:
     database: Database
     data_dir: Path
     anchor_file: Path
+    room: str = ""
 
 
 def restore(
-    backup: BackupFile, target: Target, *, actor: str, name: str, progress: Progress, takes_broken_log: bool = False
+    backup: BackupFile,
+    target: Target,
+    *,
+    actor: str,
+    name: str,
+    progress: Progress,
+    takes_broken_log: bool = False,
+    takes_other_room: bool = False,
 ) -> None:
     """Restore a backup and verify it; on an error the database is unchanged.
 
-    ``takes_broken_log`` accepts an audit log that was broken before the backup; all other checks remain.
+    ``takes_broken_log`` accepts an audit log that was broken before the backup, ``takes_other_room`` the data of a room
+    with another name; all other checks remain.
 
     Raises
     ------
@@ -55,6 +64,8 @@ def restore(
     """
     manifest = backup.manifest
     _refuse_newer(manifest)
+    if not takes_other_room:
+        _refuse_other_room(manifest, target.room)
     with target.database.write() as db:
         _refuse_filled(db.connection())
         _write_files(backup, target, progress)
@@ -132,6 +143,17 @@ def _chain_trouble(db: Session, manifest: Manifest) -> str | None:
     return None
 
 
+def _refuse_other_room(manifest: Manifest, room: str) -> None:
+    """Raise OtherRoomError: another room's patients, references and calibrations would be used for this camera."""
+    if manifest.room != room:
+        msg = f"the backup is of {_words(manifest.room)}, this is {_words(room)} (TIDEGATE_ROOM)"
+        raise OtherRoomError(msg)
+
+
+def _words(room: str) -> str:
+    return f"room {room!r}" if room else "a room without a name"
+
+
 def _refuse_newer(manifest: Manifest) -> None:
     known = list(migrations.titles())
     if manifest.revision not in known:
@@ -173,6 +195,7 @@ def _event(manifest: Manifest, actor: str, name: str, trouble: str | None) -> Ev
         "file": name,
         "made_at": manifest.made_at,
         "software": manifest.software,
+        "room": manifest.room,
         "revision": manifest.revision,
         "rows": manifest.rows,
         "files": len(manifest.files),

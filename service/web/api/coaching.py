@@ -36,7 +36,7 @@ def pair_screen(
 ) -> None:
     """Pair this browser as a patient screen: set its cookie, which permits watching the coaching stream alone."""
     paired = desk.screens.pair(body.code, address)
-    set_screen_cookie(response, paired.token, is_secure=desk.is_secure)
+    set_screen_cookie(response, paired.token, desk.cookies)
 
 
 @router.get("/coach/screens")

@@ -50,10 +50,10 @@ async def log_in(
         password=body.password.get_secret_value(),
         address=address,
         reason=body.reason,
-        former_token=token_in(request.headers, is_secure=desk.is_secure),
+        former_token=token_in(request.headers, desk.cookies),
     )
     opened = await _done(desk.passwords.submit(partial(desk.logins.log_in, attempt)))
-    set_login_cookie(response, opened.token, is_secure=desk.is_secure)
+    set_login_cookie(response, opened.token, desk.cookies)
     return person_view(desk, opened.user, opened.login)
 
 
@@ -63,7 +63,7 @@ def log_out(caller: dependencies.Caller, desk: dependencies.Access, response: Re
     login = desk.authenticator.login_of(caller.identity)
     if login is not None:
         desk.logins.log_out(login)
-    drop_login_cookie(response, is_secure=desk.is_secure)
+    drop_login_cookie(response, desk.cookies)
 
 
 @router.get("/me")

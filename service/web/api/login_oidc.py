@@ -10,7 +10,7 @@ from typing import Annotated, cast
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 
-from service.access.login.cookies import set_login_cookie
+from service.access.login.cookies import CookieScope, set_login_cookie
 from service.access.oidc.errors import OidcReason
 from service.access.oidc.pending_logins import LIFE_S
 from service.access.oidc.people import AuthorizationResponse
@@ -64,14 +64,14 @@ def begin_oidc_login(oidc: Oidc, desk: dependencies.Access, address: dependencie
     """Redirect the browser to the provider."""
     departure = oidc.begin_login(address)
     if isinstance(departure, Refusal):
-        return _refusal(departure, oidc, is_secure=desk.is_secure)
+        return _refusal(departure, oidc, desk.cookies)
     answer = RedirectResponse(departure.url, status_code=303, headers={"Cache-Control": "no-store"})
     answer.set_cookie(
-        cookie_name(is_secure=desk.is_secure),
+        desk.cookies.name(PLAIN_NAME),
         departure.browser_secret,
         max_age=int(LIFE_S),
         path="/",
-        secure=desk.is_secure,
+        secure=desk.cookies.is_secure,
         httponly=True,
         samesite="lax",
     )
@@ -90,22 +90,17 @@ def finish_oidc_login(
     iss: Text = None,
 ) -> Response:
     """Complete the log-in after the provider's redirect; the browser always continues to the page."""
-    browser = request.cookies.get(cookie_name(is_secure=desk.is_secure))
+    browser = request.cookies.get(desk.cookies.name(PLAIN_NAME))
     opened = oidc.finish_login(AuthorizationResponse(state=state, code=code, error=error, issuer=iss), browser, address)
     if isinstance(opened, Refusal):
-        return _refusal(opened, oidc, is_secure=desk.is_secure)
+        return _refusal(opened, oidc, desk.cookies)
     answer = RedirectResponse("/", status_code=303, headers={"Cache-Control": "no-store"})
-    set_login_cookie(answer, opened.token, is_secure=desk.is_secure)
-    _drop_cookie(answer, is_secure=desk.is_secure)
+    set_login_cookie(answer, opened.token, desk.cookies)
+    _drop_cookie(answer, desk.cookies)
     return answer
 
 
-def cookie_name(*, is_secure: bool) -> str:
-    """Return the cookie's name; over TLS with the `__Host-` prefix, which other hosts cannot set."""
-    return f"__Host-{PLAIN_NAME}" if is_secure else PLAIN_NAME
-
-
-def _refusal(refusal: Refusal, oidc: OidcService, *, is_secure: bool) -> Response:
+def _refusal(refusal: Refusal, oidc: OidcService, scope: CookieScope) -> Response:
     """Return the page of a refusal; it contains only fixed texts, no input."""
     label = oidc.settings.oidc_label
     label = escape(label[:1].upper() + label[1:])
@@ -119,9 +114,9 @@ def _refusal(refusal: Refusal, oidc: OidcService, *, is_secure: bool) -> Respons
         status_code=503 if refusal.reason in PASSING else 403,
         headers={"Cache-Control": "no-store"},
     )
-    _drop_cookie(answer, is_secure=is_secure)
+    _drop_cookie(answer, scope)
     return answer
 
 
-def _drop_cookie(answer: Response, *, is_secure: bool) -> None:
-    answer.delete_cookie(cookie_name(is_secure=is_secure), path="/", secure=is_secure, httponly=True, samesite="lax")
+def _drop_cookie(answer: Response, scope: CookieScope) -> None:
+    answer.delete_cookie(scope.name(PLAIN_NAME), path="/", secure=scope.is_secure, httponly=True, samesite="lax")

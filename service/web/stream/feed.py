@@ -107,6 +107,7 @@ def hello_of(hub: LiveHub, runner: LiveFeed, query: EventsQuery, shape: Shape) -
     running, camera = hub.running(), runner.running_camera()
     return Hello(
         version=__version__,
+        room=hub.room or None,
         sent_at=hub.clock.utc(),
         form=shape.form.value,
         encoding=shape.encoding.value,

@@ -60,7 +60,9 @@ class LiveHub:
         max_clients: int,
         stall_s: float,
         now_s: Callable[[], float] | None = None,
+        room: str = "",
     ) -> None:
+        self.room = room
         self._runner = runner
         self._alarms = alarms
         self._max_clients = max_clients

@@ -14,7 +14,7 @@ from tests.campaigns.supply.parts import python_parts
 from tests.support.repository import ROOT
 
 PACKAGES = ("engine", "service", "migrations")
-LOCKS = ("requirements.lock", "requirements-dev.lock")
+LOCKS = ("requirements.lock", "requirements-cluster.lock", "requirements-dev.lock")
 PATIENCE_S = 300
 
 

@@ -10,7 +10,7 @@ from starlette.datastructures import Headers
 from service.access.accounts.people import Change
 from service.access.accounts.store import AccessStore
 from service.access.housekeeping import AccessCleanupWorker
-from service.access.login.cookies import PLAIN_NAME
+from service.access.login.cookies import PLAIN_NAME, CookieScope
 from service.access.login.keys import KeyService
 from service.access.login.lockout import FREE_PER_ADDRESS, FREE_PER_NAME, MAX_SUBJECTS, MAX_WAIT, failed_again
 from service.access.login.logins import MAX_LOGINS, Attempt, hashed
@@ -37,7 +37,7 @@ def keys(store):
 
 @pytest.fixture
 def door(store, keys, screens):
-    return Authenticator(store, keys, screens, idle=IDLE, is_secure=False)
+    return Authenticator(store, keys, screens, idle=IDLE, cookies=CookieScope(is_secure=False))
 
 
 def attempt(name=NAME, password=PASSWORD, address="10.0.0.1", **more):

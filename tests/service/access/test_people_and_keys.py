@@ -8,6 +8,7 @@ from starlette.datastructures import Headers
 
 from service.access.accounts.first_admin import make_first_admin
 from service.access.accounts.people import Change
+from service.access.login.cookies import CookieScope
 from service.access.login.keys import KeyService
 from service.access.request.authenticator import Authenticator
 from service.core.errors import BoundError, LastAdminError, NameTakenError, NotFoundError
@@ -27,7 +28,7 @@ def keys(store):
 
 @pytest.fixture
 def door(store, keys, screens):
-    return Authenticator(store, keys, screens, idle=IDLE, is_secure=False)
+    return Authenticator(store, keys, screens, idle=IDLE, cookies=CookieScope(is_secure=False))
 
 
 def rows(database, action):

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from starlette.websockets import WebSocketDisconnect
 
-from service.access.login.cookies import screen_cookie_name
+from service.access.login.cookies import CookieScope, screen_cookie_name
 from service.access.request.identity import Identity
 from service.access.request.rules import BEFORE_THE_PASSWORD_IS_CHANGED, PEOPLE_ONLY, RULES, SOCKET, Open, RuleTable
 from service.core.permissions import KEY_PERMISSIONS, ROLE_PERMISSIONS, Permission, Role
@@ -74,7 +74,10 @@ def credentials(client):
     made["nobody"] = {}
     screens = client.desk.screens
     token = screens.pair(screens.open_code(by="test").code, "127.0.0.1").token
-    made[SCREEN] = {"Cookie": f"{screen_cookie_name(is_secure=False)}={token}", "Origin": "http://testserver"}
+    made[SCREEN] = {
+        "Cookie": f"{screen_cookie_name(CookieScope(is_secure=False))}={token}",
+        "Origin": "http://testserver",
+    }
     return made
 
 

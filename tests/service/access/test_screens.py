@@ -6,7 +6,7 @@ import pytest
 from sqlalchemy.exc import OperationalError
 from starlette.datastructures import Headers
 
-from service.access.login.cookies import screen_cookie_name
+from service.access.login.cookies import CookieScope, screen_cookie_name
 from service.access.login.keys import KeyService
 from service.access.login.lockout import FREE_PER_ADDRESS
 from service.access.request.authenticator import Authenticator
@@ -24,7 +24,7 @@ HERE = "10.0.0.7"
 @pytest.fixture
 def door(store, screens):
     keys = KeyService(store, longest=timedelta(days=30))
-    return Authenticator(store, keys, screens, idle=IDLE, is_secure=False)
+    return Authenticator(store, keys, screens, idle=IDLE, cookies=CookieScope(is_secure=False))
 
 
 def rows(database, action):
@@ -41,7 +41,7 @@ def other_than(code):
 
 
 def cookie(token):
-    return Headers({"Cookie": f"{screen_cookie_name(is_secure=False)}={token}"})
+    return Headers({"Cookie": f"{screen_cookie_name(CookieScope(is_secure=False))}={token}"})
 
 
 def test_a_code_pairs_one_screen_which_may_watch_and_no_more(screens, door):
@@ -192,7 +192,9 @@ def test_a_log_in_in_the_same_browser_watches_where_no_screen_is_paired(screens,
     people.add(ANN, [Role.THERAPIST], by="test", password=PASSWORD)
     login = logins.log_in(Attempt(name=ANN, password=PASSWORD, address=HERE)).token
     paired = pair(screens)
-    both = Headers({"Cookie": f"tidegate_login={login}; {screen_cookie_name(is_secure=False)}={paired.token}"})
+    both = Headers(
+        {"Cookie": f"tidegate_login={login}; {screen_cookie_name(CookieScope(is_secure=False))}={paired.token}"}
+    )
     assert door.identify_watcher(both).kind == "screen"
     assert door.identify(both).kind == "user"
     screens.end(paired.screen.id, by=ANN)

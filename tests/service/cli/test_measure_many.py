@@ -115,7 +115,7 @@ def test_a_process_that_dies_takes_no_other_along(tmp_path):
         task(tmp_path, "absent.oni"),
     ]
     ended = []
-    outcomes = measure_files(tasks, 2, lambda *_: None, lambda position, _: ended.append(position))
+    outcomes = measure_files(2, tasks, lambda *_: None, lambda position, _: ended.append(position))
     assert sorted(ended) == [0, 1, 2, 3]
     assert [outcome.summary for outcome in outcomes] == [None] * 4
     assert outcomes[0].error == "its process ended early (exit code 3)"
@@ -138,7 +138,7 @@ def test_an_interrupt_ends_the_processes_and_leaves_nothing_half_written(regular
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        measure_files(tasks, 2, interrupt, lambda *_: None)
+        measure_files(2, tasks, interrupt, lambda *_: None)
     assert not multiprocessing.active_children()
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 

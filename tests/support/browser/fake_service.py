@@ -394,6 +394,7 @@ class FakeService:
         self.open_sockets = 0
         self.is_hung = threading.Event()  # while set, the page that asked for /hang waits
         self.schema = "tidegate.live/1"
+        self.room = "Linac-2"
         self.sessions: list[dict[str, Any]] = [copy.deepcopy(SESSION)]
         self.models: list[dict[str, Any]] = []
         self.calibrations: list[dict[str, Any]] = [dict(CALIBRATION)]
@@ -449,7 +450,7 @@ class FakeService:
         self._loop = asyncio.get_running_loop()
         gone = asyncio.create_task(websocket.receive())
         try:
-            await websocket.send_json({"type": "hello", "schema": self.schema, "version": "0.1.0"})
+            await websocket.send_json({"type": "hello", "schema": self.schema, "version": "0.1.0", "room": self.room})
             await self._send_messages(websocket, gone)
             if not gone.done():
                 await websocket.close(1001 if self.person else 1008)

@@ -65,7 +65,10 @@ def scraped() -> str:
         recordings.mkdir()
         (recordings / "chest.oni").write_bytes(b"")
         settings = Settings(
-            data_dir=Path(folder) / "data", recordings_dirs=(recordings,), allowed_hosts=("testserver",)
+            data_dir=Path(folder) / "data",
+            recordings_dirs=(recordings,),
+            allowed_hosts=("testserver",),
+            room="1",
         )
         engine = FullEngine()
         with PeopleClient(create_app(settings, lambda _settings: engine)) as client:

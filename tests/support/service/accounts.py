@@ -17,7 +17,7 @@ from fastapi.testclient import TestClient
 from service.access.accounts.names import name_key
 from service.access.accounts.records import User
 from service.access.accounts.store import AccessStore
-from service.access.login.cookies import cookie_name
+from service.access.login.cookies import CookieScope, cookie_name
 from service.access.login.keys import KeyService
 from service.access.login.logins import LoginService, OpenedLogin
 from service.access.login.refusals import RefusedLogins
@@ -68,9 +68,12 @@ def open_login(
     return desk._open(user, "127.0.0.1", "password", None, {})
 
 
-def headers_of(opened: OpenedLogin, origin: str = "http://testserver", *, is_secure: bool = False) -> dict[str, str]:
+PLAIN = CookieScope(is_secure=False)
+
+
+def headers_of(opened: OpenedLogin, origin: str = "http://testserver", cookies: CookieScope = PLAIN) -> dict[str, str]:
     """Return what the browser of this log-in sends."""
-    return {"Cookie": f"{cookie_name(is_secure=is_secure)}={opened.token}", "Origin": origin}
+    return {"Cookie": f"{cookie_name(cookies)}={opened.token}", "Origin": origin}
 
 
 class PeopleClient(TestClient):
@@ -97,7 +100,7 @@ class PeopleClient(TestClient):
     def headers_as(self, name: str, roles: Iterable[Role] = EVERY_ROLE) -> dict[str, str]:
         if name not in self._logins:
             self._logins[name] = open_login(self.desk.store, name, roles)
-        return headers_of(self._logins[name], is_secure=self.desk.is_secure)
+        return headers_of(self._logins[name], cookies=self.desk.cookies)
 
     def request(self, method: str, url: Any, **options: Any) -> Any:
         name = _named(options) or self.speaks_as
@@ -190,7 +193,10 @@ def provision(
         key = keys.create(f"tests {number}", scopes, datetime.now(UTC) + timedelta(days=1), by=SOMEBODY)
     finally:
         database.close()
-    sent = {name: headers_of(one, origin, is_secure=settings.is_secure) for name, one in opened.items()}
+    sent = {
+        name: headers_of(one, origin, CookieScope(is_secure=settings.is_secure, room=settings.room))
+        for name, one in opened.items()
+    }
     bearer = {"Authorization": f"Bearer {key.secret}"}
     return Provisioned(headers=next(iter(sent.values()), bearer), people=sent, key=bearer, key_secret=key.secret)
 

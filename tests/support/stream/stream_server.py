@@ -16,6 +16,7 @@ import httpx2
 from websockets.sync.client import ClientConnection, connect
 
 from engine.core.gate_state import GateState
+from service.access.login.cookies import CookieScope
 from service.core.settings.settings import Settings
 from service.web.app import create_app
 from service.web.server import BeamFirstServer, make_server
@@ -169,7 +170,7 @@ def served(folder: Path, **settings: Any) -> Iterator[Served]:
         eventually(lambda: server.started or not thread.is_alive())
         opened = open_login(app.state.access.store, "A. Therapist")
         origin = f"{'https' if chosen.has_tls else 'http'}://127.0.0.1:{port}"
-        headers = headers_of(opened, origin, is_secure=chosen.is_secure)
+        headers = headers_of(opened, origin, CookieScope(is_secure=chosen.is_secure, room=chosen.room))
         yield Served(app=app, engine=engine, server=server, port=port, headers=headers, trusted=trusted)
     finally:
         server.should_exit = True

@@ -147,3 +147,17 @@ def test_no_camera_is_handed_in_on_a_desk_unless_it_is_asked_for():
 @pytest.mark.parametrize("text", [DOCKERFILE, COMPOSE, TRY, QUADLET], ids=["Dockerfile", "room", "try", "quadlet"])
 def test_no_address_but_our_own_is_written_down(text: str):
     assert re.findall(r"https?://(?!127\.0\.0\.1)", text) == []
+
+
+def test_nothing_of_a_cluster_comes_into_the_image():
+    """A scheduler runs what anyone sends it; a room's image installs the run-time lock file, and no extra."""
+    assert "-r requirements.lock" in DOCKERFILE
+    assert not re.search(
+        r"requirements-(dev|cluster)\.lock[^\n]*-r|-r requirements-(cluster)\.lock|\[cluster\]", DOCKERFILE
+    )
+    room = {line.split("==")[0] for line in (ROOT / "requirements.lock").read_text().splitlines() if "==" in line}
+    assert not room & {"dask", "distributed", "cloudpickle", "tornado"}
+    cluster = {
+        line.split("==")[0] for line in (ROOT / "requirements-cluster.lock").read_text().splitlines() if "==" in line
+    }
+    assert room | {"dask", "distributed"} <= cluster

@@ -50,6 +50,8 @@ class Progress:
 
 
 Report = Callable[[Progress], None]
+DoAll = Callable[[list[Run], Path, TrialSettings, Report], None]
+"""Makes and measures runs in a folder, e.g. on other machines; raises RecordingError for one that could not be done."""
 
 
 def run_bench(
@@ -59,8 +61,14 @@ def run_bench(
     jobs: int,
     report: Report,
     settings: TrialSettings | None = None,
+    do_all: DoAll | None = None,
 ) -> list[ScoredRun]:
     """Complete a plan's runs in the folder ``work``, and score all of them.
+
+    Parameters
+    ----------
+    do_all
+        Does what is left; by default ``jobs`` processes of this machine.
 
     Raises
     ------
@@ -78,7 +86,9 @@ def run_bench(
                 report(Progress(run=run.name, doing="done", frames_done=2 * run.frames))
             else:
                 left.append(run)
-        if jobs == 1 or len(left) == 1:
+        if do_all is not None:
+            do_all(left, work, trial_settings, report)
+        elif jobs == 1 or len(left) == 1:
             keep_calls_in_their_thread()
             for run in left:
                 do_run(run, work, trial_settings, report)

@@ -282,6 +282,7 @@ async function labelReference(sample, nowMs) {
 }
 
 function renderWho(view) {
+  setText(byId("room-name"), stream.hello?.room ?? byId("room-name").textContent);
   setText(byId("who-patient"), session?.patient_reference ?? "–");
   setText(byId("who-plan"), session?.plan_id ?? "–");
   setText(byId("who-fraction"), session ? fraction(session) : "–");

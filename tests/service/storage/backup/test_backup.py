@@ -14,7 +14,7 @@ from service.storage.audit.check import check_whole
 from service.storage.backup import restore
 from service.storage.backup.archive import opened
 from service.storage.backup.backup import make_backup, needed_bytes, refuse_full_disk
-from service.storage.backup.layout import BackupError, BrokenLogError, Manifest
+from service.storage.backup.layout import BackupError, BrokenLogError, Manifest, OtherRoomError
 from service.storage.backup.restore import check
 from service.storage.backup.rows import digest_of, tables_of
 from service.storage.database.engine import Database
@@ -410,3 +410,21 @@ def test_rows_have_one_order_whatever_a_server_thinks_of_letters(places):
                 table = next(one for one in tables_of(connection) if one.name == "idempotency_keys")
                 parts.append(digest_of(connection, table, lambda _rows: None))
     assert parts[0] == parts[1]
+
+
+@pytest.mark.parametrize(("made_in", "restored_in"), [("1", "2"), ("1", ""), ("", "2")])
+def test_another_room_s_backup_is_taken_only_where_that_is_said(database, folder, out, tmp_path, made_in, restored_in):
+    backed_up(database, folder, out, room=made_in)
+    with opened(out) as found, closing(Database(tmp_path / "new.db")) as new:
+        assert found.manifest.room == made_in
+        target = restore.Target(
+            database=new, data_dir=tmp_path / "new", anchor_file=tmp_path / "new.jsonl", room=restored_in
+        )
+        told = {"actor": "me", "name": "all.backup", "progress": Silent()}
+        with pytest.raises(OtherRoomError, match="TIDEGATE_ROOM"):
+            restore.restore(found, target, **told)
+        assert not (tmp_path / "new").exists()
+        restore.restore(found, target, takes_other_room=True, **told)
+        with new.read() as db:
+            rows = db.execute(text("SELECT detail FROM audit WHERE action = 'backup.restored'")).scalars().all()
+    assert json.loads(rows[-1])["room"] == made_in

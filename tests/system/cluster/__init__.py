@@ -1,0 +1,1 @@
+"""Recordings measured by a Dask cluster of real processes over TLS."""
