@@ -134,7 +134,7 @@ def run_job(ticket: dict[str, Any], position: int, payload: bytes) -> JobDone | 
     _ATTEMPTS.begin(run_id)
     try:
         folder.mkdir()
-        value = pickle.loads(payload).run(folder, report)  # noqa: S301 - from the client that may run anything here
+        value = pickle.loads(payload).run(folder, report)  # noqa: S301 - the client may run anything # nosec B301
         files = tuple(sorted(_written(folder)))
         return JobDone(folder=folder.name, files=files, value=value)
     except Exception as error:

@@ -39,7 +39,7 @@ def test_a_sheet_changes_its_share_of_the_region():
 
 
 def test_a_sheet_of_nearly_the_shirts_hue_is_found_by_the_blocks_that_it_covers():
-    """No cell changes by as much as noise may change one; more than half of a block in one direction noise never does."""
+    """Each cell changes by less than noise may change one; noise never changes half of a block in one direction."""
     before = chroma_of(picture(skin=DARK_SHIRT), MARKERS_PX)
     for rows, covered in ((slice(80, 400), 1.0), (slice(240, 400), 0.5)):
         after = picture(sheet=rows, seed=2, skin=DARK_SHIRT, sheet_color=SHEET_OF_ITS_HUE)
