@@ -11,10 +11,10 @@ export const EVENT_WORDS = {
   cough: tr("breath_marks.cough"),
   sigh: tr("breath_marks.sigh"),
   apnoea: tr("breath_marks.no_breath"),
-  talking: "talking",
-  irregular: "irregular",
+  talking: tr("breath_marks.talking"),
+  irregular: tr("breath_marks.irregular"),
   no_cycle: tr("breath_marks.breaths_not_recognised"),
-  drift: "drift",
+  drift: tr("breath_marks.drift"),
 };
 
 export class BreathMarks {

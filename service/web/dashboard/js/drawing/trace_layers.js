@@ -120,8 +120,8 @@ export function drawWindow({ context, box, y }, condition) {
   context.textAlign = "left";
   context.textBaseline = "bottom";
   const digits = unit === "l" ? 2 : 1;
-  const name = condition.kind === "breath_hold" ? tr("trace_layers.breath_hold") : "window";
-  context.fillText(`${name} ${lower.toFixed(digits)} to ${upper.toFixed(digits)} ${unit}`.replaceAll("-", "−"), box.x0 + 6, y(upper) - 3);
+  const name = condition.kind === "breath_hold" ? tr("trace_layers.breath_hold") : tr("trace_layers.window");
+  context.fillText(tr("trace_layers.edges", { name, lower: lower.toFixed(digits), upper: upper.toFixed(digits), unit }).replaceAll("-", "−"), box.x0 + 6, y(upper) - 3);
 }
 
 /** Draw edges that are being edited, each with a grip. */

@@ -90,7 +90,7 @@ function drawSides(context, box) {
   context.font = font(11);
   context.textAlign = "center";
   context.textBaseline = "middle";
-  context.fillText("superior", box.left + (box.cell * box.columns) / 2, box.top - 9);
+  context.fillText(tr("picture.superior"), box.left + (box.cell * box.columns) / 2, box.top - 9);
   context.fillText("R", box.left - 9, box.top + (box.cell * box.rows) / 2);
   context.fillText("L", box.left + box.cell * box.columns + 9, box.top + (box.cell * box.rows) / 2);
 }

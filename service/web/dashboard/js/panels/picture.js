@@ -142,7 +142,7 @@ function drawOutline(context, place, isOriented) {
     context.stroke();
   }
   if (!isOriented) return;
-  label(context, "superior", between(corners[0], corners[1]), [0, -10]);
+  label(context, tr("picture.superior"), between(corners[0], corners[1]), [0, -10]);
   label(context, "R", between(corners[0], corners[3]), [-12, 0]);
   label(context, "L", between(corners[1], corners[2]), [12, 0]);
 }

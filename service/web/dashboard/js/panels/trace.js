@@ -252,7 +252,7 @@ export class Trace {
     const step = TIME_STEPS.find((one) => (to - from) / one <= MOST_TIMES) ?? TIME_STEPS.at(-1);
     if (this.view.isLive) {
       const count = Math.floor((to - from) / step + 1e-6);
-      return Array.from({ length: count + 1 }, (_, i) => ({ at: to - i * step, text: i === 0 ? "now" : ago(i * step) })).reverse();
+      return Array.from({ length: count + 1 }, (_, i) => ({ at: to - i * step, text: i === 0 ? tr("trace.now") : ago(i * step) })).reverse();
     }
     const offset = this.#clockMs() / 1000;
     const first = Math.ceil((from + offset) / step) * step - offset;

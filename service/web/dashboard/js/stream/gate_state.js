@@ -68,7 +68,7 @@ function gate(message, ageMs) {
     return stopped("fault", tr("gate_state.unknown"), tr("gate_state.the_controller_reports_a_state_this_page_doe", { value: String(kind).slice(0, 40) }), ageMs);
   }
   if (kind === "beam_on" && message.line_on !== true) {
-    return fresh("hold", tr("gate_state.line_off"), tr("gate_state.the_gate_permits_the_beam_but_the_beam_line"), ageMs);
+    return { ...fresh("hold", tr("gate_state.line_off"), tr("gate_state.the_gate_permits_the_beam_but_the_beam_line"), ageMs), toDo: tr("state.line_off.do"), call: tr("hold.permit_without_beam.call") };
   }
   return { ...fresh(kind, WORDS[kind], reasonOf(message), ageMs), ...adviceOf(message), detail: detailOf(message) };
 }
