@@ -1,9 +1,9 @@
 """How large and how distinct the distance view is, measured in the page.
 
-``python -m tests.campaigns.measurements.legibility`` opens ``?view=distance`` in Debian's Chromium at 1920 x 1080 in every
-language and state, and prints for each text its size, the angle under which its capitals are seen at 3 m on 24 inch, and
-its contrast; then how BEAM ON and FAULT differ, for normal and colour-blind eyes and in grey. ``--pictures DIR`` writes
-a picture of every state, in colour and in grey.
+``python -m tests.campaigns.measurements.legibility`` opens ``?view=distance`` in Debian's Chromium at 1920 x 1080 in
+every language and state. It prints for each text its size, the angle under which its capitals are seen at 3 m on
+24 inch, and its contrast; then how BEAM ON and FAULT differ, for normal and colour-blind eyes and in grey.
+``--pictures DIR`` writes a picture of every state, in colour and in grey.
 """
 
 from pathlib import Path

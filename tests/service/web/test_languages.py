@@ -1,4 +1,4 @@
-"""The page's words: every language has all of them, every code of the controller is explained, and none is hard-coded."""
+"""The page's words: every language has all of them, each code of the controller is explained, none is hard-coded."""
 
 import json
 import re
@@ -15,9 +15,7 @@ from service.core.hold_texts import HOLD_TEXTS
 from service.web.app import DASHBOARD
 from service.web.languages import LANGUAGE_LIST, language_names, language_route
 
-LANGUAGES = {
-    name: json.loads((DASHBOARD / "lang" / f"{name}.json").read_text()) for name in language_names(DASHBOARD)
-}
+LANGUAGES = {name: json.loads((DASHBOARD / "lang" / f"{name}.json").read_text()) for name in language_names(DASHBOARD)}
 ENGLISH = LANGUAGES["en"]
 SCRIPTS = [file for file in (DASHBOARD / "js").rglob("*.js") if file.name != "words.js"]
 PAGES = [DASHBOARD / "index.html", DASHBOARD / "patient" / "index.html"]

@@ -1,4 +1,4 @@
-"""What the distance view shows, as an eye 3 m away gets it: angular heights, contrasts, and colours under colour blindness."""
+"""The distance view as an eye 3 m away gets it: angular heights, contrasts, and colours under colour blindness."""
 
 import math
 from dataclasses import dataclass
@@ -53,8 +53,10 @@ BLINDNESS: dict[str, npt.NDArray[np.float64]] = {
 }
 
 _READ = """() => {
-  const pick = {word: '#gate-word', reason: '#gate-reason', instruction: '#gate-do', call: '#gate-call', time: '#gate-time',
-    'gate lamp': '#lamp-gate strong', 'beam lamp': '#lamp-beam strong', age: '#gate-age', warning: '#gate-warning'};
+  const pick = {
+    word: '#gate-word', reason: '#gate-reason', instruction: '#gate-do', call: '#gate-call', time: '#gate-time',
+    'gate lamp': '#lamp-gate strong', 'beam lamp': '#lamp-beam strong', age: '#gate-age', warning: '#gate-warning',
+  };
   const context = document.createElement('canvas').getContext('2d');
   const rgb = (text) => (text.match(/[\\d.]+/g) ?? []).map(Number);
   const ground = (element) => {
@@ -71,7 +73,8 @@ _READ = """() => {
     const box = element.getBoundingClientRect();
     if (element.textContent === '' || box.width === 0) return [];
     context.font = `${style.fontWeight} ${style.fontSize} ${style.fontFamily}`;
-    const isInside = box.left >= gate.left && box.right <= gate.right && box.top >= gate.top && box.bottom <= gate.bottom;
+    const isInside = box.left >= gate.left && box.right <= gate.right
+      && box.top >= gate.top && box.bottom <= gate.bottom;
     return [{name, text: element.innerText, font_px: parseFloat(style.fontSize), ink: rgb(style.color).slice(0, 3),
       capital_px: context.measureText('H').actualBoundingBoxAscent, ground: ground(element), is_inside: isInside}];
   });

@@ -7,6 +7,7 @@ import { prepareSession, createSession, listModels, readSession, withoutNulls } 
 import { byId, part, setText } from "../drawing/elements.js";
 import { may, obstacle } from "../people/permissions.js";
 import { duration, dutyText, onText } from "./treatment.js";
+import { whatIs } from "../words/reasons.js";
 import { tr } from "../words/words.js";
 
 /** Statuses of a session that did not end as a person or a recording would have it. */
@@ -132,7 +133,7 @@ function taken(session, names, model) {
 
 function whenText(session) {
   const fraction = tr("report.fraction", { plan_id: session.plan_id, fraction_id: session.fraction_id, value: session.fraction_number === null ? "" : ` (no. ${session.fraction_number})` });
-  return tr("report.started", { fraction, started_at: clock(session.started_at), status: session.status, ended_at: clock(session.ended_at), status_detail: session.status_detail });
+  return tr("report.started", { fraction, started_at: clock(session.started_at), status: tr(`status.${session.status}`), ended_at: clock(session.ended_at), status_detail: session.status_detail });
 }
 
 function clock(at) {
@@ -165,7 +166,7 @@ function holdLines(holds) {
   return holds.map(({ reason, text, count }) => {
     const line = part("li", "");
     line.dataset.reason = reason;
-    line.append(part("strong", String(count)), ` ${text}`);
+    line.append(part("strong", String(count)), ` ${whatIs(reason, text)}`);
     return line;
   });
 }

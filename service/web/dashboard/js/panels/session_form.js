@@ -143,7 +143,7 @@ export class SessionForm {
   #showPlan() {
     const { plan } = this;
     for (const field of this.form.querySelectorAll("[data-typed]")) field.hidden = plan !== null;
-    this.#input("fraction_number").placeholder = plan === null ? "optional" : "";
+    this.#input("fraction_number").placeholder = plan === null ? tr("page.optional") : "";
     this.#input("head_direction").options[0].textContent = plan === null ? tr("session_form.not_known_gate_on_whole_or_volume_only") : tr("session_form.as_the_plan_s_position_says");
     const note = plan === null ? "" : tr("session_form.the_plan_prescribes", { value: TECHNIQUE[plan.gating] });
     byId("plan-note").textContent = note;

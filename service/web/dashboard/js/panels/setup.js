@@ -201,7 +201,7 @@ function byId(id) {
 }
 
 function status(session) {
-  const element = part("em", session.status);
+  const element = part("em", tr(`status.${session.status}`));
   element.dataset.status = session.status;
   return element;
 }
