@@ -20,7 +20,9 @@ SIZES = ((1920, 1080), (1280, 800), (1024, 768), (768, 1024))
 TAGS = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 MOST_TABS = 150
 # Without this, Tab goes on from what had the focus last.
-FROM_THE_TOP = "() => { document.body.tabIndex = -1; document.body.focus(); document.body.removeAttribute('tabindex'); }"
+FROM_THE_TOP = (
+    "() => { document.body.tabIndex = -1; document.body.focus(); document.body.removeAttribute('tabindex'); }"
+)
 
 
 def axe_findings(page: Page, *without: str) -> list[str]:
@@ -43,7 +45,11 @@ def findings(page: Page, check: str, *given: float) -> list[str]:
 
 def layout_findings(page: Page) -> list[str]:
     """Return what is cut off, overlaps, lies outside the page, or hides the gate's state."""
-    return [one for check in ("outside", "stateInView", "clipped", "overlapping") for one in findings(page, check)]
+    return [
+        one
+        for check in ("outside", "stateInView", "clipped", "covered", "overlapping")
+        for one in findings(page, check)
+    ]
 
 
 def focus_findings(page: Page) -> tuple[int, list[str]]:

@@ -93,6 +93,31 @@
     return found;
   };
 
+  const isSticky = (element) => element !== null && (getComputedStyle(element).position === "sticky" || isSticky(element.parentElement));
+
+  /** Text that something else of its panel lies over. */
+  const covered = () => {
+    const found = [];
+    const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+    for (let node = walker.nextNode(); node !== null; node = walker.nextNode()) {
+      const parent = node.parentElement;
+      if (node.data.trim() === "" || !isSeen(parent) || parent.closest("option, noscript, .uplot, svg, .cover, [inert]") !== null) continue;
+      const range = document.createRange();
+      range.selectNodeContents(node);
+      const [box] = range.getClientRects();
+      if (box === undefined || box.width === 0 || box.bottom > innerHeight || box.top < 0) continue;
+      for (const x of [box.left + 2, (box.left + box.right) / 2, box.right - 2]) {
+        const hit = document.elementFromPoint(x, (box.top + box.bottom) / 2);
+        if (hit === null || hit.contains(parent) || parent.contains(hit) || hit.closest(AREAS) !== parent.closest(AREAS)) continue;
+        if (isSticky(hit)) continue; // what scrolls under it can be scrolled out
+        if (hit.closest("label") !== null && hit.closest("label") === parent.closest("label")) continue;
+        found.push(`${name(parent)} lies under ${name(hit)}`);
+        break;
+      }
+    }
+    return found;
+  };
+
   const stateInView = () => ["#gate-word", "#gate-reason"].filter((id) => {
     const box = boxOf(document.querySelector(id));
     return document.querySelector(id).textContent !== "" && (box.top < 0 || box.bottom > innerHeight || box.left < 0 || box.right > innerWidth + SLACK_PX);
@@ -126,5 +151,5 @@
     return { key, name: name(element), ring, seen, ringContrast };
   };
 
-  window.pageChecks = { clipped, overlapping, outside, stateInView, borders, focused, contrast, rgba, groundOf };
+  window.pageChecks = { covered, clipped, overlapping, outside, stateInView, borders, focused, contrast, rgba, groundOf };
 })();

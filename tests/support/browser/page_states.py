@@ -4,7 +4,7 @@ What each shows does not move, so that a check and a picture see the same page e
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from playwright.sync_api import Page, expect
@@ -74,18 +74,32 @@ LOST = sample(
         "hold_detail": "the superior left marker was not found",
     }
 )
-TRAINING = DISARMED | NOTHING_MEASURED | {
-    "state": "training",
-    "training": {"frames": 140, "cycles": 2, "seconds": 7.2, "share": 0.46, "note": "two more breaths"},
-    "hold_reason": "no_model",
-    "hold_text": "No model yet",
-}
+TRAINING = (
+    DISARMED
+    | NOTHING_MEASURED
+    | {
+        "state": "training",
+        "training": {"frames": 140, "cycles": 2, "seconds": 7.2, "share": 0.46, "note": "two more breaths"},
+        "hold_reason": "no_model",
+        "hold_text": "No model yet",
+    }
+)
 HELD_BREATH = {
     "window": window(breath_hold(stage="held", is_inside=True), phase()),
     "breath": BREATH | {"phase_percent": None, "phase_confidence": 0.0, "note": "the breath is held"},
     "breath_hold": {"hold": "inspiration", "stage": "held", "count": 3, "seconds": 11.3}
     | {"settle_s": 1.0, "timeout_s": 25.0},
 }
+SETTLING = sample(
+    signal_mm=8.2,
+    whole_mm=8.2,
+    hold_reason="breath_hold_settling",
+    hold_text="Breath held, waiting until it is stable",
+    hold_detail="still for 0.6 s; 1 s needed",
+    window=window(breath_hold()),
+    breath=HELD_BREATH["breath"],
+    breath_hold=HELD_BREATH["breath_hold"] | {"stage": "settling", "count": 2, "seconds": 0.6},
+)
 
 
 @dataclass(frozen=True)
@@ -98,7 +112,6 @@ class PageState:
     act: Callable[[Page], None] = lambda _page: None
     shown: str = "#gate"
     closes_set_up: bool = False
-    notes: dict[str, Any] = field(default_factory=dict)
 
     def apply(self, fake: FakeService) -> None:
         """Let the controller be in this state."""
@@ -132,7 +145,9 @@ def _created(fake: FakeService) -> None:
 
 def _alarms(fake: FakeService) -> None:
     beam = alarm(1, "beam_without_permit", "high", "The accelerator reports beam on without a permit", latches=True)
-    low = alarm(3, "permit_without_beam", "low", "The beam is permitted, and the accelerator delivers none", age_s=190.0)
+    low = alarm(
+        3, "permit_without_beam", "low", "The beam is permitted, and the accelerator delivers none", age_s=190.0
+    )
     fake.alarms = (
         beam | {"detail": "beam on 310 ms after the permit ended: at most 250 ms are allowed"},
         alarm(2, "source_lost", "medium", "The camera is disconnected", latches=True, age_s=75.0),
@@ -197,13 +212,17 @@ def _press(selector: str) -> Callable[[Page], None]:
 STATES: dict[str, PageState] = {
     "idle": PageState("idle", prepare=lambda fake: fake.sessions.clear(), closes_set_up=True),
     "set-up": PageState("idle", prepare=_sessions, act=_press("#do-setup"), shown="#setup"),
-    "set-up-more": PageState("idle", prepare=lambda fake: fake.sessions.clear(), act=_open_more, shown="#more-settings"),
+    "set-up-more": PageState(
+        "idle", prepare=lambda fake: fake.sessions.clear(), act=_open_more, shown="#more-settings"
+    ),
     "past-session": PageState(
         "idle", prepare=lambda fake: fake.sessions.__setitem__(slice(None), [over()]), act=_open_past, shown="#report"
     ),
     "created": PageState("idle", prepare=_created, shown="#steps"),
     "summary": PageState(
-        "idle", prepare=lambda fake: fake.sessions.__setitem__(slice(None), [over()]), shown="#report",
+        "idle",
+        prepare=lambda fake: fake.sessions.__setitem__(slice(None), [over()]),
+        shown="#report",
         closes_set_up=True,
     ),
     "interrupted": PageState(
@@ -233,6 +252,7 @@ STATES: dict[str, PageState] = {
     "dwell": PageState("dwell", sample(gate="dwell", hold_reason="dwell", hold_text=None, hold_detail="")),
     "beam-on": PageState("beam_on", BEAM_ON, prepare=_events),
     "breath-held": PageState("beam_on", BEAM_ON | HELD_BREATH, shown="#breath-hold"),
+    "breath-settling": PageState("hold", SETTLING, shown="#breath-hold"),
     "fault": PageState("fault", FAULT),
     "alarms": PageState("fault", FAULT, prepare=_alarms, shown="#alarms"),
     "stale": PageState("stale", sample(age_ms=OLD_MS)),

@@ -13,9 +13,9 @@ from playwright.sync_api import Page, sync_playwright
 
 from tests.support.browser.accessibility import SIZES, settled
 from tests.support.browser.chromium import launch_chromium
+from tests.support.browser.fake_service import ServerThread
 from tests.support.browser.page_states import STATES, make_fake
 from tests.support.browser.served_tab import Door
-from tests.support.browser.fake_service import ServerThread
 from tests.support.repository import ROOT
 
 SETTLE_MS = 5_000
@@ -26,7 +26,7 @@ BREATHING_GATES = {"beam-on": "beam_on", "hold": "hold"}
 DOCUMENTED = {
     "beam-line-fault": "fault",
     "beam-on": "beam-on",
-    "breath-hold": "breath-held",
+    "breath-hold": "breath-settling",
     "hold": "hold",
     "log-in": "logged-out",
     "operator-hold": "operator-hold",
@@ -39,7 +39,7 @@ def draw(page: Page, door: Door, url: str, name: str) -> None:
     state.apply(fake)
     fake.period_s, fake.is_breathing = PERIOD_S, state.message is not None and state.message["regions_mm"] is not None
     fake.keeps_gate = name not in BREATHING_GATES
-    fake.is_breathing &= name != "breath-held"
+    fake.is_breathing &= not name.startswith("breath-")
     door.app = fake.app()
     state.open(page, url)
     page.wait_for_timeout(SETTLE_MS)

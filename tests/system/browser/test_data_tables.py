@@ -28,7 +28,7 @@ def test_the_tables_say_what_the_drawings_show(fake: FakeService, tab: Tab):
     assert page.locator("#table-map tr").nth(1).locator("th, td").count() == COLUMNS + 1
     expect(rows.nth(3).locator("td").nth(3)).to_have_text("not measured")
     expect(rows.nth(2).locator("td").nth(0)).to_have_text("+1.0, not seen")
-    expect(rows.nth(1).locator("td").nth(2)).to_have_text("−2.0")
+    expect(rows.nth(1).locator("td").nth(2)).to_have_text("\N{MINUS SIGN}2.0")
     expect(page.locator("#table-trace tr").nth(1)).to_contain_text("+4.3")
     expect(page.locator("#table-trace tr").nth(1)).to_contain_text("disarmed")
     expect(page.locator("#table-holds tr").nth(1)).to_have_text("Outside the window34")

@@ -1,4 +1,4 @@
-"""A session of the past is opened from the list, while no session runs; its times are those of the screen, with the zone."""
+"""A past session is opened from the list while no session runs; its times are the screen's, with their zone."""
 
 import pytest
 from playwright.sync_api import Browser, expect
@@ -13,6 +13,11 @@ NEWEST = over(patient_reference="P-0001")
 OLDER = over("interrupted", patient_reference="P-0002") | {"id": "66" * 16}
 
 
+def looks(fake: FakeService) -> int:
+    """How often the page has read the list of sessions."""
+    return sum(method == "GET" and path.endswith("/sessions") for method, path, _ in fake.calls)
+
+
 def test_a_past_session_is_shown_and_stays_until_it_is_closed(fake: FakeService, tab: Tab):
     fake.sessions[:] = [NEWEST, OLDER]
     page = tab.open("idle")
@@ -21,10 +26,8 @@ def test_a_past_session_is_shown_and_stays_until_it_is_closed(fake: FakeService,
     expect(heading).to_have_text("Interrupted: P-0002")
     expect(page.locator("#setup")).to_be_hidden()
     expect(page.locator("#report-continue")).to_be_hidden()
-    looks = len([path for method, path, _ in fake.calls if method == "GET" and path.endswith("/sessions")])
-    tab.await_that(
-        lambda: len([path for method, path, _ in fake.calls if method == "GET" and path.endswith("/sessions")]) > looks + 1
-    )
+    before = looks(fake)
+    tab.await_that(lambda: looks(fake) > before + 1, "the page does not look for sessions")
     expect(heading).to_have_text("Interrupted: P-0002")
     page.click("#report-close")
     expect(page.locator("#report")).to_be_visible()

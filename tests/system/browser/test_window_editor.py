@@ -120,10 +120,8 @@ def test_a_late_frame_leaves_it_open_and_applies_nothing(fake: FakeService, step
     expect(page.locator("#window-apply")).to_be_enabled()
 
 
-@pytest.mark.parametrize("change", [{"is_armed": True, "gate": "hold"}, {"session_id": "99" * 16}], ids=["armed", "other"])
-def test_it_closes_after_a_gap_if_the_state_no_longer_allows_it(
-    fake: FakeService, stepped: SteppedPage, change: dict
-):
+@pytest.mark.parametrize("change", [{"is_armed": True, "gate": "hold"}, {"session_id": "99" * 16}], ids=str)
+def test_it_closes_after_a_gap_if_the_state_no_longer_allows_it(fake: FakeService, stepped: SteppedPage, change: dict):
     page = stepped.open_settled(DISARMED)
     page.click("#do-window")
     fake.mode = "silent"
