@@ -383,6 +383,7 @@ class FakeService:
         self.alarms: tuple[dict[str, Any], ...] = ()
         self.sample: dict[str, Any] = sample()
         self.is_breathing = False
+        self.keeps_gate = False  # while breathing: the gate stays as the sample has it
         self.is_up = True
         self.lag_s = 0.0
         self.clock: Callable[[], float] = time.time
@@ -493,7 +494,7 @@ class FakeService:
             return None
         elapsed_s = self.frame_index / 30.0
         moving = motion_at(elapsed_s) if self.is_breathing else {}
-        if self.is_breathing and self.sample["is_armed"]:
+        if self.is_breathing and self.sample["is_armed"] and not self.keeps_gate:
             moving |= _gate_for(moving["signal_mm"])
         stamp |= {"frame_index": self.frame_index, "timestamp_us": int(elapsed_s * 1e6)}
         return json.dumps(self.sample | moving | stamp)

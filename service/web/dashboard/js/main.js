@@ -5,6 +5,8 @@ import { AlarmPanel, urgentText } from "./panels/alarms.js";
 import { ArmingPanel } from "./panels/arming.js";
 import { Access } from "./people/access.js";
 import { listSessions, readArming, readSession } from "./api.js";
+import { DataTables } from "./panels/data_tables.js";
+import { hideCovered } from "./drawing/covered.js";
 import { BaselineButton } from "./panels/baseline_correction.js";
 import { renderBreath } from "./panels/breath.js";
 import { CoachPanel } from "./coach/panel.js";
@@ -71,7 +73,8 @@ const windowEditor = new WindowEditor(byId("window-editor"), trace, controls);
 const alarms = new AlarmPanel(byId("alarms"), controls);
 const baseline = new BaselineButton(byId("do-correct"), controls);
 const presence = new Presence();
-const setup = new Setup(access, select);
+const tables = new DataTables(trace);
+const setup = new Setup(access, select, openPast);
 const report = new Report(access, select, uncoverReport);
 const keyList = new KeyList();
 const people = new PeoplePanel(access);
@@ -135,6 +138,7 @@ function leave() {
   setup.forget();
   report.forget();
   keyList.close();
+  tables.close();
   controls.forget();
   qa.forget();
 }
@@ -146,7 +150,7 @@ function uncoverReport({ id }, isBroken) {
 
 /** Close what lies on top of the page, for Esc. @returns {boolean} whether anything was open */
 function closeTopmost() {
-  if (sounds.close() || keyList.close() || arming.close() || windowEditor.close()) return true;
+  if (sounds.close() || keyList.close() || arming.close() || windowEditor.close() || tables.close()) return true;
   // A secret that is shown once is closed by its own button only.
   const isSecretShown = !byId("shown-once").hidden;
   for (const [panel, hide] of [["people", () => !isSecretShown && people.show(false)], ["coach", () => coach.show(false)], ["setup", () => setup.show(false)]]) {
@@ -163,6 +167,15 @@ function forgetSession() {
   trace.reset(null);
   picture.follow(null, false);
   events.follow(null);
+}
+
+/** Show a session of the past, unless one runs: nothing of another patient lies beside a patient who is treated. */
+function openPast(past) {
+  const isIdle = stream.message?.type === "idle" && present(stream, performance.now()).kind === "idle";
+  if (!isIdle) return tr("setup.past_not_now");
+  setup.show(false);
+  report.open(past, true);
+  return "";
 }
 
 /** A log-out may hold the beam: while the gate is armed the first click asks for confirmation. */
@@ -323,7 +336,8 @@ function render() {
   follow(view, sample, nowMs);
   controls.update({ kind: view.kind, sample: running, selected: session, person: access.state === "in" ? access.person : null });
   arming.update(view.isCurrent ? running : null, nowMs);
-  windowEditor.update(view.isCurrent ? running : null, session, controls.forbids("window"), nowMs);
+  if (view.isCurrent) windowEditor.update(running, session, controls.forbids("window"), nowMs);
+  else windowEditor.wait(controls.forbids("window"));
   setText(byId("gate-by"), armedText(sample));
   alarms.render(activeAlarms, view.kind === "fault", nowMs);
   sounds.update(view, running, activeAlarms, nowMs);
@@ -380,6 +394,8 @@ function drawPanels(nowMs, view, sample) {
   steps.render({ may: access.may("create") && byId("report").hidden, isFresh: view.isFresh, sample, session });
   renderWho(view);
   renderTraceValue(sample);
+  tables.tend(sample, session, nowMs);
+  hideCovered(byId("gate").parentElement);
 }
 
 /** The service's time of day now [ms], from its newest message. */

@@ -5,6 +5,7 @@
 
 import { prepareSession, createSession, listModels, readSession, withoutNulls } from "../api.js";
 import { byId, part, setText } from "../drawing/elements.js";
+import { localTime } from "../drawing/local_time.js";
 import { may, obstacle } from "../people/permissions.js";
 import { duration, dutyText, onText } from "./treatment.js";
 import { whatIs } from "../words/reasons.js";
@@ -39,11 +40,14 @@ export class Report {
     return !this.root.hidden;
   }
 
-  /** Show a session that is over, unless it is shown already or was closed by a person. */
-  async open({ id }) {
-    if (id === this.id || id === this.dismissed) return;
+  /**
+   * Show a session that is over, unless it is shown already or was closed by a person. One that a person chose stays until
+   * it is closed.
+   */
+  async open({ id }, isChosen = false) {
+    if (!isChosen && (this.isChosen || id === this.id || id === this.dismissed)) return;
     this.forget();
-    this.id = id;
+    Object.assign(this, { id, isChosen });
     try {
       const [session, models] = await Promise.all([readSession(id), listModels(id, 1)]);
       if (id !== this.id) return;
@@ -57,15 +61,16 @@ export class Report {
   /** Close it for good: the same session is not shown again. @returns {boolean} whether it was open */
   close() {
     const wasOpen = this.isOpen;
-    if (wasOpen) this.dismissed = this.id;
+    const isOwn = wasOpen && !this.isChosen;
+    if (isOwn) this.dismissed = this.id;
     this.forget();
-    if (wasOpen) this.id = this.dismissed;
+    if (isOwn) this.id = this.dismissed;
     return wasOpen;
   }
 
   /** Remove everything of the session, after a log-out or as another one is chosen. */
   forget() {
-    Object.assign(this, { id: null, session: null, model: null, isBusy: false });
+    Object.assign(this, { id: null, session: null, model: null, isBusy: false, isChosen: false });
     this.root.hidden = true;
     for (const name of ["report-heading", "report-when", "report-note", "report-outcome"]) setText(byId(name), "");
     byId("report-figures").replaceChildren();
@@ -81,8 +86,10 @@ export class Report {
     setText(byId("report-when"), whenText(session));
     byId("report-figures").replaceChildren(...figures(session).map(figure));
     byId("report-holds").replaceChildren(...holdLines(session.summary.holds ?? []));
-    this.button.hidden = !isBroken;
-    if (isBroken) this.#offer();
+    // One of the past may have been continued long ago.
+    const isOffered = isBroken && !this.isChosen;
+    this.button.hidden = !isOffered;
+    if (isOffered) this.#offer();
     this.root.hidden = false;
     this.onShown(session, isBroken);
   }
@@ -133,13 +140,9 @@ function taken(session, names, model) {
 
 function whenText(session) {
   const fraction = tr("report.fraction", { plan_id: session.plan_id, fraction_id: session.fraction_id, value: session.fraction_number === null ? "" : ` (no. ${session.fraction_number})` });
-  return tr("report.started", { fraction, started_at: clock(session.started_at), status: tr(`status.${session.status}`), ended_at: clock(session.ended_at), status_detail: session.status_detail });
+  return tr("report.started", { fraction, started_at: localTime(session.started_at), status: tr(`status.${session.status}`), ended_at: localTime(session.ended_at), status_detail: session.status_detail });
 }
 
-function clock(at) {
-  const time = new Date(at);
-  return Number.isNaN(time.getTime()) ? NONE : time.toLocaleString("en-GB", { day: "2-digit", month: "short", hour: "2-digit", minute: "2-digit" });
-}
 
 function figures(session) {
   const { summary } = session;

@@ -2,6 +2,8 @@
 
 import { createSession, listCalibrations, listDevices, listPlans, listRecordings, listSessions, listSessionsOf, prepareSession, uploadCalibration } from "../api.js";
 import { may, obstacle } from "../people/permissions.js";
+import { localTime } from "../drawing/local_time.js";
+import { isOver } from "./report.js";
 import { SessionForm } from "./session_form.js";
 import { tr } from "../words/words.js";
 
@@ -12,10 +14,10 @@ export class Setup {
   /**
    * @param {import("../people/access.js").Access} access the log-in and its permissions
    * @param {(session: object) => void} onSelect called with the chosen or created session
+   * @param {(session: object) => string} onOpen called with a session that is over, to show it; returns why it cannot be
    */
-  constructor(access, onSelect) {
-    this.access = access;
-    this.onSelect = onSelect;
+  constructor(access, onSelect, onOpen) {
+    Object.assign(this, { access, onSelect, onOpen });
     this.panel = document.getElementById("setup");
     this.toggle = document.getElementById("do-setup");
     this.form = document.getElementById("new-session");
@@ -84,10 +86,17 @@ export class Setup {
     const choose = document.createElement("button");
     choose.type = "button";
     choose.append(part("strong", session.patient_reference), part("span", `${session.plan_id} · ${session.fraction_id}`), status(session));
-    choose.disabled = session.status !== "created";
+    const isPast = isOver(session);
+    choose.className = isPast ? "open" : "";
+    choose.disabled = session.status !== "created" && !isPast;
+    choose.title = isPast ? tr("setup.show_its_summary") : "";
+    choose.append(part("time", localTime(session.started_at ?? session.created_at)));
     choose.addEventListener("click", () => {
-      this.onSelect(session);
-      this.show(false);
+      if (isPast) this.#say("failed", this.onOpen(session));
+      else {
+        this.onSelect(session);
+        this.show(false);
+      }
     });
     item.append(choose);
     if (session.status !== "created") item.append(this.#again(session));

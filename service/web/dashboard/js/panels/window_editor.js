@@ -20,7 +20,7 @@ const FORECAST_MS = 250;
 export class WindowEditor {
   /** @param {object} trace whose last minute is judged, and on which the edges are dragged */
   constructor(form, trace, controls) {
-    Object.assign(this, { form, trace, controls, session: null, sample: null, unit: "mm", grip: null, drawnMs: -Infinity });
+    Object.assign(this, { form, trace, controls, session: null, sample: null, unit: "mm", grip: null, drawnMs: -Infinity, isWaiting: true });
     this.opener = byId("do-window");
     this.opener.addEventListener("click", () => (this.isOpen ? this.close() : this.#open()));
     byId("window-cancel").addEventListener("click", () => this.close());
@@ -49,6 +49,7 @@ export class WindowEditor {
 
   /** @param {string} why why the log-in or the state does not permit it; empty if they do */
   update(sample, session, why, nowMs) {
+    this.isWaiting = false;
     this.sample = sample;
     this.session = session?.id === sample?.session_id ? session : null;
     const obstacle = why || this.#obstacle();
@@ -60,6 +61,21 @@ export class WindowEditor {
     if (nowMs - this.drawnMs < FORECAST_MS) return;
     this.drawnMs = nowMs;
     this.#show();
+  }
+
+  /**
+   * The state is not known at present: what is typed stays, and nothing can be applied. It closes if the next state does
+   * not allow it.
+   *
+   * @param {string} why why the log-in does not permit it; empty if it does
+   */
+  wait(why) {
+    if (why !== "") this.close();
+    this.isWaiting = true;
+    this.opener.disabled = true;
+    this.opener.title = tr("window.state_not_known");
+    byId("window-apply").disabled = true;
+    this.#release();
   }
 
   #obstacle() {
@@ -79,7 +95,7 @@ export class WindowEditor {
   }
 
   #open() {
-    if (this.#obstacle() !== "") return;
+    if (this.isWaiting || this.#obstacle() !== "") return;
     this.openedFor = this.session.id;
     this.form.hidden = false;
     this.opener.setAttribute("aria-expanded", "true");
@@ -214,7 +230,7 @@ export class WindowEditor {
   #submit(event) {
     event.preventDefault();
     const edges = this.#edges();
-    if (edges === null || this.session === null) return;
+    if (edges === null || this.session === null || this.isWaiting) return;
     const { id } = this.session;
     const window = withoutNulls(this.session.window);
     const target = this.#target(window);
