@@ -47,7 +47,7 @@ export class DataTables {
   }
 
   #fill(sample, session) {
-    setText(byId("tables-note"), tr(sample === null ? "tables.nothing_present" : "tables.once_a_second"));
+    setText(byId("tables-note"), sample === null ? tr("tables.nothing_present") : tr("tables.once_a_second"));
     fill(byId("table-window"), sample === null ? [] : windowRows(sample.window));
     fill(byId("table-trace"), sample === null ? [] : traceRows(this.trace.kept.all));
     fill(byId("table-map"), sample?.regions_mm ? mapRows(sample.regions_mm, sample.unseen_cells ?? []) : []);
@@ -57,8 +57,8 @@ export class DataTables {
 }
 
 function windowRows(window) {
-  const head = ["condition", "signal", "from", "to", "inside"].map((name) => tr(`tables.${name}`));
-  return [head, ...conditionsOf(window).map((one) => [tr(`tables.${one.kind}`), signalName(one), ...edges(one), tr(one.is_inside ? "tables.yes" : "tables.no")])];
+  const head = [tr("tables.condition"), tr("tables.signal"), tr("tables.from"), tr("tables.to"), tr("tables.inside")];
+  return [head, ...conditionsOf(window).map((one) => [tr(`tables.kind.${one.kind}`), signalName(one), ...edges(one), one.is_inside ? tr("tables.yes") : tr("tables.no")])];
 }
 
 function edges(one) {
@@ -68,7 +68,7 @@ function edges(one) {
 
 /** One sample a second, the newest first. */
 function traceRows(samples) {
-  const rows = [[tr("tables.seconds_ago"), ...["gated", "whole", "thorax", "abdomen"].map((name) => tr(`page.${name}`)), tr("arming.gate")]];
+  const rows = [[tr("tables.seconds_ago"), tr("page.gated"), tr("page.whole"), tr("page.thorax"), tr("page.abdomen"), tr("arming.gate")]];
   const newest = samples.at(-1);
   let next = 0;
   for (let i = samples.length - 1; i >= 0 && next <= SECONDS; i -= 1) {
