@@ -73,6 +73,13 @@ def tab(fake: FakeService, shared_context: BrowserContext, door: tuple[Door, str
 
 
 @pytest.fixture
+def own_tab(fake: FakeService, context: BrowserContext, door: tuple[Door, str]) -> Iterator[Tab]:
+    """A tab like `tab`, whose browser keeps settings for this test only: a language, a volume."""
+    with opened_tab(fake, context, door) as tab:
+        yield tab
+
+
+@pytest.fixture
 def stepped(fake: FakeService, context: BrowserContext, door: tuple[Door, str]) -> Iterator[SteppedPage]:
     """A page as it is, whose time the test moves."""
     with opened_tab(fake, context, door) as tab:

@@ -29,8 +29,8 @@ def open_distance(fake: FakeService, tab: Tab, state: str, language: str = "en")
 
 @pytest.mark.parametrize("language", ["en", "de"])
 @pytest.mark.parametrize("state", seen.STATES)
-def test_state_reason_advice_time_and_lamps_are_read_at_3_m(fake: FakeService, tab: Tab, state: str, language: str):
-    page = open_distance(fake, tab, state, language)
+def test_state_reason_advice_time_and_lamps_are_read_at_3_m(fake: FakeService, own_tab: Tab, state: str, language: str):
+    page = open_distance(fake, own_tab, state, language)
     texts = {one.name: one for one in seen.texts_of(page, state)}
     assert {"word", "reason", "instruction", "call", "time", "gate lamp", "beam lamp"} <= set(texts)
     assert {name: one.arcmin for name, one in texts.items() if one.arcmin < seen.LEAST_ARCMIN} == {}
@@ -43,8 +43,8 @@ LONGEST = ("operator_lost", "beam_on_limit", "coverage_low", "baseline_drifted",
 
 
 @pytest.mark.parametrize("reason", LONGEST)
-def test_the_longest_reasons_and_a_warning_stay_inside(fake: FakeService, tab: Tab, reason: str):
-    page = open_distance(fake, tab, "hold", "de")
+def test_the_longest_reasons_and_a_warning_stay_inside(fake: FakeService, own_tab: Tab, reason: str):
+    page = open_distance(fake, own_tab, "hold", "de")
     fake.alarms = (alarm(1, "beam_without_permit", "high", "The accelerator reports beam on without a permit"),)
     fake.sample = fake.sample | {"hold_reason": reason}
     expect(page.locator("#gate-warning")).not_to_have_text("")
@@ -54,11 +54,11 @@ def test_the_longest_reasons_and_a_warning_stay_inside(fake: FakeService, tab: T
     assert box["height"] > 100.0
 
 
-def test_beam_on_and_fault_differ_for_every_eye_and_in_grey(fake: FakeService, tab: Tab):
-    page = open_distance(fake, tab, "beam_on")
+def test_beam_on_and_fault_differ_for_every_eye_and_in_grey(fake: FakeService, own_tab: Tab):
+    page = open_distance(fake, own_tab, "beam_on")
     on = seen.ground_of(page)
     fake.sample = seen.STATES["fault"]
-    tab.sees("fault")
+    own_tab.sees("fault")
     fault = seen.ground_of(page)
     ratios = {vision: seen.ratio(seen.as_seen(on, vision), seen.as_seen(fault, vision)) for vision in seen.BLINDNESS}
     assert {vision: ratio for vision, ratio in ratios.items() if ratio < seen.LEAST_LUMINANCE_RATIO} == {}
@@ -66,8 +66,8 @@ def test_beam_on_and_fault_differ_for_every_eye_and_in_grey(fake: FakeService, t
     assert {vision: far for vision, far in apart.items() if far < seen.LEAST_DIFFERENCE} == {}
 
 
-def test_nothing_there_arms(fake: FakeService, tab: Tab):
-    page = open_distance(fake, tab, "disarmed")
+def test_nothing_there_arms(fake: FakeService, own_tab: Tab):
+    page = open_distance(fake, own_tab, "disarmed")
     buttons = page.locator("button:visible").evaluate_all("all => all.map(one => one.id)")
     assert set(buttons) == {"do-hold", "do-disarm", "do-sound", "do-distance"}
     page.locator("#do-distance").click()
@@ -89,8 +89,10 @@ def test_it_is_grey_as_soon_as_the_console_and_its_lamps_claim_nothing(fake: Fak
 
 
 @pytest.mark.parametrize(("beam", "state"), [("on", "on"), ("off", "off"), ("unknown", "unknown"), (None, "none")])
-def test_the_beam_lamp_shows_what_the_accelerator_reports(fake: FakeService, tab: Tab, beam: str | None, state: str):
+def test_the_beam_lamp_shows_what_the_accelerator_reports(
+    fake: FakeService, own_tab: Tab, beam: str | None, state: str
+):
     fake.mode, fake.sample = "samples", sample(accelerator_beam=beam, line_on=False)
-    page = tab.open("hold")
+    page = own_tab.open("hold")
     expect(page.locator("#lamp-beam")).to_have_attribute("data-state", state)
     expect(page.locator("#lamp-gate")).to_have_attribute("data-state", "off")

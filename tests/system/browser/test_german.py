@@ -50,42 +50,44 @@ def test_the_table_of_english_texts_is_not_empty():
 
 
 @pytest.mark.parametrize("state", STATES)
-def test_no_english_in_any_state(fake: FakeService, tab: Tab, state: str):
+def test_no_english_in_any_state(fake: FakeService, own_tab: Tab, state: str):
     fake.mode, fake.sample = "samples", STATES[state]
     fake.alarms = (alarm(1, "camera_moved", "medium", "The camera or the couch has moved"),)
-    page = open_german(tab, state)
+    page = open_german(own_tab, state)
     expect(page.locator("#alarms li strong")).to_have_text(GERMAN["hold.camera_moved.what"])
-    tab.draws(fake)
+    own_tab.draws(fake)
     assert english_on(page) == set()
     assert page.evaluate("document.documentElement.lang") == "de"
 
 
-def test_no_english_without_a_session_and_in_the_form(fake: FakeService, tab: Tab):
+def test_no_english_without_a_session_and_in_the_form(fake: FakeService, own_tab: Tab):
     fake.mode, fake.sessions = "idle", []
-    page = open_german(tab, "idle")
+    page = open_german(own_tab, "idle")
     expect(page.locator("#setup")).to_be_visible()
-    tab.is_answered()
+    own_tab.is_answered()
     assert english_on(page) == set()
 
 
-def test_no_english_in_the_summary_of_a_session(fake: FakeService, tab: Tab):
+def test_no_english_in_the_summary_of_a_session(fake: FakeService, own_tab: Tab):
     fake.mode, fake.sessions = "idle", [over()]
-    page = open_german(tab, "idle")
+    page = open_german(own_tab, "idle")
     expect(page.locator("#report")).to_be_visible()
     assert english_on(page) == set()
 
 
-def test_no_english_logged_out(fake: FakeService, tab: Tab):
+def test_no_english_logged_out(fake: FakeService, own_tab: Tab):
     fake.person = None
-    page = open_german(tab, "out")
+    page = open_german(own_tab, "out")
     expect(page.locator("#access")).to_be_visible()
     assert english_on(page) == set()
 
 
 @pytest.mark.parametrize("code", ["a_new_reason", "", "<b>x</b>"])
-def test_an_unknown_code_shows_the_controller_s_sentence_and_the_safest_advice(fake: FakeService, tab: Tab, code: str):
+def test_an_unknown_code_shows_the_controller_s_sentence_and_the_safest_advice(
+    fake: FakeService, own_tab: Tab, code: str
+):
     fake.mode, fake.sample = "samples", sample(hold_reason=code, hold_text="A sentence of a newer controller")
-    page = open_german(tab, "hold")
+    page = open_german(own_tab, "hold")
     expect(page.locator("#gate-reason")).to_have_text("A sentence of a newer controller")
     expect(page.locator("#gate-do")).to_have_text(GERMAN["reason.unknown.do"])
     fake.sample = sample(hold_reason="a_new_reason", hold_text=None)
@@ -97,26 +99,26 @@ def serve_german(tab: Tab, words: dict[str, Any] | None) -> None:
     tab.page.route("**/lang/de.json", lambda route: route.fulfill(status=404 if body is None else 200, body=body or ""))
 
 
-def test_a_missing_word_is_shown_in_english_and_marked_never_empty(fake: FakeService, tab: Tab):
-    serve_german(tab, {key: text for key, text in GERMAN.items() if key != "hold.outside_window.what"})
+def test_a_missing_word_is_shown_in_english_and_marked_never_empty(fake: FakeService, own_tab: Tab):
+    serve_german(own_tab, {key: text for key, text in GERMAN.items() if key != "hold.outside_window.what"})
     fake.mode, fake.sample = "samples", sample()
-    page = open_german(tab, "hold")
+    page = open_german(own_tab, "hold")
     expect(page.locator("#gate-reason")).to_have_text("[en] Outside the window")
 
 
-def test_a_language_that_cannot_be_read_leaves_english(fake: FakeService, tab: Tab):
-    serve_german(tab, None)
+def test_a_language_that_cannot_be_read_leaves_english(fake: FakeService, own_tab: Tab):
+    serve_german(own_tab, None)
     fake.mode, fake.sample = "samples", sample()
-    page = open_german(tab, "hold")
+    page = open_german(own_tab, "hold")
     expect(page.locator("#gate-reason")).to_have_text("Outside the window")
 
 
-def test_the_page_asks_for_its_words_once_and_before_it_shows_a_state(fake: FakeService, tab: Tab):
+def test_the_page_asks_for_its_words_once_and_before_it_shows_a_state(fake: FakeService, own_tab: Tab):
     fake.mode, fake.sample = "samples", sample()
-    page = open_german(tab, "hold")
-    before = [url for url in tab.requests if "/lang/" in url]
+    page = open_german(own_tab, "hold")
+    before = [url for url in own_tab.requests if "/lang/" in url]
     fake.sample = STATES["fault"]
-    tab.sees("fault")
+    own_tab.sees("fault")
     page.wait_for_function("document.querySelector('#gate-word').textContent === 'Fehler'")
-    assert [url for url in tab.requests if "/lang/" in url] == before
+    assert [url for url in own_tab.requests if "/lang/" in url] == before
     assert len(before) == 1 + len({"de", "en"})
