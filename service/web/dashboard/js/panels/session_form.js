@@ -76,9 +76,10 @@ export class SessionForm {
     this.#input("calibration_id").replaceChildren(new Option(text, ""));
   }
 
-  /** Enter the number of the plan's next fraction. */
+  /** Enter the number of the plan's next fraction; a field that has the focus is left to the person who types. */
   enterFraction(number) {
-    if (this.plan !== null && this.#input("fraction_number").value === "") this.#input("fraction_number").value = number;
+    const input = this.#input("fraction_number");
+    if (this.plan !== null && input.value === "" && input !== document.activeElement) input.value = number;
   }
 
   /** Enter the values of an earlier session; its fraction is entered by hand. */
