@@ -1146,6 +1146,7 @@ class Sample(TypedDict):
     """The newest frame with its measurement and gate decision."""
 
     abdomen_mm: float | None
+    accelerator_beam: NotRequired[Literal["on", "off", "unknown"] | None]
     age_ms: float
     armed_by: NotRequired[str | None]
     body_warning: NotRequired[str | None]

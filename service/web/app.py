@@ -39,6 +39,7 @@ from service.web.api import (
 )
 from service.web.api.problem_handlers import install_problem_handlers
 from service.web.dependencies import guarded, require_json
+from service.web.languages import LANGUAGE_LIST, language_route
 from service.web.lifespan import make_lifespan
 from service.web.middleware.arrival import Arrival
 from service.web.middleware.guard import Guard
@@ -117,6 +118,7 @@ def create_app(
     app.state.certificate = certificate
     install_problem_handlers(app)
     describe_contract(app)
+    app.router.routes.append(language_route(DASHBOARD))
     app.mount("/", StaticFiles(directory=DASHBOARD, html=True, check_dir=False), name="page")
     return app
 
@@ -157,4 +159,4 @@ def _api_routes() -> tuple[BaseRoute, ...]:
 def _page_files() -> frozenset[str]:
     """Return the paths of the page's files, listed once per process: no data, and all that is read without a rule."""
     found = (file.relative_to(DASHBOARD).as_posix() for file in DASHBOARD.rglob("*") if file.is_file())
-    return frozenset({"/", PATIENT, f"{PATIENT}/", *(f"/{path}" for path in found)})
+    return frozenset({"/", LANGUAGE_LIST, PATIENT, f"{PATIENT}/", *(f"/{path}" for path in found)})

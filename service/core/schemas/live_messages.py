@@ -373,6 +373,9 @@ class Sample(Message):
         default=None, description="Who armed the gate, or released a hold since; null while it is disarmed"
     )
     line_on: bool
+    accelerator_beam: Literal["on", "off", "unknown"] | None = Field(
+        default=None, description="The accelerator's own beam-on signal; null where none is connected"
+    )
     window: LiveWindow = Field(description="As the gate applies it: in mm or l, with baseline corrections")
     breath: LiveBreath | None = Field(default=None, description="null while no frame is measured")
     breath_hold: LiveBreathHold | None = Field(default=None, description="null if the window has no breath hold")

@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Literal
 
+from engine.beam.beam_on import BeamOnState
 from engine.calibration.camera_calibration import Calibration
 from engine.capture.source import SourceDescription
 from engine.control.outputs import LiveView, LoopStatus
@@ -62,6 +63,7 @@ def live_sample(
         operator_hold=view.operator_hold,
         armed_by=view.armed_by,
         line_on=record.line_on,
+        accelerator_beam=_accelerator_beam(view.beam_on),
         window=live_window(view.window, view.conditions, measurement),
         breath=live_breath(view),
         breath_hold=live_breath_hold(view),
@@ -267,3 +269,10 @@ def _lag(lag: PhaseLag) -> LiveLag:
 def _corners(measurement: Measurement) -> list[list[float]] | None:
     markers = measurement.markers
     return None if markers is None else [[round(x, 2), round(y, 2)] for x, y in markers.centers_px.tolist()]
+
+
+def _accelerator_beam(state: BeamOnState | None) -> Literal["on", "off", "unknown"] | None:
+    """Return what the accelerator's beam-on signal reads; None where there is no signal."""
+    if state is None:
+        return None
+    return "unknown" if state.is_on is None else "on" if state.is_on else "off"

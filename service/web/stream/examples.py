@@ -140,6 +140,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "hold_detail": "1.5 mm; 8 mm to 12 mm wanted",
         "operator_hold": None,
         "armed_by": "A. Therapist",
+        "accelerator_beam": "off",
         "window": {
             "signal": "whole",
             "row": None,

@@ -31,6 +31,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 import service
 from service.core.permissions import Role, permissions_of
+from service.web.languages import LANGUAGE_LIST, language_names
 from tests.support.waiting import eventually
 
 DASHBOARD = Path(service.__file__).parent / "web" / "dashboard"
@@ -222,7 +223,7 @@ def sample(**changes: Any) -> dict[str, Any]:
         "training": None,
         "gate": "hold",
         "hold_reason": "outside_window",
-        "hold_text": "The signal is outside the window.",
+        "hold_text": "Outside the window",
         "hold_detail": "4.10 mm is not inside -1 to 3 mm",
         "operator_hold": None,
         "line_on": False,
@@ -357,7 +358,8 @@ def page_files(*, is_relaxed: bool) -> dict[str, Response]:
         path = file.relative_to(DASHBOARD).as_posix()
         content = relaxed(path).encode() if is_relaxed and path in RELAXED_MS else file.read_bytes()
         files[path] = Response(content, media_type=mimetypes.guess_type(path)[0])
-    return files | {"": files["index.html"]}
+    languages = JSONResponse({"languages": language_names(DASHBOARD)})
+    return files | {"": files["index.html"], LANGUAGE_LIST.removeprefix("/"): languages}
 
 
 def relaxed(path: str) -> str:
@@ -381,6 +383,7 @@ class FakeService:
         self.alarms: tuple[dict[str, Any], ...] = ()
         self.sample: dict[str, Any] = sample()
         self.is_breathing = False
+        self.keeps_gate = False  # while breathing: the gate stays as the sample has it
         self.is_up = True
         self.lag_s = 0.0
         self.clock: Callable[[], float] = time.time
@@ -491,7 +494,7 @@ class FakeService:
             return None
         elapsed_s = self.frame_index / 30.0
         moving = motion_at(elapsed_s) if self.is_breathing else {}
-        if self.is_breathing and self.sample["is_armed"]:
+        if self.is_breathing and self.sample["is_armed"] and not self.keeps_gate:
             moving |= _gate_for(moving["signal_mm"])
         stamp |= {"frame_index": self.frame_index, "timestamp_us": int(elapsed_s * 1e6)}
         return json.dumps(self.sample | moving | stamp)
@@ -609,7 +612,7 @@ def _gate_for(signal_mm: float) -> dict[str, Any]:
     return {
         "gate": "hold",
         "hold_reason": "outside_window",
-        "hold_text": "The signal is outside the window.",
+        "hold_text": "Outside the window",
         "line_on": False,
     }
 

@@ -95,6 +95,9 @@ RATINGS: dict[str, Rating] = {
     "U16": Rating(3, 2, 1, "3"),
     "U17": Rating(3, 3, 1, "6 7"),
     "U18": Rating(3, 3, 1, "2"),
+    "U19": Rating(3, 2, 1, "1"),
+    "U20": Rating(3, 3, 1, "1"),
+    "U21": Rating(3, 2, 1, "1"),
 }
 
 

@@ -1,16 +1,15 @@
 """One Chromium for these tests, a fresh tab and a fresh fake controller for each."""
 
-import contextlib
 from collections.abc import Iterator
 
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Playwright, expect, sync_playwright
-from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.web.app import PATIENT
 from tests.support.browser.chromium import launch_chromium
 from tests.support.browser.fake_coach import FakeCoach, FakeConsole, SteppedScreen
 from tests.support.browser.fake_service import FakeService, ServerThread
+from tests.support.browser.served_tab import Door, opened_tab
 from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 
@@ -59,16 +58,6 @@ def shared_context(chromium: Browser) -> Iterator[BrowserContext]:
     context.close()
 
 
-class Door:
-    """One server for all these tests; behind it stands the fake controller of the test that runs."""
-
-    def __init__(self) -> None:
-        self.app: ASGIApp = FakeService().app()
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        await self.app(scope, receive, send)
-
-
 @pytest.fixture(scope="package")
 def door() -> Iterator[tuple[Door, str]]:
     door = Door()
@@ -76,21 +65,17 @@ def door() -> Iterator[tuple[Door, str]]:
         yield door, server.url
 
 
-@contextlib.contextmanager
-def opened_tab(fake: FakeService, context: BrowserContext, door: tuple[Door, str]) -> Iterator[Tab]:
-    door[0].app = fake.app()
-    tab = Tab(page=context.new_page(), url=door[1])
-    tab.watch()
-    yield tab
-    tab.page.close()
-    fake.is_up = False
-    assert tab.complaints == []
-
-
 @pytest.fixture
 def tab(fake: FakeService, shared_context: BrowserContext, door: tuple[Door, str]) -> Iterator[Tab]:
     """A tab on a page that finds nothing old because the machine is slow."""
     with opened_tab(fake, shared_context, door) as tab:
+        yield tab
+
+
+@pytest.fixture
+def own_tab(fake: FakeService, context: BrowserContext, door: tuple[Door, str]) -> Iterator[Tab]:
+    """A tab like `tab`, whose browser keeps settings for this test only: a language, a volume."""
+    with opened_tab(fake, context, door) as tab:
         yield tab
 
 

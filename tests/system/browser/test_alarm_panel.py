@@ -1,5 +1,7 @@
 """The alarms on the page: by priority, with the time since and who acknowledged; nothing moves under a hand."""
 
+import itertools
+
 import pytest
 from playwright.sync_api import Page, expect
 
@@ -115,6 +117,26 @@ def test_an_alarm_moves_no_button(fake: FakeService, tab: Tab):
     fake.alarms = (BEAM, LOST, SHIFTED, PERMIT)
     expect(page.locator("#alarms li")).to_have_count(4)
     assert [page.locator(f"#do-{name}").bounding_box() for name in buttons] == before
+
+
+def test_a_warning_stands_clear_of_the_gates_word_and_replaces_its_advice(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", HOLD
+    page = tab.open("hold")
+    expect(page.locator("#gate-do")).to_be_visible()
+    fake.alarms = (BEAM,)
+    expect(page.locator("#gate-warning")).to_be_visible()
+    expect(page.locator(".gate .advice")).to_be_hidden()
+    drawn = [
+        page.locator(name).bounding_box() for name in (".gate .shape", "#gate-word", "#gate-reason", "#gate-warning")
+    ]
+    edges = [(box["y"], box["y"] + box["height"]) for box in drawn if box is not None]
+    assert len(edges) == 4
+    assert edges[0][1] - edges[0][0] >= 20, "the shape is too small"
+    assert all(above[1] <= below[0] for above, below in itertools.pairwise(edges)), edges
+    panel = page.locator("#gate").bounding_box()
+    assert panel is not None
+    assert panel["y"] <= edges[0][0]
+    assert edges[-1][1] <= panel["y"] + panel["height"]
 
 
 def test_a_viewer_sees_alarms_and_acknowledges_none(fake: FakeService, tab: Tab):

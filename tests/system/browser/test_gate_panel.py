@@ -97,7 +97,7 @@ def test_a_line_that_reads_on_without_a_permit_is_warned_of(fake: FakeService, t
 def test_changes_are_spoken_and_faults_at_once(fake: FakeService, tab: Tab):
     fake.mode, fake.sample = "samples", STATES["hold"]
     page = tab.open("hold")
-    expect(page.locator("#say-politely[aria-live=polite]")).to_contain_text("Hold. The signal is outside the window.")
+    expect(page.locator("#say-politely[aria-live=polite]")).to_contain_text("Hold. Outside the window")
     fake.sample = STATES["fault"]
     expect(page.locator("#say-now[aria-live=assertive]")).to_contain_text("Fault. The camera is disconnected")
 

@@ -6,7 +6,6 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.support.browser.fake_coach import CODE, UNMEASURED, FakeCoach, SteppedScreen, guide
-from tests.support.browser.fake_service import DASHBOARD
 
 pytestmark = pytest.mark.browser
 STALE_MS = 300
@@ -204,13 +203,6 @@ def contrast_on_black(color: str) -> float:
     channels = [int(one) / 255 for one in re.findall(r"\d+", color)[:3]]
     linear = [one / 12.92 if one <= 0.04045 else ((one + 0.055) / 1.055) ** 2.4 for one in channels]
     return (0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2] + 0.05) / 0.05
-
-
-def test_the_languages_have_the_same_keys():
-    files = {file.stem: file.read_text() for file in (DASHBOARD / "js" / "words").glob("??.js")}
-    keys = {name: re.findall(r'^  "([a-z_.]+)":', text, re.MULTILINE) for name, text in files.items()}
-    assert keys.keys() == {"en", "de"}
-    assert keys["en"] == keys["de"]
 
 
 # Stands for the browser's sound: notes what would be played.

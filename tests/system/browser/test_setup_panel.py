@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from tests.support.browser.fake_service import CALIBRATION, PLAN, RECORDING, FakeService, sample
 from tests.support.browser.tab import Tab
@@ -224,6 +224,26 @@ def test_a_prepared_plan_needs_its_fraction_camera_and_calibration_only(fake: Fa
         | {"hysteresis_percent": 2, "dwell_ms": 200},
     }
     expect(page.locator("#who-patient")).to_have_text("P-0300")
+
+
+def test_the_next_fraction_is_not_entered_into_a_field_that_is_being_filled_in(fake: FakeService, tab: Tab):
+    fake.plans = [dict(PLAN)]
+    page = tab.open("idle")
+    held: list[Route] = []
+
+    def hold(route: Route) -> None:
+        held.append(route)
+
+    page.route(f"**/api/v1/sessions?*{PLAN['patient_reference']}*", hold)
+    page.select_option("[name=plan]", PLAN["id"])
+    number = page.locator("[name=fraction_number]")
+    number.focus()
+    tab.await_that(lambda: page.wait_for_timeout(20) or held, "no sessions are asked for")
+    for route in held:
+        route.continue_()
+    tab.is_answered()
+    page.keyboard.type("7")
+    expect(number).to_have_value("7")
 
 
 def test_the_chosen_plan_and_fraction_survive_a_refresh_of_the_lists(fake: FakeService, tab: Tab):

@@ -26,7 +26,7 @@ def test_markup_in_any_text_of_the_controller_is_only_text(fake: FakeService, ta
     }
     fake.audit = [row | {"detail": {"reason": EVIL}, "previous_hash": "", "hash": ""}]
     lost = {"reason": "marker_lost", "detail": EVIL}
-    fake.mode, fake.sample = "samples", sample(hold_text=EVIL, state="lost", lost=lost)
+    fake.mode, fake.sample = "samples", sample(hold_reason=EVIL, hold_text=EVIL, state="lost", lost=lost)
     page = tab.open("hold")
     page.click("#do-setup")
     expect(page.locator("#who-patient")).to_have_text(EVIL)

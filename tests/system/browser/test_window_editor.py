@@ -9,6 +9,7 @@ from playwright.sync_api import Page, expect
 from engine.gating.windows import WindowInput, amplitude_window, initial_states
 from service.core.schemas.windows import Window
 from tests.support.browser.fake_service import PROPOSAL, FakeService, breath_hold, phase, sample, window
+from tests.support.browser.stepped_page import SteppedPage
 from tests.support.browser.tab import Tab
 from tests.support.gating.streams import motion_of
 
@@ -98,6 +99,38 @@ def test_it_closes_where_the_window_cannot_be_set(fake: FakeService, tab: Tab, c
         expect(page.locator("#window-editor")).to_be_visible()
     else:
         expect(page.locator("#window-editor")).to_be_hidden()
+
+
+def test_a_late_frame_leaves_it_open_and_applies_nothing(fake: FakeService, stepped: SteppedPage):
+    page = stepped.open_settled(DISARMED)
+    page.click("#do-window")
+    page.fill("#window-editor [name=upper]", "2.5")
+    fake.mode = "silent"
+    stepped.advance_until(lambda: stepped.kind == "stale")
+    expect(page.locator("#window-editor")).to_be_visible()
+    expect(page.locator("#window-apply")).to_be_disabled()
+    expect(page.locator("#do-window")).to_be_disabled()
+    page.press("#window-editor [name=upper]", "Enter")
+    page.evaluate("document.querySelector('#window-editor').requestSubmit()")
+    stepped.advance(400)
+    assert windows(fake) == []
+    fake.mode = "samples"
+    stepped.advance_until(lambda: stepped.kind == "disarmed")
+    expect(page.locator("#window-editor [name=upper]")).to_have_value("2.5")
+    expect(page.locator("#window-apply")).to_be_enabled()
+
+
+@pytest.mark.parametrize("change", [{"is_armed": True, "gate": "hold"}, {"session_id": "99" * 16}], ids=str)
+def test_it_closes_after_a_gap_if_the_state_no_longer_allows_it(fake: FakeService, stepped: SteppedPage, change: dict):
+    page = stepped.open_settled(DISARMED)
+    page.click("#do-window")
+    fake.mode = "silent"
+    stepped.advance_until(lambda: stepped.kind == "stale")
+    fake.mode, fake.sample = "samples", DISARMED | change
+    stepped.advance_until(lambda: stepped.kind != "stale")
+    stepped.advance(400)
+    expect(page.locator("#window-editor")).to_be_hidden()
+    assert windows(fake) == []
 
 
 def test_edges_that_are_no_window_are_not_sent(fake: FakeService, tab: Tab):

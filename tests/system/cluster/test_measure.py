@@ -82,7 +82,7 @@ def test_a_worker_is_killed_in_the_middle_and_every_file_is_that_of_one_machine(
     assert all(sorted(path.name for path in (tmp_path / row["folder"]).iterdir()) == list(RESULTS) for row in found)
 
 
-def test_control_c_cancels_the_tasks_and_leaves_nothing(recordings, tmp_path):
+def test_control_c_cancels_the_tasks_and_leaves_nothing(recordings, tmp_path, interruptible):
     out = tmp_path / "out"
     with started_cluster(tmp_path / "cluster", "one") as cluster:
         running = begun([*recordings, "--out", "out", *cluster.options], tmp_path)

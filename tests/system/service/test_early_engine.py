@@ -38,14 +38,6 @@ def _is_engine_in(pid, session):
 
 
 @pytest.fixture
-def interruptible():
-    """Have programs end by SIGINT, also where these tests run as a shell's background job, which ignores it."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-@pytest.fixture
 def start(tmp_path, interruptible):
     """Start the command in a session of its own, by a program where one is given; end everything of it afterwards."""
     started = []

@@ -1,5 +1,7 @@
 /** All HTTP calls of the page. A problem (RFC 9457) becomes an ApiError whose message includes field and bound. */
 
+import { tr } from "./words/words.js";
+
 const ROOT = "/api/v1";
 const TIMEOUT_MS = 8000;
 const PRESENCE_TIMEOUT_MS = 2000;
@@ -25,11 +27,11 @@ export function onRefusal(listener) {
 }
 
 function sentence(status, problem) {
-  const detail = problem.detail || problem.title || `The controller answered ${status}.`;
+  const detail = problem.detail || problem.title || tr("api.the_controller_answered", { status });
   const parts = [detail];
-  if (problem.field && !detail.includes(problem.field)) parts.push(`Field: ${problem.field}.`);
-  if (problem.value && !detail.includes(problem.value)) parts.push(`Given: ${problem.value}.`);
-  if (problem.bound && !detail.includes(problem.bound)) parts.push(`Must be ${problem.bound}.`);
+  if (problem.field && !detail.includes(problem.field)) parts.push(tr("api.field", { field: problem.field }));
+  if (problem.value && !detail.includes(problem.value)) parts.push(tr("api.given", { value: problem.value }));
+  if (problem.bound && !detail.includes(problem.bound)) parts.push(tr("api.must_be", { bound: problem.bound }));
   return parts.join(" ");
 }
 
@@ -57,7 +59,7 @@ async function send(method, path, body, headers, timeoutMs = TIMEOUT_MS) {
     if ((response.status === 401 || response.status === 403) && !isAboutLogIn(path)) onRefused(response.status);
     return response;
   } catch (error) {
-    const text = error.name === "TimeoutError" ? "The controller did not answer in time." : "The controller cannot be reached.";
+    const text = error.name === "TimeoutError" ? tr("api.the_controller_did_not_answer_in_time") : tr("api.the_controller_cannot_be_reached");
     throw new ApiError(0, { code: "unreachable", detail: text });
   }
 }

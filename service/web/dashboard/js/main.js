@@ -1,19 +1,24 @@
 /** Assembles the page: the stream feeds the panels, two timers redraw them so that old data is never shown as new. */
 
+import "./words/document.js";
 import { AlarmPanel, urgentText } from "./panels/alarms.js";
 import { ArmingPanel } from "./panels/arming.js";
 import { Access } from "./people/access.js";
 import { listSessions, readArming, readSession } from "./api.js";
+import { DataTables } from "./panels/data_tables.js";
+import { hideCovered } from "./drawing/covered.js";
 import { BaselineButton } from "./panels/baseline_correction.js";
 import { renderBreath } from "./panels/breath.js";
 import { CoachPanel } from "./coach/panel.js";
 import { Controls } from "./panels/controls.js";
+import { DistanceView } from "./panels/distance.js";
 import { EventList } from "./panels/events.js";
 import { renderBody, renderCalibration, renderCamera, renderFigures, renderLikeness, renderReference, renderSource } from "./panels/measurement.js";
 import { setText } from "./drawing/elements.js";
 import { GatePanel } from "./panels/gate.js";
 import { GridPanel } from "./panels/motion_map.js";
 import { needsReference, renderLearning } from "./panels/training.js";
+import { renderLamps } from "./panels/lamps.js";
 import { LiveStream } from "./stream/live_stream.js";
 import { LogIn } from "./people/login.js";
 import { PeoplePanel } from "./people/people.js";
@@ -25,11 +30,13 @@ import { KeyList } from "./panels/key_list.js";
 import { Report, isOver } from "./panels/report.js";
 import { Setup } from "./panels/setup.js";
 import { MismatchWatch, present, presentLocked } from "./stream/gate_state.js";
+import { SoundPanel } from "./sounds/sound_panel.js";
 import { Steps } from "./panels/steps.js";
-import { renderTreatment } from "./panels/treatment.js";
+import { renderTreatment, timeText } from "./panels/treatment.js";
 import { Trace } from "./panels/trace.js";
 import { WindowEditor } from "./panels/window_editor.js";
 import { describe as describeWindow, gatedUnit, gatedValue } from "./stream/gating_window.js";
+import { tr } from "./words/words.js";
 
 const TICK_MS = 50;
 /** Redraw periods of pictures and numbers [ms]; the trace is drawn in every animation frame. */
@@ -66,7 +73,8 @@ const windowEditor = new WindowEditor(byId("window-editor"), trace, controls);
 const alarms = new AlarmPanel(byId("alarms"), controls);
 const baseline = new BaselineButton(byId("do-correct"), controls);
 const presence = new Presence();
-const setup = new Setup(access, select);
+const tables = new DataTables(trace);
+const setup = new Setup(access, select, openPast);
 const report = new Report(access, select, uncoverReport);
 const keyList = new KeyList();
 const people = new PeoplePanel(access);
@@ -74,6 +82,8 @@ const logIn = new LogIn(access);
 const qa = new QaPanel();
 const coach = new CoachPanel(access);
 const steps = new Steps(byId("steps"));
+const sounds = new SoundPanel();
+const distance = new DistanceView(byId("do-distance"));
 const range = new Range();
 const mismatch = new MismatchWatch();
 
@@ -98,7 +108,7 @@ function followAccess() {
   byId("person").hidden = access.person === null;
   setText(byId("person-name"), access.person?.name ?? "");
   setText(byId("person-roles"), access.person?.roles.join(", ") ?? "");
-  byId("do-account").title = access.person === null ? "" : `${access.person.name} (${access.person.roles.join(", ")}): change your password`;
+  byId("do-account").title = access.person === null ? "" : tr("main.change_your_password", { name: access.person.name, value: access.person.roles.join(", ") });
   byId("badge-glass").hidden = access.person?.is_break_glass !== true;
   byId("do-people").hidden = !access.may("people");
   if (!access.may("people")) people.show(false);
@@ -128,6 +138,7 @@ function leave() {
   setup.forget();
   report.forget();
   keyList.close();
+  tables.close();
   controls.forget();
   qa.forget();
 }
@@ -139,7 +150,7 @@ function uncoverReport({ id }, isBroken) {
 
 /** Close what lies on top of the page, for Esc. @returns {boolean} whether anything was open */
 function closeTopmost() {
-  if (keyList.close() || arming.close() || windowEditor.close()) return true;
+  if (sounds.close() || keyList.close() || arming.close() || windowEditor.close() || tables.close()) return true;
   // A secret that is shown once is closed by its own button only.
   const isSecretShown = !byId("shown-once").hidden;
   for (const [panel, hide] of [["people", () => !isSecretShown && people.show(false)], ["coach", () => coach.show(false)], ["setup", () => setup.show(false)]]) {
@@ -158,21 +169,30 @@ function forgetSession() {
   events.follow(null);
 }
 
+/** Show a session of the past, unless one runs: nothing of another patient lies beside a patient who is treated. */
+function openPast(past) {
+  const isIdle = stream.message?.type === "idle" && present(stream, performance.now()).kind === "idle";
+  if (!isIdle) return tr("setup.past_not_now");
+  setup.show(false);
+  report.open(past, true);
+  return "";
+}
+
 /** A log-out may hold the beam: while the gate is armed the first click asks for confirmation. */
 async function logOut() {
   const button = byId("do-log-out");
   const asks = button.dataset.asks !== "yes" && stream.message?.is_armed === true;
   button.dataset.asks = asks ? "yes" : "no";
-  setText(button, asks ? "Confirm: may hold" : "Log out");
+  setText(button, asks ? tr("main.confirm_may_hold") : tr("main.log_out"));
   clearTimeout(asking);
   if (asks) {
-    asking = setTimeout(() => { button.dataset.asks = "no"; setText(button, "Log out"); }, ASK_MS);
+    asking = setTimeout(() => { button.dataset.asks = "no"; setText(button, tr("main.log_out")); }, ASK_MS);
     return;
   }
   try {
     await access.leave();
   } catch (error) {
-    controls.say("failed", `Log out: ${error.message} You are still logged in.`);
+    controls.say("failed", tr("main.log_out_you_are_still_logged_in", { message: error.message }));
   }
 }
 
@@ -193,7 +213,7 @@ function select(chosen) {
   report.forget();
   session = chosen;
   shownSessionId = chosen.id;
-  controls.say("", `Session of ${chosen.patient_reference} is ready. Start it when the patient lies still.`);
+  controls.say("", tr("main.session_of_is_ready_start_it_when_the_patien", { patient_reference: chosen.patient_reference }));
 }
 
 /** Refresh after a call changed the session. */
@@ -286,7 +306,7 @@ function renderWho(view) {
   setText(byId("who-patient"), session?.patient_reference ?? "–");
   setText(byId("who-plan"), session?.plan_id ?? "–");
   setText(byId("who-fraction"), session ? fraction(session) : "–");
-  setText(byId("who-status"), view.isFresh ? (stream.message?.session_status ?? session?.status ?? "none") : "not known");
+  setText(byId("who-status"), view.isFresh ? tr(`status.${stream.message?.session_status ?? session?.status ?? "none"}`) : tr("main.not_known"));
 }
 
 function fraction({ fraction_id: id, fraction_number: number }) {
@@ -303,25 +323,28 @@ function render() {
   const sample = isSample ? stream.message : null;
   const activeAlarms = access.may("watch") ? stream.alarms(nowMs) : null;
   if (view.kind === "idle" && stream.message?.type === "idle" && session?.status === "created") {
-    view.word = "Ready";
-    view.reason = `Start the session of ${session.patient_reference} when the patient lies still. The beam is held.`;
+    view.word = tr("main.ready");
+    view.reason = tr("main.start_the_session_of_when_the_patient_lies_s", { patient_reference: session.patient_reference });
   }
   view.warning = mismatch.check(sample, nowMs) || urgentText(activeAlarms, sample?.hold_reason ?? null) || view.warning;
   if (view.kind === "disarmed" && needsReference(sample, session)) view.reason = `${view.reason.replace(/\.$/, "")}. Set the reference before arming.`;
   gate.render(view, nowMs);
   // Drawn with the gate, not with the other numbers: the two must always agree.
   setText(byId("figure-line"), lineText(sample));
+  renderLamps(sample);
   const running = sample?.session_status === "running" ? sample : null;
   follow(view, sample, nowMs);
   controls.update({ kind: view.kind, sample: running, selected: session, person: access.state === "in" ? access.person : null });
   arming.update(view.isCurrent ? running : null, nowMs);
-  windowEditor.update(view.isCurrent ? running : null, session, controls.forbids("window"), nowMs);
+  if (view.isCurrent) windowEditor.update(running, session, controls.forbids("window"), nowMs);
+  else windowEditor.wait(controls.forbids("window"));
   setText(byId("gate-by"), armedText(sample));
   alarms.render(activeAlarms, view.kind === "fault", nowMs);
+  sounds.update(view, running, activeAlarms, nowMs);
   baseline.update(view.isCurrent ? running : null);
   coach.tend(running, nowMs);
   presence.tend(running, access.may("arm") ? controls.operatorName : "", nowMs);
-  if (!access.may("events")) events.tell(access.state === "in" ? "Not shown: your log-in does not allow it." : "No events yet.");
+  if (!access.may("events")) events.tell(access.state === "in" ? tr("main.not_shown_your_log_in_does_not_allow_it") : tr("main.no_events_yet"));
   else if (view.isFresh) events.tend(nowMs);
   if (access.may("watch")) qa.tend(nowMs);
   return { nowMs, view, sample };
@@ -329,7 +352,7 @@ function render() {
 
 function lineText(sample) {
   if (sample === null) return "–";
-  return sample.line_on === true ? "ON" : "OFF";
+  return tr(sample.line_on === true ? "line.on" : "line.off");
 }
 
 /** Who armed the gate, or released a hold since, and when; the time comes with the session, a moment later. */
@@ -337,7 +360,7 @@ function armedText(sample) {
   if (!sample?.is_armed || !sample.armed_by) return "";
   const known = session?.id === sample.session_id && session.gate?.armed_by === sample.armed_by ? session.gate.armed_at : null;
   const at = known ? ` ${new Date(known).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" })}` : "";
-  return `Armed by ${sample.armed_by}${at}`;
+  return tr("main.armed_by", { armed_by: sample.armed_by, at });
 }
 
 function draw() {
@@ -360,6 +383,7 @@ function drawPanels(nowMs, view, sample) {
   isSimulatedBeam = sample?.is_simulated_beam ?? session?.is_simulated_beam ?? isSimulatedBeam;
   renderFigures(sample, isSimulatedBeam);
   renderTreatment(sample, session, serverMs(nowMs));
+  setText(byId("gate-time"), timeText(sample, session, serverMs(nowMs)));
   renderBreath(sample);
   renderCalibration(sample?.calibration ?? session?.calibration);
   renderSource(session?.source_warning);
@@ -370,6 +394,8 @@ function drawPanels(nowMs, view, sample) {
   steps.render({ may: access.may("create") && byId("report").hidden, isFresh: view.isFresh, sample, session });
   renderWho(view);
   renderTraceValue(sample);
+  tables.tend(sample, session, nowMs);
+  hideCovered(byId("gate").parentElement);
 }
 
 /** The service's time of day now [ms], from its newest message. */
@@ -384,7 +410,7 @@ function renderTraceValue(sample) {
   setText(byId("trace-value"), Number.isFinite(value) ? value.toFixed(unit === "l" ? 2 : 1).replace("-", "−") : "–");
   setText(byId("trace-unit"), unit);
   renderReference(sample?.reference);
-  setText(byId("trace-name"), sample && isGated ? `Gated on ${describeWindow(sample.window)}` : "");
+  setText(byId("trace-name"), sample && isGated ? tr("main.gated_on", { window: describeWindow(sample.window) }) : "");
 }
 
 byId("trace-choice").addEventListener("change", (event) => {

@@ -2,6 +2,7 @@
 
 import { readCoaching, setCoaching } from "../api.js";
 import { part, pushButton, say, setText, tick } from "../drawing/elements.js";
+import { tr } from "../words/words.js";
 
 /** Period of reading the settings, which arming changes [ms]. */
 const READ_MS = 2000;
@@ -29,8 +30,8 @@ export class CoachingForm {
     this.fields.disabled = !isReady;
     const isPractice = this.stored?.is_practice === true;
     this.practice.disabled = !isReady || (this.isArmed && !isPractice);
-    setText(this.practice, isPractice ? "End practice" : "Start practice");
-    setText(this.note, id === null ? "No session runs." : this.isArmed ? "Armed: practice is without beam, and ends with arming." : "");
+    setText(this.practice, isPractice ? tr("coaching_form.end_practice") : tr("coaching_form.start_practice"));
+    setText(this.note, id === null ? tr("coaching_form.no_session_runs") : this.isArmed ? tr("coaching_form.armed_practice_is_without_beam_and_ends_with") : "");
   }
 
   #begin(id) {
@@ -97,19 +98,19 @@ export class CoachingForm {
     this.root.autocomplete = "off";
     this.fields = document.createElement("fieldset");
     this.fields.append(
-      part("legend", "This session's screen", "unseen"),
-      choice("Display", "display", [["bar", "Bar"], ["curve", "Curve"]]),
-      number("Band from, %", "band.lower", { min: -100, max: 300, placeholder: "window" }),
-      number("Band to, %", "band.upper", { min: -100, max: 300, placeholder: "window" }),
-      choice("Language", "language", [["en", "English"], ["de", "Deutsch"]]),
-      number("Screen from, %", "scale.lower", { min: -100, max: 300, placeholder: "automatic" }),
-      number("Screen to, %", "scale.upper", { min: -100, max: 300, placeholder: "automatic" }),
-      number("Rest after a hold, s", "rest_s", { min: 0, max: 120, value: 10 }),
-      named(tick("Soft tones", "yes"), "sounds"),
-      submit("Apply"),
-      part("p", "0 % is the end of exhale in the training, 100 % the end of inhale.", "small"),
+      part("legend", tr("coaching_form.this_session_s_screen"), "unseen"),
+      choice(tr("coaching_form.display"), "display", [["bar", tr("coaching_form.bar")], ["curve", tr("coaching_form.curve")]]),
+      number(tr("coaching_form.band_from"), "band.lower", { min: -100, max: 300, placeholder: tr("trace_layers.window") }),
+      number(tr("coaching_form.band_to"), "band.upper", { min: -100, max: 300, placeholder: tr("trace_layers.window") }),
+      choice(tr("coaching_form.language"), "language", [["en", "English"], ["de", "Deutsch"]]),
+      number(tr("coaching_form.screen_from"), "scale.lower", { min: -100, max: 300, placeholder: tr("coaching_form.automatic") }),
+      number(tr("coaching_form.screen_to"), "scale.upper", { min: -100, max: 300, placeholder: tr("coaching_form.automatic") }),
+      number(tr("coaching_form.rest_after_a_hold_s"), "rest_s", { min: 0, max: 120, value: 10 }),
+      named(tick(tr("coaching_form.soft_tones"), "yes"), "sounds"),
+      submit(tr("coaching_form.apply")),
+      part("p", tr("coaching_form.0_is_the_end_of_exhale_in_the_training_100_t"), "small"),
     );
-    this.practice = pushButton("Start practice", () => this.#togglePractice());
+    this.practice = pushButton(tr("coaching_form.start_practice"), () => this.#togglePractice());
     this.practice.id = "do-practice";
     this.note = part("p", "", "small");
     this.outcome = part("p", "", "outcome");
@@ -117,13 +118,13 @@ export class CoachingForm {
     this.root.append(this.fields, this.practice, this.note, this.outcome);
     this.root.addEventListener("submit", (event) => {
       event.preventDefault();
-      this.#send(this.#typed(), "The screen shows this now.");
+      this.#send(this.#typed(), tr("coaching_form.the_screen_shows_this_now"));
     });
   }
 
   #togglePractice() {
     const is_practice = !this.stored.is_practice;
-    this.#send({ ...this.stored, is_practice }, is_practice ? "Practice: the beam stays held." : "Practice has ended.");
+    this.#send({ ...this.stored, is_practice }, is_practice ? tr("coaching_form.practice_the_beam_stays_held") : tr("coaching_form.practice_has_ended"));
   }
 }
 

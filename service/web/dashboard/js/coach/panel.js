@@ -7,6 +7,7 @@ import { STALE_MS } from "../stream/live_stream.js";
 import { CoachingForm } from "./coaching_form.js";
 import { Guidance } from "./guidance.js";
 import { GuidePicture } from "./guide_picture.js";
+import { tr } from "../words/words.js";
 
 /** Period of reading the list of screens [ms], with the panel open and closed. */
 const LIST_MS = 2000;
@@ -65,17 +66,17 @@ export class CoachPanel {
     this.panel = part("section", "", "panel coach");
     this.panel.id = "coach";
     this.panel.hidden = true;
-    this.panel.setAttribute("aria-label", "Patient screen");
+    this.panel.setAttribute("aria-label", tr("panel.patient_screen"));
     const header = part("header", "");
-    this.heading = part("h2", "Patient screen");
+    this.heading = part("h2", tr("panel.patient_screen"));
     this.heading.tabIndex = -1;
-    header.append(this.heading, pushButton("Close", () => this.show(false)));
+    header.append(this.heading, pushButton(tr("panel.close"), () => this.show(false)));
     const mirror = part("figure", "", "mirror");
     const frame = part("div", "", "guide-picture");
     const cover = part("div", "", "guide-cover");
     frame.setAttribute("role", "img");
-    frame.setAttribute("aria-label", "What the patient sees");
-    mirror.append(frame, cover, part("figcaption", "As the patient sees it", "small"));
+    frame.setAttribute("aria-label", tr("panel.what_the_patient_sees"));
+    mirror.append(frame, cover, part("figcaption", tr("panel.as_the_patient_sees_it"), "small"));
     const body = part("div", "", "coach-columns");
     const left = part("div", "");
     left.append(mirror, this.#screensPart());
@@ -88,14 +89,14 @@ export class CoachPanel {
 
   #screensPart() {
     const root = part("section", "", "screens");
-    root.setAttribute("aria-label", "Paired screens");
-    this.count = part("p", "No screen is paired.", "screens-count");
+    root.setAttribute("aria-label", tr("panel.paired_screens"));
+    this.count = part("p", tr("panel.no_screen_is_paired"), "screens-count");
     this.list = part("ul", "", "screen-list");
     this.code = part("p", "", "pairing-code");
     this.code.setAttribute("role", "status");
     this.outcome = part("p", "", "outcome");
     this.outcome.setAttribute("role", "status");
-    root.append(this.count, this.list, pushButton("Show pairing code", () => this.#openCode()), this.code, this.outcome);
+    root.append(this.count, this.list, pushButton(tr("panel.show_pairing_code"), () => this.#openCode()), this.code, this.outcome);
     return root;
   }
 
@@ -104,7 +105,7 @@ export class CoachPanel {
       const opened = await openPairingCode();
       this.codeEndsMs = performance.now() + opened.expires_in_s * 1000;
       const digits = part("strong", `${opened.code.slice(0, 3)} ${opened.code.slice(3)}`);
-      const where = part("span", `Enter it at ${window.location.origin}/patient/ within two minutes.`, "small");
+      const where = part("span", tr("panel.enter_it_at_patient_within_two_minutes", { origin: window.location.origin }), "small");
       this.code.replaceChildren(digits, where);
     });
   }
@@ -130,17 +131,17 @@ export class CoachPanel {
     if (key === this.known) return;
     this.known = key;
     const { length } = items;
-    setText(this.toggle, length === 0 ? "Patient screen" : `Patient screen · ${length}`);
-    setText(this.count, length === 0 ? "No screen is paired." : length === 1 ? "1 screen is paired." : `${length} screens are paired.`);
+    setText(this.toggle, length === 0 ? tr("panel.patient_screen") : tr("panel.patient_screen_2", { length }));
+    setText(this.count, length === 0 ? tr("panel.no_screen_is_paired") : length === 1 ? tr("panel.1_screen_is_paired") : tr("panel.screens_are_paired", { length }));
     this.list.replaceChildren(...items.map((one) => this.#row(one)));
   }
 
   #row(screen) {
     const item = part("li", "");
     const since = new Date(screen.paired_at).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" });
-    const text = part("span", `Screen ${screen.number}, paired ${since} by ${screen.paired_by}`);
-    const end = confirmButton("End", "Confirm end", () => this.#run(async () => this.#showScreens((await endScreen(screen.id)).items)));
-    end.setAttribute("aria-label", `End screen ${screen.number}`);
+    const text = part("span", tr("panel.screen_paired_by", { number: screen.number, since, paired_by: screen.paired_by }));
+    const end = confirmButton(tr("panel.end"), tr("panel.confirm_end"), () => this.#run(async () => this.#showScreens((await endScreen(screen.id)).items)));
+    end.setAttribute("aria-label", tr("panel.end_screen", { number: screen.number }));
     item.append(text, end);
     return item;
   }

@@ -1,19 +1,20 @@
 /** Marks of the breathing on the trace: baseline, events, and when the phase was inside its window. */
 
 import { font } from "./canvas.js";
+import { tr } from "../words/words.js";
 
 const COLORS = { baseline: "#c9a2ff", event: "#ff9d6b" };
 /** Tolerance for recognising the same event by its start [s]. */
 const SAME_S = 0.6;
 const LABEL_PX = 13;
 export const EVENT_WORDS = {
-  cough: "cough",
-  sigh: "sigh",
-  apnoea: "no breath",
-  talking: "talking",
-  irregular: "irregular",
-  no_cycle: "breaths not recognised",
-  drift: "drift",
+  cough: tr("breath_marks.cough"),
+  sigh: tr("breath_marks.sigh"),
+  apnoea: tr("breath_marks.no_breath"),
+  talking: tr("breath_marks.talking"),
+  irregular: tr("breath_marks.irregular"),
+  no_cycle: tr("breath_marks.breaths_not_recognised"),
+  drift: tr("breath_marks.drift"),
 };
 
 export class BreathMarks {

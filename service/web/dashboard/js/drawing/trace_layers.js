@@ -1,6 +1,7 @@
 /** What lies below and above the lines of the trace: beam on, gaps, windows, references, states of the gate, the newest value. */
 
 import { font, hatch, INK } from "./canvas.js";
+import { tr } from "../words/words.js";
 
 export const COLORS = {
   line: "#8fd3ff", thorax: "#f0b7ff", abdomen: "#b9e07a", on: "46, 214, 140", window: "#e8d27a", proposal: "#ff9de1", now: "#ffffff",
@@ -24,7 +25,7 @@ export function drawUnit({ context, box }, unit) {
   context.translate(11, (box.y0 + box.y1) / 2);
   context.rotate(-Math.PI / 2);
   context.textAlign = "center";
-  context.fillText(`${unit} · inhale up`, 0, 0);
+  context.fillText(tr("trace_layers.inhale_up", { unit }), 0, 0);
   context.restore();
 }
 
@@ -119,8 +120,8 @@ export function drawWindow({ context, box, y }, condition) {
   context.textAlign = "left";
   context.textBaseline = "bottom";
   const digits = unit === "l" ? 2 : 1;
-  const name = condition.kind === "breath_hold" ? "breath hold" : "window";
-  context.fillText(`${name} ${lower.toFixed(digits)} to ${upper.toFixed(digits)} ${unit}`.replaceAll("-", "−"), box.x0 + 6, y(upper) - 3);
+  const name = condition.kind === "breath_hold" ? tr("trace_layers.breath_hold") : tr("trace_layers.window");
+  context.fillText(tr("trace_layers.edges", { name, lower: lower.toFixed(digits), upper: upper.toFixed(digits), unit }).replaceAll("-", "−"), box.x0 + 6, y(upper) - 3);
 }
 
 /** Draw edges that are being edited, each with a grip. */

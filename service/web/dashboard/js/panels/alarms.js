@@ -7,6 +7,8 @@
 
 import { acknowledgeAlarms } from "../api.js";
 import { part, setText } from "../drawing/elements.js";
+import { adviceFor, whatIs } from "../words/reasons.js";
+import { tr } from "../words/words.js";
 
 /** Marks of IEC 60601-1-8: readable without colour. */
 const MARKS = { high: "!!!", medium: "!!", low: "!" };
@@ -38,8 +40,8 @@ export class AlarmPanel {
     this.open = active.filter((one) => one.acknowledged_by === null && !(one.latches && isFault));
     const why = this.controls.forbids("acknowledge");
     this.button.disabled = this.open.length === 0 || why !== "";
-    this.button.title = why === "" ? "" : `Not now: ${why}`;
-    setText(this.note, isFault && active.some((one) => one.latches) ? "Latched: acknowledge the fault." : "");
+    this.button.title = why === "" ? "" : tr("alarms.not_now", { why });
+    setText(this.note, isFault && active.some((one) => one.latches) ? tr("alarms.latched_acknowledge_the_fault") : "");
   }
 
   #show(alarm, place, ageMs, nowMs) {
@@ -51,7 +53,7 @@ export class AlarmPanel {
     if (this.list.children[place] !== row.item) this.list.insertBefore(row.item, this.list.children[place] ?? null);
     row.item.dataset.acknowledged = alarm.acknowledged_by === null ? "no" : "yes";
     setText(row.age, duration(ageMs));
-    setText(row.who, [alarm.detail, alarm.acknowledged_by === null ? "" : `seen by ${alarm.acknowledged_by}`].filter(Boolean).join(" · "));
+    setText(row.who, [alarm.detail, alarm.acknowledged_by === null ? "" : tr("alarms.seen_by", { acknowledged_by: alarm.acknowledged_by })].filter(Boolean).join(" · "));
   }
 
   #remove(number) {
@@ -73,10 +75,12 @@ function makeRow(alarm, nowMs) {
   item.dataset.priority = alarm.priority;
   item.dataset.code = alarm.code;
   const mark = part("b", MARKS[alarm.priority] ?? "!!!");
-  mark.title = `${alarm.priority} priority`;
+  mark.title = alarm.priority in MARKS ? tr(`alarm.${alarm.priority}`) : String(alarm.priority);
   const age = part("time", "");
   const who = part("span", "");
-  item.append(mark, part("strong", alarm.text), age, who);
+  item.append(mark, part("strong", whatIs(alarm.code, alarm.text)), age, who);
+  const { toDo, call } = adviceFor(alarm.code);
+  item.title = `${toDo} ${call}`;
   return { item, age, who, shownMs: nowMs };
 }
 
@@ -92,5 +96,5 @@ function duration(ms) {
 /** The text of a high-priority alarm that the gate itself does not show; empty if there is none. */
 export function urgentText(alarms, holdReason) {
   const urgent = (alarms?.active ?? []).find((one) => one.priority === "high" && one.code !== holdReason);
-  return urgent === undefined ? "" : `${urgent.text}. Use the room's interlock.`;
+  return urgent === undefined ? "" : tr("alarm.interlock", { text: whatIs(urgent.code, urgent.text) });
 }

@@ -9,16 +9,17 @@ import { rememberArming } from "../people/presence.js";
 import { conditionsOf, hasEdges, signalName } from "../stream/gating_window.js";
 import { ClickGuard } from "./click_guard.js";
 import { TwoPresses } from "./two_presses.js";
+import { tr } from "../words/words.js";
 
 const READ_MS = 2000;
 /** Time after which the summary closes: what was looked at longer ago is looked at again [ms]. */
 const CLOSE_MS = 60000;
 const TITLES = {
-  patient: "Patient", plan: "Plan", camera: "Camera", head_direction: "Head", view: "View", model: "Model",
-  reference: "Reference", window: "Window", position: "Position", site: "QA", gate: "Gate",
+  patient: tr("arming.patient"), plan: tr("arming.plan"), camera: tr("arming.camera"), head_direction: tr("arming.head"), view: tr("arming.view"), model: tr("arming.model"),
+  reference: tr("arming.reference"), window: tr("arming.window"), position: tr("arming.position"), site: "QA", gate: tr("arming.gate"),
 };
 const MARKS = { ok: "✓", attention: "!", missing: "✕" };
-const WORDS = { ok: "", attention: "Look: ", missing: "Missing: " };
+const WORDS = { ok: "", attention: tr("arming.look"), missing: tr("arming.missing") };
 
 export class ArmingPanel {
   /** @param {object} controls runs the call and shows its result */
@@ -27,7 +28,7 @@ export class ArmingPanel {
     this.controls = controls;
     this.button = byId("do-arm-now");
     this.guard = new ClickGuard([this.button]);
-    this.presses = new TwoPresses(this.button, "Press again to arm");
+    this.presses = new TwoPresses(this.button, tr("arming.press_again_to_arm"));
     this.#forget();
     this.button.addEventListener("click", (event) => this.#press(event));
     byId("arming-close").addEventListener("click", () => this.close());
@@ -67,7 +68,7 @@ export class ArmingPanel {
     this.button.disabled = this.summary?.is_ready !== true || this.controls.isBusy;
     if (isIgnored && !this.button.disabled) this.button.setAttribute("aria-disabled", "true");
     else this.button.removeAttribute("aria-disabled");
-    const why = this.summary === null ? "" : this.summary.is_ready ? (isIgnored ? "Look at each line first." : "") : "Something is missing.";
+    const why = this.summary === null ? "" : this.summary.is_ready ? (isIgnored ? tr("arming.look_at_each_line_first") : "") : tr("arming.something_is_missing");
     setText(byId("arming-why"), this.trouble || why);
   }
 
@@ -135,10 +136,10 @@ function itemLine({ code, state, text }) {
 function edgesText(window) {
   return conditionsOf(window)
     .map((one) => {
-      if (one.kind === "phase") return `${signalName(one)}: ${one.from_percent} to ${one.to_percent} % of the breath`;
+      if (one.kind === "phase") return tr("arming.to_of_the_breath", { one: signalName(one), from_percent: one.from_percent, to_percent: one.to_percent });
       const digits = one.unit === "l" ? 2 : 1;
-      const name = one.kind === "breath_hold" ? ", breath hold" : "";
-      return hasEdges(one) ? `${signalName(one)}${name}: ${one.lower.toFixed(digits)} to ${one.upper.toFixed(digits)} ${one.unit}` : `${signalName(one)}${name}: ${one.lower} to ${one.upper} %`;
+      const name = one.kind === "breath_hold" ? tr("arming.breath_hold") : "";
+      return hasEdges(one) ? tr("arming.to", { one: signalName(one), name, value: one.lower.toFixed(digits), value2: one.upper.toFixed(digits), unit: one.unit }) : tr("arming.to_2", { one: signalName(one), name, lower: one.lower, upper: one.upper });
     })
     .join(window?.join === "or" ? " or " : " and ")
     .replaceAll("-", "−");

@@ -7,6 +7,7 @@ import { correctBaseline } from "../api.js";
 import { setText } from "../drawing/elements.js";
 import { signed } from "../drawing/numbers.js";
 import { conditionsOf, hasEdges, hasSameSignal } from "../stream/gating_window.js";
+import { tr } from "../words/words.js";
 
 /** Smallest drift for which a correction is offered. */
 const LEAST = { mm: 0.5, l: 0.05 };
@@ -29,22 +30,22 @@ export class BaselineButton {
     if (this.confirmed !== null && this.confirmed.id !== sample?.session_id) this.#forget();
     const why = this.#obstacle(sample);
     this.button.disabled = why !== "" || this.controls.busy !== null;
-    this.button.title = why === "" ? "" : `Not now: ${why}`;
+    this.button.title = why === "" ? "" : tr("baseline_correction.not_now", { why });
     this.button.dataset.asks = this.confirmed === null ? "no" : "yes";
     setText(this.button, this.#label());
   }
 
   #obstacle(sample) {
-    if (sample === null) return "no running session";
+    if (sample === null) return tr("baseline_correction.no_running_session");
     const why = this.controls.forbids("correct");
     if (why !== "" || this.confirmed !== null) return why;
-    if (this.offer === null) return "the drift is not known, or the window has no edges on this signal";
-    return this.offer.isSmall ? "the window is at the baseline" : "";
+    if (this.offer === null) return tr("baseline_correction.the_drift_is_not_known_or_the_window_has_no");
+    return this.offer.isSmall ? tr("baseline_correction.the_window_is_at_the_baseline") : "";
   }
 
   #label() {
-    if (this.confirmed !== null) return `Confirm: shift the window by ${text(this.confirmed)}? Disarms`;
-    return this.offer === null || this.offer.isSmall ? "Correct baseline" : `Correct baseline by ${text(this.offer)}`;
+    if (this.confirmed !== null) return tr("baseline_correction.confirm_shift_the_window_by_disarms", { confirmed: text(this.confirmed) });
+    return this.offer === null || this.offer.isSmall ? tr("baseline_correction.correct_baseline") : tr("baseline_correction.correct_baseline_by", { offer: text(this.offer) });
   }
 
   #press() {

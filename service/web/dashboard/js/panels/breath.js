@@ -3,22 +3,23 @@
 import { setText } from "../drawing/elements.js";
 import { signed } from "../drawing/numbers.js";
 import { conditionsOf } from "../stream/gating_window.js";
+import { tr } from "../words/words.js";
 
 const NONE = "–";
 const STAGES = {
-  awaited: "Waiting for the breath hold",
-  settling: "Keep still",
-  held: "Held",
-  drifted: "Drifted: breathe",
-  over: "Time limit reached: breathe",
+  awaited: tr("breath.waiting_for_the_breath_hold"),
+  settling: tr("breath.keep_still"),
+  held: tr("breath.held"),
+  drifted: tr("breath.drifted_breathe"),
+  over: tr("breath.time_limit_reached_breathe"),
 };
 const EVENTS = {
-  cough: "Cough",
-  sigh: "Sigh",
-  apnoea: "No breath",
-  talking: "Talking",
-  irregular: "Irregular breathing",
-  drift: "The baseline drifts",
+  cough: tr("breath.cough"),
+  sigh: tr("breath.sigh"),
+  apnoea: tr("breath.no_breath"),
+  talking: tr("breath.talking"),
+  irregular: tr("breath.irregular_breathing"),
+  drift: tr("breath.the_baseline_drifts"),
 };
 const RING = { center: 30, radius: 25 };
 const byId = (id) => document.getElementById(id);
@@ -62,13 +63,13 @@ function renderPhase(sample, breath) {
   const phases = conditionsOf(sample?.window).filter((one) => one.kind === "phase");
   byId("phase-window").setAttribute("d", phases.map(arc).join(" "));
   setText(byId("phase-value"), isKnown ? `${Math.round(phase)} %` : NONE);
-  setText(byId("phase-note"), isKnown ? `phase, confidence ${breath.phase_confidence.toFixed(2)}` : unknown(sample, breath));
+  setText(byId("phase-note"), isKnown ? tr("breath.phase_confidence", { value: breath.phase_confidence.toFixed(2) }) : unknown(sample, breath));
 }
 
 function unknown(sample, breath) {
-  if (sample === null) return "Phase unknown";
-  if (breath === null) return sample.state === "measuring" ? "Phase unknown: this signal has no breathing analysis" : "Phase unknown: not measured";
-  return `Phase unknown: ${breath.note || "no reason given"}`;
+  if (sample === null) return tr("breath.phase_unknown");
+  if (breath === null) return sample.state === "measuring" ? tr("breath.phase_unknown_this_signal_has_no_breathing_a") : tr("breath.phase_unknown_not_measured");
+  return tr("breath.phase_unknown_2", { value: breath.note || tr("breath.no_reason_given") });
 }
 
 /** Return a point of the ring: 0 % at the top, clockwise. */
@@ -86,7 +87,7 @@ function arc({ from_percent: from, to_percent: to }) {
 
 function renderEvents(breath) {
   const lines = breath === null ? [] : breath.events.map((event) => [event.kind, eventText(event)]);
-  if (breath !== null && lines.length === 0) lines.push(["none", "No events"]);
+  if (breath !== null && lines.length === 0) lines.push(["none", tr("breath.no_events")]);
   const list = byId("breath-events");
   while (list.children.length > lines.length) list.lastChild.remove();
   while (list.children.length < lines.length) list.append(document.createElement("li"));
@@ -98,7 +99,7 @@ function renderEvents(breath) {
 
 function eventText(event) {
   const name = EVENTS[event.kind] ?? String(event.kind);
-  return [`${name}, ${Math.round(event.since_s)} s`, `${Math.round(100 * event.confidence)} % sure`, event.detail].filter(Boolean).join(" · ");
+  return [`${name}, ${Math.round(event.since_s)} s`, tr("breath.sure", { value: Math.round(100 * event.confidence) }), event.detail].filter(Boolean).join(" · ");
 }
 
 function renderHold(hold, isCurrent) {

@@ -5,6 +5,8 @@
  * shown beside its input.
  */
 
+import { tr } from "../words/words.js";
+
 const MOST = 4;
 
 export class Conditions {
@@ -63,7 +65,7 @@ export class Conditions {
     for (const [place, one] of all.entries()) {
       const path = place === 0 ? "window" : `window.further.${place - 1}`;
       for (const input of one.querySelectorAll("[data-name]")) input.name = `${path}.${input.dataset.name}`;
-      one.querySelector("legend").textContent = all.length === 1 ? "" : `Condition ${place + 1}`;
+      one.querySelector("legend").textContent = all.length === 1 ? "" : tr("conditions.condition", { value: place + 1 });
       one.querySelector(".remove").hidden = place === 0;
     }
     this.add.disabled = all.length >= MOST;

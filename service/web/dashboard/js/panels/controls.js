@@ -13,15 +13,16 @@ import { rememberArming } from "../people/presence.js";
 import { ClickGuard } from "./click_guard.js";
 import { TwoPresses } from "./two_presses.js";
 import { positionObstacle, renderPosition, signObstacle } from "./position.js";
+import { tr } from "../words/words.js";
 
 /** Actions that take the beam off, and their keys: never confirmed twice; the result of a key press is always shown. */
 const HALTS = { disarm: "Escape", hold: "F8" };
-const HALT_TITLES = { disarm: "Holds the beam until a person arms again", hold: "Holds the beam until a person releases it; the session stays armed" };
+const HALT_TITLES = { disarm: tr("controls.holds_the_beam_until_a_person_arms_again"), hold: tr("controls.holds_the_beam_until_a_person_releases_it_th") };
 /** Actions that lead to beam on: clicks that may have been meant for another button are ignored. */
 const PERMITTING = ["acknowledge", "arm", "release", "sign"];
 /** Actions after which the gate is armed. */
 const ARMS = new Set(["arm", "release"]);
-const MOVED = "the buttons moved less than 2 s ago";
+const MOVED = tr("controls.the_buttons_moved_less_than_2_s_ago");
 /** Time in which "Stop" and "Release" accept the second click [ms], and after which "Release" does. */
 const CONFIRM_MS = 4000;
 const CONSIDER_MS = 1000;
@@ -34,54 +35,54 @@ const LEADS_TO = {
 };
 
 const DONE = {
-  start: "Session started.",
-  arm: "Armed: the gate controls the beam.",
-  hold: "Held until released.",
-  release: "Released: the beam needs a full dwell.",
-  correct: "Disarmed. The window was shifted.",
-  disarm: "Disarmed.",
-  reference: "Reference set.",
-  sign: "Position signed.",
-  window: "Window set.",
-  acknowledge: "Fault acknowledged.",
-  alarms: "Alarms acknowledged.",
-  stop: "Session stopped.",
-  retrain: "Training again in the background.",
-  apply: "Disarmed. The new model is applied.",
+  start: tr("controls.session_started"),
+  arm: tr("controls.armed_the_gate_controls_the_beam"),
+  hold: tr("controls.held_until_released"),
+  release: tr("controls.released_the_beam_needs_a_full_dwell"),
+  correct: tr("controls.disarmed_the_window_was_shifted"),
+  disarm: tr("controls.disarmed"),
+  reference: tr("controls.reference_set"),
+  sign: tr("controls.position_signed"),
+  window: tr("controls.window_set"),
+  acknowledge: tr("controls.fault_acknowledged"),
+  alarms: tr("controls.alarms_acknowledged"),
+  stop: tr("controls.session_stopped"),
+  retrain: tr("controls.training_again_in_the_background"),
+  apply: tr("controls.disarmed_the_new_model_is_applied"),
 };
 
 /** Why an action is not possible now, in the order to fix it; empty if it is. Permissions are checked before. */
 const OBSTACLES = {
-  arm: (c) => running(c) || still(c) || (c.sample.gate === "fault" ? "acknowledge the fault first" : "") || measuring(c) || compared(c) || hasReference(c) || positionObstacle(c.sample.position_check) || hasHead(c),
-  release: (c) => running(c) || (c.sample.operator_hold ? "" : "no operator holds the beam"),
+  arm: (c) => running(c) || still(c) || (c.sample.gate === "fault" ? tr("controls.acknowledge_the_fault_first") : "") || measuring(c) || compared(c) || hasReference(c) || positionObstacle(c.sample.position_check) || hasHead(c),
+  release: (c) => running(c) || (c.sample.operator_hold ? "" : tr("controls.no_operator_holds_the_beam")),
   reference: (c) => running(c) || still(c) || measuring(c) || isProposed(c),
   sign: (c) => running(c) || still(c) || signObstacle(c.sample.position_check, typedReason()),
-  retrain: (c) => running(c) || compared(c) || (isLearning(c.sample) ? "already training" : ""),
-  apply: (c) => running(c) || (stageOf(c.sample) === "waiting" ? "" : "no new model is ready"),
-  acknowledge: (c) => running(c) || (c.sample.gate === "fault" ? "" : "there is no fault"),
-  start: (c) => (c.kind === "idle" ? "" : "a session is running") || (waits(c) ? "" : "create a session first"),
+  retrain: (c) => running(c) || compared(c) || (isLearning(c.sample) ? tr("controls.already_training") : ""),
+  apply: (c) => running(c) || (stageOf(c.sample) === "waiting" ? "" : tr("controls.no_new_model_is_ready")),
+  acknowledge: (c) => running(c) || (c.sample.gate === "fault" ? "" : tr("controls.there_is_no_fault")),
+  start: (c) => (c.kind === "idle" ? "" : tr("controls.a_session_is_running")) || (waits(c) ? "" : tr("controls.create_a_session_first")),
   stop: (c) => (waits(c) ? "" : running(c)),
 };
 
 /** Whether a session is created and not yet started; there is at most one. */
 const waits = (c) => c.kind === "idle" && c.selected?.status === "created";
-const running = (c) => (c.sample === null ? "no running session" : "");
-const still = (c) => (c.sample.is_armed ? "disarm first" : "");
-const compared = (c) => (stageOf(c.sample) === "comparing" ? "the stored model is still being compared" : "");
-const hasReference = (c) => (needsReference(c.sample, c.selected) ? "set the reference first" : "");
+const running = (c) => (c.sample === null ? tr("controls.no_running_session") : "");
+const still = (c) => (c.sample.is_armed ? tr("controls.disarm_first") : "");
+const compared = (c) => (stageOf(c.sample) === "comparing" ? tr("controls.the_stored_model_is_still_being_compared") : "");
+const hasReference = (c) => (needsReference(c.sample, c.selected) ? tr("controls.set_the_reference_first") : "");
 const typedReason = () => document.getElementById("reference-reason").value.trim();
 const referenceAt = () => document.getElementById("reference-at").value;
 /** The proposed position for the chosen moment of the breath; null for the present position, and before it is known. */
 const proposalOf = (c) => c.selected?.reference_proposals?.find((one) => one.at === referenceAt()) ?? null;
-const isProposed = (c) => (referenceAt() === "now" || proposalOf(c) !== null ? "" : "fewer than two breaths are known");
+const isProposed = (c) => (referenceAt() === "now" || proposalOf(c) !== null ? "" : tr("controls.fewer_than_two_breaths_are_known"));
 /** A lost patient adds no training frames while the reference is kept: training may then be restarted. */
 const isLearning = (s) => s.state === "training" || stageOf(s) === "fitting" || (s.state === "measuring" && stageOf(s) === "gathering");
 /** The head direction of the session that is armed; null if unknown, or if the session was not read yet. */
 const headOf = (c) => (c.selected?.id === c.sample?.session_id ? (c.selected?.head_direction ?? null) : null);
 /** Signals that are the same from whichever side the head lies. */
 const SYMMETRIC = new Set(["whole", "volume"]);
-const hasHead = (c) => (headOf(c) !== null || (c.sample.window?.conditions ?? []).every((one) => SYMMETRIC.has(one.signal)) ? "" : "the head direction is unknown: create the session with it, or gate on whole or volume");
-const measuring = (c) => (c.sample.state === "measuring" ? "" : c.sample.state === "training" ? "still training" : "the patient is not visible");
+const hasHead = (c) => (headOf(c) !== null || (c.sample.window?.conditions ?? []).every((one) => SYMMETRIC.has(one.signal)) ? "" : tr("controls.the_head_direction_is_unknown_create_the_ses"));
+const measuring = (c) => (c.sample.state === "measuring" ? "" : c.sample.state === "training" ? tr("controls.still_training") : tr("controls.the_patient_is_not_visible"));
 
 export class Controls {
   /**
@@ -102,7 +103,7 @@ export class Controls {
     this.keepsReference = document.getElementById("keep-reference");
     for (const action of Object.keys(OBSTACLES)) button(action).addEventListener("click", (event) => this.#press(action, event));
     this.clickGuard = new ClickGuard(PERMITTING.map(button));
-    this.presses = new TwoPresses(button("acknowledge"), "Press again");
+    this.presses = new TwoPresses(button("acknowledge"), tr("controls.press_again"));
     for (const action of Object.keys(HALTS)) button(action).addEventListener("click", () => this.halt(action));
     document.addEventListener("keydown", (event) => {
       const action = Object.keys(HALTS).find((one) => HALTS[one] === event.key);
@@ -154,18 +155,18 @@ export class Controls {
     for (const [action, obstacle] of Object.entries(OBSTACLES)) {
       const why = this.forbids(action) || obstacle(this.context);
       button(action).disabled = why !== "" || this.busy !== null;
-      button(action).title = why === "" ? "" : `Not now: ${why}`;
+      button(action).title = why === "" ? "" : tr("controls.not_now", { why });
     }
-    if (!button("arm").disabled) button("arm").title = "Shows what would be armed, before it is";
+    if (!button("arm").disabled) button("arm").title = tr("controls.shows_what_would_be_armed_before_it_is");
     setText(document.getElementById("hint"), hint(this.context));
     const proposal = proposalText(this.context);
     document.getElementById("reference").hidden = proposal === "";
     setText(document.getElementById("reference-proposal"), proposal);
     renderPosition(context.sample?.position_check, proposalOf(context), this.operatorName);
     for (const action of Object.keys(HALTS)) {
-      const why = this.forbids(action) || (this.lastRunningId === null ? "no running session" : "");
+      const why = this.forbids(action) || (this.lastRunningId === null ? tr("controls.no_running_session") : "");
       button(action).disabled = why !== "";
-      button(action).title = why === "" ? HALT_TITLES[action] : `Not now: ${why}`;
+      button(action).title = why === "" ? HALT_TITLES[action] : tr("controls.not_now", { why });
     }
     button("setup").disabled = context.person === null;
     button("release").classList.toggle("go", Boolean(context.sample?.operator_hold));
@@ -265,7 +266,7 @@ export class Controls {
   async #attempt(action, call) {
     const mine = (this.busy = Symbol(action));
     this.busyAction = action;
-    this.say("busy", "Sending…");
+    this.say("busy", tr("controls.sending"));
     this.update(this.context);
     try {
       await call();
@@ -309,7 +310,7 @@ export class Controls {
   }
 }
 
-const CONFIRM = { stop: () => "Confirm stop", release: (c) => `Release ${c.sample.operator_hold}'s hold` };
+const CONFIRM = { stop: () => tr("controls.confirm_stop"), release: (c) => tr("controls.release_s_hold", { operator_hold: c.sample.operator_hold }) };
 
 /** Whether another person holds the beam. */
 function isAnothers({ sample, person }) {
@@ -328,24 +329,24 @@ const sessionOf = (state) => state.split(" ")[1];
 
 /** The other way to stop the beam, if this page cannot. */
 function elsewhere(action) {
-  return ` The page could not ${action}: use the room's interlock.`;
+  return ` ${tr(`unable.${action}`)}`;
 }
 
 /** What the reference would be, for the person who confirms it. */
 function proposalText(context) {
   if (context.sample === null || context.sample.is_armed || context.sample.state !== "measuring") return "";
-  if (referenceAt() === "now") return "The position in the next frame becomes the reference.";
+  if (referenceAt() === "now") return tr("controls.the_position_in_the_next_frame_becomes_the_r");
   const one = proposalOf(context);
-  if (one === null) return "Two breaths have to be seen before their position is proposed.";
-  const place = one.percent === null ? "" : `, at ${Math.round(one.percent)} % of the learned breath`;
-  return `${far(one)}Mean of ${one.breaths} breaths: ${one.level.toFixed(2)} ${one.unit}, scatter ${one.scatter.toFixed(2)} ${one.unit}${place}.`;
+  if (one === null) return tr("controls.two_breaths_have_to_be_seen_before_their_pos");
+  const place = one.percent === null ? "" : tr("controls.at_of_the_learned_breath", { value: Math.round(one.percent) });
+  return tr("controls.mean_of_breaths_scatter", { one: far(one), breaths: one.breaths, value: one.level.toFixed(2), unit: one.unit, value2: one.scatter.toFixed(2), unit2: one.unit, place });
 }
 
 /** Where a proposal lies against the fraction's first reference, if it is too far for a click alone. */
 function far(one) {
   if (!one.is_beyond) return "";
-  const away = one.distance_mm === null ? "at an unknown distance" : `${one.distance_mm.toFixed(1)} mm`;
-  return `Needs a reason: ${away} from the fraction's first. `;
+  const away = one.distance_mm === null ? tr("controls.at_an_unknown_distance") : `${one.distance_mm.toFixed(1)} mm`;
+  return tr("controls.needs_a_reason_from_the_fraction_s_first", { away });
 }
 
 /** What is missing for the next step. */
@@ -354,13 +355,13 @@ function hint(context) {
   if (context.sample === null && context.kind !== "idle") return "";
   if (context.sample?.is_armed) return "";
   const why = forbidden(context.person, next) || OBSTACLES[next](context);
-  return why === "" ? "" : `To ${next}: ${why}.`;
+  return why === "" ? "" : tr("controls.to", { next: tr(`to.${next}`), why });
 }
 
 /** A guarded button keeps the focus, and a click says why it is ignored: it is not `disabled`. */
 function showGuard(element, isIgnored) {
   const isShown = isIgnored && !element.disabled;
-  if (isShown) element.title = `Wait: ${MOVED}`;
+  if (isShown) element.title = tr("controls.wait", { MOVED });
   if (isShown) element.setAttribute("aria-disabled", "true");
   else element.removeAttribute("aria-disabled");
 }
@@ -370,5 +371,5 @@ function button(action) {
 }
 
 function label(action) {
-  return { reference: "Set reference", sign: "Sign position", retrain: "Train again", apply: "Apply", correct: "Correct baseline", window: "Set window", alarms: "Acknowledge alarms" }[action] ?? action[0].toUpperCase() + action.slice(1);
+  return tr(`action.${action}`);
 }

@@ -1,6 +1,7 @@
 /** The events panel: the newest rows of the session's audit log, with actor and reason. */
 
 import { listAudit } from "../api.js";
+import { tr } from "../words/words.js";
 
 /** The actor of events that the system itself caused. */
 const SYSTEM = "tidegate";
@@ -24,7 +25,7 @@ export class EventList {
     this.sessionId = sessionId;
     this.newest = "";
     this.list.replaceChildren();
-    this.#sayEmpty("No events yet.");
+    this.#sayEmpty(tr("events.no_events_yet"));
     this.nextMs = 0;
   }
 
@@ -59,7 +60,7 @@ export class EventList {
     this.newest = newest;
     // A request and its effect are shown as one event; the log has a row for each.
     this.list.replaceChildren(...entries.filter((entry) => entry.outcome !== "requested").map(row));
-    this.#sayEmpty(entries.length > 0 ? "" : "No events yet.");
+    this.#sayEmpty(entries.length > 0 ? "" : tr("events.no_events_yet"));
   }
 
   #sayEmpty(text) {

@@ -5,6 +5,7 @@
 
 import { ClosingCover } from "../drawing/closing_cover.js";
 import { setText } from "../drawing/elements.js";
+import { tr } from "../words/words.js";
 
 /** Time without drawing after which the cover closes [ms]. */
 const COVER_MS = 400;
@@ -17,6 +18,8 @@ export class GatePanel {
     this.word = root.querySelector("#gate-word");
     this.reason = root.querySelector("#gate-reason");
     this.detail = root.querySelector("#gate-detail");
+    this.toDo = root.querySelector("#gate-do");
+    this.call = root.querySelector("#gate-call");
     this.age = root.querySelector("#gate-age");
     this.warning = root.querySelector("#gate-warning");
     this.politely = root.querySelector("#say-politely");
@@ -33,15 +36,17 @@ export class GatePanel {
     this.word.dataset.length = view.word.length <= 7 ? "short" : view.word.length <= 10 ? "long" : "longest";
     setText(this.reason, view.reason);
     setText(this.detail, view.detail);
+    setText(this.toDo, view.toDo ?? "");
+    setText(this.call, view.call ?? "");
     setText(this.warning, view.warning);
     setText(this.age, ageText(view));
     // Browsers freeze hidden tabs: the title must not show a state then.
-    document.title = document.hidden ? "Tidegate (not watched)" : `${view.word.toUpperCase()} · Tidegate`;
+    document.title = document.hidden ? tr("gate.tidegate_not_watched") : `${view.word.toUpperCase()} · Tidegate`;
     this.#say(view);
   }
 
   #say(view) {
-    const text = `${view.word}. ${view.reason}`;
+    const text = [`${view.word}. ${view.reason}`, view.toDo].filter(Boolean).join(" ");
     const key = `${view.kind} ${view.word}`;
     if (key === this.said) return;
     this.said = key;
@@ -51,8 +56,8 @@ export class GatePanel {
 
 function ageText(view) {
   if (view.ageMs === null) return "";
-  if (view.kind === "stale" || view.kind === "offline") return `Last message ${seconds(view.ageMs)} s ago`;
-  return view.ageMs > 1000 ? `Camera data ${seconds(view.ageMs)} s old` : "";
+  if (view.kind === "stale" || view.kind === "offline") return tr("gate.last_message_s_ago", { ageMs: seconds(view.ageMs) });
+  return view.ageMs > 1000 ? tr("gate.camera_data_s_old", { ageMs: seconds(view.ageMs) }) : "";
 }
 
 function seconds(ms) {

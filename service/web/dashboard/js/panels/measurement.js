@@ -2,6 +2,7 @@
 
 import { setText } from "../drawing/elements.js";
 import { signed } from "../drawing/numbers.js";
+import { tr } from "../words/words.js";
 
 const NONE = "–";
 
@@ -38,11 +39,11 @@ export function renderReference(reference) {
 
 function parts(reference) {
   if (reference.distance_mm === null) return `: ${reference.unknown}`;
-  return ` · height ${signed(reference.height_mm, 1)} · shift ${reference.shift_mm.toFixed(1)}`;
+  return tr("measurement.height_shift", { value: signed(reference.height_mm, 1), value2: reference.shift_mm.toFixed(1) });
 }
 
 function rotation({ turn_deg: turn, tilt_deg: tilt, shape_mm: shape }) {
-  return `Turn ${turn.toFixed(1)}°, tilt ${tilt.toFixed(1)}°, shape ${shape.toFixed(1)} mm`;
+  return tr("measurement.turn_tilt_shape_mm", { value: turn.toFixed(1), value2: tilt.toFixed(1), value3: shape.toFixed(1) });
 }
 
 function capitalized(text) {
@@ -63,7 +64,7 @@ export function renderSource(warning) {
 export function renderCamera(camera) {
   const badge = document.getElementById("badge-camera");
   badge.hidden = !camera?.warning;
-  setText(badge, camera?.code === "camera_mismatch" ? "Another camera than calibrated" : "Camera not compared");
+  setText(badge, camera?.code === "camera_mismatch" ? tr("measurement.another_camera_than_calibrated") : tr("measurement.camera_not_compared"));
   badge.title = camera?.warning ?? "";
 }
 
@@ -79,7 +80,7 @@ export function renderLikeness(sample, likeness) {
   const row = document.getElementById("likeness");
   row.hidden = !likeness;
   if (!likeness) return;
-  setText(document.getElementById("likeness-name"), `${likeness.is_accepted ? "Stored" : "Refused"} model: shift · tilt · shape`);
+  setText(document.getElementById("likeness-name"), tr("measurement.model_shift_tilt_shape", { value: likeness.is_accepted ? tr("measurement.stored") : tr("measurement.refused") }));
   const figure = document.getElementById("figure-likeness");
   setText(figure, sample ? distance(likeness) : NONE);
   figure.dataset.bad = likeness.is_accepted ? "no" : "yes";
@@ -93,7 +94,7 @@ function distance({ shift_mm: shift, tilt_deg: tilt, shape_mm: shape }) {
 
 function seenCells(sample) {
   const cells = (sample.regions_mm ?? []).flat().length;
-  return cells === 0 || !sample.unseen_cells ? NONE : `${cells - sample.unseen_cells.length} of ${cells}`;
+  return cells === 0 || !sample.unseen_cells ? NONE : tr("count.of", { n: cells - sample.unseen_cells.length, all: cells });
 }
 
 function with_(value, textOf) {

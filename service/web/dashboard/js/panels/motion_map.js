@@ -3,6 +3,7 @@
 import { font, hatch, INK, isUnseen, note, prepare, UNSEEN } from "../drawing/canvas.js";
 import { signed } from "../drawing/numbers.js";
 import { colorOf } from "../drawing/color_scale.js";
+import { tr } from "../words/words.js";
 
 const LABEL_PX = 16;
 
@@ -25,7 +26,7 @@ export class GridPanel {
     this.#drawLegend(rangeMm);
     const { context, width, height } = prepare(this.canvas);
     if (!regionsMm || regionsMm.length === 0) {
-      note(context, width, height, "not measured");
+      note(context, width, height, tr("motion_map.not_measured"));
       this.readout.textContent = "\u00a0";
       return;
     }
@@ -40,8 +41,8 @@ export class GridPanel {
     const column = this.pointer ? Math.floor((this.pointer[0] - box.left) / box.cell) : -1;
     const row = this.pointer ? Math.floor((this.pointer[1] - box.top) / box.cell) : -1;
     const value = regionsMm[row]?.[column];
-    const legend = unseenCells.length > 0 ? "hatched: not seen" : "\u00a0";
-    this.readout.textContent = value === undefined ? legend : `row ${row}, column ${column}: ${reading(value, isUnseen(unseenCells, row, column))}`;
+    const legend = unseenCells.length > 0 ? tr("motion_map.hatched_not_seen") : "\u00a0";
+    this.readout.textContent = value === undefined ? legend : tr("motion_map.row_column", { row, column, value: reading(value, isUnseen(unseenCells, row, column)) });
   }
 
   #drawLegend(rangeMm) {
@@ -89,12 +90,12 @@ function drawSides(context, box) {
   context.font = font(11);
   context.textAlign = "center";
   context.textBaseline = "middle";
-  context.fillText("superior", box.left + (box.cell * box.columns) / 2, box.top - 9);
+  context.fillText(tr("picture.superior"), box.left + (box.cell * box.columns) / 2, box.top - 9);
   context.fillText("R", box.left - 9, box.top + (box.cell * box.rows) / 2);
   context.fillText("L", box.left + box.cell * box.columns + 9, box.top + (box.cell * box.rows) / 2);
 }
 
 function reading(value, isHidden) {
-  if (!Number.isFinite(value)) return "not measured";
-  return isHidden ? `not seen (${signed(value)} mm extrapolated)` : `${signed(value)} mm`;
+  if (!Number.isFinite(value)) return tr("motion_map.not_measured");
+  return isHidden ? tr("motion_map.not_seen_mm_extrapolated", { value: signed(value) }) : `${signed(value)} mm`;
 }

@@ -4,6 +4,7 @@ import { fetchPicture } from "../api.js";
 import { font, hatch, INK, isUnseen, note, prepare, UNSEEN } from "../drawing/canvas.js";
 import { projectiveMap } from "../drawing/projection.js";
 import { colorOf } from "../drawing/color_scale.js";
+import { tr } from "../words/words.js";
 
 /** Period of fetching pictures [ms]: fast enough to see a hand or a sheet, slow enough for the live stream. */
 const PERIOD_MS = 250;
@@ -64,7 +65,7 @@ export class PicturePanel {
   draw(nowMs, rangeMm, isFresh, head) {
     const { context, width, height } = prepare(this.canvas);
     if (this.picture === null) {
-      note(context, width, height, this.sessionId === null ? "No session." : "Waiting for the camera's picture.");
+      note(context, width, height, this.sessionId === null ? tr("picture.no_session") : tr("picture.waiting_for_the_camera_s_picture"));
       return;
     }
     const { bitmap } = this.picture;
@@ -76,14 +77,14 @@ export class PicturePanel {
     context.drawImage(bitmap, left, top, bitmap.width * zoom, bitmap.height * zoom);
     context.restore();
     if (isOld) {
-      banner(context, left, top, bitmap.width * zoom, isFresh ? `Picture is old: ${((nowMs - this.picture.atMs) / 1000).toFixed(1)} s` : "Not the present picture");
+      banner(context, left, top, bitmap.width * zoom, isFresh ? tr("picture.picture_is_old_s", { value: ((nowMs - this.picture.atMs) / 1000).toFixed(1) }) : tr("picture.not_the_present_picture"));
       return;
     }
     drawHead(context, { left, top, width: bitmap.width * zoom, height: bitmap.height * zoom }, head);
     const sample = this.#sampleOf(this.picture.frameIndex);
     const map = sample && projectiveMap(sample.roi_px);
     if (!map) {
-      banner(context, left, top, bitmap.width * zoom, "Region not found");
+      banner(context, left, top, bitmap.width * zoom, tr("picture.region_not_found"));
       return;
     }
     const place = (u, v) => {
@@ -121,7 +122,7 @@ function drawCells(context, place, regionsMm, rangeMm, unseenCells) {
 /** Name the side of the head; the person who arms confirms it. */
 function drawHead(context, { left, top, width, height }, head) {
   if (head === null) {
-    label(context, "head direction unknown", [left + width / 2, top + height - 12], [0, 0]);
+    label(context, tr("picture.head_direction_unknown"), [left + width / 2, top + height - 12], [0, 0]);
     return;
   }
   const edge = { top: [left + width / 2, top + 14], bottom: [left + width / 2, top + height - 14], left: [left + 28, top + height / 2], right: [left + width - 28, top + height / 2] };
@@ -141,7 +142,7 @@ function drawOutline(context, place, isOriented) {
     context.stroke();
   }
   if (!isOriented) return;
-  label(context, "superior", between(corners[0], corners[1]), [0, -10]);
+  label(context, tr("picture.superior"), between(corners[0], corners[1]), [0, -10]);
   label(context, "R", between(corners[0], corners[3]), [-12, 0]);
   label(context, "L", between(corners[1], corners[2]), [12, 0]);
 }

@@ -2,28 +2,29 @@
 
 import { setText } from "../drawing/elements.js";
 import { signed } from "../drawing/numbers.js";
+import { tr } from "../words/words.js";
 
-const SHORT = { lateral: "Lat", longitudinal: "Long", vertical: "Vert", pitch: "Pitch", roll: "Roll", yaw: "Yaw" };
+const SHORT = { lateral: tr("position.lat"), longitudinal: tr("position.long"), vertical: tr("position.vert"), pitch: tr("position.pitch"), roll: tr("position.roll"), yaw: tr("position.yaw") };
 const DIRECTIONS = {
-  lateral: "positive to the patient's left",
-  longitudinal: "positive to the head",
-  vertical: "positive towards the camera",
-  pitch: "about the lateral axis",
-  roll: "about the longitudinal axis",
-  yaw: "about the vertical axis",
+  lateral: tr("position.positive_to_the_patient_s_left"),
+  longitudinal: tr("position.positive_to_the_head"),
+  vertical: tr("position.positive_towards_the_camera"),
+  pitch: tr("position.about_the_lateral_axis"),
+  roll: tr("position.about_the_longitudinal_axis"),
+  yaw: tr("position.about_the_vertical_axis"),
 };
 
 /** Why a session cannot be armed as long as its position is not signed; empty if it can. */
 export function positionObstacle(check) {
   if (!check || check.status === "first_fraction" || check.status === "signed" || check.status === "no_reference") return "";
-  return check.status === "lapsed" ? "set the reference again, and sign the position" : "sign the position first";
+  return check.status === "lapsed" ? tr("position.set_the_reference_again_and_sign_the_positio") : tr("position.sign_the_position_first");
 }
 
 /** Why the position cannot be signed now; empty if it can. */
 export function signObstacle(check, reason) {
-  if (check?.status === "lapsed") return "the patient may have moved: set the reference again";
-  if (check?.status !== "unsigned") return "nothing is to be signed";
-  return check.is_within || reason !== "" ? "" : "beyond the tolerance or not determined: give a reason";
+  if (check?.status === "lapsed") return tr("position.the_patient_may_have_moved_set_the_reference");
+  if (check?.status !== "unsigned") return tr("position.nothing_is_to_be_signed");
+  return check.is_within || reason !== "" ? "" : tr("position.beyond_the_tolerance_or_not_determined_give");
 }
 
 /**
@@ -47,14 +48,14 @@ export function renderPosition(check, proposal, name) {
   degrees.forEach((one, index) => fill(list.children[index], one));
   const button = document.getElementById("do-sign");
   button.hidden = check.status === "signed";
-  setText(button, name === "" ? "Sign position" : `Sign position as ${name}`);
+  setText(button, name === "" ? tr("position.sign_position") : tr("position.sign_position_as", { name }));
 }
 
 function textOf(check, isProposed) {
-  if (check.status === "signed") return `Position signed by ${check.signed_by}${check.reason === "" ? "" : `: ${check.reason}`}`;
-  if (check.status === "unsigned") return check.is_within ? "Position within tolerance of the plan's" : `Position not within tolerance: ${check.shortcomings.join(", ")}`;
-  const present = isProposed ? " Proposed:" : "";
-  return check.status === "lapsed" ? `Position to be taken again: ${check.lapse}.${present}` : `Position against the plan's: set the reference.${present}`;
+  if (check.status === "signed") return tr("position.position_signed_by", { signed_by: check.signed_by, value: check.reason === "" ? "" : `: ${check.reason}` });
+  if (check.status === "unsigned") return check.is_within ? tr("position.position_within_tolerance_of_the_plan_s") : tr("position.position_not_within_tolerance", { value: check.shortcomings.join(", ") });
+  const present = isProposed ? tr("position.proposed") : "";
+  return check.status === "lapsed" ? tr("position.position_to_be_taken_again", { lapse: check.lapse, present }) : tr("position.position_against_the_plan_s_set_the_referenc", { present });
 }
 
 function cell() {
@@ -69,6 +70,6 @@ function fill(part, one) {
   setText(part.firstChild, SHORT[one.name]);
   setText(part.lastChild, one.value === null ? "?" : `${signed(one.value, 1)}${unit}${one.is_within ? " ✓" : " ✗"}`);
   const limit = `tolerance ${one.tolerance} ${one.unit}`;
-  const known = one.uncertainty === null ? "not known" : `uncertainty ${one.uncertainty.toFixed(1)} ${one.unit}`;
-  part.title = `${one.name}, ${DIRECTIONS[one.name]}: ${one.value === null ? "not determined by the surface" : `${signed(one.value, 2)} ${one.unit}`}; ${known}, ${limit}`;
+  const known = one.uncertainty === null ? tr("position.not_known") : `uncertainty ${one.uncertainty.toFixed(1)} ${one.unit}`;
+  part.title = `${one.name}, ${DIRECTIONS[one.name]}: ${one.value === null ? tr("position.not_determined_by_the_surface") : `${signed(one.value, 2)} ${one.unit}`}; ${known}, ${limit}`;
 }

@@ -2,6 +2,7 @@
 
 import { qaReportUrl, readQaStatus } from "../api.js";
 import { setText } from "../drawing/elements.js";
+import { tr } from "../words/words.js";
 
 const ASK_MS = 20_000;
 const KINDS = ["daily", "monthly", "annual"];
@@ -36,7 +37,7 @@ export class QaPanel {
     } catch (error) {
       // An unknown status is not replaced by the last known one: an old verdict would mislead.
       this.list.replaceChildren();
-      setText(byId("qa-note"), `The QA status is unknown. ${error.message}`);
+      setText(byId("qa-note"), tr("qa.the_qa_status_is_unknown", { message: error.message }));
     }
   }
 
@@ -44,7 +45,7 @@ export class QaPanel {
     this.list.replaceChildren(...KINDS.map((kind) => row(kind, status.newest[kind])));
     this.badge.hidden = status.is_arming_allowed;
     this.badge.title = status.refusal ?? "";
-    setText(this.badge, isFailed(status) ? "QA failed" : "QA due");
+    setText(this.badge, isFailed(status) ? tr("qa.qa_failed") : tr("qa.qa_due"));
     setText(byId("qa-note"), note(status));
   }
 }
@@ -54,8 +55,8 @@ function isFailed(status) {
 }
 
 function note(status) {
-  if (!status.is_arming_allowed) return `Arming is refused: ${status.refusal}.`;
-  if (status.required_daily_h > 0) return `Arming requires a passed QA within the last ${status.required_daily_h} h.`;
+  if (!status.is_arming_allowed) return tr("qa.arming_is_refused", { refusal: status.refusal });
+  if (status.required_daily_h > 0) return tr("qa.arming_requires_a_passed_qa_within_the_last", { required_daily_h: status.required_daily_h });
   return "";
 }
 
@@ -70,7 +71,7 @@ function row(kind, run) {
   verdict.dataset.verdict = run.verdict ?? run.status;
   item.append(verdict, part("time", `${run.created_at.slice(0, 16).replace("T", " ")} UTC`));
   if (run.status === "finished") {
-    const link = part("a", "Report");
+    const link = part("a", tr("qa.report"));
     link.href = qaReportUrl(run.id);
     link.target = "_blank";
     link.rel = "noopener";

@@ -5,8 +5,11 @@
 
 import { prepareSession, createSession, listModels, readSession, withoutNulls } from "../api.js";
 import { byId, part, setText } from "../drawing/elements.js";
+import { localTime } from "../drawing/local_time.js";
 import { may, obstacle } from "../people/permissions.js";
 import { duration, dutyText, onText } from "./treatment.js";
+import { whatIs } from "../words/reasons.js";
+import { tr } from "../words/words.js";
 
 /** Statuses of a session that did not end as a person or a recording would have it. */
 const BROKEN = new Set(["interrupted", "failed"]);
@@ -37,11 +40,14 @@ export class Report {
     return !this.root.hidden;
   }
 
-  /** Show a session that is over, unless it is shown already or was closed by a person. */
-  async open({ id }) {
-    if (id === this.id || id === this.dismissed) return;
+  /**
+   * Show a session that is over, unless it is shown already or was closed by a person. One that a person chose stays until
+   * it is closed.
+   */
+  async open({ id }, isChosen = false) {
+    if (!isChosen && (this.isChosen || id === this.id || id === this.dismissed)) return;
     this.forget();
-    this.id = id;
+    Object.assign(this, { id, isChosen });
     try {
       const [session, models] = await Promise.all([readSession(id), listModels(id, 1)]);
       if (id !== this.id) return;
@@ -55,15 +61,16 @@ export class Report {
   /** Close it for good: the same session is not shown again. @returns {boolean} whether it was open */
   close() {
     const wasOpen = this.isOpen;
-    if (wasOpen) this.dismissed = this.id;
+    const isOwn = wasOpen && !this.isChosen;
+    if (isOwn) this.dismissed = this.id;
     this.forget();
-    if (wasOpen) this.id = this.dismissed;
+    if (isOwn) this.id = this.dismissed;
     return wasOpen;
   }
 
   /** Remove everything of the session, after a log-out or as another one is chosen. */
   forget() {
-    Object.assign(this, { id: null, session: null, model: null, isBusy: false });
+    Object.assign(this, { id: null, session: null, model: null, isBusy: false, isChosen: false });
     this.root.hidden = true;
     for (const name of ["report-heading", "report-when", "report-note", "report-outcome"]) setText(byId(name), "");
     byId("report-figures").replaceChildren();
@@ -75,12 +82,14 @@ export class Report {
     Object.assign(this, { session, model });
     const isBroken = BROKEN.has(session.status);
     this.root.dataset.kind = isBroken ? "broken" : "over";
-    setText(byId("report-heading"), `${isBroken ? "Interrupted" : "Summary"}: ${session.patient_reference}`);
+    setText(byId("report-heading"), `${isBroken ? tr("report.interrupted") : tr("report.summary")}: ${session.patient_reference}`);
     setText(byId("report-when"), whenText(session));
     byId("report-figures").replaceChildren(...figures(session).map(figure));
     byId("report-holds").replaceChildren(...holdLines(session.summary.holds ?? []));
-    this.button.hidden = !isBroken;
-    if (isBroken) this.#offer();
+    // One of the past may have been continued long ago.
+    const isOffered = isBroken && !this.isChosen;
+    this.button.hidden = !isOffered;
+    if (isOffered) this.#offer();
     this.root.hidden = false;
     this.onShown(session, isBroken);
   }
@@ -89,10 +98,10 @@ export class Report {
   #offer() {
     const why = obstacle(this.access.person, "create");
     this.button.disabled = this.isBusy || !may(this.access.person, "create");
-    setText(this.button, this.model === null ? "Continue, training again" : "Continue with its model");
+    setText(this.button, this.model === null ? tr("report.continue_training_again") : tr("report.continue_with_its_model"));
     this.button.title = why;
-    const lost = this.session.status === "interrupted" ? " Up to the last second before the interruption may be missing." : "";
-    const next = "Makes a new session of this fraction that keeps the beam-on time. Start it, confirm the reference again, then arm.";
+    const lost = this.session.status === "interrupted" ? tr("report.up_to_the_last_second_before_the_interruptio") : "";
+    const next = tr("report.makes_a_new_session_of_this_fraction_that_ke");
     setText(byId("report-note"), `${next}${lost}`);
   }
 
@@ -121,7 +130,7 @@ function request(session, model) {
 }
 
 function ofPlan(session, model) {
-  return { ...taken(session, OF_PLAN, model), repeats_fraction: `continues session ${session.id}` };
+  return { ...taken(session, OF_PLAN, model), repeats_fraction: tr("report.continues_session", { id: session.id }) };
 }
 
 function taken(session, names, model) {
@@ -130,26 +139,22 @@ function taken(session, names, model) {
 }
 
 function whenText(session) {
-  const fraction = `${session.plan_id}, fraction ${session.fraction_id}${session.fraction_number === null ? "" : ` (no. ${session.fraction_number})`}`;
-  return `${fraction} · started ${clock(session.started_at)}, ${session.status} ${clock(session.ended_at)} · ${session.status_detail}`;
+  const fraction = tr("report.fraction", { plan_id: session.plan_id, fraction_id: session.fraction_id, value: session.fraction_number === null ? "" : ` (no. ${session.fraction_number})` });
+  return tr("report.started", { fraction, started_at: localTime(session.started_at), status: tr(`status.${session.status}`), ended_at: localTime(session.ended_at), status_detail: session.status_detail });
 }
 
-function clock(at) {
-  const time = new Date(at);
-  return Number.isNaN(time.getTime()) ? NONE : time.toLocaleString("en-GB", { day: "2-digit", month: "short", hour: "2-digit", minute: "2-digit" });
-}
 
 function figures(session) {
   const { summary } = session;
   const { p50_ms: p50, p99_ms: p99, max_ms: max } = summary.latency;
   const ms = (value) => (Number.isFinite(value) ? value.toFixed(0) : NONE);
   return [
-    [`Beam on${session.is_simulated_beam ? ", simulated" : ""}`, onText(summary, session)],
-    ["Duty cycle while armed", dutyText(summary)],
-    ["Elapsed", duration(summary.elapsed_s)],
-    ["Frames", String(summary.frames)],
-    ["Not measured · never received", `${summary.lost} · ${summary.missed_frames}`],
-    ["Latency, ms: p50 · p99 · max", `${ms(p50)} · ${ms(p99)} · ${ms(max)}`],
+    [tr("report.beam_on", { value: session.is_simulated_beam ? tr("report.simulated") : "" }), onText(summary, session)],
+    [tr("report.duty_cycle_while_armed"), dutyText(summary)],
+    [tr("report.elapsed"), duration(summary.elapsed_s)],
+    [tr("report.frames"), String(summary.frames)],
+    [tr("report.not_measured_never_received"), `${summary.lost} · ${summary.missed_frames}`],
+    [tr("report.latency_ms_p50_p99_max"), `${ms(p50)} · ${ms(p99)} · ${ms(max)}`],
   ];
 }
 
@@ -160,11 +165,11 @@ function figure([name, value]) {
 }
 
 function holdLines(holds) {
-  if (holds.length === 0) return [part("li", "No holds")];
+  if (holds.length === 0) return [part("li", tr("report.no_holds"))];
   return holds.map(({ reason, text, count }) => {
     const line = part("li", "");
     line.dataset.reason = reason;
-    line.append(part("strong", String(count)), ` ${text}`);
+    line.append(part("strong", String(count)), ` ${whatIs(reason, text)}`);
     return line;
   });
 }

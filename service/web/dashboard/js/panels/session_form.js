@@ -4,6 +4,7 @@
  */
 
 import { Conditions } from "./conditions.js";
+import { tr } from "../words/words.js";
 
 const OPTIONAL = new Set(["fraction_number", "head_direction", "calibration_id", "regions.named"]);
 /** Fields that a refusal asks for: a person's reason for what the plan does not provide for. */
@@ -11,7 +12,7 @@ const REASON_FOR = { plan_gating: "overrides_plan_gating", fraction_done: "repea
 /** The calibration list's last entry: the session is created without a calibration. */
 const BUILT_IN = "built-in";
 const TECHNIQUE = {
-  gating: "gating", breath_hold: "breath hold", none: "no motion compensation", not_stated: "no technique", unknown: "unknown", mixed: "several techniques", other: "a technique that is not done here",
+  gating: "gating", breath_hold: tr("session_form.breath_hold"), none: tr("session_form.no_motion_compensation"), not_stated: tr("session_form.no_technique"), unknown: "unknown", mixed: tr("session_form.several_techniques"), other: tr("session_form.a_technique_that_is_not_done_here"),
 };
 
 export class SessionForm {
@@ -45,7 +46,7 @@ export class SessionForm {
   offerPlans(plans) {
     this.plans = plans;
     const label = (one) => `${one.patient_reference} · ${one.label} · ${one.created_at.slice(0, 10)}`;
-    replaceOptions(this.#input("plan"), [new Option("None: typed below", ""), ...plans.map((one) => new Option(label(one), one.id))]);
+    replaceOptions(this.#input("plan"), [new Option(tr("session_form.none_typed_below"), ""), ...plans.map((one) => new Option(label(one), one.id))]);
     this.#showPlan();
   }
 
@@ -57,8 +58,8 @@ export class SessionForm {
       option.disabled = one.problem !== null;
       return option;
     });
-    const first = devices.length > 0 ? [] : [new Option("Choose a camera or recording", "")];
-    replaceOptions(this.#input("source"), [...first, ...grouped("Cameras", [...cameras, new Option("First camera found", "device:")]), ...grouped("Recordings", files)]);
+    const first = devices.length > 0 ? [] : [new Option(tr("session_form.choose_a_camera_or_recording"), "")];
+    replaceOptions(this.#input("source"), [...first, ...grouped(tr("session_form.cameras"), [...cameras, new Option(tr("session_form.first_camera_found"), "device:")]), ...grouped(tr("session_form.recordings"), files)]);
     this.#showFields();
   }
 
@@ -66,8 +67,8 @@ export class SessionForm {
   offerCalibrations(items, wanted) {
     const label = (item) => `${item.camera} · ${item.created_at.slice(0, 10)} · ${item.id.slice(0, 8)}`;
     const options = items.map((item) => new Option(label(item), item.id));
-    if (items.length === 0) options.push(new Option("No calibration yet: upload one under More", ""));
-    replaceOptions(this.#input("calibration_id"), [...options, new Option("None: the live camera's built-in registration", BUILT_IN)], wanted);
+    if (items.length === 0) options.push(new Option(tr("session_form.no_calibration_yet_upload_one_under_more"), ""));
+    replaceOptions(this.#input("calibration_id"), [...options, new Option(tr("session_form.none_the_live_camera_s_built_in_registration"), BUILT_IN)], wanted);
   }
 
   /** Say in the calibrations' place why there are none. */
@@ -75,9 +76,10 @@ export class SessionForm {
     this.#input("calibration_id").replaceChildren(new Option(text, ""));
   }
 
-  /** Enter the number of the plan's next fraction. */
+  /** Enter the number of the plan's next fraction; a field that has the focus is left to the person who types. */
   enterFraction(number) {
-    if (this.plan !== null && this.#input("fraction_number").value === "") this.#input("fraction_number").value = number;
+    const input = this.#input("fraction_number");
+    if (this.plan !== null && input.value === "" && input !== document.activeElement) input.value = number;
   }
 
   /** Enter the values of an earlier session; its fraction is entered by hand. */
@@ -142,9 +144,9 @@ export class SessionForm {
   #showPlan() {
     const { plan } = this;
     for (const field of this.form.querySelectorAll("[data-typed]")) field.hidden = plan !== null;
-    this.#input("fraction_number").placeholder = plan === null ? "optional" : "";
-    this.#input("head_direction").options[0].textContent = plan === null ? "Not known: gate on whole or volume only" : "As the plan's position says";
-    const note = plan === null ? "" : `The plan prescribes ${TECHNIQUE[plan.gating]}.`;
+    this.#input("fraction_number").placeholder = plan === null ? tr("page.optional") : "";
+    this.#input("head_direction").options[0].textContent = plan === null ? tr("session_form.not_known_gate_on_whole_or_volume_only") : tr("session_form.as_the_plan_s_position_says");
+    const note = plan === null ? "" : tr("session_form.the_plan_prescribes", { value: TECHNIQUE[plan.gating] });
     byId("plan-note").textContent = note;
     byId("plan-note").hidden = note === "";
     this.#showFields();
@@ -207,7 +209,7 @@ function grouped(label, options) {
 }
 
 function length({ seconds, has_color: hasColor }) {
-  const parts = [seconds === null ? null : `${Math.round(seconds)} s`, hasColor === false ? "no colour" : null];
+  const parts = [seconds === null ? null : `${Math.round(seconds)} s`, hasColor === false ? tr("session_form.no_colour") : null];
   return parts.map((one) => (one === null ? "" : ` · ${one}`)).join("");
 }
 

@@ -2,7 +2,10 @@
 
 import { createSession, listCalibrations, listDevices, listPlans, listRecordings, listSessions, listSessionsOf, prepareSession, uploadCalibration } from "../api.js";
 import { may, obstacle } from "../people/permissions.js";
+import { localTime } from "../drawing/local_time.js";
+import { isOver } from "./report.js";
 import { SessionForm } from "./session_form.js";
+import { tr } from "../words/words.js";
 
 const SHOWN = 12;
 const MAX_CALIBRATION_BYTES = 1_000_000;
@@ -11,10 +14,10 @@ export class Setup {
   /**
    * @param {import("../people/access.js").Access} access the log-in and its permissions
    * @param {(session: object) => void} onSelect called with the chosen or created session
+   * @param {(session: object) => string} onOpen called with a session that is over, to show it; returns why it cannot be
    */
-  constructor(access, onSelect) {
-    this.access = access;
-    this.onSelect = onSelect;
+  constructor(access, onSelect, onOpen) {
+    Object.assign(this, { access, onSelect, onOpen });
     this.panel = document.getElementById("setup");
     this.toggle = document.getElementById("do-setup");
     this.form = document.getElementById("new-session");
@@ -55,7 +58,7 @@ export class Setup {
     const why = obstacle(person, "create");
     this.form.querySelector("[type=submit]").disabled = why !== "";
     byId("setup-why").hidden = why === "";
-    byId("setup-why").textContent = why === "" ? "" : `Not available: ${why}.`;
+    byId("setup-why").textContent = why === "" ? "" : tr("setup.not_available", { why });
     byId("calibration-file").disabled = !may(person, "upload");
     byId("calibration-file").title = obstacle(person, "upload");
   }
@@ -71,7 +74,7 @@ export class Setup {
     try {
       const { items } = await listSessions(SHOWN);
       document.getElementById("session-list").replaceChildren(...items.map((session) => this.#row(session)));
-      empty.textContent = items.length > 0 ? "" : "No session yet. Create the first one here.";
+      empty.textContent = items.length > 0 ? "" : tr("setup.no_session_yet_create_the_first_one_here");
     } catch (error) {
       empty.textContent = error.message;
     }
@@ -83,10 +86,17 @@ export class Setup {
     const choose = document.createElement("button");
     choose.type = "button";
     choose.append(part("strong", session.patient_reference), part("span", `${session.plan_id} · ${session.fraction_id}`), status(session));
-    choose.disabled = session.status !== "created";
+    const isPast = isOver(session);
+    choose.className = isPast ? "open" : "";
+    choose.disabled = session.status !== "created" && !isPast;
+    choose.title = isPast ? tr("setup.show_its_summary") : "";
+    choose.append(part("time", localTime(session.started_at ?? session.created_at)));
     choose.addEventListener("click", () => {
-      this.onSelect(session);
-      this.show(false);
+      if (isPast) this.#say("failed", this.onOpen(session));
+      else {
+        this.onSelect(session);
+        this.show(false);
+      }
     });
     item.append(choose);
     if (session.status !== "created") item.append(this.#again(session));
@@ -98,11 +108,11 @@ export class Setup {
     const again = document.createElement("button");
     again.type = "button";
     again.className = "again";
-    again.textContent = "New, as in this";
-    again.title = `Enter the values of ${session.patient_reference}, ${session.fraction_id} for a new fraction`;
+    again.textContent = tr("setup.new_as_in_this");
+    again.title = tr("setup.enter_the_values_of_for_a_new_fraction", { patient_reference: session.patient_reference, fraction_id: session.fraction_id });
     again.addEventListener("click", () => {
       this.fields.fillFrom(session);
-      this.#say("", `As in ${session.fraction_id} of ${session.patient_reference}: check each value, and enter the fraction.`);
+      this.#say("", tr("setup.as_in_of_check_each_value_and_enter_the_frac", { fraction_id: session.fraction_id, patient_reference: session.patient_reference }));
     });
     return again;
   }
@@ -151,16 +161,16 @@ export class Setup {
     const [file] = input.files;
     if (!file) return;
     if (file.size > MAX_CALIBRATION_BYTES) {
-      this.#say("failed", `${file.name} has ${file.size} bytes; a calibration has a few thousand.`);
+      this.#say("failed", tr("setup.has_bytes_a_calibration_has_a_few_thousand", { name: file.name, size: file.size }));
       return this.#reset(input);
     }
     try {
       const stored = await uploadCalibration(await file.text(), this.access.person.name);
       await this.#loadCalibrations(stored.id);
-      const notes = (stored.notes ?? []).map((note) => ` Mind: ${note}.`);
-      this.#say("done", `Calibration of ${stored.camera} stored.${notes.join("")}`);
+      const notes = (stored.notes ?? []).map((note) => tr("setup.mind", { note }));
+      this.#say("done", tr("setup.calibration_of_stored", { camera: stored.camera, value: notes.join("") }));
     } catch (error) {
-      this.#say("failed", `Calibration refused: ${error.message}`);
+      this.#say("failed", tr("setup.calibration_refused", { message: error.message }));
     }
     this.#reset(input);
   }
@@ -176,7 +186,7 @@ export class Setup {
     const { plan } = this.fields;
     try {
       const request = this.fields.request(this.access.person.name);
-      if (request.source.kind === undefined) throw Object.assign(new Error("Choose a camera or a recording."), { field: "source" });
+      if (request.source.kind === undefined) throw Object.assign(new Error(tr("setup.choose_a_camera_or_a_recording")), { field: "source" });
       const session = plan === null ? await createSession(request) : await prepareSession(plan.id, request);
       this.#empty();
       this.onSelect(session);
@@ -200,7 +210,7 @@ function byId(id) {
 }
 
 function status(session) {
-  const element = part("em", session.status);
+  const element = part("em", tr(`status.${session.status}`));
   element.dataset.status = session.status;
   return element;
 }

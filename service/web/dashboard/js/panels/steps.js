@@ -7,22 +7,23 @@ import { readModel, readSpectrum } from "../api.js";
 import { byId, part } from "../drawing/elements.js";
 import { describe as describeWindow } from "../stream/gating_window.js";
 import { needsReference } from "./training.js";
+import { tr } from "../words/words.js";
 
 const TITLES = {
-  patient: "Patient and plan", camera: "Camera", markers: "Markers", training: "Training", reference: "Reference",
-  position: "Position", window: "Window", summary: "Summary",
+  patient: tr("steps.patient_and_plan"), camera: tr("steps.camera"), markers: tr("steps.markers"), training: tr("steps.training"), reference: tr("steps.reference"),
+  position: tr("steps.position"), window: tr("steps.window"), summary: tr("steps.summary"),
 };
 const MARKS = { done: "✓", now: "▸", attention: "!", later: "·" };
-const WORDS = { done: "Done. ", now: "Now. ", attention: "Look. ", later: "" };
+const WORDS = { done: tr("steps.done"), now: tr("steps.now"), attention: tr("steps.look"), later: "" };
 /** What a person does about each advice of `camera_view`. */
 const ADVICE = {
-  too_near: "Raise the camera: nearer than 60 cm.",
-  too_far: "Lower the camera: farther than 120 cm.",
-  tilted: "Point the camera straight at the patient: tilted by more than 15°.",
-  gaps: "More than a tenth of the picture has no depth: look for shiny, dark or covered surfaces, and for sunlight.",
-  too_dark: "Too dark for the markers: more light.",
-  too_bright: "Overexposed: less light, or turn the lamp away.",
-  warming_up: "The camera warms up for 15 minutes; until then its readings drift.",
+  too_near: tr("steps.raise_the_camera_nearer_than_60_cm"),
+  too_far: tr("steps.lower_the_camera_farther_than_120_cm"),
+  tilted: tr("steps.point_the_camera_straight_at_the_patient_til"),
+  gaps: tr("steps.more_than_a_tenth_of_the_picture_has_no_dept"),
+  too_dark: tr("steps.too_dark_for_the_markers_more_light"),
+  too_bright: tr("steps.overexposed_less_light_or_turn_the_lamp_away"),
+  warming_up: tr("steps.the_camera_warms_up_for_15_minutes_until_the"),
 };
 
 export class Steps {
@@ -88,7 +89,7 @@ const isOpen = (session) => ["created", "running"].includes(session?.status);
 export function stepsOf({ sample, session, windowLookedAt, model }) {
   const isKnown = session !== null;
   const steps = [
-    step("patient", sample !== null || isKnown, isKnown ? `${session.patient_reference} · ${session.plan_id} · ${session.fraction_id}` : "Press Sessions: choose the plan, or type patient and plan.", "do-setup"),
+    step("patient", sample !== null || isKnown, isKnown ? `${session.patient_reference} · ${session.plan_id} · ${session.fraction_id}` : tr("steps.press_sessions_choose_the_plan_or_type_patie"), "do-setup"),
     cameraStep(sample, session),
     step("markers", sample !== null && sample.state !== "lost", markersText(sample)),
     step("training", sample?.state === "measuring", trainingText(sample, model)),
@@ -96,8 +97,8 @@ export function stepsOf({ sample, session, windowLookedAt, model }) {
   ];
   const check = sample?.position_check;
   if (check && ["unsigned", "lapsed", "signed"].includes(check.status)) steps.push(step("position", check.status === "signed", check.text, "do-sign"));
-  steps.push(step("window", windowLookedAt, sample === null ? "Set on the patient's own trace." : `Gated on ${describeWindow(sample.window)}. Press Set window: change it or keep it.`, "do-window"));
-  steps.push(step("summary", false, "Press Arm…, read each line, then Arm now.", "do-arm"));
+  steps.push(step("window", windowLookedAt, sample === null ? tr("steps.set_on_the_patient_s_own_trace") : tr("steps.gated_on_press_set_window_change_it_or_keep", { window: describeWindow(sample.window) }), "do-window"));
+  steps.push(step("summary", false, tr("steps.press_arm_read_each_line_then_arm_now"), "do-arm"));
   const now = steps.find((one) => one.state === "later");
   if (now) now.state = "now";
   return steps;
@@ -108,39 +109,39 @@ function step(code, isDone, text, button = null) {
 }
 
 function cameraStep(sample, session) {
-  if (sample === null && session?.status === "running") return step("camera", false, "The camera is being opened.");
-  if (sample === null) return step("camera", false, "Press Start when the patient lies still.", "do-start");
+  if (sample === null && session?.status === "running") return step("camera", false, tr("steps.the_camera_is_being_opened"));
+  if (sample === null) return step("camera", false, tr("steps.press_start_when_the_patient_lies_still"), "do-start");
   const view = sample.camera_view;
   if (!view) return step("camera", true, "");
   const figures = [
-    view.distance_mm === null ? "no depth" : `${Math.round(view.distance_mm / 10)} cm`,
-    view.tilt_deg === null ? null : `tilt ${view.tilt_deg.toFixed(0)}°`,
-    `${Math.round(100 * view.coverage)} % with depth`,
-    `light ${Math.round(100 * view.brightness)} %`,
-    view.running_s >= 60 ? `on for ${Math.floor(view.running_s / 60)} min` : null,
+    view.distance_mm === null ? tr("steps.no_depth") : `${Math.round(view.distance_mm / 10)} cm`,
+    view.tilt_deg === null ? null : tr("steps.tilt", { value: view.tilt_deg.toFixed(0) }),
+    tr("steps.with_depth", { value: Math.round(100 * view.coverage) }),
+    tr("steps.light", { value: Math.round(100 * view.brightness) }),
+    view.running_s >= 60 ? tr("steps.on_for_min", { value: Math.floor(view.running_s / 60) }) : null,
   ].filter((one) => one !== null);
   const advice = view.advice.map((one) => ADVICE[one] ?? one);
   return { code: "camera", state: advice.length === 0 ? "done" : "attention", text: [figures.join(" · "), ...advice].join(". "), button: null };
 }
 
 function markersText(sample) {
-  if (sample === null) return "Four dots on the chest, inside the picture.";
-  return sample.state === "lost" ? `${capitalized(sample.lost?.detail ?? "not found")}.` : "All four are found: look at the frame on the picture.";
+  if (sample === null) return tr("steps.four_dots_on_the_chest_inside_the_picture");
+  return sample.state === "lost" ? `${capitalized(sample.lost?.detail ?? tr("steps.not_found"))}.` : tr("steps.all_four_are_found_look_at_the_frame_on_the");
 }
 
 function trainingText(sample, model) {
-  if (sample === null || sample.state === "lost") return "Some quiet breaths; the first model takes about ten seconds.";
-  if (sample.state === "training") return `${Math.round(100 * (sample.training?.share ?? 0))} %: let the patient breathe quietly.`;
-  if (!model?.quality) return "The model is in use.";
+  if (sample === null || sample.state === "lost") return tr("steps.some_quiet_breaths_the_first_model_takes_abo");
+  if (sample.state === "training") return tr("steps.let_the_patient_breathe_quietly", { value: Math.round(100 * (sample.training?.share ?? 0)) });
+  if (!model?.quality) return tr("steps.the_model_is_in_use");
   const { amplitude_mm: amplitude, explained_share: explained, residual_mm: residual } = model.quality;
   const parts = (model.share ?? []).slice(0, 4).map((one) => Math.round(100 * one)).join(", ");
-  return `${amplitude.toFixed(1)} mm of breathing, ${Math.round(100 * explained)} % explained, residual ${residual.toFixed(2)} mm${parts === "" ? "" : `; components ${parts} %`}.`;
+  return tr("steps.mm_of_breathing_explained_residual_mm", { value: amplitude.toFixed(1), value2: Math.round(100 * explained), value3: residual.toFixed(2), value4: parts === "" ? "" : tr("steps.components", { parts }) });
 }
 
 function referenceText(sample, session) {
-  if (sample?.state !== "measuring") return "The end of exhale of the last breaths, confirmed by you.";
+  if (sample?.state !== "measuring") return tr("steps.the_end_of_exhale_of_the_last_breaths_confir");
   if (session?.has_reference === true && !needsReference(sample, session)) return capitalized(sample.reference?.text ?? "set");
-  return "Read the proposed level above the buttons, then press Set reference.";
+  return tr("steps.read_the_proposed_level_above_the_buttons_th");
 }
 
 function capitalized(text) {

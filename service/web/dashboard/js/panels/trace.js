@@ -12,6 +12,7 @@ import * as layers from "../drawing/trace_layers.js";
 import { conditionsOf, gatedUnit, hasEdges, hasSameSignal, signalName } from "../stream/gating_window.js";
 import { KEPT_S, TraceSamples, words } from "../stream/trace_samples.js";
 import { TraceView } from "./trace_view.js";
+import { tr } from "../words/words.js";
 
 /** What the prediction of another window looks at [s]. */
 const JUDGED_S = 60;
@@ -21,7 +22,7 @@ const LONG_MS = 200;
 const TIME_STEPS = [1, 2, 5, 10, 15, 30, 60, 120];
 const MOST_TIMES = 8;
 const EXTRA = ["thorax", "abdomen"];
-const GATES = { disarmed: "disarmed", hold: "hold", dwell: "dwell", beam_on: "beam on", fault: "fault" };
+const GATES = { disarmed: tr("trace.disarmed"), hold: tr("trace.hold"), dwell: tr("trace.dwell"), beam_on: tr("trace.beam_on"), fault: tr("trace.fault") };
 
 export class Trace {
   constructor(host) {
@@ -51,7 +52,7 @@ export class Trace {
     this.canvas = this.chart.canvas;
     this.canvas.id = "trace";
     this.canvas.setAttribute("role", "img");
-    this.canvas.setAttribute("aria-label", "Motion over time in millimetres, inhale up");
+    this.canvas.setAttribute("aria-label", tr("trace.motion_over_time_in_millimetres_inhale_up"));
     this.#listen();
     this.reset(null);
   }
@@ -242,7 +243,7 @@ export class Trace {
     layers.drawHolds(pen, this.kept.holds(from, to));
     if (Number.isFinite(last[this.choice])) layers.drawNow(pen, last.t, last[this.choice]);
     if (this.#showsGated() || this.#shown().length > 0) return;
-    layers.drawRemark(pen, `not the gated signal: the window is on ${signalName(conditionsOf(this.window)[0])}`);
+    layers.drawRemark(pen, tr("trace.not_the_gated_signal_the_window_is_on", { value: signalName(conditionsOf(this.window)[0]) }));
   }
 
   /** Seconds before now while live, and the time of day where the trace stands still. */
@@ -251,7 +252,7 @@ export class Trace {
     const step = TIME_STEPS.find((one) => (to - from) / one <= MOST_TIMES) ?? TIME_STEPS.at(-1);
     if (this.view.isLive) {
       const count = Math.floor((to - from) / step + 1e-6);
-      return Array.from({ length: count + 1 }, (_, i) => ({ at: to - i * step, text: i === 0 ? "now" : ago(i * step) })).reverse();
+      return Array.from({ length: count + 1 }, (_, i) => ({ at: to - i * step, text: i === 0 ? tr("trace.now") : ago(i * step) })).reverse();
     }
     const offset = this.#clockMs() / 1000;
     const first = Math.ceil((from + offset) / step) * step - offset;
@@ -270,7 +271,7 @@ export class Trace {
   }
 
   #showView() {
-    const text = this.view.isLive ? "" : "Not live";
+    const text = this.view.isLive ? "" : tr("trace.not_live");
     setText(byId("trace-held"), text);
     byId("trace-live").hidden = this.view.isDefault || this.pressed;
     this.host.dataset.live = this.view.isLive ? "yes" : "no";
@@ -280,7 +281,7 @@ export class Trace {
   #readOut() {
     const x = this.chart.pointerX;
     const found = x === null ? null : this.kept.nearest(this.chart.timeAt(x));
-    const text = x === null ? "" : found === null ? "no sample" : this.#valuesOf(found);
+    const text = x === null ? "" : found === null ? tr("trace.no_sample") : this.#valuesOf(found);
     setText(byId("trace-readout"), text);
   }
 
@@ -288,9 +289,9 @@ export class Trace {
     const unit = this.#unit();
     const names = [this.choice, ...EXTRA.filter((one) => this.#showsExtra(one))].filter((name) => Number.isFinite(sample[name]));
     const values = names.map((name) => `${name === this.choice ? "" : `${name} `}${sample[name].toFixed(unit === "l" ? 2 : 1)} ${unit}`);
-    if (values.length === 0) values.push("not measured");
+    if (values.length === 0) values.push(tr("trace.not_measured"));
     const cause = ["hold", "fault"].includes(sample.gate) && sample.reason ? `: ${words(sample.reason)}` : "";
-    return [`${(this.nowS - sample.t).toFixed(1)} s ago, ${this.#clock(sample.t)}`, ...values, `${GATES[sample.gate] ?? String(sample.gate)}${cause}`].join(" · ").replaceAll("-", "−");
+    return [tr("trace.s_ago", { value: (this.nowS - sample.t).toFixed(1), value2: this.#clock(sample.t) }), ...values, `${GATES[sample.gate] ?? String(sample.gate)}${cause}`].join(" · ").replaceAll("-", "−");
   }
 }
 

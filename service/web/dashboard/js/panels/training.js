@@ -1,6 +1,7 @@
 /** The training panel: progress, model and reference, and the reasons that disable buttons. */
 
 import { setText } from "../drawing/elements.js";
+import { tr } from "../words/words.js";
 
 /** First words of the controller's notes, for stages that its numbers do not distinguish; tests compare them with the engine. */
 const WAITS = "a new model is ready";
@@ -28,12 +29,12 @@ export function needsReference(sample, session) {
 }
 
 const TITLES = {
-  none: "Measuring",
-  gathering: "Measuring, training again",
-  comparing: "Measuring, comparing",
-  fitting: "Measuring, training again",
-  waiting: "A new model is ready",
-  refused: "Measuring, no new model",
+  none: tr("training.measuring"),
+  gathering: tr("training.measuring_training_again"),
+  comparing: tr("training.measuring_comparing"),
+  fitting: tr("training.measuring_training_again"),
+  waiting: tr("training.a_new_model_is_ready"),
+  refused: tr("training.measuring_no_new_model"),
 };
 
 /** Show the stage: training, measuring or lost. */
@@ -51,14 +52,14 @@ export function renderLearning(sample, session, isFresh) {
 }
 
 function learning(sample, session, isFresh) {
-  if (!sample) return { phase: "none", title: isFresh ? "Not measuring" : "Not known", share: null, detail: "" };
+  if (!sample) return { phase: "none", title: isFresh ? tr("training.not_measuring") : tr("training.not_known"), share: null, detail: "" };
   if (sample.state === "training") {
-    return { phase: "training", title: "Training", share: sample.training?.share ?? null, detail: progressText(sample.training) };
+    return { phase: "training", title: tr("training.training"), share: sample.training?.share ?? null, detail: progressText(sample.training) };
   }
   const stage = stageOf(sample);
   const besides = stageText(stage, sample.training);
   if (sample.state === "lost") {
-    return { phase: "lost", stage, title: "Patient not visible", share: null, detail: [sample.lost?.detail, besides].filter(Boolean).join(" · ") };
+    return { phase: "lost", stage, title: tr("training.patient_not_visible"), share: null, detail: [sample.lost?.detail, besides].filter(Boolean).join(" · ") };
   }
   const hasBar = ["gathering", "comparing", "fitting"].includes(stage);
   const detail = besides || inUse(sample, session);
@@ -66,23 +67,23 @@ function learning(sample, session, isFresh) {
 }
 
 function inUse(sample, session) {
-  if (sample.is_armed) return "Armed: the gate decides.";
-  return needsReference(sample, session) ? "No reference yet: set the reference." : "The model is in use. Not armed.";
+  if (sample.is_armed) return tr("training.armed_the_gate_decides");
+  return needsReference(sample, session) ? tr("training.no_reference_yet_set_the_reference") : tr("training.the_model_is_in_use_not_armed");
 }
 
 function stageText(stage, progress) {
   if (stage === "none") return "";
-  if (stage === "waiting") return "The new model is applied when the gate is disarmed. Applying it disarms.";
-  if (stage === "refused") return `Refused: ${progress.note}`;
+  if (stage === "waiting") return tr("training.the_new_model_is_applied_when_the_gate_is_di");
+  if (stage === "refused") return tr("training.refused", { note: progress.note });
   return stage === "fitting" ? progress.note : progressText(progress);
 }
 
 function progressText(progress) {
   if (!progress) return "";
-  const parts = [`${progress.frames} frames`, cycles(progress.cycles), `${progress.seconds.toFixed(0)} s`];
+  const parts = [tr("count.frames", { n: progress.frames }), cycles(progress.cycles), `${progress.seconds.toFixed(0)} s`];
   return [...parts, progress.note].filter(Boolean).join(" · ");
 }
 
 function cycles(count) {
-  return count === 1 ? "1 breath" : `${count} breaths`;
+  return count === 1 ? tr("training.1_breath") : tr("count.breaths", { n: count });
 }

@@ -4,11 +4,12 @@
  */
 
 import { byId, setText } from "../drawing/elements.js";
-import { words } from "../stream/trace_samples.js";
+import { shortReason, whatIs } from "../words/reasons.js";
+import { tr } from "../words/words.js";
 
 const NONE = "–";
 const SHOWN_CAUSES = 3;
-const STATES = { disarmed: "Disarmed", hold: "Hold", dwell: "Dwell", beam_on: "Beam on", fault: "Fault" };
+const STATES = { disarmed: tr("treatment.disarmed"), hold: tr("treatment.hold"), dwell: tr("treatment.dwell"), beam_on: tr("treatment.beam_on"), fault: tr("treatment.fault") };
 
 /**
  * @param {?object} sample the newest sample if it is current
@@ -21,11 +22,17 @@ export function renderTreatment(sample, session, serverMs) {
   setText(byId("treatment-duty"), summary === null ? NONE : dutyText(summary));
   setText(byId("treatment-elapsed"), duration(summary?.elapsed_s));
   const since = summary === null ? null : sinceOf(sample, session.gate);
-  setText(byId("treatment-state-name"), since === null ? "In this state" : `${STATES[sample.gate] ?? sample.gate} for`);
+  setText(byId("treatment-state-name"), since === null ? tr("treatment.in_this_state") : `${STATES[sample.gate] ?? sample.gate} for`);
   setText(byId("treatment-state"), since === null ? NONE : duration(Math.max(0, (serverMs - since) / 1000)));
   const holds = summary?.holds ?? [];
   setText(byId("treatment-holds"), summary === null ? NONE : countText(holds));
-  byId("treatment-holds").title = holds.map((one) => `${one.text}: ${one.count}`).join("\n");
+  byId("treatment-holds").title = holds.map((one) => `${whatIs(one.reason, one.text)}: ${one.count}`).join("\n");
+}
+
+/** How long the gate has been in the state that is shown; empty while that is not known. */
+export function timeText(sample, session, serverMs) {
+  const since = sample !== null && session?.id === sample.session_id ? sinceOf(sample, session.gate) : null;
+  return since === null ? "" : tr("distance.for", { time: duration(Math.max(0, (serverMs - since) / 1000)) });
 }
 
 /** When the gate came to the state that is shown; null while the service has not recorded it. */
@@ -40,7 +47,7 @@ export function onText(summary, session) {
   const own = duration(summary.beam_on_s);
   if (!session.continues) return own;
   const before = session.delivered_before_s;
-  return `${own} + ${Number.isFinite(before) ? duration(before) : "unknown"} before`;
+  return tr("treatment.before", { own, value: Number.isFinite(before) ? duration(before) : tr("treatment.unknown") });
 }
 
 export function dutyText(summary) {
@@ -48,9 +55,9 @@ export function dutyText(summary) {
 }
 
 function countText(holds) {
-  if (holds.length === 0) return "none";
-  const shown = holds.slice(0, SHOWN_CAUSES).map((one) => `${words(one.reason)} ${one.count}`);
-  return [...shown, ...(holds.length > SHOWN_CAUSES ? [`${holds.length - SHOWN_CAUSES} more`] : [])].join(" · ");
+  if (holds.length === 0) return tr("treatment.none");
+  const shown = holds.slice(0, SHOWN_CAUSES).map((one) => `${shortReason(one.reason)} ${one.count}`);
+  return [...shown, ...(holds.length > SHOWN_CAUSES ? [tr("count.more", { n: holds.length - SHOWN_CAUSES })] : [])].join(" · ");
 }
 
 /** A time as "41.2 s", "3:07 min" or "1:02:07 h". */

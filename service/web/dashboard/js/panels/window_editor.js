@@ -7,6 +7,7 @@ import { setWindow, withoutNulls } from "../api.js";
 import { byId, setText } from "../drawing/elements.js";
 import { conditionsOf, gatedUnit } from "../stream/gating_window.js";
 import { forecast } from "../stream/window_forecast.js";
+import { tr } from "../words/words.js";
 
 /** Distance from an edge at which the pointer takes it [px]. */
 const REACH_PX = 14;
@@ -19,7 +20,7 @@ const FORECAST_MS = 250;
 export class WindowEditor {
   /** @param {object} trace whose last minute is judged, and on which the edges are dragged */
   constructor(form, trace, controls) {
-    Object.assign(this, { form, trace, controls, session: null, sample: null, unit: "mm", grip: null, drawnMs: -Infinity });
+    Object.assign(this, { form, trace, controls, session: null, sample: null, unit: "mm", grip: null, drawnMs: -Infinity, isWaiting: true });
     this.opener = byId("do-window");
     this.opener.addEventListener("click", () => (this.isOpen ? this.close() : this.#open()));
     byId("window-cancel").addEventListener("click", () => this.close());
@@ -48,12 +49,13 @@ export class WindowEditor {
 
   /** @param {string} why why the log-in or the state does not permit it; empty if they do */
   update(sample, session, why, nowMs) {
+    this.isWaiting = false;
     this.sample = sample;
     this.session = session?.id === sample?.session_id ? session : null;
     const obstacle = why || this.#obstacle();
     if (this.isOpen && (obstacle !== "" || this.session.id !== this.openedFor)) this.close();
     this.opener.disabled = obstacle !== "";
-    this.opener.title = obstacle === "" ? "Set the window on the patient's last minute" : `Not now: ${obstacle}`;
+    this.opener.title = obstacle === "" ? tr("window_editor.set_the_window_on_the_patient_s_last_minute") : tr("window_editor.not_now", { obstacle });
     if (!this.isOpen) return;
     byId("window-apply").disabled = this.controls.isBusy || this.#edges() === null;
     if (nowMs - this.drawnMs < FORECAST_MS) return;
@@ -61,11 +63,26 @@ export class WindowEditor {
     this.#show();
   }
 
+  /**
+   * The state is not known at present: what is typed stays, and nothing can be applied. It closes if the next state does
+   * not allow it.
+   *
+   * @param {string} why why the log-in does not permit it; empty if it does
+   */
+  wait(why) {
+    if (why !== "") this.close();
+    this.isWaiting = true;
+    this.opener.disabled = true;
+    this.opener.title = tr("window.state_not_known");
+    byId("window-apply").disabled = true;
+    this.#release();
+  }
+
   #obstacle() {
-    if (this.sample === null) return "no running session";
-    if (this.sample.is_armed) return "disarm first";
-    if (this.session === null || !this.session.window) return "the session is being read";
-    return this.#place === -1 ? "no condition has edges: create another session" : "";
+    if (this.sample === null) return tr("window_editor.no_running_session");
+    if (this.sample.is_armed) return tr("window_editor.disarm_first");
+    if (this.session === null || !this.session.window) return tr("window_editor.the_session_is_being_read");
+    return this.#place === -1 ? tr("window_editor.no_condition_has_edges_create_another_sessio") : "";
   }
 
   /** Place of the first condition with edges; the others stay as they are. */
@@ -78,7 +95,7 @@ export class WindowEditor {
   }
 
   #open() {
-    if (this.#obstacle() !== "") return;
+    if (this.isWaiting || this.#obstacle() !== "") return;
     this.openedFor = this.session.id;
     this.form.hidden = false;
     this.opener.setAttribute("aria-expanded", "true");
@@ -91,7 +108,7 @@ export class WindowEditor {
     this.form.elements.dwell_ms.value = this.session.window.dwell_ms ?? 0;
     const toUnit = (value) => (isInPercent || this.unit !== "percent" ? value : this.#inPercent(value));
     this.#enter(toUnit(shown.lower), toUnit(shown.upper));
-    setText(byId("window-others"), conditionsOf(this.sample.window).length > 1 ? "Other conditions stay as they are." : "");
+    setText(byId("window-others"), conditionsOf(this.sample.window).length > 1 ? tr("window_editor.other_conditions_stay_as_they_are") : "");
     this.#show();
     this.form.elements.lower.focus();
   }
@@ -168,13 +185,13 @@ export class WindowEditor {
     const text = byId("window-forecast");
     const found = proposal === null ? null : this.#forecast(proposal);
     text.dataset.short = found?.shortestS !== null && found?.shortestS < SHORT_S ? "yes" : "no";
-    setText(text, this.#edges() === null ? "The lower edge must be below the upper one." : forecastText(found, this.#whyNoForecast(proposal)));
+    setText(text, this.#edges() === null ? tr("window_editor.the_lower_edge_must_be_below_the_upper_one") : forecastText(found, this.#whyNoForecast(proposal)));
   }
 
   #whyNoForecast(proposal) {
-    if (proposal === null) return "The learned breath is not known: no prediction in per cent.";
-    if (conditionsOf(this.sample.window).length > 1 || proposal.kind !== "amplitude") return "No prediction for this kind of window.";
-    return "No prediction until 10 s were measured.";
+    if (proposal === null) return tr("window_editor.the_learned_breath_is_not_known_no_predictio");
+    if (conditionsOf(this.sample.window).length > 1 || proposal.kind !== "amplitude") return tr("window_editor.no_prediction_for_this_kind_of_window");
+    return tr("window_editor.no_prediction_until_10_s_were_measured");
   }
 
   #forecast(proposal) {
@@ -213,7 +230,7 @@ export class WindowEditor {
   #submit(event) {
     event.preventDefault();
     const edges = this.#edges();
-    if (edges === null || this.session === null) return;
+    if (edges === null || this.session === null || this.isWaiting) return;
     const { id } = this.session;
     const window = withoutNulls(this.session.window);
     const target = this.#target(window);
@@ -232,6 +249,6 @@ export class WindowEditor {
 
 function forecastText(found, why) {
   if (found === null) return why;
-  const shortest = found.shortestS === null ? "no complete pulse" : `shortest ${found.shortestS.toFixed(1)} s`;
-  return `Predicted from the last ${Math.round(found.seconds)} s: beam on ${Math.round(found.percent)} %, ${found.pulsesPerMin.toFixed(0)} pulses/min, ${shortest}`;
+  const shortest = found.shortestS === null ? tr("window_editor.no_complete_pulse") : tr("window_editor.shortest_s", { value: found.shortestS.toFixed(1) });
+  return tr("window_editor.predicted_from_the_last_s_beam_on_pulses_min", { value: Math.round(found.seconds), value2: Math.round(found.percent), value3: found.pulsesPerMin.toFixed(0), shortest });
 }

@@ -4,6 +4,7 @@
 
 import { logOut, onRefusal, readMe } from "../api.js";
 import { may } from "./permissions.js";
+import { tr } from "../words/words.js";
 
 /** Period of checking the log-in [ms]; a closed socket or a refused call triggers a check at once. */
 const ASK_MS = 20_000;
@@ -11,8 +12,8 @@ const RETRY_MS = 2000;
 /** Shortest time between checks after refusals [ms]. */
 const REFUSED_MS = 3000;
 
-const ENDED = "Your log-in has ended. The gate's state is unknown here, and this page cannot hold the beam: use the room's interlock.";
-const LEFT = "You have logged out. The gate that you armed is held until a person releases it.";
+const ENDED = tr("access.your_log_in_has_ended_the_gate_s_state_is_un");
+const LEFT = tr("access.you_have_logged_out_the_gate_that_you_armed");
 
 export class Access {
   /** @param {() => void} onChange called when the state or the person changes */

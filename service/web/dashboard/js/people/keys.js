@@ -3,6 +3,7 @@
 import { createKey, listKeys, revokeKey } from "../api.js";
 import { confirmButton, byId, part, say, tick, ticked } from "../drawing/elements.js";
 import { KEY_SCOPES } from "./permissions.js";
+import { tr } from "../words/words.js";
 
 const DAY_MS = 86_400_000;
 
@@ -25,10 +26,10 @@ export class KeyList {
     try {
       const { items } = await listKeys();
       this.list.replaceChildren(...items.map((one) => this.#row(one)));
-      empty.textContent = items.length > 0 ? "" : "No key yet. Create one key per program.";
+      empty.textContent = items.length > 0 ? "" : tr("keys.no_key_yet_create_one_key_per_program");
     } catch (error) {
       this.list.replaceChildren();
-      empty.textContent = `The keys cannot be read. ${error.message}`;
+      empty.textContent = tr("keys.the_keys_cannot_be_read", { message: error.message });
     }
     empty.hidden = empty.textContent === "";
   }
@@ -43,10 +44,10 @@ export class KeyList {
     const item = document.createElement("li");
     const state = stateOf(one);
     item.dataset.disabled = state === "" ? "no" : "yes";
-    const used = one.last_used_at ? `last used ${day(one.last_used_at)}` : "never used";
+    const used = one.last_used_at ? tr("keys.last_used", { last_used_at: day(one.last_used_at) }) : tr("keys.never_used");
     item.append(part("strong", one.name), part("span", [state || `until ${day(one.expires_at)}`, used].join(" · "), "small"), part("span", one.scopes.join(", "), "small scopes"));
     const row = part("span", "", "row-buttons");
-    if (state === "") row.append(confirmButton("Revoke", "Confirm revoke", () => this.#revoke(one)));
+    if (state === "") row.append(confirmButton(tr("keys.revoke"), tr("keys.confirm_revoke"), () => this.#revoke(one)));
     item.append(row);
     return item;
   }
@@ -54,7 +55,7 @@ export class KeyList {
   async #revoke(one) {
     try {
       await revokeKey(one.id);
-      say(this.outcome, "done", `The key of ${one.name} is revoked.`);
+      say(this.outcome, "done", tr("keys.the_key_of_is_revoked", { name: one.name }));
     } catch (error) {
       say(this.outcome, "failed", `${one.name}: ${error.message}`);
     }
@@ -70,8 +71,8 @@ export class KeyList {
     try {
       const expires_at = new Date(Date.now() + days.valueAsNumber * DAY_MS).toISOString();
       const answer = await createKey({ name: name.value.trim(), scopes, expires_at });
-      this.once.show(`Key of ${answer.name}`, answer.secret);
-      say(this.outcome, "done", `The key of ${answer.name} is created.`);
+      this.once.show(tr("keys.key_of", { name: answer.name }), answer.secret);
+      say(this.outcome, "done", tr("keys.the_key_of_is_created", { name: answer.name }));
       this.form.reset();
       await this.load();
     } catch (error) {
@@ -82,9 +83,9 @@ export class KeyList {
   }
 
   #lack(name, days, scopes) {
-    if (name.value.trim() === "") return "Enter the program's name.";
-    if (scopes.length === 0) return "Choose the key's permissions.";
-    return days.checkValidity() ? "" : `A key expires after ${days.min} to ${days.max} days.`;
+    if (name.value.trim() === "") return tr("keys.enter_the_program_s_name");
+    if (scopes.length === 0) return tr("keys.choose_the_key_s_permissions");
+    return days.checkValidity() ? "" : tr("keys.a_key_expires_after_to_days", { min: days.min, max: days.max });
   }
 }
 

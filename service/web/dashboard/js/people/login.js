@@ -2,6 +2,7 @@
 
 import { changePassword, logIn, OIDC_URL, readLogInWays } from "../api.js";
 import { byId, say } from "../drawing/elements.js";
+import { tr } from "../words/words.js";
 
 const COUNT_MS = 250;
 const MIN_PASSWORD = 12;
@@ -45,7 +46,7 @@ export class LogIn {
     this.form.hidden = isChange;
     this.change.hidden = !isChange;
     byId("change-cancel").hidden = state === "change";
-    byId("change-why").textContent = state === "change" ? "This password was for one log-in. Choose a new one that only you know." : "";
+    byId("change-why").textContent = state === "change" ? tr("login.this_password_was_for_one_log_in_choose_a_ne") : "";
     byId("access-reason").textContent = state === "out" ? this.access.reason : "";
     byId("access-reason").hidden = byId("access-reason").textContent === "";
     if (this.panel.hidden) return this.#clear();
@@ -77,11 +78,11 @@ export class LogIn {
     const { oidc } = ways;
     const isGlass = oidc !== null && ways.local_accounts === "break-glass";
     byId("log-in-oidc").hidden = oidc === null;
-    byId("log-in-oidc").textContent = oidc === null ? "" : `Log in with ${oidc.label}`;
+    byId("log-in-oidc").textContent = oidc === null ? "" : tr("login.log_in_with", { label: oidc.label });
     byId("log-in-fields").hidden = ways.password === false;
     byId("log-in-why").hidden = !isGlass;
-    const away = oidc?.is_reachable === false ? `${oidc.label} does not answer. ` : "";
-    const note = `${away}${isGlass ? "The form below is for break-glass accounts only; each use is reported." : ""}`;
+    const away = oidc?.is_reachable === false ? tr("login.does_not_answer", { label: oidc.label }) : "";
+    const note = `${away}${isGlass ? tr("login.the_form_below_is_for_break_glass_accounts_o") : ""}`;
     byId("log-in-note").textContent = note;
     byId("log-in-note").hidden = note === "";
   }
@@ -91,11 +92,11 @@ export class LogIn {
     const asksWhy = !byId("log-in-why").hidden;
     const missing = [name, password, ...(asksWhy ? [reason] : [])].find((one) => one.value.trim() === "");
     if (missing) {
-      say(this.outcome, "failed", missing === reason ? "Enter a reason." : `Enter your ${missing.name}.`);
+      say(this.outcome, "failed", missing === reason ? tr("login.enter_a_reason") : tr("login.enter_your", { name: missing.name }));
       return missing.focus();
     }
     submit.disabled = true;
-    say(this.outcome, "busy", "Asking…");
+    say(this.outcome, "busy", tr("login.asking"));
     try {
       const typed = password.value;
       const why = asksWhy ? { reason: reason.value.trim() } : {};
@@ -114,7 +115,7 @@ export class LogIn {
   #refuse(error) {
     const { password } = this.form.elements;
     password.value = "";
-    say(this.outcome, "failed", error.status === 401 ? "Name or password is wrong." : error.message);
+    say(this.outcome, "failed", error.status === 401 ? tr("login.name_or_password_is_wrong") : error.message);
     if (error.retryAfterS > 0) this.#lock(error.retryAfterS);
     else password.focus();
   }
@@ -126,7 +127,7 @@ export class LogIn {
     const count = () => {
       const leftS = Math.ceil((this.freeAtMs - performance.now()) / 1000);
       this.form.elements.submit.disabled = leftS > 0;
-      this.wait.textContent = leftS > 0 ? `Try again in ${clock(leftS)}.` : "";
+      this.wait.textContent = leftS > 0 ? tr("login.try_again_in", { leftS: clock(leftS) }) : "";
       if (leftS > 0) return;
       clearInterval(this.counting);
       say(this.outcome, "", "");
@@ -160,10 +161,10 @@ export class LogIn {
   }
 
   #mistake(old, chosen, repeated) {
-    if (old.value === "") return { input: old, text: "Enter your present password." };
-    if ([...chosen.value].length < MIN_PASSWORD) return { input: chosen, text: `The new password has ${[...chosen.value].length} characters; it needs ${MIN_PASSWORD}.` };
-    if (chosen.value === old.value) return { input: chosen, text: "The new password is the old one." };
-    return chosen.value === repeated.value ? null : { input: repeated, text: "The two new passwords differ." };
+    if (old.value === "") return { input: old, text: tr("login.enter_your_present_password") };
+    if ([...chosen.value].length < MIN_PASSWORD) return { input: chosen, text: tr("login.the_new_password_has_characters_it_needs", { length: [...chosen.value].length, MIN_PASSWORD }) };
+    if (chosen.value === old.value) return { input: chosen, text: tr("login.the_new_password_is_the_old_one") };
+    return chosen.value === repeated.value ? null : { input: repeated, text: tr("login.the_two_new_passwords_differ") };
   }
 }
 

@@ -5,6 +5,7 @@ import { confirmButton, byId, part, pushButton, say, tick, ticked } from "../dra
 import { KeyList } from "./keys.js";
 import { ROLES } from "./permissions.js";
 import { ShownOnce } from "./shown_once.js";
+import { tr } from "../words/words.js";
 
 export class PeoplePanel {
   /** @param {import("./access.js").Access} access the log-in */
@@ -62,7 +63,7 @@ export class PeoplePanel {
       empty.textContent = "";
     } catch (error) {
       byId("people-list").replaceChildren();
-      empty.textContent = `The people cannot be read. ${error.message}`;
+      empty.textContent = tr("people.the_people_cannot_be_read", { message: error.message });
     }
     empty.hidden = empty.textContent === "";
   }
@@ -71,30 +72,30 @@ export class PeoplePanel {
     const item = document.createElement("li");
     item.dataset.disabled = one.is_disabled ? "yes" : "no";
     const roles = part("fieldset", "");
-    roles.append(part("legend", `Roles of ${one.name}`, "unseen"), ...ROLES.map((role) => tick(role, role, one.roles.includes(role))));
-    roles.addEventListener("change", () => this.#change(one.name, { roles: ticked(roles) }, `Roles of ${one.name} changed.`));
+    roles.append(part("legend", tr("people.roles_of", { name: one.name }), "unseen"), ...ROLES.map((role) => tick(role, role, one.roles.includes(role))));
+    roles.addEventListener("change", () => this.#change(one.name, { roles: ticked(roles) }, tr("people.roles_of_changed", { name: one.name })));
     item.append(part("strong", one.name), part("span", this.#about(one), "small"), roles, this.#buttons(one));
     return item;
   }
 
   #about(one) {
-    const isMe = one.name === this.access.person?.name ? "this is you" : "";
-    const state = one.is_disabled ? "disabled" : one.must_change_password ? "must change the password" : "";
+    const isMe = one.name === this.access.person?.name ? tr("people.this_is_you") : "";
+    const state = one.is_disabled ? "disabled" : one.must_change_password ? tr("people.must_change_the_password") : "";
     return [isMe, state].filter(Boolean).join(" · ");
   }
 
   #buttons(one) {
     const row = part("span", "", "row-buttons");
-    row.append(confirmButton("New password", "Confirm reset", () => this.#change(one.name, { reset_password: true }, `The old password of ${one.name} is invalid.`)));
-    if (one.is_disabled) row.append(pushButton("Enable", () => this.#change(one.name, { is_disabled: false }, `${one.name} may log in again.`)));
-    else row.append(confirmButton("Disable", "Confirm disable", () => this.#change(one.name, { is_disabled: true }, `${one.name} is logged out and may not log in.`)));
+    row.append(confirmButton(tr("people.new_password"), tr("people.confirm_reset"), () => this.#change(one.name, { reset_password: true }, tr("people.the_old_password_of_is_invalid", { name: one.name }))));
+    if (one.is_disabled) row.append(pushButton(tr("people.enable"), () => this.#change(one.name, { is_disabled: false }, tr("people.may_log_in_again", { name: one.name }))));
+    else row.append(confirmButton(tr("people.disable"), tr("people.confirm_disable"), () => this.#change(one.name, { is_disabled: true }, tr("people.is_logged_out_and_may_not_log_in", { name: one.name }))));
     return row;
   }
 
   async #change(name, changes, done) {
     try {
       const answer = await changePerson(name, changes);
-      if (answer.one_time_password) this.once.show(`One-time password of ${name}`, answer.one_time_password);
+      if (answer.one_time_password) this.once.show(tr("people.one_time_password_of", { name }), answer.one_time_password);
       say(this.outcome, "done", done);
     } catch (error) {
       say(this.outcome, "failed", `${name}: ${error.message}`);
@@ -106,14 +107,14 @@ export class PeoplePanel {
     const { name, submit } = this.form.elements;
     const wanted = name.value.trim();
     if (wanted === "") {
-      say(this.outcome, "failed", "Enter the person's name.");
+      say(this.outcome, "failed", tr("people.enter_the_person_s_name"));
       return name.focus();
     }
     submit.disabled = true;
     try {
       const answer = await addPerson({ name: wanted, roles: ticked(byId("new-person-roles")) });
-      this.once.show(`One-time password of ${wanted}`, answer.one_time_password);
-      say(this.outcome, "done", `${wanted} can log in with the one-time password, and must then change it.`);
+      this.once.show(tr("people.one_time_password_of_2", { wanted }), answer.one_time_password);
+      say(this.outcome, "done", tr("people.can_log_in_with_the_one_time_password_and_mu", { wanted }));
       this.form.reset();
       await this.#load();
     } catch (error) {

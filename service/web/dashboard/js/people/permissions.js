@@ -1,5 +1,7 @@
 /** The permission of each action of the page, for enabling buttons; the controller checks every call. */
 
+import { tr } from "../words/words.js";
+
 export const NEEDS = {
   watch: "sessions.read",
   create: "sessions.run",
@@ -37,6 +39,6 @@ export function may(person, action) {
 
 /** @returns {string} why the person may not do this, or an empty string */
 export function obstacle(person, action) {
-  if (person === null) return "log in";
-  return may(person, action) ? "" : `your log-in (${person.roles.join(", ") || "no role"}) does not allow it`;
+  if (person === null) return tr("permissions.log_in");
+  return may(person, action) ? "" : tr("permissions.your_log_in_does_not_allow_it", { value: person.roles.join(", ") || tr("permissions.no_role") });
 }

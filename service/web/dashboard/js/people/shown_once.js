@@ -1,6 +1,7 @@
 /** A secret that the controller returns once: shown until it is closed, never stored. */
 
 import { byId } from "../drawing/elements.js";
+import { tr } from "../words/words.js";
 
 export class ShownOnce {
   constructor(root) {
@@ -28,10 +29,10 @@ export class ShownOnce {
   async #copy() {
     try {
       await navigator.clipboard.writeText(this.code.textContent);
-      this.copied.textContent = "Copied.";
+      this.copied.textContent = tr("shown_once.copied");
     } catch {
       window.getSelection().selectAllChildren(this.code);
-      this.copied.textContent = "Selected: copy it with the keyboard.";
+      this.copied.textContent = tr("shown_once.selected_copy_it_with_the_keyboard");
     }
   }
 }

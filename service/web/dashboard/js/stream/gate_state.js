@@ -5,18 +5,24 @@
  */
 
 import { FAULT_MS, IDLE_STALE_MS, STALE_MS } from "./live_stream.js";
+import { adviceFor, whatIs } from "../words/reasons.js";
+import { tr } from "../words/words.js";
 
-const WORDS = { disarmed: "Disarmed", hold: "Hold", dwell: "Dwell", beam_on: "Beam on", fault: "Fault" };
+const WORDS = { disarmed: tr("gate_state.disarmed"), hold: tr("gate_state.hold"), dwell: tr("gate_state.dwell"), beam_on: tr("gate_state.beam_on"), fault: tr("gate_state.fault") };
 
 const REASONS = {
-  disarmed: "The gate is not armed. The beam is held.",
-  hold: "The beam is held.",
-  dwell: "Inside the window. Dwell time is running.",
-  beam_on: "Inside the window. The beam is permitted.",
-  fault: "The beam is held until a named person acknowledges.",
+  disarmed: tr("gate_state.the_gate_is_not_armed_the_beam_is_held"),
+  hold: tr("gate_state.the_beam_is_held"),
+  dwell: tr("gate_state.inside_the_window_dwell_time_is_running"),
+  beam_on: tr("gate_state.inside_the_window_the_beam_is_permitted"),
+  fault: tr("gate_state.the_beam_is_held_until_a_named_person_acknow"),
 };
 
-const UNKNOWN = "The state of the gate is not known here.";
+const UNKNOWN = tr("gate_state.the_state_of_the_gate_is_not_known_here");
+
+const UNSEEN = { toDo: tr("state.stale.do"), call: tr("state.stale.call") };
+/** What to do in states without a reason. */
+const STAND_IN = { stale: UNSEEN, offline: UNSEEN, connecting: { toDo: "", call: "" }, out: { toDo: "", call: "" }, idle: { toDo: tr("state.idle.do"), call: "" }, fault: adviceFor("unknown") };
 
 /** Time that the line may read on without a permit before a warning [ms]; one frame is normal. */
 const MISMATCH_MS = 250;
@@ -27,17 +33,17 @@ const MISMATCH_MS = 250;
  */
 export function present(stream, nowMs) {
   const { message } = stream;
-  if (stream.problem !== "") return stopped("offline", "No connection", stream.problem, null);
+  if (stream.problem !== "") return stopped("offline", tr("gate_state.no_connection"), stream.problem, null);
   if (message === null) return unconnected(stream, nowMs);
   const ageMs = stream.ageMs(nowMs);
   if (message.type === "idle") {
     if (ageMs > IDLE_STALE_MS) return stale(ageMs);
-    return { ...stopped("idle", "No session", "The beam is held. Create or start a session.", null), isFresh: true, isCurrent: true };
+    return { ...stopped("idle", tr("gate_state.no_session"), tr("gate_state.the_beam_is_held_create_or_start_a_session"), null), isFresh: true, isCurrent: true };
   }
   // A latched fault stays valid without new frames, so it is shown as long as the controller sends messages; and beyond a
   // short silence, in which the engine is replaced: a fault that gives way to "stale" would look as if it were over.
   const isFault = message.gate === "fault";
-  if (isFault ? stream.silenceMs(nowMs) > FAULT_MS : ageMs > STALE_MS) return stale(ageMs, stream.silenceMs(nowMs) > STALE_MS ? UNKNOWN : "The camera's newest frame is too old.");
+  if (isFault ? stream.silenceMs(nowMs) > FAULT_MS : ageMs > STALE_MS) return stale(ageMs, stream.silenceMs(nowMs) > STALE_MS ? UNKNOWN : tr("gate_state.the_camera_s_newest_frame_is_too_old"));
   return gate(message, ageMs);
 }
 
@@ -47,29 +53,40 @@ export function present(stream, nowMs) {
  * @param {import("../people/access.js").Access} access
  */
 export function presentLocked(access) {
-  if (access.state === "asking") return stopped("connecting", "Connecting", access.reason || "Waiting for the controller.", null);
-  if (access.state === "change") return stopped("out", "Locked", "Change your password first.", null);
-  if (access.state === "out") return stopped("out", "Logged out", access.reason || `${UNKNOWN} Log in to see it.`, null);
-  return stopped("out", "Not shown", `Your roles (${access.person.roles.join(", ") || "none"}) do not permit watching sessions.`, null);
+  if (access.state === "asking") return stopped("connecting", tr("gate_state.connecting"), access.reason || tr("gate_state.waiting_for_the_controller"), null);
+  if (access.state === "change") return stopped("out", tr("gate_state.locked"), tr("gate_state.change_your_password_first"), null);
+  if (access.state === "out") return stopped("out", tr("gate_state.logged_out"), access.reason || tr("gate_state.log_in_to_see_it", { UNKNOWN }), null);
+  return stopped("out", tr("gate_state.not_shown"), tr("gate_state.your_roles_do_not_permit_watching_sessions", { value: access.person.roles.join(", ") || tr("roles.none") }), null);
 }
 
 function gate(message, ageMs) {
   const kind = message.gate;
   if (message.session_status !== "running" && kind !== "beam_on") {
-    return fresh("idle", "Ended", `The session has ended (${message.session_status}). ${message.hold_text || "The beam is held."}`, null);
+    return fresh("idle", tr("gate_state.ended"), tr("gate_state.the_session_has_ended", { session_status: tr(`status.${message.session_status}`), value: message.hold_reason ? whatIs(message.hold_reason, message.hold_text) : tr("gate_state.the_beam_is_held") }), null);
   }
   if (!(kind in WORDS)) {
-    return stopped("fault", "Unknown", `The controller reports a state this page does not know: ${String(kind).slice(0, 40)}`, ageMs);
+    return stopped("fault", tr("gate_state.unknown"), tr("gate_state.the_controller_reports_a_state_this_page_doe", { value: String(kind).slice(0, 40) }), ageMs);
   }
   if (kind === "beam_on" && message.line_on !== true) {
-    return fresh("hold", "Line off", "The gate permits the beam, but the beam line reads off.", ageMs);
+    return { ...fresh("hold", tr("gate_state.line_off"), tr("gate_state.the_gate_permits_the_beam_but_the_beam_line"), ageMs), toDo: tr("state.line_off.do"), call: tr("hold.permit_without_beam.call") };
   }
-  return { ...fresh(kind, WORDS[kind], message.hold_text || REASONS[kind], ageMs), detail: detailOf(message) };
+  return { ...fresh(kind, WORDS[kind], reasonOf(message), ageMs), ...adviceOf(message), detail: detailOf(message) };
+}
+
+/** Why the gate is in its state, from its code. */
+function reasonOf({ gate, hold_reason: code, hold_text: sentence }) {
+  if (code !== null && code !== undefined && gate !== "beam_on") return whatIs(code, sentence);
+  return REASONS[gate];
+}
+
+function adviceOf({ gate, hold_reason: code }) {
+  if (gate === "beam_on" || (gate === "dwell" && !code)) return { toDo: tr("state.beam_on.do"), call: tr("hold.outside_window.call") };
+  return adviceFor(code);
 }
 
 /** Details of the hold reason, and the operator who holds in addition to it. */
 function detailOf(message) {
-  const holder = message.operator_hold && message.hold_reason !== "operator_hold" ? `Also held by ${message.operator_hold}.` : "";
+  const holder = message.operator_hold && message.hold_reason !== "operator_hold" ? tr("gate_state.also_held_by", { operator_hold: message.operator_hold }) : "";
   return [message.hold_detail ?? "", holder].filter(Boolean).join(" · ");
 }
 
@@ -84,26 +101,26 @@ export class MismatchWatch {
     const isWrong = message !== null && message.type === "sample" && message.line_on === true && message.gate !== "beam_on";
     if (!isWrong) this.sinceMs = null;
     else this.sinceMs ??= nowMs;
-    return isWrong && nowMs - this.sinceMs >= MISMATCH_MS ? "The beam line reads ON, or does not answer, although the gate holds. Use the room's interlock." : "";
+    return isWrong && nowMs - this.sinceMs >= MISMATCH_MS ? tr("gate_state.the_beam_line_reads_on_or_does_not_answer_al") : "";
   }
 }
 
 function unconnected(stream, nowMs) {
   const sinceMs = stream.lastNewsMs === null ? null : nowMs - stream.lastNewsMs;
-  if (!stream.hasConnectedOnce && stream.retryAtMs === null) return stopped("connecting", "Connecting", "Waiting for the controller.", null);
+  if (!stream.hasConnectedOnce && stream.retryAtMs === null) return stopped("connecting", tr("gate_state.connecting"), tr("gate_state.waiting_for_the_controller"), null);
   const waitS = stream.retryAtMs === null ? 0 : Math.round((stream.retryAtMs - nowMs) / 1000);
-  const wait = waitS < 1 ? "Trying again now." : `Trying again in ${waitS} s.`;
-  return stopped("offline", "No connection", `${UNKNOWN} ${wait}`, sinceMs);
+  const wait = waitS < 1 ? tr("gate_state.trying_again_now") : tr("gate_state.trying_again_in_s", { waitS });
+  return stopped("offline", tr("gate_state.no_connection"), `${UNKNOWN} ${wait}`, sinceMs);
 }
 
 function stale(ageMs, reason = UNKNOWN) {
-  return stopped("stale", "Stale", reason, ageMs);
+  return stopped("stale", tr("gate_state.stale"), reason, ageMs);
 }
 
 function stopped(kind, word, reason, ageMs) {
-  return { kind, word, reason, detail: "", ageMs, isFresh: false, isCurrent: false, warning: "" };
+  return { kind, word, reason, detail: "", ...STAND_IN[kind], ageMs, isFresh: false, isCurrent: false, warning: "" };
 }
 
 function fresh(kind, word, reason, ageMs) {
-  return { kind, word, reason, detail: "", ageMs, isFresh: true, isCurrent: (ageMs ?? 0) <= STALE_MS, warning: "" };
+  return { kind, word, reason, detail: "", toDo: "", call: "", ageMs, isFresh: true, isCurrent: (ageMs ?? 0) <= STALE_MS, warning: "" };
 }

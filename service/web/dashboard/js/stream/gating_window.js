@@ -1,5 +1,7 @@
 /** The gating window of a sample: its conditions, their signals and names. */
 
+import { has, tr } from "../words/words.js";
+
 /** @returns {object[]} the conditions; the first one's signal is the gated one; empty without a window */
 export function conditionsOf(window) {
   if (!window) return [];
@@ -18,8 +20,12 @@ export function gatedUnit(window) {
 }
 
 export function signalName(condition) {
-  if (condition.signal === "region" || condition.signal === "point") return `${condition.signal} row ${condition.row}, column ${condition.column}`;
-  return condition.name || condition.signal;
+  if (condition.signal === "region" || condition.signal === "point") return tr("gating_window.row_column", { signal: kindOf(condition.signal), row: condition.row, column: condition.column });
+  return condition.name || kindOf(condition.signal);
+}
+
+function kindOf(signal) {
+  return has(`signal.${signal}`) ? tr(`signal.${signal}`) : String(signal);
 }
 
 export function hasSameSignal(one, other) {
@@ -33,8 +39,8 @@ export function hasEdges(condition) {
 
 /** Short description of the conditions. */
 export function describe(window) {
-  const join = window?.join === "or" ? " or " : " and ";
+  const join = window?.join === "or" ? tr("signal.or") : tr("signal.and");
   return conditionsOf(window).map((one) => `${signalName(one)}${KINDS[one.kind] ?? ""}`).join(join);
 }
 
-const KINDS = { amplitude: "", breath_hold: ", breath hold", phase: ", phase" };
+const KINDS = { amplitude: "", breath_hold: tr("gating_window.breath_hold"), phase: tr("gating_window.phase") };

@@ -4,6 +4,8 @@
  * Times are performance.now() [ms]: monotonic, so a set clock cannot make an old message look fresh.
  */
 
+import { tr } from "../words/words.js";
+
 export const SCHEMA = "tidegate.live/1";
 /** A frame older than this is stale [ms], so that the page is grey within 300 ms of it: what is old is noticed with the next drawing. */
 export const STALE_MS = 260;
@@ -138,7 +140,7 @@ export class LiveStream {
     if (message === null) return;
     if (message.type === "hello") {
       this.hello = message;
-      this.problem = message.schema === this.schema ? "" : `The controller speaks ${message.schema}, this page ${this.schema}. Reload the page.`;
+      this.problem = message.schema === this.schema ? "" : tr("live_stream.the_controller_speaks_this_page_reload_the_p", { schema: message.schema, schema2: this.schema });
       return;
     }
     if (this.problem === "" && message.type === "alarms") {

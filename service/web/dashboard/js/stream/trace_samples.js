@@ -1,6 +1,8 @@
 /** The last minutes of samples, in the page's memory: which belong together, and the intervals that are drawn. */
 
 import { conditionsOf, gatedValue } from "./gating_window.js";
+import { shortReason } from "../words/reasons.js";
+import { tr } from "../words/words.js";
 
 /** Longest time between two samples that are joined [s]; the stream may drop frames for a slow client. */
 export const JOIN_S = 0.15;
@@ -48,7 +50,7 @@ export class TraceSamples {
     const before = this.zero;
     this.zero = zero;
     if (before === undefined || before === zero) return false;
-    this.steps.push({ t, text: zero === null ? "no reference" : "new reference" });
+    this.steps.push({ t, text: zero === null ? tr("trace_samples.no_reference") : tr("trace_samples.new_reference") });
     return true;
   }
 
@@ -163,5 +165,5 @@ function sampleOf(message, t, arrivedMs) {
 
 /** A cause of a hold in words, such as "marker lost". */
 export function words(reason) {
-  return String(reason ?? "").slice(0, 40).replaceAll("_", " ");
+  return shortReason(reason ?? "").slice(0, 60);
 }

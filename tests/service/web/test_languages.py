@@ -1,0 +1,132 @@
+"""The page's words: every language has all of them, each code of the controller is explained, none is hard-coded."""
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from starlette.applications import Starlette
+from starlette.testclient import TestClient
+
+from engine.core.gate_state import HoldReason
+from service.core.alarm_table import ALARMS
+from service.core.hold_texts import HOLD_TEXTS
+from service.web.app import DASHBOARD
+from service.web.languages import LANGUAGE_LIST, language_names, language_route
+
+LANGUAGES = {name: json.loads((DASHBOARD / "lang" / f"{name}.json").read_text()) for name in language_names(DASHBOARD)}
+ENGLISH = LANGUAGES["en"]
+SCRIPTS = [file for file in (DASHBOARD / "js").rglob("*.js") if file.name != "words.js"]
+PAGES = [DASHBOARD / "index.html", DASHBOARD / "patient" / "index.html"]
+CODES = [*HoldReason, *(code for code in ALARMS if code not in set(HoldReason))]
+NAMES = {"Tidegate", "F8", "Esc", "Tab", "Enter", "L", "End", "mm", "s", "OpenNI2 runtime"}
+"""Text of the document that is the same in every language: names, keys and units."""
+MADE_OF = {
+    *("action.", "alarm.", "hold.", "lamp.", "patient.", "reason.unknown"),
+    *("signal.", "sound.", "status.", "tables.kind.", "to."),
+}
+"""Keys that the scripts put together from a code."""
+
+
+def placeholders(text: str) -> list[str]:
+    return sorted(re.findall(r"\{(\w+)\}", text))
+
+
+def test_english_and_german_are_there():
+    assert {"de", "en"} <= set(LANGUAGES)
+
+
+@pytest.mark.parametrize("name", LANGUAGES)
+def test_every_language_has_the_same_words_none_empty_with_the_same_placeholders(name: str):
+    words = LANGUAGES[name]
+    assert set(words) ^ set(ENGLISH) == set()
+    assert [key for key, text in words.items() if text.strip() == ""] == []
+    assert [key for key in words if placeholders(words[key]) != placeholders(ENGLISH[key])] == []
+
+
+@pytest.mark.parametrize("name", LANGUAGES)
+@pytest.mark.parametrize("code", CODES)
+def test_every_code_says_what_it_is_what_to_do_and_whom_to_call(name: str, code: str):
+    for part in ("what", "do", "call"):
+        assert len(LANGUAGES[name].get(f"hold.{code}.{part}", "")) > 3, f"{name}: hold.{code}.{part}"
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_english_says_of_a_code_what_the_controller_says(code: str):
+    sentence = HOLD_TEXTS[HoldReason(code)] if code in set(HoldReason) else ALARMS[code].text
+    assert ENGLISH[f"hold.{code}.what"] == sentence
+
+
+def test_german_sentences_of_reasons_are_not_the_english_ones():
+    parts = [key for key in ENGLISH if key.startswith("hold.")]
+    assert [key for key in parts if LANGUAGES["de"][key] == ENGLISH[key]] == []
+
+
+def used() -> set[str]:
+    """Return the keys that scripts and pages name."""
+    texts = [file.read_text() for file in (*SCRIPTS, *PAGES)]
+    patterns = (
+        r"(?:tr|has)\(\"([\w.]+)\"",
+        r"word\(\w+(?:\.\w+)?, \"([\w.]+)\"",
+        r"data-(?:t|word)(?:-[a-z-]+)?=\"([\w.]+)\"",
+    )
+    return {key for text in texts for pattern in patterns for key in re.findall(pattern, text)} | set(
+        re.findall(r"\"((?:sound|distance|lamp|line)\.[\w.]+)\"", "".join(texts))
+    )
+
+
+def test_no_word_is_used_that_there_is_not_and_none_is_there_unused():
+    assert used() - set(ENGLISH) == set()
+    unused = set(ENGLISH) - used()
+    assert {key for key in unused if not key.startswith(tuple(MADE_OF)) and "unable." not in key} == {"language.name"}
+
+
+class Visible(HTMLParser):
+    """Collects what a document shows by itself."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+        self.within: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in {"meta", "link", "input", "br"}:
+            self.within.append(tag)
+        self.found += [value or "" for name, value in attrs if name in {"title", "aria-label"}]
+
+    def handle_endtag(self, tag: str) -> None:
+        while self.within and self.within.pop() != tag:
+            pass
+
+    def handle_data(self, data: str) -> None:
+        if not {"noscript", "title"} & set(self.within):
+            self.found.append(data.strip())
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.parent.name)
+def test_a_document_has_no_words_of_its_own(page: Path):
+    parser = Visible()
+    parser.feed(page.read_text())
+    shown = {text for text in parser.found if re.search(r"[A-Za-z]{2}", text)}
+    assert {text for text in shown if text not in NAMES} == set()
+
+
+SENTENCE = re.compile(r"[\"`](?:[A-Z][a-z]+ [a-z]+|[a-z]+ [a-z]+ [a-z]+)[^\"`]*[\"`]")
+ALLOWED = {"a new model is ready", "comparing the stored model"}
+"""Beginnings of the controller's notes, which a script compares."""
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+def test_a_script_has_no_sentence_of_its_own(script: Path):
+    code = re.sub(r"/\*.*?\*/|//[^\n]*", "", script.read_text(), flags=re.DOTALL)
+    assert {found.strip('"`') for found in SENTENCE.findall(code)} - ALLOWED == set()
+
+
+def test_a_third_language_needs_a_file_and_nothing_else(tmp_path: Path):
+    folder = tmp_path / "lang"
+    folder.mkdir()
+    for name in ("en.json", "de.json", "fr.json", "notes.json", "pt-BR.json", "README.md"):
+        (folder / name).write_text("{}")
+    client = TestClient(Starlette(routes=[language_route(tmp_path)]))
+    assert client.get(LANGUAGE_LIST).json() == {"languages": ["de", "en", "fr", "pt-BR"]}

@@ -1,0 +1,67 @@
+"""A past session is opened from the list while no session runs; its times are the screen's, with their zone."""
+
+import pytest
+from playwright.sync_api import Browser, expect
+
+from tests.support.browser.fake_service import SESSION, FakeService, over, sample
+from tests.support.browser.served_tab import Door, opened_tab
+from tests.support.browser.tab import Tab
+
+pytestmark = pytest.mark.browser
+
+NEWEST = over(patient_reference="P-0001")
+OLDER = over("interrupted", patient_reference="P-0002") | {"id": "66" * 16}
+
+
+def looks(fake: FakeService) -> int:
+    """How often the page has read the list of sessions."""
+    return sum(method == "GET" and path.endswith("/sessions") for method, path, _ in fake.calls)
+
+
+def test_a_past_session_is_shown_and_stays_until_it_is_closed(fake: FakeService, tab: Tab):
+    fake.sessions[:] = [NEWEST, OLDER]
+    page = tab.open("idle")
+    page.locator("#session-list .open", has_text="P-0002").click()
+    heading = page.locator("#report-heading")
+    expect(heading).to_have_text("Interrupted: P-0002")
+    expect(page.locator("#setup")).to_be_hidden()
+    expect(page.locator("#report-continue")).to_be_hidden()
+    before = looks(fake)
+    tab.await_that(lambda: looks(fake) > before + 1, "the page does not look for sessions")
+    expect(heading).to_have_text("Interrupted: P-0002")
+    page.click("#report-close")
+    expect(page.locator("#report")).to_be_visible()
+    expect(heading).to_have_text("Summary: P-0001")
+
+
+def test_while_a_session_runs_none_of_the_past_is_shown(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", sample(gate="disarmed", is_armed=False)
+    fake.sessions[:] = [SESSION, OLDER]
+    page = tab.open("disarmed")
+    page.click("#do-setup")
+    page.locator("#session-list .open").click()
+    expect(page.locator("#setup-outcome")).to_contain_text("Not while a session runs")
+    expect(page.locator("#report")).to_be_hidden()
+
+
+def test_a_session_that_starts_removes_it(fake: FakeService, tab: Tab):
+    fake.sessions[:] = [NEWEST, OLDER]
+    page = tab.open("idle")
+    page.locator("#session-list .open", has_text="P-0002").click()
+    expect(page.locator("#report")).to_be_visible()
+    fake.mode, fake.sample = "samples", sample(gate="disarmed", is_armed=False, session_id="99" * 16)
+    expect(page.locator("#report")).to_be_hidden()
+    assert "P-0002" not in page.inner_text("body")
+
+
+@pytest.mark.parametrize(("zone", "time"), [("Asia/Kathmandu", "14:57 GMT+5:45"), ("UTC", "09:12 UTC")])
+def test_times_are_the_screen_s_and_name_their_zone(
+    fake: FakeService, chromium: Browser, door: tuple[Door, str], zone: str, time: str
+):
+    fake.sessions[:] = [NEWEST]
+    context = chromium.new_context(timezone_id=zone, viewport={"width": 1280, "height": 800})
+    with opened_tab(fake, context, door) as tab:
+        page = tab.open("idle")
+        expect(page.locator("#report-when")).to_contain_text(f"started 21 Nov 2026, {time}")
+        expect(page.locator("#session-list time").first).to_have_text(f"21 Nov 2026, {time}")
+    context.close()
