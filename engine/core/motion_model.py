@@ -17,6 +17,8 @@ from engine.core.provenance import ModelOrigin, Provenance
 USUAL_NOISE_MM = 5.0
 DEPTH_STEPS = 3
 """Numbers that describe the steps of a sensor's readings."""
+SAMPLE_SHAPE = (-(-ROI_ROWS // 4), -(-ROI_COLUMNS // 4))
+"""Rows and columns of the maps that show a model's quality."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,6 +48,12 @@ class MotionModel:
     scores_mm
         First coefficients, of the components, of some of the training frames [mm], shape (frames, k): the range the
         patient breathed over. None in models without them.
+    sample_raw_mm, sample_reconstructed_mm
+        The training frame with the deepest breath among those that the quality was taken from, as the camera measured
+        it (NaN where it measured nothing) and as the model reconstructs it [mm], on every fourth row and column, shape
+        (88, 50); None in models without them. They are for people: nothing is computed from them.
+    residual_map_mm
+        Root mean square of the difference of the two over those frames [mm], shape (88, 50), NaN where there is none.
     depth_steps
         The steps of the sensor's readings in the training: offset and step of the inverse depth [1/mm], and rounding
         [mm]; empty for a sensor without steps, None in models without them.
@@ -64,6 +72,9 @@ class MotionModel:
     noise_mm: float = USUAL_NOISE_MM
     surface_mm: FloatArray | None = None
     scores_mm: FloatArray | None = None
+    sample_raw_mm: FloatArray | None = None
+    sample_reconstructed_mm: FloatArray | None = None
+    residual_map_mm: FloatArray | None = None
     depth_steps: tuple[float, ...] | None = None
     provenance: Provenance = field(default_factory=Provenance)
 
@@ -84,14 +95,22 @@ class MotionModel:
         if scores is not None and (scores.shape[1:] != (len(self.components),) or not np.isfinite(scores).all()):
             msg = f"a model's scores are one number a component, all finite, not {scores.shape}"
             raise ModelError(msg)
+        maps = self._checked_maps()
         steps = self.depth_steps
         if steps is not None and len(steps) not in {0, DEPTH_STEPS}:
             msg = f"a model's depth steps are {DEPTH_STEPS} numbers or none, not {len(steps)}"
             raise ModelError(msg)
         arrays = (self.mean_mm, self.components, self.eigenvalues_mm2, self.known, self.surface_mm, self.scores_mm)
-        for array in arrays:
+        for array in (*arrays, *maps):
             if array is not None:
                 frozen(array)
+
+    def _checked_maps(self) -> tuple[FloatArray | None, ...]:
+        maps = (self.sample_raw_mm, self.sample_reconstructed_mm, self.residual_map_mm)
+        if any(one is not None and (one.shape != SAMPLE_SHAPE or np.isinf(one).any()) for one in maps):
+            msg = f"a model's maps have the shape {SAMPLE_SHAPE}, and nothing in them is infinite"
+            raise ModelError(msg)
+        return maps
 
     def from_origin(self, origin: ModelOrigin) -> "MotionModel":
         """Return the model with this origin; an origin that it already has is kept."""

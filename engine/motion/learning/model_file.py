@@ -36,7 +36,13 @@ ARRAYS: Mapping[str, type[np.generic]] = {
     "eigenvalues_mm2": np.float64,
     "known": np.bool_,
 }
-OPTIONAL_ARRAYS: Mapping[str, type[np.generic]] = {"surface_mm": np.float64, "scores_mm": np.float32}
+OPTIONAL_ARRAYS: Mapping[str, type[np.generic]] = {
+    "surface_mm": np.float64,
+    "scores_mm": np.float32,
+    "sample_raw_mm": np.float32,
+    "sample_reconstructed_mm": np.float32,
+    "residual_map_mm": np.float32,
+}
 UNREADABLE = (
     InvalidValueError,
     OSError,

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from engine.core.errors import TrainingRefusedError
-from engine.core.frames import Projection, TrainingProgress
+from engine.core.frames import Projection, RoiDepth, TrainingProgress
 from engine.core.learning_events import Figures
 from engine.core.motion_model import MotionModel
 from engine.core.patient_match import PatientMatch
@@ -20,6 +20,7 @@ from engine.motion.learning.fitting import fit
 from engine.motion.learning.past_frames import PastBreaths, Stretch
 from engine.motion.learning.patient_match import PatientMatchLimits, compare_with_patient
 from engine.motion.learning.prepared_model import PreparedModel
+from engine.motion.learning.quality_maps import with_quality_maps
 from engine.motion.learning.reference_proposals import PastMotion
 from engine.motion.learning.reference_transfer import Explain, ReferenceTransfer, compare_models, recent
 from engine.motion.learning.trainer import TrainingSettings
@@ -323,7 +324,8 @@ def fit_checked(
     model = _fit(kept_frames, training_set, settings, calibration_sha256)
     model = replace(model, surface_mm=mean_surface(evenly(kept_frames, SURFACE_FRAMES), stages.vertices))
     active = stages.prepare(model)
-    explained = _explained(active, evenly(kept_frames, QUALITY_FRAMES), stages)
+    pairs = _explained(active, evenly(kept_frames, QUALITY_FRAMES), stages)
+    explained = [outcome for _, outcome in pairs]
     quality = TrainingQuality(
         amplitude_mm=amplitude_mm,
         noise_mm=noise_mm,
@@ -336,7 +338,7 @@ def fit_checked(
     settings_used = {field.name: float(getattr(settings, field.name)) for field in fields(settings)}
     scores_mm = np.stack([outcome.beta for outcome in explained]).astype(np.float32)
     model = replace(model, scores_mm=scores_mm, provenance=Provenance(quality=quality, settings=settings_used))
-    return replace(active, model=model), kept_frames
+    return replace(active, model=with_quality_maps(model, active.basis, pairs)), kept_frames
 
 
 def _fit(
@@ -373,10 +375,12 @@ def _transferred(
     return transfer
 
 
-def _explained(active: PreparedModel, frames: list[TrainingFrame], stages: LearningStages) -> list[Projection]:
+def _explained(
+    active: PreparedModel, frames: list[TrainingFrame], stages: LearningStages
+) -> list[tuple[RoiDepth, Projection]]:
     """Project training frames on the model learned from them; raise TrainingRefusedError if none is explained."""
-    outcomes = [stages.explain(active, frame.roi, None) for frame in frames]
-    explained = [outcome for outcome in outcomes if outcome is not None]
+    outcomes = [(frame.roi, stages.explain(active, frame.roi, None)) for frame in frames]
+    explained = [(roi, outcome) for roi, outcome in outcomes if outcome is not None]
     if not explained:
         raise TrainingRefusedError(
             "training.explained", "no frame", "explained by its own model", "clear the view of the camera"

@@ -1,15 +1,19 @@
 """Motion models on disk: one file per model, named by the hash of its arrays and its provenance."""
 
 import hashlib
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from engine.core.errors import ModelError
 from engine.core.motion_model import MotionModel
-from engine.motion.learning.model_file import header_text, load_model, save_model
+from engine.motion.learning.model_file import ARRAYS, OPTIONAL_ARRAYS, header_text, load_model, save_model
 
 MODELS_FOLDER = "models"
+_FIRST_HASHED = ("mean_mm", "components", "eigenvalues_mm2", "known", "surface_mm")
+"""Arrays that the hash covered until version 0.2.0."""
 
 
 class ModelStore:
@@ -28,12 +32,20 @@ class ModelStore:
         return sha256
 
     def load(self, sha256: str) -> MotionModel:
-        """Read a model; raise ModelError where the file was changed."""
+        """Read a model; raise ModelError where the file was changed.
+
+        Of a file that was named by the hash of its first arrays only, the others are ignored: nothing shows whether
+        they were changed.
+        """
         model = load_model(self._path(sha256))
-        if content_sha256(model) != sha256:
-            msg = "the model's file was changed after it was stored"
-            raise ModelError(msg)
-        return model
+        if content_sha256(model) == sha256:
+            return model
+        if _hash(model, _FIRST_HASHED) == sha256:
+            return replace(
+                model, scores_mm=None, sample_raw_mm=None, sample_reconstructed_mm=None, residual_map_mm=None
+            )
+        msg = "the model's file was changed after it was stored"
+        raise ModelError(msg)
 
     def _path(self, sha256: str) -> Path:
         return self._folder / f"{sha256}.npz"
@@ -41,8 +53,13 @@ class ModelStore:
 
 def content_sha256(model: MotionModel) -> str:
     """Return the SHA-256 of everything in a model's file: header and arrays."""
+    return _hash(model, (*ARRAYS, *OPTIONAL_ARRAYS))
+
+
+def _hash(model: MotionModel, names: Iterable[str]) -> str:
     digest = hashlib.sha256(header_text(model).encode())
-    for array in (model.mean_mm, model.components, model.eigenvalues_mm2, model.known, model.surface_mm):
+    for name in names:
+        array = getattr(model, name)
         if array is not None:
             digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
