@@ -225,7 +225,7 @@ def _open_work(dependencies: _Dependencies, storage: _Storage) -> _Work:
         runner=runner,
         arming=ArmingSummaries(
             sessions=records,
-            models=ModelRepository(database, equipment),
+            models=ModelRepository(database, equipment, ModelStore(settings.data_dir / MODELS_FOLDER)),
             database=database,
             equipment=equipment,
             settings=settings,
@@ -288,7 +288,7 @@ def _services(dependencies: _Dependencies, storage: _Storage, work: _Work, monit
         samples=SampleService(database, storage.samples),
         calibrations=CalibrationRepository(database, log),
         recordings=RecordingList(settings.recording_folders),
-        models=ModelRepository(database, dependencies.equipment),
+        models=ModelRepository(database, dependencies.equipment, ModelStore(settings.data_dir / MODELS_FOLDER)),
         plans=PlanRepository(database, log, settings),
         planned_sessions=PlannedSessions(database, log, work.sessions, settings.gantry_side),
         audit=AuditService(database, log, AnchorFile(settings.anchor_file), site=settings.site_name),

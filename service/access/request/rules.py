@@ -80,6 +80,7 @@ RULES: Mapping[tuple[str, str], Needs] = {
     ("POST", f"{V1}/models/{{model_id}}/activate"): Permission.MODELS_WRITE,
     ("GET", f"{V1}/models/{{model_id}}"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/models/{{model_id}}/spectrum"): Permission.SESSIONS_READ,
+    ("GET", f"{V1}/models/{{model_id}}/quality-maps"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/devices"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/recordings"): Permission.SESSIONS_READ,
     ("GET", f"{V1}/interlocks"): Permission.SESSIONS_READ,

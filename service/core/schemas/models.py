@@ -53,3 +53,20 @@ class Spectrum(Answer):
 
     model_id: Identifier
     share: list[float] = Field(description="Shares of the variance, 0 to 1")
+
+
+class QualityMaps(Answer):
+    """What a model does with the frames it was trained from, on every fourth row and column of the region.
+
+    All three are null for models of earlier versions. Row 0 is superior, column 0 the patient's right.
+    """
+
+    model_id: Identifier
+    measured_mm: list[list[float | None]] | None = Field(
+        description="The deepest breath as the camera measured it: height above the mean surface; null where it "
+        "measured nothing",
+    )
+    reconstructed_mm: list[list[float]] | None = Field(description="The same frame as the model reconstructs it")
+    residual_mm: list[list[float | None]] | None = Field(
+        description="Root mean square of measured minus reconstructed over up to 60 frames, with the camera's noise"
+    )

@@ -2,19 +2,28 @@
 
 import json
 
-from service.core.schemas.models import Model, ModelPage, Spectrum
+import numpy as np
+
+from engine.core.frames import FloatArray
+from service.core.schemas.models import Model, ModelPage, QualityMaps, Spectrum
 from service.engine_host.equipment import EquipmentSlot
 from service.storage.database import queries
 from service.storage.database.engine import Database
 from service.storage.database.tables import ModelRow, SessionRow
+from service.storage.files.motion_models import ModelStore
+
+MAP_STRIDE = 4
+"""Rows and columns of the region's grid between two values of a model's maps."""
+DECIMALS = 2
 
 
 class ModelRepository:
     """Lists and reads motion models."""
 
-    def __init__(self, database: Database, equipment: EquipmentSlot) -> None:
+    def __init__(self, database: Database, equipment: EquipmentSlot, store: ModelStore) -> None:
         self._database = database
         self._equipment = equipment
+        self._store = store
 
     def page(self, session_id: str, cursor: str | None, limit: int) -> ModelPage:
         """List a session's models, newest first."""
@@ -34,6 +43,22 @@ class ModelRepository:
         with self._database.read() as db:
             row = queries.model_row(db, model_id)
             return Spectrum(model_id=row.id, share=json.loads(row.spectrum))
+
+    def quality_maps(self, model_id: str) -> QualityMaps:
+        """Return the maps of a model's quality; raise ModelError where its file is missing or damaged."""
+        with self._database.read() as db:
+            row = queries.model_row(db, model_id)
+        model = self._store.load(row.sha256)
+        mean_mm = model.mean_mm[::MAP_STRIDE, ::MAP_STRIDE]
+        raw_mm, surface_mm, residual_mm = model.sample_raw_mm, model.sample_reconstructed_mm, model.residual_map_mm
+        return QualityMaps.model_validate(
+            {
+                "model_id": row.id,
+                "measured_mm": None if raw_mm is None else _rows(mean_mm - raw_mm),
+                "reconstructed_mm": None if surface_mm is None else _rows(mean_mm - surface_mm),
+                "residual_mm": None if residual_mm is None else _rows(residual_mm),
+            }
+        )
 
     def _model(self, row: ModelRow, session: SessionRow) -> Model:
         made = json.loads(row.provenance)
@@ -56,3 +81,9 @@ class ModelRepository:
             quality=made.get("quality"),
             settings=made.get("settings", {}),
         )
+
+
+def _rows(values_mm: FloatArray) -> list[list[float | None]]:
+    """Return rows of numbers; null stands for what is not known."""
+    rounded = np.round(values_mm.astype(np.float64), DECIMALS)
+    return [[None if value != value else value for value in row] for row in rounded.tolist()]  # noqa: PLR0124 (NaN)

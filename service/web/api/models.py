@@ -1,4 +1,4 @@
-"""Routes of motion models: list, read, spectrum, train again, activate."""
+"""Routes of motion models: list, read, spectrum, quality maps, train again, activate."""
 
 from functools import partial
 
@@ -8,7 +8,7 @@ from engine.core.errors import CommandRefusedError, ModelError, ModelMismatchErr
 from service.core.conditional import etag_of
 from service.core.errors import EngineTimeoutError, NotFoundError, OperatorMismatchError, SessionStateError
 from service.core.schemas import sessions
-from service.core.schemas.models import Model, ModelPage, Spectrum
+from service.core.schemas.models import Model, ModelPage, QualityMaps, Spectrum
 from service.web import dependencies
 from service.web.api import problems
 from service.web.operator_calls import Operated
@@ -65,6 +65,12 @@ def read_model(
 def read_spectrum(model_id: dependencies.ModelId, services: dependencies.AppServices) -> Spectrum:
     """Return the share of the motion that each component explains."""
     return services.models.spectrum(model_id)
+
+
+@router.get("/models/{model_id}/quality-maps", responses=problems(NotFoundError, ModelError))
+def read_quality_maps(model_id: dependencies.ModelId, services: dependencies.AppServices) -> QualityMaps:
+    """Return the deepest breath of the training, measured and reconstructed, and the map of the residuals."""
+    return services.models.quality_maps(model_id)
 
 
 @router.post("/models/{model_id}/activate", name="model.activate", responses=ACT)

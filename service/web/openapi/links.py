@@ -27,7 +27,7 @@ OF_SESSION = (
     "read_picture",
     "read_mesh",
 )
-OF_MODEL = ("read_model", "read_spectrum", "activate_model")
+OF_MODEL = ("read_model", "read_spectrum", "read_quality_maps", "activate_model")
 OF_RUN = ("read_qa_run", "cancel_qa_run", "read_qa_report")
 OF_PERSON = ("read_user", "change_user", "list_user_logins")
 OF_KEY = ("read_key", "revoke_key")

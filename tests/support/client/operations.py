@@ -65,6 +65,7 @@ NOT_FOR_PLANNING: dict[str, str] = {
     "/api/v1/keys": "keys are made by people",
     "/api/v1/models/{model_id}/activate": "a physicist decides which model measures",
     "/api/v1/models/{model_id}/spectrum": "a physicist's figure",
+    "/api/v1/models/{model_id}/quality-maps": "a physicist's figure",
     "/api/v1/sessions/{session_id}/picture": "for eyes",
     "/api/v1/sessions/{session_id}/mesh": "for eyes",
     "/api/v1/qa/baseline": "a physicist fixes it",

@@ -1,5 +1,8 @@
 """Models over the API: learned again, applied, carried to a later fraction of the same patient, and audited."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from sqlalchemy import text
 
@@ -97,6 +100,45 @@ def test_what_is_reported_at_the_very_end_is_written_before_the_session_closes(c
     eventually(lambda: detail_of(client, session_id)["status"] == "ended")
     actions = [row["action"] for row in audit_rows(client)]
     assert actions.index("model.swapped") < actions.index("session.close")
+
+
+# -- its quality, as maps -------------------------------------------------------------------------------------------
+
+
+def test_the_maps_are_heights_above_the_mean_surface_with_null_where_nothing_was_measured(client, session_id, running):
+    plain = make_model(1)
+    raw = plain.mean_mm[::4, ::4] - np.float32(3.0)
+    raw[87, 49] = np.nan
+    residual = np.full((88, 50), 0.456, dtype=np.float32)
+    running.model = replace(
+        plain,
+        sample_raw_mm=raw,
+        sample_reconstructed_mm=plain.mean_mm[::4, ::4] - np.float32(2.5),
+        residual_map_mm=residual,
+    )
+    url = f"/api/v1/sessions/{session_id}/models"
+    eventually(lambda: len(client.get(url).json()["items"]) == 1)
+    (model,) = client.get(url).json()["items"]
+    maps = client.get(f"/api/v1/models/{model['id']}/quality-maps").json()
+    assert maps.pop("model_id") == model["id"]
+    assert {(len(one), len(one[0])) for one in maps.values()} == {(88, 50)}
+    assert (maps["measured_mm"][0][0], maps["measured_mm"][87][49]) == (3.0, None)
+    assert {value for row in maps["reconstructed_mm"] for value in row} == {2.5}
+    assert {value for row in maps["residual_mm"] for value in row} == {0.46}
+
+
+def test_a_model_of_an_earlier_version_has_no_maps(client, kept_model):
+    maps = client.get(f"/api/v1/models/{kept_model['id']}/quality-maps").json()
+    assert maps == {"model_id": kept_model["id"], "measured_mm": None, "reconstructed_mm": None, "residual_mm": None}
+
+
+def test_maps_of_a_damaged_or_missing_file_are_refused(client, kept_model, settings):
+    path = settings.data_dir / "models" / f"{kept_model['sha256']}.npz"
+    for spoil in (lambda: path.write_bytes(b"none"), path.unlink):
+        spoil()
+        answer = client.get(f"/api/v1/models/{kept_model['id']}/quality-maps")
+        assert (answer.status_code, answer.json()["code"]) == (409, "model_invalid")
+    assert client.get(f"/api/v1/models/{'0' * 32}/quality-maps").status_code == 404
 
 
 # -- what made a model ----------------------------------------------------------------------------------------------
