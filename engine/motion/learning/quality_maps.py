@@ -18,22 +18,27 @@ def with_quality_maps(
     The frames are not empty; ``basis`` is of this model. See `MotionModel` for shapes and units.
     """
     thinned = [(roi.thinned(STRIDE_PX), outcome.coefficients) for roi, outcome in explained]
+    components = model.components[:, ::STRIDE_PX, ::STRIDE_PX]
+
+    def reconstructed(coefficients: FloatArray) -> FloatArray:
+        """Return the whole surface, also where the basis has no component because the training saw nothing."""
+        beta, smooth = coefficients[: len(components)], coefficients[len(components) :]
+        grid = smooth.reshape(basis.cosine_rows.shape[1], basis.cosine_columns.shape[1])
+        motion_mm = np.tensordot(beta, components, axes=1) + basis.cosine_rows @ grid @ basis.cosine_columns.T
+        return np.asarray(model.mean_mm[::STRIDE_PX, ::STRIDE_PX] + motion_mm)
+
     squares = np.zeros(SAMPLED_SHAPE)
     counts = np.zeros(SAMPLED_SHAPE, dtype=np.int64)
     for roi, coefficients in thinned:
-        misfit_mm = roi.depth_mm - _reconstructed(basis, coefficients)
+        misfit_mm = roi.depth_mm - reconstructed(coefficients)
         squares += np.where(roi.valid, misfit_mm, 0.0) ** 2
         counts += roi.valid
     counts *= basis.sampled_known.reshape(SAMPLED_SHAPE)
     residual_mm = np.sqrt(squares / np.maximum(counts, 1))
-    deepest, coefficients = max(thinned, key=lambda one: abs(float(one[1][0])))
+    deepest, coefficients = max(thinned, key=lambda one: float(one[1][0]))  # growing is inhale
     return replace(
         model,
         sample_raw_mm=np.where(deepest.valid, deepest.depth_mm, np.nan).astype(np.float32),
-        sample_reconstructed_mm=_reconstructed(basis, coefficients).astype(np.float32),
+        sample_reconstructed_mm=reconstructed(coefficients).astype(np.float32),
         residual_map_mm=np.where(counts > 0, residual_mm, np.nan).astype(np.float32),
     )
-
-
-def _reconstructed(basis: Basis, coefficients: FloatArray) -> FloatArray:
-    return (basis.sampled_mean_mm + basis.surface_mm(coefficients)).reshape(SAMPLED_SHAPE)

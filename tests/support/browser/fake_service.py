@@ -400,6 +400,7 @@ class FakeService:
         self.room = "Linac-2"
         self.sessions: list[dict[str, Any]] = [copy.deepcopy(SESSION)]
         self.models: list[dict[str, Any]] = []
+        self.of_model: dict[str, dict[str, Any]] = {}  # answers below /models/, by path
         self.calibrations: list[dict[str, Any]] = [dict(CALIBRATION)]
         self.devices: list[dict[str, Any]] = []
         self.recordings: list[dict[str, Any]] = [dict(RECORDING)]
@@ -586,8 +587,9 @@ class FakeService:
     def _answer(self, path: str, method: str, body: Any) -> Response:
         pages = {"/sessions": self.sessions, "/calibrations": self.calibrations, "/audit": self.audit}
         pages |= {"/devices": self.devices, "/recordings": self.recordings, "/plans": self.plans}
-        if method == "GET" and path == "/qa/status":
-            return JSONResponse(self.qa)
+        single = {"/qa/status": self.qa, **self.of_model}
+        if method == "GET" and path in single:
+            return JSONResponse(single[path])
         listed = self.models if path.endswith("/models") else pages.get(path)
         if method == "GET" and listed is not None:
             return JSONResponse({"items": listed, "next_cursor": None})

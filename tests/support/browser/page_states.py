@@ -31,6 +31,7 @@ from tests.support.browser.fake_service import (
     user,
     window,
 )
+from tests.support.browser.models import give_model
 
 OLD_MS = 90_000.0
 """Beyond the limit of a page with relaxed times: the camera's newest frame is too old, and stays so."""
@@ -205,6 +206,11 @@ def _open_past(page: Page) -> None:
     page.locator("#session-list button.open").first.click()
 
 
+def _open_quality(page: Page) -> None:
+    page.click("#steps .to-quality")
+    expect(page.locator("#quality-maps")).to_be_visible()
+
+
 def _press(selector: str) -> Callable[[Page], None]:
     return lambda page: page.locator(selector).click()
 
@@ -234,6 +240,7 @@ STATES: dict[str, PageState] = {
     ),
     "training": PageState("disarmed", TRAINING, shown="#steps"),
     "disarmed": PageState("disarmed", DISARMED, prepare=_events, shown="#steps"),
+    "model-quality": PageState("disarmed", DISARMED, prepare=give_model, act=_open_quality, shown="#quality"),
     "window-editor": PageState("disarmed", DISARMED, act=_press("#do-window"), shown="#window-editor"),
     "arming": PageState("disarmed", DISARMED, act=_open_arming, shown="#arming"),
     "hold": PageState(

@@ -85,6 +85,7 @@ export const listRecordings = () => call("GET", "/recordings?limit=100");
 const model = (id) => `/models/${encodeURIComponent(id)}`;
 export const readModel = (id) => call("GET", model(id));
 export const readSpectrum = (id) => call("GET", `${model(id)}/spectrum`);
+export const readQualityMaps = (id) => call("GET", `${model(id)}/quality-maps`);
 export const listModels = (id, limit) => call("GET", `${session(id)}/models?limit=${limit}`);
 export const listCalibrations = () => call("GET", "/calibrations?limit=100");
 export const readQaStatus = () => call("GET", "/qa/status");

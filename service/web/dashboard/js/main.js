@@ -22,6 +22,7 @@ import { renderLamps } from "./panels/lamps.js";
 import { LiveStream } from "./stream/live_stream.js";
 import { LogIn } from "./people/login.js";
 import { PeoplePanel } from "./people/people.js";
+import { ModelQuality } from "./panels/model_quality.js";
 import { PicturePanel } from "./panels/picture.js";
 import { Presence } from "./people/presence.js";
 import { QaPanel } from "./panels/qa.js";
@@ -74,6 +75,7 @@ const alarms = new AlarmPanel(byId("alarms"), controls);
 const baseline = new BaselineButton(byId("do-correct"), controls);
 const presence = new Presence();
 const tables = new DataTables(trace);
+const quality = new ModelQuality();
 const setup = new Setup(access, select, openPast);
 const report = new Report(access, select, uncoverReport);
 const keyList = new KeyList();
@@ -139,6 +141,7 @@ function leave() {
   report.forget();
   keyList.close();
   tables.close();
+  quality.follow(null);
   controls.forget();
   qa.forget();
 }
@@ -150,7 +153,7 @@ function uncoverReport({ id }, isBroken) {
 
 /** Close what lies on top of the page, for Esc. @returns {boolean} whether anything was open */
 function closeTopmost() {
-  if (sounds.close() || keyList.close() || arming.close() || windowEditor.close() || tables.close()) return true;
+  if (sounds.close() || keyList.close() || arming.close() || windowEditor.close() || tables.close() || quality.close()) return true;
   // A secret that is shown once is closed by its own button only.
   const isSecretShown = !byId("shown-once").hidden;
   for (const [panel, hide] of [["people", () => !isSecretShown && people.show(false)], ["coach", () => coach.show(false)], ["setup", () => setup.show(false)]]) {
@@ -395,6 +398,7 @@ function drawPanels(nowMs, view, sample) {
   renderWho(view);
   renderTraceValue(sample);
   tables.tend(sample, session, nowMs);
+  quality.follow(session?.status === "running" ? session.active_model_id ?? null : null);
   hideCovered(byId("gate").parentElement);
 }
 

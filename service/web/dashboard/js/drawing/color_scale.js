@@ -4,6 +4,11 @@ const STEPS_MM = [2, 5, 10, 15, 20, 30, 50];
 const SHRINK_AFTER_MS = 30000;
 const ENDS = { negative: [64, 156, 255], zero: [30, 36, 43], positive: [255, 176, 46] };
 
+/** The smallest range of the colours that holds a value [mm]. */
+export function stepFor(mostMm) {
+  return STEPS_MM.find((step) => step >= mostMm) ?? STEPS_MM.at(-1);
+}
+
 /** Range of the colours: grows at once and shrinks after 30 s, so that the picture does not flicker. */
 export class Range {
   constructor() {
@@ -13,7 +18,7 @@ export class Range {
 
   update(regionsMm, nowMs) {
     const most = Math.max(0, ...regionsMm.flat().filter(Number.isFinite).map(Math.abs));
-    const needed = STEPS_MM.find((step) => step >= most) ?? STEPS_MM.at(-1);
+    const needed = stepFor(most);
     if (needed >= this.mm || nowMs - this.neededMs > SHRINK_AFTER_MS) {
       this.mm = needed;
       this.neededMs = nowMs;

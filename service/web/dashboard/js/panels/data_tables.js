@@ -3,8 +3,9 @@
  * on request and filled once a second; cells are changed in place, so that a reader keeps its place.
  */
 
-import { byId, part, setText } from "../drawing/elements.js";
+import { byId, setText } from "../drawing/elements.js";
 import { signed } from "../drawing/numbers.js";
+import { fillTable } from "../drawing/table.js";
 import { isUnseen } from "../drawing/canvas.js";
 import { conditionsOf, signalName } from "../stream/gating_window.js";
 import { tr } from "../words/words.js";
@@ -48,11 +49,11 @@ export class DataTables {
 
   #fill(sample, session) {
     setText(byId("tables-note"), sample === null ? tr("tables.nothing_present") : tr("tables.once_a_second"));
-    fill(byId("table-window"), sample === null ? [] : windowRows(sample.window));
-    fill(byId("table-trace"), sample === null ? [] : traceRows(this.trace.kept.all));
-    fill(byId("table-map"), sample?.regions_mm ? mapRows(sample.regions_mm, sample.unseen_cells ?? []) : []);
+    fillTable(byId("table-window"), sample === null ? [] : windowRows(sample.window));
+    fillTable(byId("table-trace"), sample === null ? [] : traceRows(this.trace.kept.all));
+    fillTable(byId("table-map"), sample?.regions_mm ? mapRows(sample.regions_mm, sample.unseen_cells ?? []) : []);
     const isOwn = sample !== null && session?.id === sample.session_id;
-    fill(byId("table-holds"), isOwn ? holdRows(session.summary?.holds ?? []) : []);
+    fillTable(byId("table-holds"), isOwn ? holdRows(session.summary?.holds ?? []) : []);
   }
 }
 
@@ -97,22 +98,4 @@ function holdRows(holds) {
 
 function number(value) {
   return Number.isFinite(value) ? signed(value) : NONE;
-}
-
-/** Put rows of text into a table, the first one and the first of each as headings; a table without rows is not shown. */
-function fill(table, rows) {
-  table.hidden = rows.length < 2;
-  while (table.rows.length > rows.length) table.deleteRow(-1);
-  for (const [r, texts] of rows.entries()) {
-    const line = table.rows[r] ?? table.insertRow();
-    while (line.cells.length > texts.length) line.deleteCell(-1);
-    for (const [c, text] of texts.entries()) setText(line.cells[c] ?? line.appendChild(cell(r, c)), text);
-  }
-}
-
-function cell(row, column) {
-  const isHeading = row === 0 || column === 0;
-  const element = part(isHeading ? "th" : "td", "");
-  if (isHeading) element.scope = row === 0 ? "col" : "row";
-  return element;
 }
