@@ -36,6 +36,10 @@ MAX_OUTLIERS_UNNOTICED = 0.01
 MIN_SEEN_SHARE = 0.02
 MIN_EXPLAINED_SHARE = 0.8
 MIN_SLOPE = 0.1
+# Least stiffness of a component, as a share of its sum over all points. A body that moves as a whole, such as a motion
+# platform, has a first component that is a cosine too: sums of float32 do not tell the two apart, and the equations
+# have no solution. With it they have one, and a coefficient is at most this share too small.
+MIN_STIFFNESS = 1e-5
 CHECK_CELL_PX = 25
 CHECK_MIN_SHARE = 0.4
 # Limits the effect of a single jump on a cell's mean misfit; a hand shifts all readings of a cell.
@@ -120,6 +124,8 @@ def prepare_basis(model: MotionModel, modes: FloatArray | None = None) -> Basis:
     variance_mm2 = (NOISE_OF_MODES * model.noise_mm / STRIDE_PX) ** 2
     widths_mm = np.array([np.concatenate([learned_mm, spread * shares]) for spread in PRIOR_SPREADS_MM])
     stiffness = variance_mm2 / widths_mm**2
+    stiffness[:, :k] = np.maximum(stiffness[:, :k], MIN_STIFFNESS * (sampled[:k] ** 2).sum(axis=1))
+    exact = sampled.astype(np.float64)
     return Basis(
         components=k,
         sampled_components=np.ascontiguousarray(sampled[:k]),
@@ -132,7 +138,7 @@ def prepare_basis(model: MotionModel, modes: FloatArray | None = None) -> Basis:
         log_stiffness=0.5 * np.log(stiffness).sum(axis=1),
         variance_mm2=variance_mm2,
         reach=np.abs(sampled).max(axis=1).astype(np.float64),
-        known_gram=(sampled @ sampled.T).astype(np.float64),
+        known_gram=exact @ exact.T,
     )
 
 
@@ -148,15 +154,15 @@ def project(basis: Basis, roi: RoiDepth, start: FloatArray | None) -> Projection
     Returns
     -------
     Projection | None
-        None when nothing of the region was seen.
+        None when nothing of the region was seen, or nothing of it follows from what was seen.
     """
     thin = roi.thinned(STRIDE_PX)
     if kernels() is None:
-        return _project(basis, thin, start)
+        return _project_or_none(basis, thin, start)
     coefficients, is_seen, figures = np.empty(len(basis.reach)), np.empty(SAMPLED_SHAPE, dtype=np.bool_), np.empty(4)
     is_projected = _project_compiled(basis, thin, start, (coefficients, is_seen, figures))
     if is_projected is None:  # a matrix that is not positive, or a result that is not finite
-        return _project(basis, thin, start)
+        return _project_or_none(basis, thin, start)
     if not is_projected:
         return None
     seen, inliers, known, residual_mm = figures.tolist()
@@ -199,6 +205,13 @@ def _project_compiled(
         *results,
     )
     return is_projected
+
+
+def _project_or_none(basis: Basis, thin: RoiDepth, start: FloatArray | None) -> Projection | None:
+    try:
+        return _project(basis, thin, start)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _project(basis: Basis, thin: RoiDepth, start: FloatArray | None) -> Projection | None:

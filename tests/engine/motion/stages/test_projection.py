@@ -1,9 +1,12 @@
 """A frame decides how far the learned components are to be trusted, and who in the picture is to be believed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from engine.core.frames import RoiDepth
+from engine.motion.stages import projection
 from engine.motion.stages.projection import CHECK_CLIP_MM, PRIOR_SPREADS_MM, STRIDE_PX, modes_of, prepare_basis, project
 from tests.support.motion.fitting_frames import BREATH, COLUMNS, REST_MM, ROWS, frames, learn
 
@@ -102,3 +105,47 @@ def test_a_region_of_full_resolution_gives_the_same(basis):
     one = project(basis, RoiDepth(depth_mm=full, valid=np.ones(full.shape, dtype=bool)), None)
     other = project(basis, thin, None)
     assert one.coefficients == pytest.approx(other.coefficients, abs=1e-3)
+
+
+RIGID = {"height": np.ones_like(BREATH), "tilt": 0.5 + ROWS / ROWS.max() + 0.0 * COLUMNS}
+
+
+@pytest.mark.parametrize("departure", [0.0, 1e-6, 1e-3])
+@pytest.mark.parametrize("noise_mm", [0.1, 0.8])
+@pytest.mark.parametrize("how", RIGID)
+@pytest.mark.parametrize("seen", [1.0, 0.3])
+@pytest.mark.parametrize("is_followed", [True, False])
+@pytest.mark.parametrize("is_compiled", [True, False])
+def test_a_body_that_moves_as_a_whole_is_measured(
+    monkeypatch, model, how, departure, noise_mm, seen, is_followed, is_compiled
+):
+    """Its component is a cosine as well, but for the departure: what a motion platform's training gives."""
+    if not is_compiled:
+        monkeypatch.setattr(projection, "kernels", lambda: None)
+    shape = RIGID[how] + departure * HOLD
+    component = -(shape / np.linalg.norm(shape))[None].astype(np.float32)
+    known = ~((np.abs(ROWS - 60.0) < 20.0) & (np.abs(COLUMNS - 80.0) < 20.0))  # a marker's hole
+    eigenvalues_mm2 = np.array([8.0 * float((shape**2).sum())])
+    rigid = replace(model, components=component, eigenvalues_mm2=eigenvalues_mm2, known=known, noise_mm=noise_mm)
+    prepared, start = prepare_basis(rigid), None
+    random = np.random.default_rng(2)
+    for motion_mm in (*np.linspace(-6.0, 6.0, 7), 0.0):
+        truth_mm = rigid.mean_mm - motion_mm * shape
+        valid = known & (200 * seen > COLUMNS)
+        depth_mm = (truth_mm + random.normal(0.0, noise_mm, truth_mm.shape)).astype(np.float32)
+        held = RoiDepth(depth_mm=depth_mm[THIN], valid=valid[THIN], stride_px=STRIDE_PX)
+        found = project(prepared, held, start)
+        assert found is not None
+        start = found.coefficients if is_followed else None
+        surface_mm = rigid.mean_mm + np.tensordot(found.coefficients, modes_of(rigid), axes=1)
+        assert np.abs(surface_mm - truth_mm)[valid].max() <= noise_mm, "no more than one reading"
+        assert found.inlier_share >= 0.99
+
+
+def test_equations_without_a_solution_are_nothing_found(monkeypatch, basis):
+    def fail(*_):
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(projection, "kernels", lambda: None)
+    monkeypatch.setattr(projection, "_solve", fail)
+    assert project(basis, roi(), None) is None
