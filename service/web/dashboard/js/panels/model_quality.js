@@ -44,8 +44,14 @@ export class ModelQuality {
     const wasOpen = !this.root.hidden;
     this.root.hidden = true;
     this.#clear("");
-    if (wasOpen && this.opener.checkVisibility()) this.opener.focus();
+    if (wasOpen) this.#focusOpener();
     return wasOpen;
+  }
+
+  /** The panel covered the one with the button, which was inert and could not have the focus. */
+  #focusOpener() {
+    this.opener.closest(".panel").inert = false;
+    if (this.opener.checkVisibility()) this.opener.focus();
   }
 
   #clear(text) {
