@@ -55,6 +55,8 @@ def marked(page: Page) -> list[str]:
         (None, LOST, "markers", []),
         (None, TRAINING, "training", []),
         (False, {}, "reference", ["do-reference"]),
+        (False, {"gate": "fault", "hold_reason": "beam_line_mismatch"}, "fault", ["do-acknowledge"]),
+        (True, {"gate": "fault", "hold_reason": "beam_line_mismatch"}, "fault", ["do-acknowledge"]),
         (True, {"position_check": POSITION | {"status": "unsigned"}}, "position", ["do-sign"]),
         (True, {"position_check": POSITION | {"status": "lapsed"}}, "position", ["do-sign"]),
         (True, {"position_check": POSITION | {"status": "signed", "signed_by": "A"}}, "window", ["do-window"]),
@@ -65,7 +67,7 @@ def test_the_next_step_is_marked_with_its_button(
     fake: FakeService, tab: Tab, has_reference: bool | None, changes: dict[str, Any], step: str, buttons: list[str]
 ):
     running(fake, has_reference=has_reference, **changes)
-    page = tab.open("disarmed")
+    page = tab.open(fake.sample["gate"])
     expect(page.locator("#steps")).to_be_visible()
     tab.await_that(lambda: now(page) == step, f"the step is not {step}")
     assert marked(page) == buttons

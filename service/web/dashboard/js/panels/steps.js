@@ -11,7 +11,7 @@ import { tr } from "../words/words.js";
 
 const TITLES = {
   patient: tr("steps.patient_and_plan"), camera: tr("steps.camera"), markers: tr("steps.markers"), training: tr("steps.training"), reference: tr("steps.reference"),
-  position: tr("steps.position"), window: tr("steps.window"), summary: tr("steps.summary"),
+  position: tr("steps.position"), fault: tr("steps.fault"), window: tr("steps.window"), summary: tr("steps.summary"),
 };
 const MARKS = { done: "✓", now: "▸", attention: "!", later: "·" };
 const WORDS = { done: tr("steps.done"), now: tr("steps.now"), attention: tr("steps.look"), later: "" };
@@ -89,6 +89,7 @@ const isOpen = (session) => ["created", "running"].includes(session?.status);
 export function stepsOf({ sample, session, windowLookedAt, model }) {
   const isKnown = session !== null;
   const steps = [
+    ...(sample?.gate === "fault" ? [step("fault", false, tr("steps.read_its_reason_then_acknowledge"), "do-acknowledge")] : []),
     step("patient", sample !== null || isKnown, isKnown ? `${session.patient_reference} · ${session.plan_id} · ${session.fraction_id}` : tr("steps.press_sessions_choose_the_plan_or_type_patie"), "do-setup"),
     cameraStep(sample, session),
     step("markers", sample !== null && sample.state !== "lost", markersText(sample)),
