@@ -160,6 +160,18 @@ def _logged_out(fake: FakeService) -> None:
     fake.person = None
 
 
+def _locked_out(fake: FakeService) -> None:
+    fake.person = None
+    fake.locked_s = 42
+
+
+def _log_in_wrongly(page: Page) -> None:
+    page.fill("#log-in [name=name]", "A. Therapist")
+    page.fill("#log-in [name=password]", "not the password")
+    page.click("#log-in [name=submit]")
+    expect(page.locator("#log-in-outcome")).not_to_be_empty()
+
+
 def _must_change(fake: FakeService) -> None:
     fake.person = person(must_change_password=True)
 
@@ -265,6 +277,8 @@ STATES: dict[str, PageState] = {
     "stale": PageState("stale", sample(age_ms=OLD_MS)),
     "keys": PageState("hold", sample(), act=_press("#do-keys"), shown="#keys"),
     "logged-out": PageState("out", prepare=_logged_out, shown="#log-in"),
+    "log-in-refused": PageState("out", prepare=_logged_out, act=_log_in_wrongly, shown="#log-in"),
+    "locked-out": PageState("out", prepare=_locked_out, act=_log_in_wrongly, shown="#log-in"),
     "change-password": PageState("out", prepare=_must_change, shown="#change-password"),
     "people": PageState("idle", prepare=_admin, shown="#people"),
     "shown-once": PageState("idle", prepare=_admin, act=_open_secret, shown="#shown-once"),

@@ -5,6 +5,7 @@ import re
 import pytest
 from playwright.sync_api import Page, expect
 
+from tests.support.browser.accessibility import SIZES, axe_findings, findings, focus_findings
 from tests.support.browser.fake_coach import CODE, UNMEASURED, FakeCoach, SteppedScreen, guide
 
 pytestmark = pytest.mark.browser
@@ -233,3 +234,27 @@ def test_a_new_instruction_sounds_once_if_sounds_are_on_and_the_screen_was_touch
     coach.guide = guide(sounds=False, instruction="breathe_in")
     screen.advance(2 * screen.step_ms)
     assert page.evaluate("tones") == [392, 440]
+
+
+@pytest.mark.parametrize("changes", [{}, {"instruction": "hold", "countdown_s": 5.0}, {"is_practice": True}], ids=str)
+def test_the_guidance_is_accessible(coach, patient_tab, changes):
+    coach.guide, page = guide(**changes), patient_tab.page
+    page.goto(patient_tab.url)
+    expect(page.locator("#guide")).to_have_attribute("data-show", "guide")
+    assert axe_findings(page) == []
+    page.emulate_media(forced_colors="active")
+    assert axe_findings(page, "color-contrast") == [], "forced colours have the system's contrast"
+
+
+@pytest.mark.parametrize("size", [*SIZES, (320, 640)], ids=str)
+def test_the_form_for_the_code_is_accessible_and_fits(coach, patient_tab, size):
+    coach.is_paired, page = False, patient_tab.page
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    page.goto(patient_tab.url)
+    page.fill("#pair-code", "111111")
+    page.keyboard.press("Enter")
+    expect(page.locator("#pair-outcome")).not_to_be_empty()
+    assert axe_findings(page) == []
+    assert findings(page, "borders", 3.0) + findings(page, "outside") + findings(page, "clipped") == []
+    count, hidden = focus_findings(page)
+    assert (count >= 2, hidden) == (True, [])
