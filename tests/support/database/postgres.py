@@ -64,13 +64,17 @@ class PostgresServer:
         Settings of PostgreSQL beside and over SETTINGS.
     network
         The words before the command that start it in another network; its socket's file is reached all the same.
+    root
+        Where its folder is made: a disk of its own, to be filled.
     """
 
-    def __init__(self, settings: Mapping[str, str] | None = None, *, network: Sequence[str] = ()) -> None:
+    def __init__(
+        self, settings: Mapping[str, str] | None = None, *, network: Sequence[str] = (), root: Path | None = None
+    ) -> None:
         self._programs = _programs()
         self._settings = {**SETTINGS, **(settings or {})}
         self._network = list(network)
-        self.folder = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=temporary_root()))
+        self.folder = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=root or temporary_root()))
         self.port = _free_port()
         self._count = 0
         self._process: subprocess.Popen[bytes] | None = None
@@ -124,6 +128,17 @@ class PostgresServer:
                 time.sleep(0.02)
             else:
                 return
+
+    @property
+    def is_running(self) -> bool:
+        """Whether its first process lives."""
+        return self._process is not None and self._process.poll() is None
+
+    @property
+    def process_id(self) -> int:
+        """The first process of the server that runs."""
+        assert self._process is not None
+        return self._process.pid
 
     def start_as_standby(self) -> None:
         """Start it as one that follows another and takes no writing."""
