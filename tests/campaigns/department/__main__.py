@@ -10,6 +10,7 @@ import contextlib
 import os
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -43,6 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
         typer.echo("tests.campaigns.department: networks need root: nothing is run", err=True)
         return WRONG_USAGE
     with department(asked.seconds) as made:
+        time.sleep(asked.seconds)  # what learning left to be cleaned up is no room's idling
         idle = costs.measure(made.hub, made.rooms, seconds=asked.seconds)
         made.new_sessions()
         gating = costs.measure(made.hub, made.rooms, seconds=asked.seconds)

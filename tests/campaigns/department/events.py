@@ -163,6 +163,7 @@ class Department:
         room = self.rooms[0]
         room.cable.mend()
         self.hub.leave(room)
+        execute(room.server, room.name, f"SELECT pg_drop_replication_slot('{self.hub.names[room.number]}')")
         self.hub.follow(room)
 
 

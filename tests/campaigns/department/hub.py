@@ -10,7 +10,7 @@ from service.storage.audit import Verification
 from service.storage.audit.check import check_chain
 from service.storage.database.engine import Database
 from tests.campaigns.department.network import Network
-from tests.campaigns.department.room import Room
+from tests.campaigns.department.room import AS_A_SITE, Room
 from tests.campaigns.load.usage import usage_of
 from tests.support.database.postgres import PostgresServer
 from tests.support.department.replication import (
@@ -25,7 +25,7 @@ from tests.support.department.replication import (
 )
 
 DISK = "1500m"
-SETTINGS = HUB_SETTINGS | {"wal_receiver_timeout": "3s", "wal_retrieve_retry_interval": "1s", "autovacuum": "on"}
+SETTINGS = HUB_SETTINGS | AS_A_SITE | {"wal_receiver_timeout": "3s", "wal_retrieve_retry_interval": "1s"}
 
 
 class Hub:

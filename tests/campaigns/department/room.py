@@ -20,6 +20,9 @@ QUICK = {
 }
 RECORDING = "recording.oni"
 ATTEMPTS = 3
+AS_A_SITE = {"full_page_writes": "on", "fsync": "on", "synchronous_commit": "on", "autovacuum": "on"}
+"""What a site's PostgreSQL does, and the tests' does not: it costs log."""
+AS_A_SITE |= {"wal_sender_timeout": "3s"}
 OF_BREATHING = frozenset({"outside_window", "dwell"})
 """Holds that breathing makes in this window; any other one is named in the table."""
 
@@ -46,7 +49,7 @@ class Room:
 
     def __post_init__(self) -> None:
         self.place.mkdir(parents=True)
-        settings = ROOM_SETTINGS | {"listen_addresses": f"127.0.0.1,{self.cable.address}", "wal_sender_timeout": "3s"}
+        settings = ROOM_SETTINGS | AS_A_SITE | {"listen_addresses": f"127.0.0.1,{self.cable.address}"}
         self.server = PostgresServer(settings)
         self.stack.callback(self.server.close)
         with (self.server.folder / "data" / "pg_hba.conf").open("a", encoding="utf-8") as rules:
