@@ -2,7 +2,8 @@
 
 Two real services with PostgreSQL and a session each, and a hub in a network of its own that follows them. Prints what
 each room did during each event, and what arrived afterwards; exit code 0 when no room was affected and every row
-arrived, 1 otherwise, 2 without root. Then what following costs, and sixteen rooms calculated from it.
+arrived, 1 otherwise, 2 without root. ``--part costs`` prints what following costs instead, and what sixteen
+rooms would cost.
 """
 
 import argparse
@@ -11,7 +12,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import typer
@@ -28,6 +29,7 @@ from tests.support.repository import ROOT
 from tests.support.temporary_folder import temporary_root
 
 DOCUMENT = ROOT / "docs/3-operate/department.md"
+Parts = dict[str, Callable[[], str]]
 MOST_SECONDS = 20
 """A session ends with its recording of 40 s, of which arming and an event's beginning take some."""
 
@@ -38,25 +40,41 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--seconds", type=bounded(5, MOST_SECONDS), default=MOST_SECONDS, help="how long each event lasts"
     )
-    parser.add_argument("--write", action="store_true", help="put both tables into docs/3-operate/department.md")
+    parser.add_argument("--part", choices=["outages", "costs"], default="outages")
+    parser.add_argument("--write", action="store_true", help="put its table into docs/3-operate/department.md")
     asked = parser.parse_args(arguments)
     if os.geteuid() != 0:
         typer.echo("tests.campaigns.department: networks need root: nothing is run", err=True)
         return WRONG_USAGE
     with department(asked.seconds) as made:
-        time.sleep(asked.seconds)  # what learning left to be cleaned up is no room's idling
-        idle = costs.measure(made.hub, made.rooms, seconds=asked.seconds)
-        made.new_sessions()
-        gating = costs.measure(made.hub, made.rooms, seconds=asked.seconds)
-        outcomes = []
-        for event in made.events():
-            outcomes.append(made.happen(event))
-            typer.echo(line_of(outcomes[-1]))
-    tables = {"outages": lambda: _said(asked.seconds) + table(outcomes), "costs": lambda: costs.table(idle, gating)}
+        tables, is_red = (_costs(made), False) if asked.part == "costs" else _outages(made)
     typer.echo("\n\n".join(make() for make in tables.values()))
     if asked.write:
         write_parts(DOCUMENT, tables)
-    return int(any(outcome.is_red for outcome in outcomes))
+    return int(is_red)
+
+
+def _outages(made: Department) -> tuple[Parts, bool]:
+    outcomes = []
+    for event in made.events():
+        outcomes.append(made.happen(event))
+        typer.echo(line_of(outcomes[-1]))
+    said = _said(f" --seconds {made.seconds:g}")
+    return {"outages": lambda: said + table(outcomes)}, any(outcome.is_red for outcome in outcomes)
+
+
+def _costs(made: Department) -> Parts:
+    time.sleep(costs.SETTLE_S)  # what learning left to be cleaned up is no room's idling
+    idle = costs.measure(made.hub, made.rooms, lambda: time.sleep(costs.IDLE_S))
+
+    def sessions() -> None:
+        for _ in range(costs.SESSIONS):
+            made.new_sessions()
+            time.sleep(made.seconds)
+
+    gating = costs.measure(made.hub, made.rooms, sessions)
+    said = _said(f" --part costs --seconds {made.seconds:g}")
+    return {"costs": lambda: said + costs.table(idle, gating)}
 
 
 @contextlib.contextmanager
@@ -101,8 +119,8 @@ def _room(room: RoomMeanwhile | None) -> str:
     return f"{room.frames} frames, beam on {room.beams} times, {holds}"
 
 
-def _said(seconds: float) -> str:
-    command = f"python -m tests.campaigns.department --seconds {seconds:g}"
+def _said(options: str) -> str:
+    command = f"python -m tests.campaigns.department{options}"
     return f"`{command}` at {revision_of_the_code()}, {os.cpu_count()} cores, load {os.getloadavg()[2]:.1f}:\n\n"
 
 

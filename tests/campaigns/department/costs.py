@@ -1,7 +1,7 @@
 """What following a room costs, measured, and what sixteen rooms would cost, calculated from it."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from tests.campaigns.department.hub import Hub
@@ -11,6 +11,8 @@ from tests.support.department.replication import answer
 HOUR_S = 3600.0
 SCRAPE_EVERY_S = 5.0
 MANY = 16
+SETTLE_S, IDLE_S = 30.0, 120.0
+SESSIONS = 6
 MB, GB = 1e6, 1e9
 BOUND_BYTES = 4 * 1024**3
 """What docker/department/replication/room.conf lets a room keep."""
@@ -50,10 +52,10 @@ def read(hub: Hub, rooms: Sequence[Room]) -> Counters:
     )
 
 
-def measure(hub: Hub, rooms: Sequence[Room], *, seconds: float) -> Cost:
-    """Measure for so long, without asking anything meanwhile."""
+def measure(hub: Hub, rooms: Sequence[Room], during: Callable[[], None]) -> Cost:
+    """Measure while something is done."""
     before = read(hub, rooms)
-    time.sleep(seconds)
+    during()
     after = read(hub, rooms)
     each = (after.at_s - before.at_s) * len(rooms)
     return Cost(

@@ -116,8 +116,9 @@ class PostgresServer:
             *where,
             *settings,
         ]
+        own_home = {**os.environ, "HOME": str(self.folder)}  # where it looks for a client's certificate
         with (self.folder / "log").open("ab") as log:
-            self._process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=log)
+            self._process = subprocess.Popen(words, env=own_home, stdout=subprocess.DEVNULL, stderr=log)
         end_s = time.monotonic() + 30.0
         while True:
             try:

@@ -61,10 +61,12 @@ def publish(room: PostgresServer, database: str) -> None:
     execute(room, database, f"ALTER ROLE {ROLE} PASSWORD '{PASSWORD}'")
 
 
-def subscribe(hub: PostgresServer, name: str, room: PostgresServer, database: str, *, host: str = "127.0.0.1") -> None:
+def subscribe(
+    hub: PostgresServer, name: str, room: PostgresServer, database: str, *, host: str = "127.0.0.1", tls: str = ""
+) -> None:
     """Let an empty database of the hub follow a room; returns before its rows are copied."""
     secret = _password_file(hub)
-    where = f"host={host} port={room.port} dbname={database} user={ROLE} passfile={secret} connect_timeout=2"
+    where = f"host={host} port={room.port} dbname={database} user={ROLE} passfile={secret} connect_timeout=2 {tls}"
     run_file(hub, name, "hub.sql", room=where)
 
 

@@ -1,20 +1,23 @@
-"""Grafana's dashboard of records: its queries are asked of a real copy, by an account that only reads. Without Grafana."""
+"""Grafana's dashboard of records: its queries are asked of a real copy, by an account that reads. No Grafana."""
 
 import json
 from contextlib import closing
+from datetime import UTC, datetime
 
 import pytest
 import yaml
-from sqlalchemy import text
+from sqlalchemy import insert, text
 
+from service.storage.database.base import Base
 from service.storage.database.engine import Database
-from tests.support.audit.rows import fill
+from tests.support.audit.rows import ROWS, fill
 from tests.support.database.rows import add_rows
 from tests.support.department.replication import execute
 from tests.support.repository import ROOT
 
 GRAFANA = ROOT / "docker/department/grafana"
 DASHBOARD = json.loads((GRAFANA / "tidegate-records.json").read_text(encoding="utf-8"))
+BEGAN = datetime(2026, 11, 23, 7, tzinfo=UTC)
 QUERIES = {panel["title"]: target["rawSql"] for panel in DASHBOARD["panels"] for target in panel["targets"]}
 
 
@@ -23,7 +26,9 @@ def asked(followed):
     """Ask the copy, as Grafana's account, with a patient's reference as Grafana quotes it."""
     fill(followed.database, 4)
     with followed.database.write() as db:
-        add_rows(db.connection(), but=("audit",))
+        add_rows(db.connection(), but=("audit", "qa_runs", "qa_outcomes", "qa_results"))
+        run = ROWS["qa_runs"] | {"is_simulated": False, "is_simulated_beam": False, "created_at": BEGAN}
+        db.execute(insert(Base.metadata.tables["qa_runs"]).values(run))
         db.execute(text("UPDATE sessions SET patient_reference = 'O''Hara', is_simulated_beam = false"))
     followed.follow()
     followed.arrive()
@@ -33,7 +38,8 @@ def asked(followed):
 
         def ask(title, patient=""):
             quoted = "'" + patient.replace("'", "''") + "'"
-            rows = connection.exec_driver_sql(QUERIES[title].replace("${patient:sqlstring}", quoted))
+            query = QUERIES[title].replace("${patient:sqlstring}", quoted).replace("%", "%%")
+            rows = connection.exec_driver_sql(query)
             return [dict(row) for row in rows.mappings()]
 
         yield ask

@@ -6,6 +6,7 @@ import pytest
 from sqlalchemy import inspect, text
 from sqlalchemy.exc import DBAPIError
 
+from service.monitoring.metrics.replication import read_slots
 from service.storage.audit.check import check_chain
 from service.storage.database.base import Base
 from service.storage.database.engine import Database
@@ -189,6 +190,8 @@ def test_a_hub_away_beyond_the_bound_is_left_and_copies_everything_again(narrow_
     execute(room.room, room.name, *(["CREATE TABLE filler ()", "DROP TABLE filler", "SELECT pg_switch_wal()"] * 3))
     execute(room.room, room.name, "CHECKPOINT")
     assert room.slot("wal_status") == "lost"
+    with room.database.read() as db:
+        assert [slot.is_lost for slot in read_slots(db)] == [True]
     fill(room.database, 50)
     end_subscription(room.hub, room.hub_name)
     room.hub_name = hub_database(room.hub)

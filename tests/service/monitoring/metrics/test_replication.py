@@ -8,6 +8,7 @@ from service.monitoring.metrics.replication import ReplicationSlot, slot_metrics
 from service.storage.database.engine import Database
 from tests.support.audit.rows import fill
 from tests.support.database.postgres import PostgresServer
+from tests.support.department.replication import execute
 from tests.support.waiting import eventually
 
 MADE = "SELECT pg_create_logical_replication_slot('{}', 'pgoutput')"
@@ -46,11 +47,13 @@ def test_slots_of_other_databases_and_of_copies_of_the_server_are_not_this_room_
     with followed.database.connect() as connection:
         connection.execute(text("SELECT pg_create_physical_replication_slot('copy')"))
         connection.commit()
+        execute(followed.room, "postgres", MADE.format("elsewhere"))
         try:
             assert slots_of(followed.database) == ()
         finally:
             connection.execute(text("SELECT pg_drop_replication_slot('copy')"))
             connection.commit()
+            execute(followed.room, "postgres", "SELECT pg_drop_replication_slot('elsewhere')")
 
 
 @pytest.fixture
