@@ -3,7 +3,15 @@
 Used by revisions that are out in the world: what is here may be added to, and not be changed.
 """
 
+import sqlalchemy as sa
 from alembic import op
+
+OUR_FUNCTIONS = """
+SELECT DISTINCT n.nspname, p.proname FROM pg_trigger t
+JOIN pg_class c ON c.oid = t.tgrelid JOIN pg_namespace n ON n.oid = c.relnamespace
+JOIN pg_proc p ON p.oid = t.tgfoid AND p.pronamespace = n.oid
+WHERE NOT t.tgisinternal AND n.nspname = current_schema() ORDER BY 2
+"""
 
 
 def refuse(name: str, table: str, verb: str, condition: str | None, message: str) -> None:
@@ -26,3 +34,25 @@ def allow(name: str, table: str) -> None:
         return
     op.execute(f"DROP TRIGGER {name} ON {table}")
     op.execute(f"DROP FUNCTION {name}()")
+
+
+def fix_search_path() -> None:
+    """Let each trigger's function look for tables in its own schema alone (PostgreSQL).
+
+    The apply worker of logical replication has an empty search path; and a caller's temporary table would otherwise be
+    taken for ours. A revision that makes triggers ends with this.
+    """
+    for schema, name in _functions():
+        op.execute(f'ALTER FUNCTION "{schema}"."{name}"() SET search_path = "{schema}", pg_temp')
+
+
+def free_search_path() -> None:
+    """Let each trigger's function look for tables as its caller does."""
+    for schema, name in _functions():
+        op.execute(f'ALTER FUNCTION "{schema}"."{name}"() RESET search_path')
+
+
+def _functions() -> list[tuple[str, str]]:
+    if op.get_bind().dialect.name == "sqlite":
+        return []
+    return [(schema, name) for schema, name in op.get_bind().execute(sa.text(OUR_FUNCTIONS)).all()]

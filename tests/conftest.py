@@ -8,6 +8,7 @@ pytest_plugins = [
     "pytester",
     "tests.support.fixtures.audit",
     "tests.support.fixtures.databases",
+    "tests.support.fixtures.department",
     "tests.support.fixtures.process",
     "tests.support.fixtures.recordings",
     "tests.support.fixtures.samples",

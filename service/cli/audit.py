@@ -19,7 +19,7 @@ from service.core.errors import BoundError
 from service.core.settings.settings import Settings, SettingsError
 from service.storage.audit import SYSTEM, Event, Verification
 from service.storage.audit.anchors import AnchorFile
-from service.storage.audit.check import check_whole
+from service.storage.audit.check import check_chain, check_whole
 from service.storage.audit.formats.export import (
     MAX_LINE_CHARACTERS,
     ExportFormat,
@@ -44,16 +44,21 @@ def verify(
     export: Annotated[
         Path | None, typer.Option(help="Verify this exported file instead of a database; - reads standard input.")
     ] = None,
+    without_anchors: Annotated[
+        bool, typer.Option("--without-anchors", help="Verify the chain alone: a department's copy has no anchor file.")
+    ] = False,
 ) -> None:
     """Verify the hash chain of the audit log and compare it with the anchor file.
 
     Exit code 0 when it is intact; 1 when it is broken, with the first broken row.
     """
+    if export is not None and without_anchors:
+        raise refused("audit verify", "--without-anchors is for a database; an export is never compared with anchors")
     if export is not None:
         found = _verified_file(export)
     else:
         with _database("audit verify", data) as (settings, database):
-            found = _verified(settings, database)
+            found = _verified(settings, database, without_anchors=without_anchors)
     for note in found.notes:
         say(f"Note: {note}", "yellow")
     if found.is_intact:
@@ -93,11 +98,13 @@ def export_rows(
     say(f"{lines} lines written{'' if out == STANDARD_OUTPUT else f' to {out}'}")
 
 
-def _verified(settings: Settings, database: Database) -> Verification:
+def _verified(settings: Settings, database: Database, *, without_anchors: bool) -> Verification:
     with database.read() as db:
         total = head_sequence(db)
     with frame_bar() as bar:
         task = bar.add_task("rows", total=total)
+        if without_anchors:
+            return check_chain(database, on_piece=lambda rows: advance(bar, task, rows))
         return check_whole(database, AnchorFile(settings.anchor_file), on_piece=lambda rows: advance(bar, task, rows))
 
 

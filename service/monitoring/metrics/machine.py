@@ -20,6 +20,7 @@ from service.access.service import AccessService
 from service.core.logging.nonblocking import dropped_lines
 from service.core.schemas.readiness import Readiness, ReadinessCode
 from service.monitoring.certificate import ServedCertificate
+from service.monitoring.metrics.replication import ReplicationSlot, read_slots, slot_metrics
 from service.storage.audit.verification import head_sequence
 from service.storage.database.engine import Database
 
@@ -42,6 +43,7 @@ class StoredFigures:
 
     database_bytes: int
     audit_rows: int
+    slots: tuple[ReplicationSlot, ...] = ()
 
 
 class DatabaseFigures:
@@ -70,13 +72,15 @@ class DatabaseFigures:
         try:
             with self._database.read() as db:
                 rows = head_sequence(db)
+                slots: tuple[ReplicationSlot, ...] = ()
                 if self._database.is_postgresql:
                     size = int(db.execute(text("SELECT pg_database_size(current_database())")).scalar_one())
+                    slots = read_slots(db)
                 else:
                     size = _file_bytes(self._database.path)
         except (SQLAlchemyError, OSError):
             return None
-        return StoredFigures(database_bytes=size, audit_rows=rows)
+        return StoredFigures(database_bytes=size, audit_rows=rows, slots=slots)
 
 
 def _file_bytes(path: Path) -> int:
@@ -158,6 +162,8 @@ class MachineMetrics(Collector):
             return
         yield _gauge("tidegate_database_size_bytes", "Size of the database", figures.database_bytes)
         yield _gauge("tidegate_audit_rows", "Rows of the audit log", figures.audit_rows)
+        if figures.slots:
+            yield from slot_metrics(figures.slots)
         forwarded = self._forwarded()
         if forwarded is not None:
             waiting = max(figures.audit_rows - forwarded, 0)

@@ -97,7 +97,7 @@ def served(
     command = [sys.executable, "-m", "service.cli"]
     scopes = [part for scope in SCOPES for part in ("--scope", scope)]
     made = subprocess.run(
-        [*command, "keys", "create", "load", *scopes, "--days", "2", "--data", str(data)],
+        [*command, "keys", "create", f"load-{port}", *scopes, "--days", "2", "--data", str(data)],
         cwd=root,
         env={**known, "COLUMNS": "400"},
         capture_output=True,
@@ -107,7 +107,7 @@ def served(
     secret = re.search(r"tg_[\w-]{20,}", made.stdout + made.stderr)
     if made.returncode or secret is None:
         raise LoadError(f"no key could be made: {made.stdout}{made.stderr}")
-    settings = None if tls is None else Settings(data_dir=data, tls_cert=tls[0], tls_key=tls[1])
+    settings = _settings_for(data, given, tls)
     origin = f"{'http' if tls is None else 'https'}://127.0.0.1:{port}"
     let_in = provision(data, people={OPERATOR: {Role.THERAPIST}}, origin=origin, settings=settings)
     log = place / "serve.log"
@@ -140,6 +140,13 @@ def served(
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+
+
+def _settings_for(data: Path, given: Mapping[str, str], tls: tuple[Path, Path] | None) -> Settings:
+    """Return what the log-in that is made beforehand depends on: the service's database, room and certificate."""
+    certificate, key = tls or (None, None)
+    url, room = given.get("TIDEGATE_DATABASE_URL"), given.get("TIDEGATE_ROOM", "")
+    return Settings(data_dir=data, tls_cert=certificate, tls_key=key, database_url=url, room=room)
 
 
 def learn(service: Service, folder: Path, recording: Path) -> dict[str, str]:

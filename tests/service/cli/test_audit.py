@@ -62,6 +62,25 @@ def test_a_broken_log_is_exit_code_1_and_names_the_first_broken_row(folder, stat
     assert ran.stdout.startswith(said)
 
 
+def test_without_anchors_the_chain_alone_is_verified_and_that_is_said(folder):
+    edit(folder, "DELETE FROM audit WHERE sequence > 30")
+    ran = run("audit", "verify", "--without-anchors", "--data", folder)
+    assert (ran.exit_code, ran.stdout.startswith("intact: 30 rows, head ")) == (0, True)
+    assert "rows cut off at the end are not found" in " ".join(ran.output.split())
+
+
+def test_without_anchors_a_changed_row_is_found(folder):
+    edit(folder, "UPDATE audit SET actor = 'you' WHERE sequence = 3")
+    ran = run("audit", "verify", "--without-anchors", "--data", folder)
+    assert (ran.exit_code, ran.stdout.startswith("BROKEN at row 3 (changed)")) == (1, True)
+
+
+def test_an_export_has_no_anchors_to_be_left_out(folder, tmp_path):
+    ran = run("audit", "verify", "--without-anchors", "--export", tmp_path / "rows.jsonl")
+    assert ran.exit_code == 2
+    assert "never compared with anchors" in " ".join(ran.output.split())
+
+
 def test_where_there_is_no_log_none_is_made(tmp_path):
     ran = run("audit", "verify", "--data", tmp_path / "nowhere")
     assert ran.exit_code == 2

@@ -13,6 +13,7 @@ import socket
 import subprocess
 import tempfile
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import psycopg
@@ -29,6 +30,7 @@ PASSWORD = "tests only"
 TEMPLATE = "migrated"
 # The data of tests has nothing to lose: nothing waits for a disk.
 SETTINGS = {
+    "listen_addresses": "127.0.0.1",
     "fsync": "off",
     "full_page_writes": "off",
     "synchronous_commit": "off",
@@ -54,11 +56,25 @@ def _unprivileged() -> list[str]:
 
 
 class PostgresServer:
-    """A running server; `kill`, `stop`, `start`, `pause` and `go_on` do to it what happens in the world."""
+    """A running server; `kill`, `stop`, `start`, `pause` and `go_on` do to it what happens in the world.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    settings
+        Settings of PostgreSQL beside and over SETTINGS.
+    network
+        The words before the command that start it in another network; its socket's file is reached all the same.
+    root
+        Where its folder is made: a disk of its own, to be filled.
+    """
+
+    def __init__(
+        self, settings: Mapping[str, str] | None = None, *, network: Sequence[str] = (), root: Path | None = None
+    ) -> None:
         self._programs = _programs()
-        self.folder = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=temporary_root()))
+        self._settings = {**SETTINGS, **(settings or {})}
+        self._network = list(network)
+        self.folder = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=root or temporary_root()))
         self.port = _free_port()
         self._count = 0
         self._process: subprocess.Popen[bytes] | None = None
@@ -89,11 +105,20 @@ class PostgresServer:
 
     def start(self) -> None:
         """Start it, and wait until it answers."""
-        settings = [f"--{name}={value}" for name, value in SETTINGS.items()]
-        where = ["-D", str(self.folder / "data"), "-p", str(self.port), "-k", str(self.folder), "-h", "127.0.0.1"]
-        words = ["setpriv", *_unprivileged(), "--pdeathsig=QUIT", self._programs / "postgres", *where, *settings]
+        settings = [f"--{name}={value}" for name, value in self._settings.items()]
+        where = ["-D", str(self.folder / "data"), "-p", str(self.port), "-k", str(self.folder)]
+        words = [
+            *self._network,
+            "setpriv",
+            *_unprivileged(),
+            "--pdeathsig=QUIT",
+            self._programs / "postgres",
+            *where,
+            *settings,
+        ]
+        own_home = {**os.environ, "HOME": str(self.folder)}  # where it looks for a client's certificate
         with (self.folder / "log").open("ab") as log:
-            self._process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=log)
+            self._process = subprocess.Popen(words, env=own_home, stdout=subprocess.DEVNULL, stderr=log)
         end_s = time.monotonic() + 30.0
         while True:
             try:
@@ -104,6 +129,17 @@ class PostgresServer:
                 time.sleep(0.02)
             else:
                 return
+
+    @property
+    def is_running(self) -> bool:
+        """Whether its first process lives."""
+        return self._process is not None and self._process.poll() is None
+
+    @property
+    def process_id(self) -> int:
+        """The first process of the server that runs."""
+        assert self._process is not None
+        return self._process.pid
 
     def start_as_standby(self) -> None:
         """Start it as one that follows another and takes no writing."""

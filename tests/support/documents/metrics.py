@@ -6,7 +6,7 @@ that only some sites have: TLS, a server that the audit is passed on to, an iden
 
 import os
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cache, partial
 from pathlib import Path
@@ -17,7 +17,8 @@ from prometheus_client.parser import text_string_to_metric_families
 from engine.beam.beam_on import BeamOnState
 from engine.core.gate_state import GateState
 from service.core.settings.settings import Settings
-from service.monitoring.metrics.machine import MachineMetrics
+from service.monitoring.metrics.machine import DatabaseFigures, MachineMetrics, StoredFigures
+from service.monitoring.metrics.replication import ReplicationSlot
 from service.web.app import create_app
 from tests.support.generated_sections import print_or_write
 from tests.support.repository import ROOT
@@ -45,6 +46,18 @@ class FullEngine(FakeEngine):
 
 class _Certificate:
     ends_at = datetime(2027, 1, 1, tzinfo=UTC)
+
+
+class _Followed:
+    """Figures of a database that a department follows."""
+
+    def __init__(self, figures: DatabaseFigures) -> None:
+        self._figures = figures
+
+    def read(self) -> StoredFigures | None:
+        found = self._figures.read()
+        slot = ReplicationSlot(name="room_1", is_active=True, is_lost=False, behind_bytes=0, limit_bytes=2**32)
+        return None if found is None else replace(found, slots=(slot,))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +89,7 @@ def scraped() -> str:
             for one in services.metrics.collectors:
                 if isinstance(one, MachineMetrics):
                     one._certificate, one._forwarded = _Certificate(), lambda: 0
+                    one._figures = _Followed(one._figures)
             calibration_id = upload(client, make_calibration().to_json()).json()["id"]
             session_id = client.post("/api/v1/sessions", json=make_session_body(calibration_id)).json()["id"]
             assert act(client, session_id, "start").status_code == 200

@@ -19,7 +19,20 @@ STRINGS = re.compile(r'"[^"]*"')
 SELECTOR = re.compile(r"([a-zA-Z_:][a-zA-Z0-9_:]*)\s*\{([^}]*)\}")
 MATCHER = re.compile(r'([a-zA-Z_]+)\s*(?:=~|!~|!=|=)\s*"([^"]*)"')
 LANGUAGE = frozenset(
-    {"histogram_quantile", "sum", "rate", "increase", "by", "le", "topk", "sort_desc", "time", "on", "and"}
+    [
+        "histogram_quantile",
+        "sum",
+        "rate",
+        "increase",
+        "avg_over_time",
+        "by",
+        "le",
+        "topk",
+        "sort_desc",
+        "time",
+        "on",
+        "and",
+    ]
 )
 OF_THE_SCRAPE = frozenset({"instance", "job", "room", "up"})
 COLUMNS = 24
@@ -139,6 +152,9 @@ def test_what_was_asked_for_is_alerted_of():
         "tidegate_not_ready",
         "tidegate_engine_processes_lost_total",
         "tidegate_certificate_end_timestamp_seconds",
+        "tidegate_replication_active",
+        "tidegate_replication_lost",
+        "tidegate_replication_limit_bytes",
         "up",
     ):
         assert name in asked

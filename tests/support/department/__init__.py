@@ -1,0 +1,1 @@
+"""A department: rooms with PostgreSQL, and the hub that follows them."""
