@@ -17,14 +17,15 @@ with atheris.instrument_imports(include=["engine", "service"]):
     from tests.campaigns.fuzz.targets import TARGETS
 
 from tests.campaigns.fuzz.options import options_of
-from tests.campaigns.fuzz.target import Target
+from tests.campaigns.fuzz.target import Target, folder_of_inputs
 
 
 def main() -> int:
     """Run each for its time; 1 where something came out of any that is no refusal."""
     logging.disable()
     work, seconds, inputs, seed, *names = sys.argv[1:]
-    ended = [_in_a_child(TARGETS[name], Path(work), int(seconds), int(inputs), int(seed)) for name in names]
+    with folder_of_inputs():
+        ended = [_in_a_child(TARGETS[name], Path(work), int(seconds), int(inputs), int(seed)) for name in names]
     return max(ended)
 
 

@@ -1,7 +1,8 @@
 """What one target is: a reader, what it may refuse with, and where its inputs come from."""
 
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 FOLDER = Path(__file__).parent
 CORPUS = FOLDER / "corpus"
 MEMORY = Path("/dev/shm")
+_given: list[Path] = []
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,9 +62,24 @@ def check_refusal(error: BaseException) -> None:
     assert len(text) < 2000, f"{type(error).__name__} says {len(text)} characters"
 
 
+@contextmanager
+def folder_of_inputs() -> Iterator[None]:
+    """Keep the inputs of child processes in a folder that goes with this block: libFuzzer ends them at once."""
+    with tempfile.TemporaryDirectory(prefix="tidegate-fuzz-", dir=MEMORY if MEMORY.is_dir() else None) as name:
+        _folder.cache_clear()
+        _given.append(Path(name))
+        try:
+            yield
+        finally:
+            _given.pop()
+            _folder.cache_clear()
+
+
 @cache
 def _folder() -> Path:
     """A folder of this process, in memory where there is some."""
+    if _given:
+        return _given[-1]
     kept = tempfile.TemporaryDirectory(prefix="tidegate-fuzz-", dir=MEMORY if MEMORY.is_dir() else None)
     _folder.kept = kept  # removed with the process
     return Path(kept.name)
