@@ -6,7 +6,9 @@ import pytest
 
 from engine.beam.simulated import SimulatedBeamLine
 from engine.core.clock import ManualClock
+from engine.core.errors import BeamLineError, BeamLineMismatchError
 from engine.core.gate_state import GateState, HoldReason
+from engine.gating.gate import Interruption
 from tests.support.control.loop_bench import driver_of
 from tests.support.gating.streams import LIMITS, MS, PERIOD_NS, stream_in
 
@@ -51,3 +53,58 @@ def test_after_a_hold_the_lease_of_before_says_nothing():
     driver.carry_out(replace(gate, state=GateState.HOLD, reason=HoldReason.MARKER_LOST), clock.now_ns())
     clock.advance_ns(2 * LEASE_NS)
     assert driver.carry_out(received(gate, clock.now_ns()), clock.now_ns()).is_on
+
+
+class Answering(SimulatedBeamLine):
+    """Raises this error at each order but a hold, or stays off though permitted, or stays on though held."""
+
+    error: Exception | None = None
+    is_deaf = is_stuck = False
+
+    def permit(self, lease):
+        if self.error is not None:
+            raise self.error
+        if not self.is_deaf:
+            super().permit(lease)
+
+    def is_on(self):
+        return self.is_stuck or super().is_on()
+
+
+@pytest.mark.parametrize(
+    ("line", "state", "trouble"),
+    [
+        (
+            {"error": BeamLineError("no answer")},
+            GateState.BEAM_ON,
+            Interruption(HoldReason.BEAM_LINE_FAILED, "no answer"),
+        ),
+        ({"error": BeamLineError()}, GateState.BEAM_ON, Interruption(HoldReason.BEAM_LINE_FAILED, "BeamLineError")),
+        (
+            {"error": BeamLineMismatchError("off for 160 ms")},
+            GateState.BEAM_ON,
+            Interruption(HoldReason.BEAM_LINE_MISMATCH, "off for 160 ms"),
+        ),
+        (
+            {"is_deaf": True},
+            GateState.BEAM_ON,
+            Interruption(HoldReason.BEAM_LINE_MISMATCH, "the line is off, though permitted"),
+        ),
+        (
+            {"is_stuck": True},
+            GateState.HOLD,
+            Interruption(HoldReason.BEAM_LINE_MISMATCH, "the line is on, though held"),
+        ),
+    ],
+    ids=["error", "error without text", "mismatch of its own", "off", "on"],
+)
+def test_the_trouble_of_a_line_names_its_kind_and_says_what_the_line_said(line, state, trouble):
+    gate = stream_in(GateState.BEAM_ON).gate
+    clock = ManualClock(gate.last.received_ns)
+    beam = Answering(clock)
+    beam.open()
+    beam.rearm()
+    for name, value in line.items():
+        setattr(beam, name, value)
+    report = driver_of(beam, clock).carry_out(replace(gate, state=state), clock.now_ns())
+    assert report.trouble == trouble

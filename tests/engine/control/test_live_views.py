@@ -3,8 +3,10 @@
 from itertools import pairwise
 
 from engine.core.camera_view import CameraView
-from engine.core.commands import Disarm
-from tests.support.control.armed_bench import armed_bench
+from engine.core.commands import Acknowledge, Disarm
+from engine.core.gate_state import GateState, HoldReason
+from engine.gating.interlocks import WATCHDOG_DETAIL
+from tests.support.control.armed_bench import ARM, armed_bench
 from tests.support.control.loop_bench import after, good
 
 SEEN = CameraView(
@@ -33,3 +35,26 @@ def test_a_loop_without_a_meter_shows_nothing_of_the_camera():
     bench = armed_bench([good] * 2)
     bench.run()
     assert bench.loop.status.view.camera_view is None
+
+
+def test_each_view_that_a_hung_engine_leaves_behind_is_shown_as_the_watchdog_s_fault_of_that_view():
+    """The second time the engine hangs, the view of the first is not shown again."""
+    seen = []
+
+    def hang_and_look():
+        left_behind = bench.loop.status.view
+        bench.watchdog.check(bench.clock.now_ns() + 10_000_000_000)
+        shown = bench.loop.status.view
+        seen.append((left_behind, shown))
+        assert bench.loop.status.view is shown
+
+    bench = armed_bench([good] * 6)
+    again = [after(bench.ask(Acknowledge(operator="bob"))), good, after(bench.ask(ARM)), *[good] * 6]
+    bench.source.script += [after(hang_and_look), *again, after(hang_and_look)]
+    bench.run()
+    assert [left.armed_by for left, _ in seen] == ["ann", "ann"]
+    for left_behind, shown in seen:
+        assert shown.frames == left_behind.frames
+        assert (shown.record.gate_state, shown.record.hold_reason) == (GateState.FAULT, HoldReason.WATCHDOG)
+        assert (shown.is_armed, shown.armed_by, shown.detail) == (False, None, WATCHDOG_DETAIL)
+    assert seen[0][1].frames < seen[1][1].frames

@@ -187,3 +187,26 @@ def test_disarming_keeps_the_signature_of_a_patient_who_lies_still():
     bench, errors = asked(SIGN, ARM, Disarm(operator="ann"), ARM, HoldBeam(operator="ann"), ReleaseBeam(operator="ann"))
     assert errors == [None] * 6
     assert bench.records()[-1].line_on
+
+
+def test_a_refusal_names_the_tolerance_and_every_shortcoming():
+    unsigned = SignPosition(operator="bob", reference_number=1)
+    tolerance = f"{LIMITS.max_position_shift_mm:g} mm and {LIMITS.max_position_turn_deg:g} deg"
+    bench, (error,) = asked(unsigned, check=replace(BEYOND, shape_mm=9.0))
+    found = bench.loop.status.view.position.shortcomings
+    assert len(found) == 2
+    assert f"the position is not within {tolerance} of the plan's ({found[0]}, {found[1]}): " in str(error)
+    _, (error,) = asked(unsigned, check=None)
+    assert f"the position is not within {tolerance} of the plan's (it was not compared): " in str(error)
+
+
+def test_the_first_of_several_moves_is_named_as_what_ended_the_signature():
+    bench, _ = asked(SIGN, spoil_from_now(pushed), spoil_from_now(away), frames=20)
+    assert bench.loop.status.view.position.lapse == "the camera moved"
+
+
+def test_where_nothing_is_to_be_signed_no_move_ends_anything():
+    bench, _ = asked(
+        spoil_from_now(pushed), prepare=lambda bench: setattr(bench.pipeline, "is_position_required", False)
+    )
+    assert bench.loop.status.view.position.lapse == ""
