@@ -186,3 +186,16 @@ def test_the_defaults_keep_the_lease_under_three_frame_periods_and_over_the_gap(
     limits = GateLimits(window=WINDOW)
     assert limits.max_gap_ms < limits.lease_ms < 3 * PERIOD_NS / MS
     assert limits.max_gap_ms < 2 * PERIOD_NS / MS  # a missing frame holds within one period of when it was due
+
+
+@pytest.mark.parametrize(
+    ("changes", "field", "value", "bound"),
+    [
+        ({"lower": 3.0}, "upper_mm", "3.0", "more than lower_mm (3)"),
+        ({"hysteresis": 2.0}, "hysteresis_mm", "2.0", "less than half the window's width (2)"),
+    ],
+)
+def test_edges_that_make_no_window_are_refused_by_field_value_and_bound(changes, field, value, bound):
+    with pytest.raises(InvalidValueError) as refusal:
+        replace(WINDOW, **changes)
+    assert (refusal.value.field, refusal.value.value, refusal.value.bound) == (field, value, bound)
