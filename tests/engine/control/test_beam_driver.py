@@ -9,7 +9,7 @@ from engine.core.clock import ManualClock
 from engine.core.errors import BeamLineError, BeamLineMismatchError
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.gate import Interruption
-from tests.support.control.loop_bench import driver_of
+from tests.support.control.loop_bench import WatchedBeamLine, driver_of
 from tests.support.gating.streams import LIMITS, MS, PERIOD_NS, stream_in
 
 LEASE_NS = int(LIMITS.lease_ms * MS)
@@ -39,7 +39,7 @@ def test_a_decision_in_time_that_is_reported_once_the_line_has_gone_off_by_itsel
     assert beam.is_on() is is_on
     assert (report.trouble is None) is is_on
     if report.trouble is not None:
-        assert report.trouble.reason is HoldReason.FRAME_LATE
+        assert report.trouble == Interruption(HoldReason.FRAME_LATE, "the lease before had lapsed in the line")
 
 
 def test_after_a_hold_the_lease_of_before_says_nothing():
@@ -108,3 +108,43 @@ def test_the_trouble_of_a_line_names_its_kind_and_says_what_the_line_said(line, 
         setattr(beam, name, value)
     report = driver_of(beam, clock).carry_out(replace(gate, state=state), clock.now_ns())
     assert report.trouble == trouble
+    assert not report.is_settling
+
+
+def test_a_decision_that_outlived_its_lease_or_a_line_that_answered_after_it_says_so():
+    gate = stream_in(GateState.BEAM_ON).gate
+    for late_ns, detail in (
+        (LEASE_NS, "the decision took longer than its lease"),
+        (0, "the lease lapsed before the line had answered"),
+    ):
+        clock = ManualClock(gate.last.received_ns)
+        beam = WatchedBeamLine(clock)
+        beam.open()
+        beam.rearm()
+        beam.before_permit = lambda _lease, of=clock: of.advance_ns(LEASE_NS)
+        decided_ns = clock.now_ns()
+        clock.advance_ns(late_ns)
+        report = driver_of(beam, clock).carry_out(gate, decided_ns)
+        assert (report.is_on, report.trouble) == (False, Interruption(HoldReason.FRAME_LATE, detail))
+
+
+class Settling(SimulatedBeamLine):
+    """Reads back the contrary of its command, and says that it settles."""
+
+    is_settling = True
+
+    def is_on(self):
+        return not super().is_on()
+
+
+@pytest.mark.parametrize(("line", "is_settling"), [(SimulatedBeamLine, False), (Settling, True)])
+@pytest.mark.parametrize("state", [GateState.BEAM_ON, GateState.HOLD])
+def test_the_report_says_whether_the_order_may_not_have_taken_effect(line, is_settling, state):
+    gate = stream_in(GateState.BEAM_ON).gate
+    clock = ManualClock(gate.last.received_ns)
+    beam = line(clock)
+    beam.open()
+    beam.rearm()
+    report = driver_of(beam, clock).carry_out(replace(gate, state=state), clock.now_ns())
+    assert (report.is_on, report.is_settling) == ((state is GateState.BEAM_ON) is not is_settling, is_settling)
+    assert report.trouble is None
