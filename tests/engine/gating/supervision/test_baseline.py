@@ -209,3 +209,18 @@ def test_a_height_that_equals_the_bound_tells_the_level(beyond_mm, is_held):
     at_us = measured(70).timestamp_us
     position = BodyPosition(measured_us=at_us, height_mm=2.0 + beyond_mm, tilt_deg=0.0, roll_deg=0.0)
     assert (back_from_a_gap(exhale_us=-1, position=position) is not None) is is_held
+
+
+@pytest.mark.parametrize(("gap_us", "is_held"), [(0, False), (1_000_000, False), (1_000_001, True), (-1, True)])
+def test_a_level_is_known_over_a_second_and_not_over_a_longer_gap_or_a_clock_that_went_back(gap_us, is_held):
+    baseline, first = Baseline(LIMITS), measured(70)
+    assert baseline.check(replace(first, breaths=(breath(0.1),)), WIDE) is None
+    late = replace(first, timestamp_us=first.timestamp_us + gap_us, breaths=(breath(0.1, exhale_us=1),))
+    assert (baseline.check(late, WIDE) is not None) is is_held
+
+
+def test_an_unknown_level_says_what_has_to_be_seen():
+    assert back_from_a_gap(exhale_us=-1).detail == (
+        "not measured for 2.3 s, and the patient may lie elsewhere: an end of exhale has to be seen, or set the "
+        "reference again"
+    )

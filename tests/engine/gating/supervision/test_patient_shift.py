@@ -233,3 +233,17 @@ def test_a_small_rise_beyond_a_narrow_limit_is_a_rise():
     position = BodyPosition(measured_us=0, height_mm=0.6, tilt_deg=0.0, roll_deg=0.0)
     held = shift_from(FLAT_MM, narrow).check(seen(FLAT_MM), has_reference=True, position=position)
     assert held.detail == "raised by 0.6 mm, 0.5 allowed"
+
+
+def test_markers_of_single_precision_are_compared_in_double():
+    zero_mm, now_mm = (one.astype(np.float32) for one in (FLAT_MM / 3.0, (FLAT_MM + 0.7) / 3.0))
+
+    def single(corners_mm):
+        surface_mm = np.zeros((NODES, 3), dtype=np.float32)
+        surface_mm[list(CORNERS)] = corners_mm
+        return replace(motion_of(), surface_mm=surface_mm)
+
+    watched = PatientShift(LIMITS)
+    watched.check(single(zero_mm), has_reference=True)
+    watched.check(single(now_mm), has_reference=True)
+    assert watched.movement == MarkersAtReference(zero_mm.astype(np.float64)).movement(now_mm.astype(np.float64))

@@ -199,3 +199,15 @@ def test_edges_that_make_no_window_are_refused_by_field_value_and_bound(changes,
     with pytest.raises(InvalidValueError) as refusal:
         replace(WINDOW, **changes)
     assert (refusal.value.field, refusal.value.value, refusal.value.bound) == (field, value, bound)
+
+
+def test_a_limit_that_has_to_be_whole_says_so_and_limits_that_have_to_be_in_order_may_be_equal():
+    with pytest.raises(InvalidValueError) as refusal:
+        GateLimits(window=WINDOW, min_good_frames=4.5)
+    found = refusal.value
+    assert (found.field, found.value, found.bound) == ("min_good_frames", "4.5", "a whole number")
+    equal = GateLimits(window=WINDOW, max_silence_ms=150.0, max_gap_ms=150.0)
+    assert equal.max_silence_ms == equal.max_gap_ms
+    with pytest.raises(InvalidValueError, match=r"^max_silence_ms is 149\.0: must be at least max_gap_ms \(150\)$"):
+        replace(equal, max_silence_ms=149.0)
+    assert GateLimits(window=WINDOW, max_latency_ms=120.0, warn_latency_ms=120.0).warn_latency_ms == 120.0
