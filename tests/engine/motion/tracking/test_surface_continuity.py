@@ -220,19 +220,19 @@ def test_a_sheet_is_no_return_to_the_calm_surface():
     assert not rejected(continuity, REST_MM, frame + 1, BREATH)
 
 
+@pytest.mark.parametrize("body_mm", [0.0, 30.0])
 @pytest.mark.parametrize(("frames", "is_back"), [(25, True), (24, False)])
-def test_a_surface_is_calm_after_a_second_itself(frames, is_back):
-    """25 periods of 40 ms; then two steps of a sheet, each within what skin may do, and a doubt."""
-    continuity = SurfaceContinuity()
+def test_a_surface_is_calm_after_a_second_itself(frames, is_back, body_mm):
+    """25 periods of 40 ms of a body, flat or not; two steps of a sheet that each could be skin; then the body again."""
+    continuity, no_breath = SurfaceContinuity(), np.empty((0, NODES))
     continuity.restart(1)
     for frame in range(frames + 1):
-        assert not rejected(continuity, REST_MM, frame, BREATH)
+        assert not rejected(continuity, sheet(body_mm), frame, BREATH)
+    for number, thickness_mm in enumerate((1.9, 3.8), start=1):
+        continuity.interrupt()
+        assert not rejected(continuity, sheet(body_mm + thickness_mm), frame + number, no_breath)
     continuity.interrupt()
-    assert not rejected(continuity, sheet(1.9), frame + 1, np.empty((0, NODES)))
-    continuity.interrupt()
-    assert not rejected(continuity, sheet(3.8), frame + 2, np.empty((0, NODES)))
-    continuity.interrupt()
-    assert (rejected(continuity, REST_MM, frame + 3, np.empty((0, NODES))) == "") is is_back
+    assert (rejected(continuity, sheet(body_mm), frame + 3, no_breath) == "") is is_back
 
 
 @pytest.mark.parametrize(("moved_px", "is_followed"), [(5.0, False), (5.001, True)])
