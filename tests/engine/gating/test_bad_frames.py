@@ -337,3 +337,13 @@ def test_a_frame_that_was_not_measured_says_why(state, lost, detail):
     stream = stream_in(GateState.BEAM_ON)
     gate = stream.feed(replace(unmeasured(stream.upcoming(), state), lost=lost))
     assert (gate.state, gate.detail) == (GateState.HOLD, detail)
+
+
+@pytest.mark.parametrize("name", ["valid_share", "inlier_share", "residual_mm"])
+def test_a_fit_that_equals_its_bound_is_good_enough(name):
+    bound = {"valid_share": "min_valid_share", "inlier_share": "min_inlier_share", "residual_mm": "max_residual_mm"}
+    stream = stream_in(GateState.BEAM_ON)
+    value = getattr(LIMITS, bound[name])
+    assert stream.feed(replace(stream.upcoming(), motion=motion_of(LEVEL_MM, **{name: value}))).state is (
+        GateState.BEAM_ON
+    )

@@ -236,7 +236,8 @@ def test_a_small_rise_beyond_a_narrow_limit_is_a_rise():
 
 
 def test_markers_of_single_precision_are_compared_in_double():
-    zero_mm, now_mm = (one.astype(np.float32) for one in (FLAT_MM / 3.0, (FLAT_MM + 0.7) / 3.0))
+    uneven_mm = np.random.default_rng(5).normal(0.0, 4.0, (2, 4, 3))
+    zero_mm, now_mm = ((FLAT_MM + one).astype(np.float32) for one in uneven_mm)
 
     def single(corners_mm):
         surface_mm = np.zeros((NODES, 3), dtype=np.float32)
