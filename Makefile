@@ -134,7 +134,7 @@ faults: $(STAMP) test-system  ## break the running service in every way, and jud
 kills: $(STAMP) test-system  ## kill -9 the running service at 200 random moments of its life, and look at what it left; goes on where it was stopped
 	$(BIN)/python -m tests.campaigns.kills --moments $(or $(MOMENTS),200) --jobs $(or $(JOBS),2) --seed $(or $(SEED),1) --out $(or $(OUT),build/kills) $(if $(DATABASE),--database $(DATABASE)) $(if $(KEEP),--keep) $(if $(WRITE),--write)
 
-mutants: $(STAMP)  ## break gate, loop, watchdog and beam lines in every small way: a test must notice; goes on where it stopped
+mutants: $(STAMP)  ## change all that decides in every small way: a test must fail; an interrupted run continues
 	PATH="$(CURDIR)/$(BIN):$$PATH" nice -n 10 mutmut run --max-children $(or $(CHILDREN),1)
 	$(BIN)/python -m tests.campaigns.mutants.summary --write
 

@@ -57,7 +57,7 @@ class HeartbeatDrill:
             The contact stayed closed, or closed again, or cannot be seen.
         """
         check_verifiable([receiver])
-        assert receiver.second_input is not None, "it is verifiable"
+        assert receiver.second_input is not None
         with _opened(receiver.second_input) as second_input, _named(receiver.name):
             if second_input.is_closed():
                 msg = "the second input reads a closed contact though nothing is permitted"

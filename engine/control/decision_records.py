@@ -138,5 +138,4 @@ class DecisionRecords:
 
 def _holder_of(decision: Decision) -> str | None:
     """Name the operator of a hold by hand that took effect at a frame's decision."""
-    is_held = decision.gate.is_armed and decision.gate.reason is HoldReason.OPERATOR_HOLD
-    return decision.holder if is_held else None
+    return decision.holder if decision.gate.reason is HoldReason.OPERATOR_HOLD else None

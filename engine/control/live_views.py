@@ -146,7 +146,7 @@ class LiveViews:
             beam_on=self._beam_on(),
             reference_distance=self._reference_distance(),
             reference_budget_mm=limits.max_reference_distance_mm,
-            movement=None if motion is None else self._movement(),
+            movement=self._movement(),
             position=self._position(),
             camera_view=self._newest_camera_view,
             unseen_cells=() if motion is None else motion.seen.unseen_cells(limits.min_signal_share),

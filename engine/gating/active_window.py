@@ -94,9 +94,7 @@ def _edges_of(leaf: Condition) -> AmplitudeWindow | None:
 
 
 def _leaf_text(leaf: Condition) -> str:
-    edges = _edges_of(leaf)
     if isinstance(leaf, PhaseWindow):
         return f"{leaf.choice.label} {leaf.from_percent:g} to {leaf.to_percent:g} % of the breath"
-    if edges is None:
-        return str(leaf)
+    edges = leaf.level if isinstance(leaf, BreathHoldWindow) else leaf
     return f"{edges.choice.label} {edges.lower:.4g} to {edges.upper:.4g} {edges.unit}"

@@ -86,7 +86,7 @@ def check_frame(last: LastFrame | None, frame: Measurement, now_ns: int, limits:
         or _refuse_unknown_part(limits)
         or _refuse_poor_fit(frame.motion, limits)
         or _refuse_unseen(frame.motion, limits)
-        or _refuse_jump(last, frame, frame.motion, limits)
+        or _refuse_jump(last, frame.motion, limits)
         or _refuse_irregular(frame, limits)
     )
 
@@ -312,10 +312,10 @@ def _jump_signals_mm(motion: Motion, window: GateWindow) -> tuple[float, ...]:
     return lengths or (motion.whole_mm,)
 
 
-def _refuse_jump(last: LastFrame | None, frame: Measurement, motion: Motion, limits: GateLimits) -> Verdict | None:
+def _refuse_jump(last: LastFrame | None, motion: Motion, limits: GateLimits) -> Verdict | None:
     if last is None or last.signals_mm is None:
         return None
-    frames = min(last.signal_age_frames + 1 + frame.missed_frames, MAX_JUMP_FRAMES)
+    frames = min(last.signal_age_frames + 1, MAX_JUMP_FRAMES)  # this frame missed none: `_refuse_gap`
     signals_mm = _jump_signals_mm(motion, limits.window)
     step_mm = max(abs(now - before) for now, before in zip(signals_mm, last.signals_mm, strict=True))
     if not step_mm <= limits.max_jump_mm * frames:

@@ -57,9 +57,7 @@ def checked_change(present: GateWindow, command: SetWindow, limits: GateLimits, 
         Other conditions than the present window has, or a number beyond its bounds or the site's.
     """
     _refuse_other_conditions(present, command.window)
-    window = ActiveWindow(requested=command.window, converted=command.window)
-    if command.window.needs_ranges and ranges:
-        window = window.with_ranges(ranges)
+    window = ActiveWindow(requested=command.window, converted=command.window.resolved(ranges))
     refuse_wide(window.window, limits)
     return WindowChange(
         window=window,

@@ -113,8 +113,9 @@ class MarkersAtReference:
         across_mm, along_mm, _ = (sum(axis) / len(axis) for axis in zip(*now, strict=True))
         cross = dot = 0.0
         for (x0, y0, _), (x, y, _) in zip(before, now, strict=True):
-            cross += x0 * (y - along_mm) - y0 * (x - across_mm)
-            dot += x0 * (x - across_mm) + y0 * (y - along_mm)
+            # The positions at the reference are counted from their own middle: a shift adds nothing to either sum.
+            cross += x0 * y - y0 * x
+            dot += x0 * x + y0 * y
         right, left = (0, 3), (1, 2)
         # At the reference both sides are equally high, by the choice of the plane.
         left_over_right_mm = sum(now[one][2] for one in left) - sum(now[one][2] for one in right)

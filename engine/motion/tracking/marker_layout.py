@@ -70,7 +70,7 @@ class MarkerLayout:
     def restart(self, generation: int) -> None:
         """Accept the next layout if the reference has changed, as ``generation`` shows."""
         if generation != self._generation:
-            self._last_mm, self._is_doubted, self._generation = None, False, generation
+            self._last_mm, self._generation = None, generation
 
     def lost(self, points_mm: FloatArray | None, timestamp_us: int) -> Lost | None:
         """Return the loss if a marker is not where it was relative to the others; otherwise follow the distances.

@@ -56,11 +56,11 @@ class SurfaceContinuity:
     def restart(self, generation: int) -> None:
         """Accept the next surface if the reference has changed, as ``generation`` shows."""
         if generation != self._generation:
-            self._last, self._is_broken, self._generation = None, False, generation
+            self._last, self._generation = None, generation
 
     def interrupt(self) -> None:
         """Record an occlusion: the next surface need not be continuous, but must have the previous shape."""
-        self._is_broken = self._last is not None
+        self._is_broken = True
         self._calm_since_us = None
 
     def rejection(self, observed: ObservedSurface, shapes: FloatArray, noise_mm: float) -> str:

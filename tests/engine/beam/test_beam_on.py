@@ -326,6 +326,7 @@ def test_its_thread_compares_by_itself_and_ends_with_the_line():
     line.on_trouble = lambda reason, _detail: faults.put(reason)
     line.open()
     thread = line._thread
+    assert (thread.name, thread.daemon) == ("tidegate-beam-on", True)
     assert faults.get(timeout=20.0) is WITHOUT
     line.close()
     assert not thread.is_alive()

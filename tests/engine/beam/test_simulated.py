@@ -2,7 +2,7 @@
 
 import pytest
 
-from engine.beam.simulated import BeamEdge, SimulatedBeamLine
+from engine.beam.simulated import BeamEdge, SimulatedBeamLine, SimulatedReceiver
 from engine.core.clock import ManualClock
 from engine.core.errors import BeamLineError
 from engine.core.gate_state import HoldReason, Lease
@@ -95,3 +95,31 @@ def test_a_closed_line_takes_nothing_and_reads_off(line, clock):
     with pytest.raises(BeamLineError, match=r"^the line is closed$"):
         permit(line, clock, 2)
     assert line.edges == (on(0), off(0, HoldReason.ENGINE_STOPPED))
+
+
+def test_a_line_that_is_off_does_not_stand_still_with_its_permit_on(line, clock):
+    line.stand_still()
+    assert line.still_since_ns is None
+    permit(line, clock, 1)
+    line.stand_still()
+    assert line.still_since_ns == clock.now_ns()
+
+
+def test_a_receiver_that_saw_nothing_before_the_permit_takes_it(line, clock):
+    permit(line, clock, 1)
+    assert SimulatedReceiver(line, clock).is_closed()
+
+
+def test_a_dropped_permit_stays_dropped_in_another_standstill_until_it_was_withdrawn(line, clock):
+    receiver = SimulatedReceiver(line, clock)
+    permit(line, clock, 1, until_ms=240)
+    line.stand_still()
+    clock.advance_ns(int(receiver.drop_ms * MS))
+    assert not receiver.is_closed()
+    line.stand_still()
+    assert not receiver.is_closed()
+    line.hold(HoldReason.JUMP)
+    assert not receiver.is_closed()
+    clock.advance_ns(MS)
+    permit(line, clock, 2, until_ms=400)
+    assert receiver.is_closed()

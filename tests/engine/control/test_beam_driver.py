@@ -6,8 +6,10 @@ import pytest
 
 from engine.beam.simulated import SimulatedBeamLine
 from engine.core.clock import ManualClock
+from engine.core.errors import BeamLineError, BeamLineMismatchError
 from engine.core.gate_state import GateState, HoldReason
-from tests.support.control.loop_bench import driver_of
+from engine.gating.gate import Interruption
+from tests.support.control.loop_bench import WatchedBeamLine, driver_of
 from tests.support.gating.streams import LIMITS, MS, PERIOD_NS, stream_in
 
 LEASE_NS = int(LIMITS.lease_ms * MS)
@@ -37,7 +39,7 @@ def test_a_decision_in_time_that_is_reported_once_the_line_has_gone_off_by_itsel
     assert beam.is_on() is is_on
     assert (report.trouble is None) is is_on
     if report.trouble is not None:
-        assert report.trouble.reason is HoldReason.FRAME_LATE
+        assert report.trouble == Interruption(HoldReason.FRAME_LATE, "the lease before had lapsed in the line")
 
 
 def test_after_a_hold_the_lease_of_before_says_nothing():
@@ -51,3 +53,98 @@ def test_after_a_hold_the_lease_of_before_says_nothing():
     driver.carry_out(replace(gate, state=GateState.HOLD, reason=HoldReason.MARKER_LOST), clock.now_ns())
     clock.advance_ns(2 * LEASE_NS)
     assert driver.carry_out(received(gate, clock.now_ns()), clock.now_ns()).is_on
+
+
+class Answering(SimulatedBeamLine):
+    """Raises this error at each order but a hold, or stays off though permitted, or stays on though held."""
+
+    error: Exception | None = None
+    is_deaf = is_stuck = False
+
+    def permit(self, lease):
+        if self.error is not None:
+            raise self.error
+        if not self.is_deaf:
+            super().permit(lease)
+
+    def is_on(self):
+        return self.is_stuck or super().is_on()
+
+
+@pytest.mark.parametrize(
+    ("line", "state", "trouble"),
+    [
+        (
+            {"error": BeamLineError("no answer")},
+            GateState.BEAM_ON,
+            Interruption(HoldReason.BEAM_LINE_FAILED, "no answer"),
+        ),
+        ({"error": BeamLineError()}, GateState.BEAM_ON, Interruption(HoldReason.BEAM_LINE_FAILED, "BeamLineError")),
+        (
+            {"error": BeamLineMismatchError("off for 160 ms")},
+            GateState.BEAM_ON,
+            Interruption(HoldReason.BEAM_LINE_MISMATCH, "off for 160 ms"),
+        ),
+        (
+            {"is_deaf": True},
+            GateState.BEAM_ON,
+            Interruption(HoldReason.BEAM_LINE_MISMATCH, "the line is off, though permitted"),
+        ),
+        (
+            {"is_stuck": True},
+            GateState.HOLD,
+            Interruption(HoldReason.BEAM_LINE_MISMATCH, "the line is on, though held"),
+        ),
+    ],
+    ids=["error", "error without text", "mismatch of its own", "off", "on"],
+)
+def test_the_trouble_of_a_line_names_its_kind_and_says_what_the_line_said(line, state, trouble):
+    gate = stream_in(GateState.BEAM_ON).gate
+    clock = ManualClock(gate.last.received_ns)
+    beam = Answering(clock)
+    beam.open()
+    beam.rearm()
+    for name, value in line.items():
+        setattr(beam, name, value)
+    report = driver_of(beam, clock).carry_out(replace(gate, state=state), clock.now_ns())
+    assert report.trouble == trouble
+    assert not report.is_settling
+
+
+def test_a_decision_that_outlived_its_lease_or_a_line_that_answered_after_it_says_so():
+    gate = stream_in(GateState.BEAM_ON).gate
+    for late_ns, detail in (
+        (LEASE_NS, "the decision took longer than its lease"),
+        (0, "the lease lapsed before the line had answered"),
+    ):
+        clock = ManualClock(gate.last.received_ns)
+        beam = WatchedBeamLine(clock)
+        beam.open()
+        beam.rearm()
+        beam.before_permit = lambda _lease, of=clock: of.advance_ns(LEASE_NS)
+        decided_ns = clock.now_ns()
+        clock.advance_ns(late_ns)
+        report = driver_of(beam, clock).carry_out(gate, decided_ns)
+        assert (report.is_on, report.trouble) == (False, Interruption(HoldReason.FRAME_LATE, detail))
+
+
+class Settling(SimulatedBeamLine):
+    """Reads back the contrary of its command, and says that it settles."""
+
+    is_settling = True
+
+    def is_on(self):
+        return not super().is_on()
+
+
+@pytest.mark.parametrize(("line", "is_settling"), [(SimulatedBeamLine, False), (Settling, True)])
+@pytest.mark.parametrize("state", [GateState.BEAM_ON, GateState.HOLD])
+def test_the_report_says_whether_the_order_may_not_have_taken_effect(line, is_settling, state):
+    gate = stream_in(GateState.BEAM_ON).gate
+    clock = ManualClock(gate.last.received_ns)
+    beam = line(clock)
+    beam.open()
+    beam.rearm()
+    report = driver_of(beam, clock).carry_out(replace(gate, state=state), clock.now_ns())
+    assert (report.is_on, report.is_settling) == ((state is GateState.BEAM_ON) is not is_settling, is_settling)
+    assert report.trouble is None

@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import pytest
 
+from engine.control.duty_forecast import DutyForecast
+from engine.control.session_limits import SessionLimits
 from engine.core.breath import WHOLE
+from engine.core.clock import ManualClock
 from engine.core.commands import Arm, CorrectBaseline
 from engine.core.ranges import LearnedRange
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, PhaseWindow, Unit, amplitude_window
-from tests.support.control.loop_bench import Bench, after, good
+from tests.support.control.loop_bench import Bench, RecordingPipeline, after, good
 from tests.support.gating.streams import LEVEL_MM, LIMITS
 
 ARM = Arm(operator="ann", head_direction=LIMITS.head_direction)
@@ -88,3 +91,24 @@ def test_without_levels_of_the_training_the_gate_is_not_armed():
     asked = Asked(WIDE, ranges={})
     assert "Train again" in str(asked.error)
     assert asked.percent is None
+
+
+def test_it_is_computed_once_for_a_model_a_reference_and_a_window():
+    class Counting(RecordingPipeline):
+        computed = 0
+
+        def learned_levels(self, choices):
+            self.computed += 1
+            return super().learned_levels(choices)
+
+    learner = Counting(ManualClock(0))
+    forecast = DutyForecast(learner, SessionLimits(LIMITS))
+    assert (forecast.percent, forecast.percent, forecast.ranges) == (
+        forecast.percent,
+        forecast.percent,
+        forecast.ranges,
+    )
+    assert learner.computed == 1
+    learner.zero_number += 1
+    assert forecast.percent is not None
+    assert learner.computed == 2

@@ -29,7 +29,7 @@ def _armed(window, lies: HeadDirection | None, confirmed: HeadDirection | None) 
     ("window", "lies", "confirmed", "sentence"),
     [
         (THORAX, None, None, "create the session with head_direction"),
-        (THORAX, None, TOP, "unknown"),
+        (THORAX, None, TOP, "confirmed at the top, and in this session it is unknown"),
         (THORAX, TOP, None, "confirm head_direction"),
         (THORAX, TOP, BOTTOM, "confirmed at the bottom, and in this session it is at the top"),
         (WHOLE, TOP, BOTTOM, "confirmed at the bottom, and in this session it is at the top"),

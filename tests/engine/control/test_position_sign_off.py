@@ -5,13 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from engine.control.position_sign_off import PositionSignOff
+from engine.control.session_limits import SessionLimits
+from engine.core.clock import NS_PER_S, ManualClock
 from engine.core.commands import Arm, Disarm, HoldBeam, ReleaseBeam, SetReference, SignPosition
 from engine.core.errors import CommandRefusedError, PositionUncheckedError
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, LostReason, MeasurementState
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.position_check import PositionCheck
-from tests.support.control.loop_bench import Bench, after, good
-from tests.support.gating.streams import LIMITS, unmeasured
+from tests.support.control.loop_bench import Bench, RecordingPipeline, after, good
+from tests.support.gating.streams import LIMITS, measured, unmeasured
 
 WITHIN = PositionCheck(
     shift_mm=(0.5, -0.6, 0.7),
@@ -187,3 +190,69 @@ def test_disarming_keeps_the_signature_of_a_patient_who_lies_still():
     bench, errors = asked(SIGN, ARM, Disarm(operator="ann"), ARM, HoldBeam(operator="ann"), ReleaseBeam(operator="ann"))
     assert errors == [None] * 6
     assert bench.records()[-1].line_on
+
+
+def test_a_refusal_names_the_tolerance_and_every_shortcoming():
+    unsigned = SignPosition(operator="bob", reference_number=1)
+    tolerance = f"{LIMITS.max_position_shift_mm:g} mm and {LIMITS.max_position_turn_deg:g} deg"
+    bench, (error,) = asked(unsigned, check=replace(BEYOND, shape_mm=9.0))
+    found = bench.loop.status.view.position.shortcomings
+    assert len(found) == 2
+    assert f"the position is not within {tolerance} of the plan's ({found[0]}, {found[1]}): " in str(error)
+    _, (error,) = asked(unsigned, check=None)
+    assert f"the position is not within {tolerance} of the plan's (it was not compared): " in str(error)
+
+
+def test_the_first_of_several_moves_is_named_as_what_ended_the_signature():
+    bench, _ = asked(SIGN, spoil_from_now(pushed), spoil_from_now(away), frames=20)
+    assert bench.loop.status.view.position.lapse == "the camera moved"
+
+
+def test_where_nothing_is_to_be_signed_no_move_ends_anything():
+    bench, _ = asked(
+        spoil_from_now(pushed), prepare=lambda bench: setattr(bench.pipeline, "is_position_required", False)
+    )
+    assert bench.loop.status.view.position.lapse == ""
+
+
+def test_the_state_shows_the_reference_in_use_with_its_comparison():
+    state = asked()[0].loop.status.view.position
+    assert (state.is_required, state.reference_number, state.check) == (True, 1, WITHIN)
+    assert (state.signature, state.lapse) == (None, "")
+
+    def prepare(bench):
+        bench.pipeline.has_reference = False
+
+    assert asked(prepare=prepare)[0].loop.status.view.position.reference_number is None
+
+
+def test_the_lapse_of_an_earlier_reference_is_not_that_of_the_one_in_use():
+    bench, _ = asked(SIGN, spoil_from_now(pushed), SetReference(operator="bob"), frames=20)
+    state = bench.loop.status.view.position
+    assert (state.reference_number, state.lapse) == (2, "")
+
+
+@pytest.mark.parametrize(("beyond_ns", "lapse"), [(0, ""), (1, "the patient was not measured for more than 60 s")])
+def test_a_patient_may_be_unmeasured_for_a_minute_itself(beyond_ns, lapse):
+    pipeline = RecordingPipeline(ManualClock(0))
+    pipeline.is_position_required, pipeline.position_check = True, WITHIN
+    sign_off = PositionSignOff(pipeline, SessionLimits(LIMITS))
+    first = measured(10**6)
+    sign_off.follow(first, ())
+    hidden = unmeasured(first, MeasurementState.LOST, LostReason.MARKER_LOST)
+    sign_off.follow(replace(hidden, received_ns=first.received_ns + 60 * NS_PER_S + beyond_ns), ())
+    assert sign_off.present().lapse == lapse
+
+
+def test_a_fault_found_while_a_signature_is_carried_out_is_recorded_with_who_signed():
+    def fault_and_sign(bench):
+        def act(_lease):
+            bench.beam.before_permit = lambda _lease: None
+            bench.loop.report_fault(HoldReason.DISK_LOW, "10 MB left")
+            bench.ask(replace(SIGN, operator="cid"))()
+
+        bench.beam.before_permit = act
+
+    bench, _ = asked(SIGN, ARM, fault_and_sign)
+    fault = next(one for one in bench.transitions() if one.to_state is GateState.FAULT)
+    assert (fault.reason, fault.operator) == (HoldReason.DISK_LOW, "cid")

@@ -146,3 +146,10 @@ def test_an_unarmed_gate_faults_for_nothing_that_waits_and_arming_it_then_faults
 def test_the_smallest_queues_never_stop_the_engine(capacity):
     bench = Bench([good] * 30, sample_capacity=capacity, transition_capacity=capacity).run()
     assert bench.loop.status.view.frames == 30
+
+
+def test_what_waits_as_long_as_it_may_is_no_delay_and_a_longer_wait_names_its_length():
+    outbox = OutputQueues(sample_capacity=1, transition_capacity=2)
+    outbox.put_transition(_transition(7))
+    assert outbox.delay(7 + 20 * MS, 20 * MS) is None
+    assert outbox.delay(8 + 20 * MS, 20 * MS) == (HoldReason.AUDIT_BEHIND, "nothing was written for 20 ms")

@@ -139,3 +139,14 @@ def test_a_position_that_is_not_known_is_refused_as_before():
     bench.source.script += [after(bench.ask(set_it())), good]
     bench.run()
     assert not isinstance(bench.answers[0].exception(timeout=0), CommandRefusedError)
+
+
+def test_a_refusal_names_the_field_of_the_command():
+    for command, field in ((set_it(), "reference"), (correct(2.5), "by")):
+        assert asked(command, would_lie=at(2.5))[1][0].field == field
+
+
+def test_before_a_reference_is_set_only_the_correction_counts():
+    narrow = replace(LIMITS, max_reference_distance_mm=0.9)
+    assert asked(correct(0.5), limits=narrow)[1] == [None]
+    assert "0.95 mm from the fraction's first" in asked(correct(0.95), limits=narrow)[1][0].value

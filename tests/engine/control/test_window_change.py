@@ -150,3 +150,14 @@ def test_the_predicted_duty_cycle_is_that_of_the_window_that_was_set():
     bench = after_commands(set_to(wide), ARM)
     assert "100 % of the learned breaths" in str(refusal(bench))
     assert bench.loop.status.predicted_duty_percent == 100.0
+
+
+def test_other_conditions_are_refused_with_those_of_the_session_and_what_they_need():
+    phase = PhaseWindow(from_percent=30.0, to_percent=70.0)
+    with pytest.raises(InvalidValueError) as refusal:
+        checked_change(WINDOW, set_to(phase), LIMITS, {})
+    assert refusal.value.field == "window"
+    assert refusal.value.bound == (
+        "in the session's own conditions (whole -1 to 3 mm) with other numbers: other signals or kinds of conditions "
+        "need another session"
+    )

@@ -65,3 +65,19 @@ def test_a_person_who_releases_takes_over_and_a_program_does_not(state, is_perso
 def test_a_release_arms_nothing(state):
     released = stream_in(state).step(ReleaseBeam(operator="bob"))
     assert (released.state, released.armed_by) == (state, None)
+
+
+@pytest.mark.parametrize(("is_person", "by_program"), [(True, False), (False, True)])
+def test_a_person_s_release_takes_a_program_s_gate_over_and_its_end_is_that_of_the_program(is_person, by_program):
+    stream = stream_in(GateState.DISARMED)
+    assert stream.step(Arm(operator="key:planning", is_person=False)).is_armed_by_program
+    assert stream.step(ReleaseBeam(operator="bob", is_person=is_person)).is_armed_by_program is by_program
+    stream = stream_in(GateState.DISARMED)
+    stream.step(Arm(operator="key:planning", is_person=False))
+    gate = stream.step(Disarm(operator="bob"))
+    assert (gate.armed_by, gate.is_armed_by_program) == (None, False)
+
+
+def test_a_command_that_is_no_release_has_no_words():
+    stream = stream_in(GateState.DISARMED)
+    assert stream.step(Arm(operator="ann")).detail == ""

@@ -6,7 +6,7 @@ import pytest
 
 from engine.core.breath import Breath, BreathEvent, BreathEventKind
 from engine.core.commands import Acknowledge, Arm, Disarm
-from engine.core.frames import MeasurementState
+from engine.core.frames import Lost, LostReason, MeasurementState
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.frame_checks import captured_ns
 from engine.gating.gate import Interruption, Silence
@@ -320,3 +320,30 @@ def test_a_device_that_started_its_clock_anew_works_again_after_acknowledgement(
         frame = stream.upcoming()
         states.append(stream.feed(replace(frame, timestamp_us=frame.timestamp_us - back_us)).state)
     assert states == DWELL_THEN_ON
+
+
+@pytest.mark.parametrize(
+    ("state", "lost", "detail"),
+    [
+        (MeasurementState.TRAINING, None, "the motion model is being trained"),
+        (
+            MeasurementState.LOST,
+            Lost(reason=LostReason.MARKER_LOST, detail="three of four markers found"),
+            "three of four markers found",
+        ),
+    ],
+)
+def test_a_frame_that_was_not_measured_says_why(state, lost, detail):
+    stream = stream_in(GateState.BEAM_ON)
+    gate = stream.feed(replace(unmeasured(stream.upcoming(), state), lost=lost))
+    assert (gate.state, gate.detail) == (GateState.HOLD, detail)
+
+
+@pytest.mark.parametrize("name", ["valid_share", "inlier_share", "residual_mm"])
+def test_a_fit_that_equals_its_bound_is_good_enough(name):
+    bound = {"valid_share": "min_valid_share", "inlier_share": "min_inlier_share", "residual_mm": "max_residual_mm"}
+    stream = stream_in(GateState.BEAM_ON)
+    value = getattr(LIMITS, bound[name])
+    assert stream.feed(replace(stream.upcoming(), motion=motion_of(LEVEL_MM, **{name: value}))).state is (
+        GateState.BEAM_ON
+    )

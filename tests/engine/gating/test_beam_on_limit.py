@@ -8,7 +8,7 @@ from engine.core.breath import Breath, SignalChoice
 from engine.core.commands import Arm, Disarm
 from engine.core.frames import LostReason, MeasurementState
 from engine.core.gate_state import GateState, HoldReason
-from engine.gating.beam_on_limit import allowed_on_s
+from engine.gating.beam_on_limit import Stay, allowed_on_s
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, JoinedWindow, PhaseWindow, amplitude_window
 from tests.support.gating.streams import LIMITS, PERIOD_NS, Stream, motion_of, stream_in, unmeasured
 
@@ -112,3 +112,16 @@ HOLD = BreathHoldWindow(level=WINDOW)
 )
 def test_what_is_allowed_in_each_kind_of_window(window, breaths, expected):
     assert allowed_on_s(window, breaths, EASY) == expected
+
+
+@pytest.mark.parametrize(("short_ns", "is_over"), [(0, True), (1, False)])
+def test_the_time_of_a_stay_is_over_at_its_limit_itself(short_ns, is_over):
+    stream = stream_in(GateState.DWELL, limits=EASY)
+    allowed_ns = 5_000_000_000
+    stream.gate = replace(stream.gate, stay=Stay(on_ns=allowed_ns - short_ns, allowed_ns=allowed_ns))
+    gate = stream.feed()
+    assert (gate.reason is HoldReason.BEAM_ON_LIMIT) is is_over
+    if is_over:
+        assert gate.detail == (
+            "5 s of beam since the signal was outside of the window, 5 allowed: it has to leave the window first"
+        )

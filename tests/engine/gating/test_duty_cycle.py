@@ -101,3 +101,9 @@ def test_an_unknown_duty_cycle_is_refused(wanted, levels):
     assert duty_percent(wanted, levels) is None
     with pytest.raises(CommandRefusedError, match="Train again"):
         refuse_never_left(GateLimits(window=wanted), levels)
+
+
+@pytest.mark.parametrize(("level_mm", "percent"), [(-1.0, 100.0), (3.0, 100.0), (-1.001, 0.0), (3.001, 0.0)])
+def test_a_level_at_an_edge_counts_as_inside(level_mm, percent):
+    window = AmplitudeWindow(lower=-1.0, upper=3.0)
+    assert duty_percent(window, {WHOLE: np.full(60, level_mm)}) == percent

@@ -221,6 +221,7 @@ def test_the_beam_on_signal_is_a_fourth_request_and_known_until_the_connection_e
     assert one.beam_on is None
     assert one.exchange(is_on=True, heartbeat=1, within_s=0.1) is True
     assert [request[1] for request in client.asked] == [31, 47, 58, 59]
+    assert [request[2] for request in client.asked[2:]] == [{"count": 1, "device_id": MAP.unit}] * 2
     assert one.beam_on is False
     signals[58], signals[59] = signals[59], signals[58]
     assert one.exchange(is_on=True, heartbeat=2, within_s=0.1) is False

@@ -3,6 +3,7 @@
 import contextlib
 import random
 import threading
+from dataclasses import replace
 
 import pytest
 
@@ -21,7 +22,7 @@ from engine.core.errors import BeamLineError
 from engine.core.gate_state import GateState, HoldReason
 from tests.support.control.armed_bench import ON_AT, armed_bench
 from tests.support.control.loop_bench import WatchedBeamLine, drained, good
-from tests.support.gating.streams import unmeasured
+from tests.support.gating.streams import LIMITS, MS, unmeasured
 
 from engine.core.frames import MeasurementState  # isort: skip
 from tests.support.control.transitions import transition
@@ -249,3 +250,11 @@ def test_a_permit_that_the_watchdog_was_quicker_than_is_taken_back_and_its_fault
     bench.run()
     assert path(journal) == ["hold", "dwell", "fault"]
     assert [change.to_state for change in bench.transitions()] == ["hold", "dwell", "fault"]
+
+
+def test_a_permit_that_came_too_late_is_committed_before_the_fault_that_took_it_back(journal):
+    limits = replace(LIMITS, max_latency_ms=100.0, camera_latency_ms=60.0)
+    bench = armed_bench([good] * 6, limits=limits, journal=journal)
+    bench.beam.before_permit = lambda lease: bench.clock.advance_ns(40 * MS if lease.sequence == 1 else 0)
+    bench.run()
+    assert path(journal) == ["hold", "dwell", "beam_on", "fault"]

@@ -176,3 +176,51 @@ def test_after_a_step_the_beam_is_not_on_at_another_level_beyond_the_first_breat
     is_met_elsewhere = (before[:, 0] > period) & (before[:, 1] > 1.6)
     assert is_met_elsewhere.any() == (step_mm < 0.0)
     assert not (after[:, 0] > period).any()
+
+
+@pytest.mark.parametrize(("drift", "way"), [(2.5, "towards"), (-2.5, "away from")])
+def test_a_drift_says_how_far_and_which_way(drift, way):
+    assert held(WIDE, breath(drift)).detail == (
+        f"whole: the end of exhale is 2.5 mm {way} the camera, 2 allowed: correct the baseline, or set the reference "
+        "again"
+    )
+
+
+def test_a_drift_that_equals_its_bound_holds_nothing():
+    assert held(WIDE, breath(LIMITS.max_baseline_drift_mm)) is None
+    assert held(WIDE, breath(-LIMITS.max_baseline_drift_mm)) is None
+
+
+def back_from_a_gap(drift=0.1, *, exhale_us=0, position=None):
+    """Return the hold of the first frame after two seconds without one; times are from that frame [us]."""
+    baseline, back = Baseline(LIMITS), measured(70)
+    assert baseline.check(frame(0, breath(drift)), WIDE) is None
+    found = replace(back, breaths=(breath(drift, exhale_us=back.timestamp_us + exhale_us),), position=position)
+    return baseline.check(found, WIDE)
+
+
+@pytest.mark.parametrize(("exhale_us", "is_held"), [(0, False), (-1, True)])
+def test_an_end_of_exhale_counts_from_the_first_frame_after_a_gap_itself(exhale_us, is_held):
+    assert (back_from_a_gap(exhale_us=exhale_us) is not None) is is_held
+
+
+@pytest.mark.parametrize(("beyond_mm", "is_held"), [(0.0, False), (0.001, True)])
+def test_a_height_that_equals_the_bound_tells_the_level(beyond_mm, is_held):
+    at_us = measured(70).timestamp_us
+    position = BodyPosition(measured_us=at_us, height_mm=2.0 + beyond_mm, tilt_deg=0.0, roll_deg=0.0)
+    assert (back_from_a_gap(exhale_us=-1, position=position) is not None) is is_held
+
+
+@pytest.mark.parametrize(("gap_us", "is_held"), [(0, False), (1_000_000, False), (1_000_001, True), (-1, True)])
+def test_a_level_is_known_over_a_second_and_not_over_a_longer_gap_or_a_clock_that_went_back(gap_us, is_held):
+    baseline, first = Baseline(LIMITS), measured(70)
+    assert baseline.check(replace(first, breaths=(breath(0.1),)), WIDE) is None
+    late = replace(first, timestamp_us=first.timestamp_us + gap_us, breaths=(breath(0.1, exhale_us=1),))
+    assert (baseline.check(late, WIDE) is not None) is is_held
+
+
+def test_an_unknown_level_says_what_has_to_be_seen():
+    assert back_from_a_gap(exhale_us=-1).detail == (
+        "not measured for 2.3 s, and the patient may lie elsewhere: an end of exhale has to be seen, or set the "
+        "reference again"
+    )

@@ -89,3 +89,11 @@ def test_a_model_learned_from_nothing_has_nothing_of_the_age_of_one_that_waited_
     is_held(age, LONGEST_NS, None)
     is_held(age, LONGEST_NS + 50, FIRST, event_of(LearningEventKind.SWAPPED))
     assert not is_held(age, 2 * LONGEST_NS, FIRST)
+
+
+def test_a_hold_says_how_old_the_model_is():
+    age = ModelAge(LIMITS)
+    is_held(age, 0)
+    minutes = LIMITS.max_model_age_min
+    detail = f"trained or compared {minutes + 2:.0f} min ago, {minutes:g} allowed"
+    assert age.check(FIRST, (), LONGEST_NS + 2 * NS_PER_MIN).detail == detail

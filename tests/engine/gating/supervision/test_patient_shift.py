@@ -188,3 +188,63 @@ def test_a_surface_that_moved_as_a_whole_holds_and_is_named(position, detail):
 def test_a_position_within_the_limits_holds_nothing(position):
     zero_mm = markers_mm(scene_of("regular", 1), 0.0)
     assert shift_from(zero_mm).check(seen(zero_mm), has_reference=True, position=position) is None
+
+
+FLAT_MM = np.array([[-100.0, -150.0, 800.0], [100.0, -150.0, 800.0], [100.0, 150.0, 800.0], [-100.0, 150.0, 800.0]])
+SHIFTED_MM = FLAT_MM + np.array([3.0, 4.0, 0.0])
+TURNED_MM = FLAT_MM @ np.array([[0.998, 0.063, 0.0], [-0.063, 0.998, 0.0], [0.0, 0.0, 1.0]])
+
+
+def test_a_movement_that_equals_its_limit_holds_nothing_and_beyond_it_is_named():
+    moved, turned = (MarkersAtReference(FLAT_MM).movement(now_mm) for now_mm in (SHIFTED_MM, TURNED_MM))
+    for now_mm, name, limit, detail in (
+        (SHIFTED_MM, "max_shift_mm", moved.shift_mm, "moved 5.0 mm along the couch, 5 allowed"),
+        (TURNED_MM, "max_turn_deg", turned.turn_deg, "rotated by 3.6 degrees, 3.61207 allowed"),
+    ):
+        equal = replace(LIMITS, **{name: limit})
+        assert shift_from(FLAT_MM, equal).check(seen(now_mm), has_reference=True) is None
+        less = replace(LIMITS, **{name: math.nextafter(limit, 0.0)})
+        held = shift_from(FLAT_MM, less).check(seen(now_mm), has_reference=True)
+        assert (held.reason, held.detail) == (HoldReason.PATIENT_SHIFTED, detail)
+
+
+def test_a_turn_about_a_middle_that_has_shifted_too_is_the_same_turn():
+    turned = MarkersAtReference(FLAT_MM).movement(TURNED_MM)
+    both = MarkersAtReference(FLAT_MM).movement(TURNED_MM + np.array([30.0, -40.0, 0.0]))
+    assert both.turn_deg == pytest.approx(turned.turn_deg, abs=1e-9)
+    assert both.shift_mm == pytest.approx(50.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "position",
+    [
+        BodyPosition(measured_us=0, height_mm=LIMITS.max_height_mm, tilt_deg=0.0, roll_deg=0.0),
+        BodyPosition(measured_us=0, height_mm=-LIMITS.max_height_mm, tilt_deg=0.0, roll_deg=0.0),
+        BodyPosition(measured_us=0, height_mm=0.0, tilt_deg=LIMITS.max_turn_deg, roll_deg=0.0),
+        BodyPosition(measured_us=0, height_mm=0.0, tilt_deg=0.0, roll_deg=-LIMITS.max_turn_deg),
+    ],
+)
+def test_a_position_that_equals_its_limit_holds_nothing(position):
+    assert shift_from(FLAT_MM).check(seen(FLAT_MM), has_reference=True, position=position) is None
+
+
+def test_a_small_rise_beyond_a_narrow_limit_is_a_rise():
+    narrow = replace(LIMITS, max_height_mm=0.5)
+    position = BodyPosition(measured_us=0, height_mm=0.6, tilt_deg=0.0, roll_deg=0.0)
+    held = shift_from(FLAT_MM, narrow).check(seen(FLAT_MM), has_reference=True, position=position)
+    assert held.detail == "raised by 0.6 mm, 0.5 allowed"
+
+
+def test_markers_of_single_precision_are_compared_in_double():
+    uneven_mm = np.random.default_rng(5).normal(0.0, 4.0, (2, 4, 3))
+    zero_mm, now_mm = ((FLAT_MM + one).astype(np.float32) for one in uneven_mm)
+
+    def single(corners_mm):
+        surface_mm = np.zeros((NODES, 3), dtype=np.float32)
+        surface_mm[list(CORNERS)] = corners_mm
+        return replace(motion_of(), surface_mm=surface_mm)
+
+    watched = PatientShift(LIMITS)
+    watched.check(single(zero_mm), has_reference=True)
+    watched.check(single(now_mm), has_reference=True)
+    assert watched.movement == MarkersAtReference(zero_mm.astype(np.float64)).movement(now_mm.astype(np.float64))

@@ -7,7 +7,12 @@ import pytest
 
 from engine.core.frames import RgbdFrame
 from engine.core.gate_state import HoldReason
-from engine.gating.supervision.repeated_frames import THINNING_PX, RepeatedFrames
+from engine.gating.supervision.repeated_frames import (
+    EARLIER_PICTURES,
+    LEAST_READINGS,
+    THINNING_PX,
+    RepeatedFrames,
+)
 from tests.support.gating.streams import LIMITS, MS, PERIOD_NS, PERIOD_US, START_NS
 
 NOISE = np.random.default_rng(7)
@@ -166,3 +171,72 @@ def test_pictures_in_memory_that_is_used_again_are_compared_with_what_they_were(
         return with_own_color(replace(still(index, 0.5), depth_mm=buffer))
 
     assert reasons(in_buffer(index) for index in range(5)) == [None] * 5
+
+
+def of_readings(index, readings):
+    """A frame whose thinned depth picture has these readings."""
+    depth_mm = np.kron(readings.astype(np.uint16), np.ones((THINNING_PX, THINNING_PX), dtype=np.uint16))
+    return with_own_color(replace(frame(index % 40), index=index, **times(index), depth_mm=depth_mm))
+
+
+@pytest.mark.parametrize(("agreeing", "is_old"), [(352, True), (351, False)])
+def test_a_picture_is_old_from_the_share_of_agreeing_readings_itself(agreeing, is_old):
+    """Of 400 readings, 88 per cent."""
+    readings = np.random.default_rng(1).integers(700, 900, (20, 20))
+    other = readings.copy()
+    other.flat[agreeing:] += 1
+    assert reasons([of_readings(0, readings), of_readings(1, other)]) == [
+        None,
+        HoldReason.FRAME_FROZEN if is_old else None,
+    ]
+
+
+@pytest.mark.parametrize(("count", "is_old"), [(LEAST_READINGS, True), (LEAST_READINGS - 1, False)])
+def test_as_many_readings_as_are_needed_tell_a_share(count, is_old):
+    readings = np.zeros((20, 20), dtype=np.int64)
+    readings.flat[:count] = np.random.default_rng(1).integers(700, 900, count)
+    other = readings.copy()
+    other[0, 0] += 1
+    found = reasons([of_readings(0, readings), of_readings(1, other)])
+    assert found == [None, HoldReason.FRAME_FROZEN if is_old else None]
+
+
+@pytest.mark.parametrize("ago", [1, 2, EARLIER_PICTURES - 1, EARLIER_PICTURES])
+def test_each_of_the_earlier_pictures_is_remembered_and_no_older_one(ago):
+    pictures = [np.random.default_rng(seed).integers(700, 900, (20, 20)) for seed in range(2 * EARLIER_PICTURES)]
+    shown = [of_readings(index, readings) for index, readings in enumerate(pictures)]
+    nearly = pictures[len(pictures) - ago].copy()
+    nearly[0, 0] += 1
+    older = pictures[len(pictures) - EARLIER_PICTURES - 1].copy()
+    older[0, 0] += 1
+    repeats = RepeatedFrames(LIMITS)
+    assert {repeats.check(one) for one in shown} == {None}
+    assert repeats.check(of_readings(len(shown), older)) is None
+    repeats = RepeatedFrames(LIMITS)
+    assert {repeats.check(one) for one in shown} == {None}
+    assert repeats.check(of_readings(len(shown), nearly)).reason is HoldReason.FRAME_FROZEN
+
+
+def test_colours_that_nearly_agree_are_no_repetition():
+    def shown(index):
+        color = np.full((20 * THINNING_PX, 20 * THINNING_PX, 3), 90, dtype=np.uint8)
+        color[index * THINNING_PX, 0] += 1
+        return replace(frame(index), color=color)
+
+    assert reasons(shown(index) for index in range(12)) == [None] * 12
+
+
+@pytest.mark.parametrize(("stream", "name"), [("depth", "depth"), ("color", "colour")])
+def test_a_hold_names_the_stream_and_how_often_or_how_long(stream, name):
+    limits = replace(LIMITS, max_silence_ms=3 * PERIOD_NS / 1e6)
+    repeats = RepeatedFrames(limits)
+    found = [repeats.check(frame(index, **{stream: 0})) for index in range(5)]
+    assert [None if one is None else (one.reason, one.detail) for one in found] == [
+        None,
+        *((HoldReason.FRAME_FROZEN, f"the {name} picture is repeated ({count})") for count in (1, 2, 3)),
+        (HoldReason.FRAME_TIMEOUT, f"the same {name} picture for 133 ms"),
+    ]
+
+
+def test_a_colour_picture_with_its_old_time_is_no_silence_however_long_it_lasts():
+    assert reasons(frame(index, color=0, color_time=0) for index in range(100)) == [None] * 100

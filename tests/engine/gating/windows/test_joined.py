@@ -9,6 +9,7 @@ from engine.core.commands import Arm
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, GateWindow, JoinedWindow, PhaseWindow
+from engine.gating.windows.joined import MAX_CONDITIONS
 from tests.support.gating.streams import LIMITS, Stream, measured, motion_of
 
 CHEST = AmplitudeWindow(choice=SignalChoice(signal="thorax"), lower=-1.0, upper=2.0, hysteresis=0.5)
@@ -152,3 +153,15 @@ def test_two_to_four_are_joined(conditions):
 def test_only_and_and_or_join():
     with pytest.raises(InvalidValueError, match="join"):
         JoinedWindow(conditions=(CHEST, BELLY), join="xor")
+
+
+def test_the_detail_is_that_of_the_first_condition_that_is_not_met():
+    stream = armed(JoinedWindow(conditions=(BELLY, PhaseWindow(from_percent=30.0, to_percent=70.0))))
+    assert stream.feed().detail == "the phase of this signal is not computed"
+
+
+def test_as_many_conditions_as_are_allowed_make_a_window():
+    conditions = tuple(replace(CHEST, lower=-1.0 - number) for number in range(MAX_CONDITIONS))
+    assert JoinedWindow(conditions=conditions).leaves == conditions
+    with pytest.raises(InvalidValueError):
+        JoinedWindow(conditions=(*conditions, BELLY))

@@ -186,3 +186,28 @@ def test_the_defaults_keep_the_lease_under_three_frame_periods_and_over_the_gap(
     limits = GateLimits(window=WINDOW)
     assert limits.max_gap_ms < limits.lease_ms < 3 * PERIOD_NS / MS
     assert limits.max_gap_ms < 2 * PERIOD_NS / MS  # a missing frame holds within one period of when it was due
+
+
+@pytest.mark.parametrize(
+    ("changes", "field", "value", "bound"),
+    [
+        ({"lower": 3.0}, "upper_mm", "3.0", "more than lower_mm (3)"),
+        ({"hysteresis": 2.0}, "hysteresis_mm", "2.0", "less than half the window's width (2)"),
+    ],
+)
+def test_edges_that_make_no_window_are_refused_by_field_value_and_bound(changes, field, value, bound):
+    with pytest.raises(InvalidValueError) as refusal:
+        replace(WINDOW, **changes)
+    assert (refusal.value.field, refusal.value.value, refusal.value.bound) == (field, value, bound)
+
+
+def test_a_limit_that_has_to_be_whole_says_so_and_limits_that_have_to_be_in_order_may_be_equal():
+    with pytest.raises(InvalidValueError) as refusal:
+        GateLimits(window=WINDOW, min_good_frames=4.5)
+    found = refusal.value
+    assert (found.field, found.value, found.bound) == ("min_good_frames", "4.5", "a whole number")
+    equal = GateLimits(window=WINDOW, max_silence_ms=150.0, max_gap_ms=150.0)
+    assert equal.max_silence_ms == equal.max_gap_ms
+    with pytest.raises(InvalidValueError, match=r"^max_silence_ms is 149\.0: must be at least max_gap_ms \(150\)$"):
+        replace(equal, max_silence_ms=149.0)
+    assert GateLimits(window=WINDOW, max_latency_ms=120.0, warn_latency_ms=120.0).warn_latency_ms == 120.0

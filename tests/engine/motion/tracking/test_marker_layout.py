@@ -141,3 +141,45 @@ def test_a_marker_beside_which_nothing_is_seen_has_no_place():
 
 def test_distances_are_those_between_all_six_pairs():
     assert distances_mm(np.array([[0.0, 0, 0], [3, 0, 0], [3, 4, 0], [0, 4, 0]])) == (3, 5, 4, 4, 5, 3)
+
+
+SQUARE_MM = np.array([[0.0, 0.0, 800.0], [100.0, 0.0, 800.0], [100.0, 100.0, 800.0], [0.0, 100.0, 800.0]])
+
+
+def wide(by_mm):
+    """The square with its superior left marker moved along the side between the superior two."""
+    points_mm = SQUARE_MM.copy()
+    points_mm[1, 0] += by_mm
+    return points_mm
+
+
+@pytest.mark.parametrize(("by_mm", "is_lost"), [(MARGIN_MM, False), (MARGIN_MM + 0.001, True)])
+def test_a_distance_may_change_by_the_margin_itself(by_mm, is_lost):
+    layout = MarkerLayout()
+    layout.restart(1)
+    assert layout.lost(SQUARE_MM, at(0)) is None
+    assert (layout.lost(wide(by_mm), at(1)) is not None) is is_lost
+
+
+def stretched():
+    """A layout whose superior two markers went apart by 10 mm, a millimetre a frame; and the next frame."""
+    layout = MarkerLayout()
+    layout.restart(1)
+    for frame in range(11):
+        assert layout.lost(wide(float(frame)), at(frame)) is None
+    return layout, 11
+
+
+def test_after_a_doubt_the_next_frame_is_compared_with_the_range():
+    layout, frame = stretched()
+    assert layout.lost(wide(0.0), at(frame)) is not None, "a jump from one frame to the next"
+    assert layout.lost(wide(0.0), at(frame + 1)) is None, "within the range of the breaths so far"
+    assert layout.lost(wide(10.0), at(frame + 2)) is not None, "and followed again"
+
+
+def test_a_loss_names_the_marker_its_largest_distance_and_what_to_do():
+    layout, frame = stretched()
+    assert layout.lost(wide(30.0), at(frame)).detail == (
+        "a distance of the superior left marker is 20 mm beyond its range: put the marker back, or set the reference "
+        "again"
+    )

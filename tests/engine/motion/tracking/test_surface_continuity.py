@@ -168,3 +168,84 @@ def test_a_second_of_calm_counts_from_where_the_patient_moved_to():
         assert not continuity.rejection(seen(sheet(thickness_mm), frame + step, moved_px=8.0), BREATH, NOISE_MM)
     assert continuity.rejection(seen(sheet(1.0), frame + 6, moved_px=8.0), BREATH, NOISE_MM)
     assert continuity.rejection(seen(sheet(9.0), frame + 7, moved_px=8.0), BREATH, NOISE_MM)
+
+
+CURVED = (0.2 + 0.8 * np.sin(np.linspace(0.0, np.pi, NODES)) ** 2)[None]
+"""A breath whose shape no plane has."""
+
+
+def rejected(continuity, depth_mm, frame, shapes=CURVED, moved_px=0.0):
+    return continuity.rejection(seen(depth_mm, frame, moved_px), shapes, NOISE_MM)
+
+
+@pytest.mark.parametrize("first", [0, 100])
+def test_a_breath_of_one_frame_is_too_fast_and_after_an_occlusion_it_is_a_breath(first):
+    for is_interrupted in (False, True):
+        continuity = SurfaceContinuity()
+        continuity.restart(1)
+        assert not rejected(continuity, REST_MM, first)
+        if is_interrupted:
+            continuity.interrupt()
+        found = rejected(continuity, REST_MM - 8.0 * CURVED[0], first + 1)
+        assert (found == "") is is_interrupted
+    assert not rejected(SurfaceContinuity(), REST_MM, 0)
+
+
+def test_a_rejection_says_how_far_and_what_to_do(continuity):
+    assert rejected(continuity, sheet(4.0), 1) == (
+        "the surface changed by 4.0 mm, faster than skin can move: check for objects on the patient, then set the "
+        "reference again"
+    )
+
+
+def test_an_occlusion_before_the_first_surface_interrupts_nothing():
+    continuity = SurfaceContinuity()
+    continuity.restart(1)
+    continuity.interrupt()
+    assert not rejected(continuity, REST_MM, 0)
+    assert rejected(continuity, REST_MM - 8.0 * CURVED[0], 1)
+
+
+def test_a_new_reference_after_a_doubt_is_followed_frame_by_frame(continuity):
+    assert rejected(continuity, sheet(4.0), 1)
+    continuity.restart(2)
+    assert not rejected(continuity, sheet(4.0), 2)
+    assert rejected(continuity, sheet(4.0) - 8.0 * CURVED[0], 3)
+
+
+def test_a_sheet_is_no_return_to_the_calm_surface():
+    continuity, frame = calm()
+    frame = cough(continuity, frame)
+    assert rejected(continuity, sheet(9.0), frame, BREATH)
+    assert not rejected(continuity, REST_MM, frame + 1, BREATH)
+
+
+@pytest.mark.parametrize("body_mm", [0.0, 30.0])
+@pytest.mark.parametrize(("frames", "is_back"), [(25, True), (24, False)])
+def test_a_surface_is_calm_after_a_second_itself(frames, is_back, body_mm):
+    """25 periods of 40 ms of a body, flat or not; two steps of a sheet that each could be skin; then the body again."""
+    continuity, no_breath = SurfaceContinuity(), np.empty((0, NODES))
+    continuity.restart(1)
+    for frame in range(frames + 1):
+        assert not rejected(continuity, sheet(body_mm), frame, BREATH)
+    for number, thickness_mm in enumerate((1.9, 3.8), start=1):
+        continuity.interrupt()
+        assert not rejected(continuity, sheet(body_mm + thickness_mm), frame + number, no_breath)
+    continuity.interrupt()
+    assert (rejected(continuity, sheet(body_mm), frame + 3, no_breath) == "") is is_back
+
+
+@pytest.mark.parametrize(("moved_px", "is_followed"), [(5.0, False), (5.001, True)])
+def test_markers_have_moved_beyond_their_bound_itself(continuity, moved_px, is_followed):
+    assert (rejected(continuity, sheet(9.0), 1, moved_px=moved_px) == "") is is_followed
+
+
+@pytest.mark.parametrize(("thickness_mm", "is_accepted"), [(2.0, True), (2.001, False)])
+def test_a_change_that_equals_its_bound_is_accepted_after_an_occlusion_too(continuity, thickness_mm, is_accepted):
+    continuity.interrupt()
+    assert (rejected(continuity, sheet(thickness_mm), 1, np.empty((0, NODES))) == "") is is_accepted
+
+
+@pytest.mark.parametrize(("bump_mm", "is_accepted"), [(1.0, True), (4.0, False)])
+def test_a_patient_who_moves_as_a_whole_may_bend_a_little(continuity, bump_mm, is_accepted):
+    assert (rejected(continuity, sheet(bump_mm) - 12.0, 1) == "") is is_accepted

@@ -1,0 +1,92 @@
+"""The checks of the newest frames together: each is handed what it needs, and the frame rate is that of a second."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine.core.breath import Breath, SignalChoice
+from engine.core.clock import NS_PER_S
+from engine.core.frames import BodyPosition
+from engine.core.gate_state import HoldReason
+from engine.gating.gate import Interruption
+from engine.gating.supervision.patient_shift import CORNERS, NODES
+from engine.gating.supervision.supervisor import FrameSupervisor
+from tests.support.control.loop_bench import ScriptedSource
+from tests.support.gating.streams import LIMITS, START_NS, measured, motion_of
+
+from engine.core.clock import ManualClock  # isort: skip
+
+MODEL = object()
+MARKERS_MM = np.array([[-100.0, -150.0, 850.0], [100.0, -150.0, 850.0], [100.0, 150.0, 850.0], [-100.0, 150.0, 850.0]])
+
+
+class Supervised:
+    """A supervisor and the frames that it is shown."""
+
+    def __init__(self, **limits):
+        self.supervisor = FrameSupervisor(replace(LIMITS, **limits))
+        self.clock = ManualClock(START_NS)
+        self.source = ScriptedSource(self.clock, [])
+
+    def show(self, measurement=None, *, has_reference=True):
+        """Return the holds of a frame received now."""
+        frame = self.source.frame()
+        return self.supervisor.check(
+            frame,
+            measured(frame.index) if measurement is None else measurement,
+            window=LIMITS.window,
+            model=MODEL,
+            has_reference=has_reference,
+            notices=(),
+        )
+
+    def rated(self, count, within_ns):
+        """Return the holds of the last of so many frames, evenly received within that time; the first is at 0."""
+        first_ns = self.clock.now_ns()
+        for number in range(count):
+            self.clock.advance_ns(first_ns + number * within_ns // (count - 1) - self.clock.now_ns())
+            found = self.show()
+        return found
+
+
+def lying(index, position=None):
+    surface_mm = np.zeros((NODES, 3))
+    surface_mm[list(CORNERS)] = MARKERS_MM
+    return replace(measured(index, replace(motion_of(), surface_mm=surface_mm)), position=position)
+
+
+def test_the_surface_s_position_holds_a_patient_who_was_raised():
+    supervised = Supervised()
+    raised = BodyPosition(measured_us=0, height_mm=9.0, tilt_deg=0.0, roll_deg=0.0)
+    assert supervised.show(lying(0)) == ()
+    assert supervised.show(lying(1)) == ()
+    assert supervised.show(lying(2, raised)) == (
+        Interruption(HoldReason.PATIENT_SHIFTED, "raised by 9.0 mm, 3 allowed"),
+    )
+
+
+def test_a_drift_is_forgotten_while_there_is_no_reference():
+    supervised = Supervised()
+    drifted, returning = (
+        replace(
+            measured(index),
+            breaths=(Breath(signal=SignalChoice(), amplitude=12.0, exhale_us=0, exhale_drift=drift),),
+        )
+        for index, drift in ((0, 2.1), (1, 1.9))
+    )
+    assert [one.reason for one in supervised.show(drifted)] == [HoldReason.BASELINE_DRIFTED]
+    assert supervised.show(returning, has_reference=False) == ()
+    assert supervised.show(returning) == ()
+
+
+@pytest.mark.parametrize(("within_ns", "frames"), [(NS_PER_S, 14), (NS_PER_S - 1, None), (NS_PER_S + 1, 14)])
+def test_the_rate_counts_the_frames_of_the_last_second_and_only_after_one(within_ns, frames):
+    """Of fifteen frames over a second, the first is a second old: it counts no more."""
+    found = Supervised(min_fps=15.0).rated(15, within_ns)
+    detail = f"{frames} frames in the last second, 15 needed"
+    assert found == (() if frames is None else (Interruption(HoldReason.FRAME_RATE_LOW, detail),))
+
+
+def test_a_rate_that_equals_its_limit_holds_nothing():
+    assert Supervised(min_fps=15.0).rated(16, NS_PER_S) == ()
