@@ -1,7 +1,8 @@
 """The longest beam-on in an amplitude or phase window: a patient who breathes leaves the window in every breath.
 
-Beam-on time counts from when the signal was last measured outside. Interruptions and arming do not reset it: a patient
-who holds the breath, and pictures that no longer show the patient, stay inside. Breath holds have their own limit.
+Beam-on time counts from when the signal was last measured beyond an edge itself. Interruptions, arming and a signal
+between an edge and the hysteresis do not reset it: a patient who holds the breath, and pictures that no longer show the
+patient, stay inside. Breath holds have their own limit.
 """
 
 from collections.abc import Iterable

@@ -38,12 +38,16 @@ class EventKind(enum.StrEnum):
 
 
 class Verdict(NamedTuple):
-    """Kind and reason of an event, the text for the operator, and the window's states where it judged the frame."""
+    """Kind and reason of an event, the text for the operator, and the window's states where it judged the frame.
+
+    ``has_left``: the window judged the frame, and the signal lay beyond an edge itself.
+    """
 
     kind: EventKind
     reason: HoldReason | None = None
     detail: str = ""
     conditions: tuple[ConditionState, ...] | None = None
+    has_left: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,7 +18,7 @@ from engine.core.replacing import replace
 from engine.gating.beam_on_limit import OUTSIDE, Stay, allowed_on_s
 from engine.gating.frame_checks import EventKind, LastFrame, Verdict, check_frame, fault, last_frame, unusable
 from engine.gating.limits import GateLimits, ns_from_ms
-from engine.gating.windows import ConditionState, WindowInput, initial_states, interrupted, left
+from engine.gating.windows import ConditionState, WindowInput, armed_again, initial_states, interrupted, left
 
 CYCLES_WITHIN_NS = 60 * NS_PER_S
 
@@ -99,7 +99,7 @@ class Gate:
     was_cut_short
         Whether the last beam on was shorter than ``min_on_ms``.
     stay
-        Beam-on time since the signal was last measured outside of the window.
+        Beam-on time since the signal was last measured beyond an edge of the window.
     armed_by
         Who lets the gate decide: the operator who armed, or the person who released a hold since; None while disarmed.
     is_armed_by_program
@@ -143,12 +143,11 @@ def step_gate(gate: Gate, event: GateEvent, now_ns: int, limits: GateLimits) -> 
     verdict = _judge(gate, event, now_ns, limits)
     moved = _count_switching(gate, _move(gate, verdict, now_ns), now_ns, limits)
     if isinstance(event, Arm):
-        moved = replace(moved, conditions=initial_states(limits.window))
+        moved = replace(moved, conditions=armed_again(moved.conditions))
     moved = _name_operator(gate, moved, event)
     if not isinstance(event, Measurement):
         return moved
-    has_left = verdict.kind is EventKind.OUTSIDE
-    stay = OUTSIDE if has_left else moved.stay.bounded(allowed_on_s(limits.window, event.breaths, limits))
+    stay = OUTSIDE if verdict.has_left else moved.stay.bounded(allowed_on_s(limits.window, event.breaths, limits))
     return _remember(gate, replace(moved, stay=stay), event, limits)
 
 
@@ -297,7 +296,7 @@ def _judge_window(gate: Gate, frame: Measurement, motion: Motion, now_ns: int, l
     states = gate.conditions if len(gate.conditions) == len(window.leaves) else initial_states(window)
     found = window.judge(WindowInput(motion, frame.breaths, frame.timestamp_us), states)
     if not found.is_inside:
-        return Verdict(EventKind.OUTSIDE, found.reason, found.detail, found.states)
+        return Verdict(EventKind.OUTSIDE, found.reason, found.detail, found.states, found.has_left)
     too_long = _on_too_long(gate, now_ns, limits)
     if too_long is not None:
         return too_long

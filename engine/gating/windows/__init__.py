@@ -23,6 +23,7 @@ from engine.gating.windows.conditions import (
     HoldStage,
     WindowInput,
     WindowVerdict,
+    armed_again,
     interrupted,
     left,
 )
@@ -50,6 +51,7 @@ __all__ = [
     "WindowInput",
     "WindowVerdict",
     "amplitude_window",
+    "armed_again",
     "initial_states",
     "interrupted",
     "left",

@@ -125,7 +125,8 @@ class AmplitudeWindow:
         if self.contains(value, was_inside=state.is_inside):
             return WindowVerdict(is_inside=True, states=(state if state.is_inside else replace(state, is_inside=True),))
         detail = f"{value:.2f} {self.unit} is not inside {self.lower:g} to {self.upper:g} {self.unit}"
-        return outside(state, HoldReason.OUTSIDE_WINDOW, detail)
+        has_left = value < self.lower or value > self.upper
+        return outside(state, HoldReason.OUTSIDE_WINDOW, detail, has_left=has_left)
 
     def _field(self, name: str) -> str:
         return f"{name}_{self.unit}"

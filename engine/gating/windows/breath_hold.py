@@ -12,7 +12,15 @@ from engine.core.ranges import Ranges
 from engine.core.replacing import replace
 from engine.core.signals import signal_of
 from engine.gating.windows.amplitude import AmplitudeWindow
-from engine.gating.windows.conditions import ENDED_BY, ConditionState, HoldStage, WindowInput, WindowVerdict, outside
+from engine.gating.windows.conditions import (
+    ENDED_BY,
+    ConditionState,
+    HoldStage,
+    WindowInput,
+    WindowVerdict,
+    interrupted,
+    outside,
+)
 
 HOLD_BOUNDS: dict[str, tuple[float, float]] = {
     "settle_ms": (100.0, 10_000.0),
@@ -94,9 +102,10 @@ class BreathHoldWindow:
         inside = self.level.judge(frame_input, (replace(state, is_inside=state.stage is not HoldStage.AWAITED),))
         if not inside.is_inside:
             return outside(
-                ConditionState(holds=state.holds),
+                ConditionState(holds=state.holds) if inside.has_left else interrupted((state,))[0],
                 HoldReason.BREATH_HOLD_AWAITED if inside.reason is HoldReason.OUTSIDE_WINDOW else inside.reason,
                 inside.detail,
+                has_left=inside.has_left,
             )
         if state.stage in ENDED_BY:
             return outside(state, ENDED_BY[state.stage], self._needs_a_breath())

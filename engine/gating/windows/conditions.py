@@ -59,12 +59,17 @@ class ConditionState:
 
 
 class WindowVerdict(NamedTuple):
-    """Whether the frame is inside, the new states, and the reason if it is not."""
+    """Whether the frame is inside, the new states, and the reason if it is not.
+
+    ``has_left``: the value was measured beyond an edge itself, so the patient has breathed. A value between an edge and
+    the hysteresis, or one that is not known, is outside and has not left.
+    """
 
     is_inside: bool
     states: tuple[ConditionState, ...]
     reason: HoldReason | None = None
     detail: str = ""
+    has_left: bool = False
 
 
 ENDED_BY = {HoldStage.DRIFTED: HoldReason.BREATH_HOLD_DRIFTED, HoldStage.OVER: HoldReason.BREATH_HOLD_OVER}
@@ -89,6 +94,25 @@ def left(states: tuple[ConditionState, ...]) -> tuple[ConditionState, ...]:
     return tuple(replace(state, is_inside=False) for state in states)
 
 
-def outside(state: ConditionState, reason: HoldReason | None, detail: str) -> WindowVerdict:
+def armed_again(states: tuple[ConditionState, ...]) -> tuple[ConditionState, ...]:
+    """Return the states at an arming: as after an unusable frame, and holds are counted from here.
+
+    Arming is no breath: a hold that has ended stays ended, and one that is held keeps its level and time.
+    """
+    return tuple(
+        replace(state, holds=int(state.settled_at is not None and state.stage not in ENDED_BY))
+        for state in interrupted(states)
+    )
+
+
+def outside(
+    state: ConditionState, reason: HoldReason | None, detail: str, *, has_left: bool = False
+) -> WindowVerdict:
     """Return a verdict outside, with its reason."""
-    return WindowVerdict(is_inside=False, states=(replace(state, is_inside=False),), reason=reason, detail=detail)
+    return WindowVerdict(
+        is_inside=False,
+        states=(replace(state, is_inside=False),),
+        reason=reason,
+        detail=detail,
+        has_left=has_left,
+    )

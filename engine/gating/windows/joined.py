@@ -71,7 +71,14 @@ class JoinedWindow:
         met = any(verdict.is_inside for verdict in verdicts)
         if unmet is None or (self.join is Join.OR and met):
             return WindowVerdict(is_inside=True, states=states_now)
-        return WindowVerdict(is_inside=False, states=states_now, reason=unmet.reason, detail=unmet.detail)
+        leavers = any if self.join is Join.AND else all
+        return WindowVerdict(
+            is_inside=False,
+            states=states_now,
+            reason=unmet.reason,
+            detail=unmet.detail,
+            has_left=leavers(verdict.has_left for verdict in verdicts),
+        )
 
 
 GateWindow = AmplitudeWindow | BreathHoldWindow | PhaseWindow | JoinedWindow

@@ -72,5 +72,5 @@ class PhaseWindow:
             return outside(state, HoldReason.PHASE_UNKNOWN, detail)
         if not self.contains(breath.phase_percent):
             detail = f"{breath.phase_percent:.0f} % is not inside {self.from_percent:g} to {self.to_percent:g} %"
-            return outside(state, HoldReason.OUTSIDE_WINDOW, detail)
+            return outside(state, HoldReason.OUTSIDE_WINDOW, detail, has_left=True)
         return WindowVerdict(is_inside=True, states=(state,))

@@ -124,11 +124,18 @@ class Trials:
         )
 
     def open(self) -> None:
-        """Open the page through the relay, with the log-in of the service's client; it outlives the service."""
+        """Open the page through the relay."""
+        self.log_in()
+        self.page.goto(self._url)
+
+    @property
+    def _url(self) -> str:
+        return f"http://127.0.0.1:{self.relay.port}"
+
+    def log_in(self) -> None:
+        """Give the page the newest log-in of the service's client: a person's oldest ends when there are too many."""
         name, _, token = str(self.http.first["Cookie"]).partition("=")
-        url = f"http://127.0.0.1:{self.relay.port}"
-        self.page.context.add_cookies([{"name": name, "value": token, "url": url}])
-        self.page.goto(url)
+        self.page.context.add_cookies([{"name": name, "value": token, "url": self._url}])
 
     def close(self) -> None:
         """End the service."""
@@ -191,6 +198,7 @@ def service_killed(trials: Trials) -> tuple[float, str]:
     trials.process.kill()
     found = trials.stale_ms()
     trials.serve()
+    trials.log_in()
     return found
 
 

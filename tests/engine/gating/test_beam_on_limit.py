@@ -3,14 +3,17 @@
 from dataclasses import replace
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from engine.core.breath import Breath, SignalChoice
 from engine.core.commands import Arm, Disarm
 from engine.core.frames import LostReason, MeasurementState
 from engine.core.gate_state import GateState, HoldReason
 from engine.gating.beam_on_limit import Stay, allowed_on_s
+from engine.gating.gate import Interruption, Silence
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, JoinedWindow, PhaseWindow, amplitude_window
-from tests.support.gating.streams import LIMITS, PERIOD_NS, Stream, motion_of, stream_in, unmeasured
+from tests.support.gating.streams import LEVEL_MM, LIMITS, PERIOD_NS, Stream, motion_of, stream_in, unmeasured
 
 EASY = replace(LIMITS, max_jump_mm=20.0, max_beam_on_s=5.0)
 WINDOW = LIMITS.window
@@ -125,3 +128,85 @@ def test_the_time_of_a_stay_is_over_at_its_limit_itself(short_ns, is_over):
         assert gate.detail == (
             "5 s of beam since the signal was outside of the window, 5 allowed: it has to leave the window first"
         )
+
+
+WIDE = amplitude_window(lower_mm=-1.0, upper_mm=3.0, hysteresis_mm=1.5)
+HELD = BreathHoldWindow(level=WIDE, settle_ms=100.0, still=0.5, max_drift=2.0, timeout_s=2.0)
+SLIM = amplitude_window(lower_mm=0.0, upper_mm=2.0)
+BOUNDED = {
+    "amplitude": WIDE,
+    "amplitude or amplitude": JoinedWindow(conditions=(WIDE, SLIM), join="or"),
+    "amplitude and amplitude": JoinedWindow(conditions=(WIDE, WINDOW), join="and"),
+    "breath hold": HELD,
+    "breath hold or amplitude": JoinedWindow(conditions=(HELD, SLIM), join="or"),
+    "breath hold and amplitude": JoinedWindow(conditions=(HELD, WINDOW), join="and"),
+}
+"""Windows whose beam-on is 2 s at most while no value lies beyond an edge of the union of their conditions."""
+
+
+def interrupt(stream: Stream, how: str) -> None:
+    """Let something happen after which every condition has to be entered again."""
+    match how:
+        case "lost":
+            stream.feed(unmeasured(stream.upcoming(), MeasurementState.LOST, LostReason.MARKER_LOST))
+        case "held":
+            stream.step(Interruption(HoldReason.OPERATOR_HOLD, "held by bob"))
+        case "silent":
+            stream.step(Silence(since_ns=stream.now_ns))
+        case "armed again":
+            stream.step(Disarm(operator="ann"))
+            stream.step(Arm(operator="ann"))
+
+
+PIECES = st.tuples(
+    st.sampled_from(["lost", "held", "silent", "armed again", "nothing"]),
+    st.sampled_from(["the margin below", "the middle", "the margin above"]),
+    st.integers(1, 20),
+)
+LEVELS_MM = {"the margin below": -0.95, "the middle": 1.0, "the margin above": 2.95}
+
+
+@pytest.mark.parametrize("kind", BOUNDED)
+@given(pieces=st.lists(PIECES, min_size=3, max_size=8))
+@settings(max_examples=25)
+def test_without_a_value_beyond_an_edge_the_sum_of_beam_on_never_exceeds_the_limit(kind, pieces):
+    """Begun with the beam on, so that every history has beam; the window's edges are -1 and 3 mm."""
+    stream = Stream(replace(EASY, window=BOUNDED[kind], max_beam_on_s=2.0), 1.0)
+    stream.good(1)
+    stream.step(Arm(operator="ann"))
+    on = stream.good(20).count(GateState.BEAM_ON)
+    assert on > 10
+    for how, where, frames in pieces:
+        interrupt(stream, how)
+        for level_mm, count in ((LEVELS_MM[where], frames), (1.0, 30)):
+            stream.level_mm = level_mm
+            on += stream.good(count).count(GateState.BEAM_ON)
+    assert on / FRAMES_A_S <= 2.0 + len(pieces) / FRAMES_A_S
+
+
+@pytest.mark.parametrize(
+    ("level_mm", "stays"), [(2.81, True), (3.0, True), (3.01, False), (-0.81, True), (-1.0, True), (-1.01, False)]
+)
+def test_a_stay_ends_only_beyond_an_edge_itself(level_mm, stays):
+    """Hysteresis is 0.2 mm: after a lost frame the signal at 2.81 mm is outside, and the patient has not breathed."""
+    stream = stream_in(GateState.BEAM_ON, limits=EASY)
+    fed(stream, 12.0)
+    assert stream.gate.reason is HoldReason.BEAM_ON_LIMIT
+    stream.level_mm = level_mm
+    assert stream.feed().reason is HoldReason.OUTSIDE_WINDOW
+    stream.level_mm = LEVEL_MM
+    assert (GateState.BEAM_ON not in stream.good(60)) is stays
+
+
+def test_an_unknown_phase_ends_no_stay():
+    window = PhaseWindow(from_percent=40.0, to_percent=60.0)
+    unknown, inside, beyond = (
+        Breath(phase_percent=percent, phase_confidence=1.0) for percent in (None, 50.0, 70.0)
+    )
+    stream = Stream(replace(EASY, window=window))
+    stream.step(Arm(operator="ann"))
+    assert fed(stream, 12.0, inside) == pytest.approx(5.0, abs=0.2)
+    fed(stream, 0.1, unknown)
+    assert fed(stream, 1.0, inside) == 0.0
+    fed(stream, 0.1, beyond)
+    assert fed(stream, 1.0, inside) > 0.7

@@ -183,13 +183,35 @@ def test_a_hold_that_was_not_seen_for_a_moment_still_may_not_drift_from_where_it
     assert stream.gate.reason is HoldReason.BREATH_HOLD_DRIFTED
 
 
-def test_arming_counts_from_nought():
+def test_arming_counts_anew_and_a_hold_keeps_its_level_and_its_time():
     stream = held()
+    stream.level_mm = 6.0
+    stream.feed()
+    stream.level_mm = 21.0
+    stream.good(SETTLE_FRAMES + 20)
+    assert stream.gate.breath_holds == 2
+    before = stream.gate.conditions[0]
+    stream.step(Disarm(operator="ann"))
+    stream.step(Arm(operator="ann"))
+    after = stream.gate.conditions[0]
+    assert (after.stage, after.settled_at, after.held_since_us) == (
+        HoldStage.AWAITED,
+        before.settled_at,
+        before.held_since_us,
+    )
     assert stream.gate.breath_holds == 1
+    stream.good(SETTLE_FRAMES + DWELL_FRAMES)
+    assert stream.gate.breath_holds == 1
+    assert stream.good(90)[-1] is GateState.HOLD
+    assert stream.gate.reason is HoldReason.BREATH_HOLD_OVER
     stream.step(Disarm(operator="ann"))
     stream.step(Arm(operator="ann"))
     assert stream.gate.breath_holds == 0
-    assert stream.gate.conditions[0].stage is HoldStage.AWAITED
+    assert GateState.BEAM_ON not in stream.good(60)
+    stream.level_mm = 6.0
+    stream.feed()
+    stream.level_mm = 21.0
+    assert stream.good(SETTLE_FRAMES + DWELL_FRAMES)[-1] is GateState.BEAM_ON
 
 
 def test_an_expiration_hold_is_the_same_at_the_other_end():
