@@ -1172,6 +1172,7 @@ class Sample(TypedDict):
     missed_frames: int
     named_mm: dict[str, float | None] | None
     operator_hold: NotRequired[str | None]
+    operator_holds: NotRequired[list[str]]
     position: NotRequired[LivePosition | None]
     position_check: NotRequired[LivePositionCheck | None]
     received_at: NotRequired[str | None]
@@ -1257,6 +1258,7 @@ class GateView(TypedDict):
     is_armed: bool
     line_on: bool
     operator_hold: NotRequired[str | None]
+    operator_holds: NotRequired[list[str]]
     state: Literal["disarmed", "hold", "dwell", "beam_on", "fault"]
     state_since: NotRequired[str | None]
 

@@ -30,8 +30,10 @@ class Decision:
         was asked.
     captured_ns
         When the camera took the frame [ns, host monotonic]; None without a frame.
-    operator_hold, holder
-        The operator who holds the beam by hand; the same, or the one whose hold waits in the command queue.
+    operator_holds
+        All who hold the beam by hand, in the order of their holds.
+    holder
+        The first of them, or the one whose hold waits in the command queue.
     """
 
     cause: Cause
@@ -40,7 +42,7 @@ class Decision:
     decided_ns: int
     asserted_ns: int
     captured_ns: int | None
-    operator_hold: str | None = None
+    operator_holds: tuple[str, ...] = ()
     holder: str | None = None
 
     @property

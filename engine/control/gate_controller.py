@@ -62,7 +62,7 @@ class GateController:
         watchdog.on_fired = lambda at_ns: records.record_watchdog(self.gate, at_ns)
         self.gate = Gate(since_ns=clock.now_ns())
         self.supervision: tuple[Interruption, ...] = ()
-        self._holders: tuple[str, ...] = ()
+        self._holds: dict[str, bool] = {}  # operator: whether that is a person
 
     def decide(self, *events: GateEvent, cause: Cause | None = None) -> None:
         """Step the gate through ``events`` to one decision, drive the line, and record it."""
@@ -113,24 +113,36 @@ class GateController:
     @property
     def operator_hold(self) -> str | None:
         """Who holds by hand; the first of several."""
-        return self._holders[0] if self._holders else None
+        return next(iter(self._holds), None)
+
+    @property
+    def operator_holds(self) -> tuple[str, ...]:
+        """All who hold by hand, in the order of their holds."""
+        return tuple(self._holds)
 
     def disarm(self, command: Disarm) -> None:
         """Disarm; the operator's own hold by hand ends with it, that of another person stands."""
-        self._holders = tuple(holder for holder in self._holders if holder != command.operator)
+        self._holds.pop(command.operator, None)
         self.decide(command, cause=Cause(operator=command.operator))
 
     def hold(self, command: HoldBeam) -> None:
-        """Hold until an operator releases; the first who held stays named."""
-        if command.operator not in self._holders:
-            self._holders = (*self._holders, command.operator)
+        """Hold until the operator releases, or for a person's hold another person; the first who held stays named."""
+        self._holds.setdefault(command.operator, command.is_person)
         self.decide(cause=Cause(operator=command.operator))
 
     def release(self, command: ReleaseBeam) -> None:
-        """End a hold by hand: the beam is on again after a full dwell at the earliest."""
-        if self.operator_hold is None:
+        """End the operator's own hold; where a person has none, those of all others (ADR 0046).
+
+        The beam is on again after a full dwell at the earliest.
+        """
+        if not self._holds:
             raise CommandRefusedError("no operator holds the beam")
-        self._holders = ()
+        if command.operator in self._holds:
+            del self._holds[command.operator]
+        elif command.is_person:
+            self._holds = {}
+        else:
+            raise CommandRefusedError(f"held by {', '.join(self._holds)}: a program ends only its own hold")
         self.decide(command, cause=Cause(operator=command.operator))
 
     def correct_baseline(self, command: CorrectBaseline) -> None:
@@ -191,7 +203,7 @@ class GateController:
             decided_ns=inputs.at_ns,
             asserted_ns=asserted_ns,
             captured_ns=self._captured_ns(gate, cause.measurement),
-            operator_hold=self.operator_hold,
+            operator_holds=self.operator_holds,
             holder=self.operator_hold or inputs.hold_requested_by,
         )
 

@@ -140,7 +140,7 @@ class LiveViews:
             error=self.error,
             window=limits.window,
             conditions=decision.gate.conditions,
-            operator_hold=decision.operator_hold,
+            operator_holds=decision.operator_holds,
             armed_by=decision.gate.armed_by,
             breath_holds=decision.gate.breath_holds,
             beam_on=self._beam_on(),

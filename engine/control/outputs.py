@@ -128,8 +128,8 @@ class LiveView:
         The window that the gate decides by: per cent resolved into mm or l where the range is known, and corrected.
     conditions
         State of each condition of the window; empty before the first frame.
-    operator_hold
-        The operator who holds the beam by hand; None where there is none.
+    operator_holds
+        All who hold the beam by hand, in the order of their holds.
     armed_by
         Who lets the gate decide: the operator who armed, or the person who released a hold since; None while disarmed.
     breath_holds
@@ -163,7 +163,7 @@ class LiveView:
     error: str | None
     window: GateWindow
     conditions: tuple[ConditionState, ...] = ()
-    operator_hold: str | None = None
+    operator_holds: tuple[str, ...] = ()
     armed_by: str | None = None
     breath_holds: int = 0
     beam_on: BeamOnState | None = None
@@ -173,3 +173,8 @@ class LiveView:
     movement: Movement | None = None
     position: PositionState | None = None
     camera_view: CameraView | None = None
+
+    @property
+    def operator_hold(self) -> str | None:
+        """The first who holds the beam by hand; None where there is none."""
+        return next(iter(self.operator_holds), None)

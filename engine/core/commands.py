@@ -116,17 +116,21 @@ class ActivateModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HoldBeam:
-    """Hold the beam until it is released or the gate is disarmed; the gate stays armed. Never refused."""
+    """Hold the beam until it is released or the operator disarms; the gate stays armed. Never refused.
+
+    A person's hold (``is_person``) is ended by a person, a program's by itself or a person.
+    """
 
     operator: str
+    is_person: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReleaseBeam:
-    """End the hold of :class:`HoldBeam`; the gate decides again, after a full dwell.
+    """End the operator's own hold of :class:`HoldBeam`; the gate decides again, after a full dwell.
 
-    A person who releases answers for the armed gate from then on; a program (``is_person`` False) takes over from
-    nobody.
+    A person without a hold ends those of all others, a program never. A person who releases answers for the armed gate
+    from then on; a program (``is_person`` False) takes over from nobody.
     """
 
     operator: str

@@ -105,6 +105,7 @@ class WithdrawalCall:
     """A call that takes permission away: the operator's name is noted, never checked."""
 
     operator: str
+    is_person: bool
     runner: SessionRunner
     threads: ReservedThreads
 
@@ -115,7 +116,10 @@ class WithdrawalCall:
 
     async def command(self, session_id: str, name: CommandName) -> sessions.SessionDetail:
         """Submit a command to the engine; answer once it is executed."""
-        return await self.act(session_id, lambda _, operator: self.runner.command(session_id, name, operator))
+        return await self.act(session_id, partial(self._submitted, name))
+
+    def _submitted(self, name: CommandName, session_id: str, operator: str) -> sessions.SessionDetail:
+        return self.runner.command(session_id, name, operator, is_person=self.is_person)
 
 
 # On the event loop, like all dependencies: a request takes one worker thread, for its route.
@@ -129,10 +133,13 @@ async def _operator_call(
 
 async def _withdrawal_call(
     operator: dependencies.WithdrawingOperator,
+    caller: dependencies.Caller,
     services: dependencies.AppServices,
     threads: dependencies.WithdrawalThreads,
 ) -> WithdrawalCall:
-    return WithdrawalCall(operator=operator, runner=services.runner, threads=threads)
+    return WithdrawalCall(
+        operator=operator, is_person=caller.identity.is_person, runner=services.runner, threads=threads
+    )
 
 
 Operated = Annotated[OperatorCall, Depends(_operator_call)]

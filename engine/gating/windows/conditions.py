@@ -105,9 +105,7 @@ def armed_again(states: tuple[ConditionState, ...]) -> tuple[ConditionState, ...
     )
 
 
-def outside(
-    state: ConditionState, reason: HoldReason | None, detail: str, *, has_left: bool = False
-) -> WindowVerdict:
+def outside(state: ConditionState, reason: HoldReason | None, detail: str, *, has_left: bool = False) -> WindowVerdict:
     """Return a verdict outside, with its reason."""
     return WindowVerdict(
         is_inside=False,

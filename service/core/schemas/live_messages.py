@@ -368,7 +368,10 @@ class Sample(Message):
     hold_reason: str | None
     hold_text: str | None
     hold_detail: str = Field(default="", description="Details of the hold reason, with values")
-    operator_hold: str | None = Field(default=None, description="Operator who holds the beam")
+    operator_hold: str | None = Field(default=None, description="First operator who holds the beam by hand")
+    operator_holds: list[str] = Field(
+        default_factory=list, description="All operators who hold the beam by hand, in the order of their holds"
+    )
     armed_by: str | None = Field(
         default=None, description="Who armed the gate, or released a hold since; null while it is disarmed"
     )

@@ -309,7 +309,10 @@ class GateView(Answer):
         description="When the gate changed to this state, or to its present reason, from the audit; null while that is"
         " not recorded",
     )
-    operator_hold: str | None = Field(default=None, description="Operator who holds the beam")
+    operator_hold: str | None = Field(default=None, description="First operator who holds the beam by hand")
+    operator_holds: list[str] = Field(
+        default_factory=list, description="All operators who hold the beam by hand, in the order of their holds"
+    )
     armed_by: str | None = Field(
         default=None, description="Who armed the gate, or released a hold since; null while it is disarmed"
     )

@@ -129,7 +129,8 @@ class SessionDriver:
         self._least_offset_s = float("inf")
         self._is_fresh = False
         self._stage = Stage.LEARNING
-        self._own_hold: str | None = None
+        self._name: str | None = None
+        self._has_held = False
         self._is_hold_seen = False
         self._last_call_s = self._last_presence_s = float("-inf")
         self._progress_us: int | None = None
@@ -299,7 +300,7 @@ class SessionDriver:
             self._handle_disarming(sample)
         elif self._delivered.is_beam_done:
             self._end_beam(sample)
-        elif self._own_hold is not None and sample["operator_hold"] == self._own_hold:
+        elif self._has_held and self._name in sample["operator_holds"]:
             self._call_once(lambda: self._tps.release(self.session_id))
         else:
             if sample["line_on"]:
@@ -309,27 +310,25 @@ class SessionDriver:
     def _end_beam(self, sample: Sample) -> None:
         """Hold the beam at the end of the planned beam-on time."""
         try:
-            held = self._tps.hold(self.session_id)
+            self._tps.hold(self.session_id)
+            self._name = self._name or self._tps.me()["name"]
         except UnreachableError:
             self._await_service()
             return  # the next frame repeats the hold
-        self._own_hold = None if held["gate"] is None else held["gate"]["operator_hold"]
-        self._is_hold_seen = False
+        self._has_held, self._is_hold_seen = True, False
         self._enter(Stage.DONE if self._delivered.is_last else Stage.BETWEEN, sample)
 
     def _between(self, sample: Sample) -> None:
         """Wait ``between_s``, then go on to the next beam; release only this system's own hold."""
-        if self._own_hold is None:  # the call returned before a frame showed the hold
-            self._own_hold = sample["operator_hold"]
         if sample["gate"] == "fault":
             self._delivered.next_beam()
             self._enter(Stage.ARMING, sample)
-        elif self._own_hold is not None and sample["operator_hold"] == self._own_hold:
+        elif self._name in sample["operator_holds"]:
             self._is_hold_seen = True
             if self._since_us(sample) >= self._settings.between_s * US_PER_S:
                 self._delivered.next_beam()
                 self._enter(Stage.DELIVERING, sample)
-        elif sample["operator_hold"] is not None:
+        elif sample["operator_holds"]:
             self._check_timeout(sample)  # another operator holds and has to release
         elif self._is_hold_seen or self._since_us(sample) >= self._settings.settle_s * US_PER_S:
             self._end_beam(sample)

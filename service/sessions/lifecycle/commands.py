@@ -26,9 +26,9 @@ from service.storage.audit.log import AuditLog
 from service.storage.database import queries
 from service.storage.database.engine import Database
 
-COMMANDS: dict[CommandName, Callable[[str], Command]] = {
-    "disarm": lambda operator: Disarm(operator=operator),
-    "hold": lambda operator: HoldBeam(operator=operator),
+COMMANDS: dict[CommandName, Callable[[str, bool], Command]] = {
+    "disarm": lambda operator, _: Disarm(operator=operator),
+    "hold": lambda operator, is_person: HoldBeam(operator=operator, is_person=is_person),
 }
 AGES_FROM_ARRIVAL = (Arm, ReleaseBeam, SetReference, SetWindow, Acknowledge)
 """Their age counts from the arrival of the request: waiting for a thread or the audit makes them older, too. A command

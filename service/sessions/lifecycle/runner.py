@@ -129,9 +129,12 @@ class SessionRunner:
         detail = {**camera.model_dump(), "calibration_serial": calibration.serial or None}
         self._log.write(Event(actor=audit.SYSTEM, action=CAMERA, session_id=running.plan.session_id, detail=detail))
 
-    def command(self, session_id: str, name: CommandName, operator: str) -> sessions.SessionDetail:
-        """Submit a command of an operator and wait until the engine has executed or refused it."""
-        command = COMMANDS[name](operator)
+    def command(self, session_id: str, name: CommandName, operator: str, *, is_person: bool) -> sessions.SessionDetail:
+        """Submit a command of an operator and wait until the engine has executed or refused it.
+
+        ``is_person`` is False for a program with a key.
+        """
+        command = COMMANDS[name](operator, is_person)
         self._commander.execute(session_id, command, operator, f"session.{name}")
         return self._records.detail(session_id, self._priority_database if takes_permission_away(command) else None)
 
@@ -209,7 +212,7 @@ class SessionRunner:
         return self._records.detail(session_id)
 
     def release(self, session_id: str, operator: str, *, is_person: bool) -> sessions.SessionDetail:
-        """Release a hold by hand; a person (not a program with a key) answers for the armed gate from then on."""
+        """Release the operator's own hold, a person without one all; a person then answers for the armed gate."""
         command = ReleaseBeam(operator=operator, is_person=is_person)
         self._commander.execute(session_id, command, operator, "session.release")
         return self._records.detail(session_id)

@@ -194,7 +194,8 @@ def _gate(detail: SessionDetail) -> ArmingItem:
         return ArmingItem(code="gate", state="missing", text=f"armed already, by {gate.armed_by or 'unknown'}")
     if gate.state == "fault":
         return ArmingItem(code="gate", state="missing", text=f"a fault is latched ({gate.hold_text}): acknowledge it")
-    if gate.operator_hold is not None:
-        return ArmingItem(code="gate", state="attention", text=f"held by {gate.operator_hold}: armed, it stays held")
+    if gate.operator_holds:
+        holders = ", ".join(gate.operator_holds)
+        return ArmingItem(code="gate", state="attention", text=f"held by {holders}: armed, it stays held")
     line = "SIMULATED beam line" if detail.is_simulated_beam else "beam line"
     return ArmingItem(code="gate", state="ok", text=f"{line}, disarmed")

@@ -218,7 +218,10 @@ def acknowledge_fault(
 
 @router.post("/{session_id}/hold", name="session.hold", responses=HOLD)
 async def hold_beam(session_id: dependencies.SessionId, call: Withdrawing) -> sessions.SessionDetail:
-    """Hold the beam until a person releases it; the gate stays armed. Never refused while the session runs."""
+    """Hold the beam until it is released; the gate stays armed. Never refused while the session runs.
+
+    A person's hold is released by a person; a program's by itself, or by a person.
+    """
     return await call.command(session_id, "hold")
 
 
@@ -226,7 +229,10 @@ async def hold_beam(session_id: dependencies.SessionId, call: Withdrawing) -> se
 def release_beam(
     session_id: dependencies.SessionId, request: sessions.OperatorRequest, call: Operated
 ) -> sessions.SessionDetail:
-    """Release a hold by an operator; the beam needs a full dwell. Refused if no operator holds the beam."""
+    """Release the caller's own hold; the beam needs a full dwell, and stays held while another operator holds.
+
+    A person without a hold releases those of all others. Refused to a program without a hold, and where nobody holds.
+    """
     return call.release(session_id, request.operator)
 
 

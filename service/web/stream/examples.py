@@ -139,6 +139,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "training": None,
         "hold_detail": "1.5 mm; 8 mm to 12 mm wanted",
         "operator_hold": None,
+        "operator_holds": [],
         "armed_by": "A. Therapist",
         "accelerator_beam": "off",
         "window": {

@@ -1,5 +1,6 @@
 """What a person does to a running gate by hand: hold, release, be there, correct the baseline."""
 
+import itertools
 from dataclasses import replace
 
 import pytest
@@ -148,6 +149,36 @@ def test_a_disarming_leaves_another_person_s_hold_which_a_release_ends(others):
     assert len(held) >= 8
     assert {record.line_on for record in held} == {False}
     assert records[-1].line_on
+
+
+NURSE, OTHER, PROGRAM, SECOND = "nurse", "other", "key:tps", "key:robot"
+PROGRAMS = {PROGRAM, SECOND}
+HOLDERS = [list(holders) for count in (1, 2, 3) for holders in itertools.combinations([NURSE, OTHER, PROGRAM], count)]
+
+
+def left_holding(holders, releaser):
+    """Who still holds after a release: the rule of ADR 0046, written as a person would say it."""
+    if releaser in holders:
+        return [one for one in holders if one != releaser]
+    return holders if releaser in PROGRAMS else []
+
+
+@pytest.mark.parametrize("releaser", [NURSE, OTHER, PROGRAM, SECOND])
+@pytest.mark.parametrize("holders", HOLDERS, ids="+".join)
+def test_a_release_ends_ones_own_hold_and_a_person_s_hold_is_ended_by_a_person(holders, releaser):
+    bench = _on_bench([])
+    holds = [HoldBeam(operator=one, is_person=one not in PROGRAMS) for one in holders]
+    release = ReleaseBeam(operator=releaser, is_person=releaser not in PROGRAMS)
+    bench.source.script += [*[after(bench.ask(one)) for one in holds], *[good] * 3]
+    bench.source.script += [after(bench.ask(release)), *[good] * 8]
+    seen = []
+    bench.source.script += [after(lambda: seen.append(bench.loop.status.view))]
+    records = bench.run().records()
+    expected = left_holding(holders, releaser)
+    assert list(seen[0].operator_holds) == expected
+    assert records[-1].line_on is not bool(expected)
+    if releaser in PROGRAMS and releaser not in holders:
+        assert f"held by {', '.join(holders)}" in str(bench.answers[-1].exception(timeout=0))
 
 
 @pytest.mark.parametrize("way", ["disarm", "hold", "stop"])

@@ -200,9 +200,7 @@ def test_a_stay_ends_only_beyond_an_edge_itself(level_mm, stays):
 
 def test_an_unknown_phase_ends_no_stay():
     window = PhaseWindow(from_percent=40.0, to_percent=60.0)
-    unknown, inside, beyond = (
-        Breath(phase_percent=percent, phase_confidence=1.0) for percent in (None, 50.0, 70.0)
-    )
+    unknown, inside, beyond = (Breath(phase_percent=percent, phase_confidence=1.0) for percent in (None, 50.0, 70.0))
     stream = Stream(replace(EASY, window=window))
     stream.step(Arm(operator="ann"))
     assert fed(stream, 12.0, inside) == pytest.approx(5.0, abs=0.2)

@@ -206,6 +206,7 @@ def over(status: str = "stopped", **changes: Any) -> dict[str, Any]:
 
 def sample(**changes: Any) -> dict[str, Any]:
     """Return a sample of a running, armed session in hold; `changes` say what is different."""
+    holder = changes.get("operator_hold")
     return {
         "type": "sample",
         "form": "full",
@@ -226,6 +227,7 @@ def sample(**changes: Any) -> dict[str, Any]:
         "hold_text": "Outside the window",
         "hold_detail": "4.10 mm is not inside -1 to 3 mm",
         "operator_hold": None,
+        "operator_holds": [] if holder is None else [holder],
         "line_on": False,
         "window": window(condition()),
         "breath": BREATH,

@@ -138,6 +138,10 @@ class FakeRunning:
         answer.set_result(None)
         return answer
 
+    @property
+    def operator_holds(self) -> tuple[str, ...]:
+        return () if self.operator_hold is None else (self.operator_hold,)
+
     def _obey(self, command: Command) -> None:
         match command:
             case Arm():
@@ -163,7 +167,7 @@ class FakeRunning:
                 if self.latest is not None:
                     self.latest = replace(self.latest, window=self.window)
         if self.latest is not None:
-            self.latest = replace(self.latest, operator_hold=self.operator_hold, armed_by=self.armed_by)
+            self.latest = replace(self.latest, operator_holds=self.operator_holds, armed_by=self.armed_by)
 
     @property
     def status(self) -> EngineStatus:
@@ -232,7 +236,7 @@ class FakeRunning:
             error=None,
             window=self.window,
             conditions=self.conditions,
-            operator_hold=self.operator_hold,
+            operator_holds=self.operator_holds,
             armed_by=self.armed_by,
             breath_holds=max((state.holds for state in self.conditions), default=0),
             beam_on=self.beam_on,

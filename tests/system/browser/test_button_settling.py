@@ -16,7 +16,7 @@ pytestmark = pytest.mark.browser
 DISARMED = sample(gate="disarmed", is_armed=False, hold_reason="disarmed", hold_text="Not armed", hold_detail="")
 HELD = sample(hold_reason="operator_hold", hold_text="Held by an operator", operator_hold="C. Nurse")
 FAULT = sample(gate="fault", is_armed=False, hold_reason="source_lost", hold_text="The camera is disconnected")
-MINE = HELD | {"operator_hold": FakeService().person["name"]}
+MINE = HELD | {"operator_hold": FakeService().person["name"], "operator_holds": [FakeService().person["name"]]}
 BEAM_ON = sample(gate="beam_on", hold_reason=None, hold_text=None, hold_detail="", line_on=True)
 
 
@@ -210,8 +210,8 @@ def test_news_of_the_gate_does_not_move_the_buttons(clicked: ClickedPage):
         HELD | {"hold_detail": "", "hold_text": "Held"},
         HELD | {"hold_detail": long, "hold_text": f"{long}. {long}"},
         HELD | {"line_on": True},
-        BEAM_ON | {"operator_hold": "C. Nurse"},
-        DISARMED | {"operator_hold": "C. Nurse"},
+        BEAM_ON | {"operator_hold": "C. Nurse", "operator_holds": ["C. Nurse"]},
+        DISARMED | {"operator_hold": "C. Nurse", "operator_holds": ["C. Nurse"]},
         sample(gate="dwell", hold_reason="dwell", hold_text="Inside the window", operator_hold="C. Nurse"),
         HELD,
     ):

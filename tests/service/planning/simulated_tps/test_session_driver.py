@@ -21,7 +21,7 @@ class Room:
         self.status = status
         self.frame = 0
         self.is_armed = self.has_reference = False
-        self.operator_hold = None
+        self.holds = []
         self.fault = None
         self.calls = []
         self.present_at = []
@@ -48,7 +48,7 @@ class Room:
         yield {"type": "idle"}
 
     def sample(self):
-        is_on = self.is_armed and self.fault is None and self.operator_hold is None
+        is_on = self.is_armed and self.fault is None and not self.holds
         state = "fault" if self.fault else "disarmed" if not self.is_armed else "beam_on" if is_on else "hold"
         return {
             "type": "sample",
@@ -65,10 +65,10 @@ class Room:
             "gate": state,
             "is_armed": self.is_armed and self.fault is None,
             "line_on": is_on,
-            "hold_reason": self.fault or (None if is_on else "operator_hold" if self.operator_hold else "disarmed"),
+            "hold_reason": self.fault or (None if is_on else "operator_hold" if self.holds else "disarmed"),
             "hold_text": None,
             "hold_detail": "",
-            "operator_hold": self.operator_hold,
+            "operator_holds": list(self.holds),
         }
 
     def read_session(self, _session_id):
@@ -88,14 +88,17 @@ class Room:
 
     def hold(self, _session_id):
         def held():
-            self.operator_hold = self.operator_hold or self.somebody
+            self.holds += [] if self.somebody in self.holds else [self.somebody]
             if self.between is not None:
                 self.at_frame[self.frame + 2], self.between = self.between, None
 
         return self._call("hold", held)
 
     def release(self, _session_id):
-        return self._call("release", lambda: setattr(self, "operator_hold", None))
+        return self._call("release", lambda: self.holds.remove(self.somebody))
+
+    def me(self):
+        return {"name": self.somebody}
 
     def stop(self, _session_id):
         return self._call("stop", lambda: setattr(self, "status", "stopped"))
@@ -119,7 +122,7 @@ class Room:
         done()
         if becomes is not None:
             raise becomes[0]
-        return {"gate": {"operator_hold": self.operator_hold}}
+        return {"gate": {"operator_holds": list(self.holds)}}
 
     def done(self, *leaving_out):
         return [call for call in self.calls if not call.startswith("live") and call not in leaving_out]
@@ -269,11 +272,11 @@ def test_a_fault_between_beams_leads_to_the_next_beam():
 
     def fault_between():
         room.fault = "frame_stale"
-        treated.append(room.operator_hold)
+        treated.append(list(room.holds))
 
     room.between = fault_between
     delivered, _ = treat(room, has_therapist=True)
-    assert treated == ["A. Therapist"]
+    assert treated == [["A. Therapist"]]
     assert [one.delivered_s for one in delivered.reports()] == pytest.approx([1.0, 0.5], abs=0.21)
 
 
@@ -297,8 +300,8 @@ def test_who_disarms_has_a_reason_and_no_machine_arms_again():
 
 def test_somebody_else_s_hold_is_theirs_to_release():
     room = Room()
-    room.at_frame[10] = lambda: setattr(room, "operator_hold", "C. Nurse")
-    room.at_frame[20] = lambda: setattr(room, "operator_hold", None)
+    room.at_frame[10] = lambda: room.holds.append("C. Nurse")
+    room.at_frame[20] = room.holds.clear
     delivered, _ = treat(room)
     assert delivered.is_done
     assert room.done() == WHOLE
@@ -306,15 +309,29 @@ def test_somebody_else_s_hold_is_theirs_to_release():
 
 def test_a_hold_that_no_person_can_release_ends_in_a_time_out():
     room = Room()
-    room.at_frame[10] = lambda: setattr(room, "operator_hold", "C. Nurse")
+    room.at_frame[10] = lambda: room.holds.append("C. Nurse")
     with pytest.raises(FractionEndedError, match="no beam for 5 s"):
         treat(room)
     assert "release" not in room.calls
 
 
+@pytest.mark.parametrize("first", [True, False])
+def test_beside_a_person_s_hold_between_beams_the_planning_system_releases_its_own_and_waits(first):
+    room = Room()
+
+    def nurse():
+        room.holds.insert(0 if first else 1, "C. Nurse")
+        room.at_frame[room.frame + 30] = lambda: room.holds.remove("C. Nurse")
+
+    room.between = nurse
+    delivered, _ = treat(room)
+    assert delivered.is_done
+    assert room.done() == WHOLE
+
+
 def test_a_hold_between_beams_that_somebody_released_is_taken_again():
     room = Room()
-    room.between = lambda: setattr(room, "operator_hold", None)
+    room.between = room.holds.clear
     treat(room)
     assert room.done() == ["start", "reference", "arm", "hold", "hold", "release", "hold", "stop"]
 

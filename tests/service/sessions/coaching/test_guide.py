@@ -69,7 +69,7 @@ def test_the_edges_of_an_amplitude_window_command_nothing_and_a_band_of_a_person
 
 def test_rest_and_an_operator_s_hold_let_the_patient_breathe():
     assert seen(HOLD, 5.0, HoldStage.AWAITED, is_resting=True).instruction == "breathe_freely"
-    assert seen(HOLD, 16.0, HoldStage.HELD, operator_hold="C. Nurse").instruction == "breathe_freely"
+    assert seen(HOLD, 16.0, HoldStage.HELD, operator_holds=("C. Nurse",)).instruction == "breathe_freely"
 
 
 @pytest.mark.parametrize("reason", [*HoldReason, None])

@@ -198,6 +198,7 @@ def test_a_running_session_shows_its_gate_and_figures(client, session_id, runnin
         "hold_text": None,
         "hold_detail": "",
         "operator_hold": None,
+        "operator_holds": [],
         "armed_by": None,
         "armed_at": None,
         "line_on": True,

@@ -310,18 +310,18 @@ export class Controls {
   }
 }
 
-const CONFIRM = { stop: () => tr("controls.confirm_stop"), release: (c) => tr("controls.release_s_hold", { operator_hold: c.sample.operator_hold }) };
+const CONFIRM = { stop: () => tr("controls.confirm_stop"), release: (c) => tr("controls.release_s_hold", { operator_hold: c.sample.operator_holds.join(", ") }) };
 
-/** Whether another person holds the beam. */
+/** Whether a release ends the hold of others: without a hold of one's own it ends those of all. */
 function isAnothers({ sample, person }) {
-  return Boolean(sample?.operator_hold) && sample.operator_hold !== person?.name;
+  return Boolean(sample?.operator_hold) && !sample.operator_holds.includes(person?.name);
 }
 
 /** The state that a message below the buttons belongs to: session, gate, and who holds; the window's is one state. */
 function stateOf({ kind, sample, selected }) {
   if (sample === null) return `${kind === "idle" ? "idle" : "unknown"} ${selected?.id} ${selected?.status}`;
   const gate = { hold: "armed", dwell: "armed", beam_on: "armed" }[sample.gate] ?? sample.gate;
-  return `${gate} ${sample.session_id} ${sample.operator_hold}`;
+  return `${gate} ${sample.session_id} ${sample.operator_holds}`;
 }
 
 const kindOf = (state) => state.split(" ")[0];

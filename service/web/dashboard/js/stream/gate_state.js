@@ -86,7 +86,8 @@ function adviceOf({ gate, hold_reason: code }) {
 
 /** Details of the hold reason, and the operator who holds in addition to it. */
 function detailOf(message) {
-  const holder = message.operator_hold && message.hold_reason !== "operator_hold" ? tr("gate_state.also_held_by", { operator_hold: message.operator_hold }) : "";
+  const unnamed = message.hold_reason === "operator_hold" ? message.operator_holds.slice(1) : message.operator_holds;
+  const holder = unnamed.length > 0 ? tr("gate_state.also_held_by", { operator_hold: unnamed.join(", ") }) : "";
   return [message.hold_detail ?? "", holder].filter(Boolean).join(" · ");
 }
 
