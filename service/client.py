@@ -229,13 +229,14 @@ class Window(TypedDict):
 
 
 class ArmingSummary(TypedDict):
-    """What the gate would be armed with. Send the ETag of this answer as `If-Match` of `POST .../arm`."""
+    """What the gate would be armed with. Send its `state` with `POST .../arm`: the engine refuses any other."""
 
     gate_window: LiveWindow | None
     is_ready: bool
     items: list[ArmingItem]
     predicted_duty_percent: float | None
     session_id: str
+    state: str
     window: Window
 
 
@@ -1829,15 +1830,18 @@ class TidegateClient:
         session_id: str,
         *,
         head_direction: Literal["top", "bottom", "left", "right"] | None = None,
+        state: str | None = None,
         operator: str | None = None,
         if_match: str | None = None,
     ) -> "SessionDetail":
         """Let the gate decide from now on. Never repeated: where no answer came, read the session.
 
         ``head_direction`` is the side of the picture at which the operator sees the patient's head; required unless
-        the window is on the whole region or its volume only.
+        the window is on the whole region or its volume only. ``state`` is that of the arming summary that the operator
+        looked at: another one is refused.
         """
-        arguments = {} if head_direction is None else {"head_direction": head_direction}
+        given = {"head_direction": head_direction, "state": state}
+        arguments = {name: value for name, value in given.items() if value is not None}
         return self._do(session_id, "arm", SessionDetail, operator, if_match, arguments)
 
     def release(self, session_id: str, *, operator: str | None = None, if_match: str | None = None) -> "SessionDetail":

@@ -3,6 +3,7 @@
 Owned by the engine thread; runs between two frames. A command is refused before anything is changed.
 """
 
+import hashlib
 from typing import NamedTuple
 
 from engine.control.commands import Command
@@ -46,6 +47,11 @@ NEAR_EXHALE, NEAR_INHALE = 15.0, 85.0
 """Places in the learned breathing range [%] between which the reference of an amplitude window needs a reason."""
 
 
+NOT_WHAT_WAS_SEEN = (
+    "window, reference, model or head direction is another than the one that was looked at: look again, then arm"
+)
+
+
 class _Level(NamedTuple):
     """A level of the gated signal [mm, l], and its place in the learned breathing range [%]; None where unknown."""
 
@@ -75,6 +81,8 @@ class CommandHandler:
         self._forecast = DutyForecast(learner, limits)
         self._generation = learner.status.model_generation
         self._resolved_for: int | None = None
+        self._hashed: tuple[object, ...] = ()
+        self._hash = ""
 
     @property
     def predicted_duty_percent(self) -> float | None:
@@ -85,6 +93,22 @@ class CommandHandler:
     def learned_ranges(self) -> Ranges:
         """The learned range of each signal of the window, for display; signals whose range is not known are absent."""
         return self._forecast.ranges
+
+    @property
+    def arming_state(self) -> str:
+        """Hash of what an arming would take; the same only for the same window, reference, model and head direction."""
+        learning, limits = self._learner.status, self._limits.current
+        present = (
+            limits.window,
+            self._limits.correction,
+            (limits.dwell_ms, limits.min_on_ms, limits.min_off_ms, limits.max_cycles_per_min),
+            limits.head_direction,
+            learning.reference_number,
+            learning.model_generation,
+        )
+        if present != self._hashed:
+            self._hashed, self._hash = present, hashlib.sha256(repr(present).encode()).hexdigest()[:32]
+        return self._hash
 
     def has_model_changed(self) -> bool:
         """Whether the model or the reference has changed since the last call, or since the last arming."""
@@ -207,6 +231,8 @@ class CommandHandler:
         if inputs.operator_absence:
             raise CommandRefusedError(f"{inputs.operator_absence}: a person has to log in there, and keep it visible")
         self._refuse_unless_ready(inputs)
+        if command.seen is not None and command.seen != self.arming_state:
+            raise CommandRefusedError(NOT_WHAT_WAS_SEEN)
         self._refuse_other_head(command)
         self._forecast.refuse_never_left()
         self._line.rearm()

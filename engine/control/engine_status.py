@@ -28,6 +28,8 @@ class EngineStatus:
         Share of the learned breaths inside the window, 0 to 100; None where it is not known, and for breath holds.
     learned_ranges
         Range of each signal of the window in the training, against the present reference; for display alone.
+    arming_state
+        Hash of what an arming would take: window, its correction and times, reference, model and head direction.
     """
 
     run_state: LoopStatus = LoopStatus.STARTING
@@ -37,6 +39,7 @@ class EngineStatus:
     learning: LearningStatus = field(default_factory=LearningStatus)
     predicted_duty_percent: float | None = None
     learned_ranges: Ranges = field(default_factory=dict)
+    arming_state: str = ""
 
     @property
     def is_over(self) -> bool:

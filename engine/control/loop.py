@@ -334,6 +334,7 @@ class EngineLoop:
             learning=self._learner.status,
             predicted_duty_percent=self._handler.predicted_duty_percent,
             learned_ranges=self._handler.learned_ranges,
+            arming_state=self._handler.arming_state,
         )
 
     def _run_once(self, commands: Iterable[QueuedCommand]) -> None:

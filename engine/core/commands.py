@@ -22,11 +22,15 @@ class Arm:
         required where the window is on a part of the patient.
     is_person
         Whether the operator is a person who is logged in; False for a program with a key.
+    seen
+        What the operator looked at, as the engine's status named it (`EngineStatus.arming_state`): refused if that is
+        another by now. None is not compared.
     """
 
     operator: str
     head_direction: HeadDirection | None = None
     is_person: bool = True
+    seen: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -37,6 +37,11 @@ class Precondition:
         """Whether the request has ``If-Match``."""
         return self.tags is not None
 
+    @property
+    def names_a_state(self) -> bool:
+        """Whether only some states match: the request has ``If-Match``, and not ``*``."""
+        return self.tags is not None and ANY not in self.tags
+
     def require(self, etag: str) -> None:
         """Raise PreconditionFailedError if the header names other ETags than `etag`.
 

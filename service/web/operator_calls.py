@@ -56,7 +56,11 @@ class OperatorCall:
         """Arm the gate, with the head direction that the operator confirms; a practice ends with that."""
         self.services.coaching.end_practice(session_id)
         head = None if request.head_direction is None else HeadDirection(request.head_direction)
-        arm = partial(self.services.runner.arm, head=head, is_person=self.caller.identity.is_person)
+        seen = request.state
+        if seen is None and self.if_match.names_a_state:
+            # Read before the ETag is compared: whatever changed it has changed the ETag before, or is refused by the engine.
+            seen = self.services.runner.arming_state(session_id)
+        arm = partial(self.services.runner.arm, head=head, is_person=self.caller.identity.is_person, seen=seen)
         return self.act(session_id, request.operator, arm)
 
     def set_reference(self, session_id: str, request: sessions.ReferenceRequest) -> sessions.SessionDetail:

@@ -24,7 +24,7 @@ class ArmingItem(Answer):
 
 
 class ArmingSummary(Answer):
-    """What the gate would be armed with. Send the ETag of this answer as `If-Match` of `POST .../arm`."""
+    """What the gate would be armed with. Send its `state` with `POST .../arm`: the engine refuses any other."""
 
     session_id: Identifier
     is_ready: bool = Field(description="Nothing is missing, as far as is known without asking the engine to arm")
@@ -32,3 +32,7 @@ class ArmingSummary(Answer):
     window: Window = Field(description="As prescribed")
     gate_window: LiveWindow | None = Field(description="As the gate applies it; null until a frame was decided on")
     predicted_duty_percent: float | None
+    state: str = Field(
+        description="Hash of window, its correction and times, reference, model and head direction; empty while the"
+        " session does not run"
+    )

@@ -199,6 +199,13 @@ class ArmRequest(OperatorRequest):
         description=f"{HEAD_WORDS}, as the operator sees it; must be the session's. Required unless the window is on"
         " `whole` or `volume` only",
     )
+    state: str | None = Field(
+        default=None,
+        pattern=r"^[0-9a-f]{32}$",
+        description="The `state` of the `GET .../arming` that was looked at: refused if window, reference, model or head"
+        " direction is another by now. Left out with `If-Match`, it is the one of that ETag. One of the two is required"
+        " in clinical mode",
+    )
 
 
 ReferenceMoment = Literal["end_exhale", "end_inhale", "now"]

@@ -22,7 +22,7 @@ from engine.core.commands import (
 )
 from engine.core.head_direction import HeadDirection
 from engine.core.reference_proposal import ReferenceMoment
-from service.core.errors import PictureMissingError
+from service.core.errors import BoundError, PictureMissingError
 from service.core.schemas import sessions
 from service.core.schemas.gate import BaselineCorrectionRequest
 from service.core.schemas.windows import Window
@@ -52,6 +52,7 @@ from service.storage.database.engine import ANSWER_TIMEOUT_S, BUSY_TIMEOUT_S
 JPEG_QUALITY = 80
 STOP = "session.stop"
 CAMERA = "session.camera"
+NOTHING_SEEN = "In clinical mode an arming names what was looked at."
 
 
 class SessionRunner:
@@ -144,21 +145,30 @@ class SessionRunner:
         return self._records.detail(session_id)
 
     def arm(
-        self, session_id: str, operator: str, head: HeadDirection | None, *, is_person: bool
+        self, session_id: str, operator: str, head: HeadDirection | None, *, is_person: bool, seen: str | None = None
     ) -> sessions.SessionDetail:
         """Arm the gate; ``head`` is the head direction that the operator confirms, and the audit records it.
 
-        ``is_person`` is False for a program with a key.
+        ``is_person`` is False for a program with a key; ``seen`` names what the operator looked at.
         """
         action = "session.arm"
         detail: dict[str, object] = {} if head is None else {"head_direction": head.value}
+        if seen is not None:
+            detail["state"] = seen
         with self._log.refusals(actor=operator, action=action, session_id=session_id, detail=detail):
+            if seen is None and self._settings.mode == "clinical":
+                raise BoundError(NOTHING_SEEN, field="state", value="null", bound="the state of GET .../arming")
             running = self._equipment.of(session_id)
             if running is not None:  # otherwise the command is refused
                 self._refuse_arming(running.engine.status.source)
-        command = Arm(operator=operator, head_direction=head, is_person=is_person)
+        command = Arm(operator=operator, head_direction=head, is_person=is_person, seen=seen)
         self._commander.execute(session_id, command, operator, action, detail)
         return self._records.detail(session_id)
+
+    def arming_state(self, session_id: str) -> str | None:
+        """Return what an arming would take, by the newest status of the engine; None where the session does not run."""
+        running = self._equipment.of(session_id)
+        return None if running is None else running.engine.status.arming_state
 
     def set_reference(
         self, session_id: str, operator: str, request: sessions.ReferenceRequest, *, may_exceed: bool

@@ -44,8 +44,10 @@ class ArmingSummaries:
 
     def of(self, session_id: str) -> ArmingSummary:
         """Return the summary; of a session that does not run, with what is known and the gate as missing."""
+        running = self.equipment.of(session_id)
+        state = "" if running is None else running.engine.status.arming_state  # first: what follows is not older
         detail = self.sessions.detail(session_id)
-        items = list(self._items(detail, self.equipment.of(session_id)))
+        items = list(self._items(detail, running))
         return ArmingSummary(
             session_id=session_id,
             is_ready=all(item.state != "missing" for item in items),
@@ -53,6 +55,7 @@ class ArmingSummaries:
             window=detail.window,
             gate_window=detail.gate_window,
             predicted_duty_percent=detail.predicted_duty_percent,
+            state=state,
         )
 
     def _items(self, detail: SessionDetail, running: RunningSession | None) -> Iterator[ArmingItem]:

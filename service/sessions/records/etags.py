@@ -60,18 +60,17 @@ class SessionRevisions:
     def only_if(self, session_id: str, wanted: Precondition) -> Iterator[None]:
         """Execute the body if the session's ETag still matches; raise PreconditionFailedError otherwise.
 
-        A call without ``If-Match`` does not wait. Calls that take permission away are not checked. Where one comes
+        A call without ``If-Match`` takes its turn too: what a conditional call has compared stands until it is done.
+        Calls that take permission away are not checked. Where one comes
         between look and act, the engine refuses what it takes back: an arm that was asked for before a disarming, a
         release before a hold (`engine.control.command_queue`). An arm beside a hold is done, and the beam stays held.
         """
-        if not wanted.is_given:
-            yield
-            return
         if not self._turn.acquire(timeout=LONGEST_WAIT_S):
-            msg = f"another conditional call took longer than {LONGEST_WAIT_S:g} s"
+            msg = f"another call that changes a session took longer than {LONGEST_WAIT_S:g} s"
             raise EngineTimeoutError(msg)
         try:
-            wanted.require(self.etag(session_id))
+            if wanted.is_given:
+                wanted.require(self.etag(session_id))
             yield
         finally:
             self._turn.release()

@@ -115,6 +115,7 @@ class FakeRunning:
         self.breaths: tuple[Breath, ...] = ()
         self.learned_ranges: Ranges = {}
         self.operator_hold: str | None = None
+        self.arming_state = "5e" * 16
         self.armed_by: str | None = None
         self.beam_on: BeamOnState | None = None
         self.camera_ms: float | None = None
@@ -178,6 +179,7 @@ class FakeRunning:
             view=self.latest,
             learning=learning,
             learned_ranges=self.learned_ranges,
+            arming_state=self.arming_state,
         )
 
     def picture(self):

@@ -127,10 +127,11 @@ export const signPosition = (id, operator, number, reason) =>
   call("POST", `${session(id)}/position-check`, { operator, reference_number: number, reason });
 /**
  * `head` is the side of the picture at which the page shows the patient's head, which the person confirms by arming; null if
- * unknown. `etag` is that of the summary the person looked at: refused if anything was decided since.
+ * unknown. `etag` and `state` are those of the summary the person looked at: refused if anything was decided since, or if the
+ * engine would arm with another window, reference or model.
  */
-export const arm = (id, operator, head, etag) =>
-  call("POST", `${session(id)}/arm`, head === null ? { operator } : { operator, head_direction: head }, { "If-Match": etag });
+export const arm = (id, operator, head, etag, state) =>
+  call("POST", `${session(id)}/arm`, { operator, state, ...(head === null ? {} : { head_direction: head }) }, { "If-Match": etag });
 /** @returns {Promise<{answer: object, etag: string}>} what would be armed, and its ETag */
 export async function readArming(id) {
   const response = await send("GET", `${session(id)}/arming`, undefined, {});

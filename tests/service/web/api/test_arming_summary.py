@@ -8,6 +8,7 @@ from engine.core.errors import CommandRefusedError
 from engine.core.gate_state import GateState, HoldReason
 from service.core.errors import QaOverdueError
 from tests.support.service.api_calls import act, audit_rows
+from tests.support.service.clinical_site import clinical_settings
 from tests.support.service.fake_engine import make_model
 
 WINDOW = {"signal": "whole", "lower_mm": -2.0, "upper_mm": 1.5, "dwell_ms": 250.0}
@@ -111,6 +112,52 @@ def test_arming_with_the_summary_s_tag_is_refused_where_the_window_was_set_since
     tag = summary(client, session_id).headers["ETag"]
     armed = client.post(f"/api/v1/sessions/{session_id}/arm", json=body, headers={"If-Match": tag})
     assert armed.status_code == 200
+
+
+def arm(client, session_id, headers=None, **body):
+    return client.post(f"/api/v1/sessions/{session_id}/arm", json={"operator": "B. Physicist"} | body, headers=headers)
+
+
+def test_an_arming_carries_the_state_that_was_looked_at_to_the_engine(client, session_id, measuring):
+    state = summary(client, session_id).json()["state"]
+    assert state == measuring.arming_state
+    assert arm(client, session_id, state=state).status_code == 200
+    assert measuring.commands[-1].seen == state
+    assert audit_rows(client, "session.arm")[-1]["detail"]["state"] == state
+
+
+@pytest.mark.parametrize(("tag", "carried"), [(None, None), ("*", None), ("the summary's", "5e" * 16)])
+def test_an_arming_with_the_summary_s_tag_alone_carries_the_state_of_then(client, session_id, measuring, tag, carried):
+    etag = summary(client, session_id).headers["ETag"]
+    headers = {} if tag is None else {"If-Match": tag if tag == "*" else etag}
+    assert arm(client, session_id, headers).status_code == 200
+    assert measuring.commands[-1].seen == carried
+
+
+def test_the_state_is_read_before_the_tag_is_compared(client, session_id, measuring, monkeypatch):
+    """Or a window set between the two would be taken for the one that was looked at."""
+    etag, revisions = summary(client, session_id).headers["ETag"], client.app.state.services.revisions
+    compared = type(revisions).etag
+
+    def changed_meanwhile(self, session_id):
+        found = compared(self, session_id)
+        measuring.arming_state = "c0" * 16
+        return found
+
+    monkeypatch.setattr(type(revisions), "etag", changed_meanwhile)
+    assert arm(client, session_id, {"If-Match": etag}).status_code == 200
+    assert measuring.commands[-1].seen == "5e" * 16
+
+
+def test_in_clinical_mode_an_arming_names_what_was_looked_at(client, session_id, measuring, monkeypatch):
+    runner = client.app.state.services.runner
+    monkeypatch.setattr(runner, "_settings", clinical_settings())
+    before = len(measuring.commands)
+    refused = arm(client, session_id)
+    problem = refused.json()
+    assert (refused.status_code, problem["field"], problem["bound"]) == (422, "state", "the state of GET .../arming")
+    assert len(measuring.commands) == before
+    assert arm(client, session_id, state=measuring.arming_state).status_code == 200
 
 
 def test_a_window_that_was_set_is_the_session_s_and_the_audit_has_both(client, session_id, measuring):

@@ -97,7 +97,7 @@ export class ArmingPanel {
   }
 
   #show(summary, etag) {
-    const key = JSON.stringify([etag, summary.items.map((one) => [one.code, one.state, one.code === "position" ? "" : one.text])]);
+    const key = JSON.stringify([etag, summary.state, summary.items.map((one) => [one.code, one.state, one.code === "position" ? "" : one.text])]);
     this.trouble = "";
     if (key === this.key && this.summary !== null) return;
     Object.assign(this, { summary, etag, key });
@@ -111,10 +111,11 @@ export class ArmingPanel {
     if (this.guard.refusal(event, this.key) !== "" || this.button.disabled) return;
     if (!this.presses.isConfirmed(event)) return;
     const { id, head, etag } = this;
+    const { state } = this.summary;
     const operator = this.controls.operatorName;
     this.close();
     this.controls.run("arm", async () => {
-      await arm(id, operator, head, etag);
+      await arm(id, operator, head, etag, state);
       rememberArming(id, operator);
     });
   }
