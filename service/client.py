@@ -103,6 +103,8 @@ class ArmRequest(TypedDict):
 
     head_direction: NotRequired[Literal["top", "bottom", "left", "right"] | None]
     operator: NotRequired[str]
+    reason: NotRequired[str]
+    state: NotRequired[str | None]
 
 
 class LiveCondition(TypedDict):
@@ -234,6 +236,7 @@ class ArmingSummary(TypedDict):
     gate_window: LiveWindow | None
     is_ready: bool
     items: list[ArmingItem]
+    needs_reason: bool
     predicted_duty_percent: float | None
     session_id: str
     state: str
@@ -1831,6 +1834,7 @@ class TidegateClient:
         *,
         head_direction: Literal["top", "bottom", "left", "right"] | None = None,
         state: str | None = None,
+        reason: str | None = None,
         operator: str | None = None,
         if_match: str | None = None,
     ) -> "SessionDetail":
@@ -1838,9 +1842,9 @@ class TidegateClient:
 
         ``head_direction`` is the side of the picture at which the operator sees the patient's head; required unless
         the window is on the whole region or its volume only. ``state`` is that of the arming summary that the operator
-        looked at: another one is refused.
+        looked at: another one is refused. ``reason`` is required of a person where the window joins conditions by or.
         """
-        given = {"head_direction": head_direction, "state": state}
+        given = {"head_direction": head_direction, "state": state, "reason": reason}
         arguments = {name: value for name, value in given.items() if value is not None}
         return self._do(session_id, "arm", SessionDetail, operator, if_match, arguments)
 

@@ -39,7 +39,7 @@ from engine.gating.gate import Ending
 from engine.gating.supervision.operator_presence import OperatorPresence
 from engine.gating.supervision.supervisor import FrameSupervisor
 from engine.gating.window_change import SetWindow
-from engine.gating.windows import AmplitudeWindow
+from engine.gating.windows import AmplitudeWindow, Join, JoinedWindow
 
 LEVEL_TOLERANCE_MM = 0.5
 """How far the level of a reference may differ from the one displayed; of the volume a tenth of a litre for each mm."""
@@ -234,13 +234,24 @@ class CommandHandler:
         if command.seen is not None and command.seen != self.arming_state:
             raise CommandRefusedError(NOT_WHAT_WAS_SEEN)
         self._refuse_other_head(command)
-        self._forecast.refuse_never_left()
+        self._refuse_unreasoned_way(command)
+        self._forecast.refuse_free_breath()
         self._line.rearm()
         if command.is_person:
             self._presence.note(command.operator)
         self._controller.decide(command, cause=Cause(operator=command.operator))
         if not self._controller.gate.is_armed:
             raise CommandRefusedError(f"a fault came up: {self._controller.gate.reason}")
+
+    def _refuse_unreasoned_way(self, command: Arm) -> None:
+        """Refuse a window with several ways into the beam to a program, and without a person's reason."""
+        window = self._limits.current.window
+        if not isinstance(window, JoinedWindow) or window.join is not Join.OR:
+            return
+        if not command.is_person or not command.reason.strip():
+            raise CommandRefusedError(
+                "the window joins conditions by or, each of which permits the beam: a person arms it, with a reason"
+            )
 
     def _release(self, command: ReleaseBeam) -> None:
         if command.is_person:

@@ -3,7 +3,7 @@
 from engine.control.roles import Learner
 from engine.control.session_limits import SessionLimits
 from engine.core.ranges import Ranges, ranges_of
-from engine.gating.duty_cycle import duty_percent, refuse_never_left
+from engine.gating.duty_cycle import duty_percent, refuse_hold_in_free_breath, refuse_never_left
 
 
 class DutyForecast:
@@ -35,7 +35,17 @@ class DutyForecast:
             levels = self._learner.learned_levels(window.choices)
             self._percent, self._ranges = duty_percent(window, levels), ranges_of(levels)
 
-    def refuse_never_left(self) -> None:
-        """Raise InvalidValueError where the window holds more than the site allows; CommandRefusedError if unknown."""
+    def refuse_free_breath(self) -> None:
+        """Refuse a window that the learned breaths never leave, or a breath hold that they reach.
+
+        Raises
+        ------
+        InvalidValueError
+            More of the learned breaths lie inside than the site allows, or a hold lies where the patient breathes.
+        CommandRefusedError
+            The learned breaths are not known.
+        """
         limits = self._limits.current
-        refuse_never_left(limits, self._learner.learned_levels(limits.window.choices))
+        levels = self._learner.learned_levels(limits.window.choices)
+        refuse_never_left(limits, levels)
+        refuse_hold_in_free_breath(limits, levels)

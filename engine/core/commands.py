@@ -25,12 +25,15 @@ class Arm:
     seen
         What the operator looked at, as the engine's status named it (`EngineStatus.arming_state`): refused if that is
         another by now. None is not compared.
+    reason
+        Required of a person where the window joins conditions by *or*; a program cannot arm such a window.
     """
 
     operator: str
     head_direction: HeadDirection | None = None
     is_person: bool = True
     seen: str | None = None
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from engine.core.breath import BreathEventKind
 from engine.core.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from engine.core.frames import LostReason, Measurement, MeasurementState, Motion, SeenShares
 from engine.core.gate_state import HoldReason
@@ -91,7 +92,7 @@ def check_frame(last: LastFrame | None, frame: Measurement, now_ns: int, limits:
         or _refuse_poor_fit(frame.motion, limits)
         or _refuse_unseen(frame.motion, limits)
         or _refuse_jump(last, frame.motion, limits)
-        or _refuse_irregular(frame, limits)
+        or refuse_irregular(frame, limits.judged_events)
     )
 
 
@@ -327,9 +328,8 @@ def _refuse_jump(last: LastFrame | None, motion: Motion, limits: GateLimits) -> 
     return None
 
 
-def _refuse_irregular(frame: Measurement, limits: GateLimits) -> Verdict | None:
+def refuse_irregular(frame: Measurement, holding: frozenset[BreathEventKind]) -> Verdict | None:
     """Hold where breathing has ceased, and for the further breathing events that the site chose."""
-    holding = limits.judged_events
     for breath in frame.breaths:
         for event in breath.events:
             if event.kind in holding:

@@ -16,9 +16,18 @@ from engine.core.frames import Measurement, Motion
 from engine.core.gate_state import GateState, HoldReason, Lease
 from engine.core.replacing import replace
 from engine.gating.beam_on_limit import OUTSIDE, Stay, allowed_on_s
-from engine.gating.frame_checks import EventKind, LastFrame, Verdict, check_frame, fault, last_frame, unusable
+from engine.gating.frame_checks import (
+    EventKind,
+    LastFrame,
+    Verdict,
+    check_frame,
+    fault,
+    last_frame,
+    refuse_irregular,
+    unusable,
+)
 from engine.gating.limits import GateLimits, ns_from_ms
-from engine.gating.windows import ConditionState, WindowInput, armed_again, initial_states, interrupted, left
+from engine.gating.windows import ConditionState, WindowInput, armed_again, initial_states, interrupted, is_held, left
 
 CYCLES_WITHIN_NS = 60 * NS_PER_S
 
@@ -297,9 +306,10 @@ def _judge_window(gate: Gate, frame: Measurement, motion: Motion, now_ns: int, l
     found = window.judge(WindowInput(motion, frame.breaths, frame.timestamp_us), states)
     if not found.is_inside:
         return Verdict(EventKind.OUTSIDE, found.reason, found.detail, found.states, found.has_left)
-    too_long = _on_too_long(gate, now_ns, limits)
-    if too_long is not None:
-        return too_long
+    irregular = None if is_held(window, found.states) else refuse_irregular(frame, limits.holding_events)
+    refused = irregular or _on_too_long(gate, now_ns, limits)
+    if refused is not None:
+        return refused
     if not _has_dwelt(gate, frame, limits):
         return Verdict(EventKind.INSIDE, conditions=found.states)
     return _too_soon(gate, now_ns, limits, found.states) or Verdict(EventKind.DWELT, conditions=found.states)

@@ -117,8 +117,8 @@ class GateLimits:
     window_lower_mm, window_upper_mm
         Bounds of the window's edges, after conversion and correction; arming is refused beyond them.
     holding_events
-        Breathing events that hold the beam. In a window with a breath hold only those hold that no breath hold
-        resembles (`EVENTS_OF_A_BREATH_HOLD`).
+        Breathing events that hold the beam. While a breath is held in a window for it, only those hold that no breath
+        hold resembles (`EVENTS_OF_A_BREATH_HOLD`).
     head_direction
         The side of the picture at which the patient's head lies; None if it is unknown: then only the whole region and
         its volume may gate.
@@ -188,7 +188,7 @@ class GateLimits:
 
     @property
     def judged_events(self) -> frozenset[BreathEventKind]:
-        """The breathing events that hold the beam in this window."""
+        """The breathing events that hold the beam in every frame; in a held breath no others do (`is_held`)."""
         has_hold = any(isinstance(leaf, BreathHoldWindow) for leaf in self.window.leaves)
         return self.holding_events - EVENTS_OF_A_BREATH_HOLD if has_hold else self.holding_events
 

@@ -21,7 +21,7 @@ from engine.core.errors import CommandRefusedError, InvalidValueError, ModelErro
 from engine.core.frames import Measurement, MeasurementState, RgbdFrame
 from engine.core.motion_model import MotionModel
 from engine.core.provenance import ModelOrigin
-from engine.gating.duty_cycle import duty_percent, refuse_never_left
+from engine.gating.duty_cycle import duty_percent, refuse_hold_in_free_breath, refuse_never_left
 from engine.gating.limits import GateLimits
 from engine.motion.learning.learner import Learner
 from engine.motion.learning.model_file import save_model
@@ -253,6 +253,7 @@ def _duty(limits: GateLimits | None, learner: Learner) -> dict[str, Any]:
     levels = learner.learned_levels(limits.window.choices)
     try:
         refuse_never_left(limits, levels)
+        refuse_hold_in_free_breath(limits, levels)
     except (InvalidValueError, CommandRefusedError) as error:
         return {"predicted_duty_percent": duty_percent(limits.window, levels), "duty_refusal": str(error)}
     return {"predicted_duty_percent": duty_percent(limits.window, levels)}

@@ -58,9 +58,15 @@ class OperatorCall:
         head = None if request.head_direction is None else HeadDirection(request.head_direction)
         seen = request.state
         if seen is None and self.if_match.names_a_state:
-            # Read before the ETag is compared: whatever changed it has changed the ETag before, or is refused by the engine.
+            # Read before the ETag is compared: what was decided earlier changed the ETag, what comes later the state.
             seen = self.services.runner.arming_state(session_id)
-        arm = partial(self.services.runner.arm, head=head, is_person=self.caller.identity.is_person, seen=seen)
+        arm = partial(
+            self.services.runner.arm,
+            head=head,
+            is_person=self.caller.identity.is_person,
+            seen=seen,
+            reason=request.reason.strip(),
+        )
         return self.act(session_id, request.operator, arm)
 
     def set_reference(self, session_id: str, request: sessions.ReferenceRequest) -> sessions.SessionDetail:

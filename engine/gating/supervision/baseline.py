@@ -3,8 +3,8 @@
 A patient who lies some millimetres lower meets the same window at another moment of the breath. So the last end of
 exhale is compared with where it was when the reference was set, or where a person has confirmed it; it is known when
 the next inhale has begun. After more than a second without a measurement the patient may lie elsewhere: before the beam
-may be on, the surface's height without breathing has to be within the bound, or an end of exhale has to be seen. Breath
-holds and phases have their own rules.
+may be on, the surface's height without breathing has to be within the bound, or an end of exhale has to be seen. An
+expiration hold is at the end of exhale itself; inspiration holds and phases have their own rules.
 """
 
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from engine.core.frames import Measurement
 from engine.core.gate_state import HoldReason
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
-from engine.gating.windows import AmplitudeWindow, GateWindow
+from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, Condition, GateWindow, HoldKind
 
 US_PER_S = 1e6
 HALF = 0.5
@@ -97,12 +97,19 @@ def _is_known(level: _Level, measurement: Measurement, since_us: int) -> bool:
     return is_as_high or (exhale_us is not None and exhale_us >= since_us)
 
 
+def _edges_at_exhale(leaf: Condition) -> AmplitudeWindow | None:
+    """Return the edges that have their meaning only while the end of exhale stays."""
+    if isinstance(leaf, BreathHoldWindow):
+        return leaf.level if leaf.kind is HoldKind.EXPIRATION else None
+    return leaf if isinstance(leaf, AmplitudeWindow) else None
+
+
 def _levels(measurement: Measurement, window: GateWindow, max_mm: float) -> Iterator[_Level]:
-    """Yield the levels of the amplitude conditions whose breath is followed."""
+    """Yield the levels of the amplitude conditions and expiration holds whose breath is followed."""
     breaths = {breath.signal: breath for breath in measurement.breaths}
-    for leaf in window.leaves:
-        breath = breaths.get(leaf.choices[0])
-        if isinstance(leaf, AmplitudeWindow) and breath is not None:
+    for leaf in map(_edges_at_exhale, window.leaves):
+        breath = None if leaf is None else breaths.get(leaf.choice)
+        if leaf is not None and breath is not None:
             bounds = [max_mm * leaf.choice.per_mm]
             if not leaf.needs_ranges:
                 bounds.append(HALF * (leaf.upper - leaf.lower))

@@ -27,7 +27,15 @@ from engine.gating.windows.conditions import (
     interrupted,
     left,
 )
-from engine.gating.windows.joined import MAX_CONDITIONS, Condition, GateWindow, Join, JoinedWindow, initial_states
+from engine.gating.windows.joined import (
+    MAX_CONDITIONS,
+    Condition,
+    GateWindow,
+    Join,
+    JoinedWindow,
+    initial_states,
+    is_held,
+)
 from engine.gating.windows.phase import PhaseWindow
 
 __all__ = [
@@ -54,5 +62,6 @@ __all__ = [
     "armed_again",
     "initial_states",
     "interrupted",
+    "is_held",
     "left",
 ]

@@ -9,7 +9,7 @@ from engine.core.ranges import Ranges
 from engine.core.replacing import replace
 from engine.gating.windows.amplitude import AmplitudeWindow
 from engine.gating.windows.breath_hold import BreathHoldWindow
-from engine.gating.windows.conditions import ConditionState, WindowInput, WindowVerdict
+from engine.gating.windows.conditions import ConditionState, HoldStage, WindowInput, WindowVerdict
 from engine.gating.windows.phase import PhaseWindow
 
 MAX_CONDITIONS = 4
@@ -82,6 +82,14 @@ class JoinedWindow:
 
 
 GateWindow = AmplitudeWindow | BreathHoldWindow | PhaseWindow | JoinedWindow
+
+
+def is_held(window: GateWindow, states: tuple[ConditionState, ...]) -> bool:
+    """Whether a breath hold of the window is held now: what was observed, whatever the window is called."""
+    return any(
+        isinstance(leaf, BreathHoldWindow) and state.stage is HoldStage.HELD
+        for leaf, state in zip(window.leaves, states, strict=True)
+    )
 
 
 def initial_states(window: GateWindow) -> tuple[ConditionState, ...]:

@@ -32,6 +32,7 @@ class ArmingSummary(Answer):
     window: Window = Field(description="As prescribed")
     gate_window: LiveWindow | None = Field(description="As the gate applies it; null until a frame was decided on")
     predicted_duty_percent: float | None
+    needs_reason: bool = Field(description="The window joins conditions by `or`: a person arms it, with a reason")
     state: str = Field(
         description="Hash of window, its correction and times, reference, model and head direction; empty while the"
         " session does not run"

@@ -202,9 +202,14 @@ class ArmRequest(OperatorRequest):
     state: str | None = Field(
         default=None,
         pattern=r"^[0-9a-f]{32}$",
-        description="The `state` of the `GET .../arming` that was looked at: refused if window, reference, model or head"
-        " direction is another by now. Left out with `If-Match`, it is the one of that ETag. One of the two is required"
-        " in clinical mode",
+        description="The `state` of the `GET .../arming` that was looked at: refused if window, reference, model or"
+        " head direction is another by now. Left out with `If-Match`, it is the one of that ETag. One of the two is"
+        " required in clinical mode",
+    )
+    reason: str = Field(
+        default="",
+        max_length=1_000,
+        description="Why conditions joined by `or` are armed: required of a person; a program cannot arm such a window",
     )
 
 

@@ -89,6 +89,13 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
     "min_phase_confidence": ClinicalBound(
         low=0.6, high=1.0, reason="the default: the phase is compared with the patient's breaths"
     ),
+    "max_hold_still_mm": ClinicalBound(
+        low=0.05, high=2.0, reason="a breath that moves by more within the time of settling is not held"
+    ),
+    "max_hold_drift_mm": ClinicalBound(low=0.1, high=3.0, reason=f"{TG_302}, and 1 mm by which a held chest sinks"),
+    "min_hold_settle_ms": ClinicalBound(
+        low=500.0, high=10_000.0, reason="longer than the turn of a breath, which is still for a moment"
+    ),
     "max_breath_hold_s": ClinicalBound(low=5.0, high=60.0, reason="breath holds in treatment last 20 to 40 s"),
     # Whether a frame is fresh.
     "min_good_frames": ClinicalBound(

@@ -189,6 +189,24 @@ class Settings(
     max_breath_hold_s: float = Field(
         default=HOLD_BOUNDS["timeout_s"][1], ge=HOLD_BOUNDS["timeout_s"][0], le=HOLD_BOUNDS["timeout_s"][1]
     )
+    max_hold_still_mm: float = Field(
+        default=2.0,
+        ge=HOLD_BOUNDS["still"][0],
+        le=HOLD_BOUNDS["still"][1],
+        description="Largest range of a held breath while it settles, in a session's window; of a volume 0.1 l per mm",
+    )
+    max_hold_drift_mm: float = Field(
+        default=3.0,
+        ge=HOLD_BOUNDS["max_drift"][0],
+        le=HOLD_BOUNDS["max_drift"][1],
+        description="Largest drift of a held breath, in a session's window; of a volume 0.1 l per mm",
+    )
+    min_hold_settle_ms: float = Field(
+        default=500.0,
+        ge=HOLD_BOUNDS["settle_ms"][0],
+        le=HOLD_BOUNDS["settle_ms"][1],
+        description="Shortest time of a held breath before it counts, in a session's window",
+    )
     max_baseline_correction_mm: float = Field(default=5.0, ge=0.0, le=50.0, description="Largest baseline correction")
     min_phase_confidence: float = Field(
         default=0.6, ge=0.1, le=1.0, description="Lowest confidence of the phase in a session's window"

@@ -8,7 +8,7 @@ site has set its edges, every way into the beam needs a condition on a length be
 
 from typing import TypeVar
 
-from engine.core.breath import SignalChoice
+from engine.core.breath import LITRES_PER_MM, SignalChoice
 from engine.core.head_direction import HeadDirection
 from engine.gating.limits import GateLimits
 from engine.gating.windows import GateWindow, JoinedWindow
@@ -77,12 +77,12 @@ def gate_window(window: Window, regions: sessions.Regions = NO_REGIONS) -> GateW
 
 
 def breath_signals(window: Window, regions: sessions.Regions = NO_REGIONS) -> tuple[SignalChoice, ...]:
-    """Return the signals whose breath is followed: the first condition's, and those gated by amplitude or phase."""
+    """Return the signals whose breath is followed: the first condition's, and those gated by all but inspiration."""
     return tuple(
         dict.fromkeys(
             condition.choice(_index_of(path, condition, window, regions))
             for path, condition in window.conditions()
-            if condition is window or condition.kind in {"amplitude", "phase"}
+            if condition is window or condition.kind in {"amplitude", "phase"} or condition.hold == "expiration"
         )
     )
 
@@ -94,8 +94,20 @@ def _check_condition(path: str, condition: Condition, settings: Settings) -> Non
         _at_most(f"{path}.upper_mm", condition.upper_mm, settings.window_upper_mm)
     if condition.timeout_s is not None:
         _at_most(f"{path}.timeout_s", condition.timeout_s, settings.max_breath_hold_s)
+    _check_hold(path, condition, settings)
     if condition.min_confidence is not None:
         _at_least(f"{path}.min_confidence", condition.min_confidence, settings.min_phase_confidence)
+
+
+def _check_hold(path: str, condition: Condition, settings: Settings) -> None:
+    """Refuse a breath hold that need not be held: its numbers excuse it from rules of free breathing."""
+    for unit, per_mm in (("mm", 1.0), ("l", LITRES_PER_MM)):
+        for name, most_mm in (("still", settings.max_hold_still_mm), ("max_drift", settings.max_hold_drift_mm)):
+            value = getattr(condition, f"{name}_{unit}")
+            if value is not None:
+                _at_most(f"{path}.{name}_{unit}", value, most_mm * per_mm)
+    if condition.settle_ms is not None:
+        _at_least(f"{path}.settle_ms", condition.settle_ms, settings.min_hold_settle_ms)
 
 
 def _refuse_way_around(window: Window, settings: Settings) -> None:

@@ -145,23 +145,33 @@ class SessionRunner:
         return self._records.detail(session_id)
 
     def arm(
-        self, session_id: str, operator: str, head: HeadDirection | None, *, is_person: bool, seen: str | None = None
+        self,
+        session_id: str,
+        operator: str,
+        head: HeadDirection | None,
+        *,
+        is_person: bool,
+        seen: str | None = None,
+        reason: str = "",
     ) -> sessions.SessionDetail:
         """Arm the gate; ``head`` is the head direction that the operator confirms, and the audit records it.
 
-        ``is_person`` is False for a program with a key; ``seen`` names what the operator looked at.
+        ``is_person`` is False for a program with a key; ``seen`` names what the operator looked at; ``reason`` is
+        required for conditions joined by *or*.
         """
         action = "session.arm"
         detail: dict[str, object] = {} if head is None else {"head_direction": head.value}
         if seen is not None:
             detail["state"] = seen
+        if reason:
+            detail["reason"] = reason
         with self._log.refusals(actor=operator, action=action, session_id=session_id, detail=detail):
             if seen is None and self._settings.mode == "clinical":
                 raise BoundError(NOTHING_SEEN, field="state", value="null", bound="the state of GET .../arming")
             running = self._equipment.of(session_id)
             if running is not None:  # otherwise the command is refused
                 self._refuse_arming(running.engine.status.source)
-        command = Arm(operator=operator, head_direction=head, is_person=is_person, seen=seen)
+        command = Arm(operator=operator, head_direction=head, is_person=is_person, seen=seen, reason=reason)
         self._commander.execute(session_id, command, operator, action, detail)
         return self._records.detail(session_id)
 

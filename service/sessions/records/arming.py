@@ -22,6 +22,7 @@ from service.storage.database import queries
 from service.storage.database.engine import Database
 
 REFERENCE_SET = "session.reference"
+NO_PREDICTION = "not compared with free breathing: see that its edges are those of a held breath"
 POSITION_OK = {"first_fraction", "signed"}
 
 
@@ -55,6 +56,7 @@ class ArmingSummaries:
             window=detail.window,
             gate_window=detail.gate_window,
             predicted_duty_percent=detail.predicted_duty_percent,
+            needs_reason=detail.window.join == "or" and bool(detail.window.further),
             state=state,
         )
 
@@ -113,7 +115,7 @@ class ArmingSummaries:
             return ArmingItem(code="window", state="missing", text="in per cent of a range that is not known yet")
         duty = detail.predicted_duty_percent
         if duty is None:
-            return ArmingItem(code="window", state="ok", text="no predicted duty cycle")
+            return ArmingItem(code="window", state="attention", text=NO_PREDICTION)
         text = f"{duty:.0f} % of the learned breaths lie inside"
         if duty > self.settings.max_duty_percent:
             bound = f"at most {self.settings.max_duty_percent:g} % may: set a narrower window"

@@ -10,7 +10,7 @@ from engine.core.breath import WHOLE
 from engine.core.clock import ManualClock
 from engine.core.commands import Arm, CorrectBaseline
 from engine.core.ranges import LearnedRange
-from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, PhaseWindow, Unit, amplitude_window
+from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, JoinedWindow, PhaseWindow, Unit, amplitude_window
 from tests.support.control.loop_bench import Bench, RecordingPipeline, after, good
 from tests.support.gating.streams import LEVEL_MM, LIMITS
 
@@ -65,10 +65,36 @@ def test_a_baseline_correction_counts():
     assert "100 % of the learned breaths" in str(moved.error)
 
 
+def test_a_breath_hold_that_free_breathing_reaches_is_refused_by_the_engine():
+    """The learned breath reaches from 2 to 12 mm."""
+    asked = Asked(BreathHoldWindow(level=amplitude_window(lower_mm=-1.0, upper_mm=3.0)))
+    assert "for an inspiration hold" in str(asked.error)
+    assert not asked.bench.beam.permits
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_refused"),
+    [
+        ({}, True),
+        ({"reason": "  "}, True),
+        ({"reason": "two fields", "is_person": False}, True),
+        ({"reason": "two fields"}, False),
+    ],
+    ids=str,
+)
+def test_conditions_joined_by_or_are_armed_by_a_person_with_a_reason(changes, is_refused):
+    low, high = (amplitude_window(lower_mm=lower, upper_mm=lower + 2.0) for lower in (2.0, 8.0))
+    bench = Bench([good] * 3, limits=replace(LIMITS, window=JoinedWindow(conditions=(low, high), join="or")))
+    bench.source.script += [after(bench.ask(replace(ARM, **changes))), *[good] * 8]
+    bench.run()
+    assert ("joins conditions by or" in str(bench.answers[-1].exception(timeout=0))) is is_refused
+    assert bench.records()[-1].line_on is not is_refused
+
+
 def test_a_phase_window_counts_by_its_phases_and_a_breath_hold_is_not_predicted():
     wide = Asked(PhaseWindow(from_percent=2.0, to_percent=98.0))
     assert "96 % of the learned breaths" in str(wide.error)
-    hold = Asked(BreathHoldWindow(level=WIDE))
+    hold = Asked(BreathHoldWindow(level=amplitude_window(lower_mm=10.0, upper_mm=20.0)))
     assert (hold.error, hold.percent) == (None, None)
 
 

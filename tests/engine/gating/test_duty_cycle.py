@@ -7,7 +7,8 @@ import pytest
 
 from engine.core.breath import WHOLE, SignalChoice
 from engine.core.errors import CommandRefusedError, InvalidValueError
-from engine.gating.duty_cycle import duty_percent, is_predicted, refuse_never_left
+from engine.core.ranges import ranges_of
+from engine.gating.duty_cycle import duty_percent, is_predicted, refuse_hold_in_free_breath, refuse_never_left
 from engine.gating.limits import GateLimits
 from engine.gating.windows import (
     AmplitudeWindow,
@@ -27,6 +28,10 @@ HOLD = BreathHoldWindow(level=amplitude_window(lower_mm=0.0, upper_mm=100.0))
 
 def window(lower_mm, upper_mm, signal="whole"):
     return amplitude_window(signal=signal, lower_mm=lower_mm, upper_mm=upper_mm)
+
+
+def hold(lower_mm, upper_mm, kind="inspiration"):
+    return BreathHoldWindow(level=window(lower_mm, upper_mm), kind=kind)
 
 
 def phase(from_percent, to_percent):
@@ -52,7 +57,9 @@ def joined(join, *conditions):
         (joined(Join.AND, phase(0.0, 50.0), PhaseWindow(choice=ABDOMEN, from_percent=25.0, to_percent=75.0)), 25.0),
         (joined(Join.OR, phase(0.0, 20.0), phase(10.0, 40.0)), 40.0),
         (joined(Join.OR, window(0.0, 6.0), phase(0.0, 70.0)), 100.0),
-        (joined(Join.OR, window(0.0, 3.0), HOLD), 30.0),
+        (joined(Join.OR, window(0.0, 3.0), HOLD), 100.0),
+        (joined(Join.OR, window(0.0, 3.0), hold(9.0, 20.0)), 40.0),
+        (joined(Join.OR, hold(0.0, 1.0), hold(9.0, 20.0)), 20.0),
     ],
 )
 def test_the_share_of_the_learned_breaths_inside_is_predicted(wanted, percent):
@@ -63,7 +70,7 @@ def test_hysteresis_does_not_make_a_window_narrower():
     assert duty_percent(amplitude_window(lower_mm=0.0, upper_mm=5.0, hysteresis_mm=2.0), LEVELS) == pytest.approx(50.0)
 
 
-@pytest.mark.parametrize("wanted", [HOLD, joined(Join.AND, window(-50.0, 50.0), HOLD), joined(Join.OR, HOLD, HOLD)])
+@pytest.mark.parametrize("wanted", [HOLD, joined(Join.AND, window(-50.0, 50.0), HOLD)])
 def test_a_breath_hold_has_no_predicted_duty_cycle_and_is_not_refused(wanted):
     assert not is_predicted(wanted)
     assert duty_percent(wanted, LEVELS) is None
@@ -107,3 +114,47 @@ def test_an_unknown_duty_cycle_is_refused(wanted, levels):
 def test_a_level_at_an_edge_counts_as_inside(level_mm, percent):
     window = AmplitudeWindow(lower=-1.0, upper=3.0)
     assert duty_percent(window, {WHOLE: np.full(60, level_mm)}) == percent
+
+
+RANGE = {WHOLE: np.linspace(0.0, 10.0, 2001)}
+LOWEST_MM, HIGHEST_MM = ranges_of(RANGE)[WHOLE].low, ranges_of(RANGE)[WHOLE].high
+
+
+def at(percent):
+    return LOWEST_MM + 0.01 * percent * (HIGHEST_MM - LOWEST_MM)
+
+
+@pytest.mark.parametrize(
+    ("kind", "lower", "upper", "is_refused"),
+    [
+        ("inspiration", 60.1, 150.0, False),
+        ("inspiration", 59.9, 150.0, True),
+        ("inspiration", 80.0, 100.1, False),
+        ("inspiration", 80.0, 99.9, True),
+        ("inspiration", -10.0, 30.0, True),
+        ("inspiration", 180.0, 250.0, False),
+        ("expiration", -30.0, 39.9, False),
+        ("expiration", -30.0, 40.1, True),
+        ("expiration", 180.0, 250.0, True),
+    ],
+)
+def test_a_breath_hold_whose_level_free_breathing_reaches_is_refused(kind, lower, upper, is_refused):
+    wanted = hold(at(lower), at(upper), kind)
+    for one in (wanted, joined(Join.AND, wanted, window(-50.0, 50.0)), joined(Join.OR, phase(0.0, 10.0), wanted)):
+        limits = GateLimits(window=one)
+        if is_refused:
+            with pytest.raises(InvalidValueError, match=f"for an {kind} hold"):
+                refuse_hold_in_free_breath(limits, RANGE)
+        else:
+            refuse_hold_in_free_breath(limits, RANGE)
+
+
+@pytest.mark.parametrize("levels", [{}, {WHOLE: np.full(60, 3.0)}, {ABDOMEN: LEVELS[ABDOMEN]}])
+def test_a_breath_hold_that_cannot_be_compared_with_free_breathing_is_refused(levels):
+    with pytest.raises(CommandRefusedError, match="Train again"):
+        refuse_hold_in_free_breath(GateLimits(window=hold(12.0, 20.0)), levels)
+
+
+def test_windows_without_a_breath_hold_are_not_compared():
+    for wanted in (window(-1.0, 3.0), phase(0.0, 10.0)):
+        refuse_hold_in_free_breath(GateLimits(window=wanted), {})

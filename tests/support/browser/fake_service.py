@@ -333,7 +333,13 @@ def arming(**missing: str) -> dict[str, Any]:
     items = [
         {"code": code, "state": "missing" if code in missing else "ok", "text": text} for code, text in texts.items()
     ]
-    return {"session_id": SESSION_ID, "is_ready": not missing, "items": items, "state": "5e" * 16}
+    return {
+        "session_id": SESSION_ID,
+        "is_ready": not missing,
+        "items": items,
+        "needs_reason": False,
+        "state": "5e" * 16,
+    }
 
 
 ONE_TIME = "quiet-otter-plays-1729"

@@ -130,8 +130,8 @@ export const signPosition = (id, operator, number, reason) =>
  * unknown. `etag` and `state` are those of the summary the person looked at: refused if anything was decided since, or if the
  * engine would arm with another window, reference or model.
  */
-export const arm = (id, operator, head, etag, state) =>
-  call("POST", `${session(id)}/arm`, { operator, state, ...(head === null ? {} : { head_direction: head }) }, { "If-Match": etag });
+export const arm = (id, operator, head, etag, state, reason) =>
+  call("POST", `${session(id)}/arm`, { operator, state, ...(reason === "" ? {} : { reason }), ...(head === null ? {} : { head_direction: head }) }, { "If-Match": etag });
 /** @returns {Promise<{answer: object, etag: string}>} what would be armed, and its ETag */
 export async function readArming(id) {
   const response = await send("GET", `${session(id)}/arming`, undefined, {});

@@ -64,7 +64,13 @@ def test_a_tenth_of_a_litre_counts_as_a_millimetre():
     assert "0.21 l" in held(window, breath(0.21, amplitude=0.9, choice=VOLUME)).detail
 
 
-def test_breath_holds_and_phases_have_their_own_rules():
+def test_an_expiration_hold_is_at_the_end_of_exhale_and_holds_with_its_drift():
+    window = BreathHoldWindow(level=amplitude_window(lower_mm=-2.0, upper_mm=2.0), kind="expiration")
+    assert held(window, breath(1.9)) is None
+    assert held(window, breath(2.1)).reason is HoldReason.BASELINE_DRIFTED
+
+
+def test_inspiration_holds_and_phases_have_their_own_rules():
     for window in (BreathHoldWindow(level=WIDE), PhaseWindow(from_percent=40.0, to_percent=60.0)):
         assert held(window, breath(9.0)) is None
 

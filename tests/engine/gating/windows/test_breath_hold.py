@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import pytest
 
+from engine.core.breath import Breath, BreathEvent, BreathEventKind
 from engine.core.commands import Arm, Disarm
 from engine.core.errors import InvalidValueError
 from engine.core.gate_state import GateState, HoldReason
-from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, HoldStage
+from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, HoldStage, JoinedWindow
 from engine.gating.windows.conditions import ConditionState, WindowInput, WindowVerdict
 from tests.support.gating.bad_frames import HOLDS
 from tests.support.gating.streams import LIMITS, Stream, motion_of, unmeasured
@@ -348,3 +349,56 @@ def test_a_level_in_per_cent_waits_for_the_range_not_for_a_breath():
     window = replace(WINDOW, level=AmplitudeWindow(lower=60.0, upper=90.0, unit="percent"))
     seen = WindowInput(motion=motion_of(21.0), breaths=(), timestamp_us=FIRST_US)
     assert window.judge(seen, (ConditionState(),)).reason is HoldReason.RANGE_UNKNOWN
+
+
+APNOEA = (
+    Breath(events=(BreathEvent(kind=BreathEventKind.APNOEA, start_us=0, confidence=1.0, detail="no breath for 12 s"),)),
+)
+BESIDE = AmplitudeWindow(lower=4.0, upper=8.0)
+
+
+def in_apnoea(stream: Stream, frames: int) -> list[GateState]:
+    return [stream.feed(replace(stream.upcoming(), breaths=APNOEA)).state for _ in range(frames)]
+
+
+@pytest.mark.parametrize("join", ["and", "or", None])
+def test_ceased_breathing_is_excused_in_a_breath_that_is_held(join):
+    window = (
+        WINDOW if join is None else JoinedWindow(conditions=(WINDOW, AmplitudeWindow(lower=0.0, upper=30.0)), join=join)
+    )
+    window = replace(window, conditions=(WINDOW, BESIDE)) if join == "or" else window
+    stream = Stream(replace(HOLD_LIMITS, window=window), 6.0)
+    stream.good(2)
+    stream.step(Arm(operator="ann"))
+    stream.level_mm = 21.0
+    assert in_apnoea(stream, SETTLE_FRAMES + DWELL_FRAMES)[-1] is GateState.BEAM_ON
+
+
+def test_a_held_breath_that_was_not_seen_for_a_moment_in_apnoea_is_held_again():
+    stream = held()
+    in_apnoea(stream, 2)
+    spoil, _ = HOLDS["marker lost"]
+    stream.feed(replace(spoil(stream.upcoming()), breaths=APNOEA))
+    assert in_apnoea(stream, SETTLE_FRAMES + DWELL_FRAMES)[-1] is GateState.BEAM_ON
+
+
+def test_ceased_breathing_in_the_other_way_into_the_beam_is_not_excused():
+    """An amplitude joined by or with a hold: the kind of the window excuses nothing, only a breath that is held."""
+    window = JoinedWindow(conditions=(WINDOW, BESIDE), join="or")
+    stream = Stream(replace(HOLD_LIMITS, window=window), 6.0)
+    stream.good(2)
+    stream.step(Arm(operator="ann"))
+    assert stream.good(6)[-1] is GateState.BEAM_ON
+    assert set(in_apnoea(stream, 30)) == {GateState.HOLD}
+    assert stream.gate.reason is HoldReason.BREATHING_IRREGULAR
+
+
+def test_events_that_no_breath_hold_resembles_hold_in_it_too():
+    stream = Stream(replace(HOLD_LIMITS, holding_events=frozenset({BreathEventKind.COUGH})), 21.0)
+    stream.good(2)
+    stream.step(Arm(operator="ann"))
+    assert stream.good(SETTLE_FRAMES + DWELL_FRAMES)[-1] is GateState.BEAM_ON
+    cough = Breath(
+        events=(BreathEvent(kind=BreathEventKind.COUGH, start_us=0, confidence=1.0, detail="as the test wants it"),)
+    )
+    assert stream.feed(replace(stream.upcoming(), breaths=(cough,))).reason is HoldReason.BREATHING_IRREGULAR

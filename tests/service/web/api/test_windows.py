@@ -23,6 +23,7 @@ from service.engine_host.site_rules.measuring import measuring_with
 from service.engine_host.site_rules.window_limits import breath_signals, check_window, gate_limits, gate_window
 from service.sessions.views.window import live_window
 from tests.support.service.api_calls import WINDOW, act, make_session_body
+from tests.support.service.clinical_site import clinical_settings
 from tests.support.service.fake_engine import make_measurement
 
 URL = "/api/v1/sessions"
@@ -196,6 +197,20 @@ def test_a_window_that_is_none_is_refused_by_its_field(client, session_body, sub
     assert client.get(URL).json()["items"] == []
 
 
+HELD_LITRES = {"kind": "breath_hold", "signal": "volume", "lower_l": 0.8, "upper_l": 1.2}
+
+
+@pytest.mark.parametrize(
+    ("name", "allowed", "refused"), [("still_mm", 2.0, 2.01), ("max_drift_mm", 3.0, 3.01), ("settle_ms", 500.0, 499.0)]
+)
+@pytest.mark.parametrize("settings", [Settings(), clinical_settings(window_upper_mm=40.0)], ids=["usual", "clinical"])
+def test_a_breath_hold_that_need_not_be_held_is_refused_with_the_usual_limits(settings, name, allowed, refused):
+    check_window(Window.model_validate(HOLD | {name: allowed}), settings)
+    with pytest.raises(BoundError, match="this site's limit") as caught:
+        check_window(Window.model_validate(HOLD | {name: refused}), settings)
+    assert caught.value.field == f"window.{name}"
+
+
 @pytest.mark.parametrize(
     ("site", "body", "field"),
     [
@@ -203,6 +218,11 @@ def test_a_window_that_is_none_is_refused_by_its_field(client, session_body, sub
         ({"window_upper_mm": 11.0}, MM | {"further": [PHASE, HOLD]}, "window.further.1.upper_mm"),
         ({"window_lower_mm": 0.0}, HOLD | {"further": [MM]}, "window.further.0.lower_mm"),
         ({"max_breath_hold_s": 24.0}, HOLD, "window.timeout_s"),
+        ({"max_hold_still_mm": 0.99}, HOLD, "window.still_mm"),
+        ({"max_hold_drift_mm": 1.99}, HOLD, "window.max_drift_mm"),
+        ({"min_hold_settle_ms": 1001.0}, MM | {"further": [HOLD]}, "window.further.0.settle_ms"),
+        ({"max_hold_still_mm": 0.49}, HELD_LITRES, "window.still_l"),
+        ({"max_hold_drift_mm": 0.99}, HELD_LITRES, "window.max_drift_l"),
         ({"max_breath_hold_s": 20.0}, MM | {"further": [HOLD | {"timeout_s": 21}]}, "window.further.0.timeout_s"),
         ({"min_dwell_ms": 300.0}, PHASE, "window.dwell_ms"),
         ({"min_phase_confidence": 0.61}, PHASE, "window.min_confidence"),
@@ -222,7 +242,6 @@ def test_no_part_of_a_window_is_wider_than_the_site_s(site, body, field):
 
 
 LITRES = {"signal": "volume", "lower_l": -0.1, "upper_l": 0.2}
-HELD_LITRES = {"kind": "breath_hold", "signal": "volume", "lower_l": 0.8, "upper_l": 1.2}
 IN_PER_CENT = {"signal": "abdomen", "lower_percent": 0, "upper_percent": 30}
 SITE = {"window_lower_mm": -5.0, "window_upper_mm": 20.0}
 WAYS_AROUND = [

@@ -27,6 +27,7 @@ export class ArmingPanel {
     this.root = root;
     this.controls = controls;
     this.button = byId("do-arm-now");
+    this.reason = byId("arming-reason");
     this.guard = new ClickGuard([this.button]);
     this.presses = new TwoPresses(this.button, tr("arming.press_again_to_arm"));
     this.#forget();
@@ -65,16 +66,19 @@ export class ArmingPanel {
     if (nowMs - this.readMs > READ_MS) this.#read();
     setText(byId("arming-edges"), edgesText(sample.window));
     const isIgnored = this.guard.update(nowMs, this.key);
-    this.button.disabled = this.summary?.is_ready !== true || this.controls.isBusy;
+    const lacksReason = this.summary?.needs_reason === true && this.reason.value.trim() === "";
+    this.button.disabled = this.summary?.is_ready !== true || lacksReason || this.controls.isBusy;
     if (isIgnored && !this.button.disabled) this.button.setAttribute("aria-disabled", "true");
     else this.button.removeAttribute("aria-disabled");
     const why = this.summary === null ? "" : this.summary.is_ready ? (isIgnored ? tr("arming.look_at_each_line_first") : "") : tr("arming.something_is_missing");
-    setText(byId("arming-why"), this.trouble || why);
+    setText(byId("arming-why"), this.trouble || (lacksReason ? tr("arming.give_the_reason") : why));
   }
 
   #forget() {
     Object.assign(this, { id: null, head: null, summary: null, etag: null, key: "", trouble: "", openedMs: 0, readMs: -Infinity });
     byId("arming-items").replaceChildren();
+    byId("arming-reason-field").hidden = true;
+    this.reason.value = "";
     setText(byId("arming-patient"), "");
     setText(byId("arming-edges"), "");
     setText(byId("arming-why"), "");
@@ -101,6 +105,7 @@ export class ArmingPanel {
     this.trouble = "";
     if (key === this.key && this.summary !== null) return;
     Object.assign(this, { summary, etag, key });
+    byId("arming-reason-field").hidden = summary.needs_reason !== true;
     this.presses.reset();
     setText(byId("arming-patient"), summary.items.find((one) => one.code === "patient")?.text ?? "");
     byId("arming-items").replaceChildren(...summary.items.filter((one) => one.code !== "patient").map(itemLine));
@@ -112,10 +117,11 @@ export class ArmingPanel {
     if (!this.presses.isConfirmed(event)) return;
     const { id, head, etag } = this;
     const { state } = this.summary;
+    const reason = this.reason.value.trim();
     const operator = this.controls.operatorName;
     this.close();
     this.controls.run("arm", async () => {
-      await arm(id, operator, head, etag, state);
+      await arm(id, operator, head, etag, state, reason);
       rememberArming(id, operator);
     });
   }
