@@ -115,7 +115,7 @@ static Py_ssize_t frames_of(Arrays *arrays, PyObject *list, const char *name, Py
     return n;
 }
 
-/* Mean of each cell over some frames; NaN where one has no value. */
+/* Mean of each cell over the frames that saw it; NaN where fewer than half of them did. */
 PyObject *mean_cells(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     (void)module;
@@ -130,9 +130,15 @@ PyObject *mean_cells(PyObject *module, PyObject *const *args, Py_ssize_t count)
     if (!arrays.failed)
         for (Py_ssize_t cell = 0; cell < size; cell++) {
             double sum = 0.0;
-            for (Py_ssize_t i = 0; i < n; i++)
-                sum += ((const double *)frames[i].buf)[cell];
-            ((double *)mean->buf)[cell] = sum / (double)n;
+            Py_ssize_t seen = 0;
+            for (Py_ssize_t i = 0; i < n; i++) {
+                double value = ((const double *)frames[i].buf)[cell];
+                if (isfinite(value)) {
+                    sum += value;
+                    seen++;
+                }
+            }
+            ((double *)mean->buf)[cell] = 2 * seen >= n ? sum / (double)seen : (double)NAN;
         }
     for (Py_ssize_t i = 0; i < n; i++)
         PyBuffer_Release(&frames[i]);

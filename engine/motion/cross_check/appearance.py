@@ -1,15 +1,18 @@
 """The region's colour: an object on the patient has another one than the skin or the shirt below it.
 
 Brightness is not compared, since shadows and the camera's exposure change it; nor is a change that the whole picture
-shares, which is the camera's white balance.
+shares, which is the camera's white balance. What is too dark to have a colour has none to compare: cells that became so
+dark count as changed where they darkened far more than the picture around the region, which a dark object does.
 """
+
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from engine.core.compiled import kernels
-from engine.core.frames import ColorImage, FloatArray
+from engine.core.frames import ColorImage, FloatArray, frozen
 from engine.motion.stages.roi import color_from_grid
 
 CELL_ROWS, CELL_COLUMNS = 35, 20
@@ -25,11 +28,60 @@ OTHER_BLOCK_COLOR = 0.015
 change the median of a block by up to 0.006. A sheet of nearly the shirt's hue changes every cell a little."""
 LEAST_BRIGHTNESS = 45.0
 """Sum of red, green and blue below which a cell's colour is noise."""
+LEAST_DARK_CELLS = 21
+"""Cells that lost their colour in the dark from which brightness is looked at: 3 % of the region."""
+DARKENED = 0.4
+"""A dark cell has darkened below this share of its brightness, counted against the surroundings of the region."""
+AROUND = 0.4
+"""The surroundings reach this share of the region's size beyond it."""
+AROUND_STEP_PX = 8
 PICTURE_STEP_PX = 16
 _LEAST_OBJECT = np.ones((4, 4), dtype=np.uint8)
 """Four centimetres, of a region of 35 by 20 cm."""
 
 Chroma = npt.NDArray[np.float32]
+
+
+class Brightness(NamedTuple):
+    """Sum of red, green and blue: at the middle of each cell, shape (700,), and the mean around the region."""
+
+    cells: FloatArray
+    around: float
+
+
+DARK = Brightness(frozen(np.zeros(CELL_ROWS * CELL_COLUMNS)), 0.0)
+_X, _Y = np.meshgrid(4.0 * np.arange(CELL_COLUMNS) + 1.5, 4.0 * np.arange(CELL_ROWS) + 1.5)
+_MIDDLES_PX = np.stack([_X.ravel(), _Y.ravel()], axis=1).astype(np.float32)
+
+
+def brightness_of(color: ColorImage, markers_px: FloatArray) -> Brightness:
+    """Return the brightness of the region's cells, and of the picture around the region (0 where there is none)."""
+    height, width = color.shape[:2]
+    from_region = cv2.getPerspectiveTransform(_CORNERS_PX, markers_px.astype(np.float32))
+    places = np.rint(cv2.perspectiveTransform(_MIDDLES_PX[None], from_region)[0]).astype(np.intp)
+    columns, rows = np.clip(places[:, 0], 0, width - 1), np.clip(places[:, 1], 0, height - 1)
+    cells = color[rows, columns].sum(axis=1, dtype=np.float64)
+    (left, top), (right, bottom) = markers_px.min(axis=0), markers_px.max(axis=0)
+    x, y = np.arange(0, width, AROUND_STEP_PX), np.arange(0, height, AROUND_STEP_PX)
+    beside, above = AROUND * (right - left), AROUND * (bottom - top)
+    is_near = np.outer((y >= top - above) & (y <= bottom + above), (x >= left - beside) & (x <= right + beside))
+    is_around = is_near & ~np.outer((y >= top) & (y <= bottom), (x >= left) & (x <= right))
+    samples = color[::AROUND_STEP_PX, ::AROUND_STEP_PX][is_around]
+    return Brightness(cells, float(samples.sum(axis=1, dtype=np.float64).mean()) if len(samples) else 0.0)
+
+
+def dark_cells(before: Chroma, now: Chroma) -> int:
+    """Return the number of cells that had a colour and are too dark for one now."""
+    return int(np.count_nonzero(np.isnan(now[:, 0]) & np.isfinite(before[:, 0])))
+
+
+def darkened_share(before: Chroma, now: Chroma, was: Brightness, is_now: Brightness) -> float:
+    """Return the share of the region that became dark while its surroundings stayed brighter, 0 to 1."""
+    usual = was.cells * (is_now.around / was.around if was.around > 0.0 else 1.0)
+    has_lost = np.isnan(now[:, 0]) & np.isfinite(before[:, 0])
+    is_darkened = (has_lost & (is_now.cells < DARKENED * usual)).reshape(CELL_ROWS, CELL_COLUMNS)
+    objects = cv2.morphologyEx(is_darkened.astype(np.uint8), cv2.MORPH_OPEN, _LEAST_OBJECT)
+    return float(np.count_nonzero(objects)) / objects.size
 
 
 def chroma_of(color: ColorImage, markers_px: FloatArray) -> Chroma:

@@ -16,12 +16,33 @@ import numpy as np
 
 from engine.calibration.camera_calibration import Calibration
 from engine.core.compiled import kernels
-from engine.core.frames import BodyPosition, FloatArray, Lost, LostReason, Markers, RgbdFrame, RoiDepth, frozen
+from engine.core.frames import (
+    BodyPosition,
+    ColorImage,
+    FloatArray,
+    Lost,
+    LostReason,
+    Markers,
+    RgbdFrame,
+    RoiDepth,
+    frozen,
+)
 from engine.core.geometry import RigidTransform
 from engine.core.motion_model import MotionModel
-from engine.motion.cross_check.appearance import Chroma, changed_share, chroma_of
+from engine.motion.cross_check.appearance import (
+    DARK,
+    LEAST_DARK_CELLS,
+    Brightness,
+    Chroma,
+    brightness_of,
+    changed_share,
+    chroma_of,
+    dark_cells,
+    darkened_share,
+)
 from engine.motion.cross_check.cell_surface import (
     CELLS,
+    LEAST_CELLS,
     BreathingShapes,
     GatheredSurfaces,
     LearnedShapes,
@@ -78,6 +99,7 @@ class _Reference:
     set_us: int
     cells_mm: FloatArray
     newest_chroma: Chroma
+    brightness: Brightness
 
     def add(self, cells_mm: FloatArray, timestamp_us: int) -> None:
         """Take the surface of a later frame, if it is close enough to the reference in time."""
@@ -100,6 +122,7 @@ class CrossCheck:
         self._reference: _Reference | None = None
         self._disagreements: dict[str, Lost] = {}
         self._settled_mm = 0.0
+        self._newest_color: tuple[ColorImage, FloatArray] | None = None
         self.position: BodyPosition | None = None
 
     def restart(self) -> None:
@@ -151,6 +174,7 @@ class CrossCheck:
         scene_mm = None
         if in_depth_camera is not None:
             scene_mm = self._scene.follow(frame.depth_mm, in_depth_camera, now_us)
+        self._newest_color = (frame.color, found.centers_px)
         recent.append(
             _Observed(
                 timestamp_us=now_us,
@@ -179,6 +203,7 @@ class CrossCheck:
                 set_us=newest.timestamp_us,
                 cells_mm=_mean_seen(surfaces_mm),
                 newest_chroma=chroma.copy(),
+                brightness=self._brightness(),
             )
             self._forget_changes()
         return self._compare(self._reference, cells_mm, chroma)
@@ -201,7 +226,7 @@ class CrossCheck:
     def _compare(self, reference: _Reference, cells_mm: FloatArray, chroma: Chroma) -> Lost | None:
         found = {
             "camera": self._camera_moved(_largest_mean_mm([one.scene_mm for one in self._recent])),
-            "colour": self._color_changed(changed_share(reference.chroma, chroma, reference.newest_chroma)),
+            "colour": self._color_changed(self._changed_share(reference, chroma)),
             "surface": self._surface_changed(reference, cells_mm),
         }
         self._disagreements = {name: lost for name, lost in found.items() if lost is not None}
@@ -218,16 +243,30 @@ class CrossCheck:
         )
         return Lost(reason=LostReason.CAMERA_MOVED, detail=detail)
 
+    def _brightness(self) -> Brightness:
+        """Return the brightness of the newest frame's picture."""
+        if self._newest_color is None:
+            return DARK
+        return brightness_of(*self._newest_color)
+
+    def _changed_share(self, reference: _Reference, chroma: Chroma) -> float:
+        """Return the share of the region with another colour, or darkened while its surroundings are not."""
+        share = changed_share(reference.chroma, chroma, reference.newest_chroma)
+        if dark_cells(reference.chroma, chroma) > LEAST_DARK_CELLS:
+            share = max(share, darkened_share(reference.chroma, chroma, reference.brightness, self._brightness()))
+        return share
+
     def _color_changed(self, share: float) -> Lost | None:
         if not share > self._bound("colour", OTHER_COLOR_SHARE):
             return None
-        detail = f"{share:.0%} of the region has another colour than at the reference: {ADVICE}"
+        detail = f"{share:.0%} of the region has another colour than at the reference, or is dark: {ADVICE}"
         return Lost(reason=LostReason.SURFACE_CHANGED, detail=detail)
 
     def _surface_changed(self, reference: _Reference, cells_mm: FloatArray) -> Lost | None:
         """Compare the surface's change with breathing and a rigid movement, which becomes the patient's position."""
         shapes = self._shapes
-        change = None if shapes is None else shapes.change(reference.cells_mm, cells_mm)
+        is_seen = np.count_nonzero(np.isfinite(self._recent[-1].cells_mm)) >= LEAST_CELLS
+        change = None if shapes is None or not is_seen else shapes.change(reference.cells_mm, cells_mm)
         if shapes is None or change is None:
             return self._disagreements.get("surface")
         deeper_mm = max(change.breath_mm - shapes.reach_mm, 0.0)
@@ -335,10 +374,14 @@ def _largest_mean_mm(changes_mm: list[FloatArray]) -> float:
 
 
 def _mean(values: list[FloatArray]) -> FloatArray:
-    """Return the mean over frames; NaN where a frame has no value."""
+    """Return the mean of each cell over the frames that saw it; NaN where fewer than half of them did."""
     compiled = kernels()
     if compiled is not None:
         mean = np.empty(len(values[0]))
         compiled.mean_cells(values, mean)
         return mean
-    return np.asarray(np.add.reduce(values) / len(values))
+    stacked = np.array(values)
+    is_seen = np.isfinite(stacked)
+    count = is_seen.sum(axis=0)
+    sums = np.where(is_seen, stacked, 0.0).sum(axis=0)
+    return np.where(2 * count >= len(values), sums / np.maximum(count, 1), np.nan)

@@ -44,7 +44,10 @@ class _Reference:
 
 
 class StaticScene:
-    """Learns the scene in the first second after a restart, then measures how it has moved; owned by the pipeline."""
+    """Learns the scene in the first second that shows enough of it, then measures how it has moved.
+
+    Owned by the pipeline. A restart learns it again.
+    """
 
     def __init__(self, camera: Intrinsics) -> None:
         self._shape = (camera.height // BLOCK_PX, camera.width // BLOCK_PX)
@@ -52,11 +55,10 @@ class StaticScene:
         self._seen: list[FloatArray] = []
         self._began_us: int | None = None
         self._reference: _Reference | None = None
-        self._has_learned = False
 
     def restart(self) -> None:
         """Learn the scene again."""
-        self._seen, self._began_us, self._reference, self._has_learned = [], None, None, False
+        self._seen, self._began_us, self._reference = [], None, None
 
     def follow(self, depth_mm: DepthImage, points_mm: FloatArray, timestamp_us: int) -> FloatArray | None:
         """Return how the scene's depth has changed at some points [mm], as a rigid movement of the camera changes it.
@@ -73,10 +75,10 @@ class StaticScene:
         """
         if tuple(size // BLOCK_PX for size in depth_mm.shape) != self._shape:
             return None
-        if not self._has_learned:
+        if self._reference is None:
             self._learn(_blocks_mm(depth_mm), float(points_mm[:, 2].max()), timestamp_us)
             return None
-        return None if self._reference is None else _movement(self._reference, depth_mm, points_mm)
+        return _movement(self._reference, depth_mm, points_mm)
 
     def _learn(self, blocks_mm: FloatArray, nearest_mm: float, timestamp_us: int) -> None:
         if self._began_us is None or timestamp_us < self._began_us:
@@ -85,7 +87,7 @@ class StaticScene:
         if timestamp_us - self._began_us < LEARNING_US or len(self._seen) < LEAST_FRAMES:
             return
         seen = np.array(self._seen)
-        self._seen, self._has_learned = [], True
+        self._seen, self._began_us = [], None
         is_seen = np.isfinite(seen).all(axis=0)
         seen = np.where(is_seen, seen, 0.0)
         mean_mm, deviation_mm = seen.mean(axis=0), seen.std(axis=0)

@@ -42,7 +42,7 @@ def test_it_names_the_patient_and_every_part_and_arms_what_was_looked_at(fake: F
     stepped.advance(2_000)
     page.click("#do-arm-now")
     stepped.advance(STEP_MS)
-    assert armings(fake) == [{"operator": "A. Therapist"}]
+    assert armings(fake) == [{"operator": "A. Therapist", "state": "5e" * 16}]
     assert fake.if_match == [fake.arming_etag]
     expect(page.locator("#arming")).to_be_hidden()
     expect(page.locator("#outcome")).to_have_text("Armed: the gate controls the beam.")

@@ -26,7 +26,7 @@ def test_arming_confirms_the_side_that_the_picture_shows(fake: FakeService, tab:
     page = tab.open("disarmed")
     press_arm(page)
     expect(page.locator("#outcome")).to_have_attribute("data-kind", "done")
-    assert armings(fake) == [{"operator": "Ada L.", "head_direction": "left"}]
+    assert armings(fake) == [{"operator": "Ada L.", "head_direction": "left", "state": "5e" * 16}]
 
 
 def test_a_window_on_a_part_cannot_be_armed_without_the_head_direction(fake: FakeService, tab: Tab):

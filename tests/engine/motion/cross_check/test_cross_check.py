@@ -1,5 +1,6 @@
 """A moved camera, a cover and a moved patient are distinguished; each ends when it is gone, or with a new reference."""
 
+import sys
 from copy import deepcopy
 from dataclasses import replace
 from functools import cache
@@ -54,6 +55,7 @@ class Session:
         self.depth, self.has_depth, self.has_room = 1.0, True, True
         self.color = (150, 140, 120)
         self.hidden_corner, self.has_shoulders, self.is_lost_otherwise = False, False, False
+        self.has_rolling_holes = False
 
     def observe(self):
         noise = np.random.default_rng(self.index)
@@ -65,6 +67,8 @@ class Session:
         depth -= self.sheet_mm * (COLUMNS >= 25)
         valid = np.full(depth.shape, self.has_depth)
         valid[:12, :6] &= not self.hidden_corner
+        if self.has_rolling_holes:
+            valid &= (ROWS + 8 * self.index) % 48 >= 8
         roi = RoiDepth(
             depth_mm=(depth + noise.normal(0.0, 0.9, depth.shape)).astype(np.float32),
             valid=valid,
@@ -141,6 +145,40 @@ def test_another_colour_is_lost_at_once_however_thin_the_object_is(session):
     assert reasons(session.run(5)) == [LostReason.SURFACE_CHANGED] * 5
     session.color = (150, 140, 120)
     assert session.run(5) == [None] * 5
+
+
+def test_holes_that_roll_hide_no_sheet(session):
+    """One sixth of the region is hidden, another one in each frame: few cells are seen in all of the last frames."""
+    session.has_rolling_holes = True
+    assert session.run(90) == [None] * 90
+    session.sheet_mm = 3.0
+    assert reasons(session.run(30)[SOON:]) == [LostReason.SURFACE_CHANGED] * (30 - SOON)
+    session.sheet_mm = 0.0
+    assert session.run(30)[SOON:] == [None] * (30 - SOON)
+
+
+def test_a_camera_that_moved_after_a_reference_without_couch_and_floor_is_named(session):
+    session.has_room = False
+    session.run(2 * FRAMES, is_reference_due=True)
+    session.has_room = True
+    assert session.run(2 * FRAMES) == [None] * (2 * FRAMES)
+    session.camera_mm = 3.0
+    assert reasons(session.run(20)[SOON:]) == [LostReason.CAMERA_MOVED] * (20 - SOON)
+
+
+@pytest.mark.parametrize("rgb", [(0, 0, 0), (12, 10, 11)])
+def test_a_black_sheet_is_another_colour(session, rgb):
+    session.color = rgb
+    assert reasons(session.run(10)) == [LostReason.SURFACE_CHANGED] * 10
+    session.color = (150, 140, 120)
+    assert session.run(10)[SOON:] == [None] * (10 - SOON)
+
+
+def test_a_picture_that_darkens_as_a_whole_is_no_black_sheet(session, monkeypatch):
+    for dimming in (0.3, 0.1):
+        dark = (picture(session.color) * dimming).astype(np.uint8)
+        monkeypatch.setattr(sys.modules[__name__], "picture", lambda _rgb, dark=dark: dark)
+        assert session.run(10) == [None] * 10
 
 
 @pytest.mark.parametrize("camera_mm", [-4.0, 3.0])

@@ -53,6 +53,16 @@ def test_nothing_is_measured_where_the_scene_is_covered_or_was_never_seen(scene)
     assert moved_mm(learned(has_room=False), scene_mm(has_room=False, seed=96)) is None
 
 
+def test_a_scene_that_was_hidden_at_the_reference_is_learned_when_it_is_seen():
+    found = learned(has_room=False)
+    for number in range(2 * FRAMES):
+        found.follow(scene_mm(seed=number), MARKERS_MM, (FRAMES + number) * STEP_US)
+    later_us = 3 * FRAMES * STEP_US
+    assert np.abs(found.follow(scene_mm(seed=98), MARKERS_MM, later_us)).max() < 0.4
+    lowered = found.follow(scene_mm(lowered_mm=3.0, seed=99), MARKERS_MM, later_us + STEP_US)
+    assert lowered == pytest.approx([-3.0] * 4, abs=0.5)
+
+
 def test_a_restart_learns_the_scene_again():
     found = learned()
     found.restart()
