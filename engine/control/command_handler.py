@@ -175,9 +175,9 @@ class CommandHandler:
                 self._learner.activate(command.model)
 
     def _set_reference(self, command: SetReference) -> None:
-        self._controller.refuse_unseen_reference()
         most_mm = None
         if self._learner.status.model is not None:
+            self._controller.refuse_without_fresh_signal()
             self._refuse_other_level(command)
             most_mm = self._budget.checked_mm(command)
         self._disarm_for("the reference is set", command.operator)

@@ -177,13 +177,6 @@ class GateController:
         if age_ms > self._limits.current.max_gap_ms + self._limits.current.max_frame_age_ms:
             raise CommandRefusedError(f"the newest frame is {age_ms:.0f} ms old: see to the camera")
 
-    def refuse_unseen_reference(self) -> None:
-        """Raise CommandRefusedError where the newest frame was measured and does not show a gated signal."""
-        measurement = self._records.newest_measurement
-        unseen = None if measurement is None else self._limits.unseen_signal(measurement)
-        if unseen is not None:
-            raise CommandRefusedError(f"the reference needs a view of the gated motion ({unseen}): uncover it")
-
     def newest_level(self, choice: SignalChoice) -> float | None:
         """Return the signal in the newest frame [mm, l of the volume]; None where it was not measured."""
         measurement = self._records.newest_measurement

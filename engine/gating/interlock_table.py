@@ -118,8 +118,7 @@ INTERLOCKS: tuple[Interlock, ...] = (
     _row(_R.VALUE_INVALID, "a value that is not a number, or impossible"),
     _row(
         _R.BREATHING_IRREGULAR,
-        "breathing has ceased (in windows without a breath hold), or a cough, speech, an irregular breath where the "
-        "site chose so",
+        "breathing has ceased (and no breath is held), or a cough, speech, an irregular breath where the site chose so",
         "holding_events",
     ),
     _row(_R.MODEL_MISSING, "no motion model"),

@@ -328,8 +328,8 @@ class Learner:
         self._proposals.move(before, now)
 
     def _drop_late_request(self) -> None:
-        """Drop a requested position that no measured frame has taken up: the patient may lie elsewhere by now."""
-        if self._requested_position is None or 0 <= self._now_us - self._requested_us <= MAX_GAP_US:
+        """Drop a requested reference that no measured frame has taken up: the patient may lie elsewhere by now."""
+        if not self._is_reference_requested or 0 <= self._now_us - self._requested_us <= MAX_GAP_US:
             return
         self._is_reference_requested, self._needs_reference = False, True
         self._forget_positions()

@@ -59,6 +59,10 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
     "max_duty_percent": ClinicalBound(
         low=10.0, high=90.0, reason="the default: a window that the patient never leaves gates nothing"
     ),
+    "min_off_ms": ClinicalBound(
+        low=1_000.0, high=60_000.0, reason="makers of accelerators ask for a second between beam off and beam on"
+    ),
+    "max_cycles_per_min": ClinicalBound(low=1, high=60, reason="with a second off before each, no more are possible"),
     # Where the patient may be.
     "max_shift_mm": ClinicalBound(
         low=1.0, high=4.0, reason=f"{TG_302}, and 2 mm by which markers follow the breath along the couch"
@@ -124,8 +128,108 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
     "likeness_max_shape_mm": ClinicalBound(low=0.5, high=3.0, reason="the default"),
     "likeness_max_residual_mm": ClinicalBound(low=0.1, high=3.0, reason="as for every frame"),
     "likeness_min_explained_share": ClinicalBound(low=0.8, high=1.0, reason="the default"),
+    # What a model is learned from.
+    "training_min_frames": ClinicalBound(low=100, high=1_000, reason="the default"),
+    "training_max_frames": ClinicalBound(low=100, high=2_000, reason="no fewer than are needed at least"),
+    "training_min_cycles": ClinicalBound(low=3, high=50, reason="the default: one breath is no pattern"),
+    "training_min_seconds": ClinicalBound(low=10.0, high=300.0, reason="the default: three breaths of 3 s"),
+    "training_max_seconds": ClinicalBound(low=10.0, high=120.0, reason="no shorter than is needed at least"),
+    "training_components": ClinicalBound(low=2, high=6, reason="chest and abdomen; later components are noise"),
+    "training_min_amplitude_mm": ClinicalBound(
+        low=0.6, high=10.0, reason="the default: less than that does not stand out from the sensor's noise"
+    ),
+    "training_max_shift_mm": ClinicalBound(low=0.5, high=3.0, reason="the default: a model is of one position"),
+    "training_max_tilt_deg": ClinicalBound(low=0.2, high=2.0, reason="the default: a model is of one position"),
+    "training_max_outlier_share": ClinicalBound(low=0.0, high=0.2, reason="the default"),
+    "training_max_carry_mm": ClinicalBound(
+        low=0.1, high=1.0, reason="the default: a reference carried further is another one"
+    ),
+    # Whether the beam line follows.
+    "beam_answer_ms": ClinicalBound(low=20.0, high=100.0, reason="TG-142: within 100 ms"),
+    "beam_settle_ms": ClinicalBound(low=0.0, high=100.0, reason="TG-142: within 100 ms"),
+    "beam_without_permit_ms": ClinicalBound(low=20.0, high=250.0, reason="the default, above the accelerator's delay"),
+    "beam_absent_s": ClinicalBound(low=1.0, high=30.0, reason="a beam that is not delivered for longer is looked at"),
+    "min_free_disk_mb": ClinicalBound(low=100.0, high=1_000_000.0, reason="an hour's samples"),
 }
-"""The bounds of clinical mode, by setting. Every other setting keeps its own bounds."""
+"""The bounds of clinical mode, by setting; `EXEMPT` names every other number, and why it needs none."""
+
+NO_BEAM = "decides nothing about the beam"
+ADDRESS = "names a place, no limit"
+EXEMPT: Mapping[str, str] = {
+    "min_on_ms": "only lengthens a dwell",
+    "max_unwritten_ms": "the engine's own bounds are as narrow",
+    "max_beam_on_s": "at most 30 s everywhere",
+    "sample_batch_ms": "the engine holds after max_unwritten_ms",
+    "command_timeout_s": "a command that is not answered in time is cancelled, and holds do not wait for it",
+    "training_refit_until_s": "a refit is compared with the model in use before it replaces it, never while armed",
+    "retrain_interval_min": "a new model is compared as a refit is, and its age is bounded by max_model_age_min",
+    "audit_clock_jump_ms": NO_BEAM,
+    "beam_notify_timeout_s": "a status message to other systems, which is no permit",
+    "beam_on_input": ADDRESS,
+    "beam_simulated_accelerator_ms": "of the simulated line, which clinical mode refuses",
+    "beam_rtu_baud": ADDRESS,
+    "beam_rtu_stop_bits": ADDRESS,
+    **dict.fromkeys(("beam_modbus_", "beam_relay_"), ADDRESS),
+    "qa_": "tolerances of QA permit nothing; the engine's bounds are those of the physicist",
+    **dict.fromkeys(
+        (
+            "port",
+            "http_",
+            "max_live_clients",
+            "live_",
+            "max_body_bytes",
+            "max_plan_bytes",
+            "readiness_keep_ms",
+            "certificate_warn_days",
+        ),
+        "HTTP service, which holds no permit",
+    ),
+    **dict.fromkeys(
+        (
+            "raw_min_free_mb",
+            "retain_",
+            "data_quota_gb",
+            "session_room_min",
+            "idempotency_days",
+            "audit_anchor_interval_s",
+        ),
+        "files and records; a full disk holds by min_free_disk_mb",
+    ),
+    **dict.fromkeys(
+        ("oidc_", "login_", "key_max_days", "audit_syslog_"),
+        "access and its records: an end of a log-in holds, and operator_timeout_s bounds absence",
+    ),
+}
+"""Numbers without a clinical bound, by name or by the beginning of the name, and why."""
+
+WINDOW_NUMBERS: Mapping[str, str] = {
+    "lower_mm": "window_lower_mm",
+    "upper_mm": "window_upper_mm",
+    "still_mm": "max_hold_still_mm",
+    "still_l": "max_hold_still_mm",
+    "max_drift_mm": "max_hold_drift_mm",
+    "max_drift_l": "max_hold_drift_mm",
+    "settle_ms": "min_hold_settle_ms",
+    "timeout_s": "max_breath_hold_s",
+    "min_confidence": "min_phase_confidence",
+    "dwell_ms": "min_dwell_ms",
+    "min_off_ms": "min_off_ms",
+    "max_cycles_per_min": "max_cycles_per_min",
+    "from_percent": "max_duty_percent",
+    "to_percent": "max_duty_percent",
+    "lower_percent": "window_lower_mm",
+    "upper_percent": "window_upper_mm",
+    "lower_l": "max_duty_percent",
+    "upper_l": "max_duty_percent",
+}
+"""The setting that bounds each number of a session's window."""
+WINDOW_EXEMPT: Mapping[str, str] = {
+    "row": ADDRESS,
+    "column": ADDRESS,
+    "min_on_ms": "only lengthens a dwell",
+    **dict.fromkeys(("hysteresis_mm", "hysteresis_l", "hysteresis_percent"), "only narrows the window"),
+}
+"""Numbers of a window without a bound, and why."""
 
 MEASURED = "treatment needs a measured calibration"
 RESEARCH_ONLY: Mapping[str, str] = {

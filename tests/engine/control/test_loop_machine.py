@@ -198,7 +198,8 @@ class LoopMachine(RuleBasedStateMachine):
 
     @rule()
     def set_the_reference(self) -> None:
-        assert self._ask(SetReference(operator="ann", reason="as it is"), self.oracle.disarm)
+        is_refused = self.oracle.refuses_reference(self.clock.now_ns())
+        self._ask(SetReference(operator="ann", reason="as it is"), self.oracle.disarm, is_refused=is_refused)
 
     @rule()
     def hold_by_hand(self) -> None:

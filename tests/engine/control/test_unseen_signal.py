@@ -38,7 +38,7 @@ def test_a_reference_is_refused_while_the_gated_signal_is_not_seen_and_changes_n
     hide(bench, ON + 1)
     bench.source.script += [after(bench.ask(SetReference(operator="ann"))), *[good] * 6]
     text = refusal(bench.run())
-    assert text.startswith("the reference needs a view of the gated motion (whole: 0.55")
+    assert text.startswith("the camera does not see the gated motion (whole: 0.55")
     assert bench.records()[-1].gate_state is GateState.BEAM_ON
 
 

@@ -7,7 +7,7 @@ reference is confirmed with the proposed level as soon as one is proposed. Every
 
 from collections.abc import Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -92,7 +92,7 @@ class _Source:
         frame = self._frames[self._next]
         self._next += 1
         self._clock.advance_ns(max(0, BASE_NS + frame.timestamp_us * NS_PER_US - self._clock.now_ns()))
-        return frame
+        return replace(frame, received_ns=self._clock.now_ns())
 
     def _look(self) -> None:
         assert self.loop is not None

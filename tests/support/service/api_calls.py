@@ -49,9 +49,9 @@ PRESENT = {"at": "now", "reason": "as the test wants it"}
 """The present position becomes the reference, wherever in the breath it is: tests do not wait for two breaths."""
 
 
-def act(client: PeopleClient, session_id: str, action: str, operator: str = "A. Therapist"):
+def act(client: PeopleClient, session_id: str, action: str, operator: str = "A. Therapist", **more: object):
     confirmed = {"arm": HEAD, "reference": PRESENT}.get(action, {})
-    return client.post(f"/api/v1/sessions/{session_id}/{action}", json={"operator": operator, **confirmed})
+    return client.post(f"/api/v1/sessions/{session_id}/{action}", json={"operator": operator, **confirmed, **more})
 
 
 def audit_rows(client: PeopleClient, action: str | None = None) -> list[dict[str, Any]]:

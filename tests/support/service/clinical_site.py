@@ -10,6 +10,8 @@ OBLIGATORY: dict[str, Any] = {
     "camera_latency_ms": 40.0,
     "qa_required_daily_h": 24.0,
     "min_dwell_ms": 100.0,
+    "min_off_ms": 1_000.0,
+    "max_cycles_per_min": 30,
     "window_lower_mm": -5.0,
     "window_upper_mm": 30.0,
     "max_shift_mm": 4.0,

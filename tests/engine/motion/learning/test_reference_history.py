@@ -213,6 +213,19 @@ def test_a_patient_who_moves_between_the_request_and_the_next_measured_frame_is_
     assert session.pipeline.learner.take_notices()[-1].kind is LearningEventKind.ZERO_NEEDED
 
 
+@pytest.mark.parametrize("moment", [NOW, EXHALE])
+def test_a_reference_that_no_frame_takes_up_for_a_second_is_dropped(session, moment):
+    """The patient behind the gap may lie elsewhere: the present position is no longer the one that was meant."""
+    session.pipeline.learner.set_reference(moment)
+    number = session.pipeline.learner.status.reference_number
+    for _ in range(1_200_000 // small_scene.FRAME_US):
+        session.next(color=0 * session.frames[0].color)
+    session.measure(2)
+    assert session.pipeline.learner.status.reference_number == number
+    assert not session.pipeline.learner.status.has_reference
+    assert session.pipeline.learner.take_notices()[-1].kind is LearningEventKind.ZERO_NEEDED
+
+
 def test_while_the_patient_is_not_measured_the_distance_is_not_known(session):
     for _ in range(40):
         session.next(color=0 * session.frames[0].color)

@@ -2,12 +2,14 @@
 
 import dataclasses
 import os
+import re
 
 import pytest
 
 from engine.gating.limits import LIMIT_BOUNDS
 from engine.motion.learning.patient_match import PATIENT_MATCH_BOUNDS
-from service.core.settings.clinical import CLINICAL_BOUNDS, refusals
+from service.core.schemas.windows import Window
+from service.core.settings.clinical import CLINICAL_BOUNDS, EXEMPT, WINDOW_EXEMPT, WINDOW_NUMBERS, refusals
 from service.core.settings.settings import Settings, SettingsError, load_settings
 from tests.support.documents import clinical as document
 from tests.support.generated_sections import are_as_made
@@ -16,8 +18,6 @@ from tests.support.service.clinical_site import CLINICAL, LINE, OBLIGATORY, clin
 NOT_NARROWER = {
     "dwell_ms": "min_dwell_ms is its bound",
     "min_on_ms": "only shortens the beam's time",
-    "min_off_ms": "only shortens the beam's time",
-    "max_cycles_per_min": "only shortens the beam's time",
     "max_beam_on_s": "at most 30 s in research too",
     "max_unwritten_ms": "at most a second in research too",
 }
@@ -183,3 +183,33 @@ def test_the_page_of_the_handbook_has_the_table():
 def test_a_bound_cannot_be_changed():
     with pytest.raises(dataclasses.FrozenInstanceError):
         CLINICAL_BOUNDS["max_shift_mm"].high = 100.0
+
+
+def numbers(model):
+    """The names of a model's fields that are numbers, also where they may be left out."""
+    kinds = {name: str(field.annotation) for name, field in model.model_fields.items()}
+    return {name for name, kind in kinds.items() if re.search(r"\b(int|float)\b", kind)}
+
+
+def exempt(name):
+    return [one for one in EXEMPT if one == name or (one.endswith("_") and name.startswith(one))]
+
+
+def test_every_number_of_the_settings_has_a_clinical_bound_or_a_reason_for_none():
+    found = numbers(Settings)
+    assert len(found) > 100
+    bounded = found & CLINICAL_BOUNDS.keys()
+    assert {name: exempt(name) for name in found - bounded if len(exempt(name)) != 1} == {}
+    assert [name for name in bounded if exempt(name) and name not in BOTH] == []
+    assert [one for one in EXEMPT if not any(one in exempt(name) for name in found)] == []
+
+
+BOTH = {"qa_required_daily_h", "qa_latency_max_age_days"}
+"""Settings of QA that decide about arming, unlike its tolerances."""
+
+
+def test_every_number_of_a_window_is_bounded_by_the_site_or_has_a_reason_for_none():
+    found = numbers(Window)
+    assert found == WINDOW_NUMBERS.keys() | WINDOW_EXEMPT.keys()
+    assert not WINDOW_NUMBERS.keys() & WINDOW_EXEMPT.keys()
+    assert set(WINDOW_NUMBERS.values()) <= CLINICAL_BOUNDS.keys()

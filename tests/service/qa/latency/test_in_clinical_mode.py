@@ -48,7 +48,7 @@ def started(client):
 
 def test_arming_without_it_is_refused_before_the_engine_and_audited(service, engine):
     session_id = started(service)
-    refused = act(service, session_id, "arm")
+    refused = act(service, session_id, "arm", state=engine.running.arming_state)
     assert (refused.status_code, refused.json()["code"]) == (409, "camera_latency")
     assert "this camera (A1) was never measured: measure it (tidegate qa latency" in refused.json()["detail"]
     assert not any(isinstance(command, Arm) for command in engine.running.commands)
@@ -64,7 +64,7 @@ def test_arming_without_it_is_refused_before_the_engine_and_audited(service, eng
 def test_with_it_people_arm(service, site, engine):
     session_id = started(service)
     measured(site)
-    act(service, session_id, "arm")
+    act(service, session_id, "arm", state=engine.running.arming_state)
     assert any(isinstance(command, Arm) for command in engine.running.commands)
 
 
