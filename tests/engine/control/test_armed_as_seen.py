@@ -7,9 +7,18 @@ import pytest
 from engine.core.commands import ActivateModel, Arm, CorrectBaseline, SetReference
 from engine.core.errors import CommandRefusedError
 from engine.core.head_direction import HeadDirection
-from tests.engine.control.test_window_change import AROUND, set_to
+from engine.gating.window_change import SetWindow
+from engine.gating.windows import amplitude_window
 from tests.support.control.loop_bench import Bench, after, good
-from tests.support.gating.streams import LIMITS
+from tests.support.gating.streams import LEVEL_MM, LIMITS
+
+AROUND = amplitude_window(lower_mm=LEVEL_MM - 0.5, upper_mm=LEVEL_MM + 0.5)
+
+
+def set_to(window, **times):
+    usual = {"dwell_ms": LIMITS.dwell_ms, "min_on_ms": 0.0, "min_off_ms": 0.0, "max_cycles_per_min": 120}
+    return SetWindow(operator="bob", window=window, **{**usual, **times})
+
 
 CHANGES = {
     "nothing": (),
