@@ -23,6 +23,8 @@ from service.storage.database.engine import Database
 
 REFERENCE_SET = "session.reference"
 NO_PREDICTION = "not compared with free breathing: see that its edges are those of a held breath"
+NOT_COMPARED = "a recording does not say which camera made it: see that the calibration is that camera's"
+NO_QA = "no QA is required here"
 POSITION_OK = {"first_fraction", "signed"}
 
 
@@ -127,6 +129,8 @@ class ArmingSummaries:
             self.refuse_arming(None if running is None else running.engine.status.source)
         except TidegateError as error:
             return ArmingItem(code="site", state="missing", text=str(error))
+        if self.settings.qa_required_daily_h == 0.0:
+            return ArmingItem(code="site", state="attention", text=NO_QA)
         return ArmingItem(code="site", state="ok", text="QA and camera latency as this site requires")
 
 
@@ -142,7 +146,11 @@ def _camera(detail: SessionDetail, running: RunningSession | None) -> ArmingItem
     if running is None or detail.camera is None:
         return ArmingItem(code="camera", state="missing", text="not open")
     text = f"{detail.camera.name}, calibrated as {running.plan.calibration.camera}"
-    said = "; ".join(filter(None, [detail.camera.warning, detail.calibration_warning, detail.source_warning]))
+    source = running.engine.status.source
+    uncompared = None if source is not None and source.is_live else NOT_COMPARED
+    said = "; ".join(
+        filter(None, [detail.camera.warning, detail.calibration_warning, detail.source_warning, uncompared])
+    )
     return ArmingItem(code="camera", state="attention" if said else "ok", text=f"{text}: {said}" if said else text)
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from engine.capture.source import SourceDescription
 from engine.core.errors import CommandRefusedError
 from engine.core.gate_state import GateState, HoldReason
 from service.core.errors import QaOverdueError
@@ -95,6 +96,19 @@ def test_a_site_rule_that_forbids_arming_is_missing(client, session_id, measurin
     client.app.state.services = replace(services, arming=replace(services.arming, refuse_arming=refuse))
     state, text = items(client, session_id)["site"]
     assert (state, "the daily QA is overdue" in text) == ("missing", True)
+
+
+@pytest.mark.parametrize("is_live", [False, True])
+def test_a_tick_stands_only_where_something_was_compared(client, session_id, measuring, monkeypatch, is_live):
+    source = SourceDescription(
+        kind="openni", name="camera", depth_size=(640, 480), color_size=(640, 480), fps=30.0, is_live=is_live
+    )
+    own = type(measuring).status
+    monkeypatch.setattr(type(measuring), "status", property(lambda self: replace(own.fget(self), source=source)))
+    found = items(client, session_id)
+    assert found["camera"][0] == "attention"
+    assert ("which camera made it" in found["camera"][1]) is not is_live
+    assert found["site"] == ("attention", "no QA is required here")
 
 
 def test_a_session_that_does_not_run_is_not_ready(client, session_id):

@@ -134,10 +134,10 @@ export class SessionForm {
   #choosePlan() {
     const { plan } = this;
     this.#input("fraction_number").value = "";
-    if (plan?.gating === "breath_hold") {
-      this.conditions.reset([{ kind: "breath_hold" }]);
-      this.more.open = true;
-    }
+    // Anew for each plan: the technique of one that was looked at before is not the next one's.
+    const isBreathHold = plan?.gating === "breath_hold";
+    this.conditions.reset([isBreathHold ? { kind: "breath_hold" } : null]);
+    if (isBreathHold) this.more.open = true;
     this.#showPlan();
   }
 

@@ -22,10 +22,10 @@ export function stageOf(sample) {
 
 /**
  * Whether a person must set the reference before arming. The session is polled at intervals, so its value from before the
- * first measurement is ignored.
+ * first measurement is ignored, and a reference that the stream has already is set.
  */
 export function needsReference(sample, session) {
-  return sample?.state === "measuring" && session?.measurement_state === "measuring" && session.has_reference === false;
+  return sample?.state === "measuring" && session?.measurement_state === "measuring" && session.has_reference === false && !sample.reference;
 }
 
 const TITLES = {
