@@ -165,6 +165,13 @@ class GateController:
 
     def refuse_without_fresh_signal(self) -> None:
         """Raise CommandRefusedError unless the newest frame is fresh and its gated motion was measured."""
+        received_ns = self.refuse_without_signal()
+        age_ms = (self._clock.now_ns() - received_ns) / NS_PER_MS
+        if age_ms > self._limits.current.max_gap_ms + self._limits.current.max_frame_age_ms:
+            raise CommandRefusedError(f"the newest frame is {age_ms:.0f} ms old: see to the camera")
+
+    def refuse_without_signal(self) -> int:
+        """Return when the newest frame was received [ns]; raise CommandRefusedError unless it shows the gated motion."""
         measurement, last = self._records.newest_measurement, self.gate.last
         if measurement is None or last is None or measurement.state is not MeasurementState.MEASURING:
             raise CommandRefusedError("the newest frame was not measured: see that the patient is in view")
@@ -173,9 +180,7 @@ class GateController:
         unseen = self._limits.unseen_signal(measurement)
         if unseen is not None:
             raise CommandRefusedError(f"the camera does not see the gated motion ({unseen}): uncover it")
-        age_ms = (self._clock.now_ns() - last.received_ns) / NS_PER_MS
-        if age_ms > self._limits.current.max_gap_ms + self._limits.current.max_frame_age_ms:
-            raise CommandRefusedError(f"the newest frame is {age_ms:.0f} ms old: see to the camera")
+        return last.received_ns
 
     def newest_level(self, choice: SignalChoice) -> float | None:
         """Return the signal in the newest frame [mm, l of the volume]; None where it was not measured."""

@@ -198,7 +198,7 @@ class LoopMachine(RuleBasedStateMachine):
 
     @rule()
     def set_the_reference(self) -> None:
-        is_refused = self.oracle.refuses_reference(self.clock.now_ns())
+        is_refused = self.oracle.refuses_reference()
         self._ask(SetReference(operator="ann", reason="as it is"), self.oracle.disarm, is_refused=is_refused)
 
     @rule()

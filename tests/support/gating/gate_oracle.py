@@ -141,13 +141,13 @@ class Oracle:
 
     def refuses_arming(self, now_ns: int) -> bool:
         """Whether a person who arms now is refused, before anything is touched."""
-        can_decide = self.has_model and self.has_zero and not self.refuses_reference(now_ns)
-        return self.is_faulted or self.is_armed or not can_decide
-
-    def refuses_reference(self, now_ns: int) -> bool:
-        """Whether a reference set now is refused: it is taken from frames that show the patient as of now only."""
+        can_decide = self.has_model and self.has_zero and self.shows_patient
         is_fresh = self.last is not None and now_ns - self.last[0] <= self.rules.longest_gap_ns + self.rules.oldest_ns
-        return self.has_model and not (self.shows_patient and is_fresh)
+        return self.is_faulted or self.is_armed or not (can_decide and is_fresh)
+
+    def refuses_reference(self) -> bool:
+        """Whether a reference set now is refused: the newest frame has to show the patient."""
+        return self.has_model and not self.shows_patient
 
     def disarm(self, now_ns: int) -> None:
         """A person disarms, or the frames are over, or the model is another."""
