@@ -171,7 +171,7 @@ class GateController:
             raise CommandRefusedError(f"the newest frame is {age_ms:.0f} ms old: see to the camera")
 
     def refuse_without_signal(self) -> int:
-        """Return when the newest frame was received [ns]; raise CommandRefusedError unless it shows the gated motion."""
+        """Return when the newest frame was received [ns]; raise CommandRefusedError where it shows no gated motion."""
         measurement, last = self._records.newest_measurement, self.gate.last
         if measurement is None or last is None or measurement.state is not MeasurementState.MEASURING:
             raise CommandRefusedError("the newest frame was not measured: see that the patient is in view")

@@ -134,7 +134,7 @@ class BreathingRun(FakeRunning):
             status=self.status,
             error=None,
             window=self.window,
-            operator_hold=self.operator_hold,
+            operator_holds=() if self.operator_hold is None else (self.operator_hold,),
         )
 
 
