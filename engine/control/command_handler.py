@@ -100,7 +100,6 @@ class CommandHandler:
         learning, limits = self._learner.status, self._limits.current
         present = (
             limits.window,
-            self._limits.correction,
             (limits.dwell_ms, limits.min_on_ms, limits.min_off_ms, limits.max_cycles_per_min),
             limits.head_direction,
             learning.reference_number,

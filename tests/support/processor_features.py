@@ -11,13 +11,22 @@ import os
 import subprocess
 import sys
 
+import cv2
+
+
+def _of_this_machine(*features: str) -> str:
+    """Return those of OpenCV's features that this processor has: it complains about the others."""
+    lacking = {one.strip("*?") for one in cv2.getCPUFeaturesLine().split() if one.endswith("?")}
+    return ",".join(one for one in features if one not in lacking)
+
+
 WITHOUT_AVX512 = {
-    "OPENCV_CPU_DISABLE": "AVX512-SKX",
+    "OPENCV_CPU_DISABLE": _of_this_machine("AVX512-SKX"),
     "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR",
     "OPENBLAS_CORETYPE": "Haswell",
 }
 WITHOUT_AVX = {
-    "OPENCV_CPU_DISABLE": "AVX512-SKX,AVX2,FP16,AVX",
+    "OPENCV_CPU_DISABLE": _of_this_machine("AVX512-SKX", "AVX2", "FP16", "AVX"),
     "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR",
     "OPENBLAS_CORETYPE": "Nehalem",
 }

@@ -157,6 +157,22 @@ def test_holes_that_roll_hide_no_sheet(session):
     assert session.run(30)[SOON:] == [None] * (30 - SOON)
 
 
+@pytest.mark.parametrize(("lowered_mm", "has_moved"), [(1.0, False), (-1.0, False), (2.0, True), (-2.0, True)])
+def test_a_camera_that_moved_is_named_from_a_millimetre_and_a_half(session, lowered_mm, has_moved):
+    """The pictures have whole millimetres."""
+    session.camera_mm = lowered_mm
+    assert reasons(session.run(40)[SOON:]) == [LostReason.CAMERA_MOVED if has_moved else None] * (40 - SOON)
+
+
+@pytest.mark.parametrize(("height_px", "is_lost"), [(40, False), (104, True)])
+def test_another_colour_is_an_object_from_six_per_cent_of_the_region(session, monkeypatch, height_px, is_lost):
+    """An object over a quarter of the region's width, of 270 px in height: 4 and 10 % of it."""
+    color = picture(session.color).copy()
+    color[140 : 140 + height_px, 280:320] = (90, 130, 120)
+    monkeypatch.setattr(sys.modules[__name__], "picture", lambda _rgb: color)
+    assert reasons(session.run(10)) == [LostReason.SURFACE_CHANGED if is_lost else None] * 10
+
+
 def test_a_camera_that_moved_after_a_reference_without_couch_and_floor_is_named(session):
     session.has_room = False
     session.run(2 * FRAMES, is_reference_due=True)
