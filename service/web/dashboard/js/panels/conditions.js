@@ -79,18 +79,9 @@ function showFields(condition) {
   const edges = condition.querySelector("[data-edges]");
   edges.options[0].textContent = length;
   const unit = edges.value === "percent" ? "percent" : length;
-  offerEdges(condition, kind === "breath_hold" && value(condition, "hold") === "inspiration");
   const chosen = { kinds: kind, signals: signal, units: unit, lengths: length };
   for (const field of condition.querySelectorAll(".field")) {
     field.hidden = Object.entries(chosen).some(([asked, is]) => asked in field.dataset && !field.dataset[asked].split(" ").includes(is));
-  }
-}
-
-/** Offer the usual edges; for an inspiration hold none, because only a breath that was held says where they lie. */
-function offerEdges(condition, isHeldInspiration) {
-  for (const edge of condition.querySelectorAll('[data-name^="lower_"], [data-name^="upper_"]')) {
-    if (isHeldInspiration && edge.value === edge.defaultValue) edge.value = "";
-    if (!isHeldInspiration && edge.value === "") edge.value = edge.defaultValue;
   }
 }
 
