@@ -159,6 +159,7 @@ class ArmingItem(TypedDict):
         "reference",
         "window",
         "position",
+        "checks",
         "site",
         "gate",
     ]
@@ -1049,6 +1050,15 @@ class LiveCameraView(TypedDict):
     tilt_deg: float | None
 
 
+class LiveCheck(TypedDict):
+    """A check of the measurement against the reference: one that cannot work finds nothing."""
+
+    name: Literal["surface", "color", "camera", "markers", "clock"]
+    seconds: float | None
+    state: Literal["on", "off", "never"]
+    text: str
+
+
 class LiveLag(TypedDict):
     """Delay of the first region's motion behind the second's; if it is unknown, `note` says why."""
 
@@ -1159,6 +1169,7 @@ class Sample(TypedDict):
     calibration: NotRequired[Literal["uploaded", "device registration"]]
     camera_view: NotRequired[LiveCameraView | None]
     captured_at: NotRequired[str | None]
+    checks: NotRequired[list[LiveCheck]]
     form: NotRequired[Literal["full"]]
     fps: float | None
     frame_index: int
@@ -1360,6 +1371,7 @@ class SessionDetail(TypedDict):
     calibration_id: str
     calibration_warning: NotRequired[str | None]
     camera: NotRequired[CameraView | None]
+    checks: NotRequired[list[LiveCheck]]
     continues: NotRequired[str | None]
     created_at: str
     delivered_before_s: NotRequired[float | None]

@@ -20,6 +20,8 @@ from engine.core.gate_state import GateState, HoldReason
 from engine.core.reference_distance import ReferenceDistance
 from engine.core.replacing import replace
 from engine.gating.interlocks import WATCHDOG_DETAIL
+from engine.gating.limits import GateLimits
+from engine.gating.supervision.checks import CheckState
 from engine.gating.supervision.patient_shift import Movement
 
 BACK_DETAIL = "; it is back: acknowledge, set the reference, arm"
@@ -41,6 +43,17 @@ def no_camera_view(_frame: RgbdFrame) -> CameraView | None:
     return None
 
 
+def no_checks() -> tuple[CheckState, ...]:
+    """Return nothing: no check of the measurement is followed."""
+    return ()
+
+
+def _is_clock_checked(decision: Decision, limits: GateLimits) -> bool:
+    """Whether the age of the newest frame is known by the camera's clock; that of a recording's frames is not."""
+    last = decision.gate.last
+    return not limits.is_played and last is not None and last.delivery.fresh_ns is not None
+
+
 class LiveViews:
     """Makes the newest view from each decision.
 
@@ -59,13 +72,14 @@ class LiveViews:
         beam_on: Callable[[], BeamOnState | None] = no_signal,
         reference_distance: Callable[[], ReferenceDistance | None],
         movement: Callable[[], Movement | None],
+        checks: Callable[[], tuple[CheckState, ...]] = no_checks,
         position: Callable[[], PositionState | None] = no_position,
         camera_view: Callable[[RgbdFrame], CameraView | None] = no_camera_view,
     ) -> None:
         self._camera_view = camera_view
         self._newest_camera_view: CameraView | None = None
         self._beam_on, self._reference_distance, self._movement = beam_on, reference_distance, movement
-        self._position = position
+        self._position, self._checks = position, checks
         self._limits, self._outputs, self._watchdog = limits, outputs, watchdog
         self._latency = LatencyStatistics(warn_latency_ms=limits.current.warn_latency_ms)
         self._shown_by_watchdog: tuple[LiveView, LiveView] | None = None
@@ -147,6 +161,8 @@ class LiveViews:
             reference_distance=self._reference_distance(),
             reference_budget_mm=limits.max_reference_distance_mm,
             movement=self._movement(),
+            checks=self._checks(),
+            is_clock_checked=_is_clock_checked(decision, limits),
             position=self._position(),
             camera_view=self._newest_camera_view,
             unseen_cells=() if motion is None else motion.seen.unseen_cells(limits.min_signal_share),

@@ -143,6 +143,7 @@ class EngineLoop:
             beam_on=beam_on,
             reference_distance=budget.present,
             movement=lambda: self._supervisor.movement,
+            checks=lambda: self._supervisor.checks,
             position=self._sign_off.present,
             camera_view=camera_view,
         )

@@ -15,6 +15,7 @@ from engine.core.clock import NS_PER_MS
 from engine.core.frames import ColorImage, Measurement
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.reference_distance import ReferenceDistance
+from engine.gating.supervision.checks import CheckState
 from engine.gating.supervision.patient_shift import Movement
 from engine.gating.windows import ConditionState, GateWindow
 
@@ -141,6 +142,10 @@ class LiveView:
         the distance is None while no reference is set.
     movement
         Movement of the markers since the present reference; None where it is not known.
+    checks
+        Which checks of the measurement work since the reference was set; empty without a reference.
+    is_clock_checked
+        Whether the age of the frame is known by the camera's clock.
     position
         The patient's position against the plan's, and who signed it; None where it is not compared.
     camera_view
@@ -171,6 +176,8 @@ class LiveView:
     reference_distance: ReferenceDistance | None = None
     reference_budget_mm: float = 2.0
     movement: Movement | None = None
+    checks: tuple[CheckState, ...] = ()
+    is_clock_checked: bool = False
     position: PositionState | None = None
     camera_view: CameraView | None = None
 

@@ -6,6 +6,7 @@ from typing import Protocol
 NS_PER_S = 1_000_000_000
 NS_PER_MS = 1_000_000
 NS_PER_US = 1_000
+US_PER_S = 1_000_000
 
 CLOCK_DRIFT = 1e-4
 """Greatest relative difference between a device's clock and the host's that is followed as drift: that of quartz."""

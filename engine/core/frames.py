@@ -319,6 +319,27 @@ class BodyPosition(NamedTuple):
     roll_deg: float
 
 
+class Evidence(NamedTuple):
+    """Which checks of the second estimate could compare a frame with the reference; a check that cannot finds nothing.
+
+    Attributes
+    ----------
+    surface
+        The region's surface was seen, and compared with breathing and a rigid movement.
+    color
+        Half of the region has a colour, in this frame and at the reference.
+    camera
+        Enough of couch and floor is seen, in the last frames and once since the reference.
+    colored_share
+        Share of the region whose colour was compared, 0 to 1.
+    """
+
+    surface: bool
+    color: bool
+    camera: bool
+    colored_share: float = 1.0
+
+
 class MeasurementState(enum.StrEnum):
     """What the pipeline is doing with frames now."""
 
@@ -334,7 +355,8 @@ class Measurement:
     ``motion`` is set if and only if ``state`` is measuring; ``lost`` if and only if it is lost. ``markers`` are those
     of this frame when they were found, also while training. ``breaths`` say where the breath stands, one a signal that
     is watched; none before there is a motion. ``position`` is how the patient has moved as a whole; None where that is
-    unknown. ``queue_empty_ns`` is that of the frame.
+    unknown. ``evidence`` is what the second estimate could compare; None unless measured. ``queue_empty_ns`` is that of
+    the frame.
     """
 
     frame_index: int
@@ -349,6 +371,7 @@ class Measurement:
     training: "TrainingProgress | None" = None
     breaths: tuple[Breath, ...] = ()
     position: BodyPosition | None = field(default=None, metadata=NO_DIGEST)
+    evidence: Evidence | None = field(default=None, metadata=NO_DIGEST)
     queue_empty_ns: int | None = field(default=None, metadata=NO_DIGEST)
 
 

@@ -33,6 +33,7 @@ class HoldReason(enum.StrEnum):
     RESIDUAL_HIGH = "residual_high"
     SURFACE_CHANGED = "surface_changed"
     CAMERA_MOVED = "camera_moved"
+    CHECK_MISSING = "check_missing"
     JUMP = "jump"
     FRAME_MISSING = "frame_missing"
     FRAME_LATE = "frame_late"
@@ -98,6 +99,7 @@ _CLEARS_BY_ITSELF = frozenset(
         HoldReason.RESIDUAL_HIGH,
         HoldReason.SURFACE_CHANGED,
         HoldReason.CAMERA_MOVED,
+        HoldReason.CHECK_MISSING,
         HoldReason.JUMP,
         HoldReason.FRAME_MISSING,
         HoldReason.FRAME_LATE,

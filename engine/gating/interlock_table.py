@@ -114,6 +114,11 @@ INTERLOCKS: tuple[Interlock, ...] = (
     _row(_R.RESIDUAL_HIGH, "the surface does not fit the motion model", "max_residual_mm", "min_inlier_share"),
     _row(_R.SURFACE_CHANGED, "the surface or its colour changed as neither breathing nor a moving patient changes it"),
     _row(_R.CAMERA_MOVED, "couch and floor are elsewhere than at the reference"),
+    _row(
+        _R.CHECK_MISSING,
+        "surface, colour or scene could not be compared with the reference for 0.5 s (or ever, if the site says so)",
+        "checks_may_be_missing",
+    ),
     _row(_R.JUMP, "a step of a signal larger than skin can move", "max_jump_mm"),
     _row(_R.VALUE_INVALID, "a value that is not a number, or impossible"),
     _row(

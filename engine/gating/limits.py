@@ -122,6 +122,9 @@ class GateLimits:
     head_direction
         The side of the picture at which the patient's head lies; None if it is unknown: then only the whole region and
         its volume may gate.
+    needs_all_checks
+        Whether the beam is held where a check of the measurement has not worked since the reference was set; one that
+        worked and cannot any more always holds.
     is_played
         Whether the frames come from a recording. A player may fall behind, so its lag does not indicate the age of a
         frame. The loop sets this from the description of the source.
@@ -171,6 +174,7 @@ class GateLimits:
     is_calibrated: bool = True
     head_direction: HeadDirection | None = None
     holding_events: frozenset[BreathEventKind] = BREATHING_CEASED
+    needs_all_checks: bool = False
     is_played: bool = False
 
     def __post_init__(self) -> None:

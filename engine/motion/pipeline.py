@@ -229,6 +229,7 @@ class Pipeline:
             training=self.learner.progress,
             breaths=breaths,
             position=None if motion is None else self._cross_check.position,
+            evidence=None if motion is None else self._cross_check.evidence,
             queue_empty_ns=frame.queue_empty_ns,
         )
 

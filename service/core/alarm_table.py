@@ -160,6 +160,7 @@ ALARM_RULES: tuple[AlarmRule, ...] = (
         _R.MARKER_LOST,
         _R.COVERAGE_LOW,
         _R.RESIDUAL_HIGH,
+        _R.CHECK_MISSING,
         _R.JUMP,
         _R.FRAME_MISSING,
         _R.FRAME_LATE,

@@ -15,6 +15,7 @@ HOLD_TEXTS: dict[HoldReason, str] = {
     HoldReason.RESIDUAL_HIGH: "The surface does not match the motion model",
     HoldReason.SURFACE_CHANGED: "Something may lie on the patient",
     HoldReason.CAMERA_MOVED: "The camera or the couch has moved",
+    HoldReason.CHECK_MISSING: "A check of the measurement cannot work",
     HoldReason.JUMP: "The signal jumped",
     HoldReason.FRAME_MISSING: "A camera frame is missing",
     HoldReason.FRAME_LATE: "Camera frames arrive late",

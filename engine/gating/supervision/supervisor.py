@@ -14,6 +14,7 @@ from engine.core.motion_model import MotionModel
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
 from engine.gating.supervision.baseline import Baseline
+from engine.gating.supervision.checks import Checks, CheckState
 from engine.gating.supervision.model_age import ModelAge
 from engine.gating.supervision.patient_shift import Movement, PatientShift
 from engine.gating.supervision.repeated_frames import RepeatedFrames
@@ -28,6 +29,7 @@ class FrameSupervisor:
         self._age = ModelAge(limits)
         self._shift = PatientShift(limits)
         self._baseline = Baseline(limits)
+        self._checks = Checks(limits)
         self._repeats = RepeatedFrames(limits)
         self._order = _DeviceOrder()
 
@@ -46,6 +48,7 @@ class FrameSupervisor:
         ``window`` is the one that is in use.
         """
         found = (
+            self._checks.check(measurement, has_reference=has_reference),
             self._rate.check(frame.received_ns),
             self._baseline.check(measurement, window, has_reference=has_reference),
             self._age.check(model, notices, frame.received_ns),
@@ -60,8 +63,14 @@ class FrameSupervisor:
         """Movement of the markers since the reference, in the newest frame; None where it is not known."""
         return self._shift.movement
 
+    @property
+    def checks(self) -> tuple[CheckState, ...]:
+        """Which checks of the measurement work; empty without a reference."""
+        return self._checks.states
+
     def reset_position(self) -> None:
         """Measure later shifts and drifts from the patient's next position: the reference was set."""
+        self._checks.reset()
         self._shift.reset()
         self._baseline.reset()
 

@@ -70,6 +70,11 @@ def brightness_of(color: ColorImage, markers_px: FloatArray) -> Brightness:
     return Brightness(cells, float(samples.sum(axis=1, dtype=np.float64).mean()) if len(samples) else 0.0)
 
 
+def colored_share(before: Chroma, now: Chroma) -> float:
+    """Return the share of the region that has a colour, now and before, 0 to 1: the rest cannot be compared."""
+    return float(np.count_nonzero(np.isfinite(before[:, 0]) & np.isfinite(now[:, 0]))) / len(before)
+
+
 def dark_cells(before: Chroma, now: Chroma) -> int:
     """Return the number of cells that had a colour and are too dark for one now."""
     return int(np.count_nonzero(np.isnan(now[:, 0]) & np.isfinite(before[:, 0])))

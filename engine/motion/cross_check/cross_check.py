@@ -4,7 +4,8 @@ Three kinds of disagreement are distinguished. The scene has moved: that is the 
 changed in a way that is neither breathing nor a rigid movement, or has another colour: something lies on the patient.
 The surface has moved rigidly before a scene that stands still: that is the patient, who is still measured.
 
-A disagreement and a position stand while they cannot be measured: what is hidden has not come back.
+A disagreement and a position stand while they cannot be measured: what is hidden has not come back. Each comparison
+says whether it could be made (`Evidence`): the gate does not rest on one that could not.
 """
 
 import math
@@ -19,6 +20,7 @@ from engine.core.compiled import kernels
 from engine.core.frames import (
     BodyPosition,
     ColorImage,
+    Evidence,
     FloatArray,
     Lost,
     LostReason,
@@ -37,6 +39,7 @@ from engine.motion.cross_check.appearance import (
     brightness_of,
     changed_share,
     chroma_of,
+    colored_share,
     dark_cells,
     darkened_share,
 )
@@ -66,6 +69,8 @@ MISFIT_OF_REDISTRIBUTED = 0.02
 HEIGHT_OF_DEEPER = 0.6
 """Such a breath also passes for a rigid movement since it began: up to this share of what it is deeper is taken off."""
 OTHER_COLOR_SHARE = 0.06
+LEAST_COLORED = 0.5
+"""Share of the region that needs a colour, now and at the reference: in the dark an object has none."""
 CAMERA_MM = 1.5
 """Allowed change of the scene's depth at a marker, as the camera's movement changes it."""
 MARKER_PERCENTILE = 90.0
@@ -124,6 +129,7 @@ class CrossCheck:
         self._settled_mm = 0.0
         self._newest_color: tuple[ColorImage, FloatArray] | None = None
         self.position: BodyPosition | None = None
+        self.evidence: Evidence | None = None
 
     def restart(self) -> None:
         """Forget the reference: camera or patient may have moved."""
@@ -132,7 +138,7 @@ class CrossCheck:
         self._forget_changes()
 
     def _forget_changes(self) -> None:
-        self._disagreements, self._settled_mm, self.position = {}, 0.0, None
+        self._disagreements, self._settled_mm, self.position, self.evidence = {}, 0.0, None, None
         self._scene.restart()
 
     @property
@@ -224,10 +230,19 @@ class CrossCheck:
             self._reference.add(self._recent[-1].cells_mm, self._recent[-1].timestamp_us)
 
     def _compare(self, reference: _Reference, cells_mm: FloatArray, chroma: Chroma) -> Lost | None:
+        moved_mm = _largest_mean_mm([one.scene_mm for one in self._recent])
+        change = self._surface_change(reference, cells_mm)
+        colored = colored_share(reference.chroma, chroma)
+        self.evidence = Evidence(
+            surface=change is not None,
+            color=colored >= LEAST_COLORED,
+            camera=not math.isnan(moved_mm),
+            colored_share=colored,
+        )
         found = {
-            "camera": self._camera_moved(_largest_mean_mm([one.scene_mm for one in self._recent])),
+            "camera": self._camera_moved(moved_mm),
             "colour": self._color_changed(self._changed_share(reference, chroma)),
-            "surface": self._surface_changed(reference, cells_mm),
+            "surface": self._surface_changed(change),
         }
         self._disagreements = {name: lost for name, lost in found.items() if lost is not None}
         return next(iter(self._disagreements.values()), None)
@@ -262,11 +277,14 @@ class CrossCheck:
         detail = f"{share:.0%} of the region has another colour than at the reference, or is dark: {ADVICE}"
         return Lost(reason=LostReason.SURFACE_CHANGED, detail=detail)
 
-    def _surface_changed(self, reference: _Reference, cells_mm: FloatArray) -> Lost | None:
+    def _surface_change(self, reference: _Reference, cells_mm: FloatArray) -> SurfaceChange | None:
+        """Return how the surface has changed since the reference; None where too little of it is seen."""
+        is_seen = np.count_nonzero(np.isfinite(self._recent[-1].cells_mm)) >= LEAST_CELLS
+        return self._shapes.change(reference.cells_mm, cells_mm) if self._shapes is not None and is_seen else None
+
+    def _surface_changed(self, change: SurfaceChange | None) -> Lost | None:
         """Compare the surface's change with breathing and a rigid movement, which becomes the patient's position."""
         shapes = self._shapes
-        is_seen = np.count_nonzero(np.isfinite(self._recent[-1].cells_mm)) >= LEAST_CELLS
-        change = None if shapes is None or not is_seen else shapes.change(reference.cells_mm, cells_mm)
         if shapes is None or change is None:
             return self._disagreements.get("surface")
         deeper_mm = max(change.breath_mm - shapes.reach_mm, 0.0)

@@ -9,7 +9,18 @@ from service.core.schemas.live_messages import LiveWindow
 from service.core.schemas.windows import Window
 
 ArmingCode = Literal[
-    "patient", "plan", "camera", "head_direction", "view", "model", "reference", "window", "position", "site", "gate"
+    "patient",
+    "plan",
+    "camera",
+    "head_direction",
+    "view",
+    "model",
+    "reference",
+    "window",
+    "position",
+    "checks",
+    "site",
+    "gate",
 ]
 
 

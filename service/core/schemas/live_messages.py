@@ -312,6 +312,17 @@ class LivePosition(Message):
     roll_deg: float | None = Field(description="Of the surface, about the body's long axis")
 
 
+class LiveCheck(Message):
+    """A check of the measurement against the reference: one that cannot work finds nothing."""
+
+    name: Literal["surface", "color", "camera", "markers", "clock"]
+    state: Literal["on", "off", "never"] = Field(
+        description="`off`: it worked since the reference was set and cannot now; `never`: it has not worked since then"
+    )
+    seconds: float | None = Field(description="Time in this state, by the camera's clock; null where it is not kept")
+    text: str = Field(description="Sentence to display")
+
+
 CameraAdviceName = Literal["too_near", "too_far", "tilted", "gaps", "too_dark", "too_bright", "warming_up"]
 
 
@@ -385,6 +396,9 @@ class Sample(Message):
     reference: LiveReference | None = Field(default=None, description="null while no reference is set")
     position_check: LivePositionCheck | None = Field(default=None, description="null until a frame was decided on")
     position: LivePosition | None = Field(default=None, description="null while no frame is measured")
+    checks: list[LiveCheck] = Field(
+        default=[], description="What the gate rests on: each check of the measurement; empty without a reference"
+    )
     camera_view: LiveCameraView | None = Field(default=None, description="For the set-up; null while the gate is armed")
     signal_mm: float | None
     whole_mm: float | None

@@ -17,6 +17,7 @@ from service.core.schemas.live_messages import (
     LiveAlarm,
     LiveBreath,
     LiveBreathHold,
+    LiveCheck,
     LiveDegree,
     LivePositionCheck,
     LiveReference,
@@ -494,6 +495,10 @@ class SessionDetail(Session):
     )
     position_check: LivePositionCheck | None = Field(
         default=None, description="The patient's position against the plan's; null unless running"
+    )
+    checks: list[LiveCheck] = Field(
+        default=[],
+        description="What the gate rests on: each check of the measurement; empty without a reference",
     )
     reference_proposals: list[ReferenceProposalView] = Field(
         default=[], description="For `POST .../reference`; empty unless running, and until two breaths are known"

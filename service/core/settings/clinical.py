@@ -234,6 +234,7 @@ MEASURED = "treatment needs a measured calibration"
 RESEARCH_ONLY: Mapping[str, str] = {
     "beam_without_calibration": MEASURED,
     "allow_device_registration": MEASURED,
+    "checks_may_be_missing": "what no check can look at is not known to be right",
     "recordings_may_gate": "a recording does not show the present patient",
 }
 """Settings that must be false in clinical mode, and why."""

@@ -182,6 +182,11 @@ class Settings(
     beam_without_calibration: bool = Field(
         default=True, description="A session on the camera's own registration may be armed: research only"
     )
+    checks_may_be_missing: bool = Field(
+        default=True,
+        description="The beam may be on where a check of the measurement (surface, color, camera) has not worked since "
+        "the reference was set; research only. One that worked and cannot any more always holds",
+    )
     holding_events: EventList = Field(
         default=tuple(sorted(BREATHING_CEASED)),
         description="Breathing events that hold the beam, comma-separated; see docs/2-clinical/breathing.md",

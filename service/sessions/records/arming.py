@@ -72,6 +72,7 @@ class ArmingSummaries:
         yield self._reference(detail)
         yield self._window(detail)
         yield _position(detail)
+        yield self._checks(detail)
         yield self._site(running)
         yield _gate(detail)
 
@@ -123,6 +124,15 @@ class ArmingSummaries:
             bound = f"at most {self.settings.max_duty_percent:g} % may: set a narrower window"
             return ArmingItem(code="window", state="missing", text=f"{text}; {bound}")
         return ArmingItem(code="window", state="ok" if duty > 0.0 else "attention", text=text)
+
+    def _checks(self, detail: SessionDetail) -> ArmingItem:
+        """Say which checks of the measurement cannot work; a site that needs all of them holds the beam for one."""
+        silent = [one for one in detail.checks if one.state != "on"]
+        if not detail.checks:
+            return ArmingItem(code="checks", state="attention", text="not known before the reference is set")
+        if not silent:
+            return ArmingItem(code="checks", state="ok", text=", ".join(one.name for one in detail.checks))
+        return ArmingItem(code="checks", state="attention", text="; ".join(f"{one.name}: {one.text}" for one in silent))
 
     def _site(self, running: RunningSession | None) -> ArmingItem:
         try:

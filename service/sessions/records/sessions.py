@@ -31,6 +31,7 @@ from service.sessions.alarms.views import live_alarms
 from service.sessions.records.calibrations import kept_row
 from service.sessions.records.continuation import continued, delivered_before_s
 from service.sessions.views.breath import live_breath, live_breath_hold
+from service.sessions.views.checks import live_checks
 from service.sessions.views.live import body_view, camera_view, gate_view, likeness_view, training_view
 from service.sessions.views.position import live_position_check, tolerance_of
 from service.sessions.views.reference import live_reference, proposal_views
@@ -150,6 +151,7 @@ class SessionRepository:
             has_reference=None if running is None else running.engine.status.learning.has_reference,
             reference=None if view is None else live_reference(view),
             position_check=None if view is None or running is None else live_position_check(view, running.plan),
+            checks=[] if view is None else live_checks(view),
             reference_proposals=[]
             if running is None
             else proposal_views(

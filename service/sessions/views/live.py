@@ -27,6 +27,7 @@ from service.engine_host.roles import BodyMatch, SessionPlan
 from service.engine_host.site_rules.camera_serial import serial_warning
 from service.engine_host.site_rules.uncalibrated import kind_of
 from service.sessions.views.breath import live_breath, live_breath_hold
+from service.sessions.views.checks import live_checks
 from service.sessions.views.position import live_position_check
 from service.sessions.views.reference import live_reference
 from service.sessions.views.window import live_window
@@ -71,6 +72,7 @@ def live_sample(
         reference=live_reference(view),
         position_check=live_position_check(view, plan),
         position=_position(view),
+        checks=live_checks(view),
         camera_view=_camera_view(view.camera_view),
         signal_mm=rounded_or_none(record.signal_mm),
         **(NOT_MEASURED if measurement.motion is None else _motion_fields(measurement.motion, plan)),

@@ -14,6 +14,7 @@ from engine.control.outputs import LatencySummary
 from engine.core.breath import Breath
 from engine.core.frames import BodyPosition, Markers, TrainingProgress
 from engine.core.gate_state import GateState, HoldReason
+from engine.gating.supervision.checks import Check, CheckState
 from engine.gating.supervision.patient_shift import Movement
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, ConditionState, HoldStage
 from service.core.hold_texts import HOLD_TEXTS, hold_text
@@ -206,6 +207,27 @@ def test_how_far_the_patient_has_moved_since_the_reference_is_reported(plan):
         "roll_deg": -0.25
     }
     assert message_of(view_of(plan, whole_mm=None), plan)["position"] is None
+
+
+def test_what_the_gate_rests_on_is_reported_with_the_time_of_each_check(plan):
+    view = view_of(plan)
+    assert message_of(view, plan)["checks"] == []
+    now_us = view.record.measurement.timestamp_us
+    states = (
+        CheckState(Check.SURFACE, is_on=True, since_us=now_us - 2_500_000, was_on=True),
+        CheckState(Check.COLOR, is_on=False, since_us=now_us - 700_000, was_on=True),
+        CheckState(Check.CAMERA, is_on=False, since_us=now_us, was_on=False),
+    )
+    message = message_of(replace(view, checks=states, movement=Movement(shift_mm=0.1, turn_deg=0.1)), plan)
+    SCHEMA.validate(message)
+    assert [(one["name"], one["state"], one["seconds"]) for one in message["checks"]] == [
+        ("surface", "on", 2.5),
+        ("color", "off", 0.7),
+        ("camera", "never", 0.0),
+        ("markers", "on", None),
+        ("clock", "off" if view.description.is_live else "never", None),
+    ]
+    assert message["checks"][2]["text"] == "too little of couch and floor is seen"
 
 
 def test_breath_hold_and_holding_person_are_reported_with_the_reason_in_figures(plan):

@@ -204,6 +204,17 @@ def over(status: str = "stopped", **changes: Any) -> dict[str, Any]:
     return SESSION | {"status": status, "status_detail": "", "regions": {"named": []}} | times | kept | changes
 
 
+def checks(**states: str) -> list[dict[str, Any]]:
+    """Return what the gate rests on: each check on but for those named; one that is off has been so for 4 s."""
+    names = ("surface", "color", "camera", "markers", "clock")
+    times = {"on": 412.3, "off": 4.2, "never": 60.0}
+    found = {name: states.get(name, "on") for name in names}
+    return [
+        {"name": name, "state": state, "seconds": times[state], "text": f"{name} is {state}"}
+        for name, state in found.items()
+    ]
+
+
 def sample(**changes: Any) -> dict[str, Any]:
     """Return a sample of a running, armed session in hold; `changes` say what is different."""
     holder = changes.get("operator_hold")
@@ -237,6 +248,7 @@ def sample(**changes: Any) -> dict[str, Any]:
         "split_rows": None,
         "lags": [],
         "roi_px": ROI_PX,
+        "checks": checks(),
         "fps": 29.9,
         "frames": 513,
         "missed_frames": 0,
@@ -327,6 +339,7 @@ def arming(**missing: str) -> dict[str, Any]:
         "from the fraction's first",
         "window": "38 % of the learned breaths lie inside",
         "position": "first fraction of the plan: the confirmed reference becomes the plan's position",
+        "checks": "surface, color, camera, markers, clock",
         "site": "QA and camera latency as this site requires",
         "gate": "SIMULATED beam line, disarmed",
     } | missing

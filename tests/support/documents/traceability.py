@@ -48,6 +48,7 @@ RATINGS: dict[str, Rating] = {
     "S13": Rating(3, 3, 2, "1 2"),
     "S14": Rating(3, 2, 1, "1 2"),
     "S15": Rating(3, 3, 2, "1 2"),
+    "S16": Rating(3, 4, 2, "1 2"),
     "P1": Rating(3, 4, 2, "1 2"),
     "P2": Rating(3, 5, 2, "1 2"),
     "P3": Rating(3, 4, 2, "1 2"),

@@ -6,6 +6,7 @@ from service.core.settings.settings import Settings
 
 OBLIGATORY: dict[str, Any] = {
     "beam_without_calibration": False,
+    "checks_may_be_missing": False,
     "allow_device_registration": False,
     "camera_latency_ms": 40.0,
     "qa_required_daily_h": 24.0,

@@ -33,6 +33,7 @@ from engine.core.learning_status import LearningStatus
 from engine.core.motion_model import MotionModel
 from engine.core.patient_match import PatientMatch
 from engine.core.ranges import Ranges
+from engine.gating.supervision.checks import CheckState
 from engine.gating.window_change import SetWindow
 from engine.gating.windows import ConditionState, GateWindow, amplitude_window
 from service.core.schemas import sessions
@@ -118,6 +119,7 @@ class FakeRunning:
         self.arming_state = "5e" * 16
         self.armed_by: str | None = None
         self.beam_on: BeamOnState | None = None
+        self.checks: tuple[CheckState, ...] = ()
         self.camera_ms: float | None = None
         self.gate = GateState.DISARMED
         self.reason = HoldReason.DISARMED
@@ -242,6 +244,7 @@ class FakeRunning:
             armed_by=self.armed_by,
             breath_holds=max((state.holds for state in self.conditions), default=0),
             beam_on=self.beam_on,
+            checks=self.checks,
         )
         return record
 

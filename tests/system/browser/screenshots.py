@@ -19,6 +19,7 @@ from tests.support.browser.fake_service import (
     ServerThread,
     alarm,
     breath_hold,
+    checks,
     condition,
     phase,
     sample,
@@ -50,6 +51,15 @@ PICTURES: dict[str, tuple[str, dict[str, Any]]] = {
             hold_text="Outside the window",
             hold_detail="5.40 mm is not inside -1 to 3 mm",
             breath=BREATH | {"drift": 1.74, "drift_per_s": 0.11, "events": [event("drift", 21.0)]},
+        ),
+    ),
+    "check-missing": (
+        "hold",
+        sample(
+            hold_reason="check_missing",
+            hold_text="A check of the measurement cannot work",
+            hold_detail="camera, for 4.2 s: too little of couch and floor is seen",
+            checks=checks(camera="off", color="never"),
         ),
     ),
     "breath-hold-settling": (

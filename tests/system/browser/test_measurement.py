@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.support.browser.fake_service import NOTHING_MEASURED, ROI_PX, FakeService, motion_at, sample
+from tests.support.browser.fake_service import NOTHING_MEASURED, ROI_PX, FakeService, checks, motion_at, sample
 from tests.support.browser.tab import Tab
 
 pytestmark = pytest.mark.browser
@@ -53,6 +53,17 @@ def test_numbers_are_those_of_the_sample_with_sign(fake: FakeService, tab: Tab):
     expect(shown["missed"]).to_have_text("3")
     expect(shown["latency"]).to_have_text("5.2 · 5.0 · 9.1 · 31.4")
     expect(shown["line"]).to_have_text("OFF")
+
+
+def test_what_the_gate_rests_on_is_shown_with_the_time_of_a_check_that_is_off(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", sample(checks=checks(color="never", camera="off"))
+    strip = tab.open("hold").locator("#checks")
+    expect(strip.locator("span")).to_have_text(
+        ["surface: on", "colour: never on", "couch: off 4 s", "markers: on", "clock: on"]
+    )
+    expect(strip.locator("[data-state=off]")).to_have_attribute("title", "camera is off")
+    fake.sample = sample(checks=[])
+    expect(strip).to_have_text(NONE)
 
 
 def test_what_was_not_measured_is_a_dash_not_a_zero(fake: FakeService, tab: Tab):

@@ -172,6 +172,7 @@ def test_every_number_among_the_limits_has_a_bound():
         "is_calibrated",
         "head_direction",
         "holding_events",
+        "needs_all_checks",
     } == set(LIMIT_BOUNDS)
 
 

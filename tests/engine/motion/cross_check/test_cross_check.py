@@ -1,5 +1,6 @@
 """A moved camera, a cover and a moved patient are distinguished; each ends when it is gone, or with a new reference."""
 
+import math
 import sys
 from copy import deepcopy
 from dataclasses import replace
@@ -9,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from engine.core.frames import LostReason, Markers, RgbdFrame, RoiDepth
+from engine.core.frames import Evidence, LostReason, Markers, RgbdFrame, RoiDepth
 from engine.motion.cross_check import cell_surface
 from engine.motion.cross_check.cell_surface import learn_shapes
 from engine.motion.cross_check.cross_check import AVERAGED_US, CrossCheck
@@ -56,6 +57,7 @@ class Session:
         self.color = (150, 140, 120)
         self.hidden_corner, self.has_shoulders, self.is_lost_otherwise = False, False, False
         self.has_rolling_holes = False
+        self.cells_seen = 80
 
     def observe(self):
         noise = np.random.default_rng(self.index)
@@ -69,6 +71,8 @@ class Session:
         valid[:12, :6] &= not self.hidden_corner
         if self.has_rolling_holes:
             valid &= (ROWS + 8 * self.index) % 48 >= 8
+        cell = ROWS // 11 * 10 + COLUMNS // 5
+        valid &= cell < self.cells_seen
         roi = RoiDepth(
             depth_mm=(depth + noise.normal(0.0, 0.9, depth.shape)).astype(np.float32),
             valid=valid,
@@ -195,6 +199,74 @@ def test_a_picture_that_darkens_as_a_whole_is_no_black_sheet(session, monkeypatc
         dark = (picture(session.color) * dimming).astype(np.uint8)
         monkeypatch.setattr(sys.modules[__name__], "picture", lambda _rgb, dark=dark: dark)
         assert session.run(10) == [None] * 10
+
+
+def test_each_comparison_says_whether_it_could_be_made(session):
+    session.run(1)
+    assert session.check.evidence == Evidence(surface=True, color=True, camera=True, colored_share=1.0)
+    session.has_depth = False
+    session.run(SOON)
+    assert session.check.evidence == Evidence(surface=False, color=True, camera=False, colored_share=1.0)
+    session.has_depth, session.has_room = True, False
+    session.run(SOON)
+    assert session.check.evidence == Evidence(surface=True, color=True, camera=False, colored_share=1.0)
+    session.run(1, is_reference_due=True)
+    session.has_room = True
+    session.run(2)
+    assert not session.check.evidence.camera  # it is learned for a second
+    session.run(FRAMES)
+    assert session.check.evidence.camera
+    session.check.restart()
+    assert session.check.evidence is None
+
+
+@pytest.mark.parametrize("is_dark_before", [False, True])
+@pytest.mark.parametrize(("dark_px", "is_compared"), [(70, True), (95, False)])
+def test_the_colour_is_compared_where_half_of_the_region_has_one(
+    session, monkeypatch, dark_px, is_compared, is_dark_before
+):
+    """In the dark now, or when the reference was set: a strip of the region's 160 px in width."""
+    color = picture(session.color).copy()
+    color[:, 240 : 240 + dark_px] = 5
+    with monkeypatch.context() as patch:
+        patch.setattr(sys.modules[__name__], "picture", lambda _rgb: color)
+        session.run(2, is_reference_due=is_dark_before)
+    if is_dark_before:
+        session.run(1)
+    assert session.check.evidence.color is is_compared
+    assert session.check.evidence.colored_share == pytest.approx(1.0 - dark_px / 160.0, abs=0.06)
+
+
+@pytest.mark.parametrize(("cells", "is_compared"), [(20, True), (19, False)])
+def test_the_surface_is_compared_by_twenty_cells(session, cells, is_compared):
+    session.cells_seen = cells
+    session.run(SOON)
+    assert session.check.evidence.surface is is_compared
+
+
+def test_an_object_that_shrinks_is_one_until_it_is_clearly_smaller_than_its_limit(session, monkeypatch):
+    """A height of 54 px is 5.7 % of the region: too little for an object by itself, enough for one that was found."""
+
+    def losses_with(height_px):
+        color = picture((150, 140, 120)).copy()
+        color[140 : 140 + height_px, 280:320] = (90, 130, 120)
+        with monkeypatch.context() as patch:
+            patch.setattr(sys.modules[__name__], "picture", lambda _rgb: color)
+            return reasons(session.run(3))
+
+    lost = LostReason.SURFACE_CHANGED
+    found = [losses_with(height_px)[-1] for height_px in (54, 104, 54, 36, 54)]
+    assert found == [None, lost, lost, None, None]
+
+
+def test_a_patient_raised_within_a_deeper_breath_is_so_but_for_a_share_of_it(session):
+    """At the end of inhale, where such a breath explains most of a height."""
+    session.depth = 2.0
+    while math.cos(1.5 * session.index * STEP_US / 1e6) > -0.99:
+        session.run(1)
+    session.raised_mm = 8.0
+    session.run(SOON)
+    assert 3.0 < session.check.position.height_mm < 8.0
 
 
 @pytest.mark.parametrize("camera_mm", [-4.0, 3.0])

@@ -55,8 +55,11 @@ def test_nothing_is_measured_where_the_scene_is_covered_or_was_never_seen(scene)
 
 def test_a_scene_that_was_hidden_at_the_reference_is_learned_when_it_is_seen():
     found = learned(has_room=False)
-    for number in range(2 * FRAMES):
-        found.follow(scene_mm(seed=number), MARKERS_MM, (FRAMES + number) * STEP_US)
+    known = [
+        found.follow(scene_mm(seed=number), MARKERS_MM, (FRAMES + number) * STEP_US) is not None
+        for number in range(2 * FRAMES)
+    ]
+    assert known.index(True) >= FRAMES - 1, "a whole second teaches it, as at first"
     later_us = 3 * FRAMES * STEP_US
     assert np.abs(found.follow(scene_mm(seed=98), MARKERS_MM, later_us)).max() < 0.4
     lowered = found.follow(scene_mm(lowered_mm=3.0, seed=99), MARKERS_MM, later_us + STEP_US)

@@ -7,6 +7,7 @@ import pytest
 from engine.capture.source import SourceDescription
 from engine.core.errors import CommandRefusedError
 from engine.core.gate_state import GateState, HoldReason
+from engine.gating.supervision.checks import Check, CheckState
 from service.core.errors import QaOverdueError
 from tests.support.service.api_calls import act, audit_rows
 from tests.support.service.clinical_site import clinical_settings
@@ -48,9 +49,20 @@ def test_every_part_is_named_once_and_in_order(client, session_id, measuring):
         "reference",
         "window",
         "position",
+        "checks",
         "site",
         "gate",
     ]
+
+
+def test_a_check_that_cannot_work_is_looked_at(client, session_id, measuring):
+    assert items(client, session_id)["checks"] == ("attention", "not known before the reference is set")
+    on = [CheckState(check, is_on=True, since_us=0, was_on=True) for check in Check]
+    measuring.checks = (on[0], on[1], on[2]._replace(is_on=False, was_on=False))
+    measuring.frame()
+    state, text = items(client, session_id)["checks"]
+    assert state == "attention"
+    assert "camera: too little of couch and floor is seen" in text
 
 
 def test_patient_plan_and_fraction_are_those_of_the_session(client, session_id, measuring):

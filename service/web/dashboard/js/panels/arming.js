@@ -16,7 +16,7 @@ const READ_MS = 2000;
 const CLOSE_MS = 60000;
 const TITLES = {
   patient: tr("arming.patient"), plan: tr("arming.plan"), camera: tr("arming.camera"), head_direction: tr("arming.head"), view: tr("arming.view"), model: tr("arming.model"),
-  reference: tr("arming.reference"), window: tr("arming.window"), position: tr("arming.position"), site: "QA", gate: tr("arming.gate"),
+  reference: tr("arming.reference"), window: tr("arming.window"), position: tr("arming.position"), checks: tr("arming.checks"), site: "QA", gate: tr("arming.gate"),
 };
 const MARKS = { ok: "✓", attention: "!", missing: "✕" };
 const WORDS = { ok: "", attention: tr("arming.look"), missing: tr("arming.missing") };

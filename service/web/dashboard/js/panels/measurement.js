@@ -1,6 +1,6 @@
 /** The measurement panel: values of the newest fresh sample, a dash for values that were not measured. */
 
-import { setText } from "../drawing/elements.js";
+import { part, setText } from "../drawing/elements.js";
 import { signed } from "../drawing/numbers.js";
 import { tr } from "../words/words.js";
 
@@ -21,12 +21,30 @@ const FIGURES = {
 
 export function renderFigures(sample, isSimulatedBeam) {
   for (const [id, textOf] of Object.entries(FIGURES)) setText(document.getElementById(id), sample ? textOf(sample) : NONE);
+  renderChecks(sample?.checks ?? []);
   document.getElementById("figure-latency").dataset.bad = sample?.latency_ms?.warned === true ? "yes" : "no";
   document.getElementById("figure-missed").dataset.bad = sample?.missed_frames > 0 ? "yes" : "no";
   // What is marked inside is marked outside, too: the figures may be folded away.
   const isBad = sample?.latency_ms?.warned === true || sample?.missed_frames > 0;
   document.getElementById("technical").dataset.bad = isBad ? "yes" : "no";
   document.getElementById("badge-simulated").hidden = !isSimulatedBeam;
+}
+
+/** Show what the gate rests on: each check of the measurement, and one that cannot work with the time of that. */
+function renderChecks(checks) {
+  const strip = document.getElementById("checks");
+  const key = JSON.stringify(checks.map((one) => [one.name, one.state, one.state === "on" ? 0 : Math.floor(one.seconds ?? 0), one.text]));
+  if (strip.dataset.key === key) return;
+  strip.dataset.key = key;
+  strip.replaceChildren(...(checks.length === 0 ? [NONE] : checks.map(check)));
+}
+
+function check({ name, state, seconds, text }) {
+  const time = state === "off" && seconds !== null ? ` ${Math.floor(seconds)} s` : "";
+  const item = part("span", `${tr(`checks.${name}`)}: ${tr(`checks.${state}`)}${time}`);
+  Object.assign(item.dataset, { check: name, state });
+  item.title = text;
+  return item;
 }
 
 /** Show how far the zero of the trace lies from the fraction's first reference; marked beyond the site's budget. */
