@@ -1505,6 +1505,7 @@ class WindowRequest(TypedDict):
     """Another window for a session that runs, with the conditions of the present one and other numbers."""
 
     operator: NotRequired[str]
+    reason: NotRequired[str]
     window: Window
 
 
@@ -1905,9 +1906,14 @@ class TidegateClient:
         *,
         operator: str | None = None,
         if_match: str | None = None,
+        reason: str = "",
     ) -> "SessionDetail":
-        """Set the window of a running session, on the same signals, while the gate is disarmed. Never repeated."""
-        return self._do(session_id, "window", SessionDetail, operator, if_match, {"window": window})
+        """Set the window of a running session, on the same signals, while the gate is disarmed. Never repeated.
+
+        Far beyond the fraction's first armed window a ``reason`` is required, of a person who logged in.
+        """
+        arguments: dict[str, object] = {"window": window} | ({"reason": reason} if reason else {})
+        return self._do(session_id, "window", SessionDetail, operator, if_match, arguments)
 
     def note_presence(self, session_id: str, *, operator: str | None = None) -> None:
         """Report that the person who is logged in sees this session: every second while they do. Refused to a key."""

@@ -39,7 +39,7 @@ from engine.gating.gate import Ending
 from engine.gating.supervision.operator_presence import OperatorPresence
 from engine.gating.supervision.supervisor import FrameSupervisor
 from engine.gating.window_change import SetWindow
-from engine.gating.windows import AmplitudeWindow, Join, JoinedWindow
+from engine.gating.windows import AmplitudeWindow, GateWindow, Join, JoinedWindow
 
 LEVEL_TOLERANCE_MM = 0.5
 """How far the level of a reference may differ from the one displayed; of the volume a tenth of a litre for each mm."""
@@ -93,6 +93,11 @@ class CommandHandler:
     def learned_ranges(self) -> Ranges:
         """The learned range of each signal of the window, for display; signals whose range is not known are absent."""
         return self._forecast.ranges
+
+    @property
+    def is_reason_needed(self) -> bool:
+        """Whether the window is armed by a person with a reason only: joined by or, or beyond the fraction's budget."""
+        return _has_ways(self._limits.current.window) or self._budget.is_reason_needed
 
     @property
     def arming_state(self) -> str:
@@ -154,6 +159,8 @@ class CommandHandler:
     def _set_window(self, command: SetWindow) -> None:
         """Use another window on the same signals; per cent are converted at once where the range is known."""
         ranges = self._learner.learned_ranges(command.window.choices)
+        self._controller.refuse_window_while_armed()
+        self._budget.check_window(self._limits.changed(command, ranges).limits.window, command)
         self._controller.set_window(command, ranges)
         self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], 0.0)
         self._resolved_for = None  # converted again with the next frame: by then a range may be known
@@ -235,17 +242,18 @@ class CommandHandler:
         self._refuse_other_head(command)
         self._refuse_unreasoned_way(command)
         self._forecast.refuse_free_breath()
+        self._budget.check_arming(command)
         self._line.rearm()
         if command.is_person:
             self._presence.note(command.operator)
         self._controller.decide(command, cause=Cause(operator=command.operator))
         if not self._controller.gate.is_armed:
             raise CommandRefusedError(f"a fault came up: {self._controller.gate.reason}")
+        self._budget.note_armed()
 
     def _refuse_unreasoned_way(self, command: Arm) -> None:
         """Refuse a window with several ways into the beam to a program, and without a person's reason."""
-        window = self._limits.current.window
-        if not isinstance(window, JoinedWindow) or window.join is not Join.OR:
+        if not _has_ways(self._limits.current.window):
             return
         if not command.is_person or not command.reason.strip():
             raise CommandRefusedError(
@@ -295,3 +303,8 @@ class CommandHandler:
         if inputs.queue_trouble is not None:
             raise CommandRefusedError(f"the fault persists ({inputs.queue_trouble}): nothing can be recorded")
         self._controller.acknowledge(command)
+
+
+def _has_ways(window: GateWindow) -> bool:
+    """Whether any one of several conditions permits the beam."""
+    return isinstance(window, JoinedWindow) and window.join is Join.OR

@@ -30,6 +30,8 @@ class EngineStatus:
         Range of each signal of the window in the training, against the present reference; for display alone.
     arming_state
         Hash of what an arming would take: window, its correction and times, reference, model and head direction.
+    is_reason_needed
+        Whether a person has to arm, with a reason: conditions joined by or, or a window beyond the fraction's budget.
     """
 
     run_state: LoopStatus = LoopStatus.STARTING
@@ -40,6 +42,7 @@ class EngineStatus:
     predicted_duty_percent: float | None = None
     learned_ranges: Ranges = field(default_factory=dict)
     arming_state: str = ""
+    is_reason_needed: bool = False
 
     @property
     def is_over(self) -> bool:

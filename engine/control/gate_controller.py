@@ -153,10 +153,14 @@ class GateController:
         self.decide(Ending(HoldReason.DISARMED, detail), cause=Cause(operator=command.operator, detail=detail))
         self._limits.use(corrected)
 
-    def set_window(self, command: SetWindow, ranges: Ranges) -> None:
-        """Gate by another window; refused while the gate is armed. Both windows are recorded."""
+    def refuse_window_while_armed(self) -> None:
+        """Raise CommandRefusedError while the gate is armed."""
         if self.gate.is_armed:
             raise CommandRefusedError("the gate is armed: disarm it before its window is set")
+
+    def set_window(self, command: SetWindow, ranges: Ranges) -> None:
+        """Gate by another window; refused while the gate is armed. Both windows are recorded."""
+        self.refuse_window_while_armed()
         change = self._limits.changed(command, ranges)
         before, after = self._limits.current.window, change.limits.window
         detail = f"the window was {window_text(before)} and is {window_text(after)}"

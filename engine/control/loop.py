@@ -336,6 +336,7 @@ class EngineLoop:
             predicted_duty_percent=self._handler.predicted_duty_percent,
             learned_ranges=self._handler.learned_ranges,
             arming_state=self._handler.arming_state,
+            is_reason_needed=self._handler.is_reason_needed,
         )
 
     def _run_once(self, commands: Iterable[QueuedCommand]) -> None:

@@ -1,15 +1,24 @@
-"""The budget that references and baseline corrections of a fraction share, measured from its first reference.
+"""The budget that references, baseline corrections and windows of a fraction share, measured from its first ones.
 
 Beyond it a person who may arm has to give a reason. What was moved in many small steps counts in full, because no step
-is measured from the one before.
+is measured from the one before. A window counts from the first one that was armed, by how far it reaches beyond that
+one; in a fraction that another session has begun, from the one that the session begins with. A person's reason makes
+the next window that is armed the first one.
 """
+
+import math
 
 from engine.control.roles import Learner
 from engine.control.session_limits import SessionLimits
-from engine.core.commands import CorrectBaseline, SetReference
+from engine.control.window_reach import PlacedWindow, placed_window, reach_beyond_mm
+from engine.core.commands import Arm, CorrectBaseline, SetReference
 from engine.core.errors import ReferenceDistanceError
 from engine.core.reference_distance import ReferenceDistance, SignalLevel
+from engine.gating.active_window import window_text
+from engine.gating.window_change import SetWindow
+from engine.gating.windows import GateWindow
 
+MAX_ROUNDING_MM = 1e-6
 NO_REASON = "beyond it a person who may arm has to give a reason"
 NOT_ALLOWED = "beyond it only a person who may arm can go, with a reason"
 
@@ -19,6 +28,9 @@ class ReferenceBudget:
 
     def __init__(self, learner: Learner, limits: SessionLimits) -> None:
         self._learner, self._limits = learner, limits
+        self._begun_with = placed_window(limits.current.window, None)
+        self._armed_first: PlacedWindow | None = None
+        self._has_reason = False
 
     def present(self) -> ReferenceDistance | None:
         """Return how far reference and window lie from the fraction's first reference; None without a reference."""
@@ -35,6 +47,7 @@ class ReferenceBudget:
         """
         distance = self._learner.reference_distance(command.moment)
         if self._may_exceed(command):
+            self._has_reason = True
             return None
         if distance is not None:
             self._refuse_beyond("reference", distance, command)
@@ -50,9 +63,46 @@ class ReferenceBudget:
         ReferenceDistanceError
             Beyond the budget, without a person's reason.
         """
-        self._limits.corrected(command.by)
+        corrected = self._limits.corrected(command.by)
         if not self._may_exceed(command):
             self._refuse_beyond("by", self._now().corrected(command.by), command)
+            self._refuse_reach("by", corrected.window, command)
+        self._has_reason = self._may_exceed(command)
+
+    def check_window(self, window: GateWindow, command: SetWindow) -> None:
+        """Refuse a window that reaches further beyond the fraction's first than the budget; per cent at its arming.
+
+        Raises
+        ------
+        ReferenceDistanceError
+            Beyond the budget, without a person's reason.
+        """
+        if not self._may_exceed(command):
+            self._refuse_reach("window", window, command)
+        self._has_reason = self._may_exceed(command)
+
+    def check_arming(self, command: Arm) -> None:
+        """Refuse to arm a window beyond the budget, as references, corrections and per cent have made it.
+
+        Raises
+        ------
+        ReferenceDistanceError
+            Beyond the budget, without a person's reason, given now or with what led to it.
+        """
+        if not self._has_reason and not (command.is_person and command.reason.strip()):
+            self._refuse_reach("window", self._limits.current.window, command)
+
+    @property
+    def is_reason_needed(self) -> bool:
+        """Whether the present window is armed with a person's reason only."""
+        reach_mm = self._reach_mm(self._limits.current.window)
+        return not self._has_reason and not self._is_within(reach_mm)
+
+    def note_armed(self) -> None:
+        """Count from the window that was armed: the fraction's first, or one for which a person gave a reason."""
+        if self._first is None or not self._is_within(self._reach_mm(self._limits.current.window)):
+            self._armed_first = placed_window(self._limits.current.window, self._learner.status.reference_distance)
+        self._has_reason = False
 
     def _now(self) -> ReferenceDistance:
         """Return the present distance; that of the correction alone before a reference is set."""
@@ -65,6 +115,31 @@ class ReferenceBudget:
             advice = NO_REASON if command.may_exceed else NOT_ALLOWED
             raise ReferenceDistanceError(field, distance.text, f"within {budget_mm:g} mm of it", advice)
 
+    def _refuse_reach(self, field: str, window: GateWindow, command: SetWindow | CorrectBaseline | Arm) -> None:
+        reach_mm, budget_mm = self._reach_mm(window), self._limits.current.max_reference_distance_mm
+        if self._is_within(reach_mm):
+            return
+        may_exceed = command.is_person if isinstance(command, Arm) else command.may_exceed
+        how_far = f"{reach_mm:.2f} mm" if math.isfinite(reach_mm) else "phases"
+        value = f"{window_text(window)}, {how_far} beyond the fraction's first"
+        advice = NO_REASON if may_exceed else NOT_ALLOWED
+        raise ReferenceDistanceError(field, value, f"within {budget_mm:g} mm of it", advice)
+
+    @property
+    def _first(self) -> PlacedWindow | None:
+        """The fraction's first window; None where none was armed yet, or it is in per cent."""
+        is_continued = self._armed_first is None and self._learner.status.is_fraction_continued
+        return self._begun_with if is_continued else self._armed_first
+
+    def _reach_mm(self, window: GateWindow) -> float:
+        """Return how far a window reaches beyond the fraction's first [mm]; 0 for none, and while it is in per cent."""
+        placed = placed_window(window, self._learner.status.reference_distance)
+        first = self._first
+        return 0.0 if first is None or placed is None else reach_beyond_mm(first, placed)
+
+    def _is_within(self, reach_mm: float) -> bool:
+        return reach_mm <= self._limits.current.max_reference_distance_mm + MAX_ROUNDING_MM
+
     @staticmethod
-    def _may_exceed(command: SetReference | CorrectBaseline) -> bool:
+    def _may_exceed(command: SetReference | CorrectBaseline | SetWindow) -> bool:
         return command.may_exceed and bool(command.reason.strip())

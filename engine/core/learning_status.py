@@ -37,6 +37,8 @@ class LearningStatus:
         Where the reference in use lies against the plan's position; None without one, and in the plan's first fraction.
     is_position_required
         Whether another fraction of the plan has a position, so that a person has to sign this one.
+    is_fraction_continued
+        Whether another session has set the fraction's first reference.
     """
 
     model: MotionModel | None = None
@@ -50,3 +52,4 @@ class LearningStatus:
     patient_match: PatientMatch | None = None
     position_check: PositionCheck | None = None
     is_position_required: bool = False
+    is_fraction_continued: bool = False

@@ -23,6 +23,10 @@ class SetWindow:
         As prescribed, in mm, l or per cent; drops a baseline correction.
     dwell_ms, min_on_ms, min_off_ms, max_cycles_per_min
         As in :class:`engine.gating.limits.GateLimits`.
+    reason
+        Required beyond the budget from the fraction's first armed window.
+    may_exceed
+        Whether the operator is a person who may arm: with a reason, the budget may be exceeded.
     """
 
     operator: str
@@ -31,6 +35,8 @@ class SetWindow:
     min_on_ms: float
     min_off_ms: float
     max_cycles_per_min: int
+    reason: str = ""
+    may_exceed: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -96,7 +96,11 @@ class OperatorCall:
 
     def set_window(self, session_id: str, request: sessions.WindowRequest) -> sessions.SessionDetail:
         """Gate by another window."""
-        return self.act(session_id, request.operator, partial(self.services.runner.set_window, window=request.window))
+
+        def submit(session_id: str, operator: str) -> sessions.SessionDetail:
+            return self.services.runner.set_window(session_id, operator, request, may_exceed=self._may_exceed)
+
+        return self.act(session_id, request.operator, submit)
 
     @property
     def _may_exceed(self) -> bool:

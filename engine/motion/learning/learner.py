@@ -144,6 +144,7 @@ class Learner:
             patient_match=self._patient_match,
             position_check=self._position_check if has_reference else None,
             is_position_required=self._history.has_plan,
+            is_fraction_continued=self._history.is_continued,
         )
 
     def _shortcoming(self) -> str | None:

@@ -79,10 +79,11 @@ class ReferenceHistory:
         self._plan: FirstReference | None = None
         self._unknown = ""
         self._is_camera_lost = False
+        self.is_continued = False
 
     def restore(self, first: FirstReference) -> None:
         """Continue a fraction whose first reference was confirmed in an earlier session."""
-        self._first = first
+        self._first, self.is_continued = first, True
         if first.calibration_sha256 != self._calibration_sha256:
             self._unknown = OTHER_CAMERA
         elif first.layout_sha256 != self._layout_sha256:

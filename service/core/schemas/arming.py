@@ -43,7 +43,10 @@ class ArmingSummary(Answer):
     window: Window = Field(description="As prescribed")
     gate_window: LiveWindow | None = Field(description="As the gate applies it; null until a frame was decided on")
     predicted_duty_percent: float | None
-    needs_reason: bool = Field(description="The window joins conditions by `or`: a person arms it, with a reason")
+    needs_reason: bool = Field(
+        description="A person has to arm, with a reason: the window joins conditions by `or`, or reaches beyond the"
+        " fraction's first armed one by more than the budget of references"
+    )
     state: str = Field(
         description="Hash of window, its correction and times, reference, model and head direction; empty while the"
         " session does not run"

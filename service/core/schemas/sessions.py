@@ -190,6 +190,13 @@ class WindowRequest(OperatorRequest):
     window: Window = Field(
         description="Conditions of the same kinds, on the same signals, in the same order as the session's window"
     )
+    reason: str = Field(
+        default="",
+        max_length=1_000,
+        description="Required if the window reaches beyond the fraction's first armed one by more than the budget of"
+        " references: from a person who may arm",
+        examples=["the plan was adapted"],
+    )
 
 
 class ArmRequest(OperatorRequest):

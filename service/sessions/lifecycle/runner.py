@@ -25,7 +25,6 @@ from engine.core.reference_proposal import ReferenceMoment
 from service.core.errors import BoundError, PictureMissingError
 from service.core.schemas import sessions
 from service.core.schemas.gate import BaselineCorrectionRequest
-from service.core.schemas.windows import Window
 from service.engine_host.roles import CommandName, LiveFrame, Picture, RunningSession
 from service.sessions.lifecycle.acknowledgement import Acknowledgement
 from service.sessions.lifecycle.baseline_correction import (
@@ -289,9 +288,11 @@ class SessionRunner:
             )
         return self._records.detail(session_id)
 
-    def set_window(self, session_id: str, operator: str, window: Window) -> sessions.SessionDetail:
-        """Gate by another window; refused while the gate is armed."""
-        self._window_setting.set_window(session_id, operator, window)
+    def set_window(
+        self, session_id: str, operator: str, request: sessions.WindowRequest, *, may_exceed: bool
+    ) -> sessions.SessionDetail:
+        """Gate by another window; refused while the gate is armed. ``may_exceed`` as for a reference."""
+        self._window_setting.set_window(session_id, operator, request, may_exceed=may_exceed)
         return self._records.detail(session_id)
 
     def note_presence(self, session_id: str, operator: str) -> None:

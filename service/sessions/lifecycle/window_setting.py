@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from engine.control.outputs import LiveView
 from engine.gating.limits import GateLimits
 from engine.gating.window_change import SetWindow
+from service.core.schemas import sessions
 from service.core.schemas.windows import Window
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot
@@ -27,8 +28,8 @@ class WindowSetting:
     database: Database
     settings: Settings
 
-    def set_window(self, session_id: str, operator: str, window: Window) -> None:
-        """Have the engine gate by ``window``, then store it as the session's.
+    def set_window(self, session_id: str, operator: str, request: sessions.WindowRequest, *, may_exceed: bool) -> None:
+        """Have the engine gate by the window, then store it as the session's.
 
         Raises
         ------
@@ -36,15 +37,18 @@ class WindowSetting:
             Wider than the site allows, or on other signals than the session's window.
         CommandRefusedError
             The gate is armed.
+        ReferenceDistanceError
+            Beyond the fraction's budget, without a person's reason.
         SessionStateError
             The session does not run.
         """
+        window, reason = request.window, request.reason.strip()
         running = self.equipment.of(session_id)
         before = None if running is None else running.engine.status.view
         detail: dict[str, object] = {
             "window": window.model_dump(mode="json", exclude_none=True),
             "window_before": None if before is None else window_detail(before),
-        }
+        } | ({"reason": reason} if reason else {})
         log = self.commander.log
         with log.refusals(actor=operator, action=ACTION, session_id=session_id, detail=detail):
             plan = self.commander.running(session_id).plan
@@ -56,6 +60,8 @@ class WindowSetting:
             min_on_ms=limits.min_on_ms,
             min_off_ms=limits.min_off_ms,
             max_cycles_per_min=limits.max_cycles_per_min,
+            reason=reason,
+            may_exceed=may_exceed,
         )
 
         def store(engine: RunningEngine) -> dict[str, object]:

@@ -58,7 +58,7 @@ class ArmingSummaries:
             window=detail.window,
             gate_window=detail.gate_window,
             predicted_duty_percent=detail.predicted_duty_percent,
-            needs_reason=detail.window.join == "or" and bool(detail.window.further),
+            needs_reason=running is not None and running.engine.status.is_reason_needed,
             state=state,
         )
 

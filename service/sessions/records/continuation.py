@@ -1,6 +1,7 @@
 """Sessions that continue an earlier one of their fraction, as after a crash.
 
-Only the earlier beam-on time is kept, to be shown: gate, reference and the rules of arming know nothing of it.
+The earlier beam-on time is kept, to be shown. What is gated stays the same: another window, head direction, calibration
+or other regions would escape the budget of the fraction (:mod:`engine.control.reference_budget`).
 """
 
 from sqlalchemy.orm import Session
@@ -11,7 +12,10 @@ from service.storage.database import queries
 from service.storage.database.tables import SessionRow
 
 FIELD = "continues"
-SAME = ("patient_reference", "plan_id", "fraction_id", "fraction_number", "rt_plan_id", "is_simulated_beam")
+SAME = (
+    *("patient_reference", "plan_id", "fraction_id", "fraction_number", "rt_plan_id", "is_simulated_beam"),
+    *("window", "regions", "head_direction", "calibration_id"),
+)
 
 
 def continued(db: Session, row: SessionRow) -> dict[str, object]:

@@ -96,7 +96,11 @@ COMMAND_ERRORS = (
 ASK = problems(*COMMAND_ERRORS)
 MOVE = problems(*COMMAND_ERRORS, ReferenceDistanceError)
 SIGN = problems(*COMMAND_ERRORS, PositionUncheckedError)
-ARM = problems(*COMMAND_ERRORS, HeadDirectionError, PositionUncheckedError, QaOverdueError, CameraLatencyError)
+WINDOW = problems(*COMMAND_ERRORS, BoundError, ReferenceDistanceError)
+ARM = problems(
+    *COMMAND_ERRORS,
+    *(HeadDirectionError, PositionUncheckedError, QaOverdueError, CameraLatencyError, ReferenceDistanceError),
+)
 
 
 @router.post("", status_code=201, name="session.create", responses=CREATE)
@@ -266,13 +270,18 @@ def correct_baseline(
     return call.correct_baseline(session_id, request)
 
 
-@router.post("/{session_id}/window", name="session.window", responses=problems(*COMMAND_ERRORS, BoundError))
+@router.post(
+    "/{session_id}/window",
+    name="session.window",
+    responses=problems(*COMMAND_ERRORS, BoundError, ReferenceDistanceError),
+)
 def set_window(
     session_id: dependencies.SessionId, request: sessions.WindowRequest, call: Operated
 ) -> sessions.SessionDetail:
     """Set the window of a running session, once its breathing is known; refused while the gate is armed.
 
-    Signals and kinds of conditions stay those of the session. A baseline correction ends with it.
+    Signals and kinds of conditions stay those of the session. A baseline correction ends with it. Far beyond the
+    fraction's first armed window it needs a person who may arm, and a reason.
     """
     return call.set_window(session_id, request)
 

@@ -144,6 +144,7 @@ class RecordingPipeline:
         self.distance_of_next: ReferenceDistance | None = None
         self.distance: ReferenceDistance | None = None
         self.is_position_required = False
+        self.is_fraction_continued = False
         self.position_check: PositionCheck | None = None
         self.surface_mm: FloatArray | None = None
         self.zero_number = 1
@@ -181,6 +182,7 @@ class RecordingPipeline:
             reference_proposals=self.proposals,
             reference_distance=self.distance if self.has_reference else None,
             is_position_required=self.is_position_required,
+            is_fraction_continued=self.is_fraction_continued,
             position_check=self.position_check if self.has_reference else None,
         )
 

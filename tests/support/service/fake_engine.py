@@ -119,6 +119,7 @@ class FakeRunning:
         self.arming_state = "5e" * 16
         self.armed_by: str | None = None
         self.beam_on: BeamOnState | None = None
+        self.is_reason_needed = False
         self.checks: tuple[CheckState, ...] = ()
         self.camera_ms: float | None = None
         self.gate = GateState.DISARMED
@@ -182,6 +183,7 @@ class FakeRunning:
             learning=learning,
             learned_ranges=self.learned_ranges,
             arming_state=self.arming_state,
+            is_reason_needed=self.is_reason_needed,
         )
 
     def picture(self):

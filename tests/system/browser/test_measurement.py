@@ -59,7 +59,7 @@ def test_what_the_gate_rests_on_is_shown_with_the_time_of_a_check_that_is_off(fa
     fake.mode, fake.sample = "samples", sample(checks=checks(color="never", camera="off"))
     strip = tab.open("hold").locator("#checks")
     expect(strip.locator("span")).to_have_text(
-        ["surface: on", "colour: never on", "couch: off 4 s", "markers: on", "clock: on"]
+        ["✓ surface", "✕ colour never on", "✕ couch off 4 s", "✓ markers", "✓ clock"]
     )
     expect(strip.locator("[data-state=off]")).to_have_attribute("title", "camera is off")
     fake.sample = sample(checks=[])

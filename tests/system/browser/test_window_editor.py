@@ -148,6 +148,20 @@ def test_a_refusal_leaves_it_open_and_names_the_bound(fake: FakeService, tab: Ta
     expect(page.locator("#window-editor")).to_be_visible()
 
 
+def test_beyond_the_budget_it_asks_for_a_reason_and_sends_it(fake: FakeService, tab: Tab):
+    page = opened(fake, tab)
+    reason = page.locator("#window-editor [name=reason]")
+    expect(reason).to_be_hidden()
+    fake.problem = (409, {"code": "reference_distance", "detail": "10 mm beyond the fraction's first"})
+    page.click("#window-apply")
+    expect(page.locator("#outcome")).to_contain_text("beyond the fraction's first")
+    reason.fill("the plan was adapted")
+    fake.problem = None
+    page.click("#window-apply")
+    expect(page.locator("#window-editor")).to_be_hidden()
+    assert windows(fake)[-1]["reason"] == "the plan was adapted"
+
+
 def test_other_conditions_stay_and_a_phase_alone_is_not_edited(fake: FakeService, tab: Tab):
     joined = {"kind": "phase", "signal": "whole", "from_percent": 30.0, "to_percent": 70.0, "min_confidence": 0.6}
     fake.sessions[0]["window"] = fake.sessions[0]["window"] | {"further": [joined]}

@@ -139,7 +139,8 @@ export async function readArming(id) {
   if (!response.ok) throw new ApiError(response.status, answer ?? {});
   return { answer, etag: response.headers.get("ETag") };
 }
-export const setWindow = (id, operator, window) => call("POST", `${session(id)}/window`, { operator, window });
+/** `reason` may be empty; beyond the budget from the fraction's first armed window it may not. */
+export const setWindow = (id, operator, window, reason) => call("POST", `${session(id)}/window`, { operator, window, ...(reason === "" ? {} : { reason }) });
 export const retrain = (id, operator, keepsReference) =>
   call("POST", `${session(id)}/models/retrain`, { operator, keeps_reference: keepsReference });
 /** `unit` is mm or l; `by` and `drift` are the displayed values that the person confirms; `reason` may be empty. */

@@ -127,9 +127,30 @@ def test_no_key_goes_beyond_even_with_a_reason(client, session_id, running):
     assert not any(isinstance(command, SetReference) for command in running.commands)
 
 
+WINDOW = {"signal": "whole", "lower_mm": -2.0, "upper_mm": 1.5, "dwell_ms": 250.0}
+
+
+@pytest.mark.parametrize("is_key", [False, True])
+def test_a_window_beyond_the_budget_is_a_person_s_with_a_reason_which_the_audit_keeps(
+    client, session_id, running, is_key
+):
+    running.frame()
+    headers = {}
+    if is_key:
+        client.speaks_as, desk = None, client.desk
+        made = desk.keys.create("planning", KEY_PERMISSIONS, desk.store.now() + timedelta(days=1), by="test")
+        headers = {"Authorization": f"Bearer {made.secret}"}
+    body = {"operator": "A. Therapist", "window": WINDOW, "reason": " adapted "}
+    assert client.post(f"{URL}/{session_id}/window", json=body, headers=headers).status_code == 200
+    assert (running.commands[-1].reason, running.commands[-1].may_exceed) == ("adapted", not is_key)
+    if not is_key:
+        assert audit_rows(client, "session.window")[-1]["detail"]["reason"] == "adapted"
+
+
 @pytest.mark.parametrize(
     ("path", "body", "field"),
     [
+        ("window", {"window": WINDOW}, "window"),
         ("reference", {"at": "now"}, "reference"),
         ("baseline-correction", {"by_mm": 1.5, "drift_mm": 1.6}, "by_mm"),
     ],
@@ -137,7 +158,7 @@ def test_no_key_goes_beyond_even_with_a_reason(client, session_id, running):
 def test_a_refusal_names_field_distance_and_budget(client, session_id, running, path, body, field):
     running.breaths = (Breath(drift=1.6),)
     running.frame()
-    running.refuse_with = TOO_FAR if field == "by_mm" else ReferenceDistanceError("reference", *TOO_FAR_PARTS)
+    running.refuse_with = TOO_FAR if field == "by_mm" else ReferenceDistanceError(field, *TOO_FAR_PARTS)
     answer = client.post(f"{URL}/{session_id}/{path}", json={"operator": "A. Therapist", **body})
     assert answer.status_code == 409
     problem = answer.json()

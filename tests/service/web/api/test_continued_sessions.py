@@ -80,6 +80,18 @@ def test_another_fraction_number_is_refused(client, session_body, earlier):
     assert "fraction_number" in refused(create(client, session_body, fraction_number=17, continues=earlier))
 
 
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("window", {"signal": "whole", "lower_mm": -1.0, "upper_mm": 8.0}),
+        ("head_direction", "bottom"),
+        ("regions", {"extra_markers": True}),
+    ],
+)
+def test_another_gate_is_no_continuation(client, session_body, earlier, field, value):
+    assert field in refused(create(client, session_body | {field: value}, continues=earlier))
+
+
 def test_a_simulated_beam_is_no_time_of_a_real_one(client, engine, session_body, earlier):
     engine.is_simulated_beam = False
     assert "is_simulated_beam" in refused(create(client, session_body, continues=earlier))

@@ -41,7 +41,8 @@ function renderChecks(checks) {
 
 function check({ name, state, seconds, text }) {
   const time = state === "off" && seconds !== null ? ` ${Math.floor(seconds)} s` : "";
-  const item = part("span", `${tr(`checks.${name}`)}: ${tr(`checks.${state}`)}${time}`);
+  const label = tr(`checks.${name}`);
+  const item = part("span", state === "on" ? `✓ ${label}` : `✕ ${label} ${tr(`checks.${state}`)}${time}`);
   Object.assign(item.dataset, { check: name, state });
   item.title = text;
   return item;

@@ -22,6 +22,7 @@ export class WindowEditor {
   constructor(form, trace, controls) {
     Object.assign(this, { form, trace, controls, session: null, sample: null, unit: "mm", grip: null, drawnMs: -Infinity, isWaiting: true });
     this.opener = byId("do-window");
+    this.reason = this.form.elements.reason;
     this.opener.addEventListener("click", () => (this.isOpen ? this.close() : this.#open()));
     byId("window-cancel").addEventListener("click", () => this.close());
     form.addEventListener("submit", (event) => this.#submit(event));
@@ -105,6 +106,7 @@ export class WindowEditor {
     this.form.elements.unit.options[1].value = this.#length;
     this.unit = isInPercent || this.#range() !== null ? "percent" : this.#length;
     this.form.elements.unit.value = this.unit;
+    Object.assign(this.reason, { value: "", hidden: true });
     this.form.elements.dwell_ms.value = this.session.window.dwell_ms ?? 0;
     const toUnit = (value) => (isInPercent || this.unit !== "percent" ? value : this.#inPercent(value));
     this.#enter(toUnit(shown.lower), toUnit(shown.upper));
@@ -241,7 +243,12 @@ export class WindowEditor {
     Object.assign(target, { [`lower_${this.unit}`]: edges.lower, [`upper_${this.unit}`]: edges.upper });
     window.dwell_ms = this.form.elements.dwell_ms.valueAsNumber;
     this.controls.run("window", async () => {
-      await setWindow(id, this.controls.operatorName, window);
+      try {
+        await setWindow(id, this.controls.operatorName, window, this.reason.value.trim());
+      } catch (error) {
+        if (error.code === "reference_distance") this.reason.hidden = false;
+        throw error;
+      }
       this.close();
     });
   }
