@@ -51,6 +51,10 @@ class Verdict(NamedTuple):
     has_left: bool = False
 
 
+SURE_RATE = 0.5
+"""Least confidence of a breathing rate by which the beam is held."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LastFrame:
     """Summary of the frames so far, with which the next one is compared.
@@ -334,4 +338,17 @@ def refuse_irregular(frame: Measurement, holding: frozenset[BreathEventKind]) ->
         for event in breath.events:
             if event.kind in holding:
                 return unusable(HoldReason.BREATHING_IRREGULAR, f"{event.kind}: {event.detail}")
+    return None
+
+
+def refuse_rate(frame: Measurement, limits: GateLimits) -> Verdict | None:
+    """Hold where the gated breathing is slower or faster than is gated, if its rate is known well enough."""
+    low, high = limits.min_breaths_per_min, limits.max_breaths_per_min
+    for breath in frame.breaths:
+        rate = breath.rate_per_min
+        if rate is None or breath.signal not in limits.window.choices or breath.rate_confidence < SURE_RATE:
+            continue
+        if not low <= rate <= high:
+            detail = f"{breath.signal.label}: {rate:.0f} breaths a minute, {low:g} to {high:g} are gated"
+            return unusable(HoldReason.BREATHING_IRREGULAR, detail)
     return None

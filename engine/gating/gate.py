@@ -24,6 +24,7 @@ from engine.gating.frame_checks import (
     fault,
     last_frame,
     refuse_irregular,
+    refuse_rate,
     unusable,
 )
 from engine.gating.limits import GateLimits, ns_from_ms
@@ -306,7 +307,8 @@ def _judge_window(gate: Gate, frame: Measurement, motion: Motion, now_ns: int, l
     found = window.judge(WindowInput(motion, frame.breaths, frame.timestamp_us), states)
     if not found.is_inside:
         return Verdict(EventKind.OUTSIDE, found.reason, found.detail, found.states, found.has_left)
-    irregular = None if is_held(window, found.states) else refuse_irregular(frame, limits.holding_events)
+    is_breath_held = is_held(window, found.states)
+    irregular = None if is_breath_held else refuse_irregular(frame, limits.holding_events) or refuse_rate(frame, limits)
     refused = irregular or _on_too_long(gate, now_ns, limits)
     if refused is not None:
         return refused

@@ -123,8 +123,10 @@ INTERLOCKS: tuple[Interlock, ...] = (
     _row(_R.VALUE_INVALID, "a value that is not a number, or impossible"),
     _row(
         _R.BREATHING_IRREGULAR,
-        "breathing has ceased (and no breath is held), or a cough, speech, an irregular breath where the site chose so",
+        "breathing has ceased, or is too fast or slow (and no breath is held); a cough, where the site chose so",
         "holding_events",
+        "min_breaths_per_min",
+        "max_breaths_per_min",
     ),
     _row(_R.MODEL_MISSING, "no motion model"),
     _row(_R.MODEL_OLD, "the model was trained or compared too long ago", "max_model_age_min"),

@@ -116,6 +116,9 @@ class GateLimits:
         and that of the plan's position. Beyond them a person who may arm has to give a reason.
     window_lower_mm, window_upper_mm
         Bounds of the window's edges, after conversion and correction; arming is refused beyond them.
+    min_breaths_per_min, max_breaths_per_min
+        Rate of the gated breathing within which the beam may be on; where the rate is known well enough, and no breath
+        is held. Makers of accelerators ask for 1 to 30.
     holding_events
         Breathing events that hold the beam. While a breath is held in a window for it, only those hold that no breath
         hold resembles (`EVENTS_OF_A_BREATH_HOLD`).
@@ -173,6 +176,8 @@ class GateLimits:
     window_upper_mm: float = 100.0
     is_calibrated: bool = True
     head_direction: HeadDirection | None = None
+    min_breaths_per_min: float = 1.0
+    max_breaths_per_min: float = 30.0
     holding_events: frozenset[BreathEventKind] = BREATHING_CEASED
     needs_all_checks: bool = False
     is_played: bool = False
@@ -242,6 +247,8 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "max_position_shift_mm": (0.5, 20.0),
     "max_position_turn_deg": (0.2, 10.0),
     "max_position_shape_mm": (0.5, 20.0),
+    "min_breaths_per_min": (0.5, 30.0),
+    "max_breaths_per_min": (10.0, 60.0),
     "window_lower_mm": (-100.0, 100.0),
     "window_upper_mm": (-100.0, 100.0),
 }

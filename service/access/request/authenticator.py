@@ -1,6 +1,6 @@
 """Authenticates a request by its headers, from memory alone: no database, no argon2, some microseconds."""
 
-from datetime import timedelta
+from datetime import datetime, timedelta
 
 from starlette.datastructures import Headers
 
@@ -16,6 +16,9 @@ from service.access.screens.screens import ScreenService
 from service.core.permissions import KEY_PERMISSIONS, Permission, permissions_of
 
 LONGEST_TOKEN = 16_384
+
+MOST_MACHINES = 1_000
+"""Beyond so many machines, those whose tokens have expired are forgotten."""
 
 
 class Authenticator:
@@ -33,6 +36,7 @@ class Authenticator:
         self._idle = idle
         self._cookies = cookies
         self.machine_verifier: MachineVerifier | None = None
+        self._machines_until: dict[str, datetime] = {}
 
     def identify(self, headers: Headers) -> Identity | None:
         """Return the sender, None if unauthenticated; with an Authorization header the cookie is not read."""
@@ -67,13 +71,14 @@ class Authenticator:
     def is_present(self, actor: str) -> bool:
         """Whether an audit's actor could still hold or disarm, from any browser; does not count as use of a log-in.
 
-        A machine with a token of the identity provider counts as present: only its last token is known.
+        A machine with tokens of the identity provider is present until the last of them that it sent expires.
         """
         if actor.startswith(KEY_PREFIX):
             keys = tuple(self._store.keys.values())
             return any(actor_of(key) == actor and self._keys.is_valid(key.id) for key in keys)
         if actor.startswith(MACHINE_PREFIX):
-            return True
+            until = self._machines_until.get(actor)
+            return until is not None and self._store.now() < until
         user = self._store.users.get(name_key(actor))
         if user is None:
             return False
@@ -92,7 +97,18 @@ class Authenticator:
         if token.startswith(TOKEN_PREFIX):
             key = self._keys.find(token)
             return None if key is None else self._machine(key)
-        return None if self.machine_verifier is None else self.machine_verifier.identify(token)
+        machine = None if self.machine_verifier is None else self.machine_verifier.identify(token)
+        if machine is not None and machine.until is not None:
+            self._note_machine(machine.name, machine.until)
+        return machine
+
+    def _note_machine(self, name: str, until: datetime) -> None:
+        """Keep until when a machine's newest token is valid; tokens may arrive in any order."""
+        known = self._machines_until
+        if len(known) >= MOST_MACHINES and name not in known:
+            now = self._store.now()
+            known = {one: end for one, end in known.items() if end > now}
+        self._machines_until = known | {name: max(until, known.get(name, until))}
 
     def _machine(self, key: ApiKey) -> Identity:
         self._store.last_used[key.id] = self._store.now()

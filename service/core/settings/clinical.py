@@ -63,6 +63,12 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
         low=1_000.0, high=60_000.0, reason="makers of accelerators ask for a second between beam off and beam on"
     ),
     "max_cycles_per_min": ClinicalBound(low=1, high=60, reason="with a second off before each, no more are possible"),
+    "min_breaths_per_min": ClinicalBound(
+        low=1.0, high=30.0, reason="makers of accelerators gate 1 to 30 breaths a minute"
+    ),
+    "max_breaths_per_min": ClinicalBound(
+        low=10.0, high=30.0, reason="makers of accelerators gate 1 to 30 breaths a minute"
+    ),
     # Where the patient may be.
     "max_shift_mm": ClinicalBound(
         low=1.0, high=4.0, reason=f"{TG_302}, and 2 mm by which markers follow the breath along the couch"

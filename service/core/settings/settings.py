@@ -179,6 +179,8 @@ class Settings(
     max_unwritten_ms: float = _limit("max_unwritten_ms")
     max_service_silence_ms: float = _limit("max_service_silence_ms")
     operator_timeout_s: float = _limit("operator_timeout_s")
+    min_breaths_per_min: float = _limit("min_breaths_per_min")
+    max_breaths_per_min: float = _limit("max_breaths_per_min")
     beam_without_calibration: bool = Field(
         default=True, description="A session on the camera's own registration may be armed: research only"
     )

@@ -1,7 +1,7 @@
 """Rule: a calibration belongs to the camera with its serial number.
 
 Another unit of the same make has another scale by per cents, and the region shifted, and nothing else shows it. In
-clinical mode another camera is refused; otherwise the session carries a warning. A recording does not contain the
+clinical mode another camera is refused, and one that cannot be compared; otherwise the session carries a warning. A recording does not contain the
 serial number of its camera, and the camera's own registration belongs to no unit.
 """
 
@@ -47,7 +47,7 @@ def serial_warning(calibration: Calibration, camera: SourceDescription) -> Seria
 
 
 def checked_camera(source: LiveSource, calibration: Calibration, settings: Settings) -> LiveSource:
-    """Return a source that refuses another camera when it is opened, in clinical mode."""
+    """Return a source that refuses, in clinical mode, a camera that is not known to be the calibrated one."""
     if settings.mode != "clinical":
         return source
     return CheckedSource(source, partial(_refuse_mismatch, calibration))
@@ -55,5 +55,5 @@ def checked_camera(source: LiveSource, calibration: Calibration, settings: Setti
 
 def _refuse_mismatch(calibration: Calibration, camera: SourceDescription) -> None:
     warning = serial_warning(calibration, camera)
-    if warning is not None and warning.code == "camera_mismatch":
+    if warning is not None:
         raise CameraMismatchError(warning.text)

@@ -1,6 +1,7 @@
 """An armed gate belongs to somebody who is there: whose log-in ends, by whatever way, has the beam held."""
 
 from datetime import timedelta
+from types import SimpleNamespace
 
 import pytest
 from sqlalchemy.exc import OperationalError
@@ -9,6 +10,7 @@ from engine.core.commands import Arm, HoldBeam, ReleaseBeam
 from service.access import armed_operator
 from service.access.accounts.people import Change
 from service.access.armed_operator import ArmedOperator
+from service.access.request.identity import Identity
 from service.core.errors import EngineTimeoutError
 from service.core.permissions import KEY_PERMISSIONS, Role
 from service.engine_host.equipment import ArmedSession
@@ -123,10 +125,25 @@ def test_a_machine_whose_key_is_revoked_is_not_there(client, session_id, armed):
     assert len(holds(armed)) == 1
 
 
-def test_a_machine_of_the_identity_provider_counts_as_there(client):
-    is_present = client.desk.authenticator.is_present
+def test_a_machine_of_the_identity_provider_is_there_until_its_newest_token_expires(client):
+    authenticator, now = client.desk.authenticator, client.desk.store.now()
+    ends = {"short": now + timedelta(minutes=5), "long": now + timedelta(minutes=9), "over": now - timedelta(seconds=1)}
+
+    def identify(token):
+        return Identity(kind="machine", name="machine:m", permissions=frozenset(), until=ends[token])
+
+    authenticator.machine_verifier = SimpleNamespace(identify=identify)
+    is_present = authenticator.is_present
+    assert not any(map(is_present, ["machine:m", "nobody", "key:nobody", "m"]))
+    authenticator.identify({"authorization": "Bearer over"})
+    assert not is_present("machine:m")
+    authenticator.identify({"authorization": "Bearer long"})
+    authenticator.identify({"authorization": "Bearer short"})  # an older token that is still sent shortens nothing
     assert is_present("machine:m")
-    assert not any(map(is_present, ["nobody", "key:nobody", "m"]))
+    client.desk.store.now = lambda: ends["short"]
+    assert is_present("machine:m")
+    client.desk.store.now = lambda: ends["long"]
+    assert not is_present("machine:m")
 
 
 def test_the_look_is_every_second_and_goes_on_after_a_failure():

@@ -143,6 +143,17 @@ def test_a_page_that_did_not_arm_speaks_for_nobody_while_a_person_s_gate_is_arme
 
 
 @pytest.mark.parametrize("sample", [DISARMED, BEAM_ON | {"armed_by": "key:planning"}], ids=["disarmed", "by a program"])
+def test_a_screen_in_the_distance_view_is_nobody_who_is_there(fake: FakeService, stepped: SteppedPage, sample: dict):
+    fake.person = ADA
+    stepped.open(sample)
+    stepped.page.evaluate("document.body.dataset.view = 'distance'")
+    stepped.advance(400)
+    told = len(calls_to(fake, "presence"))
+    stepped.advance(3_000)
+    assert len(calls_to(fake, "presence")) == told
+
+
+@pytest.mark.parametrize("sample", [DISARMED, BEAM_ON | {"armed_by": "key:planning"}], ids=["disarmed", "by a program"])
 def test_where_no_person_answers_for_the_gate_each_page_of_who_may_arm_tells_that_they_are_there(
     fake: FakeService, stepped: SteppedPage, sample: dict
 ):

@@ -346,7 +346,7 @@ function render() {
   sounds.update(view, running, activeAlarms, nowMs);
   baseline.update(view.isCurrent ? running : null);
   coach.tend(running, nowMs);
-  presence.tend(running, access.may("arm") ? controls.operatorName : "", nowMs);
+  presence.tend(running, access.may("arm") ? controls.operatorName : "", nowMs, distance.isShown);
   if (!access.may("events")) events.tell(access.state === "in" ? tr("main.not_shown_your_log_in_does_not_allow_it") : tr("main.no_events_yet"));
   else if (view.isFresh) events.tend(nowMs);
   if (access.may("watch")) qa.tend(nowMs);

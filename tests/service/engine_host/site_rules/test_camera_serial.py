@@ -63,13 +63,20 @@ def test_clinical_mode_refuses_another_camera_and_closes_it():
     assert camera.closed == 1
 
 
-@pytest.mark.parametrize(("calibration", "serial"), [(OURS, "A1"), (make_calibration(), "A1")])
-def test_clinical_mode_opens_the_calibrated_camera_and_one_that_cannot_be_compared(calibration, serial):
-    camera = Camera(replace(CAMERA, serial=serial))
-    source = checked_camera(camera, calibration, CLINICAL)
+def test_clinical_mode_opens_the_calibrated_camera():
+    camera = Camera(replace(CAMERA, serial="A1"))
+    source = checked_camera(camera, OURS, CLINICAL)
     assert isinstance(source, CheckedSource)
-    assert source.open().serial == serial
+    assert source.open().serial == "A1"
     assert camera.closed == 0
+
+
+@pytest.mark.parametrize(("calibration", "serial"), [(make_calibration(), "A1"), (make_calibration(), ""), (OURS, "")])
+def test_clinical_mode_refuses_a_camera_that_cannot_be_compared(calibration, serial):
+    camera = Camera(replace(CAMERA, serial=serial))
+    with pytest.raises(CameraMismatchError, match="serial number"):
+        checked_camera(camera, calibration, CLINICAL).open()
+    assert camera.closed == 1
 
 
 def test_other_modes_open_every_camera():

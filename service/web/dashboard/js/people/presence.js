@@ -2,7 +2,8 @@
  * Reports every second that a person who may arm is at this page; if the reports stop, the controller holds the beam.
  *
  * Only a visible page reports. While a person's gate is armed, only the page they armed or released it at, under their
- * name; while no gate is armed, or a program armed it, the page of everybody who may arm.
+ * name; while no gate is armed, or a program armed it, the page of everybody who may arm. A screen in the distance view
+ * may hang where nobody is: it reports only where a person armed at it.
  */
 
 import { notePresence } from "../api.js";
@@ -26,9 +27,10 @@ export class Presence {
   /**
    * @param {?object} sample the fresh sample of a running session, or null
    * @param {string} operatorName the person who is logged in and may arm; empty if there is none
+   * @param {boolean} isDistant whether the page is drawn to be seen from afar
    */
-  async tend(sample, operatorName, nowMs) {
-    if (sample === null || operatorName === "" || !counts(sample, operatorName)) return;
+  async tend(sample, operatorName, nowMs, isDistant) {
+    if (sample === null || operatorName === "" || !counts(sample, operatorName, isDistant)) return;
     if (document.hidden || this.isBusy || nowMs < this.nextMs) return;
     this.isBusy = true;
     this.nextMs = nowMs + PERIOD_MS;
@@ -43,8 +45,8 @@ export class Presence {
 }
 
 /** Whether this page's presence means something to the controller now. */
-function counts(sample, operatorName) {
-  if (!sample.is_armed || isProgram(sample.armed_by)) return true;
+function counts(sample, operatorName, isDistant) {
+  if (!sample.is_armed || isProgram(sample.armed_by)) return !isDistant;
   const armed = armedHere();
   return sample.armed_by === operatorName && armed?.sessionId === sample.session_id && armed.operator === operatorName;
 }
