@@ -1,8 +1,8 @@
 """Rule: a calibration belongs to the camera with its serial number.
 
 Another unit of the same make has another scale by per cents, and the region shifted, and nothing else shows it. In
-clinical mode another camera is refused, and one that cannot be compared; otherwise the session carries a warning. A recording does not contain the
-serial number of its camera, and the camera's own registration belongs to no unit.
+clinical mode another camera is refused, and one that cannot be compared; otherwise the session carries a warning. A
+recording does not contain the serial number of its camera, and the camera's own registration belongs to no unit.
 """
 
 from dataclasses import dataclass

@@ -257,6 +257,28 @@ def test_a_line_that_is_held_cannot_be_made_to_stand_still_with_its_permit_on():
     assert world.wire.commands[-1][1] is False
 
 
+def test_a_hold_between_beginning_a_repeated_permit_and_sending_it_is_seen():
+    """M14 of the review of 2026-11-24: the permit of before was sent once more, for 20 ms."""
+    world, _contact, setup, _receiver = wired()
+    setup.pulser.arm()
+    setup.pulser.permit()
+    world.line.stand_still()
+    setup.wait_ns(20 * MS)
+    assert world.line.still_since_ns is not None
+    world.line.repeat_permit()
+    begin = world.line._supervisor.begin
+
+    def interrupted(*, commands_on, now_ns):
+        world.line._supervisor.begin = begin
+        begin(commands_on=commands_on, now_ns=now_ns)
+        setup.pulser.hold()
+
+    world.line._supervisor.begin = interrupted
+    commands = len(world.wire.commands)
+    world.line.exchange_once()
+    assert [is_on for _, is_on, _ in world.wire.commands[commands:]] == [False]
+
+
 def test_a_standstill_that_nobody_ends_ends_by_itself_with_off():
     world, _contact, setup, _receiver = wired(drops=False)
     setup.pulser.arm()
