@@ -96,7 +96,7 @@ INTERLOCKS: tuple[Interlock, ...] = (
     ),
     _row(
         _R.BASELINE_DRIFTED,
-        "in an amplitude window, the end of exhale drifted, or the level is unknown after more than 1 s unmeasured",
+        "in an amplitude window, the end of exhale drifted, or is not known after a jump or 1 s unmeasured",
         "max_baseline_drift_mm",
     ),
     _row(

@@ -2,17 +2,20 @@
 
 A patient who lies some millimetres lower meets the same window at another moment of the breath. So the last end of
 exhale is compared with where it was when the reference was set, or where a person has confirmed it; it is known when
-the next inhale has begun. After more than a second without a measurement the patient may lie elsewhere: before the beam
-may be on, the surface's height without breathing has to be within the bound, or an end of exhale has to be seen. An
-expiration hold is at the end of exhale itself; inspiration holds and phases have their own rules.
+the next inhale has begun. After more than a second without a measurement, or a jump of a gated signal, the patient may
+lie elsewhere: before the beam may be on, the surface's height without breathing has to be within the bound, or an end
+of exhale has to be seen. An expiration hold is at the end of exhale itself; inspiration holds and phases have their own
+rules.
 """
 
 from collections.abc import Iterator
 from typing import NamedTuple
 
 from engine.core.breath import Breath, SignalChoice
-from engine.core.frames import Measurement
+from engine.core.frames import Measurement, Motion
 from engine.core.gate_state import HoldReason
+from engine.core.signals import signal_of
+from engine.gating.frame_checks import MAX_JUMP_FRAMES
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, Condition, GateWindow, HoldKind
@@ -41,12 +44,14 @@ class Baseline:
         self._drifted: dict[SignalChoice, Interruption] = {}
         self._measured_us: int | None = None
         self._unknown_since_us: int | None = None
-        self._unmeasured_s = 0.0
+        self._why_unknown = ""
+        self._max_jump_mm = limits.max_jump_mm
+        self._before: tuple[int, dict[SignalChoice, float]] | None = None
 
     def reset(self) -> None:
         """Accept the patient's present level: the reference was set."""
         self._drifted.clear()
-        self._unknown_since_us = None
+        self._unknown_since_us = self._before = None
 
     def check(self, measurement: Measurement, window: GateWindow, *, has_reference: bool = True) -> Interruption | None:
         """Return the hold for a level that is elsewhere, or not known since the last gap."""
@@ -57,17 +62,30 @@ class Baseline:
         now_us = measurement.timestamp_us
         before_us, self._measured_us = self._measured_us, now_us
         if before_us is not None and not 0 <= now_us - before_us <= LONGEST_UNMEASURED_US:
-            self._unknown_since_us, self._unmeasured_s = now_us, abs(now_us - before_us) / US_PER_S
+            gap_s = abs(now_us - before_us) / US_PER_S
+            self._unknown_since_us, self._why_unknown = now_us, f"not measured for {gap_s:.1f} s"
         levels = list(_levels(measurement, window, self._max_mm))
+        self._note_jump(measurement.motion, measurement.frame_index, now_us, levels)
         if self._unknown_since_us is not None and levels:
             if not all(_is_known(one, measurement, self._unknown_since_us) for one in levels):
                 detail = (
-                    f"not measured for {self._unmeasured_s:.1f} s, and the patient may lie elsewhere: an end of exhale "
-                    "has to be seen, or set the reference again"
+                    f"{self._why_unknown}, and the patient may lie elsewhere: an end of exhale has to be seen, or set "
+                    "the reference again"
                 )
                 return Interruption(HoldReason.BASELINE_DRIFTED, detail)
             self._unknown_since_us = None
         return next((hold for one in levels if (hold := self._drift(one)) is not None), None)
+
+    def _note_jump(self, motion: Motion, frame_index: int, now_us: int, levels: list[_Level]) -> None:
+        """Forget the level where a gated signal has jumped since the last measured frame."""
+        signals = {one.choice: signal_of(one.choice, motion) for one in levels}
+        before, self._before = self._before, (frame_index, signals)
+        if before is None or before[1].keys() != signals.keys():
+            return
+        frames = min(max(frame_index - before[0], 1), MAX_JUMP_FRAMES)
+        steps_mm = [abs(now - before[1][choice]) / choice.per_mm for choice, now in signals.items()]
+        if not max(steps_mm, default=0.0) <= self._max_jump_mm * frames:
+            self._unknown_since_us, self._why_unknown = now_us, f"jumped by {max(steps_mm):.1f} mm"
 
     def _drift(self, level: _Level) -> Interruption | None:
         choice, drift = level.choice, level.breath.exhale_drift

@@ -16,6 +16,7 @@ from engine.verification.phantom.scenarios import Pose
 
 Grid = npt.NDArray[np.float64]
 SHEET_RGB = (62.0, 112.0, 98.0)
+BLACK_RGB = (6.0, 6.0, 7.0)
 STICKER_CLEAR_MM = 22.0
 """A sheet is cut out around stickers that stay visible, to this distance from their centre."""
 APPEAR_S = 0.1
@@ -46,6 +47,10 @@ class Cover:
         Speed at which it is drawn over the region; None for one that is laid down.
     has_color
         Whether it has a colour of its own; otherwise that of the skin below.
+    rgb
+        That colour.
+    laid_s
+        How long one that is laid down takes to reach its height: long for cloth that swells, or a belly that fills.
     """
 
     height_mm: float
@@ -53,6 +58,8 @@ class Cover:
     edge_mm: float = 1.0
     speed_mm_s: float | None = None
     has_color: bool = True
+    rgb: tuple[float, float, float] = SHEET_RGB
+    laid_s: float = APPEAR_S
 
     def way_mm(self, anatomy: Anatomy) -> float:
         """Return how far it is drawn until it lies."""
@@ -62,7 +69,7 @@ class Cover:
 
     def drawn_s(self, anatomy: Anatomy) -> float:
         """Return how long it takes until it lies."""
-        return APPEAR_S if self.speed_mm_s is None else self.way_mm(anatomy) / self.speed_mm_s
+        return self.laid_s if self.speed_mm_s is None else self.way_mm(anatomy) / self.speed_mm_s
 
     def on(self, anatomy: Anatomy, elapsed_s: float) -> Map:
         """Return its height over the trunk's box after ``elapsed_s``, shape (593, 473)."""
@@ -134,6 +141,28 @@ class Blind:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Rolling:
+    """Stripes across the region without depth readings, another one in each frame: a beat with other infrared light.
+
+    Attributes
+    ----------
+    stripes
+        Into how many the region is divided; one of them is hidden.
+    fps
+        Frames a second.
+    """
+
+    stripes: int = 6
+    fps: float = 30.0
+
+    def inside(self, anatomy: Anatomy, y_mm: FloatArray, time_s: float) -> npt.NDArray[np.bool_]:
+        """Return which rows of the skin are hidden at this time."""
+        top, bottom = (float(anatomy.anchors_mm[rows, 1].mean()) for rows in ([0, 1], [2, 3]))
+        stripe = np.floor((y_mm - top) / (bottom - top) * self.stripes)
+        return np.asarray(stripe == round(time_s * self.fps) % self.stripes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Move:
     """A rigid move within ``over_s``: of the body, or of all that the camera sees, as when the camera itself moves.
 
@@ -189,7 +218,11 @@ class Stale:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Falsification:
-    """What is not honest about a recording from ``start_s`` on; several parts may come together."""
+    """What is not honest about a recording from ``start_s`` on; several parts may come together.
+
+    ``slide_mm`` is how far all stickers slide along the body with each inhale, as on clothing. ``scene_seen_s`` is how
+    long before ``start_s`` couch and floor are uncovered; None where they always are.
+    """
 
     start_s: float
     cover: Cover | None = None
@@ -199,10 +232,17 @@ class Falsification:
     camera: Move | None = None
     stale: Stale | None = None
     hides_marker_s: float = 0.0
+    rolling: Rolling | None = None
+    slide_mm: float = 0.0
+    scene_seen_s: float | None = None
 
     def elapsed_s(self, time_s: float) -> float | None:
         """Time since it began; None before."""
         return time_s - self.start_s if time_s >= self.start_s else None
+
+    def hides_scene(self, time_s: float) -> bool:
+        """Whether couch and floor are covered at this time."""
+        return self.scene_seen_s is not None and time_s < self.start_s - self.scene_seen_s
 
     def hidden_marker(self, time_s: float) -> int | None:
         """Return the sticker that is hidden under a cloth at this time, if any."""

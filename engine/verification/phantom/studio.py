@@ -4,7 +4,7 @@ A frame depends only on the script and its own number, not on the previous frame
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -27,6 +27,7 @@ from engine.verification.phantom.truth import Grid
 from engine.verification.phantom.view import Frustum, Rays, View
 
 AT_REST = Pose()
+BREATHING_MODES = 6
 SHEET_SHOWS_MM = 0.5
 """Height from which a sheet covers the colour of the skin."""
 
@@ -159,25 +160,44 @@ class Studio:
         lit = self._body.lit_rgb.copy()
         top, left = (round(whole - part) for whole, part in zip(BODY_HALF_MM[::-1], TRUNK_HALF_MM[::-1], strict=True))
         box = lit[top : top + cover.shape[0], left : left + cover.shape[1]]
-        box[cover > SHEET_SHOWS_MM] = falsifications.SHEET_RGB
+        box[cover > SHEET_SHOWS_MM] = false.cover.rgb
         return lit
 
     def _blind(self, view: View, time_s: float) -> BoolArray | None:
-        """Pixels in a blind area, shape (480, 640); None without one."""
-        false = self.scene.script.falsification
-        if false is None or false.blind is None or false.elapsed_s(time_s) is None:
+        """Pixels without a reading because of the falsification, shape (480, 640); None without one."""
+        false, anatomy = self.scene.script.falsification, self.scene.anatomy
+        if false is None:
             return None
-        inside = false.blind.inside(self.scene.anatomy, view.y_mm)
-        return np.asarray((inside > 0.0) & view.is_body)
+        blind: list[BoolArray] = [~view.is_body] if false.hides_scene(time_s) else []
+        if false.elapsed_s(time_s) is not None:
+            if false.blind is not None:
+                blind.append((false.blind.inside(anatomy, view.y_mm) > 0.0) & view.is_body)
+            if false.rolling is not None:
+                blind.append(false.rolling.inside(anatomy, view.y_mm, time_s) & view.is_body)
+        return np.logical_or.reduce(blind) if blind else None
 
     def _anchors(self, time_s: float) -> Grid:
         """Places of the stickers (x, y, z down) in the body frame [mm], shape (4, 3)."""
-        anchors = self.scene.skin.anchors(self.scene.breathing.weights(time_s))
+        weights = self.scene.breathing.weights(time_s)
+        anchors = self.scene.skin.anchors(weights)
         false = self.scene.script.falsification
+        if false is not None and false.slide_mm and false.elapsed_s(time_s) is not None:
+            anchors[:, 1] += false.slide_mm * self._breath_share(weights)
         elapsed_s = None if false is None or false.marker is None else false.elapsed_s(time_s)
         if false is None or false.marker is None or elapsed_s is None:
             return anchors
         return false.marker.anchors(anchors)
+
+    def _breath_share(self, weights: FloatArray) -> float:
+        """Return where in the breathing of the whole script a moment lies: 0 the deepest exhale, 1 the deepest inhale."""
+        low, high = self._swing
+        return (float(weights[:BREATHING_MODES].sum()) - low) / (high - low)
+
+    @cached_property
+    def _swing(self) -> tuple[float, float]:
+        times_s = np.arange(0.0, self.scene.script.seconds, 0.1)
+        sums = self.scene.breathing.weights(times_s)[:, :BREATHING_MODES].sum(axis=1)
+        return float(sums.min()), float(sums.max())
 
     def _sticker_light(self) -> FloatArray:
         anchors = self.scene.anatomy.anchors_mm

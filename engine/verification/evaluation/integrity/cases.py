@@ -4,7 +4,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from engine.core.head_direction import HeadDirection
-from engine.verification.phantom.falsifications import Blind, Cover, Falsification, Move, MovedMarker, Part, Stale
+from engine.verification.phantom.falsifications import (
+    BLACK_RGB,
+    Blind,
+    Cover,
+    Falsification,
+    Move,
+    MovedMarker,
+    Part,
+    Rolling,
+    Stale,
+)
 
 HONEST_S = 3.0
 """Honest frames before a falsification [s]."""
@@ -48,7 +58,16 @@ class Case:
 
 def cases(*, is_slow: bool = False) -> list[Case]:
     """Return all cases; ``is_slow`` adds the moves over a minute."""
-    found = [*_honest(), *_covers(), *_markers(), *_blind_areas(), *_moves(), *_stale(), *_orientations()]
+    found = [
+        *_honest(),
+        *_covers(),
+        *_markers(),
+        *_blind_areas(),
+        *_moves(),
+        *_stale(),
+        *_orientations(),
+        *_silent_checks(),
+    ]
     return [*found, *_slow_moves()] if is_slow else found
 
 
@@ -161,6 +180,33 @@ def _stale() -> Iterator[Case]:
     for rate in (0.05, 0.2):
         stale = Stale(delay_s_per_s=rate)
         yield Case(kind="growing delay", size=f"{rate:g} s/s", falsification=_false(stale=stale))
+
+
+def _silent_checks() -> Iterator[Case]:
+    """What a check that cannot work, or only compares from frame to frame, would let pass."""
+    for part in (Part.HALF, Part.WHOLE):
+        cover = Cover(height_mm=3.0, part=part, rgb=BLACK_RGB)
+        yield Case(kind=f"black cover laid over {part}", size="3 mm", falsification=_false(cover=cover))
+    sheet = Cover(height_mm=3.0, has_color=False)
+    yield Case(kind="holes that roll", size="-", falsification=_false(rolling=Rolling()))
+    yield Case(
+        kind="holes that roll, a sheet over half", size="3 mm", falsification=_false(rolling=Rolling(), cover=sheet)
+    )
+    lower = Move(up_mm=-2.8)
+    yield Case(
+        kind="camera lowered, couch and floor hidden at the reference",
+        size="2.8 mm",
+        falsification=_false(camera=lower, scene_seen_s=HONEST_S - 1.3),
+        is_rigid=True,
+    )
+    for height_mm, laid_s in ((4.0, 15.0), (2.5, 25.0)):
+        swelling = Cover(height_mm=height_mm, edge_mm=80.0, has_color=False, laid_s=laid_s)
+        size = f"{height_mm:g} mm in {laid_s:g} s"
+        yield Case(kind="half rises slowly", size=size, falsification=_false(cover=swelling), seconds=laid_s + FALSE_S)
+    for slide_mm in (2.0, 5.0):
+        yield Case(
+            kind="stickers slide with the breath", size=f"{slide_mm:g} mm", falsification=_false(slide_mm=slide_mm)
+        )
 
 
 def _orientations() -> Iterator[Case]:

@@ -30,7 +30,7 @@ from engine.motion.settings import PipelineSettings
 from engine.verification.evaluation.integrity.cases import HONEST_S, Case
 from engine.verification.phantom.falsifications import Falsification, Move, Stale
 from engine.verification.phantom.scene import Script
-from engine.verification.phantom.studio import Studio
+from engine.verification.phantom.studio import BREATHING_MODES, Studio
 from engine.verification.phantom.truth import CELL_PX, POINTS_RC
 
 FPS = 30.0
@@ -170,7 +170,7 @@ def _turned(falsification: Falsification | None, *, is_turned: bool) -> Falsific
 def _end_of_exhale(studio: Studio) -> float:
     times_s = np.arange(*SEARCH_S, 1.0 / FPS)
     weights = studio.scene.breathing.weights(times_s)
-    return float(times_s[int(np.argmin(weights[:, :6].sum(axis=1)))])
+    return float(times_s[int(np.argmin(weights[:, :BREATHING_MODES].sum(axis=1)))])
 
 
 def _frame(studio: Studio, index: int, time_s: float) -> RgbdFrame:

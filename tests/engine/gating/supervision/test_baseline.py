@@ -230,3 +230,23 @@ def test_an_unknown_level_says_what_has_to_be_seen():
         "not measured for 2.3 s, and the patient may lie elsewhere: an end of exhale has to be seen, or set the "
         "reference again"
     )
+
+
+@pytest.mark.parametrize(
+    ("step_mm", "frames", "is_held"), [(1.4, 1, False), (1.6, 1, True), (2.9, 2, False), (3.1, 2, True)]
+)
+def test_after_a_jump_the_level_is_confirmed_as_after_a_loss(step_mm, frames, is_held):
+    """LIMITS allow 1.5 mm from one frame to the next."""
+    baseline = Baseline(LIMITS)
+    at_us = [measured(index).timestamp_us for index in range(100)]
+
+    def shown(index, whole_mm, exhale_us):
+        frame_ = replace(measured(index, motion_of(whole_mm)), breaths=(breath(0.1, exhale_us=exhale_us),))
+        return baseline.check(frame_, WIDE)
+
+    assert shown(10, 1.0, at_us[5]) is None
+    found = [shown(index, 1.0 + step_mm, at_us[5]) for index in range(10 + frames, 30)]
+    assert [one is not None for one in found] == [is_held] * len(found)
+    if is_held:
+        assert found[0].detail.startswith(f"jumped by {step_mm:.1f} mm, and the patient may lie elsewhere")
+    assert shown(30, 1.0 + step_mm, at_us[20]) is None
