@@ -1095,6 +1095,7 @@ class LivePosition(TypedDict):
     roll_deg: float | None
     shift_mm: float | None
     tilt_deg: float | None
+    travel_mm: NotRequired[float | None]
     turn_deg: float | None
 
 

@@ -73,13 +73,14 @@ class LiveViews:
         reference_distance: Callable[[], ReferenceDistance | None],
         movement: Callable[[], Movement | None],
         checks: Callable[[], tuple[CheckState, ...]] = no_checks,
+        marker_travel_mm: Callable[[], float | None] = lambda: None,
         position: Callable[[], PositionState | None] = no_position,
         camera_view: Callable[[RgbdFrame], CameraView | None] = no_camera_view,
     ) -> None:
         self._camera_view = camera_view
         self._newest_camera_view: CameraView | None = None
         self._beam_on, self._reference_distance, self._movement = beam_on, reference_distance, movement
-        self._position, self._checks = position, checks
+        self._position, self._checks, self._marker_travel_mm = position, checks, marker_travel_mm
         self._limits, self._outputs, self._watchdog = limits, outputs, watchdog
         self._latency = LatencyStatistics(warn_latency_ms=limits.current.warn_latency_ms)
         self._shown_by_watchdog: tuple[LiveView, LiveView] | None = None
@@ -162,6 +163,7 @@ class LiveViews:
             reference_budget_mm=limits.max_reference_distance_mm,
             movement=self._movement(),
             checks=self._checks(),
+            marker_travel_mm=self._marker_travel_mm(),
             is_clock_checked=_is_clock_checked(decision, limits),
             position=self._position(),
             camera_view=self._newest_camera_view,

@@ -144,6 +144,7 @@ class EngineLoop:
             reference_distance=budget.present,
             movement=lambda: self._supervisor.movement,
             checks=lambda: self._supervisor.checks,
+            marker_travel_mm=lambda: self._supervisor.marker_travel_mm,
             position=self._sign_off.present,
             camera_view=camera_view,
         )

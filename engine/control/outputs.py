@@ -142,6 +142,8 @@ class LiveView:
         the distance is None while no reference is set.
     movement
         Movement of the markers since the present reference; None where it is not known.
+    marker_travel_mm
+        How far the markers slide along the couch with the breath; None where it is not known.
     checks
         Which checks of the measurement work since the reference was set; empty without a reference.
     is_clock_checked
@@ -176,6 +178,7 @@ class LiveView:
     reference_distance: ReferenceDistance | None = None
     reference_budget_mm: float = 2.0
     movement: Movement | None = None
+    marker_travel_mm: float | None = None
     checks: tuple[CheckState, ...] = ()
     is_clock_checked: bool = False
     position: PositionState | None = None

@@ -311,12 +311,15 @@ class BodyPosition(NamedTuple):
     tilt_deg, roll_deg
         About the axis across the body, positive where the inferior end rises; about the long axis, positive where the
         patient's left side rises.
+    redistributed_mm
+        Root mean square of what is shifted between thorax and abdomen, other than in the training.
     """
 
     measured_us: int
     height_mm: float
     tilt_deg: float
     roll_deg: float
+    redistributed_mm: float = 0.0
 
 
 class Evidence(NamedTuple):

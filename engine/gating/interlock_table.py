@@ -81,8 +81,9 @@ INTERLOCKS: tuple[Interlock, ...] = (
     _row(_R.LAYOUT_CHANGED, "distances between the markers changed"),
     _row(
         _R.PATIENT_SHIFTED,
-        "the markers moved along the couch or rotated, or the surface moved as a whole",
+        "the markers moved along the couch, rotated, or slide with the breath; or the surface moved as a whole",
         "max_shift_mm",
+        "max_marker_travel_mm",
         "max_turn_deg",
         "max_height_mm",
     ),

@@ -82,6 +82,9 @@ class GateLimits:
     max_shift_mm, max_turn_deg
         Greatest shift along the couch and rotation of the markers since the reference was set; also the greatest tilt
         and roll of the region's surface.
+    max_marker_travel_mm
+        Greatest travel of the markers along the couch within ten seconds, for windows on a part of the region: stickers
+        on clothing slide over the skin.
     max_height_mm
         Greatest rigid change of the surface's height since the reference was set; breathing is taken off.
     max_baseline_drift_mm
@@ -158,6 +161,7 @@ class GateLimits:
     min_fps: float = 20.0
     max_shift_mm: float = 6.0
     max_turn_deg: float = 3.0
+    max_marker_travel_mm: float = 3.0
     max_height_mm: float = 3.0
     max_baseline_drift_mm: float = 2.0
     warn_latency_ms: float = 100.0
@@ -233,6 +237,7 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "min_fps": (5.0, 60.0),
     "max_shift_mm": (1.0, 100.0),
     "max_turn_deg": (0.5, 45.0),
+    "max_marker_travel_mm": (0.5, 20.0),
     "max_height_mm": (0.5, 50.0),
     "max_baseline_drift_mm": (0.5, 10.0),
     "warn_latency_ms": (20.0, 500.0),

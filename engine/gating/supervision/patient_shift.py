@@ -4,9 +4,13 @@ Breathing lifts the markers towards the camera, and tilts their plane about the 
 rises more than the thorax; both are ignored. Breathing does not move all four along the couch, rotate them on it, or
 roll them about the body's long axis. Height and tilt are those of the surface, from which the second estimate takes
 breathing off (:mod:`engine.motion.cross_check`).
+
+Stickers on clothing slide over the skin with each breath: tissue then moves through the region, and the motion of a
+part of it is wrong by about as much. So their travel within a breath is measured, and bounded for windows on parts.
 """
 
 import math
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -16,16 +20,23 @@ from engine.core.gate_state import HoldReason
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
 
+TRAVEL_US = 10_000_000
+"""Two breaths: their ends of exhale and inhale are among the last ten seconds."""
 NODES = NODE_ROWS * NODE_COLUMNS
 CORNERS = (0, NODE_COLUMNS - 1, NODES - 1, NODES - NODE_COLUMNS)
 """Nodes of the surface at the markers: superior right, superior left, inferior left, inferior right."""
 
 
 class Movement(NamedTuple):
-    """Shift along the couch [mm]; the larger of the rotations on the couch and about the body's long axis [deg]."""
+    """Shift along the couch [mm]; the larger of the rotations on the couch and about the body's long axis [deg].
+
+    ``across_mm`` and ``along_mm`` are the shift across and along the body.
+    """
 
     shift_mm: float
     turn_deg: float
+    across_mm: float = 0.0
+    along_mm: float = 0.0
 
 
 class PatientShift:
@@ -40,14 +51,30 @@ class PatientShift:
     def __init__(self, limits: GateLimits) -> None:
         self._limits = limits
         self.movement: Movement | None = None
+        self._travel: deque[tuple[int, float, float]] = deque()
         self._at_reference: MarkersAtReference | None = None
 
     def reset(self) -> None:
         """Use the next measured frame as the position at the reference."""
         self._at_reference = None
+        self._travel.clear()
+
+    @property
+    def travel_mm(self) -> float | None:
+        """How far the markers have gone along the couch within the last ten seconds [mm]; None where not known."""
+        if self.movement is None:
+            return None
+        ends = [max(values) - min(values) for values in list(zip(*self._travel, strict=True))[1:]]
+        return math.hypot(*ends)
 
     def check(
-        self, motion: Motion | None, *, has_reference: bool, position: BodyPosition | None = None
+        self,
+        motion: Motion | None,
+        *,
+        has_reference: bool,
+        position: BodyPosition | None = None,
+        timestamp_us: int = 0,
+        is_on_part: bool = False,
     ) -> Interruption | None:
         """Return the hold for a movement beyond the limits; a new model with the same reference resets nothing.
 
@@ -55,6 +82,10 @@ class PatientShift:
         ----------
         position
             Rigid movement of the surface since the reference; None where it is unknown.
+        timestamp_us
+            Device time of the frame.
+        is_on_part
+            Whether the window is on a part of the region: then the markers' travel is bounded too.
         """
         self.movement = None
         if not has_reference:
@@ -67,8 +98,24 @@ class PatientShift:
             self._at_reference = MarkersAtReference(markers_mm)
             return None
         self.movement = self._at_reference.movement(markers_mm)
-        shifted = self._hold_for(self.movement)
+        self._follow(self.movement, timestamp_us)
+        shifted = self._hold_for(self.movement) or (self._hold_for_travel() if is_on_part else None)
         return shifted or (None if position is None else self._hold_for_surface(position))
+
+    def _follow(self, moved: Movement, timestamp_us: int) -> None:
+        while self._travel and not 0 <= timestamp_us - self._travel[0][0] <= TRAVEL_US:
+            self._travel.popleft()
+        self._travel.append((timestamp_us, moved.across_mm, moved.along_mm))
+
+    def _hold_for_travel(self) -> Interruption | None:
+        travel_mm, most_mm = self.travel_mm, self._limits.max_marker_travel_mm
+        if travel_mm is None or travel_mm <= most_mm:
+            return None
+        detail = (
+            f"the markers slide by {travel_mm:.1f} mm with the breath, {most_mm:g} allowed for a window on a part: put "
+            "them on skin"
+        )
+        return Interruption(HoldReason.PATIENT_SHIFTED, detail)
 
     def _hold_for(self, moved: Movement) -> Interruption | None:
         limits = self._limits
@@ -122,7 +169,7 @@ class MarkersAtReference:
         width_mm = sum(before[one][0] for one in left) - sum(before[one][0] for one in right)
         turns_rad = (math.atan2(cross, dot), math.atan2(left_over_right_mm, width_mm))
         turn_deg = max(abs(math.degrees(turn)) for turn in turns_rad)
-        return Movement(shift_mm=math.hypot(across_mm, along_mm), turn_deg=turn_deg)
+        return Movement(math.hypot(across_mm, along_mm), turn_deg, across_mm, along_mm)
 
     def _seen(self, markers_mm: FloatArray) -> list[list[float]]:
         """Coordinates across the body, along it, and out of the plane, from the centre at the reference [mm]."""

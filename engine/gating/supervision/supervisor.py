@@ -11,10 +11,12 @@ from engine.core.frames import Measurement, RgbdFrame
 from engine.core.gate_state import HoldReason
 from engine.core.learning_events import LearningEvent
 from engine.core.motion_model import MotionModel
+from engine.core.signals import is_wide
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
 from engine.gating.supervision.baseline import Baseline
 from engine.gating.supervision.checks import Checks, CheckState
+from engine.gating.supervision.exhale_shape import ExhaleShape
 from engine.gating.supervision.model_age import ModelAge
 from engine.gating.supervision.patient_shift import Movement, PatientShift
 from engine.gating.supervision.repeated_frames import RepeatedFrames
@@ -30,6 +32,7 @@ class FrameSupervisor:
         self._shift = PatientShift(limits)
         self._baseline = Baseline(limits)
         self._checks = Checks(limits)
+        self._exhale_shape = ExhaleShape(limits)
         self._repeats = RepeatedFrames(limits)
         self._order = _DeviceOrder()
 
@@ -50,9 +53,16 @@ class FrameSupervisor:
         found = (
             self._checks.check(measurement, has_reference=has_reference),
             self._rate.check(frame.received_ns),
+            self._exhale_shape.check(measurement, has_reference=has_reference),
             self._baseline.check(measurement, window, has_reference=has_reference),
             self._age.check(model, notices, frame.received_ns),
-            self._shift.check(measurement.motion, has_reference=has_reference, position=measurement.position),
+            self._shift.check(
+                measurement.motion,
+                has_reference=has_reference,
+                position=measurement.position,
+                timestamp_us=measurement.timestamp_us,
+                is_on_part=not all(map(is_wide, window.choices)),
+            ),
             self._repeats.check(frame),
             self._order.check(frame.device_index),
         )
@@ -64,6 +74,11 @@ class FrameSupervisor:
         return self._shift.movement
 
     @property
+    def marker_travel_mm(self) -> float | None:
+        """How far the markers slide with the breath [mm]; None where it is not known."""
+        return self._shift.travel_mm
+
+    @property
     def checks(self) -> tuple[CheckState, ...]:
         """Which checks of the measurement work; empty without a reference."""
         return self._checks.states
@@ -71,6 +86,7 @@ class FrameSupervisor:
     def reset_position(self) -> None:
         """Measure later shifts and drifts from the patient's next position: the reference was set."""
         self._checks.reset()
+        self._exhale_shape.reset()
         self._shift.reset()
         self._baseline.reset()
 

@@ -315,6 +315,7 @@ class CrossCheck:
             height_mm=height_mm,
             tilt_deg=math.degrees(math.atan2(2.0 * change.along_mm, length_mm)),
             roll_deg=math.degrees(math.atan2(2.0 * change.across_mm, width_mm)),
+            redistributed_mm=change.redistributed_mm,
         )
 
     def _bound(self, name: str, allowed: float) -> float:

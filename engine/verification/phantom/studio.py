@@ -189,7 +189,7 @@ class Studio:
         return false.marker.anchors(anchors)
 
     def _breath_share(self, weights: FloatArray) -> float:
-        """Return where in the breathing of the whole script a moment lies: 0 the deepest exhale, 1 the deepest inhale."""
+        """Return where a moment lies between the deepest exhale of the script, 0, and its deepest inhale, 1."""
         low, high = self._swing
         return (float(weights[:BREATHING_MODES].sum()) - low) / (high - low)
 

@@ -307,6 +307,10 @@ class LivePosition(Message):
     turn_deg: float | None = Field(
         description="Of the markers: the larger of the rotations on the couch and about the body's axis"
     )
+    travel_mm: float | None = Field(
+        default=None,
+        description="Of the markers along the couch, from end to end within ten seconds: on clothing they slide",
+    )
     height_mm: float | None = Field(description="Of the surface, positive towards the camera")
     tilt_deg: float | None = Field(description="Of the surface, about the axis across the body")
     roll_deg: float | None = Field(description="Of the surface, about the body's long axis")

@@ -159,6 +159,7 @@ class Settings(
     min_fps: float = _limit("min_fps")
     max_shift_mm: float = _limit("max_shift_mm")
     max_turn_deg: float = _limit("max_turn_deg")
+    max_marker_travel_mm: float = _limit("max_marker_travel_mm")
     max_height_mm: float = _limit("max_height_mm")
     max_baseline_drift_mm: float = _limit("max_baseline_drift_mm")
     max_reference_distance_mm: float = _limit("max_reference_distance_mm")

@@ -144,6 +144,7 @@ def _position(view: LiveView) -> LivePosition | None:
     return LivePosition(
         shift_mm=None if moved is None else rounded_or_none(moved.shift_mm, POSITION_DIGITS),
         turn_deg=None if moved is None else rounded_or_none(moved.turn_deg, POSITION_DIGITS),
+        travel_mm=rounded_or_none(view.marker_travel_mm, POSITION_DIGITS),
         height_mm=None if surface is None else rounded_or_none(surface.height_mm, POSITION_DIGITS),
         tilt_deg=None if surface is None else rounded_or_none(surface.tilt_deg, POSITION_DIGITS),
         roll_deg=None if surface is None else rounded_or_none(surface.roll_deg, POSITION_DIGITS),

@@ -200,7 +200,14 @@ EXAMPLES: dict[str, dict[str, Any]] = {
             "reason": "",
             "lapse": "",
         },
-        "position": {"shift_mm": 0.4, "turn_deg": 0.1, "height_mm": -0.3, "tilt_deg": 0.1, "roll_deg": 0.0},
+        "position": {
+            "shift_mm": 0.4,
+            "travel_mm": 0.3,
+            "turn_deg": 0.1,
+            "height_mm": -0.3,
+            "tilt_deg": 0.1,
+            "roll_deg": 0.0,
+        },
         "checks": [
             {"name": "surface", "state": "on", "seconds": 412.3, "text": "the surface is compared with breathing"},
             {"name": "camera", "state": "off", "seconds": 1.2, "text": "too little of couch and floor is seen"},

@@ -197,14 +197,15 @@ def test_cells_that_the_camera_does_not_see_are_listed(plan):
 
 def test_how_far_the_patient_has_moved_since_the_reference_is_reported(plan):
     view = view_of(plan)
-    unknown = {"shift_mm": None, "turn_deg": None, "height_mm": None, "tilt_deg": None, "roll_deg": None}
+    unknown = dict.fromkeys(("shift_mm", "turn_deg", "travel_mm", "height_mm", "tilt_deg", "roll_deg"))
     assert message_of(view, plan)["position"] == unknown
     lifted = BodyPosition(measured_us=7, height_mm=-1.234, tilt_deg=0.5, roll_deg=-0.25)
     measured = replace(view.record, measurement=replace(view.record.measurement, position=lifted))
     message = message_of(replace(view, record=measured, movement=Movement(shift_mm=2.345, turn_deg=0.7)), plan)
     SCHEMA.validate(message)
     assert message["position"] == {"shift_mm": 2.35, "turn_deg": 0.7, "height_mm": -1.23, "tilt_deg": 0.5} | {
-        "roll_deg": -0.25
+        "roll_deg": -0.25,
+        "travel_mm": None,
     }
     assert message_of(view_of(plan, whole_mm=None), plan)["position"] is None
 

@@ -183,7 +183,7 @@ def _stale() -> Iterator[Case]:
 
 
 def _silent_checks() -> Iterator[Case]:
-    """What a check that cannot work, or only compares from frame to frame, would let pass."""
+    """Yield what passes a check that cannot work, or that compares with the frame before."""
     for part in (Part.HALF, Part.WHOLE):
         cover = Cover(height_mm=3.0, part=part, rgb=BLACK_RGB)
         yield Case(kind=f"black cover laid over {part}", size="3 mm", falsification=_false(cover=cover))

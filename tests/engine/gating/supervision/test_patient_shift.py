@@ -116,7 +116,7 @@ def test_an_abdomen_that_rises_alone_is_no_turn():
 
 def test_markers_that_lie_in_no_plane_turn_only_when_they_turn():
     zero_mm = np.array([[-100.0, -150.0, 780.0], [100.0, -150.0, 840.0], [100.0, 150.0, 790.0], [-100.0, 150.0, 860.0]])
-    assert MarkersAtReference(zero_mm).movement(zero_mm) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert MarkersAtReference(zero_mm).movement(zero_mm) == pytest.approx((0.0,) * 4, abs=1e-9)
     breath_mm = zero_mm - np.array([0.0, 0.0, 15.0])
     assert MarkersAtReference(zero_mm).movement(breath_mm).turn_deg == pytest.approx(0.0, abs=1e-9)
 
@@ -248,3 +248,40 @@ def test_markers_of_single_precision_are_compared_in_double():
     watched.check(single(zero_mm), has_reference=True)
     watched.check(single(now_mm), has_reference=True)
     assert watched.movement == MarkersAtReference(zero_mm.astype(np.float64)).movement(now_mm.astype(np.float64))
+
+
+def sliding(slide_mm, *, is_on_part=True, seconds=12.0, **limits):
+    """Markers that slide along the body with each breath; return what watched them, and its last hold."""
+    watched, found = shift_from(FLAT_MM, replace(LIMITS, **limits)), None
+    for index in range(round(30.0 * seconds)):
+        along_mm = 0.5 * slide_mm * (1.0 - math.cos(1.5 * index / 30.0))
+        motion = seen(FLAT_MM + np.array([0.0, along_mm, 0.0]))
+        found = watched.check(motion, has_reference=True, timestamp_us=round(index * 1e6 / 30.0), is_on_part=is_on_part)
+    return watched, found
+
+
+@pytest.mark.parametrize(("slide_mm", "is_held"), [(2.9, False), (3.1, True)])
+def test_markers_that_slide_with_the_breath_hold_a_window_on_a_part(slide_mm, is_held):
+    watched, found = sliding(slide_mm)
+    assert watched.travel_mm == pytest.approx(slide_mm, abs=0.05)
+    assert (found is not None) is is_held
+    if is_held:
+        assert found.reason is HoldReason.PATIENT_SHIFTED
+        assert "slide by 3.1 mm with the breath, 3 allowed for a window on a part" in found.detail
+    assert sliding(slide_mm, is_on_part=False)[1] is None
+    assert sliding(slide_mm, max_marker_travel_mm=2.0)[1] is not None
+
+
+def test_a_travel_ends_ten_seconds_later_and_with_a_new_reference():
+    watched, _ = sliding(5.0)
+    for index in range(2 * 300 + 60):
+        found = watched.check(
+            seen(FLAT_MM), has_reference=True, timestamp_us=round(12e6 + index * 1e6 / 60.0), is_on_part=True
+        )
+    assert found is None
+    assert watched.travel_mm == pytest.approx(0.0, abs=1e-6)
+    watched, found = sliding(5.0)
+    assert found is not None
+    watched.reset()
+    assert watched.check(seen(FLAT_MM), has_reference=True, timestamp_us=0, is_on_part=True) is None
+    assert watched.travel_mm is None or watched.travel_mm == 0.0

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from engine.core.breath import Breath, SignalChoice
+from engine.core.breath import Breath, GateSignal, SignalChoice
 from engine.core.clock import NS_PER_S
 from engine.core.frames import BodyPosition
 from engine.core.gate_state import HoldReason
@@ -26,6 +26,7 @@ class Supervised:
 
     def __init__(self, **limits):
         self.supervisor = FrameSupervisor(replace(LIMITS, **limits))
+        self.window = LIMITS.window
         self.clock = ManualClock(START_NS)
         self.source = ScriptedSource(self.clock, [])
 
@@ -35,7 +36,7 @@ class Supervised:
         return self.supervisor.check(
             frame,
             measured(frame.index) if measurement is None else measurement,
-            window=LIMITS.window,
+            window=self.window,
             model=MODEL,
             has_reference=has_reference,
             notices=(),
@@ -90,3 +91,28 @@ def test_the_rate_counts_the_frames_of_the_last_second_and_only_after_one(within
 
 def test_a_rate_that_equals_its_limit_holds_nothing():
     assert Supervised(min_fps=15.0).rated(16, NS_PER_S) == ()
+
+
+def test_a_shape_that_has_drifted_at_the_end_of_exhale_holds():
+    supervised = Supervised()
+    shifted = BodyPosition(measured_us=0, height_mm=0.0, tilt_deg=0.0, roll_deg=0.0, redistributed_mm=2.0)
+    supervised.show(lying(0, shifted))
+    later = replace(lying(1, shifted), breaths=(Breath(exhale_us=lying(0).timestamp_us),))
+    assert [one.reason for one in supervised.show(later)] == [HoldReason.BASELINE_DRIFTED]
+    supervised.supervisor.reset_position()
+    assert supervised.show(lying(2, shifted)) == ()
+
+
+@pytest.mark.parametrize(
+    ("choice", "is_held"), [(SignalChoice(), False), (SignalChoice(signal=GateSignal.REGION, row=3, column=4), True)]
+)
+def test_the_markers_travel_is_bounded_for_windows_on_parts(choice, is_held):
+    supervised = Supervised(max_shift_mm=20.0)
+    supervised.window = replace(LIMITS.window, choice=choice)
+    supervised.show(lying(0))
+    supervised.show(lying(1))
+    slid = lying(2)
+    surface_mm = slid.motion.surface_mm + np.array([0.0, 4.0, 0.0])
+    holds = supervised.show(replace(slid, motion=replace(slid.motion, surface_mm=surface_mm)))
+    assert [one.reason for one in holds] == [HoldReason.PATIENT_SHIFTED] * is_held
+    assert supervised.supervisor.marker_travel_mm == pytest.approx(4.0)

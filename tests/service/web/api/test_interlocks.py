@@ -38,7 +38,7 @@ def test_numbers_are_the_site_s_with_the_bounds_that_a_site_has():
 
 def test_what_is_no_number_is_reported_as_it_is():
     found = listed(holding_events=("cough", "apnoea"), beam_without_calibration=False)
-    (events,) = found["breathing_irregular"].settings
+    events, *_rates = found["breathing_irregular"].settings
     assert (events.value, events.low, events.high) == (["cough", "apnoea"], None, None)
     (may,) = found["calibration_missing"].settings
     assert may.value is False
@@ -51,4 +51,4 @@ def test_the_list_is_one_call(settings, engine):
     assert answer.status_code == 200
     (shift,) = [one for one in answer.json()["items"] if one["code"] == "patient_shifted"]
     assert shift["text"] == "The patient has moved on the couch"
-    assert [one["value"] for one in shift["settings"]] == [9.5, 3.0, 3.0]
+    assert [one["value"] for one in shift["settings"]] == [9.5, 3.0, 3.0, 3.0]
