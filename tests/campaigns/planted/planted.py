@@ -1,0 +1,252 @@
+"""Breaks each mechanism of the table once, in a copy of the sources, and runs the test that safety.md names for it.
+
+Run: ``make safety PLANTED=1``. A test that passes with its mechanism broken proves nothing: the command lists it and
+ends with 1.
+"""
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.support.repository import ROOT
+
+COPIED = ("engine", "service", "tests", "migrations", "docs", "openapi", "pyproject.toml", "LICENSE", "README.md")
+TIMEOUT_S = 300.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Planted:
+    """One broken mechanism: ``old`` becomes ``new`` where it first stands in ``file``, and ``test`` has to fail."""
+
+    what: str
+    file: str
+    old: str
+    new: str
+    test: str
+
+
+_CROSS, _CROSS_TEST = "engine/motion/cross_check/cross_check.py", "tests/engine/motion/cross_check/test_cross_check.py"
+_BUDGET, _WINDOWS = "engine/control/reference_budget.py", "tests/engine/control/test_window_budget.py"
+_SUPERVISION = "tests/engine/gating/supervision"
+PLANTED: tuple[Planted, ...] = (
+    Planted(
+        what="any time outside of the window ends a stay",
+        file="engine/gating/gate.py",
+        old="OUTSIDE if verdict.has_left else",
+        new="OUTSIDE if verdict.kind is EventKind.OUTSIDE else",
+        test="tests/engine/gating/test_beam_on_limit.py::"
+        "test_without_a_value_beyond_an_edge_the_sum_of_beam_on_never_exceeds_the_limit",
+    ),
+    Planted(
+        what="ceased breathing is excused in every window",
+        file="engine/gating/gate.py",
+        old="is_breath_held = is_held(window, found.states)",
+        new="is_breath_held = True",
+        test="tests/engine/gating/windows/test_breath_hold.py::"
+        "test_ceased_breathing_in_the_other_way_into_the_beam_is_not_excused",
+    ),
+    Planted(
+        what="an inspiration hold may lie in free breathing",
+        file="engine/gating/duty_cycle.py",
+        old="INSPIRATION_FROM, EXPIRATION_TO = 60.0, 40.0",
+        new="INSPIRATION_FROM, EXPIRATION_TO = 0.0, 100.0",
+        test="tests/engine/gating/test_duty_cycle.py::test_a_breath_hold_whose_level_free_breathing_reaches_is_refused",
+    ),
+    Planted(
+        what="a program's release ends every hold",
+        file="engine/control/gate_controller.py",
+        old="elif command.is_person:",
+        new="elif command is not None:",
+        test="tests/engine/control/test_operators.py::"
+        "test_a_release_ends_ones_own_hold_and_a_person_s_hold_is_ended_by_a_person",
+    ),
+    Planted(
+        what="what was looked at is not compared",
+        file="engine/control/command_handler.py",
+        old="command.seen != self.arming_state",
+        new="command.seen == ''",
+        test="tests/engine/control/test_armed_as_seen.py::"
+        "test_an_arming_for_something_else_than_was_looked_at_is_refused",
+    ),
+    Planted(
+        what="a check may be silent for 5 s",
+        file="engine/gating/supervision/checks.py",
+        old="MAX_UNCHECKED_US = 500_000",
+        new="MAX_UNCHECKED_US = 5_000_000",
+        test=f"{_SUPERVISION}/test_checks.py::test_a_check_that_cannot_work_any_more_holds_after_half_a_second",
+    ),
+    Planted(
+        what="the second estimate always claims to compare the colour",
+        file=_CROSS,
+        old="color=colored >= LEAST_COLORED",
+        new="color=True",
+        test=f"{_CROSS_TEST}::test_the_colour_is_compared_where_half_of_the_region_has_one",
+    ),
+    Planted(
+        what="the camera may move by 2.9 mm",
+        file=_CROSS,
+        old="CAMERA_MM = 1.5",
+        new="CAMERA_MM = 2.9",
+        test=f"{_CROSS_TEST}::test_a_camera_that_moved_is_named_from_a_millimetre_and_a_half",
+    ),
+    Planted(
+        what="a quarter of the region may have another colour",
+        file=_CROSS,
+        old="OTHER_COLOR_SHARE = 0.06",
+        new="OTHER_COLOR_SHARE = 0.25",
+        test=f"{_CROSS_TEST}::test_another_colour_is_an_object_from_six_per_cent_of_the_region",
+    ),
+    Planted(
+        what="a disagreement ends at its limit itself",
+        file=_CROSS,
+        old="RETURNED = 0.8",
+        new="RETURNED = 1.0",
+        test=f"{_CROSS_TEST}::test_an_object_that_shrinks_is_one_until_it_is_clearly_smaller_than_its_limit",
+    ),
+    Planted(
+        what="a deep breath hides any height",
+        file=_CROSS,
+        old="HEIGHT_OF_DEEPER = 0.6",
+        new="HEIGHT_OF_DEEPER = 6.0",
+        test=f"{_CROSS_TEST}::test_a_patient_raised_within_a_deeper_breath_is_so_but_for_a_share_of_it",
+    ),
+    Planted(
+        what="five cells are a surface",
+        file="engine/motion/cross_check/cell_surface.py",
+        old="LEAST_CELLS = 20",
+        new="LEAST_CELLS = 5",
+        test=f"{_CROSS_TEST}::test_the_surface_is_compared_by_twenty_cells",
+    ),
+    Planted(
+        what="ten frames teach the scene after one that was hidden",
+        file="engine/motion/cross_check/static_scene.py",
+        old="self._seen, self._began_us = [], None\n        is_seen",
+        new="self._seen = []\n        is_seen",
+        test="tests/engine/motion/cross_check/test_static_scene.py::"
+        "test_a_scene_that_was_hidden_at_the_reference_is_learned_when_it_is_seen",
+    ),
+    Planted(
+        what="a jump leaves the level known",
+        file="engine/gating/supervision/baseline.py",
+        old="self._note_jump(measurement.motion, measurement.frame_index, now_us, levels)",
+        new="pass",
+        test=f"{_SUPERVISION}/test_baseline.py::test_after_a_jump_the_level_is_confirmed_as_after_a_loss",
+    ),
+    Planted(
+        what="a shift that is left at the end of exhale is a breath's",
+        file="engine/gating/supervision/exhale_shape.py",
+        old="REDISTRIBUTED_SHARE * allowed_mm:",
+        new="10.0 * allowed_mm:",
+        test=f"{_SUPERVISION}/test_exhale_shape.py::"
+        "test_a_shift_that_is_left_at_the_end_of_exhale_holds_until_it_is_gone_there",
+    ),
+    Planted(
+        what="stickers may slide",
+        file="engine/gating/supervision/patient_shift.py",
+        old="self._hold_for_travel() if is_on_part else None",
+        new="None",
+        test=f"{_SUPERVISION}/test_patient_shift.py::test_markers_that_slide_with_the_breath_hold_a_window_on_a_part",
+    ),
+    Planted(
+        what="a window is set without the budget",
+        file=_BUDGET,
+        old='self._refuse_reach("window", window, command)',
+        new="pass",
+        test=f"{_WINDOWS}::test_ten_millimetres_beyond_the_first_armed_window_need_a_person_s_reason",
+    ),
+    Planted(
+        what="an arming does not look at the budget",
+        file="engine/control/command_handler.py",
+        old="self._budget.check_arming(command)",
+        new="pass",
+        test=f"{_WINDOWS}::test_a_window_and_a_reference_add_up_at_the_arming",
+    ),
+    Planted(
+        what="a reference waits without limit for a measured frame",
+        file="engine/motion/learning/learner.py",
+        old="0 <= self._now_us - self._requested_us <= MAX_GAP_US",
+        new="self._requested_us >= 0",
+        test="tests/engine/motion/learning/test_reference_history.py::"
+        "test_a_reference_that_no_frame_takes_up_for_a_second_is_dropped",
+    ),
+    Planted(
+        what="a hold during a repeated permit is not looked for",
+        file="engine/beam/wire/supervised_line.py",
+        old="if self._standstill is not standstill:",
+        new="if self._standstill is self:",
+        test="tests/engine/beam/test_heartbeat_drill.py::"
+        "test_a_hold_between_beginning_a_repeated_permit_and_sending_it_is_seen",
+    ),
+    Planted(
+        what="clinical mode opens a camera that cannot be compared",
+        file="service/engine_host/site_rules/camera_serial.py",
+        old="if warning is not None:\n        raise",
+        new='if warning is not None and warning.code == "camera_mismatch":\n        raise',
+        test="tests/service/engine_host/site_rules/test_camera_serial.py::"
+        "test_clinical_mode_refuses_a_camera_that_cannot_be_compared",
+    ),
+    Planted(
+        what="a machine of the identity provider is there for ever",
+        file="service/access/request/authenticator.py",
+        old="return until is not None and self._store.now() < until",
+        new="return until is not None",
+        test="tests/service/access/test_armed_operator.py::"
+        "test_a_machine_of_the_identity_provider_is_there_until_its_newest_token_expires",
+    ),
+)
+
+
+def main() -> int:
+    """Plant one after the other, print a line for each; return 1 if a test passed, or did not run."""
+    survivors = 0
+    with tempfile.TemporaryDirectory(prefix="planted-") as folder:
+        copy = copied(Path(folder))
+        for number, one in enumerate(PLANTED, start=1):
+            outcome = outcome_of(one, copy)
+            survivors += outcome != "fails"
+            _tell(f"{number:2} of {len(PLANTED)}  {outcome:8}  {one.what}  ({one.file}; {one.test})")
+    _tell(f"{len(PLANTED) - survivors} of {len(PLANTED)} tests fail without their mechanism")
+    return 1 if survivors else 0
+
+
+def _tell(text: str) -> None:
+    print(text, flush=True)  # noqa: T201 - it is what the command is for
+
+
+def copied(folder: Path) -> Path:
+    """Copy what the tests need; return the folder."""
+    for name in COPIED:
+        source = ROOT / name
+        ignored = shutil.ignore_patterns("__pycache__", "*.pyc", "data")
+        if source.is_dir():
+            shutil.copytree(source, folder / name, ignore=ignored)
+        elif source.exists():
+            shutil.copy2(source, folder / name)
+    return folder
+
+
+def outcome_of(one: Planted, copy: Path) -> str:
+    """Break one mechanism, run its test, mend it; return ``fails``, ``PASSES``, or ``NOT RUN`` with a broken file."""
+    place = copy / one.file
+    whole = place.read_text(encoding="utf-8")
+    place.write_text(broken(one, whole), encoding="utf-8")
+    try:
+        command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", one.test]
+        run = subprocess.run(command, cwd=copy, capture_output=True, timeout=TIMEOUT_S, check=False)
+    finally:
+        place.write_text(whole, encoding="utf-8")
+    return {0: "PASSES", 1: "fails"}.get(run.returncode, "NOT RUN")
+
+
+def broken(one: Planted, whole: str) -> str:
+    """Return a file with the mechanism broken; raise ValueError where it is not there."""
+    if one.old not in whole:
+        raise ValueError(f"{one.file} no longer has what is broken there: {one.old}")
+    return whole.replace(one.old, one.new, 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
