@@ -20,6 +20,7 @@ from engine.core.gate_state import HoldReason
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
 
+SPAN_US = 500_000
 TRAVEL_US = 10_000_000
 """Two breaths: their ends of exhale and inhale are among the last ten seconds."""
 NODES = NODE_ROWS * NODE_COLUMNS
@@ -39,6 +40,16 @@ class Movement(NamedTuple):
     along_mm: float = 0.0
 
 
+class _Span(NamedTuple):
+    """Where the markers were within half a second [mm]."""
+
+    begun_us: int
+    left_mm: float
+    right_mm: float
+    superior_mm: float
+    inferior_mm: float
+
+
 class PatientShift:
     """Compares the markers with their positions at the reference; owned by the engine thread.
 
@@ -51,7 +62,7 @@ class PatientShift:
     def __init__(self, limits: GateLimits) -> None:
         self._limits = limits
         self.movement: Movement | None = None
-        self._travel: deque[tuple[int, float, float]] = deque()
+        self._travel: deque[_Span] = deque()
         self._at_reference: MarkersAtReference | None = None
 
     def reset(self) -> None:
@@ -64,8 +75,10 @@ class PatientShift:
         """How far the markers have gone along the couch within the last ten seconds [mm]; None where not known."""
         if self.movement is None:
             return None
-        ends = [max(values) - min(values) for values in list(zip(*self._travel, strict=True))[1:]]
-        return math.hypot(*ends)
+        spans = self._travel
+        across_mm = max(one.right_mm for one in spans) - min(one.left_mm for one in spans)
+        along_mm = max(one.inferior_mm for one in spans) - min(one.superior_mm for one in spans)
+        return math.hypot(across_mm, along_mm)
 
     def check(
         self,
@@ -103,9 +116,20 @@ class PatientShift:
         return shifted or (None if position is None else self._hold_for_surface(position))
 
     def _follow(self, moved: Movement, timestamp_us: int) -> None:
-        while self._travel and not 0 <= timestamp_us - self._travel[0][0] <= TRAVEL_US:
-            self._travel.popleft()
-        self._travel.append((timestamp_us, moved.across_mm, moved.along_mm))
+        spans, across_mm, along_mm = self._travel, moved.across_mm, moved.along_mm
+        while spans and not 0 <= timestamp_us - spans[0].begun_us <= TRAVEL_US:
+            spans.popleft()
+        if not spans or timestamp_us - spans[-1].begun_us >= SPAN_US:
+            spans.append(_Span(timestamp_us, across_mm, across_mm, along_mm, along_mm))
+            return
+        last = spans[-1]
+        spans[-1] = _Span(
+            last.begun_us,
+            min(last.left_mm, across_mm),
+            max(last.right_mm, across_mm),
+            min(last.superior_mm, along_mm),
+            max(last.inferior_mm, along_mm),
+        )
 
     def _hold_for_travel(self) -> Interruption | None:
         travel_mm, most_mm = self.travel_mm, self._limits.max_marker_travel_mm
