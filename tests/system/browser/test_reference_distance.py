@@ -74,3 +74,14 @@ def test_a_proposal_beyond_the_budget_asks_for_a_reason_that_is_sent_once(fake: 
     (body,) = [body for path, body in fake.posts() if path == f"/sessions/{SESSION_ID}/reference"]
     assert body["reason"] == "re-planned"
     expect(page.locator("#reference-reason")).to_have_value("")
+
+
+def test_a_reference_that_the_stream_shows_is_not_asked_for_again(fake: FakeService, tab: Tab):
+    """The session is read every two seconds, and says until then that none is set."""
+    fake.sessions = [SESSION | {"has_reference": False, "measurement_state": "measuring"}]
+    fake.mode, fake.sample = "samples", sample(gate="disarmed", is_armed=False, hold_reason="disarmed")
+    page = tab.open("disarmed")
+    expect(page.locator("#gate-reason")).to_have_text("Not armed. Set the reference before arming.")
+    fake.sample |= {"reference": reference()}
+    expect(page.locator("#gate-reason")).to_have_text("Not armed")
+    expect(page.locator("#do-arm")).to_be_enabled()
