@@ -2,6 +2,7 @@
 
 import pytest
 from playwright.sync_api import Page, expect
+from pydantic import ValidationError
 
 from service.core.schemas.windows import Window
 from tests.support.browser.fake_service import FakeService
@@ -36,6 +37,14 @@ def choose(page: Page, name: str, value: str, path: str = "window") -> None:
     page.select_option(f"[name='{path}.{name}']", value)
 
 
+def hold_between(page: Page, path: str) -> None:
+    """Type the edges of a breath hold, in the unit that is shown: none are suggested."""
+    for edge, value in (("lower", "8"), ("upper", "14")):
+        field = page.locator(f"[name^='{path}.{edge}_']:visible")
+        expect(field).to_have_value("")
+        field.fill(value)
+
+
 def fields(page: Page, place: int = 0) -> set[str]:
     """Names of the fields of a condition that can be seen."""
     inputs = page.locator(".condition").nth(place).locator("[data-name]:visible")
@@ -67,6 +76,8 @@ def test_only_the_fields_of_the_kind_and_signal_are_asked_and_the_service_takes_
     for name, value in chosen.items():
         choose(form, name, value)
     assert fields(form) == {"kind", "signal"} | shown
+    if chosen.get("kind") == "breath_hold":
+        hold_between(form, "window")
     if "name" in shown:
         form.fill("[name='window.name']", "belly")
     window = sent(fake, form)["window"]
@@ -83,6 +94,21 @@ def test_edges_can_be_told_in_per_cent_of_the_learned_range(fake: FakeService, f
     assert not {name for name in window if name.endswith(("_mm", "_l"))}
 
 
+def test_a_breath_hold_is_created_with_the_edges_of_a_held_breath_and_no_others(fake: FakeService, form: Page):
+    """Review N1: the end of exhale's edges were offered, and the beam was on in the pauses of free breathing."""
+    lower = form.locator("[name='window.lower_mm']")
+    choose(form, "kind", "breath_hold")
+    expect(lower).to_have_value("")
+    choose(form, "kind", "amplitude")
+    expect(lower).to_have_value("-1")
+    lower.fill("7.5")
+    choose(form, "kind", "breath_hold")
+    expect(lower).to_have_value("7.5")
+    expect(form.locator("[name='window.upper_mm']")).to_have_value("")
+    with pytest.raises(ValidationError, match="upper_mm"):  # as the controller does
+        sent(fake, form)
+
+
 def test_up_to_four_conditions_are_joined_and_can_be_removed(fake: FakeService, form: Page):
     expect(form.locator("#join-field")).to_be_hidden()
     for _ in range(3):
@@ -93,6 +119,7 @@ def test_up_to_four_conditions_are_joined_and_can_be_removed(fake: FakeService, 
     form.locator(".condition").nth(2).locator(".remove").click()
     expect(form.locator("#add-condition")).to_be_enabled()
     choose(form, "join", "or")
+    hold_between(form, "window.further.1")
     window = sent(fake, form)["window"]
     assert [one["kind"] for one in window["further"]] == ["phase", "breath_hold"]
     assert window["join"] == "or"

@@ -17,7 +17,10 @@ export class Conditions {
     this.add = add;
     this.onChange = onChange;
     add.addEventListener("click", () => this.append());
-    root.addEventListener("change", () => this.show());
+    root.addEventListener("change", ({ target }) => {
+      if (target.dataset.name === "kind") suggestEdges(target.closest("fieldset"));
+      this.show();
+    });
   }
 
   append() {
@@ -85,8 +88,24 @@ function showFields(condition) {
   }
 }
 
+/**
+ * The form's own edges are those of the end of exhale: a breath hold has none before a breath was held, and none is
+ * suggested. What a person typed stays.
+ */
+function suggestEdges(condition) {
+  const isHold = value(condition, "kind") === "breath_hold";
+  for (const edge of condition.querySelectorAll('[data-name^="lower_"], [data-name^="upper_"]')) {
+    if (isHold && edge.value === edge.defaultValue) edge.value = "";
+    else if (!isHold && edge.value === "") edge.value = edge.defaultValue;
+  }
+}
+
 /** Enter a condition as the controller describes it; what it leaves out keeps the form's value. */
 function fill(fieldset, condition) {
+  if (condition.kind === "breath_hold") {
+    fieldset.querySelector('[data-name="kind"]').value = condition.kind;
+    suggestEdges(fieldset);
+  }
   for (const input of fieldset.querySelectorAll("[data-name]")) {
     const found = condition[input.dataset.name];
     if (found !== null && found !== undefined) input.value = found;
