@@ -15,7 +15,7 @@ from engine.core.learning_events import LearningEvent, LearningEventKind
 from engine.gating.supervision.model_age import NS_PER_MIN
 from tests.campaigns.interlocks.live_camera import Mischief, wait_ns
 from tests.campaigns.interlocks.live_run import LIMITS, TRANSITIONS_KEPT, LiveRun, Trip
-from tests.support.gating.streams import LEVEL_MM, unmeasured
+from tests.support.gating.streams import EVIDENCE, LEVEL_MM, unmeasured
 
 GOOD = Mischief()
 EARLY_ENOUGH_NS = 3_000 * NS_PER_MS
@@ -64,6 +64,10 @@ def _fit(**changes: object) -> Callable[[LiveRun], None]:
 def _lower(frame: Measurement) -> Measurement:
     breath = Breath(amplitude=12.0, exhale_us=frame.timestamp_us, exhale_drift=-4.0)
     return replace(frame, breaths=(breath,))
+
+
+def _without_scene(frame: Measurement) -> Measurement:
+    return replace(frame, evidence=EVIDENCE._replace(camera=False))
 
 
 def _jumping(frame: Measurement) -> Measurement:
@@ -206,6 +210,7 @@ TRIPS: tuple[Trip, ...] = (
     Trip(code=R.RESIDUAL_HIGH, how="4 mm are left unexplained", act=_fit(residual_mm=4.0), undo=_right),
     Trip(code=R.SURFACE_CHANGED, how="a sheet is laid down", act=_lost(LostReason.SURFACE_CHANGED), undo=_right),
     Trip(code=R.CAMERA_MOVED, how="the camera is pushed", act=_lost(LostReason.CAMERA_MOVED), undo=_right),
+    Trip(code=R.CHECK_MISSING, how="couch and floor are hidden", act=_spoiled(_without_scene), undo=_right),
     Trip(code=R.JUMP, how="the signal steps by 4.5 mm, inside the window", act=_spoiled(_jumping), undo=_right),
     Trip(code=R.VALUE_INVALID, how="the motion is no number", act=_motion(thorax_mm=math.nan), undo=_right),
     Trip(code=R.BREATHING_IRREGULAR, how="the patient coughs", act=_wrong(breaths=(COUGH,)), undo=_right),

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from engine.core.commands import Acknowledge, Arm
-from engine.core.frames import Lost, LostReason, Measurement, MeasurementState, Motion, Projection, SeenShares
+from engine.core.frames import Evidence, Lost, LostReason, Measurement, MeasurementState, Motion, Projection, SeenShares
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.head_direction import HeadDirection
 from engine.gating.gate import Gate, GateEvent, Interruption, step_gate
@@ -68,6 +68,10 @@ def motion_of(
     )
 
 
+EVIDENCE = Evidence(surface=True, color=True, camera=True)
+"""All that can be compared was."""
+
+
 def measured(index: int, motion: Motion | None = None) -> Measurement:
     """A good frame, on schedule."""
     received_ns = START_NS + index * PERIOD_NS
@@ -80,6 +84,7 @@ def measured(index: int, motion: Motion | None = None) -> Measurement:
         missed_frames=0,
         state=MeasurementState.MEASURING,
         motion=motion or motion_of(),
+        evidence=EVIDENCE,
     )
 
 
