@@ -27,7 +27,9 @@ def integrity(
     ] = 2017,
     jobs: Annotated[int | None, typer.Option(help="Number of processes; one per core by default.")] = None,
     *,
-    is_slow: Annotated[bool, typer.Option("--slow", help="Add moves of body and camera over a minute.")] = False,
+    is_slow: Annotated[
+        bool, typer.Option("--slow", help="Add what takes longer: moves over a minute, a half that rises slowly.")
+    ] = False,
     is_strict: Annotated[
         bool, typer.Option("--strict", help="Exit code 1 when an error stands as measured for too long.")
     ] = False,

@@ -252,6 +252,7 @@ def test_markers_of_single_precision_are_compared_in_double():
 
 def sliding(slide_mm, *, is_on_part=True, seconds=12.0, **limits):
     """Markers that slide along the body with each breath; return what watched them, and its last hold."""
+    limits = {"max_marker_travel_mm": 3.0} | limits
     watched, found = shift_from(FLAT_MM, replace(LIMITS, **limits)), None
     for index in range(round(30.0 * seconds)):
         along_mm = 0.5 * slide_mm * (1.0 - math.cos(1.5 * index / 30.0))

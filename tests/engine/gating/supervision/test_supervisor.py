@@ -107,7 +107,7 @@ def test_a_shape_that_has_drifted_at_the_end_of_exhale_holds():
     ("choice", "is_held"), [(SignalChoice(), False), (SignalChoice(signal=GateSignal.REGION, row=3, column=4), True)]
 )
 def test_the_markers_travel_is_bounded_for_windows_on_parts(choice, is_held):
-    supervised = Supervised(max_shift_mm=20.0)
+    supervised = Supervised(max_shift_mm=20.0, max_marker_travel_mm=3.0)
     supervised.window = replace(LIMITS.window, choice=choice)
     supervised.show(lying(0))
     supervised.show(lying(1))

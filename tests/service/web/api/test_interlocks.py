@@ -51,4 +51,4 @@ def test_the_list_is_one_call(settings, engine):
     assert answer.status_code == 200
     (shift,) = [one for one in answer.json()["items"] if one["code"] == "patient_shifted"]
     assert shift["text"] == "The patient has moved on the couch"
-    assert [one["value"] for one in shift["settings"]] == [9.5, 3.0, 3.0, 3.0]
+    assert [one["value"] for one in shift["settings"]] == [9.5, 6.0, 3.0, 3.0]
