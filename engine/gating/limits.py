@@ -84,7 +84,7 @@ class GateLimits:
         and roll of the region's surface.
     max_marker_travel_mm
         Greatest travel of the markers along the couch within ten seconds, for windows on a part of the region: stickers
-        on clothing slide over the skin. On skin the mean of chest and abdomen travels by 2 to 5 mm.
+        on clothing slide over the skin. On skin the mean of chest and abdomen travels by 3 to 5 mm.
     max_height_mm
         Greatest rigid change of the surface's height since the reference was set; breathing is taken off.
     max_baseline_drift_mm

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from engine.core.breath import Breath, SignalChoice
+from engine.core.clock import US_PER_S
 from engine.core.frames import Measurement, Motion
 from engine.core.gate_state import HoldReason
 from engine.core.signals import signal_of
@@ -20,7 +21,6 @@ from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, Condition, GateWindow, HoldKind
 
-US_PER_S = 1e6
 HALF = 0.5
 BREATH_SHARE = 1.0 / 3.0
 RETURNED = 0.9

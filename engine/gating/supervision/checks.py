@@ -67,7 +67,7 @@ class Checks:
         self.states: tuple[CheckState, ...] = ()
 
     def reset(self) -> None:
-        """Follow the checks anew: the reference was set."""
+        """Forget which checks have worked: the reference was set."""
         self.states = ()
 
     def check(self, measurement: Measurement, *, has_reference: bool) -> Interruption | None:

@@ -11,19 +11,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from engine.core.frames import NODE_COLUMNS, NODE_ROWS, FloatArray, Measurement
+from engine.core.frames import NODE_COLUMNS, FloatArray, Measurement
 from engine.core.gate_state import HoldReason
 from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
+from engine.gating.supervision.baseline import RETURNED
+from engine.gating.supervision.patient_shift import NODES
 
 REDISTRIBUTED_SHARE = 0.3
 """Allowed shift between thorax and abdomen, root mean square, as a share of the bound of the level: one half of the
 region that rises evenly by h mm is a shift of about 0.6 h."""
-RETURNED = 0.9
-"""A drift ends at this share of its bound."""
 KEPT_US = 15_000_000
 """An end of exhale is known when the next inhale has begun: earlier than this."""
-NODES = NODE_ROWS * NODE_COLUMNS
 
 
 class _Shape(NamedTuple):

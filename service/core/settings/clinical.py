@@ -75,7 +75,7 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
     ),
     "max_turn_deg": ClinicalBound(low=0.5, high=2.0, reason="moves a point 60 mm from the centre by 2 mm (TG-302)"),
     "max_marker_travel_mm": ClinicalBound(
-        low=0.5, high=6.0, reason="on skin they travel by 2 to 5 mm with the breath, as recorded markers on people do"
+        low=0.5, high=6.0, reason="on skin they travel by 3 to 5 mm with the breath, as recorded markers on people do"
     ),
     "max_height_mm": ClinicalBound(low=0.5, high=3.0, reason=f"{TG_302}, and 1 mm of the estimate's own error"),
     "max_baseline_drift_mm": ClinicalBound(low=0.5, high=2.0, reason=TG_302),

@@ -134,7 +134,7 @@ def test_a_machine_of_the_identity_provider_is_there_until_its_newest_token_expi
 
     authenticator.machine_verifier = SimpleNamespace(identify=identify)
     is_present = authenticator.is_present
-    assert not any(map(is_present, ["machine:m", "nobody", "key:nobody", "m"]))
+    assert not any(map(is_present, ["machine:m", "unknown", "key:unknown", "m"]))
     authenticator.identify({"authorization": "Bearer over"})
     assert not is_present("machine:m")
     authenticator.identify({"authorization": "Bearer long"})

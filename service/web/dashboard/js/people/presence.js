@@ -2,8 +2,8 @@
  * Reports every second that a person who may arm is at this page; if the reports stop, the controller holds the beam.
  *
  * Only a visible page reports. While a person's gate is armed, only the page they armed or released it at, under their
- * name; while no gate is armed, or a program armed it, the page of everybody who may arm. A screen in the distance view
- * may hang where nobody is: it reports only where a person armed at it.
+ * name; while no gate is armed, or a program armed it, the page of everybody who may arm. A page in the distance
+ * view may be on a wall of an empty room: it reports only if a person armed the gate from that page.
  */
 
 import { notePresence } from "../api.js";
