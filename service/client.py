@@ -160,6 +160,7 @@ class ArmingItem(TypedDict):
         "window",
         "position",
         "checks",
+        "countersignature",
         "site",
         "gate",
     ]
@@ -354,6 +355,15 @@ class CameraLatencyList(TypedDict):
     configured_ms: float
     items: list[CameraLatency]
     max_age_days: float
+
+
+class CountersignRequest(TypedDict):
+    """What a second person countersigns; with name and password if another person is logged in at this page."""
+
+    name: NotRequired[str | None]
+    operator: NotRequired[str]
+    password: NotRequired[str | None]
+    state: str
 
 
 class Device(TypedDict):
@@ -1841,6 +1851,12 @@ class TidegateClient:
         """
         arguments: dict[str, object] = {"reference_number": reference_number, "reason": reason}
         return self._do(session_id, "position-check", SessionDetail, operator, if_match, arguments)
+
+    def countersign(
+        self, session_id: str, state: str, *, operator: str | None = None, if_match: str | None = None
+    ) -> "SessionDetail":
+        """Countersign, as a second person, what ``state`` of `arming` names. For people; no key may. Never repeated."""
+        return self._do(session_id, "countersign", SessionDetail, operator, if_match, {"state": state})
 
     def arm(
         self,

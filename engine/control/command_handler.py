@@ -7,6 +7,7 @@ import hashlib
 from typing import NamedTuple
 
 from engine.control.commands import Command
+from engine.control.countersignature import Countersignature, CountersignatureState
 from engine.control.decisions import Cause
 from engine.control.duty_forecast import DutyForecast
 from engine.control.gate_controller import GateController
@@ -23,6 +24,7 @@ from engine.core.commands import (
     ApplyModel,
     Arm,
     CorrectBaseline,
+    Countersign,
     Disarm,
     HoldBeam,
     ReleaseBeam,
@@ -30,7 +32,7 @@ from engine.core.commands import (
     SetReference,
     SignPosition,
 )
-from engine.core.errors import CommandRefusedError, HeadDirectionError
+from engine.core.errors import CommandRefusedError, CountersignatureError, HeadDirectionError, ReasonMissingError
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.ranges import Ranges
 from engine.core.reference_proposal import ReferenceMoment
@@ -77,6 +79,7 @@ class CommandHandler:
     ) -> None:
         self._measurer, self._learner, self._line, self._limits = measurer, learner, line, limits
         self._budget, self._sign_off = budget, sign_off
+        self._countersignature = Countersignature(budget, limits)
         self._controller, self._presence, self._supervisor = controller, presence, supervisor
         self._forecast = DutyForecast(learner, limits)
         self._generation = learner.status.model_generation
@@ -114,6 +117,11 @@ class CommandHandler:
             self._hashed, self._hash = present, hashlib.sha256(repr(present).encode()).hexdigest()[:32]
         return self._hash
 
+    @property
+    def countersignature(self) -> CountersignatureState:
+        """Whether the next arming needs a second person's countersignature, and who has given it."""
+        return self._countersignature.present(self.arming_state)
+
     def has_model_changed(self) -> bool:
         """Whether the model or the reference has changed since the last call, or since the last arming."""
         before, self._generation = self._generation, self._learner.status.model_generation
@@ -150,9 +158,8 @@ class CommandHandler:
                 self._budget.check_correction(command)
                 self._controller.correct_baseline(command)
                 self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], self._limits.correction)
-            case SignPosition():
-                self._sign_off.sign(command)
-                self._controller.decide(cause=Cause(operator=command.operator))
+            case Countersign() | SignPosition():
+                self._sign(command)
             case _:
                 self._change(command)
 
@@ -160,6 +167,8 @@ class CommandHandler:
         """Use another window on the same signals; per cent are converted at once where the range is known."""
         ranges = self._learner.learned_ranges(command.window.choices)
         self._controller.refuse_window_while_armed()
+        if self._limits.current.needs_countersignature and not command.reason.strip():
+            raise ReasonMissingError("another window for a patient needs a written reason at this site")
         self._budget.check_window(self._limits.changed(command, ranges).limits.window, command)
         self._controller.set_window(command, ranges)
         self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], 0.0)
@@ -243,6 +252,7 @@ class CommandHandler:
         self._refuse_unreasoned_way(command)
         self._forecast.refuse_free_breath()
         self._budget.check_arming(command)
+        self._countersignature.refuse_unsigned(command, self.arming_state)
         self._line.rearm()
         if command.is_person:
             self._presence.note(command.operator)
@@ -250,6 +260,19 @@ class CommandHandler:
         if not self._controller.gate.is_armed:
             raise CommandRefusedError(f"a fault came up: {self._controller.gate.reason}")
         self._budget.note_armed()
+
+    def _sign(self, command: Countersign | SignPosition) -> None:
+        """Sign window and reference as a second person, or the patient's position."""
+        if isinstance(command, Countersign):
+            self._countersign(command)
+        else:
+            self._sign_off.sign(command)
+        self._controller.decide(cause=Cause(operator=command.operator))
+
+    def _countersign(self, command: Countersign) -> None:
+        if not self._learner.status.has_reference or self._limits.is_window_unresolved:
+            raise CountersignatureError("there is no reference yet, or the window is still in per cent: set it first")
+        self._countersignature.sign(command, self.arming_state)
 
     def _refuse_unreasoned_way(self, command: Arm) -> None:
         """Refuse a window with several ways into the beam to a program, and without a person's reason."""

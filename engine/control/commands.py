@@ -6,6 +6,7 @@ from engine.core.commands import (
     ApplyModel,
     Arm,
     CorrectBaseline,
+    Countersign,
     Disarm,
     HoldBeam,
     ReleaseBeam,
@@ -21,6 +22,7 @@ Command = (
     | Acknowledge
     | SetReference
     | SignPosition
+    | Countersign
     | Retrain
     | ApplyModel
     | ActivateModel

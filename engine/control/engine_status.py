@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from engine.capture.source import SourceDescription
+from engine.control.countersignature import CountersignatureState
 from engine.control.outputs import LiveView, LoopStatus
 from engine.core.learning_status import LearningStatus
 from engine.core.ranges import Ranges
@@ -32,6 +33,8 @@ class EngineStatus:
         Hash of what an arming would take: window, its correction and times, reference, model and head direction.
     is_reason_needed
         Whether a person has to arm, with a reason: conditions joined by or, or a window beyond the fraction's budget.
+    countersignature
+        Whether the next arming needs a second person, and who has signed what it would take.
     """
 
     run_state: LoopStatus = LoopStatus.STARTING
@@ -43,6 +46,7 @@ class EngineStatus:
     learned_ranges: Ranges = field(default_factory=dict)
     arming_state: str = ""
     is_reason_needed: bool = False
+    countersignature: CountersignatureState = field(default_factory=CountersignatureState)
 
     @property
     def is_over(self) -> bool:

@@ -338,6 +338,7 @@ class EngineLoop:
             learned_ranges=self._handler.learned_ranges,
             arming_state=self._handler.arming_state,
             is_reason_needed=self._handler.is_reason_needed,
+            countersignature=self._handler.countersignature,
         )
 
     def _run_once(self, commands: Iterable[QueuedCommand]) -> None:

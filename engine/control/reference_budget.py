@@ -98,9 +98,14 @@ class ReferenceBudget:
         reach_mm = self._reach_mm(self._limits.current.window)
         return not self._has_reason and not self._is_within(reach_mm)
 
+    @property
+    def is_first_arming(self) -> bool:
+        """Whether the next arming is the fraction's first, or makes its window the first one, with a reason."""
+        return self._first is None or not self._is_within(self._reach_mm(self._limits.current.window))
+
     def note_armed(self) -> None:
         """Count from the window that was armed: the fraction's first, or one for which a person gave a reason."""
-        if self._first is None or not self._is_within(self._reach_mm(self._limits.current.window)):
+        if self.is_first_arming:
             self._armed_first = placed_window(self._limits.current.window, self._learner.status.reference_distance)
         self._has_reason = False
 

@@ -95,6 +95,17 @@ class SignPosition:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Countersign:
+    """Countersign, as a second person, the reference and the window that would be armed.
+
+    ``seen`` is what the person looked at, as in `Arm`: refused if it is another by now.
+    """
+
+    operator: str
+    seen: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Retrain:
     """Collect frames and train a new model in the background; it becomes active while the gate is not armed.
 

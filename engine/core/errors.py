@@ -145,6 +145,18 @@ class PositionUncheckedError(CommandRefusedError):
     code = "position_unchecked"
 
 
+class ReasonMissingError(CommandRefusedError):
+    """The change needs a written reason of the person who makes it."""
+
+    code = "reason_missing"
+
+
+class CountersignatureError(CommandRefusedError):
+    """A second person has not countersigned the reference and the window that would be armed."""
+
+    code = "countersignature_missing"
+
+
 def _short(value: object) -> str:
     shown = str(value)
     return shown if len(shown) <= 80 else f"{shown[:77]}..."

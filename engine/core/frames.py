@@ -97,6 +97,7 @@ class LostReason(enum.StrEnum):
     SURFACE_CHANGED = "surface_changed"
     CAMERA_MOVED = "camera_moved"
     VALUE_INVALID = "value_invalid"
+    FRAME_FROZEN = "frame_frozen"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -239,6 +239,7 @@ _REASON_OF_LOST = {
     LostReason.SURFACE_CHANGED: HoldReason.SURFACE_CHANGED,
     LostReason.CAMERA_MOVED: HoldReason.CAMERA_MOVED,
     LostReason.VALUE_INVALID: HoldReason.VALUE_INVALID,
+    LostReason.FRAME_FROZEN: HoldReason.FRAME_FROZEN,
 }
 
 

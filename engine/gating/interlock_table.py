@@ -61,7 +61,7 @@ INTERLOCKS: tuple[Interlock, ...] = (
     ),
     _row(_R.FRAME_MISSING, "a frame lost or not received in time", "max_gap_ms"),
     _row(_R.FRAME_TIMEOUT, "no frame, or no new picture, for too long", "max_silence_ms"),
-    _row(_R.FRAME_FROZEN, "an old depth or colour picture with a new time", "max_repeated_frames"),
+    _row(_R.FRAME_FROZEN, "an old depth or colour picture with a new time"),
     _row(_R.FRAME_RATE_LOW, "too few frames within the last second", "min_fps"),
     _row(_R.CLOCK_BACKWARDS, "time or order of frames does not increase"),
     _row(

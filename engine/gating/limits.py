@@ -73,8 +73,6 @@ class GateLimits:
     max_duty_percent
         Largest share of the learned breaths inside an amplitude or phase window [%]; arming is refused beyond it, as
         the signal practically never leaves such a window. 100 switches this off.
-    max_repeated_frames
-        Most repetitions of the same depth or colour picture with new times.
     max_clock_jump_ms
         Greatest step of the device's clock beyond the host's from one frame to the next.
     min_fps
@@ -128,6 +126,9 @@ class GateLimits:
     head_direction
         The side of the picture at which the patient's head lies; None if it is unknown: then only the whole region and
         its volume may gate.
+    needs_countersignature
+        Whether a second person countersigns reference and window before the first arming of a fraction, and another
+        window for a patient needs a reason.
     needs_all_checks
         Whether the beam is held where a check of the measurement has not worked since the reference was set; one that
         worked and cannot any more always holds.
@@ -156,7 +157,6 @@ class GateLimits:
     max_cycles_per_min: int = 120
     max_beam_on_s: float = 30.0
     max_duty_percent: float = 90.0
-    max_repeated_frames: int = 0
     max_clock_jump_ms: float = 250.0
     min_fps: float = 20.0
     max_shift_mm: float = 6.0
@@ -184,6 +184,7 @@ class GateLimits:
     max_breaths_per_min: float = 30.0
     holding_events: frozenset[BreathEventKind] = BREATHING_CEASED
     needs_all_checks: bool = False
+    needs_countersignature: bool = False
     is_played: bool = False
 
     def __post_init__(self) -> None:
@@ -232,7 +233,6 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "max_cycles_per_min": (1, 120),
     "max_beam_on_s": (2.0, 30.0),
     "max_duty_percent": (10.0, 100.0),
-    "max_repeated_frames": (0, 3),
     "max_clock_jump_ms": (50.0, 2_000.0),
     "min_fps": (5.0, 60.0),
     "max_shift_mm": (1.0, 100.0),
@@ -257,7 +257,7 @@ LIMIT_BOUNDS: dict[str, tuple[float, float]] = {
     "window_lower_mm": (-100.0, 100.0),
     "window_upper_mm": (-100.0, 100.0),
 }
-WHOLE_NUMBERS = ("min_good_frames", "max_cycles_per_min", "max_repeated_frames")
+WHOLE_NUMBERS = ("min_good_frames", "max_cycles_per_min")
 
 
 def ns_from_ms(duration_ms: float) -> int:

@@ -47,6 +47,7 @@ from engine.motion.tracking.depth_table import DepthTable
 from engine.motion.tracking.marker_layout import MarkerLayout, marker_points_mm
 from engine.motion.tracking.past_measurement import motion_from
 from engine.motion.tracking.region_tracker import RegionTracker, coverage_lost
+from engine.motion.tracking.repeated_pictures import RepeatedPictures
 from engine.motion.tracking.surface_continuity import ObservedSurface, SurfaceContinuity
 
 US_PER_S = 1e6
@@ -116,6 +117,7 @@ class Pipeline:
             max_pair_gap_ms=settings.max_pair_gap_ms,
             max_layout_change=settings.max_layout_change,
         )
+        self._repeated = RepeatedPictures()
         self._recent = RecentFrames()
         self._continuity = SurfaceContinuity()
         self._marker_layout = MarkerLayout()
@@ -168,9 +170,8 @@ class Pipeline:
         """
         self._calibration.check_sizes(depth=frame.depth_mm.shape, color=frame.color.shape)
         self.learner.collect(frame.timestamp_us)
-        found = self._tracker.find(frame)
+        found = self._find(frame)
         if isinstance(found, Lost):
-            self._reset_tracking()
             return self._measurement(frame, MeasurementState.LOST, lost=found)
         stride_px = self._stride_px(frame.timestamp_us)
         nodes, roi = self._tracker.region(frame, found, stride_px, has_model=self.learner.active is not None)
@@ -205,6 +206,16 @@ class Pipeline:
         if breaths:
             self.learner.follow(outcome.coefficients, motion, breaths[0], frame.timestamp_us)
         return self._measurement(frame, MeasurementState.MEASURING, motion=motion, markers=found, breaths=breaths)
+
+    def _find(self, frame: RgbdFrame) -> Markers | Lost:
+        """Find the markers in a new picture; an old one changes nothing that is tracked."""
+        old = self._repeated.check(frame)
+        if old is not None:
+            return old
+        found = self._tracker.find(frame)
+        if isinstance(found, Lost):
+            self._reset_tracking()
+        return found
 
     def _measurement(
         self,

@@ -246,6 +246,12 @@ class WrongPasswordError(ServiceError):
     code = "wrong_password"
 
 
+class SecondPersonError(ServiceError):
+    """The second person's name or password is wrong, or that person may not countersign."""
+
+    code = "second_person"
+
+
 class PermissionMissingError(ServiceError):
     """The caller lacks the permission that the call needs."""
 

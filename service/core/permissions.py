@@ -35,7 +35,7 @@ MEANING: Mapping[Permission, str] = {
     Permission.SESSIONS_READ: "read sessions, plans, samples, the live stream, pictures, "
     "models, devices, recordings and interlocks",
     Permission.SESSIONS_RUN: "create and start sessions",
-    Permission.GATE_REFERENCE: "set the reference, and sign the patient's position; for people only",
+    Permission.GATE_REFERENCE: "set the reference, sign the patient's position, and countersign; for people only",
     Permission.GATE_ARM: "arm, release a hold, correct the baseline: everything that can lead to beam on; "
     "people also answer for an armed gate by their presence",
     Permission.GATE_HOLD: "hold, disarm, stop, cancel a QA run: everything that takes the beam off",

@@ -23,7 +23,7 @@ LinePart: TypeAlias = SimulatedBeamLine | WiredBeamLine
 
 def make_beam_line(settings: BeamSettings, clock: Clock) -> BeamLine:
     """Return the beam line, not yet open: one or two lines, with publisher and beam-on signal if they are set."""
-    parts = beam_line_parts(settings, clock)
+    parts = beam_line_parts(settings, clock, is_session=True)
     line = published(joined(parts), settings, clock)
     read = read_beam_on(settings, clock, parts)
     if read is None:
@@ -58,10 +58,13 @@ def published(line: BeamLine, settings: BeamSettings, clock: Clock) -> BeamLine:
     return PublishedBeamLine(line, [StatusPublisher(sender, clock, utc_now=_utc_now) for sender in senders], clock)
 
 
-def beam_line_parts(settings: BeamSettings, clock: Clock) -> tuple[LinePart, ...]:
-    """Return the one or two lines that the settings name, separately."""
+def beam_line_parts(settings: BeamSettings, clock: Clock, *, is_session: bool = False) -> tuple[LinePart, ...]:
+    """Return the one or two lines that the settings name, separately; a session's say that a gate is expected."""
     places = settings.second_inputs
-    return tuple(_line(kind, settings, clock, place) for kind, place in zip(settings.beam_lines, places, strict=True))
+    return tuple(
+        _line(kind, settings, clock, place, is_session=is_session)
+        for kind, place in zip(settings.beam_lines, places, strict=True)
+    )
 
 
 def joined(parts: Sequence[BeamLine]) -> BeamLine:
@@ -90,30 +93,30 @@ def _second_input(
     return ModbusInput(_tcp(settings)) if kind == "modbus-tcp" else OwnInput(part)
 
 
-def _line(kind: LineKind, settings: BeamSettings, clock: Clock, place: str) -> LinePart:
+def _line(kind: LineKind, settings: BeamSettings, clock: Clock, place: str, *, is_session: bool) -> LinePart:
     if kind == "simulated":
         return SimulatedBeamLine(clock)
-    wire = WIRES[kind](settings)
+    wire = WIRES[kind](settings, is_session)
     looks_itself = place == READBACK and kind != "modbus-tcp"
     return WiredBeamLine(wire, clock, settings.beam_times, look=wire.look if looks_itself else None)
 
 
-def _tcp(settings: BeamSettings) -> ModbusWire:
-    registers = settings.beam_registers("modbus-tcp")
+def _tcp(settings: BeamSettings, is_session: bool = False) -> ModbusWire:  # noqa: FBT001, FBT002 - in a table
+    registers = settings.beam_registers("modbus-tcp", is_session=is_session)
     return tcp_wire(host=settings.beam_modbus_host, port=settings.beam_modbus_port, registers=registers)
 
 
-def _rtu(settings: BeamSettings) -> ModbusWire:
+def _rtu(settings: BeamSettings, is_session: bool) -> ModbusWire:  # noqa: FBT001 - in a table
     return rtu_wire(
         device=settings.beam_rtu_device,
         baud=settings.beam_rtu_baud,
         parity=settings.beam_rtu_parity,
         stop_bits=settings.beam_rtu_stop_bits,
-        registers=settings.beam_registers("modbus-rtu"),
+        registers=settings.beam_registers("modbus-rtu", is_session=is_session),
     )
 
 
-def _relay(settings: BeamSettings) -> RelayWire:
+def _relay(settings: BeamSettings, _is_session: bool) -> RelayWire:  # noqa: FBT001 - in a table
     return RelayWire(
         device=settings.beam_relay_device,
         baud=settings.beam_relay_baud,
@@ -124,7 +127,7 @@ def _relay(settings: BeamSettings) -> RelayWire:
     )
 
 
-WIRES: dict[LineKind, Callable[[BeamSettings], ModbusWire | RelayWire]] = {
+WIRES: dict[LineKind, Callable[[BeamSettings, bool], ModbusWire | RelayWire]] = {
     "modbus-tcp": _tcp,
     "modbus-rtu": _rtu,
     "serial-relay": _relay,

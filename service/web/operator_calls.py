@@ -85,6 +85,16 @@ class OperatorCall:
 
         return self.act(session_id, request.operator, submit)
 
+    def countersign(
+        self, session_id: str, request: sessions.CountersignRequest, signer: str | None
+    ) -> sessions.SessionDetail:
+        """Countersign in the name of ``signer``, or of the caller."""
+
+        def submit(session_id: str, operator: str) -> sessions.SessionDetail:
+            return self.services.runner.countersign(session_id, signer or operator, request.state, page_of=operator)
+
+        return self.act(session_id, request.operator, submit)
+
     def correct_baseline(self, session_id: str, request: BaselineCorrectionRequest) -> sessions.SessionDetail:
         """Shift the window by a baseline drift."""
 

@@ -79,7 +79,6 @@ SLOW_PATHS = tuple(
         "engine/motion/test_pipeline_models.py",
         "engine/motion/test_pipeline_motion.py",
         "engine/motion/tracking/test_breath_tracker.py",
-        "engine/offline/replay/test_earlier_tapes.py",
         "engine/offline/replay/test_scripted_tape.py",
         "engine/verification/evaluation/breathing/test_breathing_bench.py",
         "engine/verification/evaluation/gating/test_timing.py",

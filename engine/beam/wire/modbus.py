@@ -4,6 +4,7 @@ The only importer of pymodbus. Its clients make no retries and have the remainin
 answer is a matter for :mod:`engine.beam.wire.line_supervisor`, not for retries of a library.
 """
 
+import contextlib
 import logging
 import time
 from dataclasses import dataclass
@@ -45,6 +46,8 @@ class RegisterMap:
         A discrete input: 1 is a permit that has reached the contact.
     beam_on_input
         A discrete input: 1 is a beam that the accelerator reports on; None where it is not wired.
+    expected_coil
+        Written with every permit: 1 while the line is in use, 0 when it is closed: a gate is expected. None for none.
     """
 
     unit: int = 1
@@ -52,15 +55,20 @@ class RegisterMap:
     heartbeat_register: int = 0
     readback_input: int = 0
     beam_on_input: int | None = None
+    expected_coil: int | None = None
 
     def __post_init__(self) -> None:
-        """Raise InvalidValueError for an address outside `MAP_BOUNDS`, or one input used for two signals."""
+        """Raise InvalidValueError for an address outside `MAP_BOUNDS`, or one address used for two signals."""
         for name, (low, high) in MAP_BOUNDS.items():
             check_whole_number(name, getattr(self, name), low, high)
         if self.beam_on_input is not None:
             check_whole_number("beam_on_input", self.beam_on_input, *MAP_BOUNDS["readback_input"])
             if self.beam_on_input == self.readback_input:
                 raise InvalidValueError("beam_on_input", self.beam_on_input, "another input than the read back's")
+        if self.expected_coil is not None:
+            check_whole_number("expected_coil", self.expected_coil, *MAP_BOUNDS["permit_coil"])
+            if self.expected_coil == self.permit_coil:
+                raise InvalidValueError("expected_coil", self.expected_coil, "another coil than the permit's")
 
 
 class ModbusWire:
@@ -91,20 +99,20 @@ class ModbusWire:
             raise BeamLineError(msg)
 
     def exchange(self, *, is_on: bool, heartbeat: int, within_s: float) -> bool:
-        """Write coil and register and read the inputs: three or four requests within ``within_s``."""
+        """Write coils and register and read the inputs: three to five requests within ``within_s``."""
         at, unit = self._registers, self._registers.unit
         until_s = time.monotonic() + within_s
         try:
             self._allow(until_s)
-            written = _good(self._client.write_coil(at.permit_coil, is_on, device_id=unit), "the permit")
-            if written.address != at.permit_coil or written.bits[:1] != [is_on]:
-                msg = "it confirms a different permit than was written"
-                raise BeamLineError(msg)
+            self._write_coil(at.permit_coil, "the permit", is_set=is_on)
             self._allow(until_s)
             _good(self._client.write_register(at.heartbeat_register, heartbeat, device_id=unit), "the heartbeat")
             self._allow(until_s)
             read = _good(self._client.read_discrete_inputs(at.readback_input, count=1, device_id=unit), "the read back")
             reads_on = _bit(read)
+            if at.expected_coil is not None:
+                self._allow(until_s)
+                self._write_coil(at.expected_coil, "that a gate is expected", is_set=True)
             if at.beam_on_input is not None:
                 self._allow(until_s)
                 beam_on = self._client.read_discrete_inputs(at.beam_on_input, count=1, device_id=unit)
@@ -124,9 +132,20 @@ class ModbusWire:
         return _bit(_good(answer, "the read back"))
 
     def close(self) -> None:
-        """Disconnect."""
+        """Disconnect; no gate is expected any more."""
         self._beam_on = None
+        expected_coil = self._registers.expected_coil
+        if expected_coil is not None and self._client.connected:
+            with contextlib.suppress(ModbusException, BeamLineError):
+                self._allow(time.monotonic() + LOOK_S)
+                self._write_coil(expected_coil, "that no gate is expected", is_set=False)
         self._client.close()  # type: ignore[no-untyped-call]
+
+    def _write_coil(self, address: int, what: str, *, is_set: bool) -> None:
+        written = _good(self._client.write_coil(address, is_set, device_id=self._registers.unit), what)
+        if written.address != address or written.bits[:1] != [is_set]:
+            msg = f"it confirms something different than was written: {what}"
+            raise BeamLineError(msg)
 
     def _allow(self, until_s: float) -> None:
         """Limit the next request to the remaining time.

@@ -6,8 +6,8 @@ The holds found at the newest frame are part of every decision until the next fr
 from collections import deque
 from collections.abc import Iterable
 
-from engine.core.clock import NS_PER_S
-from engine.core.frames import Measurement, RgbdFrame
+from engine.core.clock import NS_PER_MS, NS_PER_S
+from engine.core.frames import LostReason, Measurement, RgbdFrame
 from engine.core.gate_state import HoldReason
 from engine.core.learning_events import LearningEvent
 from engine.core.motion_model import MotionModel
@@ -19,7 +19,6 @@ from engine.gating.supervision.checks import Checks, CheckState
 from engine.gating.supervision.exhale_shape import ExhaleShape
 from engine.gating.supervision.model_age import ModelAge
 from engine.gating.supervision.patient_shift import Movement, PatientShift
-from engine.gating.supervision.repeated_frames import RepeatedFrames
 from engine.gating.windows import GateWindow
 
 
@@ -33,7 +32,7 @@ class FrameSupervisor:
         self._baseline = Baseline(limits)
         self._checks = Checks(limits)
         self._exhale_shape = ExhaleShape(limits)
-        self._repeats = RepeatedFrames(limits)
+        self._old_pictures = _OldPictures(limits.max_silence_ms)
         self._order = _DeviceOrder()
 
     def check(
@@ -63,7 +62,7 @@ class FrameSupervisor:
                 timestamp_us=measurement.timestamp_us,
                 is_on_part=not all(map(is_wide, window.choices)),
             ),
-            self._repeats.check(frame),
+            self._old_pictures.check(measurement),
             self._order.check(frame.device_index),
         )
         return tuple(one for one in found if one is not None)
@@ -110,6 +109,24 @@ class _FrameRate:
             return None
         detail = f"{frames} frames in the last second, {self._min_fps:g} needed"
         return Interruption(HoldReason.FRAME_RATE_LOW, detail)
+
+
+class _OldPictures:
+    """A camera that goes on delivering old pictures is as silent as one that delivers none: a fault."""
+
+    def __init__(self, max_silence_ms: float) -> None:
+        self._max_silence_ms = max_silence_ms
+        self._last_new_ns: int | None = None
+
+    def check(self, measurement: Measurement) -> Interruption | None:
+        lost = measurement.lost
+        if self._last_new_ns is None or lost is None or lost.reason is not LostReason.FRAME_FROZEN:
+            self._last_new_ns = measurement.received_ns
+            return None
+        old_ms = (measurement.received_ns - self._last_new_ns) / NS_PER_MS
+        if old_ms <= self._max_silence_ms:
+            return None
+        return Interruption(HoldReason.FRAME_TIMEOUT, f"old pictures for {old_ms:.0f} ms: {lost.detail}")
 
 
 class _DeviceOrder:

@@ -114,6 +114,7 @@ class Learner:
         self._is_comparing = False
         self._discards_outcome, self._is_refitting = False, False
         self._patient_match: PatientMatch | None = None
+        self._may_compare_again = False
         self._generation = 0
         self._position_generation = 0
         self._now_us = 0
@@ -443,8 +444,8 @@ class Learner:
             self._begin_learning()
             return
         self._refits = None
-        self._needs_reference, self._is_comparing = True, True
-        self._task = CompareTask(self._active, self._limits, self._stages)
+        self._needs_reference = True
+        self._compare(self._active, may_repeat=True)
         self._emit(LearningEventKind.ZERO_NEEDED, "the camera was disconnected: set the reference before arming")
 
     @property
@@ -625,10 +626,15 @@ class Learner:
             self._emit(LearningEventKind.ZERO_NEEDED, "a new model without a reference: set it before arming")
         self._begin_past(candidate.past_breaths)
         if candidate.is_stored:
-            self._is_comparing = True
-            self._task = CompareTask(candidate.active, self._limits, self._stages)
+            self._compare(candidate.active, may_repeat=True)
+
+    def _compare(self, active: PreparedModel, *, may_repeat: bool) -> None:
+        """Compare the model in use with the patient; a refusal is final unless the comparison ``may_repeat``."""
+        self._is_comparing, self._may_compare_again = True, may_repeat
+        self._task = CompareTask(active, self._limits, self._stages)
 
     def _receive_match(self, patient_match: PatientMatch) -> None:
+        may_repeat = self._may_compare_again and patient_match.refusal is not None
         if patient_match.refusal is None and self._active is not None:
             patient_match = replace(patient_match, refusal=steps_mismatch(self._active.model, self.depth_steps))
         self._patient_match = patient_match
@@ -636,7 +642,11 @@ class Learner:
         self._emit(
             LearningEventKind.COMPARED, "the stored model was compared with the patient", match_figures(patient_match)
         )
-        if patient_match.refusal is not None:
+        if patient_match.refusal is None:
+            return
+        if may_repeat and self._active is not None:  # a hand in view costs no model
+            self._compare(self._active, may_repeat=False)
+        else:
             self._refuse(patient_match.refusal, drops_model=True)
 
     def _refuse(self, error: ModelError, *, drops_model: bool = False) -> None:

@@ -18,7 +18,6 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 from engine.core.compiled import frame_path
-from engine.offline.replay.earlier_texts import in_present_words
 
 Row = dict[str, Any]
 
@@ -94,8 +93,6 @@ class Comparison:
         return then.keys() == now.keys() - added and not self.differing(then, now)
 
     def _agrees(self, name: str, then: object, now: object) -> bool:
-        if isinstance(then, str) and isinstance(now, str) and then != now:
-            then, now = in_present_words(then), in_present_words(now)
         tolerance = self.tolerances.get(name)
         if tolerance is None:
             return same_bits(then, now)

@@ -18,6 +18,7 @@ from engine.core.commands import (
     ApplyModel,
     Arm,
     CorrectBaseline,
+    Countersign,
     Disarm,
     HoldBeam,
     ReleaseBeam,
@@ -53,6 +54,7 @@ _CLASSES: dict[str, type] = {
         *(
             SetReference,
             SignPosition,
+            Countersign,
             SetWindow,
             GateLimits,
             AmplitudeWindow,

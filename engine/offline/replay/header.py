@@ -1,6 +1,6 @@
 """The header of a tape: everything an engine was made of, so that a replay can make the same one."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,22 +9,13 @@ from engine.calibration.camera_calibration import Calibration, parse_calibration
 from engine.core.errors import InvalidValueError, RecordingError
 from engine.core.first_reference import FirstReference, read_first_reference
 from engine.core.motion_model import MotionModel
-from engine.gating.limits import LIMIT_BOUNDS, GateLimits
+from engine.gating.limits import GateLimits
 from engine.motion.settings import PipelineSettings
 from engine.offline.replay.encoding import TapeEncoding
 
-METHOD = 8
+METHOD = 9
 """Number of the measuring method, increased with every change by which the same frames may be believed, measured or
 gated otherwise: then an earlier session replays to other results on purpose."""
-FIRST_METHOD = 1
-"""The method of tapes that name none."""
-REFITTING_METHOD = 4
-"""The first method that refits a session's model; earlier tapes name no such setting."""
-FRESHNESS_METHOD = 5
-"""The first method that asks whether frames are fresh; earlier tapes do not know."""
-HISTORY_METHOD = 6
-"""The first method that bounds the distance from the fraction's first reference, refuses windows which are practically
-never left, and proposes a reference from the breaths of the training; earlier tapes name none of it."""
 
 RAW = "raw"
 RECORDING = "recording"
@@ -49,7 +40,7 @@ class TapeHeader:
     first_reference
         That of an earlier session of the same fraction; None where there was none.
     plan_position
-        The first reference of the plan's first fraction; None in that fraction, and on earlier tapes.
+        The first reference of the plan's first fraction; None in that fraction.
     software, machine
         Version and processor. Equal bits are promised where both are the same; for others see
         :mod:`engine.offline.replay.comparison`.
@@ -94,16 +85,15 @@ def read_head(encoded: dict[str, Any], encoding: TapeEncoding) -> TapeHeader:
         if not isinstance(machine, dict):
             msg = "the tape's head is damaged: it names no machine"
             raise RecordingError(msg)
-        method = encoded.get("method", FIRST_METHOD)
-        if isinstance(method, bool) or not isinstance(method, int) or method < FIRST_METHOD:
+        method = encoded["method"]
+        if isinstance(method, bool) or not isinstance(method, int) or method < 1:
             msg = f"the tape's head is damaged: its method is {method!r}"
             raise RecordingError(msg)
-        measuring, limits = encoding.decode(encoded["measuring"]), encoding.decode(encoded["limits"])
-        first, position = encoded.get("first_reference"), encoded.get("plan_position")
+        first, position = encoded["first_reference"], encoded["plan_position"]
         return TapeHeader(
             session_id=encoded["session_id"],
-            limits=_without_bounds(limits) if method < HISTORY_METHOD else limits,
-            measuring=_without_refits(measuring) if method < REFITTING_METHOD else measuring,
+            limits=encoding.decode(encoded["limits"]),
+            measuring=encoding.decode(encoded["measuring"]),
             calibration=parse_calibration(encoded["calibration"].encode()),
             model=encoding.decode(encoded["model"]),
             first_reference=None if first is None else read_first_reference(first),
@@ -121,16 +111,3 @@ def read_head(encoded: dict[str, Any], encoding: TapeEncoding) -> TapeHeader:
 def this_software() -> str:
     """Return the name and version of this software."""
     return f"tidegate {__version__}"
-
-
-def _without_bounds(limits: GateLimits) -> GateLimits:
-    """Return the limits with those of `HISTORY_METHOD` as wide as they can be."""
-    return replace(
-        limits,
-        max_reference_distance_mm=LIMIT_BOUNDS["max_reference_distance_mm"][1],
-        max_duty_percent=LIMIT_BOUNDS["max_duty_percent"][1],
-    )
-
-
-def _without_refits(measuring: PipelineSettings) -> PipelineSettings:
-    return replace(measuring, training=replace(measuring.training, refit_until_s=0.0))

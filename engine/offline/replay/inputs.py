@@ -20,10 +20,6 @@ class FrameHead:
     received_ns: int
     queue_empty_ns: int | None = None
 
-    def as_fresh(self) -> "FrameHead":
-        """Return the head as a version that asked for no evidence of an empty queue took it."""
-        return replace(self, queue_empty_ns=self.received_ns)
-
     def with_pictures(self, depth_mm: DepthImage, color: ColorImage) -> RgbdFrame:
         """Return the frame as the engine read it."""
         return RgbdFrame(

@@ -2,7 +2,7 @@
 
 import enum
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 from engine.core.input_tap import InputKind
 
@@ -21,23 +21,13 @@ class OtherReadingError(Exception):
         self.name = name
 
 
-class Readings(Protocol):
-    """The readings of one turn."""
-
-    def take(self, kind: InputKind) -> Any:  # noqa: ANN401 - any reading
-        """Return the next value, which is of this kind; raise OtherReadingError where another reading is next."""
-
-    def rest(self) -> str | None:
-        """Return the name of the next reading; None at the end."""
-
-
 class RecordedReadings:
     """Readings as values; ``decode`` decodes one."""
 
     def __init__(self, observed: Sequence[tuple[enum.IntEnum, Any]], decode: Callable[[Any], Any]) -> None:
         self._coming, self._decode = iter(observed), decode
 
-    def take(self, kind: InputKind) -> Any:  # noqa: ANN401
+    def take(self, kind: InputKind) -> Any:  # noqa: ANN401 - any reading
         """Return the next value, which is of this kind; raise OtherReadingError where another reading is next."""
         following, encoded = next(self._coming, (None, None))
         if following is not kind:

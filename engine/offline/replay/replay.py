@@ -16,7 +16,7 @@ from engine.motion.learning.trainer import InlineTrainer
 from engine.motion.pipeline import Pipeline
 from engine.offline.replay.comparison import BIT_FOR_BIT, Comparison
 from engine.offline.replay.encoding import TapeEncoding
-from engine.offline.replay.header import FRESHNESS_METHOD, RAW, TapeHeader
+from engine.offline.replay.header import RAW, TapeHeader
 from engine.offline.replay.outcomes import Row
 from engine.offline.replay.pictures import Pictures
 from engine.offline.replay.replaying_tap import Difference, ReplayEnded, ReplayingTap
@@ -120,7 +120,7 @@ def replay(
         tap = ReplayingTap(
             tape.turns(),
             encoding,
-            lambda frame: pictures.frame(frame.as_fresh() if head.method < FRESHNESS_METHOD else frame),
+            pictures.frame,
             comparison=comparison,
             on_turn=lambda: on_frame(tap.frames),
             on_output=on_output,

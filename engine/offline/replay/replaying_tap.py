@@ -16,7 +16,7 @@ from engine.offline.replay.comparison import BIT_FOR_BIT, DIGEST, NUMBERS, Compa
 from engine.offline.replay.encoding import TapeEncoding
 from engine.offline.replay.inputs import FrameHead, Raised
 from engine.offline.replay.outcomes import Row, is_transition, row_of, same, text_of
-from engine.offline.replay.readings import OtherReadingError, Readings, RecordedReadings
+from engine.offline.replay.readings import OtherReadingError, RecordedReadings
 from engine.offline.replay.tape_file import RecordedTurn
 
 T = TypeVar("T")
@@ -144,7 +144,7 @@ class ReplayingTap:
         if self.difference is None and self._turn is not None:
             self.turn()
 
-    def _readings_of(self, turn: RecordedTurn | None) -> Readings:
+    def _readings_of(self, turn: RecordedTurn | None) -> RecordedReadings:
         return RecordedReadings((), self._encoding.decode) if turn is None else turn.readings(self._encoding.decode)
 
     def _completed(self, kind: InputKind, answer: Any, read: Callable[[], Any]) -> Any:  # noqa: ANN401

@@ -16,15 +16,12 @@ from typing import Any
 
 from engine.core.errors import RecordingError
 from engine.core.input_tap import InputKind
-from engine.offline.replay.earlier_readings import EarlierKind, EarlierReadings
 from engine.offline.replay.encoding import TapeEncoding
 from engine.offline.replay.outcomes import Row, row_of
-from engine.offline.replay.readings import Readings, RecordedReadings
+from engine.offline.replay.readings import RecordedReadings
 from engine.offline.replay.recording_tap import Turn
 
 SCHEMA = "tidegate.tape/2"
-EARLIER_SCHEMA = "tidegate.tape/1"
-"""Its turns hold single readings instead of values; read, and no longer written."""
 SUFFIX = ".tape"
 CHUNK_BYTES = 1 << 16
 LEVEL = 3
@@ -35,14 +32,13 @@ LONGEST_LINE = 1 << 26
 class RecordedTurn:
     """A turn as read from a tape; readings are still encoded, except those of the clock."""
 
-    observed: list[tuple[InputKind | EarlierKind, Any]]
+    observed: list[tuple[InputKind, Any]]
     rows: list[Row]
     elsewhere: list[Row]
-    is_earlier: bool = False
 
-    def readings(self, decode: Callable[[Any], Any]) -> Readings:
+    def readings(self, decode: Callable[[Any], Any]) -> RecordedReadings:
         """Return the turn's readings as values; ``decode`` decodes one reading."""
-        return (EarlierReadings if self.is_earlier else RecordedReadings)(self.observed, decode)
+        return RecordedReadings(self.observed, decode)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -67,20 +63,18 @@ class Tape:
 
     def turns(self) -> Iterator[RecordedTurn]:
         """Yield every turn, once."""
-        is_earlier = self.head.get("tape") == EARLIER_SCHEMA
-        kinds: type[InputKind | EarlierKind] = EarlierKind if is_earlier else InputKind
         clock_ns = 0
         for line in self.lines:
             if "h" not in line:
                 self._take(line)
                 continue
             try:
-                observed, clock_ns = _observed(line["h"], clock_ns, kinds)
+                observed, clock_ns = _observed(line["h"], clock_ns)
                 rows, elsewhere = (_rows(line.get(name, [])) for name in ("r", "e"))
             except (TypeError, ValueError) as error:
                 msg = f"the tape is damaged: {type(error).__name__} in a turn"
                 raise RecordingError(msg) from error
-            yield RecordedTurn(observed=observed, rows=rows, elsewhere=elsewhere, is_earlier=is_earlier)
+            yield RecordedTurn(observed=observed, rows=rows, elsewhere=elsewhere)
 
     def _take(self, line: dict[str, Any]) -> None:
         torn, facts = line.get("torn", self.torn), line.get("facts", {})
@@ -92,14 +86,12 @@ class Tape:
         self.facts |= facts
 
 
-def _observed(
-    encoded: list[Any], clock_ns: int, kinds: type[InputKind | EarlierKind]
-) -> tuple[list[tuple[InputKind | EarlierKind, Any]], int]:
+def _observed(encoded: list[Any], clock_ns: int) -> tuple[list[tuple[InputKind, Any]], int]:
     """Return a turn's readings, each with its kind, and the last reading of the clock [ns]."""
-    observed: list[tuple[InputKind | EarlierKind, Any]] = []
+    observed: list[tuple[InputKind, Any]] = []
     for number, answer in zip(encoded[::2], encoded[1::2], strict=True):
-        kind = kinds(number)
-        is_clock = kind.name == InputKind.CLOCK.name
+        kind = InputKind(number)
+        is_clock = kind is InputKind.CLOCK
         if is_clock:
             clock_ns += operator.index(answer)
         observed.append((kind, clock_ns if is_clock else answer))
@@ -188,7 +180,7 @@ def read_tape(path: Path) -> Tape:
         raise RecordingError(msg)
     lines = _lines(path)
     head = next(lines, {})
-    if head.get("tape") not in {SCHEMA, EARLIER_SCHEMA}:
+    if head.get("tape") != SCHEMA:
         msg = f"{path.name}: no tape of a session ({SCHEMA})"
         raise RecordingError(msg)
     return Tape(head=head, lines=lines)

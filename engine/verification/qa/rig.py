@@ -315,9 +315,12 @@ class _Sensor:
         return np.asarray(self._table[index], dtype=np.uint16)
 
     def grain(self, rng: np.random.Generator) -> npt.NDArray[np.int16]:
-        """Return a colour picture's noise [grey levels], shape (H, W, 3)."""
-        top, left = rng.integers(0, _MARGIN_PX + 1, 2)
-        return np.asarray(self._grain[top : top + HEIGHT_PX, left : left + WIDTH_PX], dtype=np.int16)
+        """Return a colour picture's noise [grey levels], shape (H, W, 3); no two pictures have the same."""
+        channels = [
+            self._grain[top : top + HEIGHT_PX, left : left + WIDTH_PX, channel]
+            for channel, (top, left) in enumerate(rng.integers(0, _MARGIN_PX + 1, (3, 2)))
+        ]
+        return np.stack(channels, axis=2)
 
     def draw(self, rng: np.random.Generator) -> Map:
         """Return the sum of two fields of the bank at random offsets and signs, of unit variance, shape (H, W)."""

@@ -19,6 +19,7 @@ ArmingCode = Literal[
     "window",
     "position",
     "checks",
+    "countersignature",
     "site",
     "gate",
 ]

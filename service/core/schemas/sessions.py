@@ -4,9 +4,9 @@ Lengths are mm, times RFC 3339 UTC, motion is positive for inhale. Requests with
 values out of bounds are refused. The bounds here hold for all sites; a site's settings may be narrower.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AwareDatetime, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import AwareDatetime, ConfigDict, Field, SecretStr, StringConstraints, model_validator
 
 from engine.core.errors import InvalidValueError
 from engine.gating.windows import MAX_MOTION_MM
@@ -194,7 +194,7 @@ class WindowRequest(OperatorRequest):
         default="",
         max_length=1_000,
         description="Required if the window reaches beyond the fraction's first armed one by more than the budget of"
-        " references: from a person who may arm",
+        " references: from a person who may arm. Required always where the site wants countersignatures",
         examples=["the plan was adapted"],
     )
 
@@ -263,6 +263,29 @@ class PositionCheckRequest(OperatorRequest):
         description="Required where the position is beyond the tolerance or not determined, such as by which other"
         " means it was checked; there the person also needs the permission `gate.arm`",
     )
+
+
+class CountersignRequest(OperatorRequest):
+    """What a second person countersigns; with name and password if another person is logged in at this page."""
+
+    state: str = Field(
+        pattern=r"^[0-9a-f]{32}$",
+        description="The `state` of the `GET .../arming` that the person looked at: refused if it is another by now",
+    )
+    name: str | None = Field(
+        default=None,
+        min_length=1,
+        max_length=80,
+        description="The second person, with `password`; left out, it is the caller",
+        examples=["B. Therapist"],
+    )
+    password: SecretStr | None = Field(default=None, min_length=1, max_length=1_000)
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> Self:
+        if (self.name is None) != (self.password is None):
+            raise broken("name", self.name or "left out", "given together with password")
+        return self
 
 
 class ReferenceProposalView(Answer):

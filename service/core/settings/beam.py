@@ -30,7 +30,7 @@ READBACK = "readback"
 MAP = ("beam_modbus_unit", "beam_modbus_permit_coil", "beam_modbus_heartbeat_register", "beam_modbus_readback_input")
 TIMES = ("beam_answer_ms", "beam_settle_ms")
 COMPARISON = ("beam_without_permit_ms", "beam_absent_s")
-BEAM_ON_INPUT = ("beam_on_input", *COMPARISON)
+BEAM_ON_INPUT = ("beam_on_input", "beam_modbus_expected_coil", *COMPARISON)
 USED_BY: dict[LineKind, tuple[str, ...]] = {
     "simulated": ("beam_simulated_accelerator_ms", *COMPARISON),
     "modbus-tcp": ("beam_modbus_host", "beam_modbus_port", *MAP, *TIMES, *BEAM_ON_INPUT),
@@ -53,7 +53,7 @@ USED_BY: dict[LineKind, tuple[str, ...]] = {
         *TIMES,
     ),
 }
-SIGNALS = ("beam_on_input", "beam_simulated_accelerator_ms")
+SIGNALS = ("beam_on_input", "beam_modbus_expected_coil", "beam_simulated_accelerator_ms")
 NOT_PLACES = {*TIMES, *SIGNALS, *COMPARISON}
 PLACES = {name for names in USED_BY.values() for name in names} - NOT_PLACES
 NEEDED_BY: dict[LineKind, str] = {
@@ -103,6 +103,12 @@ class BeamSettings(BaseSettings):
     beam_modbus_permit_coil: int = Field(default=0, ge=0, le=65_535)
     beam_modbus_heartbeat_register: int = Field(default=0, ge=0, le=65_535)
     beam_modbus_readback_input: int = Field(default=0, ge=0, le=65_535)
+    beam_modbus_expected_coil: int = Field(
+        default=NO_CHANNEL,
+        ge=NO_CHANNEL,
+        le=MAP_BOUNDS["permit_coil"][1],
+        description="Coil that is 1 only while a session runs: a gate is expected; -1 is none",
+    )
     beam_on_input: int = Field(
         default=NO_CHANNEL,
         ge=NO_CHANNEL,
@@ -214,9 +220,11 @@ class BeamSettings(BaseSettings):
         """Time limits of a wired line."""
         return LineTimes(answer_ms=self.beam_answer_ms, settle_ms=self.beam_settle_ms)
 
-    def beam_registers(self, kind: LineKind) -> RegisterMap:
-        """Register map of the Modbus device of a line."""
+    def beam_registers(self, kind: LineKind, *, is_session: bool = False) -> RegisterMap:
+        """Register map of the Modbus device of a line; in a session the gate is expected, in QA it is not."""
+        is_expected = is_session and self.beam_modbus_expected_coil != NO_CHANNEL
         return RegisterMap(
+            expected_coil=self.beam_modbus_expected_coil if is_expected else None,
             beam_on_input=self.beam_on_input if kind == self.beam_on_line != "simulated" else None,
             unit=self.beam_modbus_unit,
             permit_coil=self.beam_modbus_permit_coil,

@@ -126,7 +126,6 @@ CLINICAL_BOUNDS: Mapping[str, ClinicalBound] = {
     "warn_latency_ms": ClinicalBound(low=20.0, high=100.0, reason="TG-142: 100 ms"),
     "max_service_silence_ms": ClinicalBound(low=100.0, high=500.0, reason="no hold by hand arrives meanwhile"),
     "max_clock_jump_ms": ClinicalBound(low=50.0, high=250.0, reason="the default"),
-    "max_repeated_frames": ClinicalBound(low=0, high=1, reason="a picture that comes again shows no breath"),
     "min_fps": ClinicalBound(low=15.0, high=60.0, reason="a frame every 67 ms, within the 100 ms of TG-142"),
     # Whether a stored model is this patient's.
     "likeness_seconds": ClinicalBound(low=4.0, high=20.0, reason="a whole breath, so that its phase averages out"),
@@ -174,6 +173,7 @@ EXEMPT: Mapping[str, str] = {
     "audit_clock_jump_ms": NO_BEAM,
     "beam_notify_timeout_s": "a status message to other systems, which is no permit",
     "beam_on_input": ADDRESS,
+    "beam_modbus_expected_coil": ADDRESS,
     "beam_simulated_accelerator_ms": "of the simulated line, which clinical mode refuses",
     "beam_rtu_baud": ADDRESS,
     "beam_rtu_stop_bits": ADDRESS,

@@ -154,7 +154,6 @@ class Settings(
     max_cycles_per_min: int = _limit("max_cycles_per_min")
     max_beam_on_s: float = _limit("max_beam_on_s")
     max_duty_percent: float = _limit("max_duty_percent")
-    max_repeated_frames: int = _limit("max_repeated_frames")
     max_clock_jump_ms: float = _limit("max_clock_jump_ms")
     min_fps: float = _limit("min_fps")
     max_shift_mm: float = _limit("max_shift_mm")
@@ -189,6 +188,11 @@ class Settings(
         default=True,
         description="The beam may be on where a check of the measurement (surface, color, camera) has not worked since "
         "the reference was set; research only. One that worked and cannot any more always holds",
+    )
+    countersignature: bool | None = Field(
+        default=None,
+        description="A second person countersigns reference and window before a fraction's first arming, and another "
+        "window for a patient needs a reason; by default in clinical mode only",
     )
     holding_events: EventList = Field(
         default=tuple(sorted(BREATHING_CEASED)),
@@ -322,6 +326,11 @@ class Settings(
         """Limits that a session cannot change, by the engine's names."""
         own = {"dwell_ms", "min_on_ms", "min_off_ms", "max_cycles_per_min"}
         return {name: getattr(self, name) for name in LIMIT_BOUNDS if name not in own}
+
+    @property
+    def needs_countersignature(self) -> bool:
+        """Whether a second person countersigns a fraction's first arming."""
+        return self.mode == "clinical" if self.countersignature is None else self.countersignature
 
     @property
     def bounds_position(self) -> bool:

@@ -65,6 +65,7 @@ def gate_limits(
         is_calibrated=is_calibrated or settings.beam_without_calibration,
         head_direction=head_direction,
         needs_all_checks=not settings.checks_may_be_missing,
+        needs_countersignature=settings.needs_countersignature,
         **settings.gate_limits | {"camera_latency_ms": max(settings.camera_latency_ms, camera_latency_ms or 0.0)},
     )
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 from engine.control.command_queue import MAX_WAIT_NS
 from engine.control.commands import Command
-from engine.core.commands import Acknowledge, Arm, Disarm, HoldBeam, ReleaseBeam, SetReference
+from engine.core.commands import Acknowledge, Arm, Countersign, Disarm, HoldBeam, ReleaseBeam, SetReference
 from engine.core.errors import CommandRefusedError
 from engine.gating.window_change import SetWindow
 from service.core.errors import EngineTimeoutError, SessionStateError
@@ -30,7 +30,7 @@ COMMANDS: dict[CommandName, Callable[[str, bool], Command]] = {
     "disarm": lambda operator, _: Disarm(operator=operator),
     "hold": lambda operator, is_person: HoldBeam(operator=operator, is_person=is_person),
 }
-AGES_FROM_ARRIVAL = (Arm, ReleaseBeam, SetReference, SetWindow, Acknowledge)
+AGES_FROM_ARRIVAL = (Arm, ReleaseBeam, SetReference, SetWindow, Acknowledge, Countersign)
 """Their age counts from the arrival of the request: waiting for a thread or the audit makes them older, too. A command
 that takes permission away has no age: it revokes everything that was submitted before it."""
 TAKES_PERMISSION_AWAY = (Disarm, HoldBeam)

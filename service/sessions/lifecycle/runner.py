@@ -14,6 +14,7 @@ from engine.core.commands import (
     ApplyModel,
     Arm,
     CorrectBaseline,
+    Countersign,
     HoldBeam,
     ReleaseBeam,
     Retrain,
@@ -32,6 +33,7 @@ from service.sessions.lifecycle.baseline_correction import (
     correction_detail,
     moved_window,
     naming_the_field,
+    window_detail,
 )
 from service.sessions.lifecycle.commands import COMMANDS, EngineCommander, state_error, takes_permission_away
 from service.sessions.lifecycle.start import WRITER_JOIN_S, SessionStarter, await_start
@@ -228,6 +230,20 @@ class SessionRunner:
             "shown": None if shown is None else shown.model_dump(exclude={"signed_by", "reason", "status", "text"}),
         }
         self._commander.execute(session_id, command, operator, "session.position_check", detail)
+        return self._records.detail(session_id)
+
+    def countersign(self, session_id: str, operator: str, state: str, *, page_of: str) -> sessions.SessionDetail:
+        """Countersign the reference and the window; the audit records the window, and who was logged in at the page."""
+        running = self._equipment.of(session_id)
+        view = None if running is None else running.engine.status.view
+        detail: dict[str, object] = {
+            "state": state,
+            "page_of": page_of,
+            "window": None if view is None else window_detail(view),
+        }
+        self._commander.execute(
+            session_id, Countersign(operator=operator, seen=state), operator, "session.countersign", detail
+        )
         return self._records.detail(session_id)
 
     def release(self, session_id: str, operator: str, *, is_person: bool) -> sessions.SessionDetail:

@@ -73,6 +73,7 @@ class ArmingSummaries:
         yield self._window(detail)
         yield _position(detail)
         yield self._checks(detail)
+        yield from _countersignature(running)
         yield self._site(running)
         yield _gate(detail)
 
@@ -207,6 +208,18 @@ def _position(detail: SessionDetail) -> ArmingItem:
     if found is None:
         return ArmingItem(code="position", state="missing", text="not known until a frame was decided on")
     return ArmingItem(code="position", state="ok" if found.status in POSITION_OK else "missing", text=found.text)
+
+
+def _countersignature(running: RunningSession | None) -> Iterator[ArmingItem]:
+    """Yield who has countersigned, where the next arming needs it."""
+    found = None if running is None else running.engine.status.countersignature
+    if found is None or not found.is_required:
+        return
+    if found.signed_by is None:
+        text = "a second person looks at window and reference, and signs"
+        yield ArmingItem(code="countersignature", state="missing", text=text)
+    else:
+        yield ArmingItem(code="countersignature", state="ok", text=f"{found.signed_by}; another person arms")
 
 
 def _gate(detail: SessionDetail) -> ArmingItem:

@@ -25,6 +25,7 @@ DECISIONS = (
     "session.start",
     "session.reference",
     "session.position_check",
+    "session.countersign",
     "session.arm",
     "session.disarm",
     "session.hold",

@@ -10,29 +10,36 @@ from engine.core.errors import (
     BeamLineError,
     CalibrationError,
     CommandRefusedError,
+    CountersignatureError,
     HeadDirectionError,
     ModelError,
     ModelMismatchError,
     PositionUncheckedError,
+    ReasonMissingError,
     RecordingError,
     ReferenceDistanceError,
     RuntimeMissingError,
     SourceLostError,
 )
 from engine.core.gate_state import GateState, HoldReason
+from service.access.login.logins import Attempt
 from service.core.errors import (
     BoundError,
     CameraLatencyError,
     EngineProcessError,
     EngineTimeoutError,
+    LocalLoginRefusedError,
+    LockedOutError,
     MeshMissingError,
     NotFoundError,
     OperatorMismatchError,
+    PasswordServiceBusyError,
     PersonRequiredError,
     PictureMissingError,
     QaActiveError,
     QaOverdueError,
     SamplesRemovedError,
+    SecondPersonError,
     ServiceStoppingError,
     SessionActiveError,
     SessionStateError,
@@ -41,6 +48,7 @@ from service.core.errors import (
     StorageUnwritableError,
 )
 from service.core.list_filters import SessionFilter, TransitionFilter
+from service.core.permissions import Permission
 from service.core.schemas import sessions
 from service.core.schemas.arming import ArmingSummary
 from service.core.schemas.base import Name
@@ -96,10 +104,15 @@ COMMAND_ERRORS = (
 ASK = problems(*COMMAND_ERRORS)
 MOVE = problems(*COMMAND_ERRORS, ReferenceDistanceError)
 SIGN = problems(*COMMAND_ERRORS, PositionUncheckedError)
-WINDOW = problems(*COMMAND_ERRORS, BoundError, ReferenceDistanceError)
+COUNTERSIGN = problems(
+    *COMMAND_ERRORS,
+    *(CountersignatureError, SecondPersonError, LockedOutError, LocalLoginRefusedError, PasswordServiceBusyError),
+)
+WINDOW = problems(*COMMAND_ERRORS, BoundError, ReferenceDistanceError, ReasonMissingError)
 ARM = problems(
     *COMMAND_ERRORS,
     *(HeadDirectionError, PositionUncheckedError, QaOverdueError, CameraLatencyError, ReferenceDistanceError),
+    CountersignatureError,
 )
 
 
@@ -207,6 +220,25 @@ def sign_position(
     Beyond the tolerance, and where the surface does not determine it, it needs a reason and the permission `gate.arm`.
     """
     return call.sign_position(session_id, request)
+
+
+@router.post("/{session_id}/countersign", name="session.countersign", responses=COUNTERSIGN)
+def countersign(
+    session_id: dependencies.SessionId,
+    request: sessions.CountersignRequest,
+    call: Operated,
+    desk: dependencies.Access,
+    address: dependencies.Address,
+) -> sessions.SessionDetail:
+    """Countersign the reference and the window, as a second person, before a fraction's first arming. For people only.
+
+    With name and password, the second person signs where another person is logged in; no log-in stays open.
+    """
+    signer = None
+    if request.name is not None and request.password is not None:
+        attempt = Attempt(name=request.name, password=request.password.get_secret_value(), address=address)
+        signer = desk.second_person(attempt, Permission.GATE_REFERENCE)
+    return call.countersign(session_id, request, signer)
 
 
 @router.post("/{session_id}/acknowledge", name="session.acknowledge", responses=ASK)

@@ -9,6 +9,7 @@ OF_SESSION = (
     "start_session",
     "set_reference",
     "sign_position",
+    "countersign",
     "read_arming",
     "arm_session",
     "hold_beam",

@@ -87,6 +87,11 @@ WHAT_TO_DO: Mapping[str, str] = {
     "qa_overdue": "Do the daily QA.",
     "qa_state": "Read the run; its status decides which calls are allowed.",
     "recording_unreadable": "Choose another recording; `detail` names the error in this one.",
+    "countersignature_missing": "A second person looks at `GET .../arming` and signs its `state` with "
+    "`POST .../countersign`; another person arms. A key cannot sign.",
+    "reason_missing": "Send `reason`: why this patient has another window.",
+    "second_person": "Send name and password of another person who may set the reference and whose password is not "
+    "due for a change; people of an identity provider sign from their own log-in.",
     "reference_distance": "See whether the patient has moved, and put the patient back. If the position is meant, a "
     "person who may arm sends the same call with a `reason`; a key cannot.",
     "request_timeout": "Send the complete request without pauses.",

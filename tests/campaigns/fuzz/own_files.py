@@ -113,10 +113,10 @@ def tapes() -> Iterator[bytes]:
         yield b"t" + text
         yield b"f" + content
     own_head, end = (json.loads(line) for line in text.splitlines())
-    for kept in (DATA / "tapes" / "scripted.tape", DATA / "written_by_92d6c8d" / "scripted.tape"):
-        head, *turns = (json.loads(line) for line in zlib.decompress(kept.read_bytes()).splitlines())
-        lines = [own_head | {"tape": head["tape"]}, *turns[:SEED_TURNS], end]
-        yield b"t" + "".join(json.dumps(line) + "\n" for line in lines).encode()
+    kept = (DATA / "tapes" / "scripted.tape").read_bytes()
+    head, *turns = (json.loads(line) for line in zlib.decompress(kept).splitlines())
+    lines = [own_head | {"tape": head["tape"]}, *turns[:SEED_TURNS], end]
+    yield b"t" + "".join(json.dumps(line) + "\n" for line in lines).encode()
 
 
 def try_journal(content: bytes) -> None:

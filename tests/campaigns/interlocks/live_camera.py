@@ -114,7 +114,8 @@ class LivePipeline(RecordingPipeline):
             raise mischief.bug
         surface_mm = np.zeros((NODES, 3))
         surface_mm[list(CORNERS)] = MARKERS_MM + np.array([mischief.shift_mm, 0.0, 0.0])
-        good = replace(
-            super().measure(frame), motion=replace(motion_of(), surface_mm=surface_mm), breaths=mischief.breaths
-        )
+        measured = super().measure(frame)
+        if measured.motion is None:
+            return measured
+        good = replace(measured, motion=replace(motion_of(), surface_mm=surface_mm), breaths=mischief.breaths)
         return good if mischief.spoil is None else mischief.spoil(good)

@@ -11,7 +11,7 @@ import pytest
 from engine.capture.oni.reader import OniReader
 from engine.capture.recording_source import OniFileSource
 from engine.core.clock import MonotonicClock
-from engine.gating.supervision.repeated_frames import RepeatedFrames
+from engine.motion.tracking.repeated_pictures import RepeatedPictures
 from tests.campaigns.load.callers import MIX
 from tests.campaigns.load.figures import figures_of, marks_of
 from tests.campaigns.load.frames import Block, times_in
@@ -21,7 +21,6 @@ from tests.campaigns.load.recording import FPS, write_long
 from tests.campaigns.load.run import Counted, Load, Outcome, run
 from tests.campaigns.load.table import text_of
 from tests.campaigns.load.usage import usage_of
-from tests.support.gating.ageing import SPARSE
 
 SMALL = Load(dashboards=5, events=1, stalled=1, requests_per_s=20.0, rounds=1, quiet_s=1.0, loaded_s=4.0)
 LEAST_TO_LEARN_FROM = {"MIN_FRAMES": "60", "MIN_CYCLES": "1", "MIN_SECONDS": "4"}
@@ -113,13 +112,13 @@ def test_no_picture_of_a_long_recording_is_that_of_a_frozen_camera(regular_volun
     with OniReader(base) as reader:
         length = sum(frame.is_depth for frame in reader.frames(with_payload=False))
     write_long(base, 2.0 * length / FPS - 1.0, tmp_path / "long.oni")
-    watch, turn = RepeatedFrames(SPARSE), length + 90
+    watch, turn = RepeatedPictures(), length + 90
     source = OniFileSource(tmp_path / "long.oni", clock=MonotonicClock())
     source.open()
     for number in range(turn):
         frame = source.read(timeout_s=1.0)
         assert frame is not None
-        held = watch.check(replace(frame, received_ns=frame.timestamp_us * 1000))
+        held = watch.check(frame)
         assert held is None, f"frame {number} of {turn}: {held}"
     source.close()
 

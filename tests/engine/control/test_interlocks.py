@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from engine.core.commands import Acknowledge, Arm, SetReference
+from engine.core.errors import CommandRefusedError
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.learning_events import LearningEvent, LearningEventKind
 from tests.support.control.armed_bench import ARM, LEARNED, ON, lying_at, on_bench
@@ -271,8 +272,8 @@ def test_an_arming_shows_at_once_what_stands_against_the_beam(limits, reason):
     assert seen == [reason]
 
 
-def test_pictures_are_checked_even_while_disarmed():
-    """Who arms onto a frozen picture finds it held, not on for a dwell."""
+def test_the_gate_is_not_armed_onto_a_frozen_picture():
+    """Its values are those of another moment; pictures are compared while the gate is disarmed, too."""
     bench = Bench([good] * 3)
     bench.source.script += [
         *[frozen] * 5,
@@ -280,4 +281,5 @@ def test_pictures_are_checked_even_while_disarmed():
         *[frozen] * 5,
     ]
     records = bench.run().records()
-    assert seen_of(records[-5:]) == {(GateState.HOLD, HoldReason.FRAME_FROZEN, False)}
+    assert isinstance(bench.answers[-1].exception(timeout=0), CommandRefusedError)
+    assert {(record.gate_state, record.line_on) for record in records} == {(GateState.DISARMED, False)}

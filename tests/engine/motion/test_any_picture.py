@@ -38,7 +38,7 @@ def frame_of(index, depth_mm, color):
         color_timestamp_us=time_us,
         received_ns=time_us * 1000,
         depth_mm=depth_mm,
-        color=color,
+        color=small_scene.numbered(color, index),
     )
 
 
@@ -105,7 +105,9 @@ def test_a_distance_that_came_to_be_impossible_is_asked_of_the_next_picture(clea
     deceptive[edge] = 850
     for index in range(40):
         measured(pipeline, frame_of(index, deceptive if index < 2 else far, clean[0].color))
-    states = [measured(pipeline, frame_of(40 + index, clean[0].depth_mm, clean[0].color)).state for index in range(3)]
+    states = [
+        measured(pipeline, frame_of(40 + index, clean[index].depth_mm, clean[0].color)).state for index in range(3)
+    ]
     assert states[-1] is MeasurementState.TRAINING
 
 

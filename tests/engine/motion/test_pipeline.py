@@ -163,12 +163,31 @@ def test_a_blinded_camera_is_lost(measuring):
     assert outcome.lost.reason is LostReason.COVERAGE_LOW
 
 
+def test_an_old_picture_is_lost_and_the_next_new_one_measured(measuring):
+    """Its values are those of another moment, wherever its time stands."""
+    old = [replace(small_scene.frame(index), depth_mm=small_scene.frame(5).depth_mm.copy()) for index in (6, 7)]
+    outcomes = [measuring.measure(one) for one in (small_scene.frame(5), *old, small_scene.frame(8))]
+    assert [one.lost and one.lost.reason for one in outcomes] == [None, *[LostReason.FRAME_FROZEN] * 2, None]
+    assert [one.motion is None for one in outcomes] == [False, True, True, False]
+
+
+def test_old_pictures_teach_nothing():
+    pipeline = new_pipeline()
+    first = pipeline.measure(small_scene.frame(0))
+    shown = small_scene.frame(0)
+    for index in range(1, 200):
+        again = replace(small_scene.frame(index), depth_mm=shown.depth_mm.copy(), color=shown.color.copy())
+        outcome = pipeline.measure(again)
+        assert outcome.lost.reason is LostReason.FRAME_FROZEN
+    assert outcome.training.frames == first.training.frames
+
+
 def test_half_holes_are_measured_and_reported(measuring):
     def holes(depth):
         depth[150:260, 250:400] = 0
 
     clean = measure(measuring, [30])[0].motion
-    outcome = measuring.measure(small_scene.frame(30, edit=holes))
+    outcome = measuring.measure(small_scene.frame(31, excursion=small_scene.breath(30), edit=holes))
     assert outcome.state is MeasurementState.MEASURING
     assert outcome.motion.projection.valid_share < 0.75
     assert outcome.motion.whole_mm == pytest.approx(clean.whole_mm, abs=0.1)

@@ -33,7 +33,8 @@ def run(settings, *, step, measured, extra_px=None, model=None):
     for index in range(0, 900, step):
         frame = small_scene.frame(index)
         if extra_px is not None:
-            frame = replace(frame, color=small_scene.picture(np.concatenate([small_scene.CORNERS_PX, extra_px])))
+            color = small_scene.picture(np.concatenate([small_scene.CORNERS_PX, extra_px]))
+            frame = replace(frame, color=small_scene.numbered(color, index))
         outcome = pipeline.measure(frame)
         if outcome.state is MeasurementState.MEASURING:
             motions.append(outcome.motion)

@@ -6,8 +6,18 @@ from service.client import ProblemError, TidegateClient, UnreachableError
 from tests.support.client.scripted_server import KEY, cuts, refuses, says, writes
 
 SESSION = "0" * 32
-NEVER_TWICE = ("start", "set_reference", "sign_position", "arm", "release", "acknowledge", "retrain", "apply_model")
-NEEDED = {"sign_position": {"reference_number": 1}}
+NEVER_TWICE = (
+    "start",
+    "set_reference",
+    "sign_position",
+    "countersign",
+    "arm",
+    "release",
+    "acknowledge",
+    "retrain",
+    "apply_model",
+)
+NEEDED = {"sign_position": {"reference_number": 1}, "countersign": {"state": "5e" * 16}}
 TAKES_AWAY = ("hold", "disarm")
 EMPTY_PAGE = {"items": [], "next_cursor": None}
 

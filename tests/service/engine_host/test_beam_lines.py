@@ -139,6 +139,15 @@ def test_a_modbus_line_reads_the_signal_by_its_own_exchanges_and_compares_it(sit
     assert settings.beam_place["beam_on_input"] == 6
 
 
+@pytest.mark.parametrize("line", [TCP, {"BEAM_LINE": "modbus-rtu", "BEAM_RTU_DEVICE": "/dev/ttyUSB0"}])
+def test_a_gate_is_expected_in_a_session_and_not_in_qa(site, line):
+    assert _line_of(site(**line))._wire._registers.expected_coil is None
+    settings = site(**line, BEAM_MODBUS_EXPECTED_COIL=9)
+    assert _line_of(settings)._wire._registers.expected_coil == 9
+    (part,) = beam_line_parts(settings, MonotonicClock())
+    assert part.wire._registers.expected_coil is None
+
+
 def test_of_two_modbus_lines_the_first_reads_the_signal(site):
     settings = site(**TCP, BEAM_LINE_2="modbus-rtu", BEAM_RTU_DEVICE="/dev/ttyUSB0", BEAM_ON_INPUT=6)
     assert [settings.beam_registers(kind).beam_on_input for kind in settings.beam_lines] == [6, None]

@@ -25,7 +25,7 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 
 DROP_NS = 200_000_000
 TICK_S = 0.005
-UNIT, COIL, REGISTER, INPUT, BEAM_ON = 7, 3, 11, 5, 6
+UNIT, COIL, EXPECTED, REGISTER, INPUT, BEAM_ON = 7, 3, 4, 11, 5, 6
 BAUD = 115_200
 
 
@@ -33,7 +33,7 @@ class Receiver:
     """The contact, and what moves it."""
 
     def __init__(self) -> None:
-        self.is_on = self.wants_off_first = False
+        self.is_on = self.wants_off_first = self.is_expected = False
         self.heartbeat: int | None = None
         self.beaten_ns = time.monotonic_ns()
         self.stuck: bool | None = None
@@ -72,6 +72,8 @@ class Receiver:
             return ExcCodes.DEVICE_FAILURE
         if function_code == 5 and address == COIL:
             self._permit(is_on=bool(values[0]))
+        elif function_code == 5 and address == EXPECTED:
+            self._expect(bool(values[0]), "command")
         elif function_code == 6 and address == REGISTER and values[0] != self.heartbeat:
             self.heartbeat, self.beaten_ns = values[0], time.monotonic_ns()
         return None
@@ -84,6 +86,11 @@ class Receiver:
             asyncio.get_running_loop().call_later(self.lag_s, self._turn, is_on, "command")
         else:
             self._turn(is_on, "command")
+
+    def _expect(self, is_expected: bool, cause: str) -> None:
+        if is_expected is not self.is_expected:
+            self.is_expected = is_expected
+            say(f"gate {'expected' if is_expected else 'unexpected'} {cause}")
 
     def _turn(self, is_on: bool, cause: str) -> None:
         if is_on is not self.is_on:
@@ -108,6 +115,8 @@ class Receiver:
             if self.is_on and not self.keeps and time.monotonic_ns() - self.beaten_ns > DROP_NS:
                 self.wants_off_first = True
                 self._turn(False, "heartbeat")
+            if self.is_expected and time.monotonic_ns() - self.beaten_ns > DROP_NS:
+                self._expect(False, "heartbeat")
 
 
 def say(line: str) -> None:
@@ -117,7 +126,7 @@ def say(line: str) -> None:
 
 def device(receiver: Receiver) -> SimDevice:
     blocks = (
-        [SimData(COIL, values=False, datatype=DataType.BITS)],
+        [SimData(COIL, values=False, datatype=DataType.BITS), SimData(EXPECTED, values=False, datatype=DataType.BITS)],
         [SimData(INPUT, values=False, datatype=DataType.BITS), SimData(BEAM_ON, values=False, datatype=DataType.BITS)],
         [SimData(REGISTER, values=0, datatype=DataType.REGISTERS)],
         [SimData(0, values=0, datatype=DataType.REGISTERS)],

@@ -103,7 +103,7 @@ class Lateness:
 
 
 class Receiver:
-    """A receiver's process; ``seen`` are its edges so far."""
+    """A receiver's process; ``seen`` are its edges so far, ``gate`` those of the coil by which a gate is expected."""
 
     def __init__(self, kind: str, port: int = 0) -> None:
         self.kind = kind
@@ -119,6 +119,7 @@ class Receiver:
         self.where = self.process.stdout.readline().split()[1]
         self._lines: queue.SimpleQueue[list[str]] = queue.SimpleQueue()
         self.seen: list[list[str]] = []
+        self.gate: list[list[str]] = []
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
@@ -126,6 +127,9 @@ class Receiver:
         assert self.process.stdout is not None
         with contextlib.suppress(ValueError):
             for line in self.process.stdout:
+                if line.startswith("gate "):
+                    self.gate.append(line.split()[1:])
+                    continue
                 self.seen.append(line.split())
                 self._lines.put(line.split())
 

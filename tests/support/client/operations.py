@@ -32,6 +32,7 @@ OPERATIONS: dict[str, tuple[str, str]] = {
     "read_arming": ("GET", f"{SESSION}/arming"),
     "set_reference": ("POST", f"{SESSION}/reference"),
     "sign_position": ("POST", f"{SESSION}/position-check"),
+    "countersign": ("POST", f"{SESSION}/countersign"),
     "arm": ("POST", f"{SESSION}/arm"),
     "release": ("POST", f"{SESSION}/release"),
     "acknowledge": ("POST", f"{SESSION}/acknowledge"),

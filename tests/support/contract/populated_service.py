@@ -160,6 +160,7 @@ class World:
         return {
             "create_session": lambda given: self._session_body() | _of(given, "fraction_number", "plan_id"),
             "sign_position": lambda _: {"reference_number": 1},
+            "countersign": lambda _: {"state": "5e" * 16},
             "start_qa_run": lambda _: self._qa_body(),
             "fix_qa_baseline": lambda _: {"reason": "mounted anew", "expected": {"camera_distance_mm": 850.0}},
             "upload_calibration": lambda _: json.loads(make_calibration(f"camera {next(self._numbers)}").to_json()),
@@ -316,6 +317,7 @@ NEEDS_A_SESSION = frozenset(
     {
         "set_reference",
         "sign_position",
+        "countersign",
         "acknowledge_fault",
         "hold_beam",
         "release_beam",

@@ -19,7 +19,7 @@ from engine.control.watchdog import Watchdog
 from engine.core.breath import WHOLE, SignalChoice
 from engine.core.clock import Clock, ManualClock
 from engine.core.errors import FrameTimeoutError, SourceEndedError
-from engine.core.frames import FloatArray, Measurement, RgbdFrame
+from engine.core.frames import FloatArray, Measurement, MeasurementState, RgbdFrame
 from engine.core.gate_state import HoldReason, Lease
 from engine.core.learning_events import LearningEvent
 from engine.core.learning_status import LearningStatus
@@ -29,6 +29,7 @@ from engine.core.ranges import LearnedLevels, LearnedRange, Ranges
 from engine.core.reference_distance import ReferenceDistance
 from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
 from engine.gating.gate import GateLimits
+from engine.motion.tracking.repeated_pictures import RepeatedPictures
 from tests.support.gating.streams import LEVEL_MM, LIMITS, MEASURING_NS, MS, PERIOD_NS, START_NS, measured
 
 DEPTH = np.full((4, 6), 850, dtype=np.uint16)
@@ -125,10 +126,11 @@ def after(act: Callable[[], object]) -> Step:
 
 
 class RecordingPipeline:
-    """Measures every frame as good unless asked to spoil it; takes MEASURING_NS of the manual clock."""
+    """Measures every new picture as good unless asked to spoil it; takes MEASURING_NS of the manual clock."""
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
+        self.repeated = RepeatedPictures()
         self.spoil: dict[int, Callable[[Measurement], Measurement]] = {}
         self.model: MotionModel | None = object()  # type: ignore[assignment]
         self.model_shortcoming: str | None = None
@@ -162,6 +164,9 @@ class RecordingPipeline:
             missed_frames=frame.missed_frames,
             measured_ns=self.clock.now_ns(),
         )
+        old = self.repeated.check(frame)
+        if old is not None:
+            return replace(good_frame, state=MeasurementState.LOST, lost=old, motion=None)
         if self.surface_mm is not None and good_frame.motion is not None:
             good_frame = replace(good_frame, motion=replace(good_frame.motion, surface_mm=self.surface_mm.copy()))
         return self.spoil.get(frame.index, lambda same: same)(good_frame)

@@ -44,6 +44,7 @@ class Played:
             timestamp_us=index * small_scene.FRAME_US,
             color_timestamp_us=index * small_scene.FRAME_US,
             received_ns=index * small_scene.FRAME_US * 1000,
+            color=small_scene.numbered(shown.color, index),
         )
 
 

@@ -36,6 +36,13 @@ def picture(corners_px=CORNERS_PX):
     return color
 
 
+def numbered(color, index):
+    """Return the picture with its number in a corner: no two pictures of a sensor agree in every pixel."""
+    color = color.copy()
+    color[0, 0] = index % 251
+    return color
+
+
 def depth_mm(chest_mm, belly_mm, noise=None):
     """Depth picture [mm] of the torso at the given excursions."""
     surface = REST_MM - chest_mm * CHEST - belly_mm * BELLY
@@ -58,7 +65,7 @@ def whole_motion_mm(index, reference_index):
 def frame(index, *, excursion=None, corners_px=CORNERS_PX, edit=None, missed=0, seed=None):
     """Frame ``index`` of the scene; ``edit`` may change the depth picture in place."""
     chest, belly = breath(index) if excursion is None else excursion
-    depth = depth_mm(chest, belly, np.random.default_rng(abs(index) if seed is None else seed))
+    depth = depth_mm(chest, belly, np.random.default_rng(index % 10**6 if seed is None else seed))
     if edit is not None:
         edit(depth)
     return RgbdFrame(
@@ -69,5 +76,5 @@ def frame(index, *, excursion=None, corners_px=CORNERS_PX, edit=None, missed=0, 
         color_timestamp_us=index * FRAME_US,
         received_ns=index * FRAME_US * 1000,
         depth_mm=depth,
-        color=picture(corners_px),
+        color=numbered(picture(corners_px), index),
     )

@@ -12,6 +12,7 @@ from engine.beam.beam_on import BeamOnState
 from engine.calibration.camera_calibration import Calibration, nominal_calibration
 from engine.capture.source import SourceDescription
 from engine.control.commands import Command
+from engine.control.countersignature import CountersignatureState
 from engine.control.engine_status import EngineStatus
 from engine.control.outputs import FrameRecord, GateTransition, LatencySummary, LiveView, LoopStatus
 from engine.core.breath import Breath
@@ -117,6 +118,7 @@ class FakeRunning:
         self.learned_ranges: Ranges = {}
         self.operator_hold: str | None = None
         self.arming_state = "5e" * 16
+        self.countersignature = CountersignatureState()
         self.armed_by: str | None = None
         self.beam_on: BeamOnState | None = None
         self.is_reason_needed = False
@@ -183,6 +185,7 @@ class FakeRunning:
             learning=learning,
             learned_ranges=self.learned_ranges,
             arming_state=self.arming_state,
+            countersignature=self.countersignature,
             is_reason_needed=self.is_reason_needed,
         )
 

@@ -173,3 +173,13 @@ def test_each_hold_of_a_beam_that_was_on_is_timed_in_the_audit_and_in_the_summar
     summary = detail_of(client, session_id)["summary"]["beam_off"]
     assert summary["holds"] == len(rows)
     assert summary["slowest_ms"] == pytest.approx(max(row["detail"]["off_ms"] for row in rows), abs=0.001)
+
+
+@pytest.mark.parametrize("site", [{"recordings_may_gate": True, "beam_modbus_expected_coil": modbus_server.EXPECTED}])
+def test_a_gate_is_expected_only_while_a_session_runs(client, far, regular_volunteer):
+    calibration = (regular_volunteer / "calibration.json").read_bytes()
+    assert far.gate == []
+    session_id = _started(client, calibration)
+    eventually(lambda: far.gate == [["expected", "command"]])
+    act(client, session_id, "stop")
+    eventually(lambda: far.gate[1:] == [["unexpected", "command"]], within_s=30.0)

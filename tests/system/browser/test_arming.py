@@ -23,6 +23,10 @@ def armings(fake: FakeService) -> list[object]:
     return [body for path, body in fake.posts() if path.endswith("/arm")]
 
 
+def signings(fake: FakeService) -> list[object]:
+    return [body for path, body in fake.posts() if path.endswith("/countersign")]
+
+
 def opened(stepped: SteppedPage) -> Page:
     """Show what would be armed, just now."""
     page = stepped.open_settled(DISARMED)
@@ -353,3 +357,44 @@ def test_a_person_who_may_not_arm_sees_no_summary(fake: FakeService, tab: Tab):
     page = tab.open("disarmed")
     expect(page.locator("#do-arm")).to_be_disabled()
     expect(page.locator("#do-window")).to_be_disabled()
+
+
+def test_a_second_person_countersigns_with_name_and_password(fake: FakeService, stepped: SteppedPage):
+    fake.arming = arming(countersignature="a second person looks at window and reference, and signs")
+    page = opened(stepped)
+    expect(page.locator("#do-arm-now")).to_be_disabled()
+    page.fill("#countersign-name", "B. Therapist")
+    page.fill("#countersign-password", "a password for the tests")
+    fake.problem = (422, {"title": "The second person was refused", "detail": "the second person's name is wrong"})
+    page.click("#do-countersign")
+    stepped.advance(STEP_MS)
+    expect(page.locator("#countersign-result")).to_contain_text("the second person's name is wrong")
+    expect(page.locator("#countersign-password")).to_have_value("")
+    fake.problem = None
+    page.fill("#countersign-password", "a password for the tests")
+    page.click("#do-countersign")
+    stepped.advance(STEP_MS)
+    body = {"name": "B. Therapist", "password": "a password for the tests"}
+    assert signings(fake)[-1] == {"operator": "A. Therapist", "state": "5e" * 16, **body}
+    fake.arming = arming()
+    fake.arming["items"].append(
+        {"code": "countersignature", "state": "ok", "text": "B. Therapist; another person arms"}
+    )
+    stepped.advance(2_000)
+    expect(page.locator("#countersign")).to_be_hidden()
+    stepped.advance_until(lambda: page.locator(ACCEPTS).count())
+    page.click("#do-arm-now")
+    stepped.advance(STEP_MS)
+    assert len(armings(fake)) == 1
+
+
+def test_the_second_person_signs_from_an_own_log_in_without_a_password(fake: FakeService, stepped: SteppedPage):
+    fake.arming = arming(countersignature="a second person looks at window and reference, and signs")
+    page = opened(stepped)
+    page.click("#do-countersign")
+    stepped.advance(STEP_MS)
+    assert signings(fake) == [{"operator": "A. Therapist", "state": "5e" * 16}]
+
+
+def test_where_no_second_person_is_needed_none_is_asked_for(stepped: SteppedPage):
+    expect(opened(stepped).locator("#countersign")).to_be_hidden()

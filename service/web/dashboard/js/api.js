@@ -132,6 +132,9 @@ export const signPosition = (id, operator, number, reason) =>
  */
 export const arm = (id, operator, head, etag, state, reason) =>
   call("POST", `${session(id)}/arm`, { operator, state, ...(reason === "" ? {} : { reason }), ...(head === null ? {} : { head_direction: head }) }, { "If-Match": etag });
+/** `name` and `password` are the second person's; empty where that person is the one who is logged in here. */
+export const countersign = (id, operator, state, name, password) =>
+  call("POST", `${session(id)}/countersign`, { operator, state, ...(name === "" ? {} : { name, password }) });
 /** @returns {Promise<{answer: object, etag: string}>} what would be armed, and its ETag */
 export async function readArming(id) {
   const response = await send("GET", `${session(id)}/arming`, undefined, {});

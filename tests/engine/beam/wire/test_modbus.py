@@ -96,7 +96,7 @@ def test_a_device_may_confirm_a_coil_in_a_whole_byte(client, bits):
 @pytest.mark.parametrize(("address", "bits"), [(32, [True]), (31, [False]), (31, [])])
 def test_a_confirmation_of_another_permit_ends_the_exchange_at_once(client, address, bits):
     client.confirmed = Answer(address=address, bits=bits)
-    with pytest.raises(BeamLineError, match=r"^it confirms a different permit than was written$"):
+    with pytest.raises(BeamLineError, match=r"^it confirms something different than was written: the permit$"):
         wire(client).exchange(is_on=True, heartbeat=1, within_s=0.1)
     assert len(client.asked) == 1
 
@@ -249,3 +249,46 @@ def test_a_beam_on_signal_that_is_refused_fails_the_exchange(client):
 def test_an_address_of_the_beam_on_signal_that_cannot_be_is_refused_by_name(address, bound):
     with pytest.raises(InvalidValueError, match=rf"^beam_on_input .*{bound}"):
         replace(MAP, beam_on_input=address)
+
+
+def echoing(client):
+    """The client of a device that confirms every coil as it is written."""
+    client.write_coil = lambda address, value, **options: (
+        client._ask("coil", address, value, **options) or Answer(address=address, bits=[value])
+    )
+    return ModbusWire(client, replace(MAP, expected_coil=32), name="the beam line at test")
+
+
+def coils(client):
+    return [request[1:3] for request in client.asked if request[0] == "coil"]
+
+
+@pytest.mark.parametrize("is_on", [True, False])
+def test_a_gate_is_expected_with_every_exchange_and_not_after_the_end(client, is_on):
+    one = echoing(client)
+    one.exchange(is_on=is_on, heartbeat=1, within_s=0.1)
+    assert coils(client) == [(31, is_on), (32, True)], "the permit first"
+    one.close()
+    assert coils(client)[2:] == [(32, False)]
+    assert client.asked[-1] == "close"
+
+
+def test_a_connection_that_is_gone_is_closed_without_a_word(client):
+    one = echoing(client)
+    client.connected = False
+    one.close()
+    client.connected, client.error = True, ModbusException("no response")
+    one.close()
+    assert client.asked[-1] == "close"
+
+
+def test_a_device_without_that_coil_fails_the_exchange(client):
+    one = ModbusWire(client, replace(MAP, expected_coil=32), name="the beam line at test")
+    with pytest.raises(BeamLineError, match=r"something different than was written: that a gate is expected$"):
+        one.exchange(is_on=True, heartbeat=1, within_s=0.1)
+
+
+@pytest.mark.parametrize(("address", "bound"), [(31, "another coil"), (-1, "0 to 65535"), (65_536, "0 to 65535")])
+def test_an_address_of_that_coil_that_cannot_be_is_refused_by_name(address, bound):
+    with pytest.raises(InvalidValueError, match=rf"^expected_coil .*{bound}"):
+        replace(MAP, expected_coil=address)

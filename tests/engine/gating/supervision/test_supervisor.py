@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from engine.core.breath import Breath, GateSignal, SignalChoice
-from engine.core.clock import NS_PER_S
-from engine.core.frames import BodyPosition
+from engine.core.clock import NS_PER_MS, NS_PER_S
+from engine.core.frames import BodyPosition, LostReason, MeasurementState
 from engine.core.gate_state import HoldReason
 from engine.gating.gate import Interruption
 from engine.gating.supervision.patient_shift import CORNERS, NODES
 from engine.gating.supervision.supervisor import FrameSupervisor
 from tests.support.control.loop_bench import ScriptedSource
-from tests.support.gating.streams import LIMITS, START_NS, measured, motion_of
+from tests.support.gating.streams import LIMITS, PERIOD_NS, START_NS, measured, motion_of, unmeasured
 
 from engine.core.clock import ManualClock  # isort: skip
 
@@ -116,3 +116,19 @@ def test_the_markers_travel_is_bounded_for_windows_on_parts(choice, is_held):
     holds = supervised.show(replace(slid, motion=replace(slid.motion, surface_mm=surface_mm)))
     assert [one.reason for one in holds] == [HoldReason.PATIENT_SHIFTED] * is_held
     assert supervised.supervisor.marker_travel_mm == pytest.approx(4.0)
+
+
+def test_old_pictures_for_longer_than_a_silence_may_last_are_a_silence():
+    """Two periods are short enough, three are not; a new picture that is lost for another reason ends them."""
+    supervised = Supervised(max_silence_ms=2.5 * PERIOD_NS / NS_PER_MS)
+    losses = ["new", *["old"] * 4, "hidden", *["old"] * 3, "new"]
+    reason = {"old": LostReason.FRAME_FROZEN, "hidden": LostReason.MARKER_LOST}
+    found = [
+        supervised.show(
+            measured(index) if loss == "new" else unmeasured(measured(index), MeasurementState.LOST, reason[loss])
+        )
+        for index, loss in enumerate(losses)
+    ]
+    is_silent = [[one.reason for one in holds] == [HoldReason.FRAME_TIMEOUT] for holds in found]
+    assert is_silent == [False, False, False, True, True, False, False, False, True, False]
+    assert found[3][0].detail == "old pictures for 100 ms: as the test wants it"

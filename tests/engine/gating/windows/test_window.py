@@ -173,6 +173,7 @@ def test_every_number_among_the_limits_has_a_bound():
         "head_direction",
         "holding_events",
         "needs_all_checks",
+        "needs_countersignature",
     } == set(LIMIT_BOUNDS)
 
 

@@ -410,8 +410,13 @@ def test_a_model_says_how_it_was_learned(learned):
 def resumed(learned, *, limits=None, most=400, **surface):
     patient = Patient(match_limits=limits)
     patient.learner.resume(learned)
-    patient.see_until(lambda: patient.learner.status.patient_match is not None, most=most, **surface)
+    patient.see_until(lambda: is_compared(patient), most=most, **surface)
     return patient
+
+
+def is_compared(patient):
+    """Whether the comparison has ended: with the model, or without."""
+    return patient.learner.active is None or patient.learner.status.model_shortcoming is None
 
 
 def test_a_stored_model_measures_at_once_but_arming_is_refused_until_it_was_compared(learned):
@@ -474,6 +479,26 @@ def test_a_patient_too_far_from_the_model_is_refused_by_figure_and_a_new_model_i
     fresh = patient.learn(**surface)
     assert fresh is not learned
     assert patient.learner.status.model_shortcoming is None
+
+
+def test_a_hand_in_view_during_the_comparison_costs_no_model(learned):
+    """The comparison that it spoils is made once more."""
+    patient = Patient()
+    patient.learner.resume(learned)
+    ripples = 12.0 * np.sin(np.linspace(0.0, 12.0 * np.pi, BELLY.shape[1])) + 0.0 * BELLY
+    patient.see_until(lambda: patient.reported(LearningEventKind.COMPARED), shape=ripples)
+    assert not patient.reported(LearningEventKind.COMPARED)[0].figures["is_accepted"]
+    assert "compared" in patient.learner.status.model_shortcoming
+    patient.see_until(lambda: is_compared(patient))
+    assert patient.learner.active.model is learned
+    assert patient.learner.status.patient_match.refusal is None
+    assert [one.figures["is_accepted"] for one in patient.reported(LearningEventKind.COMPARED)] == [False, True]
+
+
+def test_a_second_refusal_is_final(learned):
+    patient = resumed(learned, shift_mm=(40.0, 0.0, 0.0))
+    assert [one.figures["is_accepted"] for one in patient.reported(LearningEventKind.COMPARED)] == [False, False]
+    assert patient.learner.active is None
 
 
 def test_a_body_the_model_cannot_explain_is_refused(learned):

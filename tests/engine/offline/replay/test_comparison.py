@@ -13,7 +13,6 @@ from engine.offline.replay.comparison import (
     this_machine,
     within_rounding,
 )
-from engine.offline.replay.earlier_texts import PRESENT_TEXTS
 from tests.support.control.loop_bench import after, good
 from tests.support.replay.scripted_tape import lived, replayed, taped
 
@@ -128,14 +127,6 @@ def test_a_machine_is_named_in_words():
     assert all(isinstance(value, str) for value in HERE.values())
     assert {"opencv features", "numpy features", "blas kernels", "numpy", "opencv", "architecture"} <= set(HERE)
     assert "SSE" in HERE["opencv features"] or HERE["architecture"] != "x86_64"
-
-
-@pytest.mark.parametrize("comparison", [BIT_FOR_BIT, within_rounding()])
-def test_a_text_of_an_earlier_version_is_the_present_one_and_any_other_text_differs(comparison):
-    for earlier, present in PRESENT_TEXTS.items():
-        assert comparison.agrees({"detail": f"breath: {earlier}"}, {"detail": f"breath: {present}"})
-        assert not comparison.agrees({"detail": f"breath: {earlier}"}, {"detail": f"breaths: {present}"})
-    assert not comparison.agrees({"reason": "not_ready"}, {"reason": "outside"})
 
 
 def test_a_tape_from_before_the_features_may_have_other_words_but_no_other_reason():

@@ -1,4 +1,4 @@
-"""A tape names the first reference of the fraction that its session continued; earlier tapes know no budget."""
+"""A tape names the first reference of the fraction that its session continued."""
 
 from dataclasses import replace
 
@@ -8,9 +8,8 @@ import pytest
 from engine.core.errors import RecordingError
 from engine.core.first_reference import NODES, FirstReference
 from engine.core.reference_proposal import ReferenceMoment
-from engine.gating.limits import LIMIT_BOUNDS
 from engine.motion.settings import PipelineSettings
-from engine.offline.replay.header import HISTORY_METHOD, METHOD, Frames, TapeHeader, read_head
+from engine.offline.replay.header import METHOD, Frames, TapeHeader, read_head
 from tests.support.gating.streams import LIMITS
 from tests.support.motion.small_scene import CALIBRATION
 from tests.support.replay.scripted_tape import NO_MODELS
@@ -45,24 +44,13 @@ def test_the_head_names_it(first):
         assert np.array_equal(again.first_reference.surface_mm, FIRST.surface_mm)
 
 
-def test_the_head_names_the_plan_s_position_and_earlier_tapes_have_none():
+def test_the_head_names_the_plan_s_position():
     plan = replace(FIRST, moment=ReferenceMoment.END_EXHALE)
     encoded = replace(HEAD, plan_position=plan).encoded(NO_MODELS)
     again = read_head(encoded, NO_MODELS)
     assert again.first_reference is None
     assert again.plan_position is not None
     assert again.plan_position.to_json() == plan.to_json()
-    del encoded["plan_position"]
-    assert read_head(encoded, NO_MODELS).plan_position is None
-
-
-def test_an_earlier_tape_has_none_and_no_budget():
-    encoded = replace(HEAD, method=HISTORY_METHOD - 1).encoded(NO_MODELS)
-    del encoded["first_reference"]
-    del encoded["limits"]["d"][1]["max_reference_distance_mm"]
-    again = read_head(encoded, NO_MODELS)
-    assert again.first_reference is None
-    assert again.limits.max_reference_distance_mm == LIMIT_BOUNDS["max_reference_distance_mm"][1]
 
 
 def test_a_damaged_one_is_a_damaged_head():

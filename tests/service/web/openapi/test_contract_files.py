@@ -19,6 +19,7 @@ POSTS = {
     "/api/v1/sessions/{session_id}/disarm",
     "/api/v1/sessions/{session_id}/reference",
     "/api/v1/sessions/{session_id}/position-check",
+    "/api/v1/sessions/{session_id}/countersign",
     "/api/v1/sessions/{session_id}/acknowledge",
     "/api/v1/sessions/{session_id}/hold",
     "/api/v1/sessions/{session_id}/release",

@@ -3,7 +3,7 @@
  * arms, and only what is shown: the controller refuses if anything was decided since the summary was read.
  */
 
-import { arm, readArming } from "../api.js";
+import { arm, countersign, readArming } from "../api.js";
 import { byId, part, setText } from "../drawing/elements.js";
 import { rememberArming } from "../people/presence.js";
 import { conditionsOf, hasEdges, signalName } from "../stream/gating_window.js";
@@ -16,7 +16,7 @@ const READ_MS = 2000;
 const CLOSE_MS = 60000;
 const TITLES = {
   patient: tr("arming.patient"), plan: tr("arming.plan"), camera: tr("arming.camera"), head_direction: tr("arming.head"), view: tr("arming.view"), model: tr("arming.model"),
-  reference: tr("arming.reference"), window: tr("arming.window"), position: tr("arming.position"), checks: tr("arming.checks"), site: "QA", gate: tr("arming.gate"),
+  reference: tr("arming.reference"), window: tr("arming.window"), position: tr("arming.position"), checks: tr("arming.checks"), countersignature: tr("arming.second_person"), site: "QA", gate: tr("arming.gate"),
 };
 const MARKS = { ok: "✓", attention: "!", missing: "✕" };
 const WORDS = { ok: "", attention: tr("arming.look"), missing: tr("arming.missing") };
@@ -28,11 +28,15 @@ export class ArmingPanel {
     this.controls = controls;
     this.button = byId("do-arm-now");
     this.reason = byId("arming-reason");
+    this.countersigning = byId("countersign");
     this.guard = new ClickGuard([this.button]);
     this.presses = new TwoPresses(this.button, tr("arming.press_again_to_arm"));
     this.#forget();
     this.button.addEventListener("click", (event) => this.#press(event));
     byId("arming-close").addEventListener("click", () => this.close());
+    // Typing a password takes time: the summary stays, and is read again every two seconds as before.
+    this.countersigning.addEventListener("input", () => { this.openedMs = performance.now(); });
+    this.countersigning.addEventListener("submit", (event) => { event.preventDefault(); this.#countersign(); });
   }
 
   get isOpen() {
@@ -78,6 +82,9 @@ export class ArmingPanel {
     Object.assign(this, { id: null, head: null, summary: null, etag: null, key: "", trouble: "", openedMs: 0, readMs: -Infinity });
     byId("arming-items").replaceChildren();
     byId("arming-reason-field").hidden = true;
+    this.countersigning.hidden = true;
+    this.countersigning.reset();
+    setText(byId("countersign-result"), "");
     this.reason.value = "";
     setText(byId("arming-patient"), "");
     setText(byId("arming-edges"), "");
@@ -106,9 +113,24 @@ export class ArmingPanel {
     if (key === this.key && this.summary !== null) return;
     Object.assign(this, { summary, etag, key });
     byId("arming-reason-field").hidden = summary.needs_reason !== true;
+    this.countersigning.hidden = !summary.items.some((one) => one.code === "countersignature" && one.state === "missing");
     this.presses.reset();
     setText(byId("arming-patient"), summary.items.find((one) => one.code === "patient")?.text ?? "");
     byId("arming-items").replaceChildren(...summary.items.filter((one) => one.code !== "patient").map(itemLine));
+  }
+
+  /** Sign what is shown, as the second person; the password leaves the page's fields in any case. */
+  async #countersign() {
+    const { id, summary } = this;
+    if (summary === null) return;
+    const [name, password] = ["countersign-name", "countersign-password"].map((field) => byId(field).value);
+    byId("countersign-password").value = "";
+    try {
+      await countersign(id, this.controls.operatorName, summary.state, name.trim(), password);
+      if (id === this.id) { setText(byId("countersign-result"), ""); this.#read(); }
+    } catch (error) {
+      if (id === this.id) setText(byId("countersign-result"), error.message);
+    }
   }
 
   #press(event) {

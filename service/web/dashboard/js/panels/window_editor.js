@@ -246,7 +246,7 @@ export class WindowEditor {
       try {
         await setWindow(id, this.controls.operatorName, window, this.reason.value.trim());
       } catch (error) {
-        if (error.code === "reference_distance") this.reason.hidden = false;
+        if (["reference_distance", "reason_missing"].includes(error.code)) this.reason.hidden = false;
         throw error;
       }
       this.close();

@@ -1,19 +1,18 @@
-"""The same picture again with new times: a hold at once, a fault when it lasts; delivered twice it is neither."""
+"""The same picture again with new times is old; delivered again with its old time it is not."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from engine.core.frames import RgbdFrame
-from engine.core.gate_state import HoldReason
-from engine.gating.supervision.repeated_frames import (
+from engine.core.frames import LostReason, RgbdFrame
+from engine.motion.tracking.repeated_pictures import (
     EARLIER_PICTURES,
     LEAST_READINGS,
     THINNING_PX,
-    RepeatedFrames,
+    RepeatedPictures,
 )
-from tests.support.gating.streams import LIMITS, MS, PERIOD_NS, PERIOD_US, START_NS
+from tests.support.gating.streams import PERIOD_NS, PERIOD_US, START_NS
 
 NOISE = np.random.default_rng(7)
 DEPTHS = [NOISE.integers(700, 900, (48, 64)).astype(np.uint16) for _ in range(120)]
@@ -35,39 +34,29 @@ def frame(
     )
 
 
-def reasons(frames, limits=LIMITS):
-    repeats = RepeatedFrames(limits)
+def reasons(frames):
+    repeats = RepeatedPictures()
     found = [repeats.check(one) for one in frames]
     return [None if one is None else one.reason for one in found]
 
 
-def test_pictures_that_differ_hold_nothing():
+def test_pictures_that_differ_are_new():
     assert reasons(frame(index) for index in range(20)) == [None] * 20
 
 
 @pytest.mark.parametrize("stream", ["depth", "color"])
-def test_the_same_picture_again_holds_and_a_new_one_clears_it(stream):
+def test_the_same_picture_again_is_old_and_a_new_one_is_not(stream):
     frames = [frame(0), frame(1), frame(2, **{stream: 1}), frame(3, **{stream: 1}), frame(4)]
-    assert reasons(frames) == [None, None, HoldReason.FRAME_FROZEN, HoldReason.FRAME_FROZEN, None]
+    assert reasons(frames) == [None, None, LostReason.FRAME_FROZEN, LostReason.FRAME_FROZEN, None]
 
 
 @pytest.mark.parametrize("stream", ["depth", "color"])
 @pytest.mark.parametrize("buffers", [2, 8, 64, 96])
-def test_old_pictures_that_take_turns_hold_and_then_are_a_silence(stream, buffers):
+def test_old_pictures_that_take_turns_are_old(stream, buffers):
     frames = [frame(index, **{stream: index % buffers}) for index in range(buffers + 20)]
     found = reasons(frames)
     assert found[:buffers] == [None] * buffers
-    assert set(found[buffers : buffers + 10]) == {HoldReason.FRAME_FROZEN}
-    assert found[-1] is HoldReason.FRAME_TIMEOUT
-
-
-@pytest.mark.parametrize("stream", ["depth", "color"])
-def test_a_picture_that_stands_for_longer_than_a_silence_may_last_is_a_silence(stream):
-    frames = [frame(index, **{stream: 0}) for index in range(20)]
-    found = reasons(frames)
-    assert found[1:15] == [HoldReason.FRAME_FROZEN] * 14  # 14 periods are 467 ms
-    assert found[15:] == [HoldReason.FRAME_TIMEOUT] * 5
-    assert 15 * PERIOD_NS > LIMITS.max_silence_ms * MS > 14 * PERIOD_NS
+    assert set(found[buffers:]) == {LostReason.FRAME_FROZEN}
 
 
 def test_a_colour_picture_delivered_again_with_its_old_time_is_no_repetition():
@@ -77,13 +66,7 @@ def test_a_colour_picture_delivered_again_with_its_old_time_is_no_repetition():
 
 def test_a_repeated_colour_picture_is_counted_across_frames_that_bring_none():
     frames = [frame(0), frame(1, color=0, color_time=1), frame(2, color=0, color_time=1)]
-    assert reasons(frames) == [None, HoldReason.FRAME_FROZEN, HoldReason.FRAME_FROZEN]
-
-
-@pytest.mark.parametrize(("allowed", "held_at"), [(0, 1), (1, 2), (3, 4)])
-def test_a_site_may_allow_some_repetitions(allowed, held_at):
-    found = reasons([frame(index, depth=0) for index in range(8)], replace(LIMITS, max_repeated_frames=allowed))
-    assert found.index(HoldReason.FRAME_FROZEN) == held_at
+    assert reasons(frames) == [None, LostReason.FRAME_FROZEN, LostReason.FRAME_FROZEN]
 
 
 @pytest.mark.parametrize(("row", "column"), [(0, 0), (1, 1), (THINNING_PX, THINNING_PX), (47, 63)])
@@ -131,14 +114,14 @@ def with_own_color(one: RgbdFrame) -> RgbdFrame:
 @pytest.mark.parametrize("flicker", [0.0, 0.01, 0.05])
 def test_a_frozen_picture_that_flickers_is_old(flicker):
     found = reasons(with_own_color(still(index, 1.0 - flicker)) for index in range(12))
-    assert found == [None] + [HoldReason.FRAME_FROZEN] * 11
+    assert found == [None] + [LostReason.FRAME_FROZEN] * 11
 
 
 def test_old_pictures_that_take_turns_and_flicker_are_old():
     ring = [still(index % 9, 1.0, seed=index % 9).depth_mm for index in range(9)]
     shown = [replace(still(index, 0.99, seed=index % 9), depth_mm=ring[index % 9]) for index in range(9)]
     shown += [still(index, 0.99, seed=index % 9) for index in range(9, 20)]
-    assert reasons(map(with_own_color, shown)) == [None] * 9 + [HoldReason.FRAME_FROZEN] * 11
+    assert reasons(map(with_own_color, shown)) == [None] * 9 + [LostReason.FRAME_FROZEN] * 11
 
 
 def test_a_still_scene_whose_readings_agree_as_much_as_a_sensors_do_is_not_old():
@@ -187,7 +170,7 @@ def test_a_picture_is_old_from_the_share_of_agreeing_readings_itself(agreeing, i
     other.flat[agreeing:] += 1
     assert reasons([of_readings(0, readings), of_readings(1, other)]) == [
         None,
-        HoldReason.FRAME_FROZEN if is_old else None,
+        LostReason.FRAME_FROZEN if is_old else None,
     ]
 
 
@@ -198,7 +181,7 @@ def test_as_many_readings_as_are_needed_tell_a_share(count, is_old):
     other = readings.copy()
     other[0, 0] += 1
     found = reasons([of_readings(0, readings), of_readings(1, other)])
-    assert found == [None, HoldReason.FRAME_FROZEN if is_old else None]
+    assert found == [None, LostReason.FRAME_FROZEN if is_old else None]
 
 
 @pytest.mark.parametrize("ago", [1, 2, EARLIER_PICTURES - 1, EARLIER_PICTURES])
@@ -209,12 +192,12 @@ def test_each_of_the_earlier_pictures_is_remembered_and_no_older_one(ago):
     nearly[0, 0] += 1
     older = pictures[len(pictures) - EARLIER_PICTURES - 1].copy()
     older[0, 0] += 1
-    repeats = RepeatedFrames(LIMITS)
+    repeats = RepeatedPictures()
     assert {repeats.check(one) for one in shown} == {None}
     assert repeats.check(of_readings(len(shown), older)) is None
-    repeats = RepeatedFrames(LIMITS)
+    repeats = RepeatedPictures()
     assert {repeats.check(one) for one in shown} == {None}
-    assert repeats.check(of_readings(len(shown), nearly)).reason is HoldReason.FRAME_FROZEN
+    assert repeats.check(of_readings(len(shown), nearly)).reason is LostReason.FRAME_FROZEN
 
 
 def test_colours_that_nearly_agree_are_no_repetition():
@@ -227,14 +210,12 @@ def test_colours_that_nearly_agree_are_no_repetition():
 
 
 @pytest.mark.parametrize(("stream", "name"), [("depth", "depth"), ("color", "colour")])
-def test_a_hold_names_the_stream_and_how_often_or_how_long(stream, name):
-    limits = replace(LIMITS, max_silence_ms=3 * PERIOD_NS / 1e6)
-    repeats = RepeatedFrames(limits)
-    found = [repeats.check(frame(index, **{stream: 0})) for index in range(5)]
-    assert [None if one is None else (one.reason, one.detail) for one in found] == [
+def test_a_loss_names_the_stream_and_how_often(stream, name):
+    repeats = RepeatedPictures()
+    found = [repeats.check(frame(index, **{stream: 0})) for index in range(4)]
+    assert [None if one is None else one.detail for one in found] == [
         None,
-        *((HoldReason.FRAME_FROZEN, f"the {name} picture is repeated ({count})") for count in (1, 2, 3)),
-        (HoldReason.FRAME_TIMEOUT, f"the same {name} picture for 133 ms"),
+        *(f"the {name} picture is repeated ({count})" for count in (1, 2, 3)),
     ]
 
 

@@ -12,11 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from engine.core.clock import NS_PER_MS
-from engine.core.frames import RgbdFrame
-from engine.core.gate_state import HoldReason
-from engine.gating.gate import Interruption
-from engine.gating.limits import GateLimits
+from engine.core.frames import Lost, LostReason, RgbdFrame
 
 THINNING_PX = 16
 """Step of the rows and columns compared first: different pictures differ there, at a hundredth of the cost."""
@@ -37,8 +33,8 @@ Picture = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 class _Stream:
     """The last pictures of one stream.
 
-    ``since_ns`` is when the last new picture was received, ``repeats`` the number of repeated ones since. ``views``
-    holds the thinned views of the last new pictures, and ``readings`` those of depth, shape (pictures, readings).
+    ``repeats`` counts the repeated pictures since the last new one. ``views`` holds the thinned views of the last new
+    pictures, and ``readings`` those of depth, shape (pictures, readings).
     """
 
     is_depth: bool
@@ -47,10 +43,9 @@ class _Stream:
     readings: Picture | None = None
     oldest: int = 0
     timestamp_us: int | None = None
-    since_ns: int = 0
     repeats: int = 0
 
-    def check(self, picture: Picture, timestamp_us: int, received_ns: int) -> None:
+    def check(self, picture: Picture, timestamp_us: int) -> None:
         if timestamp_us == self.timestamp_us:
             return  # paired with another depth frame, with its time unchanged
         self.timestamp_us = timestamp_us
@@ -64,7 +59,7 @@ class _Stream:
         self.views.append(view)
         if self.is_depth:
             self._keep(readings)
-        self.since_ns, self.repeats = received_ns, 0
+        self.repeats = 0
 
     def _was_seen(self, view: bytes, picture: Picture) -> bool:
         """Whether it equals the last picture in every pixel, or the thinned view of an earlier one."""
@@ -92,24 +87,18 @@ class _Stream:
         self.oldest = (self.oldest + 1) % EARLIER_PICTURES
 
 
-class RepeatedFrames:
-    """Compares each picture with earlier ones; owned by the engine thread."""
+class RepeatedPictures:
+    """Compares each picture with earlier ones; owned by one thread."""
 
-    def __init__(self, limits: GateLimits) -> None:
-        self._limits = limits
+    def __init__(self) -> None:
         self._streams = {"depth": _Stream(is_depth=True), "colour": _Stream(is_depth=False)}
 
-    def check(self, frame: RgbdFrame) -> Interruption | None:
-        """Return the hold for repeated pictures; a fault once they last longer than ``max_silence_ms``."""
+    def check(self, frame: RgbdFrame) -> Lost | None:
+        """Return the loss of a frame whose depth or colour picture is old: its values are those of another moment."""
         depth, color = self._streams.values()
-        depth.check(frame.depth_mm, frame.timestamp_us, frame.received_ns)
-        color.check(frame.color, frame.color_timestamp_us, frame.received_ns)
-        frozen = {name: stream for name, stream in self._streams.items() if stream.repeats > 0}
-        for name, stream in frozen.items():
-            repeated_ms = (frame.received_ns - stream.since_ns) / NS_PER_MS
-            if repeated_ms > self._limits.max_silence_ms:
-                return Interruption(HoldReason.FRAME_TIMEOUT, f"the same {name} picture for {repeated_ms:.0f} ms")
-        for name, stream in frozen.items():
-            if stream.repeats > self._limits.max_repeated_frames:
-                return Interruption(HoldReason.FRAME_FROZEN, f"the {name} picture is repeated ({stream.repeats})")
+        depth.check(frame.depth_mm, frame.timestamp_us)
+        color.check(frame.color, frame.color_timestamp_us)
+        for name, stream in self._streams.items():
+            if stream.repeats > 0:
+                return Lost(reason=LostReason.FRAME_FROZEN, detail=f"the {name} picture is repeated ({stream.repeats})")
         return None
