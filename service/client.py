@@ -991,6 +991,7 @@ class ReferenceRequest(TypedDict):
     level_seen: NotRequired[float | None]
     operator: NotRequired[str]
     reason: NotRequired[str]
+    setup_confirmed: NotRequired[bool]
 
 
 class Resumed(TypedDict):
@@ -1821,6 +1822,7 @@ class TidegateClient:
         at: Literal["end_exhale", "end_inhale", "now"] = "end_exhale",
         level_seen: float | None = None,
         reason: str = "",
+        setup_confirmed: bool = False,
         operator: str | None = None,
         if_match: str | None = None,
     ) -> "SessionDetail":
@@ -1828,9 +1830,12 @@ class TidegateClient:
 
         For a person who logged in; no key may. ``level_seen`` is the proposed level that the person was shown, and
         ``reason`` is required for an amplitude window where the level is neither near the end of exhale nor of inhale,
-        and far from the fraction's first reference.
+        and far from the fraction's first reference. ``setup_confirmed`` says that the person has seen the stickers on
+        the skin and the chest uncovered, which a session in clinical mode needs once.
         """
         arguments: dict[str, object] = {"at": at, "reason": reason}
+        if setup_confirmed:
+            arguments["setup_confirmed"] = True
         if level_seen is not None:
             arguments["level_seen"] = level_seen
         return self._do(session_id, "reference", SessionDetail, operator, if_match, arguments)

@@ -368,7 +368,7 @@ class Pipeline:
             and last_reference is not None
         ):
             before = motion_from(last_reference, active, outcome, surface, depth_mm)
-            self._breaths.move(before, motion)
+            self._breaths.move(before, motion, is_end_exhale=self.learner.is_reference_end_exhale)
             self.learner.move_levels(before, motion)
         self._last_reference = reference
         return motion

@@ -104,6 +104,8 @@ class Learner:
         self._is_reference_requested = False
         self._requested_position: Reference | None = None
         self._requested_moment = ReferenceMoment.NOW
+        self.is_reference_end_exhale = False
+        """Whether the reference was set to the mean of the last ends of exhale."""
         self._requested_us = 0
         self._proposals = ReferenceProposals()
         self._proposed: tuple[ReferenceProposal, ...] = ()
@@ -266,6 +268,8 @@ class Learner:
         if self._reference is None or self._is_reference_requested:
             self._reference = self._requested_position or present()
             self._reference_number += 1
+            is_exhale = self._requested_moment is ReferenceMoment.END_EXHALE
+            self.is_reference_end_exhale = self._is_reference_requested and is_exhale
             if self._is_reference_requested:
                 self._confirm(self._reference)
             self._is_reference_requested, self._requested_position = False, None

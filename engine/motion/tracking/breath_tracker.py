@@ -54,11 +54,18 @@ class BreathTracker:
             self._states = tuple(start_breathing(state.choice) for state in self._states)
         return is_reference_new and is_same_model
 
-    def move(self, before: Motion, now: Motion) -> None:
-        """Shift the monitors by the change of one frame's motion from the old to the new reference."""
+    def move(self, before: Motion, now: Motion, *, is_end_exhale: bool) -> None:
+        """Shift the monitors by the change of one frame's motion from the old to the new reference.
+
+        Drift then counts from the last end of exhale; of the first signal from the reference itself where that is the
+        mean of its last ends of exhale: the last one alone may have been a hitch.
+        """
+        moved = [
+            shifted(state, signal_of(state.choice, now) - signal_of(state.choice, before)) for state in self._states
+        ]
         self._states = tuple(
-            _with_current_baseline(shifted(state, signal_of(state.choice, now) - signal_of(state.choice, before)))
-            for state in self._states
+            with_baseline(state, 0.0) if is_end_exhale and state is moved[0] else _with_current_baseline(state)
+            for state in moved
         )
 
     def correct(self, choice: SignalChoice, by: float) -> None:

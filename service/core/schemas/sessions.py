@@ -246,6 +246,11 @@ class ReferenceRequest(OperatorRequest):
         " and beyond `max_reference_distance_mm` from the fraction's first reference; there the person also needs the"
         " permission `gate.arm`",
     )
+    setup_confirmed: bool = Field(
+        default=False,
+        description="The person has seen that the stickers are on the skin or on a tight shirt, and that nothing else"
+        " covers the chest. Required once a session in clinical mode, and kept in the audit",
+    )
 
 
 class PositionCheckRequest(OperatorRequest):

@@ -267,7 +267,9 @@ class SessionDriver:
             self._last_call_s = self._now_s()  # look again after a while
             self._check_timeout(sample)
             return
-        self._call_once(lambda: therapist.set_reference(self.session_id, level_seen=proposed["level"]))
+        self._call_once(
+            lambda: therapist.set_reference(self.session_id, level_seen=proposed["level"], setup_confirmed=True)
+        )
 
     def _position(self, session: SessionDetail, sample: Sample) -> None:
         """Sign the position as the therapist, where a later fraction needs it; else wait until a person has."""

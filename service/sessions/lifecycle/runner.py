@@ -188,7 +188,13 @@ class SessionRunner:
 
         ``may_exceed`` is whether the operator is a person who may arm; with a reason, the reference may then lie beyond
         the budget from the fraction's first one.
+
+        Raises
+        ------
+        BoundError
+            In clinical mode, nobody has confirmed stickers and chest in this session yet.
         """
+        self._refuse_unconfirmed_setup(session_id, confirmed=request.setup_confirmed)
         command = SetReference(
             operator=operator,
             moment=ReferenceMoment(request.at),
@@ -207,6 +213,17 @@ class SessionRunner:
         detail = {**request.model_dump(exclude={"operator"}), "proposed": proposed}
         self._commander.execute(session_id, command, operator, "session.reference", detail)
         return self._records.detail(session_id)
+
+    def _refuse_unconfirmed_setup(self, session_id: str, *, confirmed: bool) -> None:
+        """Refuse a reference before a person of this session has confirmed that stickers and chest are as they must."""
+        if confirmed or self._settings.mode != "clinical":
+            return
+        with self._database.read() as db:
+            earlier = queries.newest_done(db, session_id, ("session.reference",))
+        if earlier is None:
+            bound = "true: stickers on the skin or a tight shirt, chest not covered"
+            msg = f"setup_confirmed must be {bound}"
+            raise BoundError(msg, field="setup_confirmed", value="false", bound=bound)
 
     def sign_position(
         self, session_id: str, operator: str, request: sessions.PositionCheckRequest, *, may_exceed: bool

@@ -102,7 +102,7 @@ COMMAND_ERRORS = (
     BeamLineError,
 )
 ASK = problems(*COMMAND_ERRORS)
-MOVE = problems(*COMMAND_ERRORS, ReferenceDistanceError)
+MOVE = problems(*COMMAND_ERRORS, ReferenceDistanceError, BoundError)
 SIGN = problems(*COMMAND_ERRORS, PositionUncheckedError)
 COUNTERSIGN = problems(
     *COMMAND_ERRORS,

@@ -23,6 +23,8 @@ from tests.campaigns.faults.table import exit_code, markdown, rows, terminal_tab
 from tests.campaigns.faults.verdict import Outcome
 
 MOST_SEEDS = 10_000
+LONG_SEEDS = 40
+"""Seeds of a whole campaign, for which the duration is said."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -44,7 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
         )
         return WRONG_USAGE
     _run(console, file, kinds, seeds, jobs=asked.jobs, revision=revision)
-    return _report(console, file, kinds, seeds, asked.out, writes=asked.write)
+    return _report(console, file, kinds, seeds, asked.out, jobs=asked.jobs, writes=asked.write)
 
 
 def _run(
@@ -79,7 +81,14 @@ def _run(
 
 
 def _report(
-    console: Console, file: OutcomeFile[Outcome], kinds: tuple[FaultKind, ...], seeds: range, out: Path, *, writes: bool
+    console: Console,
+    file: OutcomeFile[Outcome],
+    kinds: tuple[FaultKind, ...],
+    seeds: range,
+    out: Path,
+    *,
+    jobs: int,
+    writes: bool,
 ) -> int:
     outcomes = [outcome for outcome in file.read() if outcome.seed in seeds]
     table = rows(kinds, outcomes, wanted=len(seeds))
@@ -91,17 +100,34 @@ def _report(
     if writes:
         write_document(table, reported=_how(outcomes, seeds))
     unsafe = sum(row.unsafe for row in table)
-    console.print(
-        f"{len(outcomes)} faults of {len(kinds)} kinds: {unsafe} unsafe", style="red" if exit_code(table) else "green"
-    )
+    verdict = f"{len(outcomes)} faults of {len(kinds)} kinds: {unsafe} unsafe{bound_text(unsafe, len(outcomes))}"
+    console.print(verdict, style="red" if exit_code(table) else "green")
+    console.print(duration_text(outcomes, jobs))
     return exit_code(table)
+
+
+def bound_text(unsafe: int, trials: int) -> str:
+    """Say how many unsafe ones could still be among as many faults as these: the rule of three."""
+    return f", 0 of {trials}: below {100.0 * 3.0 / trials:.2g} % at 95 %" if unsafe == 0 and trials > 0 else ""
+
+
+def duration_text(outcomes: list[Outcome], jobs: int) -> str:
+    """Say how long the trials took, and `LONG_SEEDS` seeds would take here."""
+    kinds = {outcome.kind for outcome in outcomes}
+    if not outcomes:
+        return "no trial"
+    each_s = sum(outcome.seconds for outcome in outcomes) / len(outcomes)
+    hours = each_s * LONG_SEEDS * len(kinds) / jobs / 3600.0
+    return f"{each_s:.1f} s a trial: {LONG_SEEDS} seeds of these {len(kinds)} kinds take {hours:.1f} h with {jobs} jobs"
 
 
 def _how(outcomes: list[Outcome], seeds: range) -> str:
     """Say where the table is from: the command, the state of the code, the machine."""
     revisions = ", ".join(sorted({outcome.revision for outcome in outcomes})) or "nothing"
+    unsafe = sum(outcome.is_unsafe for outcome in outcomes)
     command = f"make faults SEEDS={len(seeds)}" + (f" (first seed {seeds[0]})" if seeds[0] != 1 else "")
-    return f"`{command}` at {revisions}, {os.cpu_count()} processors, Python {platform.python_version()}"
+    machine = f"{os.cpu_count()} processors, Python {platform.python_version()}"
+    return f"`{command}` at {revisions}, {machine}: {unsafe} unsafe{bound_text(unsafe, len(outcomes))}"
 
 
 def _parser() -> argparse.ArgumentParser:

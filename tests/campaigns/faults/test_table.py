@@ -2,10 +2,12 @@
 
 import io
 import json
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
+from tests.campaigns.faults.__main__ import bound_text, duration_text
 from tests.campaigns.faults.campaign import Turn, kept_in, turns
 from tests.campaigns.faults.document import DOCUMENT, write_document
 from tests.campaigns.faults.kinds import all_kinds, chosen
@@ -148,3 +150,14 @@ def test_there_are_more_kinds_than_were_asked_for_and_each_says_what_it_promises
 def test_a_name_that_is_no_kind_is_refused():
     with pytest.raises(ValueError, match="no such kind: teapot"):
         chosen(["killed", "teapot"])
+
+
+def test_no_unsafe_trial_bounds_their_share_by_the_rule_of_three():
+    assert bound_text(0, 600) == ", 0 of 600: below 0.5 % at 95 %"
+    assert bound_text(1, 600) == bound_text(0, 0) == ""
+
+
+def test_the_time_of_forty_seeds_is_said_from_the_trials_done():
+    done = [replace(one, seconds=9.0) for one in GOOD]
+    assert duration_text(done, 2) == "9.0 s a trial: 40 seeds of these 2 kinds take 0.1 h with 2 jobs"
+    assert duration_text([], 2) == "no trial"

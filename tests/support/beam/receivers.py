@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from engine.beam.line import BeamLine
+from engine.beam.second_input import DrilledReceiver, OwnInput, SecondInput
 from engine.beam.wire.line_supervisor import LineTimes
-from engine.beam.wire.modbus import RegisterMap, rtu_wire, tcp_wire
+from engine.beam.wire.modbus import ModbusInput, ModbusWire, RegisterMap, rtu_wire, tcp_wire
 from engine.beam.wire.serial_relay import RelayWire
 from engine.beam.wire.supervised_line import Wire, WiredBeamLine
 from engine.core.clock import NS_PER_MS, MonotonicClock
@@ -176,6 +177,38 @@ def receiver(kind: str, port: int = 0) -> Iterator[Receiver]:
         yield held
     finally:
         held.end()
+
+
+class WiredInput:
+    """A second input that is wired to a board's contact: what the receiver's process reports of it."""
+
+    def __init__(self, far: Receiver) -> None:
+        self._far = far
+
+    def open(self) -> None:
+        """Nothing is to be opened."""
+
+    def is_closed(self) -> bool:
+        return self._far.is_on
+
+    def close(self) -> None:
+        """Nothing is to be closed."""
+
+
+def drilled_part(far: Receiver) -> tuple[WiredBeamLine, DrilledReceiver]:
+    """A line to a receiver, and that receiver with another way to see its contact."""
+    wire = wire_to(far.kind, far.where)
+    line = WiredBeamLine(
+        wire, MonotonicClock(), TIMES, look=wire.look if isinstance(wire, ModbusWire) and far.kind == "rtu" else None
+    )
+    second_input: SecondInput
+    if far.kind == "tcp":
+        other = wire_to(far.kind, far.where)
+        assert isinstance(other, ModbusWire)
+        second_input = ModbusInput(other)
+    else:
+        second_input = OwnInput(line) if far.kind == "rtu" else WiredInput(far)
+    return line, DrilledReceiver(name=far.kind, line=line, second_input=second_input)
 
 
 @contextlib.contextmanager

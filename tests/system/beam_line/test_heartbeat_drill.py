@@ -8,16 +8,13 @@ import pytest
 from engine.beam.commissioning import Pulser
 from engine.beam.heartbeat_drill import HeartbeatDrill
 from engine.beam.paired import PairedBeamLine
-from engine.beam.second_input import DrilledReceiver, OwnInput
-from engine.beam.wire.modbus import ModbusInput
-from engine.beam.wire.supervised_line import WiredBeamLine
 from engine.core.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from engine.core.errors import BeamLineError
 from engine.core.gate_state import HoldReason
 from engine.verification.qa.drill import drill_line
 from engine.verification.qa.inputs import BeamInput
 from tests.support.beam.modbus_server import DROP_NS
-from tests.support.beam.receivers import TIMES, Lateness, open_patiently, receiver, wire_to
+from tests.support.beam.receivers import TIMES, Lateness, drilled_part, open_patiently, receiver
 
 KINDS = ["tcp", "rtu", "lcus", "lcus-text", "numato"]
 ATTEMPTS = 20
@@ -27,33 +24,6 @@ FAULTS = {
 }
 BUSY = ("did not stand still", "never read back", "was commanded", "good answers", "answer", "latched", "lapsed")
 """What the drill says where a busy machine, not the receiver, kept it from its result."""
-
-
-class Wired:
-    """A second input that is wired to a board's contact: what the receiver's process reports of it."""
-
-    def __init__(self, far):
-        self._far = far
-
-    def open(self):
-        pass
-
-    def is_closed(self):
-        return self._far.is_on
-
-    def close(self):
-        pass
-
-
-def _part(far):
-    """A line to a receiver, and that receiver with another way to see its contact."""
-    wire = wire_to(far.kind, far.where)
-    line = WiredBeamLine(wire, MonotonicClock(), TIMES, look=wire.look if far.kind == "rtu" else None)
-    if far.kind == "tcp":
-        second_input = ModbusInput(wire_to(far.kind, far.where))
-    else:
-        second_input = OwnInput(line) if far.kind == "rtu" else Wired(far)
-    return line, DrilledReceiver(name=far.kind, line=line, second_input=second_input)
 
 
 def _wait_ns(span_ns):
@@ -82,7 +52,7 @@ def _drilled(line, drilled):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_receiver_that_follows_the_rules_is_seen_to_open_by_its_heartbeat_alone(kind):
     with receiver(kind) as far, Lateness() as busy:
-        line, drilled = _part(far)
+        line, drilled = drilled_part(far)
         taken_ms = _drilled(line, drilled)
         assert isinstance(taken_ms, float), taken_ms
         assert taken_ms <= DROP_NS / NS_PER_MS + TIMES.answer_ms + busy.allowed_ns / NS_PER_MS
@@ -94,7 +64,7 @@ def test_a_receiver_that_follows_the_rules_is_seen_to_open_by_its_heartbeat_alon
 def test_a_receiver_without_the_rule_fails_and_is_off_afterwards(kind, fault):
     with receiver(kind) as far:
         far.spoil(fault)
-        line, drilled = _part(far)
+        line, drilled = drilled_part(far)
         failure = _drilled(line, drilled)
         assert isinstance(failure, str), failure
         assert failure.startswith(f"{kind}: {FAULTS[fault]}")
@@ -109,7 +79,7 @@ def test_of_two_lines_each_receiver_is_drilled_while_the_other_is_good(faulty):
         far = (first, second)
         if faulty is not None:
             far[faulty].spoil("keeps")
-        (line_1, drilled_1), (line_2, drilled_2) = _part(first), _part(second)
+        (line_1, drilled_1), (line_2, drilled_2) = drilled_part(first), drilled_part(second)
         pair = PairedBeamLine(line_1, line_2)
         for number, drilled in enumerate((drilled_1, drilled_2)):
             result = _drilled(pair, drilled)
@@ -125,7 +95,7 @@ def test_daily_qa_fails_a_receiver_without_the_rule_and_passes_one_with_it(fault
         for _ in range(ATTEMPTS):
             if fault is not None:
                 far.spoil(fault)
-            line, drilled = _part(far)
+            line, drilled = drilled_part(far)
             given = BeamInput(line=line, clock=MonotonicClock(), wait_ns=_wait_ns, repeats=5, receivers=(drilled,))
             figures = {figure.code: figure for figure in drill_line(given, lambda _done: None)}
             figure = figures["fail_safe_heartbeat_ms"]

@@ -231,3 +231,17 @@ def test_the_trace_of_one_patient_is_not_shown_under_the_next_one_s_name(fake: F
     expect(page.locator("#gate-word")).to_have_text("Ready")
     expect(page.locator("#gate-reason")).to_contain_text("P-0300")
     expect(page.locator("#trace")).to_have_attribute("data-session", "")
+
+
+def test_in_clinical_mode_stickers_and_chest_are_confirmed_before_the_first_reference(fake: FakeService, tab: Tab):
+    fake.mode, fake.sample = "samples", DISARMED | {"reference": None}
+    fake.sessions = [fake.sessions[0] | {"mode": "clinical", "has_reference": False, "measurement_state": "measuring"}]
+    page = tab.open("disarmed")
+    expect(page.locator("#do-reference")).to_be_disabled()
+    expect(page.locator("#do-reference")).to_have_attribute("title", re.compile("Confirm stickers and chest first"))
+    page.check("#setup-confirmed")
+    page.click("#do-reference")
+    expect(page.locator("#outcome")).to_have_attribute("data-kind", "done")
+    assert calls_to(fake, "reference")[0]["setup_confirmed"] is True
+    fake.sessions = [fake.sessions[0] | {"has_reference": True}]
+    expect(page.locator("#setup-confirmed-field")).to_be_hidden()

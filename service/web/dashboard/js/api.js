@@ -120,8 +120,8 @@ export const act = (id, action, operator) => call("POST", `${session(id)}/${acti
 /** `numbers` are those of the alarms that the person was shown. */
 export const acknowledgeAlarms = (id, operator, numbers) => call("POST", `${session(id)}/acknowledge`, { operator, alarms: numbers });
 /** `proposal` is the one that the person was shown; null for the present position. */
-export const setReference = (id, operator, at, proposal, reason) =>
-  call("POST", `${session(id)}/reference`, { operator, at, reason, ...(proposal === null ? {} : { level_seen: proposal.level }) });
+export const setReference = (id, operator, at, proposal, reason, isSetUp) =>
+  call("POST", `${session(id)}/reference`, { operator, at, reason, ...(isSetUp ? { setup_confirmed: true } : {}), ...(proposal === null ? {} : { level_seen: proposal.level }) });
 /** `number` is that of the reference whose position the person was shown. */
 export const signPosition = (id, operator, number, reason) =>
   call("POST", `${session(id)}/position-check`, { operator, reference_number: number, reason });

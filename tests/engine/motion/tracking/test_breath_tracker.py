@@ -9,6 +9,8 @@ from engine.core.breath import SignalChoice
 from engine.core.errors import InvalidValueError
 from engine.core.frames import MeasurementState
 from engine.motion.settings import PipelineSettings
+from engine.motion.tracking.breath_tracker import BreathTracker
+from tests.support.gating.streams import motion_of
 from tests.support.motion.breathing_traces import kinds
 from tests.support.motion.scene_session import CHOICES, SceneSession, scene_frames, session_after
 
@@ -108,3 +110,36 @@ def test_more_than_four_signals_or_one_twice_are_refused():
         PipelineSettings(breath_signals=five)
     with pytest.raises(InvalidValueError, match=r"breath_signals is .*: must be each signal once"):
         PipelineSettings(breath_signals=(SignalChoice(), SignalChoice()))
+
+
+def followed(tracker, levels_mm):
+    """Breathe at 15 a minute, 10 mm deep, with these ends of exhale; return the breath after each."""
+    found = []
+    for number, level in enumerate(levels_mm):
+        following = levels_mm[min(number + 1, len(levels_mm) - 1)]
+        for step in range(120):
+            rest = level if step < 60 else following
+            value = rest + (10.0 + max(level, following) - rest) * 0.5 * (1.0 - np.cos(np.pi * step / 60.0))
+            index = 120 * number + step + followed.since
+            found.append(tracker.follow(motion_of(value), round(index * 1e6 / 30.0))[0])
+    followed.since += 120 * len(levels_mm)
+    return found
+
+
+@pytest.mark.parametrize("hitch_mm", [-3.0, 0.0, 3.0])
+def test_drift_counts_from_a_reference_at_the_ends_of_exhale_whatever_the_last_breath_was(hitch_mm):
+    """A hitch before the reference moved the level that drift counts from, and hid a drift of its size."""
+    followed.since = 0
+    tracker = BreathTracker((SignalChoice(),))
+    followed(tracker, [0.0] * 6 + [hitch_mm])
+    tracker.move(motion_of(hitch_mm), motion_of(hitch_mm), is_end_exhale=True)
+    assert followed(tracker, [0.0] * 5)[-1].exhale_drift == pytest.approx(0.0, abs=0.3)
+    assert followed(tracker, [2.0] * 5)[-1].exhale_drift == pytest.approx(2.0, abs=0.3)
+
+
+def test_drift_counts_from_the_last_end_of_exhale_where_the_reference_is_another_moment():
+    followed.since = 0
+    tracker = BreathTracker((SignalChoice(),))
+    followed(tracker, [0.0] * 6)
+    tracker.move(motion_of(5.0), motion_of(0.0), is_end_exhale=False)
+    assert followed(tracker, [-5.0] * 5)[-1].exhale_drift == pytest.approx(0.0, abs=0.3)

@@ -79,8 +79,8 @@ class Room:
     def start(self, _session_id):
         self._call("start", lambda: setattr(self, "status", "running"))
 
-    def set_reference(self, _session_id, *, level_seen):
-        assert level_seen == -1.25
+    def set_reference(self, _session_id, *, level_seen, setup_confirmed):
+        assert (level_seen, setup_confirmed) == (-1.25, True)
         return self._call("reference", lambda: setattr(self, "has_reference", True))
 
     def arm(self, _session_id, **_confirmed):

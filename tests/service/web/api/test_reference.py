@@ -11,6 +11,7 @@ from engine.core.reference_proposal import ReferenceMoment, ReferenceProposal
 from service.core.permissions import KEY_PERMISSIONS, ROLE_PERMISSIONS, Permission, Role
 from service.sessions.views.reference import proposal_views
 from tests.support.service.api_calls import audit_rows
+from tests.support.service.clinical_site import clinical_settings
 
 URL = "/api/v1/sessions"
 BODY = {"operator": "A. Therapist"}
@@ -31,7 +32,19 @@ def test_moment_level_and_reason_reach_the_engine_and_the_audit(client, session_
     assert (command.moment, command.level_seen, command.reason) == (ReferenceMoment.NOW, -1.25, "mid-ventilation plan")
     for row in audit_rows(client, "session.reference"):
         assert row["actor"] == "A. Therapist"
-        assert row["detail"] == {"at": "now", "level_seen": -1.25, "reason": "mid-ventilation plan", "proposed": None}
+        shown = {"at": "now", "level_seen": -1.25, "reason": "mid-ventilation plan", "setup_confirmed": False}
+        assert row["detail"] == shown | {"proposed": None}
+
+
+def test_in_clinical_mode_a_person_confirms_stickers_and_chest_once_a_session(client, session_id, running, monkeypatch):
+    monkeypatch.setattr(client.app.state.services.runner, "_settings", clinical_settings())
+    refused = client.post(f"{URL}/{session_id}/reference", json=BODY)
+    assert (refused.status_code, refused.json()["field"]) == (422, "setup_confirmed")
+    assert running.commands == []
+    assert client.post(f"{URL}/{session_id}/reference", json=BODY | {"setup_confirmed": True}).status_code == 200
+    row = audit_rows(client, "session.reference")[-1]
+    assert (row["actor"], row["outcome"], row["detail"]["setup_confirmed"]) == ("A. Therapist", "done", True)
+    assert client.post(f"{URL}/{session_id}/reference", json=BODY).status_code == 200
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ const DONE = {
 const OBSTACLES = {
   arm: (c) => running(c) || still(c) || (c.sample.gate === "fault" ? tr("controls.acknowledge_the_fault_first") : "") || measuring(c) || compared(c) || hasReference(c) || positionObstacle(c.sample.position_check) || hasHead(c),
   release: (c) => running(c) || (c.sample.operator_hold ? "" : tr("controls.no_operator_holds_the_beam")),
-  reference: (c) => running(c) || still(c) || measuring(c) || isProposed(c),
+  reference: (c) => running(c) || still(c) || measuring(c) || isProposed(c) || isSetUp(c),
   sign: (c) => running(c) || still(c) || signObstacle(c.sample.position_check, typedReason()),
   retrain: (c) => running(c) || compared(c) || (isLearning(c.sample) ? tr("controls.already_training") : ""),
   apply: (c) => running(c) || (stageOf(c.sample) === "waiting" ? "" : tr("controls.no_new_model_is_ready")),
@@ -70,6 +70,8 @@ const running = (c) => (c.sample === null ? tr("controls.no_running_session") : 
 const still = (c) => (c.sample.is_armed ? tr("controls.disarm_first") : "");
 const compared = (c) => (stageOf(c.sample) === "comparing" ? tr("controls.the_stored_model_is_still_being_compared") : "");
 const hasReference = (c) => (needsReference(c.sample, c.selected) ? tr("controls.set_the_reference_first") : "");
+/** In clinical mode a person confirms stickers and chest before the session's first reference. */
+const isSetUp = (c) => (c.selected?.mode !== "clinical" || !needsReference(c.sample, c.selected) || document.getElementById("setup-confirmed").checked ? "" : tr("controls.confirm_stickers_and_chest_first"));
 const typedReason = () => document.getElementById("reference-reason").value.trim();
 const referenceAt = () => document.getElementById("reference-at").value;
 /** The proposed position for the chosen moment of the breath; null for the present position, and before it is known. */
@@ -100,6 +102,8 @@ export class Controls {
     this.outcome = document.getElementById("outcome");
     this.said = { state: "", atMs: -Infinity, action: "" };
     this.asked = {};
+    this.setupConfirmed = document.getElementById("setup-confirmed");
+    this.setupConfirmed.addEventListener("change", () => this.update(this.context));
     this.keepsReference = document.getElementById("keep-reference");
     for (const action of Object.keys(OBSTACLES)) button(action).addEventListener("click", (event) => this.#press(action, event));
     this.clickGuard = new ClickGuard(PERMITTING.map(button));
@@ -150,6 +154,7 @@ export class Controls {
   /** @param {{kind: string, sample: ?object, selected: ?object, person: ?object}} context the fresh sample of a running session, or null; the person who is logged in, or null */
   update(context) {
     this.context = context;
+    if (context.sample !== null && context.sample.session_id !== this.lastRunningId) this.setupConfirmed.checked = false;
     if (context.sample !== null) this.lastRunningId = context.sample.session_id;
     else if (context.kind === "idle") this.lastRunningId = null;
     for (const [action, obstacle] of Object.entries(OBSTACLES)) {
@@ -161,6 +166,7 @@ export class Controls {
     setText(document.getElementById("hint"), hint(this.context));
     const proposal = proposalText(this.context);
     document.getElementById("reference").hidden = proposal === "";
+    document.getElementById("setup-confirmed-field").hidden = proposal === "" || !needsReference(context.sample, context.selected);
     setText(document.getElementById("reference-proposal"), proposal);
     renderPosition(context.sample?.position_check, proposalOf(context), this.operatorName);
     for (const action of Object.keys(HALTS)) {
@@ -286,7 +292,7 @@ export class Controls {
   async #call(action, id, operator) {
     if (action === "apply") await applyModel(id, operator);
     else if (action === "reference") {
-      await setReference(id, operator, referenceAt(), proposalOf(this.context), this.reason);
+      await setReference(id, operator, referenceAt(), proposalOf(this.context), this.reason, this.setupConfirmed.checked);
       this.forgetReason();
     } else if (action === "sign") {
       await signPosition(id, operator, this.context.sample.position_check.reference_number, this.reason);
