@@ -192,7 +192,7 @@ class CommandHandler:
     def _set_reference(self, command: SetReference) -> None:
         most_mm = None
         if self._learner.status.model is not None:
-            self._controller.refuse_without_signal()  # if no frame comes within a second, the learner drops the request
+            self._controller.refuse_unseen_patient()  # no measured frame within a second: the learner drops the request
             self._refuse_other_level(command)
             most_mm = self._budget.checked_mm(command)
         self._disarm_for("the reference is set", command.operator)

@@ -17,7 +17,7 @@ from engine.core.breath import SignalChoice
 from engine.core.clock import NS_PER_MS, Clock
 from engine.core.commands import Acknowledge, CorrectBaseline, Disarm, HoldBeam, ReleaseBeam
 from engine.core.errors import CommandRefusedError
-from engine.core.frames import Measurement, MeasurementState
+from engine.core.frames import LostReason, Measurement, MeasurementState
 from engine.core.gate_state import GateState, HoldReason
 from engine.core.ranges import Ranges
 from engine.core.signals import signal_of
@@ -26,6 +26,9 @@ from engine.gating.frame_checks import captured_ns, too_slow
 from engine.gating.gate import Ending, Gate, GateEvent, Interruption, step_gate
 from engine.gating.interlocks import WATCHDOG_DETAIL, DecisionInputs, interlocks
 from engine.gating.window_change import SetWindow
+
+DOUBTED = {LostReason.RESIDUAL_HIGH, LostReason.SURFACE_CHANGED}
+"""Losses of a frame in which patient and markers are seen, and the surface is not believed."""
 
 
 class GateController:
@@ -185,6 +188,17 @@ class GateController:
         if unseen is not None:
             raise CommandRefusedError(f"the camera does not see the gated motion ({unseen}): uncover it")
         return last.received_ns
+
+    def refuse_unseen_patient(self) -> None:
+        """Raise CommandRefusedError where the newest frame shows no gated motion, and is not lost for doubt alone.
+
+        A surface that moved as no skin can is doubted until a person sets the reference: so that has to be possible. It
+        is taken up by a measured frame only.
+        """
+        measurement = self._records.newest_measurement
+        lost = None if measurement is None else measurement.lost
+        if lost is None or lost.reason not in DOUBTED:
+            self.refuse_without_signal()
 
     def newest_level(self, choice: SignalChoice) -> float | None:
         """Return the signal in the newest frame [mm, l of the volume]; None where it was not measured."""

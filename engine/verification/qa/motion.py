@@ -1,5 +1,6 @@
 """Measured against commanded motion: lag, amplitude, offset and error, both from the same reference."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,7 +42,7 @@ class MotionAgreement:
 
 
 def compare_motion(
-    time_s: FloatArray, measured_mm: FloatArray, trace: CommandedTrace, reference_s: float
+    time_s: FloatArray, measured_mm: FloatArray, trace: CommandedTrace, reference_s: float, exhales: int = 0
 ) -> MotionAgreement | str:
     """Estimate the lag and compare the motions with it removed.
 
@@ -53,6 +54,8 @@ def compare_motion(
         Motion from the reference [mm], shape (n,), finite.
     reference_s
         Time at which the reference was set [s].
+    exhales
+        How many of the last ends of exhale the reference is the mean of; 0 where it is the position at that time.
 
     Returns
     -------
@@ -72,9 +75,11 @@ def compare_motion(
     if np.ptp(motion_mm) < STILL_MM:
         return "the measured motion is constant"
     lag_s = _lag_s(at_s, motion_mm, trace)
-    if abs(lag_s) > MAX_LAG_S - LAG_STEP_S:
-        return f"no lag within {1000 * MAX_LAG_S:.0f} ms fits: is the trace's time 0 known?"
-    commanded_mm = trace.at(at_s - lag_s) - trace.at(np.array([reference_s - lag_s]))[0]
+    zero_mm = commanded_zero_mm(trace, reference_s - lag_s, exhales)
+    trouble = _fit_trouble(lag_s, zero_mm, exhales)
+    if trouble:
+        return trouble
+    commanded_mm = trace.at(at_s - lag_s) - zero_mm
     error_mm = motion_mm - commanded_mm
     return MotionAgreement(
         lag_s=lag_s,
@@ -84,6 +89,22 @@ def compare_motion(
         p95_error_mm=float(np.percentile(np.abs(error_mm), 95.0)),
         frames=count,
     )
+
+
+def _fit_trouble(lag_s: float, zero_mm: float, exhales: int) -> str:
+    """Return why lag or reference do not fit the trace; empty if both do."""
+    if abs(lag_s) > MAX_LAG_S - LAG_STEP_S:
+        return f"no lag within {1000 * MAX_LAG_S:.0f} ms fits: is the trace's time 0 known?"
+    if not math.isfinite(zero_mm):
+        return f"the commanded trace has fewer than {exhales} ends of exhale before the reference"
+    return ""
+
+
+def commanded_zero_mm(trace: CommandedTrace, reference_s: float, exhales: int) -> float:
+    """Return the commanded position of a reference [mm], as in `compare_motion`; NaN where it is not known."""
+    if exhales > 0:
+        return trace.ends_of_exhale_mm(reference_s, exhales)
+    return float(trace.at(np.array([reference_s]))[0])
 
 
 def _lag_s(at_s: FloatArray, motion_mm: FloatArray, trace: CommandedTrace) -> float:

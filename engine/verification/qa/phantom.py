@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,12 +19,14 @@ import numpy.typing as npt
 from engine.core.clock import ManualClock, MonotonicClock
 from engine.core.errors import TidegateError
 from engine.core.frames import MeasurementState, frozen
+from engine.core.reference_proposal import ReferenceMoment
 from engine.gating.windows import AmplitudeWindow
+from engine.motion.learning.learner import Learner
 from engine.motion.learning.trainer import InlineTrainer
 from engine.motion.pipeline import Pipeline
 from engine.offline.gate_edges import Edge, TimedFrame, gate_edges, time_frames
 from engine.verification.qa.inputs import PhantomInput
-from engine.verification.qa.motion import MotionAgreement, compare_motion
+from engine.verification.qa.motion import MotionAgreement, commanded_zero_mm, compare_motion
 from engine.verification.qa.outside import longest_outside_s
 from engine.verification.qa.playing import frames_of, opened
 from engine.verification.qa.results import QaCurve, QaFigure, QaNeed, QaSeries
@@ -51,6 +54,13 @@ GATE_CODES = (
 )
 
 
+class ProposedReference(NamedTuple):
+    """Device time of the first frame measured against the proposed reference [us], and of how many ends of exhale."""
+
+    at_us: int
+    exhales: int
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PhantomRun:
     """A measured and gated phantom; times are on the trace's clock [s].
@@ -60,7 +70,7 @@ class PhantomRun:
     time_s, measured_mm
         Times and motion [mm] of the measured frames, shape (n,).
     reference_mm
-        Commanded position at the first of these times, when the reference was set, the lag removed.
+        Commanded position of the reference, the lag removed: mean of the last ends of exhale, or the first of these.
     agreement
         Agreement of measured and commanded motion, or the reason why it is unknown.
     lost_share
@@ -98,25 +108,47 @@ def measure_phantom(phantom: PhantomInput, on_frame: Callable[[int], None]) -> t
     """Measure and gate the phantom; if that is not possible, every phantom check fails with the reason."""
     try:
         with opened(phantom.source) as description:
-            frames = _measure_frames(phantom, on_frame, is_live=description.is_live)
+            frames, proposed = _measure_frames(phantom, on_frame, is_live=description.is_live)
     except TidegateError as error:
         return not_measured(QaNeed.PHANTOM, str(error)), []
-    run = run_of(phantom, frames, is_live=description.is_live)
+    run = run_of(phantom, frames, is_live=description.is_live, proposed=proposed)
     if isinstance(run, str):
         return not_measured(QaNeed.PHANTOM, run), []
     return figures_of(phantom, run), series_of(phantom, run)
 
 
-def _measure_frames(phantom: PhantomInput, on_frame: Callable[[int], None], *, is_live: bool) -> list[TimedFrame]:
-    """Measure every frame. A recording trains inline and uses the thread's processor time, so it is reproducible."""
+def _measure_frames(
+    phantom: PhantomInput, on_frame: Callable[[int], None], *, is_live: bool
+) -> tuple[list[TimedFrame], ProposedReference | None]:
+    """Measure every frame, from the reference that is proposed on: as in a session, the mean of the ends of exhale.
+
+    A recording trains inline and uses the thread's processor time, so it is reproducible.
+    """
     clock = MonotonicClock() if is_live else ManualClock()
     pipeline = Pipeline(phantom.calibration, phantom.settings, clock, None if is_live else InlineTrainer())
     now_ns = time.monotonic_ns if is_live else time.thread_time_ns
-    frames = []
+    frames: list[TimedFrame] = []
+    proposed, exhales = None, 0
     for frame in time_frames(frames_of(phantom.source, phantom.seconds), pipeline, now_ns):
         frames.append(_without_surface(frame))
         on_frame(len(frames))
-    return frames
+        if proposed is not None:
+            continue
+        if exhales and frame.measurement.motion is not None:
+            proposed = ProposedReference(at_us=frame.measurement.timestamp_us, exhales=exhales)
+        else:
+            exhales = _set_proposed(pipeline.learner)
+    return frames, proposed
+
+
+def _set_proposed(learner: Learner) -> int:
+    """Have the proposed end of exhale become the reference; return of how many it is the mean, 0 for none yet."""
+    proposals = learner.status.reference_proposals
+    one = next((one for one in proposals if one.moment is ReferenceMoment.END_EXHALE), None)
+    if one is None:
+        return 0
+    learner.set_reference(ReferenceMoment.END_EXHALE)
+    return one.breaths
 
 
 def _without_surface(frame: TimedFrame) -> TimedFrame:
@@ -128,9 +160,23 @@ def _without_surface(frame: TimedFrame) -> TimedFrame:
     return replace(frame, measurement=replace(frame.measurement, motion=without))
 
 
-def run_of(phantom: PhantomInput, frames: Sequence[TimedFrame], *, is_live: bool = False) -> PhantomRun | str:
-    """Gate measured frames and convert all times to the trace's clock; the reason where there is nothing to gate."""
-    measuring = [frame.measurement for frame in frames if frame.measurement.state is MeasurementState.MEASURING]
+def run_of(
+    phantom: PhantomInput,
+    frames: Sequence[TimedFrame],
+    *,
+    is_live: bool = False,
+    proposed: ProposedReference | None = None,
+) -> PhantomRun | str:
+    """Gate measured frames and convert all times to the trace's clock; the reason where there is nothing to gate.
+
+    Frames before the proposed reference are left out; without one, the first measured frame is the reference.
+    """
+    from_us, exhales = (0, 0) if proposed is None else proposed
+    measuring = [
+        frame.measurement
+        for frame in frames
+        if frame.measurement.state is MeasurementState.MEASURING and frame.measurement.timestamp_us >= from_us
+    ]
     if not measuring:
         return _why_unmeasured(frames)
     starts_us = frames[0].measurement.timestamp_us if phantom.starts_us is None else phantom.starts_us
@@ -143,9 +189,9 @@ def run_of(phantom: PhantomInput, frames: Sequence[TimedFrame], *, is_live: bool
     after = [frame for frame in frames if frame.measurement.timestamp_us >= reference_us]
     time_s = np.array([trace_time_s(frame.timestamp_us) for frame in measuring])
     measured_mm = np.array([math.nan if frame.motion is None else frame.motion.whole_mm for frame in measuring])
-    agreement = compare_motion(time_s, measured_mm, phantom.trace, time_s[0])
+    agreement = compare_motion(time_s, measured_mm, phantom.trace, time_s[0], exhales)
     lag_s = 0.0 if isinstance(agreement, str) else agreement.lag_s
-    reference_mm = float(phantom.trace.at(time_s[:1] - lag_s)[0])
+    reference_mm = commanded_zero_mm(phantom.trace, float(time_s[0]) - lag_s, exhales)
     if not math.isfinite(reference_mm):
         return f"the reference was set at {time_s[0]:.1f} s, outside of the commanded trace"
     lower, upper = (edge - reference_mm for edge in phantom.window_mm)

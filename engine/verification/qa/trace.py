@@ -28,6 +28,7 @@ MAX_GAP_S = 1.0
 MAX_SECONDS = 3600.0
 MAX_POSITION_MM = 100.0
 MIN_REACH_MM = 0.5
+RISEN_SHARE = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,6 +61,23 @@ class CommandedTrace:
     def at(self, time_s: FloatArray) -> Grid:
         """Interpolate the position at times [s] with a cubic spline [mm], same shape; NaN outside of `span_s`."""
         return np.asarray(self._smooth(np.asarray(time_s, dtype=np.float64)))
+
+    def ends_of_exhale_mm(self, before_s: float, count: int) -> float:
+        """Return the mean of the last ``count`` low positions before a time [mm]; NaN where there are fewer.
+
+        A low position is the lowest one of each way below the middle of the positions so far, if the trace has risen
+        from it by a tenth of its reach since.
+        """
+        so_far = self.position_mm[self.time_s < before_s]
+        if so_far.size == 0:
+            return math.nan
+        is_low = so_far < (so_far.min() + so_far.max()) / 2.0
+        begins = np.flatnonzero(np.diff(is_low.astype(np.int8), prepend=0) == 1)
+        ends = [*(np.flatnonzero(np.diff(is_low.astype(np.int8)) == -1) + 1).tolist(), len(so_far)]
+        ways = [so_far[begin:end] for begin, end in zip(begins.tolist(), ends, strict=False)]
+        risen_mm = RISEN_SHARE * (so_far.max() - so_far.min())
+        lows = [float(way.min()) for way in ways if way[int(way.argmin()) :].max() - way.min() >= risen_mm]
+        return float(np.mean(lows[-count:])) if len(lows) >= count else math.nan
 
 
 def read_commanded(path: Path) -> CommandedTrace:

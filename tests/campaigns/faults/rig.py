@@ -14,9 +14,11 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from engine.core.clock import NS_PER_S
 from service.core.settings.settings import Settings
 from service.storage.files.journals import Journals
 from tests.campaigns.faults import engine_program
@@ -89,6 +91,7 @@ class Rig:
         self.session_request: dict[str, Any] = {} if template is None else template.session_request
         self.window: dict[str, object] = dict(WINDOW)
         self.window_mm = WINDOW_MM
+        self._session_ns = 0
         self.process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> "Rig":
@@ -251,8 +254,16 @@ class Rig:
             return receipt.raised_ns if receipt.depth_ns is not None else None
         return None
 
+    @property
+    def beam_on_s(self) -> float:
+        """How long the beam was on in this session: beyond two breaths the gate holds, as the window is never left."""
+        edges, now_ns = [edge for edge in self.edges if edge.at_ns >= self._session_ns], time.monotonic_ns()
+        times = [*edges, LineEdge(is_on=False, at_ns=now_ns, cause="")]
+        return sum(off.at_ns - on.at_ns for on, off in pairwise(times) if on.is_on) / NS_PER_S
+
     def new_session(self) -> None:
         """Make and start a session on the camera, with the stored model where there is one."""
+        self._session_ns = time.monotonic_ns()
         source = {"kind": "device", "uri": None}
         self.person.make_session({"source": source, "window": self.window, **self.session_request})
 

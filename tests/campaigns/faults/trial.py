@@ -45,6 +45,8 @@ OF_ANOTHER_CAUSE = {Trouble.UNREPORTED, Trouble.OTHER_RECOVERY}
 
 REPORTED_WAIT_S = 2.0
 SLOW_MS = 300.0
+LONGEST_ON_S = 3.0
+"""Beam-on in a session from which the next trial gets another one: two breaths of the volunteer are eight seconds."""
 NEAR_NS = 60 * NS_PER_MS
 
 
@@ -154,6 +156,8 @@ def _refuse_another_s(judged: Judged, gone: list[int]) -> None:
 
 
 def _reach_steady_beam(rig: "Rig", chance: random.Random) -> None:
+    if rig.beam_on_s > LONGEST_ON_S:
+        rig.person.act("stop")  # the way back makes another session
     way = WayBack(rig)
     if way.walk() is None:
         raise MissedError(f"the beam does not come on: {way.refusal}")

@@ -128,3 +128,13 @@ def test_no_reference_is_taken_from_frames_that_are_not_measured(spoil):
     error, moments = asked(level_seen=LEVEL_MM, reason="as planned", spoil=spoil)
     assert "measured: " in str(error)
     assert moments == []
+
+
+@pytest.mark.parametrize("reason", [LostReason.RESIDUAL_HIGH, LostReason.SURFACE_CHANGED])
+def test_a_surface_that_is_doubted_is_ended_by_a_reference(reason):
+    """It is taken up by a measured frame only; without that a person had to train again, or make another session."""
+    error, moments = asked(
+        reason="the sheet is off", spoil=lambda frame: unmeasured(frame, MeasurementState.LOST, reason)
+    )
+    assert error is None
+    assert len(moments) == 1

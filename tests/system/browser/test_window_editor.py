@@ -226,3 +226,24 @@ def test_short_pulses_are_marked(fake: FakeService, tab: Tab):
     page.fill("#window-editor [name=upper]", "60")
     page.fill("#window-editor [name=dwell_ms]", "0")
     expect(page.locator("#window-forecast")).to_have_attribute("data-short", "yes")
+
+
+def test_a_breath_hold_s_band_is_taken_from_the_breath_that_is_held(fake: FakeService, tab: Tab):
+    held = DISARMED | {"window": window(breath_hold()), "signal_mm": 12.4}
+    page = opened(fake, tab, held)
+    expect(page.locator("#window-held")).to_be_visible()
+    page.wait_for_timeout(2_500)  # of samples that stand still
+    page.click("#window-held")
+    expect(page.locator("[name=unit]")).to_have_value("mm")
+    expect(page.locator("#window-editor [name=lower]")).to_have_value("10.9")
+    expect(page.locator("#window-editor [name=upper]")).to_have_value("13.9")
+    fake.sample = held | {"signal_mm": 9.0}
+    page.wait_for_timeout(300)
+    page.fill("#window-editor [name=lower]", "10")
+    page.click("#window-held")
+    expect(page.locator("#window-forecast")).to_contain_text("Hold the breath still for 2 s: it moved by 3.4 mm")
+    expect(page.locator("#window-editor [name=lower]")).to_have_value("10")
+
+
+def test_other_windows_take_no_band_from_a_held_breath(fake: FakeService, tab: Tab):
+    expect(opened(fake, tab).locator("#window-held")).to_be_hidden()

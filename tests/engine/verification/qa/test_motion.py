@@ -86,3 +86,29 @@ def test_nothing_that_stands_still_tells_anything():
     trace = CommandedTrace(time_s=TIMES, position_mm=still)
     assert "less than" in compare_motion(FRAMES_S[late], measured()[late], trace, ZERO_S)
     assert "constant" in compared(np.zeros_like(FRAMES_S))
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.15])
+def test_a_reference_at_the_ends_of_exhale_is_the_mean_of_the_last_commanded_ones(lag_s):
+    """Whatever the position was when it was set."""
+    low_mm = TRACE.ends_of_exhale_mm(ZERO_S, 2)
+    motion_mm = TRACE.at(FRAMES_S - lag_s) - low_mm
+    found = compare_motion(FRAMES_S, motion_mm, TRACE, ZERO_S, 2)
+    assert (found.lag_s, found.offset_mm) == pytest.approx((lag_s, 0.0), abs=2e-3)
+    other = compare_motion(FRAMES_S, motion_mm + 1.0, TRACE, ZERO_S, 2)
+    assert other.offset_mm == pytest.approx(1.0, abs=2e-3)
+
+
+def test_fewer_commanded_ends_of_exhale_than_the_reference_has_are_said():
+    assert "fewer than 99 ends of exhale" in compare_motion(FRAMES_S, measured(), TRACE, ZERO_S, 99)
+
+
+def test_the_ends_of_exhale_of_a_trace_are_its_low_positions_that_it_has_risen_from():
+    time_s = np.arange(0.0, 24.0, 0.05)
+    depth_mm = np.where(time_s < 16.0, 10.0, 12.0)
+    trace = CommandedTrace(time_s=time_s, position_mm=depth_mm * np.cos(2.0 * np.pi * time_s / 4.0))
+    assert trace.ends_of_exhale_mm(11.5, 2) == pytest.approx(-10.0, abs=0.05)
+    assert trace.ends_of_exhale_mm(23.5, 2) == pytest.approx(-12.0, abs=0.05)
+    assert trace.ends_of_exhale_mm(23.5, 3) == pytest.approx(-34.0 / 3.0, abs=0.05)
+    assert np.isnan(trace.ends_of_exhale_mm(2.1, 1)), "the trace has hardly risen"
+    assert np.isnan(trace.ends_of_exhale_mm(-1.0, 1))

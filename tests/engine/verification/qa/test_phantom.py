@@ -15,12 +15,14 @@ from engine.verification.qa.phantom import (
     MAX_POINTS,
     MOTION_CODES,
     _dwells_us,
+    _measure_frames,
     figures_of,
     joined,
     measure_phantom,
     run_of,
     series_of,
 )
+from engine.verification.qa.playing import opened
 from engine.verification.qa.rig import AMPLITUDE_MM, PERIODS_S, virtual_phantom
 from engine.verification.qa.sine import find_cycles
 from engine.verification.qa.trace import CommandedTrace, read_commanded
@@ -188,7 +190,7 @@ def test_a_fault_before_the_gate_was_armed_is_none_of_a_live_phantom_s(phantom):
 def test_a_source_says_itself_whether_it_is_live(phantom, monkeypatch, is_live):
     given, frames = watched(phantom)
     late = arriving(frames, mostly_late_ms)
-    monkeypatch.setattr("engine.verification.qa.phantom._measure_frames", lambda *_given, **_named: late)
+    monkeypatch.setattr("engine.verification.qa.phantom._measure_frames", lambda *_given, **_named: (late, None))
     monkeypatch.setattr(given.source, "open", lambda: replace(DESCRIPTION, is_live=is_live))
     found = {figure.code: figure.value for figure in measure_phantom(given, lambda _frames: None)[0]}
     assert (found["gate_delay_off_ms"] > 70.0) is is_live
@@ -296,3 +298,16 @@ def test_a_trace_of_another_amplitude_is_reported_as_a_ratio(phantom):
     larger = CommandedTrace(time_s=given.trace.time_s.copy(), position_mm=1.25 * given.trace.position_mm)
     found = values(replace(given, trace=larger, window_mm=(-60.0, 12.5)), frames)
     assert found["motion_amplitude_ratio"] == pytest.approx(0.8, abs=0.005)
+
+
+def test_the_reference_is_the_proposed_one_the_mean_of_the_ends_of_exhale():
+    """As in a session; it was the position of the first measured frame, with that frame's noise."""
+    given = virtual_phantom(seed=7, periods_s=(2.3,), cycles_each=3)
+    with opened(given.source) as description:
+        frames, proposed = _measure_frames(given, lambda _frames: None, is_live=description.is_live)
+    assert proposed is not None
+    assert proposed.exhales >= 2
+    run = run_of(given, frames, proposed=proposed)
+    assert run.reference_mm == pytest.approx(0.0, abs=0.05), "the lowest commanded position"
+    assert run.time_s[0] == pytest.approx((proposed.at_us - frames[0].measurement.timestamp_us) / 1e6)
+    assert run.agreement.offset_mm == pytest.approx(0.0, abs=0.25)

@@ -16,14 +16,21 @@ const SHORT_S = 1;
 const STEPS = { percent: 1, mm: 0.1, l: 0.01 };
 const DIGITS = { percent: 0, mm: 1, l: 2 };
 const FORECAST_MS = 250;
+/** How long a breath has to be held still for its level to become the band [s]; how still, and half of the band. */
+const HELD_S = 2;
+const STILL = { mm: 1, l: 0.1 };
+/** How long the answer to a breath that was not held stays [ms]. */
+const SAID_MS = 6000;
+const HALF_BAND = { mm: 1.5, l: 0.15 };
 
 export class WindowEditor {
   /** @param {object} trace whose last minute is judged, and on which the edges are dragged */
   constructor(form, trace, controls) {
-    Object.assign(this, { form, trace, controls, session: null, sample: null, unit: "mm", grip: null, drawnMs: -Infinity, isWaiting: true });
+    Object.assign(this, { form, trace, controls, session: null, sample: null, unit: "mm", grip: null, drawnMs: -Infinity, saidMs: -Infinity, said: "", isWaiting: true });
     this.opener = byId("do-window");
     this.reason = this.form.elements.reason;
     this.opener.addEventListener("click", () => (this.isOpen ? this.close() : this.#open()));
+    byId("window-held").addEventListener("click", () => this.#takeHeld());
     byId("window-cancel").addEventListener("click", () => this.close());
     form.addEventListener("submit", (event) => this.#submit(event));
     form.addEventListener("input", (event) => this.#follow(event));
@@ -110,6 +117,7 @@ export class WindowEditor {
     this.form.elements.dwell_ms.value = this.session.window.dwell_ms ?? 0;
     const toUnit = (value) => (isInPercent || this.unit !== "percent" ? value : this.#inPercent(value));
     this.#enter(toUnit(shown.lower), toUnit(shown.upper));
+    byId("window-held").hidden = shown.kind !== "breath_hold";
     setText(byId("window-others"), conditionsOf(this.sample.window).length > 1 ? tr("window_editor.other_conditions_stay_as_they_are") : "");
     this.#show();
     this.form.elements.lower.focus();
@@ -140,6 +148,24 @@ export class WindowEditor {
       elements[name].step = STEPS[this.unit];
       elements[name].value = value.toFixed(DIGITS[this.unit]);
     }
+  }
+
+  /** The band around a breath that the patient holds now: its level in the last seconds, if it stayed there. */
+  #takeHeld() {
+    const values = heldValues(this.trace.samples);
+    const length = this.#length;
+    const moved = Math.max(...values) - Math.min(...values);
+    if (this.#place !== 0 || values.length === 0 || moved > STILL[length]) {
+      const shown = Number.isFinite(moved) ? `${moved.toFixed(DIGITS[length])} ${length}` : "–";
+      Object.assign(this, { said: tr("window_editor.hold_the_breath_still", { seconds: HELD_S, moved: shown }), saidMs: performance.now() });
+      this.#show();
+      return;
+    }
+    const level = values.sort((one, other) => one - other)[Math.floor(values.length / 2)];
+    this.saidMs = -Infinity;
+    this.unit = this.form.elements.unit.value = length;
+    this.#enter(level - HALF_BAND[length], level + HALF_BAND[length]);
+    this.#show();
   }
 
   #follow(event) {
@@ -187,7 +213,8 @@ export class WindowEditor {
     const text = byId("window-forecast");
     const found = proposal === null ? null : this.#forecast(proposal);
     text.dataset.short = found?.shortestS !== null && found?.shortestS < SHORT_S ? "yes" : "no";
-    setText(text, this.#edges() === null ? tr("window_editor.the_lower_edge_must_be_below_the_upper_one") : forecastText(found, this.#whyNoForecast(proposal)));
+    if (performance.now() - this.saidMs < SAID_MS) setText(text, this.said);
+    else setText(text, this.#edges() === null ? tr("window_editor.the_lower_edge_must_be_below_the_upper_one") : forecastText(found, this.#whyNoForecast(proposal)));
   }
 
   #whyNoForecast(proposal) {
@@ -252,6 +279,14 @@ export class WindowEditor {
       this.close();
     });
   }
+}
+
+/** The gated signal in the last `HELD_S`; empty where it was not measured all that time. */
+function heldValues(samples) {
+  const last = samples.at(-1);
+  const recent = last === undefined ? [] : samples.filter(({ t }) => last.t - t <= HELD_S);
+  const isWhole = recent.length > 1 && last.t - recent[0].t > HELD_S / 2 && recent.every(({ gated }) => Number.isFinite(gated));
+  return isWhole ? recent.map(({ gated }) => gated) : [];
 }
 
 function forecastText(found, why) {
