@@ -127,7 +127,7 @@ def _how(outcomes: list[Outcome], seeds: range) -> str:
     unsafe = sum(outcome.is_unsafe for outcome in outcomes)
     command = f"make faults SEEDS={len(seeds)}" + (f" (first seed {seeds[0]})" if seeds[0] != 1 else "")
     machine = f"{os.cpu_count()} processors, Python {platform.python_version()}"
-    return f"`{command}` at {revisions}, {machine}: {unsafe} unsafe{bound_text(unsafe, len(outcomes))}"
+    return f"`{command}` at {revisions}, {machine}{bound_text(unsafe, len(outcomes))}"
 
 
 def _parser() -> argparse.ArgumentParser:
