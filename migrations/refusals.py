@@ -3,6 +3,8 @@
 Used by revisions that are out in the world: what is here may be added to, and not be changed.
 """
 
+from collections.abc import Sequence
+
 import sqlalchemy as sa
 from alembic import op
 
@@ -12,6 +14,12 @@ JOIN pg_class c ON c.oid = t.tgrelid JOIN pg_namespace n ON n.oid = c.relnamespa
 JOIN pg_proc p ON p.oid = t.tgfoid AND p.pronamespace = n.oid
 WHERE NOT t.tgisinternal AND n.nspname = current_schema() ORDER BY 2
 """
+
+OUR_TRIGGERS = sa.text(
+    "SELECT c.relname, t.tgname FROM pg_trigger t JOIN pg_class c ON c.oid = t.tgrelid "
+    "JOIN pg_namespace n ON n.oid = c.relnamespace "
+    "WHERE NOT t.tgisinternal AND n.nspname = current_schema() AND c.relname IN :tables"
+).bindparams(sa.bindparam("tables", expanding=True))
 
 
 def refuse(name: str, table: str, verb: str, condition: str | None, message: str) -> None:
@@ -46,10 +54,24 @@ def fix_search_path() -> None:
         op.execute(f'ALTER FUNCTION "{schema}"."{name}"() SET search_path = "{schema}", pg_temp')
 
 
-def free_search_path() -> None:
-    """Let each trigger's function look for tables as its caller does."""
-    for schema, name in _functions():
-        op.execute(f'ALTER FUNCTION "{schema}"."{name}"() RESET search_path')
+def refuse_truncate(table: str, message: str) -> None:
+    """Have PostgreSQL refuse TRUNCATE on a table, which fires no row's trigger."""
+    if op.get_bind().dialect.name == "sqlite":
+        return
+    name = f"{table}_no_truncate"
+    op.execute(
+        f"CREATE FUNCTION {name}() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN "
+        f"RAISE EXCEPTION '{message}' USING ERRCODE = 'integrity_constraint_violation'; END $$"
+    )
+    op.execute(f"CREATE TRIGGER {name} BEFORE TRUNCATE ON {table} FOR EACH STATEMENT EXECUTE FUNCTION {name}()")
+
+
+def make_always(tables: Sequence[str]) -> None:
+    """Let every trigger of these tables fire always, in sessions that replicate, too (PostgreSQL)."""
+    if op.get_bind().dialect.name == "sqlite":
+        return
+    for table, name in op.get_bind().execute(OUR_TRIGGERS, {"tables": list(tables)}).all():
+        op.execute(f'ALTER TABLE "{table}" ENABLE ALWAYS TRIGGER "{name}"')
 
 
 def _functions() -> list[tuple[str, str]]:

@@ -16,7 +16,7 @@ from service.core.settings.database_place import shown_place
 from service.core.settings.settings import Settings, SettingsError, load_settings
 from service.storage.database.engine import Database
 from service.storage.database.migrations import BASE, losses, schema_status, titles
-from service.storage.database.startup import SAMPLES_FOLDER, prepare
+from service.storage.database.startup import prepare
 from service.storage.files.folder_lock import alone_in
 
 database = command_group("database", "Print, upgrade or downgrade the schema revision of the database.")
@@ -56,7 +56,7 @@ def downgrade(
     is_forced: Annotated[bool, typer.Option("--force", help="Delete data that the older schema cannot store.")] = False,
 ) -> None:
     """Downgrade the schema to an older revision; refused if data would be lost."""
-    with _opened("downgrade", data, is_alone=True) as (settings, there):
+    with _opened("downgrade", data, is_alone=True) as (_settings, there):
         known = [BASE, *titles()]
         with there.connect() as connection:
             now = schema_status(connection).revision or BASE
@@ -69,7 +69,7 @@ def downgrade(
         if lost and not is_forced:
             text = "\n  ".join(lost)
             raise refused("database downgrade", f"the older schema cannot store this; --force deletes it:\n  {text}")
-        there.downgrade(revision, samples_dir=settings.data_dir / SAMPLES_FOLDER)
+        there.downgrade(revision)
         say(f"The schema is at {_named(None if revision == BASE else revision)}", "yellow" if lost else "green")
 
 

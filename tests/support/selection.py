@@ -133,7 +133,6 @@ SLOW_PATHS = tuple(
         "service/sessions/recovery/test_journal.py",
         "service/storage/audit/test_forwarding.py",
         "service/storage/backup/test_backup.py",
-        "service/storage/backup/test_earlier_files.py",
         "service/storage/database/test_lost_answers.py",
         "service/storage/database/test_lost_server.py",
         "service/storage/database/test_migrations.py",

@@ -173,7 +173,6 @@ EXEMPT: Mapping[str, str] = {
     "audit_clock_jump_ms": NO_BEAM,
     "beam_notify_timeout_s": "a status message to other systems, which is no permit",
     "beam_on_input": ADDRESS,
-    "beam_modbus_expected_coil": ADDRESS,
     "beam_simulated_accelerator_ms": "of the simulated line, which clinical mode refuses",
     "beam_rtu_baud": ADDRESS,
     "beam_rtu_stop_bits": ADDRESS,

@@ -69,7 +69,7 @@ def restore(
     with target.database.write() as db:
         _refuse_filled(db.connection())
         _write_files(backup, target, progress)
-        _restore_rows(db, backup, target.data_dir, progress)
+        _restore_rows(db, backup, progress)
         trouble = _chain_trouble(db, manifest)
         if trouble is not None and not takes_broken_log:
             raise BrokenLogError(trouble)
@@ -91,17 +91,16 @@ def check(backup: BackupFile, folder: Path, progress: Progress) -> None:
             with Path(os.devnull).open("wb") as nowhere:
                 backup.copy(file, nowhere)
         with database.write() as db:
-            _restore_rows(db, backup, Path(scratch), progress)
+            _restore_rows(db, backup, progress)
             trouble = _chain_trouble(db, backup.manifest)
     if trouble is not None:
         raise BrokenLogError(trouble)
 
 
-def _restore_rows(db: Session, backup: BackupFile, data_dir: Path, progress: Progress) -> None:
+def _restore_rows(db: Session, backup: BackupFile, progress: Progress) -> None:
     """Insert the rows, read them back and compare, then upgrade the tables to this version."""
     connection, manifest = db.connection(), backup.manifest
-    attributes = {"samples_dir": data_dir / SAMPLES_FOLDER}
-    _read(lambda: migrations.upgrade(connection, manifest.revision, attributes))
+    _read(lambda: migrations.upgrade(connection, manifest.revision))
     tables = {table.name: table for table in tables_of(connection)}
     if tables.keys() != {part.name for part in manifest.tables}:
         msg = f"the backup's tables are not those of revision {manifest.revision}"
@@ -116,7 +115,7 @@ def _restore_rows(db: Session, backup: BackupFile, data_dir: Path, progress: Pro
             msg = f"table {part.name} was not restored as it was"
             raise BackupError(msg)
     _check_references(connection)
-    _read(lambda: migrations.upgrade(connection, "head", attributes))
+    _read(lambda: migrations.upgrade(connection, "head"))
 
 
 def _read(work: Callable[[], None]) -> None:

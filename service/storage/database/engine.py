@@ -149,20 +149,20 @@ class Database:
         with self._reading_engine.connect() as connection:
             return server_identity(connection)
 
-    def migrate(self, revision: str = "head", **attributes: object) -> None:
+    def migrate(self, revision: str = "head") -> None:
         """Upgrade the tables to a revision, or create them, and record the identity of this database."""
         with closing(self._without_timeouts()) as database, database.connect() as connection:
-            migrations.upgrade(connection, revision, attributes)
+            migrations.upgrade(connection, revision)
         self._identity = None
         self.trouble()
 
-    def downgrade(self, revision: str, **attributes: object) -> None:
+    def downgrade(self, revision: str) -> None:
         """Downgrade the tables to an older revision; data without a place there is lost.
 
         See :func:`service.storage.database.migrations.losses`.
         """
         with closing(self._without_timeouts()) as database, database.connect() as connection:
-            migrations.downgrade(connection, revision, attributes)
+            migrations.downgrade(connection, revision)
 
     def _without_timeouts(self) -> "Database":
         return self.twin(busy_timeout_s=BUSY_TIMEOUT_S, answer_timeout_s=None)

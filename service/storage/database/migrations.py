@@ -5,7 +5,7 @@ Both databases have transactional DDL: a migration is applied completely or not 
 
 import functools
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import as_file, files
@@ -70,20 +70,20 @@ def titles() -> dict[str, str]:
     return {script.revision: script.doc.splitlines()[0] for script in _scripts()}
 
 
-def upgrade(connection: Connection, revision: str, attributes: Mapping[str, object]) -> None:
+def upgrade(connection: Connection, revision: str) -> None:
     """Upgrade to a revision, within the connection's transaction if one has begun."""
     if not connection.in_transaction():
         status = schema_status(connection)  # raises MigrationError for tables of a newer version
         if revision == HEAD and not status.ahead:
             return
-    with _config(connection, attributes) as config:
+    with _config(connection) as config:
         command.upgrade(config, revision)
 
 
-def downgrade(connection: Connection, revision: str, attributes: Mapping[str, object]) -> None:
+def downgrade(connection: Connection, revision: str) -> None:
     """Downgrade to a revision; data without a place there is lost, see `losses`."""
     schema_status(connection)
-    with _config(connection, attributes) as config:
+    with _config(connection) as config:
         command.downgrade(config, revision)
 
 
@@ -131,7 +131,7 @@ def _tables_at(revision: str) -> MetaData:
         try:
             with engine.connect() as connection:
                 if revision != BASE:
-                    upgrade(connection, revision, {})
+                    upgrade(connection, revision)
                 tables.reflect(connection)
         finally:
             engine.dispose()
@@ -146,10 +146,9 @@ def _scripts() -> Sequence[Script]:
 
 
 @contextmanager
-def _config(connection: Connection, attributes: Mapping[str, object]) -> Iterator[Config]:
+def _config(connection: Connection) -> Iterator[Config]:
     with as_file(files("migrations")) as scripts:
         config = migration_config(scripts)
-        config.attributes.update(attributes)
         config.attributes["connection"] = connection
         yield config
 

@@ -36,7 +36,7 @@ def prepare(database: Database, *, data_dir: Path, min_free_disk_mb: float) -> N
         _log_upgrade(database, found)
         if isinstance(database.place, Path):
             _keep_copy(database.place, found.revision, min_free_disk_mb * MIB)
-    database.migrate(samples_dir=data_dir / SAMPLES_FOLDER)
+    database.migrate()
     if found.ahead and found.revision is not None:
         logger.warning("the database is at revision %s", found.head)
 

@@ -13,10 +13,7 @@ MIB = 1024 * 1024
 GIB = 1024 * MIB
 FRAMES_A_MINUTE = 30 * 60
 BYTES_A_FRAME = 1700
-"""A sample in its stream and in the Parquet file beside it.
-
-See `python -m tests.campaigns.measurements.sample_cost`, rounded up.
-"""
+"""A sample in its stream and in the Parquet file beside it, with room to spare."""
 
 
 def session_bytes(settings: Settings) -> int:

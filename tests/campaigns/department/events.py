@@ -8,8 +8,6 @@ from tests.campaigns.department.hub import Hub, total
 from tests.campaigns.department.room import Reading, Room
 from tests.support.department.replication import answer, counts, execute
 
-OLDER = "0011"
-"""A revision before the column `sessions.continues`."""
 OF_STORING = frozenset(
     {"audit_behind", "recorder_behind", "disk_low", "service_silent", "watchdog", "engine_failed", "engine_stopped"}
 )
@@ -76,7 +74,6 @@ class Department:
             Event(name="hub killed", begin=self.hub.server.kill, end=self.hub.server.start),
             Event(name="network of room 1 cut", begin=first.cable.cut, end=first.cable.mend),
             Event(name="hub's disk full", begin=self._fill_disk, end=self.hub.free_disk),
-            Event(name="hub of the older version", begin=self._get_older, end=self._get_newer),
             Event(name="room 1 cut beyond its bound", begin=self._exceed, end=self._again),
             Event(name="room 2 killed", begin=second.kill, end=second.come_back, killed=second),
         ]
@@ -136,16 +133,6 @@ class Department:
     def _is_lost(self, spared: Sequence[Room]) -> bool:
         lost = "SELECT count(*) FROM pg_replication_slots WHERE wal_status = 'lost'"
         return any(answer(room.server, room.name, lost) for room in spared)
-
-    def _get_older(self) -> None:
-        """Make the hub older, and let the rooms write rows with a column that it does not have."""
-        for room in self.rooms:
-            self.hub.migrate(room, OLDER)
-        self.new_sessions()
-
-    def _get_newer(self) -> None:
-        for room in self.rooms:
-            self.hub.migrate(room)
 
     def _exceed(self) -> None:
         """Cut room 1 off until it keeps no more log for the hub."""

@@ -68,14 +68,6 @@ class Hub:
         """Return the processor time of the server's processes that live [s]."""
         return usage_of(self.server.process_id).processor_s
 
-    def migrate(self, room: Room, revision: str | None = None) -> None:
-        """Bring a room's copy to an older revision, or to the newest."""
-        with closing(Database(self.server.url(self.names[room.number]))) as database:
-            if revision is None:
-                database.migrate()
-            else:
-                database.downgrade(revision)
-
     def verify(self, room: Room) -> Verification:
         """Verify a room's audit in its copy."""
         with closing(Database(self.server.url(self.names[room.number]))) as database:

@@ -189,7 +189,7 @@ def backups() -> Iterator[bytes]:
         "made_at": "2026-11-22T00:00:00Z",
         "software": "tidegate",
         "database": "sqlite",
-        "revision": "0009",
+        "revision": "0001",
         "audit_rows": 0,
         "audit_head": "0" * 64,
         "tables": [part],

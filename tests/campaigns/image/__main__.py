@@ -31,10 +31,9 @@ from service.client import TidegateClient
 from tests.campaigns.image.container import ADDRESS, Container, Image, mounted, network, new_folder, run
 from tests.campaigns.supply.sbom import trouble_with
 from tests.support.access.tls_certificate import make_certificate
-from tests.support.earlier_files import FOLDER as EARLIER
-from tests.support.earlier_files import RELEASES, unpacked
 from tests.support.phantom_recordings import volunteer
 from tests.support.planning.treatment_services import SCOPES
+from tests.support.releases import RELEASES
 from tests.support.repository import ROOT
 from tests.support.service.processes import free_port
 
@@ -362,16 +361,12 @@ def revision_of(data: Path) -> str:
         return str(db.execute("SELECT version_num FROM alembic_version").fetchone()[0])
 
 
-def upgraded(bench: Bench) -> tuple[dict[str, object], Container, str, str]:
+def upgraded(bench: Bench, release: Path) -> tuple[dict[str, object], Container, str, str]:
     """Start on the data folder of an earlier version: its tables are upgraded, its content is there."""
     folders = bench.place / "earlier"
     folders.mkdir()
-    release = newest_release()
-    if release is None:
-        unpacked("folders.tar.xz", folders)
-    else:
-        with tarfile.open(release) as packed:
-            packed.extractall(folders, filter="data")
+    with tarfile.open(release) as packed:
+        packed.extractall(folders, filter="data")
     container = bench.container(new_folder(bench.place / "upgraded", folders / "data"))
     before = revision_of(container.data)
     scopes = [part for scope in SCOPES for part in ("--scope", str(scope))]
@@ -395,12 +390,11 @@ def upgraded(bench: Bench) -> tuple[dict[str, object], Container, str, str]:
     return {**figures, **again}, container, before, key
 
 
-def rolled_back(bench: Bench, container: Container, before: str, key: str) -> dict[str, object]:
+def rolled_back(bench: Bench, release: Path, container: Container, before: str, key: str) -> dict[str, object]:
     """Go back: the newer program downgrades, and the older program serves what that left, sessions and audit."""
     told = container.command("database", "downgrade", before, "--force").strip()
     require(revision_of(container.data) == before, "another revision")
-    release = newest_release()
-    commit = EARLIER.name.removeprefix("written_by_") if release is None else f"v{release.name.removesuffix('.tar.xz')}"
+    commit = f"v{release.name.removesuffix('.tar.xz')}"
     tree, archive, port = bench.place / "older", bench.place / "older.tar", free_port()
     run("git", "archive", "-o", archive, commit, cwd=ROOT)
     with tarfile.open(archive) as packed:
@@ -461,6 +455,18 @@ def main() -> int:
     return 0
 
 
+def _upgrade_and_back(bench: Bench, release: Path) -> None:
+    upgrade: list[Any] = []
+
+    def up() -> dict[str, object]:
+        figures, *rest = upgraded(bench, release)
+        upgrade.extend(rest)
+        return figures
+
+    bench.step("upgrade from an earlier version", up)
+    bench.step("rollback", lambda: rolled_back(bench, release, *upgrade))
+
+
 def _steps(bench: Bench) -> None:
     bench.step("what is in it", lambda: look(bench))
     data = new_folder(bench.place / "data")
@@ -483,15 +489,9 @@ def _steps(bench: Bench) -> None:
         bench.step("hung, killed by the health check, started again", lambda: hang(bench, container, keys[0]))
         bench.step("killed with the beam on, started again", lambda: killed(bench, container, keys[0]))
         bench.step("backup, restore elsewhere", lambda: backed_up(bench, container, keys[0]))
-        upgrade: list[Any] = []
-
-        def up() -> dict[str, object]:
-            figures, *rest = upgraded(bench)
-            upgrade.extend(rest)
-            return figures
-
-        bench.step("upgrade from an earlier version", up)
-        bench.step("rollback", lambda: rolled_back(bench, *upgrade))
+        release = newest_release()
+        if release is not None:
+            _upgrade_and_back(bench, release)
     finally:
         if container.process is not None:
             container.kill()

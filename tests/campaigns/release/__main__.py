@@ -18,9 +18,9 @@ from types import SimpleNamespace
 
 from service.planning.simulated_tps.prescription import built_in_plan
 from tests.campaigns.release.checks import project_version, troubles
-from tests.support.earlier_files import RELEASES
 from tests.support.phantom_recordings import volunteer
 from tests.support.planning.treatment_services import PASSWORD, THERAPIST, treating
+from tests.support.releases import RELEASES
 from tests.support.repository import ROOT
 
 SERVE = ("service.cli", "serve", "--port", "{port}", "--data", "{data}", "--recordings", "{recordings}")

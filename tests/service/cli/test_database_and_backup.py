@@ -13,6 +13,7 @@ from service.storage.database.engine import Database
 from service.storage.files.folder_lock import alone_in
 from tests.support.database.backups import FILES, fill_folder, rows_at, write_rows
 from tests.support.database.rows import add_rows, tables
+from tests.support.database.second_revision import FIRST, SECOND
 
 pytestmark = pytest.mark.both_databases
 
@@ -40,34 +41,37 @@ def database_is_file(place):
     return not hasattr(place, "drivername")
 
 
+@pytest.mark.usefixtures("second")
 def test_the_tables_go_up_and_where_they_stand_is_printed(run, tmp_path, empty_place, monkeypatch):
     if not database_is_file(empty_place):
         monkeypatch.setenv("TIDEGATE_DATABASE_URL", empty_place.render_as_string(hide_password=False))
     with closing(Database(empty_place)) as database:
-        database.migrate("0004")
+        database.migrate(FIRST)
     reported = run("database", "status", "--data", tmp_path)
-    assert "revision 0004" in reported.output
-    assert "pending: 0005 QA" in reported.output
+    assert f"revision {FIRST}" in reported.output
+    assert f"pending: {SECOND} Made up" in reported.output
     assert run("database", "upgrade", "--data", tmp_path).exit_code == 0
     assert "pending" not in run("database", "status", "--data", tmp_path).output
-    copies = list(tmp_path.glob("tidegate-before-upgrade-from-0004.db"))
+    copies = list(tmp_path.glob(f"tidegate-before-upgrade-from-{FIRST}.db"))
     assert len(copies) == database_is_file(empty_place)
     assert all(stat.S_IMODE(copy.stat().st_mode) == 0o600 for copy in copies)
-    assert not copies or "qa_runs" not in rows_at(copies[0])
+    assert not copies or "made_up" not in rows_at(copies[0])
 
 
+@pytest.mark.usefixtures("second")
 def test_a_way_down_that_would_lose_something_is_refused_unless_it_is_forced(run, data, database, place):
+    database.migrate()
     with database.write() as db:
         add_rows(db.connection())
-    refused = run("database", "downgrade", "0004", "--data", data)
+    refused = run("database", "downgrade", FIRST, "--data", data)
     assert refused.exit_code == 2
     assert "the older schema cannot store this" in refused.output
-    assert "qa_runs: 1 rows" in refused.output
-    assert "qa_runs" in rows_at(place)
-    assert run("database", "downgrade", "0004", "--data", data, "--force").exit_code == 0
-    assert "qa_runs" not in rows_at(place)
-    for wrong in ("0004", "0005", "none"):
-        assert "not a revision older than 0004" in run("database", "downgrade", wrong, "--data", data).output
+    assert "made_up: 1 rows" in refused.output
+    assert "made_up" in rows_at(place)
+    assert run("database", "downgrade", FIRST, "--data", data, "--force").exit_code == 0
+    assert "made_up" not in rows_at(place)
+    for wrong in (FIRST, SECOND, "none"):
+        assert f"not a revision older than {FIRST}" in run("database", "downgrade", wrong, "--data", data).output
 
 
 def test_a_backup_goes_beside_a_service_and_a_restore_does_not(run, data, database, place, tmp_path):

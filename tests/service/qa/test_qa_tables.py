@@ -4,8 +4,6 @@ import sqlite3
 
 import pytest
 
-from service.storage import audit
-from service.storage.audit import Event
 from service.storage.database.engine import Database
 
 RUN = "INSERT {} INTO qa_runs VALUES ('q', 'daily', '{}', 'S', 'M', '{{}}', 0, 1, NULL, '{{}}', 1, '0', '2026-01-01')"
@@ -70,17 +68,3 @@ def test_baselines_come_in_order_without_gaps(raw):
     with pytest.raises(sqlite3.IntegrityError, match="next row only"):
         raw.execute(BASELINE.format("", 3, "me"))
     raw.execute(BASELINE.format("", 2, "me"))
-
-
-def test_a_database_in_use_goes_down_from_0005_and_up_again_and_keeps_what_is_not_qa(database, raw):
-    with database.write() as db:
-        audit.append(db, Event(actor="me", action="test"))
-    raw.close()
-    database.downgrade("0004")
-    with sqlite3.connect(database.path) as plain:
-        left = plain.execute("SELECT name FROM sqlite_master WHERE name LIKE 'qa%' OR name LIKE 'ix_qa%'").fetchall()
-    plain.close()
-    assert left == []
-    database.migrate()
-    with database.read() as db:
-        assert audit.verify(db).rows == 1

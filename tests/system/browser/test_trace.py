@@ -157,7 +157,8 @@ def test_thorax_and_abdomen_are_drawn_beside_the_signal(breathing: Page, fake: F
     assert breathing.evaluate(COUNT_COLOR, ABDOMEN_RGB) > 20
     breathing.uncheck("#trace-extra [value=thorax]")
     tab.draws(fake)
-    assert breathing.evaluate(COUNT_COLOR, THORAX_RGB) == 0
+    # Where the lines of signal and abdomen cross, a pixel may have a colour between theirs.
+    assert breathing.evaluate(COUNT_COLOR, THORAX_RGB) < 5
 
 
 def test_the_value_under_the_pointer_is_told_with_time_and_gate(breathing: Page):

@@ -13,6 +13,7 @@ from service.storage.database.engine import Database
 from tests.support.audit.rows import fill
 from tests.support.database.postgres import PostgresServer
 from tests.support.database.rows import add_rows
+from tests.support.database.second_revision import FIRST
 from tests.support.department.replication import (
     PASSWORD,
     ROLE,
@@ -144,14 +145,14 @@ def test_a_table_of_the_caller_s_own_is_not_taken_for_the_audit(followed):
             connection.execute(text(forged))
 
 
-@pytest.mark.parametrize(("room_revision", "hub_revision"), [("head", "0011"), ("0011", "head")])
+@pytest.mark.usefixtures("second")
+@pytest.mark.parametrize(("room_revision", "hub_revision"), [("head", FIRST), (FIRST, "head")])
 def test_a_hub_of_the_older_version_waits_and_one_of_the_newer_takes_everything(
     room_server, hub_server, room_revision, hub_revision
 ):
     room = FollowedRoom(room_server, hub_server, hub_revision=hub_revision)
     try:
-        if room_revision != "head":
-            room.database.downgrade(room_revision)
+        room.database.migrate(room_revision)
         publish(room.room, room.name)
         subscribe(room.hub, room.hub_name, room.room, room.name)
         add_one_of_each(room)

@@ -345,7 +345,7 @@ def test_a_device_that_confirms_another_permit_than_commanded_is_refused(monkeyp
             "write_coil",
             lambda client, address, value, **options: write_coil(client, address, not value, **options),
         )
-        with pytest.raises(BeamLineError, match="a different permit"):
+        with pytest.raises(BeamLineError, match="something different than was written: the permit"):
             wire.exchange(is_on=False, heartbeat=1, within_s=PATIENCE_S)
         wire.close()
 

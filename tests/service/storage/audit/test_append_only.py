@@ -107,21 +107,6 @@ def test_the_audit_takes_the_next_row_only(filled, statement):
     refused(filled, "audit", statement)
 
 
-def test_down_and_up_again_leaves_the_rows_and_lets_go_of_them_in_between(tmp_path, filled, database):
-    before = {table: contents(filled, table) for table in ("audit", *KEPT) if table != "plans"}  # came with 0009
-    filled.close()
-    database.downgrade("0005")
-    connection = sqlite3.connect(database.path)
-    connection.execute("UPDATE calibrations SET camera = 'c'")
-    connection.commit()
-    connection.close()
-    database.migrate()
-    connection = sqlite3.connect(database.path)
-    assert {table: contents(connection, table) for table in before} == before
-    refused(connection, "calibrations", "UPDATE calibrations SET camera = 'd'")
-    connection.close()
-
-
 def test_every_table_is_either_kept_as_it_was_or_known_not_to_be(database):
     changing = {"sessions", "idempotency_keys", "alembic_version"}
     connection = sqlite3.connect(database.path)

@@ -14,6 +14,7 @@ from service.storage.audit.formats.export import ExportFormat, ExportRequest, ve
 from service.storage.audit.verification import read_links
 from service.storage.database.engine import Database
 from tests.support.audit.rows import COLUMN, KEPT, ROWS, fill
+from tests.support.database.second_revision import FIRST
 
 pytestmark = pytest.mark.both_databases
 
@@ -80,10 +81,10 @@ def test_an_export_is_the_same_whole_thing(database):
     assert (verify_export(lines).is_intact, len(lines)) == (True, 8)
 
 
-def test_down_and_up_again_leaves_the_rows_and_the_triggers(database):
-    database.downgrade("0005")
-    with database.write() as db:
-        db.execute(text("UPDATE calibrations SET camera = 'd'"))
+@pytest.mark.usefixtures("second")
+def test_up_and_down_again_leaves_the_rows_and_the_triggers(database):
+    database.migrate()
+    database.downgrade(FIRST)
     database.migrate()
     refused(database, "UPDATE calibrations SET camera = 'e'")
     with database.write() as db:

@@ -30,6 +30,7 @@ from tests.support.database.backups import (
     write_rows,
 )
 from tests.support.database.rows import add_rows, tables
+from tests.support.database.second_revision import FIRST
 
 KINDS = ("sqlite", "postgresql")
 
@@ -379,17 +380,19 @@ def test_a_log_that_was_broken_before_is_restored_only_on_confirmation(database,
 
 
 @pytest.mark.both_databases
+@pytest.mark.usefixtures("second")
 def test_a_backup_of_older_tables_is_brought_up_to_this_version_s(empty_place, folder, out, tmp_path):
     with closing(Database(empty_place)) as database:
-        database.migrate("0005")
+        database.migrate(FIRST)
         with database.write() as db:
             db.execute(text("INSERT INTO qa_baselines VALUES (1, '{}', 'me', 'why', '2026-01-01T00:00:00.000000Z')"))
         made = make_backup(source_of(database, folder), out, Silent())
-    assert made.manifest.revision == "0005"
+    assert made.manifest.revision == FIRST
     restored(out, tmp_path / "new.db", tmp_path / "new")
     with closing(Database(tmp_path / "new.db")) as database:
         database.migrate()
     assert rows_at(tmp_path / "new.db")["qa_baselines"][0]["set_by"] == "me"
+    assert rows_at(tmp_path / "new.db")["made_up"] == []
 
 
 def test_every_column_there_is_has_a_type_that_backups_know(made):

@@ -166,7 +166,10 @@ export class Controls {
     setText(document.getElementById("hint"), hint(this.context));
     const proposal = proposalText(this.context);
     document.getElementById("reference").hidden = proposal === "";
-    document.getElementById("setup-confirmed-field").hidden = proposal === "" || !needsReference(context.sample, context.selected);
+    // Before the session's first reference there is none to keep: the tick's place is that of the set-up.
+    const isFirst = proposal !== "" && needsReference(context.sample, context.selected);
+    document.getElementById("setup-confirmed-field").hidden = !isFirst;
+    document.getElementById("keep-reference-field").hidden = isFirst;
     setText(document.getElementById("reference-proposal"), proposal);
     renderPosition(context.sample?.position_check, proposalOf(context), this.operatorName);
     for (const action of Object.keys(HALTS)) {
