@@ -84,6 +84,7 @@ class CommandHandler:
         self._forecast = DutyForecast(learner, limits)
         self._generation = learner.status.model_generation
         self._resolved_for: int | None = None
+        self._reference_by = ""
         self._hashed: tuple[object, ...] = ()
         self._hash = ""
 
@@ -197,6 +198,7 @@ class CommandHandler:
             most_mm = self._budget.checked_mm(command)
         self._disarm_for("the reference is set", command.operator)
         self._learner.set_reference(command.moment, most_mm=most_mm)
+        self._reference_by = command.operator
         self._limits.clear_correction()
         self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], 0.0)
         self._supervisor.reset_position()
@@ -252,7 +254,7 @@ class CommandHandler:
         self._refuse_unreasoned_way(command)
         self._forecast.refuse_free_breath()
         self._budget.check_arming(command)
-        self._countersignature.refuse_unsigned(command, self.arming_state)
+        self._countersignature.refuse_unsigned(command, self.arming_state, reference_by=self._reference_by)
         self._line.rearm()
         if command.is_person:
             self._presence.note(command.operator)

@@ -57,12 +57,16 @@ class Countersignature:
             raise CountersignatureError(OTHER_STATE)
         self._operator, self._state = command.operator, arming_state
 
-    def refuse_unsigned(self, command: Arm, arming_state: str) -> None:
-        """Raise CountersignatureError where the arming needs a signature of another person and has none."""
+    def refuse_unsigned(self, command: Arm, arming_state: str, *, reference_by: str) -> None:
+        """Raise CountersignatureError where the arming needs a signature of another person and has none.
+
+        Another than the person who arms; where a program arms, than ``reference_by``, who set the reference.
+        """
         found = self.present(arming_state)
         if not found.is_required:
             return
         if found.signed_by is None:
             raise CountersignatureError("a second person has to countersign the reference and the window first")
-        if found.signed_by == command.operator:
-            raise CountersignatureError(f"{found.signed_by} has countersigned: another person has to arm")
+        if found.signed_by == (command.operator if command.is_person else reference_by):
+            what = "arm" if command.is_person else "set the reference"
+            raise CountersignatureError(f"{found.signed_by} has countersigned: another person has to {what}")

@@ -70,6 +70,16 @@ def test_another_person_than_the_one_who_arms_has_signed(signer, armer, is_armed
     assert bench.records()[-1].line_on == is_armed
 
 
+@pytest.mark.parametrize(("setter", "is_armed"), [("bob", False), ("ann", True)])
+def test_where_a_program_arms_another_person_than_the_one_who_set_the_reference_has_signed(setter, is_armed):
+    program = replace(arm("key:planning"), is_person=False)
+    reference = SetReference(operator=setter, reason="as the test wants it")
+    _, errors = asked(reference, sign("bob"), program)
+    assert errors[:2] == [None, None]
+    assert (errors[2] is None) == is_armed
+    assert isinstance(errors[2], CountersignatureError | None)
+
+
 CHANGES = {
     "window": moved_by(0.5, reason="the bladder is full"),
     "correction": CorrectBaseline(operator="ann", by=0.5),
