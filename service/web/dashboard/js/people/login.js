@@ -71,7 +71,7 @@ export class LogIn {
   async #offerWays() {
     let ways = { password: true, oidc: null };
     try {
-      ways = await readLogInWays();
+      ways = (await readLogInWays()) ?? ways; // an answer without content is none
     } catch {
       // The methods are unknown: offer name and password.
     }
