@@ -67,6 +67,7 @@ def test_another_person_than_the_one_who_arms_has_signed(signer, armer, is_armed
     assert signing is None
     assert (arming is None) == is_armed
     assert isinstance(arming, CountersignatureError | None)
+    assert arming is None or str(arming) == "ann has countersigned: another person has to arm"
     assert bench.records()[-1].line_on == is_armed
 
 
@@ -78,6 +79,7 @@ def test_where_a_program_arms_another_person_than_the_one_who_set_the_reference_
     assert errors[:2] == [None, None]
     assert (errors[2] is None) == is_armed
     assert isinstance(errors[2], CountersignatureError | None)
+    assert is_armed or str(errors[2]) == "bob has countersigned: another person has to set the reference"
 
 
 CHANGES = {
