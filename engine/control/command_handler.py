@@ -7,7 +7,7 @@ import hashlib
 from typing import NamedTuple
 
 from engine.control.commands import Command
-from engine.control.countersignature import Countersignature, CountersignatureState
+from engine.control.countersignature import OTHER_STATE, Countersignature, CountersignatureState
 from engine.control.decisions import Cause
 from engine.control.duty_forecast import DutyForecast
 from engine.control.gate_controller import GateController
@@ -49,9 +49,7 @@ NEAR_EXHALE, NEAR_INHALE = 15.0, 85.0
 """Places in the learned breathing range [%] between which the reference of an amplitude window needs a reason."""
 
 
-NOT_WHAT_WAS_SEEN = (
-    "window, reference, model or head direction is another than the one that was looked at: look again, then arm"
-)
+NOT_WHAT_WAS_SEEN = f"{OTHER_STATE}, then arm"
 
 
 class _Level(NamedTuple):

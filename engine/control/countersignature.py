@@ -17,7 +17,7 @@ OTHER_STATE = "window, reference, model or head direction is another than the on
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CountersignatureState:
-    """Whether the next arming needs a countersignature, and who has signed what it would take; None for nobody."""
+    """Whether the next arming needs a countersignature, and who has signed what it would take, if anyone."""
 
     is_required: bool = False
     signed_by: str | None = None

@@ -192,7 +192,7 @@ class SessionRunner:
         Raises
         ------
         BoundError
-            In clinical mode, nobody has confirmed stickers and chest in this session yet.
+            In clinical mode, stickers and chest are not confirmed in this session yet.
         """
         self._refuse_unconfirmed_setup(session_id, confirmed=request.setup_confirmed)
         command = SetReference(

@@ -48,7 +48,7 @@ def schema_status(connection: Connection) -> SchemaStatus:
     Raises
     ------
     MigrationError
-        The tables were made by a newer version.
+        The tables were made by a newer version, or by one before 1.0.0.
     """
     is_own = not connection.in_transaction()
     revision = MigrationContext.configure(connection).get_current_revision()
@@ -57,7 +57,7 @@ def schema_status(connection: Connection) -> SchemaStatus:
     scripts = [script.revision for script in _scripts()]
     if revision is not None and revision not in scripts:
         msg = (
-            f"the database is at revision {revision}, made by a newer version of Tidegate; "
+            f"the database is at revision {revision}, made by a newer version of Tidegate, or by one before 1.0.0; "
             f"this version supports up to {scripts[-1]}"
         )
         raise MigrationError(msg)
