@@ -46,6 +46,7 @@ function begin() {
 
 function unpair() {
   guidance.stop();
+  render(); // before the form is seen: nothing of the patient is beside it
   document.body.dataset.state = "unpaired";
   if (form.hidden) {
     form.hidden = false;
