@@ -2014,13 +2014,12 @@ class TidegateClient:
         self,
         to: str | Path,
         *,
-        form: Literal["jsonl", "fhir"] = "jsonl",
         session_id: str | None = None,
         since: str | None = None,
         until: str | None = None,
     ) -> Exported:
-        """Write the audit to a file: the whole of what was asked for, or no file at all. Times are RFC 3339."""
-        query = {"format": form, "session_id": session_id, "since": since, "until": until}
+        """Write the audit to a file of JSON lines: the whole of what was asked for, or no file. Times are RFC 3339."""
+        query = {"session_id": session_id, "since": since, "until": until}
         return self._download("/api/v1/audit/export", query, Path(to))
 
     # -- QA

@@ -20,13 +20,7 @@ from service.core.settings.settings import Settings, SettingsError
 from service.storage.audit import SYSTEM, Event, Verification
 from service.storage.audit.anchors import AnchorFile
 from service.storage.audit.check import check_chain, check_whole
-from service.storage.audit.formats.export import (
-    MAX_LINE_CHARACTERS,
-    ExportFormat,
-    ExportRequest,
-    verify_export,
-    write_export,
-)
+from service.storage.audit.export import MAX_LINE_CHARACTERS, ExportRequest, verify_export, write_export
 from service.storage.audit.log import AuditLog
 from service.storage.audit.verification import head_sequence
 from service.storage.database.engine import Database
@@ -72,21 +66,17 @@ def verify(
 @audit.command(name="export")
 def export_rows(
     out: Annotated[Path, typer.Option(help="File to write, which must not exist; - is standard output.")],
-    form: Annotated[
-        ExportFormat, typer.Option("--format", help="jsonl: JSON lines; fhir: FHIR R4 AuditEvent resources.")
-    ] = (ExportFormat.JSONL),
     since: Annotated[str | None, typer.Option("--from", help="First time, e.g. 2026-11-21T00:00Z.")] = None,
     until: Annotated[
         str | None, typer.Option("--to", help="End of the period; rows at this time are left out.")
     ] = None,
     session: Annotated[str | None, typer.Option(help="Only rows of this session.")] = None,
-    with_patients: Annotated[bool, typer.Option(help="Include patient references in FHIR resources.")] = False,
+    with_patients: Annotated[bool, typer.Option(help="Include details that name a patient.")] = True,
     data: DataOption = None,
 ) -> None:
-    """Export the audit log; the export itself is recorded in it first."""
-    with _database("audit export", data) as (settings, database):
+    """Export the audit log as JSON lines; the export itself is recorded in it first."""
+    with _database("audit export", data) as (_settings, database):
         request = ExportRequest(
-            format=form,
             since=_time("from", since),
             until=_time("to", until),
             session_id=session,
@@ -94,7 +84,7 @@ def export_rows(
         )
         detail = {**request.audit_detail(), "via": "the command line", "account": _account()}
         AuditLog(database).write(Event(actor=SYSTEM, action="audit.export", session_id=session, detail=detail))
-        lines = _write(write_export(database, request, site=settings.site_name), out)
+        lines = _write(write_export(database, request), out)
     say(f"{lines} lines written{'' if out == STANDARD_OUTPUT else f' to {out}'}")
 
 

@@ -200,7 +200,7 @@ ALARM_RULES: tuple[AlarmRule, ...] = (
         priority=_P.LOW,
         text="The audit log is not supervised as it should be",
         why="the gate's decisions are recorded; their protection against a change has a gap",
-        ends="the anchors, the clock or the forwarding work again",
+        ends="the anchors, the clock or the log file work again",
         scope=AlarmScope.SESSION,
     ),
     AlarmRule(

@@ -177,7 +177,7 @@ def _open_storage(dependencies: _Dependencies, on_failure: ExitStack) -> _Storag
     database.claim()
     prepare(database, data_dir=settings.data_dir, min_free_disk_mb=settings.min_free_disk_mb)
     log, samples = AuditLog(database), SampleStore(settings.data_dir / SAMPLES_FOLDER)
-    audit_supervision = AuditSupervision(database=database, settings=settings, write=log.write, site=settings.site_name)
+    audit_supervision = AuditSupervision(database=database, settings=settings, write=log.write)
     on_failure.callback(audit_supervision.close)
     return _Storage(
         database=database,
@@ -291,7 +291,7 @@ def _services(dependencies: _Dependencies, storage: _Storage, work: _Work, monit
         models=ModelRepository(database, dependencies.equipment, ModelStore(settings.data_dir / MODELS_FOLDER)),
         plans=PlanRepository(database, log, settings),
         planned_sessions=PlannedSessions(database, log, work.sessions, settings.gantry_side),
-        audit=AuditService(database, log, AnchorFile(settings.anchor_file), site=settings.site_name),
+        audit=AuditService(database, log, AnchorFile(settings.anchor_file)),
         health=monitoring.health,
         interlocks=InterlockTable(settings),
         metrics=monitoring.metrics,

@@ -131,7 +131,7 @@ SLOW_PATHS = tuple(
         "service/sessions/lifecycle/test_writer.py",
         "service/sessions/recovery/test_interrupted.py",
         "service/sessions/recovery/test_journal.py",
-        "service/storage/audit/test_forwarding.py",
+        "service/storage/audit/test_log_file.py",
         "service/storage/backup/test_backup.py",
         "service/storage/database/test_lost_answers.py",
         "service/storage/database/test_lost_server.py",

@@ -1,16 +1,11 @@
-"""Settings of the audit, ``audit_``: anchors, clock changes and forwarding to a syslog server."""
+"""Settings of the audit, ``audit_``: anchors, clock changes and the log file."""
 
 from pathlib import Path
-from typing import Self
 
-from pydantic import Field, model_validator
+from pydantic import Field
 from pydantic_settings import BaseSettings
 
-from service.core.settings.beam import PREFIX
-
 ANCHOR_NAME = "audit-anchors.jsonl"
-SYSLOG_TLS_PORT = 6514
-"""RFC 5425, 4.1."""
 
 
 class AuditSettings(BaseSettings):
@@ -31,29 +26,14 @@ class AuditSettings(BaseSettings):
         le=60_000.0,
         description="Change of the wall clock against the monotonic clock beyond which the audit records it as set",
     )
-    audit_syslog_host: str | None = Field(
-        default=None, min_length=1, max_length=253, description="Forwards audit events to this server, over TLS"
+    audit_log_dir: Path | None = Field(
+        default=None, description="Audit rows also as JSON lines in this folder, for the site's log collector"
     )
-    audit_syslog_port: int = Field(default=SYSLOG_TLS_PORT, ge=1, le=65535)
-    audit_syslog_ca_file: Path | None = Field(
-        default=None, description="CA certificates (PEM) for the syslog server; required with a host"
+    audit_log_max_mb: int = Field(
+        default=10, ge=1, le=1000, description="Size beyond which a file is followed by another [MB]"
     )
-    audit_syslog_cert_file: Path | None = Field(default=None, description="Client certificate for the syslog server")
-    audit_syslog_key_file: Path | None = Field(default=None, description="Key of the client certificate")
-    audit_syslog_timeout_s: float = Field(
-        default=10.0, ge=0.5, le=60.0, description="Longest wait for the syslog server"
-    )
-    audit_syslog_patients: bool = Field(default=False, description="Forwarded events contain the patient's reference")
-
-    @model_validator(mode="after")
-    def _is_complete_server(self) -> Self:
-        if self.audit_syslog_host is not None and self.audit_syslog_ca_file is None:
-            msg = f"audit_syslog_ca_file is not given: {PREFIX}AUDIT_SYSLOG_HOST needs it to verify the server"
-            raise ValueError(msg)
-        if (self.audit_syslog_cert_file is None) != (self.audit_syslog_key_file is None):
-            msg = "audit_syslog_cert_file and audit_syslog_key_file are one pair: give both, or none"
-            raise ValueError(msg)
-        return self
+    audit_log_files: int = Field(default=5, ge=1, le=100, description="Files that are kept")
+    audit_log_patients: bool = Field(default=False, description="The files contain details that name a patient")
 
     @property
     def anchor_file(self) -> Path:

@@ -203,7 +203,7 @@ EXEMPT: Mapping[str, str] = {
         "files and records; a full disk holds by min_free_disk_mb",
     ),
     **dict.fromkeys(
-        ("oidc_", "login_", "key_max_days", "audit_syslog_"),
+        ("oidc_", "login_", "key_max_days", "audit_log_"),
         "access and its records: an end of a log-in holds, and operator_timeout_s bounds absence",
     ),
 }

@@ -167,7 +167,7 @@ class MachineMetrics(Collector):
         forwarded = self._forwarded()
         if forwarded is not None:
             waiting = max(figures.audit_rows - forwarded, 0)
-            yield _gauge("tidegate_audit_waiting_rows", "Audit rows not yet forwarded", waiting)
+            yield _gauge("tidegate_audit_waiting_rows", "Audit rows not yet in the log files", waiting)
 
     def _certificate_end(self) -> Iterator[Metric]:
         if self._certificate is not None:

@@ -1,4 +1,4 @@
-"""The audit log: append-only rows in a hash chain; anchoring, verification, export and forwarding of its rows."""
+"""The audit log: append-only rows in a hash chain; anchoring, verification and export of its rows."""
 
 from service.storage.audit.chain import GENESIS_HASH, SYSTEM, Event, Outcome, append, canonical_json, seal
 from service.storage.audit.verification import Breakage, Verification, verify

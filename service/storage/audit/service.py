@@ -10,7 +10,7 @@ from service.core.schemas.problems import Problem
 from service.storage.audit import Event
 from service.storage.audit.anchors import AnchorFile, AnchorReport
 from service.storage.audit.check import lost_lines, reader, row_at, with_report
-from service.storage.audit.formats.export import ExportRequest, write_export
+from service.storage.audit.export import ExportRequest, write_export
 from service.storage.audit.log import AuditLog
 from service.storage.audit.schemas import AuditPage, AuditVerification
 from service.storage.audit.verification import Verification, Walk, head_sequence, pieces
@@ -32,11 +32,10 @@ class _CachedReport:
 class AuditService:
     """Serves audit requests; called from request threads, all methods may block on the database."""
 
-    def __init__(self, database: Database, log: AuditLog, file: AnchorFile, *, site: str = "") -> None:
+    def __init__(self, database: Database, log: AuditLog, file: AnchorFile) -> None:
         self._database = database
         self._log = log
         self._file = file
-        self._site = site
         self._walking = threading.Lock()
         self._pause = threading.Event()
         self._cached: _CachedReport | None = None
@@ -58,7 +57,7 @@ class AuditService:
         if request.session_id is not None:
             self._refuse_unknown(request.session_id)
         self._log.write(Event(actor=actor, action=EXPORT, session_id=request.session_id, detail=request.audit_detail()))
-        return write_export(self._database, request, site=self._site)
+        return write_export(self._database, request)
 
     def verify(self, after: int, limit: int) -> AuditVerification:
         """Verify at most ``limit`` rows after ``after``; raise AuditBusyError while another verification runs."""

@@ -1,11 +1,9 @@
-"""Background work of the audit while the service runs: anchoring, clock check and forwarding."""
+"""Background work of the audit while the service runs: anchoring, clock check and the log file."""
 
 import logging
-import socket
 import threading
 from collections.abc import Callable
 from datetime import UTC, datetime
-from typing import Protocol
 
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -18,9 +16,7 @@ from service.storage.audit.anchors import AnchorFile
 from service.storage.audit.chain import SYSTEM, Event
 from service.storage.audit.check import check_tail
 from service.storage.audit.clock_watch import ClockWatch
-from service.storage.audit.formats.dicom import Source
-from service.storage.audit.forwarding.forwarder import POSITION_NAME, AuditForwarder, PositionFile
-from service.storage.audit.forwarding.syslog import SyslogConnection, SyslogServer
+from service.storage.audit.log_file import AuditLogFile
 from service.storage.audit.verification import head_sequence
 from service.storage.database.engine import Database
 
@@ -30,20 +26,7 @@ INTERVAL_S = 1.0
 ANSWER_S = 5.0
 """Longest wait for the anchor file at start and stop [s]; it may be on a share that hangs."""
 BROKEN = "audit.broken"
-
-
-class _Worker(Protocol):
-    """A background thread."""
-
-    def start(self) -> None:
-        """Start the thread."""
-
-    def stop(self, timeout_s: float) -> None:
-        """Finish pending work and stop; give up waiting after the timeout [s]."""
-
-    @property
-    def trouble(self) -> str | None:
-        """A sentence for the readiness; None while all is well."""
+MB = 1_000_000
 
 
 class AuditSupervision:
@@ -55,32 +38,31 @@ class AuditSupervision:
         database: Database,
         settings: AuditSettings,
         write: Callable[[Event], None],
-        site: str = "",
         clock: Clock | None = None,
         now: Callable[[], datetime] = lambda: datetime.now(UTC),
     ) -> None:
         self._database = database
         self._settings = settings
         self._write = write
-        self._site = site
         self._clock = clock or MonotonicClock()
         self._now = now
         self._file = AnchorFile(settings.anchor_file)
         self._broken: str | None = None
         self._anchor_writer: AnchorWriter | None = None
-        self._workers: list[_Worker] = []
+        self._log_file: AuditLogFile | None = None
+        self._workers: list[PeriodicWorker] = []
 
     @property
     def troubles(self) -> list[str]:
         """Sentences about what is wrong, for readiness; none of them holds the beam."""
-        anchors = None if self._anchor_writer is None else self._anchor_writer.trouble
-        found = [self._broken, anchors, *(worker.trouble for worker in self._workers)]
+        writers = [one.trouble for one in (self._anchor_writer, self._log_file) if one is not None]
+        found = [self._broken, *writers, *(worker.trouble for worker in self._workers)]
         return [trouble for trouble in found if trouble is not None]
 
     @property
     def passed_on(self) -> int | None:
-        """Sequence of the newest row forwarded to the site's syslog server; None without forwarding."""
-        return next((one.passed_on for one in self._workers if isinstance(one, AuditForwarder)), None)
+        """Sequence of the newest row in the log file; None without one."""
+        return None if self._log_file is None else self._log_file.written
 
     def start(self, detail: dict[str, object]) -> None:
         """Verify the newest rows, audit the start with changed settings, and start the background threads."""
@@ -107,7 +89,7 @@ class AuditSupervision:
         self._start_workers(seen)
 
     def close(self) -> None:
-        """Stop the background threads; anchor the last head and forward the last rows first."""
+        """Stop the background threads; anchor the last head and write the last rows first."""
         for worker in self._workers:
             worker.stop(ANSWER_S)
 
@@ -159,32 +141,19 @@ class AuditSupervision:
             _worker("tidegate-anchors", self._anchor_writer.update, self._anchor_writer.end),
             _worker("tidegate-clock", watch.check),
         ]
-        if self._settings.audit_syslog_host is not None:
-            self._workers.append(self._forwarder(self._settings.audit_syslog_host, seen))
+        if self._settings.audit_log_dir is not None:
+            self._log_file = AuditLogFile(
+                database=self._database,
+                folder=self._settings.audit_log_dir,
+                max_bytes=self._settings.audit_log_max_mb * MB,
+                kept_files=self._settings.audit_log_files,
+                write=self._write,
+                after=seen,
+                with_patients=self._settings.audit_log_patients,
+            )
+            self._workers.append(_worker("tidegate-audit-log", self._log_file.update, self._log_file.update))
         for worker in self._workers:
             worker.start()
-
-    def _forwarder(self, host: str, seen: int) -> AuditForwarder:
-        settings, clock = self._settings, self._clock
-        assert settings.audit_syslog_ca_file is not None, "the settings were refused without one"
-        server = SyslogServer(
-            host=host,
-            port=settings.audit_syslog_port,
-            ca_file=settings.audit_syslog_ca_file,
-            cert_file=settings.audit_syslog_cert_file,
-            key_file=settings.audit_syslog_key_file,
-            timeout_s=settings.audit_syslog_timeout_s,
-        )
-        return AuditForwarder(
-            database=self._database,
-            connect=lambda: SyslogConnection(server, clock),
-            positions=PositionFile(settings.data_dir / POSITION_NAME),
-            source=Source(host_name=socket.gethostname(), site=self._site),
-            clock=clock,
-            write=self._write,
-            after=seen,
-            with_patients=settings.audit_syslog_patients,
-        )
 
 
 def _worker(name: str, work: Callable[[], None], last: Callable[[], None] | None = None) -> PeriodicWorker:

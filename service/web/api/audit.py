@@ -10,14 +10,14 @@ from service.core.errors import AuditBusyError, NotFoundError
 from service.core.list_filters import AuditFilter
 from service.core.schemas.base import Identifier, Name
 from service.storage.audit import Outcome
-from service.storage.audit.formats.export import MEDIA, ExportFormat, ExportRequest
+from service.storage.audit.export import MEDIA, ExportRequest
 from service.storage.audit.schemas import AuditPage, AuditVerification
 from service.web import dependencies
 from service.web.api import problems
 
 ACTION = r"^[a-z_]+\.[a-z_]+$"
 router = APIRouter(prefix="/audit", tags=["audit"])
-NDJSON = {media: {"schema": {"type": "string"}} for media in MEDIA.values()}
+NDJSON = {MEDIA: {"schema": {"type": "string"}}}
 
 
 @router.get("")
@@ -56,15 +56,14 @@ def verify_audit(
 def export_audit(
     services: dependencies.AppServices,
     caller: dependencies.Caller,
-    form: Annotated[ExportFormat, Query(alias="format", description="JSON lines, or FHIR R4 AuditEvents")],
     since: Annotated[AwareDatetime | None, Query(description="From this time, inclusive")] = None,
     until: Annotated[AwareDatetime | None, Query(description="Until this time, exclusive")] = None,
     session_id: Annotated[Identifier | None, Query(description="Only rows of this session")] = None,
     *,
-    with_patients: Annotated[bool, Query(description="Include the patient's reference in FHIR resources")] = False,
+    with_patients: Annotated[bool, Query(description="Include details that name a patient")] = True,
 ) -> StreamingResponse:
-    """Export the audit log as a stream; the export is recorded in the audit log."""
-    request = ExportRequest(format=form, since=since, until=until, session_id=session_id, with_patients=with_patients)
+    """Export the audit log as a stream of JSON lines; the export is recorded in the audit log."""
+    request = ExportRequest(since=since, until=until, session_id=session_id, with_patients=with_patients)
     pieces = services.audit.export(request, caller.name)
-    headers = {"Content-Disposition": f'attachment; filename="tidegate-audit.{form.value}.ndjson"'}
-    return StreamingResponse(pieces, media_type=MEDIA[form], headers=headers)
+    headers = {"Content-Disposition": 'attachment; filename="tidegate-audit.ndjson"'}
+    return StreamingResponse(pieces, media_type=MEDIA, headers=headers)

@@ -190,7 +190,7 @@ class Campaign:
         return name
 
     def _query(self, name: str) -> dict[str, str]:
-        return {"read_qa_trend": {"check": "camera_distance_mm"}, "export_audit": {"format": "jsonl"}}.get(name, {})
+        return {"check": "camera_distance_mm"} if name == "read_qa_trend" else {}
 
     def _judge(self, kind: str, case: Any, response: Any, caller: str) -> None:
         name = str(case.operation.definition.raw["operationId"])

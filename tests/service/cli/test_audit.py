@@ -87,10 +87,10 @@ def test_where_there_is_no_log_none_is_made(tmp_path):
     assert not (tmp_path / "nowhere").exists()
 
 
-@pytest.mark.parametrize("form", ["jsonl", "fhir"])
-def test_an_export_is_written_audited_and_verified(folder, tmp_path, form):
+@pytest.mark.parametrize("more", [(), ("--no-with-patients",)])
+def test_an_export_is_written_audited_and_verified(folder, tmp_path, more):
     out = tmp_path / "audit.ndjson"
-    ran = run("audit", "export", "--data", folder, "--format", form, "--out", out)
+    ran = run("audit", "export", "--data", folder, *more, "--out", out)
     assert ran.exit_code == 0
     assert out.stat().st_mode & 0o777 == 0o600
     checked = run("audit", "verify", "--export", out)

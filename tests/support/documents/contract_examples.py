@@ -23,7 +23,7 @@ JSON = "application/json"
 TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(Z|\+00:00)")
 HASH, IDENTIFIER, KEY_ID = (re.compile(rf"\b[0-9a-f]{{{length}}}\b") for length in (64, 32, 12))
 SECRET = re.compile(r"tg_[0-9a-f]{12}_[\w-]+")
-QUERY = {"read_qa_trend": "?check=camera_distance_mm", "export_audit": "?format=jsonl"}
+QUERY = {"read_qa_trend": "?check=camera_distance_mm"}
 YAML = """%YAML:1.0
 ---
 depth_width: 640
@@ -34,7 +34,6 @@ FURTHER: dict[str, dict[str, dict[str, str]]] = {
         "request": {"application/yaml": YAML, "application/xml": "<opencv_storage>...</opencv_storage>\n"}
     },
     "read_metrics": {"answer": {"application/openmetrics-text": "tidegate_ready 1\n# EOF\n"}},
-    "export_audit": {"answer": {"application/fhir+ndjson": '{"resourceType":"AuditEvent"}\n'}},
 }
 """Of media types that the run does not ask for."""
 LONGEST_LIST = 3

@@ -10,7 +10,7 @@ from service.storage import audit
 from service.storage.audit import Breakage, Event
 from service.storage.audit.anchors import AnchorFile
 from service.storage.audit.check import check_whole
-from service.storage.audit.formats.export import ExportFormat, ExportRequest, verify_export, write_export
+from service.storage.audit.export import ExportRequest, verify_export, write_export
 from service.storage.audit.verification import read_links
 from service.storage.database.engine import Database
 from tests.support.audit.rows import COLUMN, KEPT, ROWS, fill
@@ -77,7 +77,7 @@ def test_every_edit_past_the_triggers_is_found(database, tmp_path):
 
 
 def test_an_export_is_the_same_whole_thing(database):
-    lines = "".join(write_export(database, ExportRequest(format=ExportFormat.JSONL), site="")).splitlines()
+    lines = "".join(write_export(database, ExportRequest())).splitlines()
     assert (verify_export(lines).is_intact, len(lines)) == (True, 8)
 
 

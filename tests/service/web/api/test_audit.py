@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from engine.core.gate_state import GateState, HoldReason
 from service.storage import audit
 from service.storage.audit import Event
-from service.storage.audit.formats.export import verify_export
+from service.storage.audit.export import verify_export
 from service.storage.database.engine import Database
 from service.web.app import create_app
 from tests.support.service.accounts import PeopleClient
@@ -145,18 +145,23 @@ def test_only_one_walk_is_done_at_a_time(client):
     assert client.get("/api/v1/audit/verify").status_code == 200
 
 
-@pytest.mark.parametrize("form", ["jsonl", "fhir"])
-def test_an_export_is_streamed_audited_and_verified_by_itself(client, session_id, form):
-    answer = client.get("/api/v1/audit/export", params={"format": form, "session_id": session_id})
+@pytest.mark.parametrize("with_patients", [True, False])
+def test_an_export_is_streamed_audited_and_verified_by_itself(client, session_id, with_patients):
+    asked = {"with_patients": with_patients, "session_id": session_id}
+    answer = client.get("/api/v1/audit/export", params=asked)
     assert answer.status_code == 200
     assert answer.headers["content-type"].partition(";")[0].endswith("ndjson")
     assert verify_export(answer.text.splitlines()).is_intact
     (row,) = audit_rows(client, "audit.export")
-    assert (row["actor"], row["session_id"], row["detail"]["format"]) == ("A. Therapist", session_id, form)
+    assert (row["actor"], row["session_id"], row["detail"]["with_patients"]) == (
+        "A. Therapist",
+        session_id,
+        with_patients,
+    )
 
 
 def test_an_export_of_an_unknown_session_is_refused(client):
-    answer = client.get("/api/v1/audit/export", params={"format": "jsonl", "session_id": "f" * 32})
+    answer = client.get("/api/v1/audit/export", params={"session_id": "f" * 32})
     assert (answer.status_code, answer.json()["field"]) == (404, "session_id")
 
 

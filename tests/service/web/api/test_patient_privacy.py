@@ -47,7 +47,7 @@ def test_a_session_from_its_start_to_its_end_is_in_no_log_and_no_metric(client, 
         act(client, session_id, action, OPERATOR)
     engine.running.transition(GateState.FAULT, HoldReason.WATCHDOG, operator=OPERATOR)
     client.get(f"/api/v1/sessions/{session_id}/samples")
-    client.get("/api/v1/audit/export", params={"format": "fhir", "with_patients": True})
+    client.get("/api/v1/audit/export", params={"with_patients": True})
     act(client, session_id, "stop", OPERATOR)
     nothing_reported(client, caplog, capfd)
 

@@ -1,21 +1,18 @@
-"""Export of the audit as JSON lines with complete rows, or as FHIR resources; written in pieces at constant memory.
+"""Export of the audit as JSON lines, written in pieces at constant memory.
 
-A JSON lines export ends with a line that states its number of rows and its filters, so that truncation is detected.
-Each row has its hash, so that the file can be verified without the database.
+An export ends with a line that states its number of rows and its filters, so that truncation is detected. Each row has
+its hash, so that the file can be verified without the database.
 """
 
-import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
-from enum import StrEnum
 
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
 from service.storage.audit.chain import COLUMNS, Link, canonical_json
-from service.storage.audit.formats.fhir import audit_event, sealed_row
-from service.storage.audit.patients import parsed, patients_of
+from service.storage.audit.patients import is_about_patient, parsed, patients_of
 from service.storage.audit.verification import Breakage, Verification, head_sequence, is_sealed
 from service.storage.database.base import utc_text
 from service.storage.database.engine import Database
@@ -26,38 +23,32 @@ END = "tidegate.audit/1"
 MAX_LINE_CHARACTERS = 16_777_216
 
 
-class ExportFormat(StrEnum):
-    """File formats of an export."""
-
-    JSONL = "jsonl"
-    FHIR = "fhir"
-
-
-MEDIA = {ExportFormat.JSONL: "application/x-ndjson", ExportFormat.FHIR: "application/fhir+ndjson"}
+MEDIA = "application/x-ndjson"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportRequest:
-    """Format and filters of an export: ``since`` inclusive, ``until`` exclusive, None does not filter."""
+    """Filters of an export: ``since`` inclusive, ``until`` exclusive, None does not filter.
 
-    format: ExportFormat
+    ``with_patients`` false leaves out the details that name a patient.
+    """
+
     since: datetime | None = None
     until: datetime | None = None
     session_id: str | None = None
-    with_patients: bool = False
+    with_patients: bool = True
 
     def audit_detail(self) -> dict[str, object]:
         """Return the detail of the export's audit row."""
         return {
-            "format": self.format.value,
             "since": None if self.since is None else utc_text(self.since),
             "until": None if self.until is None else utc_text(self.until),
             "session_id": self.session_id,
-            "with_patients": self.with_patients or self.format is ExportFormat.JSONL,
+            "with_patients": self.with_patients,
         }
 
 
-def write_export(database: Database, request: ExportRequest, *, site: str) -> Iterator[str]:
+def write_export(database: Database, request: ExportRequest) -> Iterator[str]:
     """Yield the rows that existed at the first call, as text in pieces."""
     with database.read() as db:
         up_to = head_sequence(db)
@@ -65,14 +56,22 @@ def write_export(database: Database, request: ExportRequest, *, site: str) -> It
     while True:
         with database.read() as db:  # one session per piece: a slow client must not block checkpoints
             links = [Link._make(row) for row in db.execute(_query(request, after, up_to))]
-            text = "".join(_lines(db, links, request, site))
+            text = "".join(json_lines(db, links, with_patients=request.with_patients))
         if not links:
             break
         after, rows, last = links[-1].sequence, rows + len(links), links[-1]
         yield text
-    if request.format is ExportFormat.JSONL:
-        end = {"rows": rows, "last_hash": None if last is None else last.hash, **request.audit_detail()}
-        yield f"{canonical_json({'schema': END, 'end': end})}\n"
+    end = {"rows": rows, "last_hash": None if last is None else last.hash, **request.audit_detail()}
+    yield f"{canonical_json({'schema': END, 'end': end})}\n"
+
+
+def json_lines(db: Session, links: list[Link], *, with_patients: bool) -> Iterator[str]:
+    """Yield a line a row; without patients, a detail that names one is left out; the row keeps its place and hash."""
+    patients = {} if with_patients else patients_of(db, (link.session_id for link in links))
+    for link in links:
+        patient = None if link.session_id is None else patients.get(link.session_id)
+        fields = _fields(link) if with_patients or not is_about_patient(link, patient) else _without_detail(link)
+        yield f"{canonical_json(fields)}\n"
 
 
 def verify_export(lines: Iterable[str]) -> Verification:
@@ -90,7 +89,6 @@ class _ExportCheck:
         self.rows = 0
         self.without_detail = 0
         self.gaps = 0
-        self.is_jsonl = False
         self.ended: object = None
         self.broken: tuple[int | None, Breakage, str] | None = None
 
@@ -98,19 +96,18 @@ class _ExportCheck:
         """Check one line; return False if the file is broken."""
         fields = parsed(line)
         if fields is not None and fields.get("schema") == END:
-            self.is_jsonl, self.ended = True, fields.get("end")
+            self.ended = fields.get("end")
             return True
         row = None if fields is None else _row(fields)
         if row is None:
             self.broken = (None, Breakage.CHANGED, f"line {self.rows + 1} is no row of an audit log")
             return False
         link, has_detail = row
-        self.is_jsonl = self.is_jsonl or "resourceType" not in (fields or {})
         return self._check(link, has_detail=has_detail)
 
     def end(self) -> Verification:
         """Return the result."""
-        if self.broken is None and self.is_jsonl:
+        if self.broken is None:
             self._check_end()
         notes = [f"{self.gaps} places at which rows were left out"] * bool(self.gaps)
         notes += [f"{self.without_detail} rows without their detail: only their place in the chain was checked"] * bool(
@@ -178,35 +175,29 @@ def _query(request: ExportRequest, after: int | None, up_to: int) -> "Select[tup
     return query
 
 
-def _lines(db: Session, links: list[Link], request: ExportRequest, site: str) -> Iterator[str]:
-    if request.format is ExportFormat.JSONL:
-        yield from (f"{_json_line(link)}\n" for link in links)
-        return
-    patients = patients_of(db, (link.session_id for link in links))
-    for link in links:
-        patient = None if link.session_id is None else patients.get(link.session_id)
-        event = audit_event(link, site=site, patient=patient, with_patients=request.with_patients)
-        yield f"{json.dumps(event, ensure_ascii=False, separators=(',', ':'))}\n"
-
-
-def _json_line(link: Link) -> str:
+def _fields(link: Link) -> dict[str, object]:
     """Return a row with its detail as an object, or as text if the object would not give the hashed text."""
     detail = parsed(link.detail)
     fields: dict[str, object] = {**link._asdict(), "detail": detail}
     if detail is None or canonical_json(detail) != link.detail:
         fields |= {"detail": None, "detail_text": link.detail}
-    return canonical_json(fields)
+    return fields
+
+
+def _without_detail(link: Link) -> dict[str, object]:
+    fields = link._asdict()
+    del fields["detail"]
+    return fields
 
 
 def _row(fields: object) -> tuple[Link, bool] | None:
     if not isinstance(fields, dict):
         return None
-    if fields.get("resourceType") == "AuditEvent":
-        return sealed_row(fields)
+    has_detail = "detail" in fields
     try:
-        detail = fields["detail_text"] if fields["detail"] is None else canonical_json(fields["detail"])
-        link = Link(**{**{name: fields[name] for name in Link._fields}, "detail": detail})
+        detail = fields["detail_text"] if fields.get("detail", "") is None else canonical_json(fields.get("detail"))
+        link = Link(**{**{name: fields[name] for name in Link._fields if name != "detail"}, "detail": detail})
     except (KeyError, TypeError, ValueError):
         return None
     is_row = isinstance(link.sequence, int) and isinstance(link.hash, str)
-    return (link, True) if is_row else None
+    return (link, has_detail) if is_row else None

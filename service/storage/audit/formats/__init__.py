@@ -1,1 +1,0 @@
-"""Audit events in other formats: FHIR, DICOM, JSON lines."""

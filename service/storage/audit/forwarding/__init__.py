@@ -1,1 +1,0 @@
-"""Audit events forwarded to a syslog server."""
