@@ -7,7 +7,7 @@ import typer
 
 
 def openapi(
-    out: Annotated[Path, typer.Option(help="Folder for openapi.json, live.schema.json and asyncapi.json.")],
+    out: Annotated[Path, typer.Option(help="Folder for openapi.json, live.schema.json and coach.schema.json.")],
 ) -> None:
     """Write the OpenAPI document and the schemas of the live stream."""
     from service.core.settings.settings import Settings

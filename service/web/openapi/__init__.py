@@ -1,7 +1,7 @@
 """The OpenAPI document: FastAPI's document of the routes, completed with what all calls share.
 
-`operations` adds access rules, problems and headers, `examples` adds requests and answers, `links` connects operations,
-`contract_files` writes the files in `openapi/`.
+`operations` adds access rules, problems and headers, `contract_files` writes the files in `openapi/`. What many calls
+share stands once, in the components.
 """
 
 from typing import Any
@@ -10,10 +10,8 @@ from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
 from service.core.schemas.problems import Problem
-from service.web.openapi.components import HEADERS, SECURITY_SCHEMES, TAGS, problem_examples
+from service.web.openapi.components import HEADERS, RESPONSES, SECURITY_SCHEMES, TAGS
 from service.web.openapi.contract_files import contract_files, write_contracts
-from service.web.openapi.examples import add_examples
-from service.web.openapi.links import add_links
 from service.web.openapi.operations import complete_operation
 
 __all__ = ["contract_files", "describe_contract", "operation_id", "write_contracts"]
@@ -43,17 +41,36 @@ def _complete(document: dict[str, Any]) -> None:
     components["schemas"] = components.get("schemas", {}) | _problem_schemas()
     components["securitySchemes"] = SECURITY_SCHEMES
     components["headers"] = HEADERS
-    components["examples"] = problem_examples()
+    components["responses"] = RESPONSES
+    components["parameters"] = {}
     document["tags"] = TAGS
-    there_are = {operation["operationId"] for item in document["paths"].values() for operation in item.values()}
     for path, item in document["paths"].items():
         for method, operation in item.items():
             complete_operation(operation, method.upper(), path)
-            add_examples(operation)
-            add_links(operation, there_are)
+            _share_parameters(operation, components["parameters"])
+    _drop_titles(components["schemas"])
     _drop_empty_operator(components["schemas"])
     for unused in ("HTTPValidationError", "ValidationError"):
         components["schemas"].pop(unused, None)
+
+
+def _share_parameters(operation: dict[str, Any], shared: dict[str, Any]) -> None:
+    """Replace parameters that have the same words everywhere by references; FastAPI writes their words twice."""
+    for number, parameter in enumerate(operation.get("parameters", ())):
+        schema = parameter["schema"]
+        schema.pop("title", None)
+        if schema.get("description") == parameter.get("description"):
+            schema.pop("description", None)
+        name = parameter["name"]
+        if shared.setdefault(name, parameter) == parameter:
+            operation["parameters"][number] = {"$ref": f"#/components/parameters/{name}"}
+
+
+def _drop_titles(schemas_: dict[str, Any]) -> None:
+    """Remove the titles that Pydantic makes from the names of fields."""
+    for schema in schemas_.values():
+        for part in schema.get("properties", {}).values():
+            part.pop("title", None)
 
 
 def _problem_schemas() -> dict[str, Any]:

@@ -1,9 +1,9 @@
-"""Shared parts of the operations: authentication, headers, tags, an example of every problem."""
+"""Shared parts of the operations: authentication, headers, tags, the answers of problems."""
 
 from typing import Any
 
 from service.access.login.cookies import PLAIN_NAME
-from service.web.problems.catalogue import CATALOGUE
+from service.web.api import PROBLEM_CONTENT
 
 SECURITY_SCHEMES = {
     "login": {
@@ -69,6 +69,18 @@ def header(name: str) -> dict[str, Any]:
     return {"$ref": f"#/components/headers/{name}"}
 
 
-def problem_examples() -> dict[str, Any]:
-    """Return an example of each problem, by code."""
-    return {code: {"summary": entry.title, "value": entry.example} for code, entry in CATALOGUE.items()}
+def shared_response(name: str) -> dict[str, Any]:
+    """Return the reference to a shared answer."""
+    return {"$ref": f"#/components/responses/{name}"}
+
+
+def _problem(description: str, *headers: str) -> dict[str, Any]:
+    names = ("X-Request-ID", *headers)
+    return {"description": description, "content": PROBLEM_CONTENT, "headers": {name: header(name) for name in names}}
+
+
+RESPONSES = {
+    "Problem": _problem("A problem (RFC 9457); `x-problem-codes` of the call has its codes by status"),
+    "ProblemForNow": _problem("A problem that may pass: repeat the call later", "Retry-After"),
+    "NotLoggedIn": _problem("Not logged in, or the log-in has expired", "WWW-Authenticate"),
+}

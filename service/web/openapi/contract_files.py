@@ -1,6 +1,7 @@
-"""The contract files in the repository: OpenAPI, and both streams as JSON Schema and AsyncAPI."""
+"""The contract files in the repository: OpenAPI, and both streams as JSON Schema."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,12 +9,12 @@ from fastapi import FastAPI
 from pydantic import TypeAdapter
 
 from service.core.schemas import coach_messages, live_messages
-from service.web.openapi.asyncapi import asyncapi_document
 
 OPENAPI_NAME = "openapi.json"
 LIVE_NAME = "live.schema.json"
 COACH_NAME = "coach.schema.json"
-ASYNCAPI_NAME = "asyncapi.json"
+INNERMOST = re.compile(r"[\[{][^\[\]{}]*[\]}]")
+LONGEST_LINE = 100
 
 
 def contract_files(app: FastAPI) -> dict[str, str]:
@@ -22,7 +23,6 @@ def contract_files(app: FastAPI) -> dict[str, str]:
         OPENAPI_NAME: _text(app.openapi()),
         LIVE_NAME: _schema(live_messages.LIVE_MESSAGE, live_messages.SCHEMA),
         COACH_NAME: _schema(coach_messages.COACH_MESSAGE, coach_messages.SCHEMA),
-        ASYNCAPI_NAME: _text(asyncapi_document()),
     }
 
 
@@ -43,4 +43,11 @@ def _schema(messages: TypeAdapter[Any], title: str) -> str:
 
 
 def _text(document: object) -> str:
-    return json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
+    """Return the document as text; what fits on one line is written on one."""
+    text = json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False)
+    return INNERMOST.sub(_on_one_line, text) + "\n"
+
+
+def _on_one_line(found: re.Match[str]) -> str:
+    line = f"{found[0][0]}{' '.join(found[0][1:-1].split())}{found[0][-1]}"
+    return line if "\n" in found[0] and len(line) <= LONGEST_LINE else found[0]

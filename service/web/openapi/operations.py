@@ -3,7 +3,6 @@
 Everything is derived from the operation and the table of access rules; a router declares only its specific problems.
 """
 
-from copy import deepcopy
 from typing import Any
 
 from service.access.request.rules import BEFORE_THE_PASSWORD_IS_CHANGED, RULES, TAKES_PERMISSION_AWAY, Needs, Open
@@ -11,8 +10,7 @@ from service.core.conditional import IF_MATCH as IF_MATCH_HEADER
 from service.core.conditional import IF_NONE_MATCH as IF_NONE_MATCH_HEADER
 from service.storage.database.idempotency import HEADER as IDEMPOTENCY_HEADER
 from service.web.api import CODES, problem_answer
-from service.web.openapi.components import SECURITY_SCHEMES, header
-from service.web.problems.catalogue import CATALOGUE
+from service.web.openapi.components import SECURITY_SCHEMES, header, shared_response
 
 Operation = dict[str, Any]
 Codes = dict[int, set[str]]
@@ -24,7 +22,7 @@ CHANGES = frozenset({"POST", "PUT", "PATCH", "DELETE"})
 NOTHING_TO_SAY = {
     "required": True,
     "description": "The content is ignored; the JSON type is required because forms of other origins cannot send it",
-    "content": {"application/json": {"schema": {}, "example": {}}},
+    "content": {"application/json": {"schema": {}}},
 }
 WHO_ASKS = {
     "required": False,
@@ -51,8 +49,9 @@ def complete_operation(operation: Operation, method: str, path: str) -> None:
         del responses["422"]
     for status, codes in _codes(operation, method, path, needs).items():
         _add_problem(responses, status, codes)
-    for status, answer in responses.items():
-        _complete_answer(operation, status, answer)
+    operation[CODES] = {}
+    for status, answer in sorted(responses.items()):
+        responses[status] = _completed_answer(operation, status, answer)
     if IF_NONE_MATCH in _parameters(operation):
         responses["304"] = {"description": "The ETag matches `If-None-Match`", "headers": _headers(operation, "304")}
     operation["responses"] = dict(sorted(responses.items()))
@@ -126,20 +125,15 @@ def _add_problem(responses: Operation, status: int, codes: set[str]) -> None:
     responses[str(status)] = {**known, **problem_answer(status, codes | set(known.get(CODES, ())))}
 
 
-def _complete_answer(operation: Operation, status: str, answer: Operation) -> None:
-    """Add an answer's headers; for a problem also the meaning and an example of each code."""
-    answer["headers"] = answer.get("headers", {}) | _headers(operation, status)
+def _completed_answer(operation: Operation, status: str, answer: Operation) -> Operation:
+    """Return an answer with its headers; of a problem a reference, with its codes in the operation."""
     codes = answer.get(CODES, [])
     if not codes:
-        return
-    answer["description"] = "\n".join(f"- `{code}`: {CATALOGUE[code].title}" for code in codes)
-    answer["content"] = deepcopy(answer["content"])
-    examples = {code: {"$ref": f"#/components/examples/{code}"} for code in codes}
-    answer["content"]["application/problem+json"]["examples"] = examples
-    if WITH_RETRY & set(codes):
-        answer["headers"]["Retry-After"] = header("Retry-After")
+        return {**answer, "headers": answer.get("headers", {}) | _headers(operation, status)}
+    operation[CODES][status] = codes
     if status == "401":
-        answer["headers"]["WWW-Authenticate"] = header("WWW-Authenticate")
+        return shared_response("NotLoggedIn")
+    return shared_response("ProblemForNow" if WITH_RETRY & set(codes) else "Problem")
 
 
 def _headers(operation: Operation, status: str) -> Operation:

@@ -148,16 +148,6 @@ class Entry:
     when: str
     what_to_do: str
 
-    @property
-    def example(self) -> dict[str, object]:
-        """Return a problem with this code."""
-        common = {"type": f"{PROBLEM_TYPE}{self.code}", "title": self.title, "status": self.status}
-        example: dict[str, object] = {**common, "detail": self.when, "code": self.code}
-        if self.code == "invalid_value":
-            broken = {"field": "window.lower_mm", "value": "-400.0", "bound": "at least -100"}
-            example |= {"detail": "window.lower_mm: at least -100", **broken, "errors": [broken]}
-        return example
-
 
 def _entries() -> dict[str, Entry]:
     modules = {sys.modules[kind.__module__] for kind in STATUS_OF if issubclass(kind, TidegateError)}

@@ -23,7 +23,7 @@ EVENT_ID = r"^([0-9a-f]{32}):(\d{1,16})$"
 EXAMPLE = 'event: idle\ndata: {"type":"idle","sent_at":"2026-11-22T01:00:00Z"}\n\n'
 STREAM: dict[int | str, dict[str, Any]] = {
     200: {
-        "description": "An endless stream of events, described in docs/4-integrate/stream.md and openapi/asyncapi.json",
+        "description": "An endless stream of events: docs/4-integrate/stream.md and openapi/live.schema.json",
         "content": {"text/event-stream": {"schema": {"type": "string"}, "example": EXAMPLE}},
     }
 }

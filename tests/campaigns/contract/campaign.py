@@ -1,7 +1,7 @@
 """Calls made up from the contract, sent to the service in every role; each answer held against the contract.
 
 Three kinds: what the bounds of each schema suggest (`coverage`), what hypothesis makes up within and without the schema
-(`fuzzing`), and walks along the links (`stateful`).
+(`fuzzing`), and walks from what one call made to those that take it (`stateful`).
 """
 
 import contextlib
@@ -111,7 +111,7 @@ class Campaign:
                 self._fuzz_one(operation, mode, 1 if _is_slow(operation) else examples, is_positive=is_positive)
 
     def walk(self, walks: int, steps: int) -> None:
-        """Walk along the links."""
+        """Walk from what one call made to those that take it, as schemathesis infers it."""
         campaign = self
 
         class Walker(self.schema.exclude(operation_id=sorted(SLOW)).as_state_machine()):  # type: ignore[misc]
@@ -225,7 +225,7 @@ class Campaign:
             return
         code = response.json()["code"]
         self.summary.codes[code] += 1
-        told = case.operation.definition.raw["responses"].get(str(status), {}).get("x-problem-codes", [])
+        told = case.operation.definition.raw["x-problem-codes"].get(str(status), [])
         if is_own and code not in told:
             message = f"{code} is not among {told}"
             self._note(

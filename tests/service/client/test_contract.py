@@ -10,6 +10,7 @@ from service import client as module
 from service.client import ClientError, TidegateClient
 from tests.support.client.operations import NOT_FOR_PLANNING, OPERATIONS, contract, is_left_out
 from tests.support.client.scripted_server import refuses
+from tests.support.contract.document import parameters_of
 from tests.support.documents.client_models import CLIENT, formatted, made_part, schema_of, with_made_part
 
 DOCUMENT = contract()
@@ -97,7 +98,7 @@ def test_a_method_makes_the_call_of_its_operation(name, client, script, tmp_path
     path = request.path.partition("?")[0]
     assert request.method == method
     assert re.fullmatch(re.sub(r"\\{\w+\\}", r"[0-9a-z]+", re.escape(template)), path)
-    allowed = {one["name"].lower(): one for one in CALLS[method, template].get("parameters", ())}
+    allowed = {one["name"].lower(): one for one in parameters_of(DOCUMENT, CALLS[method, template])}
     queried = re.findall(r"[?&](\w+)=", request.path)
     assert set(queried) <= {name for name, one in allowed.items() if one["in"] == "query"}
     if "idempotency-key" in {name.lower() for name in allowed} and request.headers.get("idempotency-key") is None:
@@ -110,7 +111,7 @@ IN_OTHER_WORDS = {"cursor", "limit", "format", "with_patients"}
 
 @pytest.mark.parametrize("name", sorted(OPERATIONS))
 def test_every_parameter_of_a_call_can_be_given(name):
-    answer = CALLS[OPERATIONS[name]].get("parameters", ())
+    answer = parameters_of(DOCUMENT, CALLS[OPERATIONS[name]])
     wanted = {one["name"].lower().replace("-", "_"): one for one in answer if one["in"] in {"query", "path", "header"}}
     left_out = {name for name, one in wanted.items() if one["in"] == "header"} - {"if_match", "idempotency_key"}
     given = set(inspect.signature(METHODS[name]).parameters)

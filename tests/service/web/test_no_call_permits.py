@@ -8,7 +8,6 @@ import itertools
 import json
 import threading
 from datetime import UTC, datetime, timedelta
-from importlib.resources import files
 from typing import Any
 
 import pytest
@@ -27,6 +26,7 @@ from service.web.app import create_app
 from tests.support.contract.document import contract_app
 from tests.support.database.migrated import with_tables
 from tests.support.qa.fake_rig import qa_files
+from tests.support.repository import ROOT
 from tests.support.service.accounts import PASSWORD, PeopleClient, headers_of, open_login
 from tests.support.service.api_calls import HEAD, make_calibration, make_session_body, upload
 from tests.support.waiting import eventually
@@ -38,7 +38,7 @@ CALLERS = (MACHINE, *Role, "every role")
 STATES = ("no session", "created", "running")
 NOT_CALLED = {"/live", "/live/events", "/coach/live"}
 """Streams: they never end, and take no command (`service.web.stream`)."""
-EXAMPLES = json.loads(files("service.web.openapi").joinpath("examples.json").read_text(encoding="utf-8"))
+REQUESTS = json.loads((ROOT / "tests/support/contract/requests.json").read_text(encoding="utf-8"))
 OPERATION_OF = {
     (method.upper(), path): operation["operationId"]
     for path, item in contract_app().openapi()["paths"].items()
@@ -157,7 +157,7 @@ class World:
             assert answer.status_code == 200, answer.text
 
     def call(self, method: str, path: str, headers: dict[str, str], **body: Any):
-        """Make a call with the contract's example, filled with what there is here."""
+        """Make a call with a body that the contract takes, filled with what there is here."""
         for name in ("session_id", "calibration_id"):
             path = path.replace(f"{{{name}}}", getattr(self, name))
         path = path.replace("{name}", "A. Physicist").replace("{key_id}", "0" * 12)
@@ -170,7 +170,7 @@ class World:
         """Return a body that the call accepts."""
         if call == QA_RUNS:
             return DAILY | {"calibration_id": self.calibration_id, "code": TRIED_CODE}
-        example = EXAMPLES.get(OPERATION_OF[call], {}).get("request", {}).get("application/json", {})
+        example = REQUESTS.get(OPERATION_OF[call], {})
         known = {"calibration_id": self.calibration_id, "password": PASSWORD}
         confirmed = HEAD if call[1].endswith("/arm") else {}
         return {**example, **{name: value for name, value in known.items() if name in example}, **confirmed}

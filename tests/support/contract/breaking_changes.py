@@ -6,6 +6,8 @@ What was taken has to be taken still; what was promised has to come.
 from collections.abc import Iterator
 from typing import Any
 
+from tests.support.contract.document import parameters_of
+
 Schema = dict[str, Any]
 LOWER = ("minimum", "exclusiveMinimum", "minLength", "minItems")
 UPPER = ("maximum", "exclusiveMaximum", "maxLength", "maxItems")
@@ -28,8 +30,8 @@ def _paths(old: Schema, new: Schema) -> Iterator[str]:
 
 
 def _operation(old: Schema, new: Schema, before: Schema, after: Schema) -> Iterator[str]:
-    known = {(one["in"], one["name"]): one for one in before.get("parameters", ())}
-    there = {(one["in"], one["name"]): one for one in after.get("parameters", ())}
+    known = {(one["in"], one["name"]): one for one in parameters_of(old, before)}
+    there = {(one["in"], one["name"]): one for one in parameters_of(new, after)}
     for key, parameter in there.items():
         if parameter.get("required") and not known.get(key, {}).get("required"):
             yield f"parameter {key[1]} is required"

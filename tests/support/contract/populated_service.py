@@ -159,6 +159,7 @@ class World:
         """Return how the body of each call is made that needs more than its schema says."""
         return {
             "create_session": lambda given: self._session_body() | _of(given, "fraction_number", "plan_id"),
+            "acknowledge_fault": lambda _: {},
             "sign_position": lambda _: {"reference_number": 1},
             "countersign": lambda _: {"state": "5e" * 16},
             "start_qa_run": lambda _: self._qa_body(),

@@ -40,8 +40,8 @@ def _where() -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for item in contract_app().openapi()["paths"].values():
         for operation in item.values():
-            for answer in operation["responses"].values():
-                for code in answer.get("x-problem-codes", ()):
+            for codes in operation["x-problem-codes"].values():
+                for code in codes:
                     found.setdefault(code, []).append(operation["operationId"])
     return found
 
