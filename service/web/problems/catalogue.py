@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from engine.core.errors import TidegateError
-from service.web.problems.table import HTTP_CODES, PROBLEM_TYPE, STATUS_OF, STORAGE_CODE, code_of, status_of
+from service.web.problems.table import HTTP_CODES, STATUS_OF, STORAGE_CODE, code_of, status_of
 
 WHAT_TO_DO: Mapping[str, str] = {
     "audit_busy": "Wait until the other verification has ended, then continue from `checked_to`.",
