@@ -2,8 +2,7 @@
 
 The seeds and one healthy run go through the very pipeline, frame by frame. For twenty runs that is too long: there the
 plate is one of four, and the phantom's motion is what the pipeline made of it, with that run's own errors shuffled, at
-other times, with other computing times and another zero. ``python -m tests.campaigns.measurements.qa_runs`` does all
-in full.
+other times, with other computing times and another zero.
 """
 
 from dataclasses import replace
