@@ -1,4 +1,4 @@
-"""The fixtures of several packages are in tests/support/fixtures; order and selection in tests/support/selection.py."""
+"""Fixtures of several packages are in tests/support/fixtures; what a run takes, in tests/support/selection.py."""
 
 import pytest
 
@@ -14,6 +14,4 @@ pytest_plugins = [
     "tests.support.fixtures.samples",
     "tests.support.selection",
     "tests.support.temporary_folder",
-    "tests.support.part",
-    "tests.support.timings",
 ]

@@ -6,8 +6,7 @@ import re
 import pytest
 
 from tests.support.repository import ROOT
-from tests.support.selection import LONGEST, SLOW_PATHS
-from tests.support.timings import Timing, read_timings, table
+from tests.support.selection import PARTS, SLOW_FOLDERS, module_marks
 
 TESTS = ROOT / "tests"
 MODULES = sorted(path for path in TESTS.rglob("*.py") if "data" not in path.relative_to(TESTS).parts)
@@ -78,9 +77,10 @@ def test_no_test_module_compiles_grammars_where_it_is_collected():
 
 
 def test_make_check_runs_some_tests_of_every_package():
-    slow = {ROOT / path for path in SLOW_PATHS}
     modules = [path for path in MODULES if path.name.startswith("test_")]
-    fast = {path.relative_to(TESTS).parts[:2] for path in modules if slow.isdisjoint((path, *path.parents))}
+    others = {path for path in modules if not module_marks(path).isdisjoint({"slow", *PARTS})}
+    others |= {path for path in modules if not set(SLOW_FOLDERS).isdisjoint(path.parents)}
+    fast = {path.relative_to(TESTS).parts[:2] for path in modules if path not in others}
     packages = {path.relative_to(TESTS).parts[:2] for path in modules if len(path.relative_to(TESTS).parts) > 2}
     assert {package for package in packages if package[0] in {"engine", "service"}} - fast == set()
 
@@ -97,40 +97,22 @@ def test_every_path_of_a_test_that_a_build_names_exists(file):
     assert [path for path in sorted(named) if not (ROOT / path).exists()] == []
 
 
-@pytest.mark.parametrize("path", [*LONGEST, *SLOW_PATHS])
-def test_every_path_of_the_order_and_of_the_selection_exists(path):
-    assert (ROOT / path).exists()
+def test_a_run_of_a_part_takes_the_modules_that_are_marked_so_and_no_other(pytester):
+    marks = {
+        "a": "",
+        "b": "pytestmark = pytest.mark.waiting",
+        "c": "pytestmark = [\n    pytest.mark.alone,\n    pytest.mark.long,\n]",
+    }
+    for name, line in {**marks, "d": "pytestmark = pytest.mark.slow"}.items():
+        pytester.makepyfile(**{f"test_{name}": f"import pytest\n{line}\ndef test_one():\n    pass\n"})
+    pytester.makeini("[pytest]\nmarkers =\n    waiting\n    alone\n    slow\n    long\n    both_databases\n")
+    taken = {}
+    for given in (("--part", "computing"), ("--part", "waiting"), ("--part", "alone"), ("--fast",), ()):
+        items, _ = pytester.inline_genitems("-p", "tests.support.selection", *given)
+        taken[given[-1] if given else ""] = "".join(item.module.__name__[-1] for item in items)
+    assert taken == {"computing": "ad", "waiting": "b", "alone": "c", "--fast": "a", "": "abcd"}
 
 
-def test_the_slowest_of_all_parts_are_shown_with_the_longest_first():
-    many = {f"two.py::c{number}": Timing(2.0 + number / 100, 0.25) for number in range(40)}
-    parts = {"one": {"one.py::a": Timing(1.0, 20.0), "one.py::b": Timing(30.0, 2.0)}, "two": many}
-    lines = table(parts).splitlines()
-    assert lines[:2] == [
-        "one: 2 tests, 31 s in all, 22 s of processor time",
-        "two: 40 tests, 88 s in all, 10 s of processor time",
-    ]
-    shown = [line.partition("::")[2] for line in lines[3:23]]
-    assert shown == ["b", *(f"c{number}" for number in range(39, 20, -1))]
-    assert [line.split() for line in lines[24:]] == [["22.0", "s", "one.py"], ["10.0", "s", "two.py"]]
-
-
-def test_timings_are_written_for_each_test_with_its_set_up_and_without_its_subtests(pytester):
-    pytester.makepyfile(
-        """
-        import pytest
-
-        @pytest.fixture
-        def slow():
-            pass
-
-        def test_one(slow, subtests):
-            for number in range(3):
-                with subtests.test(str(number)):
-                    sum(range(1_000_000))
-        """
-    )
-    pytester.runpytest_inprocess("-p", "tests.support.timings", "--timings", "out.tsv")
-    ((test, timing),) = read_timings(pytester.path / "out.tsv").items()
-    assert test.endswith("::test_one")
-    assert timing.processor_s > 0.0
+def test_every_module_is_of_one_part():
+    modules = [path for path in MODULES if path.name.startswith("test_")]
+    assert [path for path in modules if len(module_marks(path) & set(PARTS)) > 1] == []

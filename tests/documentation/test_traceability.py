@@ -36,11 +36,25 @@ def test_a_named_test_that_did_not_run_is_found_among_cases_and_files():
 
 
 def test_the_check_of_a_run_names_what_did_not_run(tmp_path, capsys):
-    every = [test for row in ROWS for test in row.tests]
-    ran = tmp_path / "part.tsv"
-    ran.write_text("".join(f"0.1\t0.1\t{test if '::' in test else f'{test}::test_it'}\n" for test in every[1:]))
-    first = every[0]
-    assert check([ran, tmp_path / "absent.tsv"]) == (0 if first in every[1:] else 1)
-    assert capsys.readouterr().out == ("" if first in every[1:] else f"safety.md names {first}, which did not run\n")
-    ran.write_text(ran.read_text() + f"0.1\t0.1\t{first}\n")
+    every = dict.fromkeys(test for row in ROWS for test in row.tests)
+    first = next(iter(every))
+    ran = tmp_path / "part.xml"
+
+    def write(tests, inside=""):
+        cases = [test.partition("::") for test in tests]
+        ran.write_text(
+            "<testsuites><testsuite>"
+            + "".join(
+                f'<testcase classname="{path[:-3].replace("/", ".")}" name="{name or "test_it"}">{inside}</testcase>'
+                for path, _, name in cases
+            )
+            + "</testsuite></testsuites>"
+        )
+
+    write(test for test in every if test != first)
+    assert check([ran, tmp_path / "absent.xml"]) == 1
+    assert capsys.readouterr().out == f"safety.md names {first}, which did not run\n"
+    write(every)
     assert check([ran]) == 0
+    write(every, "<skipped/>")
+    assert check([ran]) == 1

@@ -5,7 +5,7 @@ import pytest
 from tests.campaigns.contract.campaign import SLOW, Campaign
 from tests.support.contract.populated_service import CALLERS, World
 
-pytestmark = pytest.mark.timeout(1_800)
+pytestmark = [pytest.mark.timeout(1_800), pytest.mark.long]
 LEAST_CASES = 1_800
 GOES_ELSEWHERE = frozenset({"begin_oidc_login", "finish_oidc_login", "list_login_ways"})
 """No provider stands behind these here; tests/service/access/oidc has one."""

@@ -22,7 +22,10 @@ with Rig(Path(sys.argv[1]), DEFAULT_PLAN, None) as rig:
     time.sleep(600)
 """
 
-pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="a small file system is mounted, which takes root")
+pytestmark = [
+    pytest.mark.skipif(os.geteuid() != 0, reason="a small file system is mounted, which takes root"),
+    pytest.mark.waiting,
+]
 
 
 def test_killing_a_rig_ends_its_service_its_engine_its_receiver_and_its_watchman(tmp_path):

@@ -52,6 +52,8 @@ KINDS = sorted(chosen([*ALWAYS, *(kind.code for kind in OTHERS[PART::PARTS])]), 
 pytestmark = [
     pytest.mark.skipif(os.geteuid() != 0, reason="a small file system is mounted, which takes root"),
     pytest.mark.timeout(600),
+    pytest.mark.waiting,
+    pytest.mark.long,
 ]
 
 

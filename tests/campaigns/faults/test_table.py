@@ -18,6 +18,8 @@ from tests.campaigns.faults.verdict import Outcome, Trouble
 from tests.campaigns.kills.document import DOCUMENT as KILLS
 from tests.support.generated_sections import CAMPAIGN, part_of
 
+pytestmark = pytest.mark.waiting
+
 KINDS = chosen(["marker-covered", "killed"])
 SEEDS = range(1, 4)
 

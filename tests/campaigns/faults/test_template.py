@@ -6,6 +6,8 @@ from tests.campaigns.faults import template
 from tests.campaigns.faults.operator import PersonGaveUpError
 from tests.campaigns.faults.rig import Template
 
+pytestmark = pytest.mark.waiting
+
 
 @pytest.fixture
 def learned_into(monkeypatch):

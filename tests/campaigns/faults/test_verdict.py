@@ -24,6 +24,8 @@ from tests.campaigns.faults.verdict import (
 )
 from tests.support.scheduling_monitor import Watchman
 
+pytestmark = pytest.mark.waiting
+
 CAUSE_NS = 10_000 * NS_PER_MS
 EXPECTED = Expectation(
     bound_ms=100.0,

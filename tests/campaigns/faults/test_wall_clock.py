@@ -9,6 +9,8 @@ import pytest
 
 from tests.campaigns.faults.wall_clock import WallClock
 
+pytestmark = pytest.mark.waiting
+
 ASKED = """
 import sys, threading, time
 for line in sys.stdin:

@@ -8,6 +8,8 @@ import pytest
 from tests.campaigns.fuzz.run import run
 from tests.campaigns.fuzz.targets import TARGETS
 
+pytestmark = pytest.mark.long
+
 SECONDS_PER_TARGET = 1
 INPUTS_PER_TARGET = 1000
 SEED = 20_261_122

@@ -11,7 +11,7 @@ from tests.campaigns.interlocks.trips import TRIPS
 from tests.support.beam.datagram_receiver import MAX_TRANSIT_NS
 from tests.support.gating.streams import MS
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(240), pytest.mark.alone]
 
 BY_ITSELF, BY_A_PERSON, NEVER = "by itself, after the dwell", "acknowledged and armed", "in a new session"
 CANNOT_BE_TRIPPED = {HoldReason.UNKNOWN, HoldReason.CALIBRATION_MISSING, HoldReason.HEAD_DIRECTION_MISSING}

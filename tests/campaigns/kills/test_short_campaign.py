@@ -15,6 +15,8 @@ TRIES = 2
 pytestmark = [
     pytest.mark.skipif(os.geteuid() != 0, reason="a small file system is mounted, which takes root"),
     pytest.mark.timeout(600),
+    pytest.mark.waiting,
+    pytest.mark.long,
 ]
 
 

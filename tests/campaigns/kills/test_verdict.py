@@ -19,6 +19,8 @@ from tests.campaigns.kills.verdict import (
     off_ms,
 )
 
+pytestmark = pytest.mark.waiting
+
 MS = NS_PER_MS
 KILLED = 10_000 * MS
 

@@ -22,6 +22,8 @@ from tests.campaigns.load.run import Counted, Load, Outcome, run
 from tests.campaigns.load.table import text_of
 from tests.campaigns.load.usage import usage_of
 
+pytestmark = pytest.mark.waiting
+
 SMALL = Load(dashboards=5, events=1, stalled=1, requests_per_s=20.0, rounds=1, quiet_s=1.0, loaded_s=4.0)
 LEAST_TO_LEARN_FROM = {"MIN_FRAMES": "60", "MIN_CYCLES": "1", "MIN_SECONDS": "4"}
 MS = 1_000_000

@@ -10,6 +10,8 @@ from tests.campaigns.load import __main__ as command
 from tests.campaigns.load.interruption import Ending
 from tests.campaigns.load.programs import LoadProgram
 
+pytestmark = pytest.mark.waiting
+
 
 @pytest.fixture
 def ending():

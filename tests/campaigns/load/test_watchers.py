@@ -8,6 +8,8 @@ import pytest
 
 from tests.campaigns.load.watchers import Newest, Watcher
 
+pytestmark = pytest.mark.waiting
+
 ASKED = {"query": "", "port": 1, "authorization": "Bearer x"}
 PONG_OF_HI = b"\x8a\x82\x00\x00\x00\x00hi"
 

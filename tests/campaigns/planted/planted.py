@@ -1,6 +1,6 @@
 """Breaks each mechanism of the table once, in a copy of the sources, and runs the test that safety.md names for it.
 
-Run: ``make safety PLANTED=1``. A test that passes with its mechanism broken proves nothing: the command lists it and
+Run: ``make planted``. A test that passes with its mechanism broken proves nothing: the command lists it and
 ends with 1.
 """
 

@@ -9,6 +9,8 @@ from engine.core.clock import MonotonicClock
 from engine.core.errors import RecordingError, SourceLostError
 from tests.support.capture.oni_recordings import color_picture, depth_picture, write_recording
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 15
 PERIOD_US = 100_000  # slow enough for a busy machine to lose nothing
 SIZE_PX = (160, 120)

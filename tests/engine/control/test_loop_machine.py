@@ -12,6 +12,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from typing import ClassVar
 
+import pytest
 from hypothesis import HealthCheck, event, settings, target
 from hypothesis import strategies as st
 from hypothesis.stateful import (
@@ -31,6 +32,8 @@ from engine.core.gate_state import HoldReason, Lease
 from tests.support.control.loop_bench import Bench, ScriptedSource, WatchedBeamLine, drained, silent
 from tests.support.gating.gate_oracle import LATCHING, MS, Oracle, Rules
 from tests.support.gating.streams import LEVEL_MM, LIMITS, motion_of, unmeasured
+
+pytestmark = pytest.mark.slow
 
 PATIENT_LIMITS = replace(LIMITS, max_jump_mm=20.0, max_lag_ms=500.0, max_latency_ms=1_000.0, min_fps=6.0)
 RULES = Rules()

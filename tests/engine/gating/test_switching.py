@@ -12,6 +12,8 @@ from engine.gating.gate import Interruption
 from engine.gating.limits import GateLimits
 from tests.support.gating.streams import FRAMES_A_DWELL, LEVEL_MM, LIMITS, MS, PERIOD_NS, Stream, stream_in
 
+pytestmark = pytest.mark.slow
+
 FAR_MM = 9.0
 EASY = replace(LIMITS, max_jump_mm=20.0)
 

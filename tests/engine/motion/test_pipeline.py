@@ -15,6 +15,8 @@ from engine.motion.settings import PipelineSettings
 from engine.motion.tracking.depth_table import COUNTED_FRAMES
 from tests.support.motion import small_scene
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = PipelineSettings(
     points=((90, 100), (280, 100)),
     training=TrainingSettings(min_frames=40, min_seconds=4.0, min_cycles=2, max_seconds=20.0),

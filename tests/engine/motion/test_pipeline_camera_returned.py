@@ -8,6 +8,8 @@ from engine.core.learning_events import LearningEventKind
 from tests.support.motion import small_scene
 from tests.support.motion.pipelines import Played, measuring, new_pipeline
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def frames():

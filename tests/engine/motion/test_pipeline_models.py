@@ -26,6 +26,8 @@ from engine.motion.training_process.process_trainer import ProcessTrainer
 from tests.support.motion import small_scene
 from tests.support.motion.pipelines import SETTINGS, Played, measuring, new_pipeline
 
+pytestmark = pytest.mark.slow
+
 PATIENT_LIMITS = GateLimits(
     window=amplitude_window(lower_mm=-50.0, upper_mm=50.0),
     max_frame_age_ms=200.0,

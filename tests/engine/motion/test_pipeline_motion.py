@@ -17,6 +17,8 @@ from engine.motion.stages.roi import color_from_roi
 from engine.motion.stages.surface import surface_mesh
 from tests.support.motion import small_scene
 
+pytestmark = pytest.mark.slow
+
 TRAINING = TrainingSettings(min_frames=40, min_seconds=4.0, min_cycles=2, max_seconds=20.0)
 CELL = NamedRegion(name="cell", vertices=((249.5, 99.5), (249.5, 124.5), (274.5, 124.5), (274.5, 99.5)))
 WEDGE = NamedRegion(name="wedge", vertices=((200.0, 30.0), (260.0, 170.0), (330.0, 100.0)))

@@ -18,6 +18,8 @@ from tests.support.service.api_calls import act, audit_rows
 from tests.support.service.fake_engine import REFUSED
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.slow
+
 ARMS = "A. Therapist"
 
 

@@ -18,6 +18,8 @@ from tests.support.generated_sections import are_as_made
 from tests.support.service.accounts import PeopleClient, headers_of, open_login
 from tests.support.service.fake_engine import FakeEngine
 
+pytestmark = pytest.mark.slow
+
 APP = contract_app()
 DOCUMENT = APP.openapi()
 CALLS = sorted(

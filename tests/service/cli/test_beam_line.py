@@ -10,6 +10,8 @@ from engine.beam.commissioning import PULSE_BOUNDS_MS
 from service.cli import app
 from tests.support.beam.receivers import TIMES, receiver
 
+pytestmark = pytest.mark.slow
+
 SAFE = "--yes-the-beam-is-safe"
 TRIES = 6
 

@@ -5,6 +5,8 @@ from typer.testing import CliRunner
 
 from service.cli import app
 
+pytestmark = pytest.mark.slow
+
 SESSION = "5f0c1d7e-0000-4000-8000-000000000000"
 READING = (
     ("users", "list"),

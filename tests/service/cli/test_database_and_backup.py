@@ -15,7 +15,7 @@ from tests.support.database.backups import FILES, fill_folder, rows_at, write_ro
 from tests.support.database.rows import add_rows, tables
 from tests.support.database.second_revision import FIRST, SECOND
 
-pytestmark = pytest.mark.both_databases
+pytestmark = [pytest.mark.both_databases, pytest.mark.slow]
 
 
 @pytest.fixture

@@ -14,6 +14,8 @@ from engine.motion.learning.model_file import load_model
 from engine.verification.phantom.truth import load_truth
 from tests.support.command_line import invoke, measured
 
+pytestmark = [pytest.mark.long, pytest.mark.slow]
+
 
 @dataclass(frozen=True)
 class Run:

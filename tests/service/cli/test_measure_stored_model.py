@@ -12,6 +12,8 @@ from engine.motion.learning.model_file import load_model, save_model
 from engine.verification.phantom.truth import load_truth
 from tests.support.command_line import invoke
 
+pytestmark = pytest.mark.slow
+
 PATIENT = ("--patient", "P-0001")
 
 

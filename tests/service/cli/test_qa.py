@@ -26,6 +26,8 @@ from tests.support.qa.sample_runs import report, sample_series
 from tests.support.repository import ROOT
 from tests.support.waiting import eventually
 
+pytestmark = [pytest.mark.long, pytest.mark.slow]
+
 ME = ("--operator", "A. Physicist")
 PATIENCE_S = 120.0
 NEEDED_OF_A_SESSION = (

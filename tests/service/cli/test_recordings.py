@@ -11,6 +11,8 @@ from engine.capture.oni.reader import describe
 from service.cli import app
 from tests.support.capture.oni_recordings import write_recording
 
+pytestmark = pytest.mark.alone
+
 
 def run(*words):
     return CliRunner().invoke(app, [str(word) for word in words])

@@ -23,6 +23,8 @@ from service.storage.database.migrations import MigrationError
 from service.web.app import create_app
 from tests.support.service.processes import free_port
 
+pytestmark = pytest.mark.slow
+
 
 def test_what_was_there_at_the_start_is_collected_no_more():
     before, kept = gc.get_freeze_count(), [[] for _ in range(1000)]

@@ -11,6 +11,8 @@ from service.storage.audit.log import AuditLog
 from service.storage.database.engine import Database
 from service.storage.files.folder_lock import alone_in
 
+pytestmark = pytest.mark.slow
+
 PASSWORD = "a password from a pipe"
 
 

@@ -16,6 +16,8 @@ from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import make_calibration
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.slow
+
 ME = {"operator": "A. Physicist"}
 PATIENCE_S = 240.0
 

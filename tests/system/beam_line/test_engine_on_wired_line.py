@@ -17,6 +17,8 @@ from tests.support.control.loop_bench import RecordingPipeline, drained
 from tests.support.control.real_time_source import PATIENT_LIMITS, PacedSource
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.alone
+
 PATIENCE_S = 20.0
 TRIES = 4
 

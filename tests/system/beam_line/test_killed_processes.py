@@ -20,6 +20,8 @@ from tests.support.beam.receivers import open_patiently
 from tests.support.control.real_time_source import PATIENT_LIMITS as LIMITS
 from tests.support.repository import ROOT
 
+pytestmark = pytest.mark.waiting
+
 MS = 1_000_000
 REPLY_MS = 2_000.0
 TRIES = 100

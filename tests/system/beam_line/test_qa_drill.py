@@ -4,6 +4,8 @@ import threading
 import time
 from itertools import pairwise
 
+import pytest
+
 from engine.beam.second_input import DrilledReceiver
 from engine.beam.wire.modbus import ModbusInput
 from engine.beam.wire.supervised_line import WiredBeamLine
@@ -12,6 +14,8 @@ from engine.verification.qa.drill import DRILLS, drill_line
 from engine.verification.qa.inputs import BeamInput
 from tests.support.beam.modbus_server import DROP_NS
 from tests.support.beam.receivers import PATIENCE_S, TIMES, Lateness, receiver, wire_to
+
+pytestmark = pytest.mark.waiting
 
 PULSE_MS = 200.0
 REPEATS = 5

@@ -22,6 +22,8 @@ from tests.support.beam.receivers import PATIENCE_S, Lateness, open_patiently, o
 from tests.support.repository import ROOT
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.waiting
+
 KINDS = ["tcp", "rtu", "lcus", "lcus-text", "numato"]
 DETECTION_NS = int(DETECTION_MS * NS_PER_MS)
 FAILED, MISMATCH = HoldReason.BEAM_LINE_FAILED, HoldReason.BEAM_LINE_MISMATCH

@@ -12,6 +12,8 @@ from tests.support.service.clinical_site import OBLIGATORY
 from tests.support.service.real_engine import PATIENT_LIMITS, HurriedEngine, arm_when_ready, detail_of, open_session
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.waiting
+
 FILM = {"kind": "recording", "path": "recording.oni", "player": "reader"}
 TRIES = 6
 DEFAULTS = {name: LIMIT_DEFAULTS[name] for name in PATIENT_LIMITS}

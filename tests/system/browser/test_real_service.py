@@ -28,7 +28,7 @@ from tests.support.browser.tab import Tab
 from tests.support.service.accounts import EVERY_ROLE, provision
 from tests.support.waiting import PATIENCE_S, eventually
 
-pytestmark = [pytest.mark.browser, pytest.mark.slow]
+pytestmark = [pytest.mark.browser, pytest.mark.slow, pytest.mark.waiting]
 
 COMMAND = Path(sysconfig.get_path("scripts")) / "tidegate"
 OPERATOR = "A. Therapist"

@@ -9,6 +9,8 @@ from service.planning.simulated_tps.prescription import built_in_plan
 from tests.support.planning.treatment_services import quick_room
 from tests.support.repository import ROOT
 
+pytestmark = pytest.mark.waiting
+
 SAMPLES = ROOT / "docs" / "4-integrate" / "clients"
 LIBRARIES = ("System.Net.Http", "System.Runtime.Serialization", "System.Xml", "System.Xml.Linq")
 SECONDS = 1.0

@@ -12,6 +12,8 @@ from service.planning.simulated_tps.prescription import built_in_plan
 from tests.support.planning.treatment_services import PASSWORD, THERAPIST, treating
 from tests.support.repository import ROOT
 
+pytestmark = [pytest.mark.waiting, pytest.mark.long]
+
 PATIENT = {
     "TIDEGATE_MAX_FRAME_AGE_MS": "200",
     "TIDEGATE_LEASE_MS": "200",

@@ -11,6 +11,8 @@ from tests.support.planning.treatment_services import Elsewhere, clocked, fracti
 from tests.support.repository import ROOT
 from tests.support.waiting import eventually
 
+pytestmark = [pytest.mark.waiting, pytest.mark.long]
+
 
 def test_a_whole_fraction_is_delivered_and_what_was_seen_live_was_recorded(tmp_path):
     with quick_room(tmp_path) as room, room.client() as tps:

@@ -30,6 +30,8 @@ from tests.support.engine_process.bench import (
     make_plan,
 )
 
+pytestmark = pytest.mark.waiting
+
 LARGE_MODEL = np.zeros((100, 350, 200), np.float32)
 TRIES = 5
 LEASE_NS = int(PATIENT["lease_ms"] * MS)

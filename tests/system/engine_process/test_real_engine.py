@@ -17,6 +17,8 @@ from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import act, audit_rows
 from tests.support.service.real_engine import detail_of, open_session, turn_on
 
+pytestmark = pytest.mark.waiting
+
 FILM = {"kind": "recording", "path": "recording.oni", "player": "reader"}
 
 

@@ -14,6 +14,8 @@ from tests.support.engine_process.service_program import PIPE
 from tests.support.service.api_calls import act, audit_rows, make_calibration, make_session_body, upload
 from tests.support.service.processes import free_port, service_process
 
+pytestmark = [pytest.mark.waiting, pytest.mark.long]
+
 LEASE_NS = int(PATIENT["lease_ms"] * MS)
 SILENCE_NS = int(SILENCE_MS * MS)
 PACED = "real_time_program"

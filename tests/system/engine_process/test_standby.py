@@ -19,6 +19,8 @@ from tests.support.engine_process.bench import PATIENCE_S, eventually, is_there,
 from tests.support.engine_process.real_time_program import LINE
 from tests.support.repository import ROOT
 
+pytestmark = pytest.mark.waiting
+
 
 @pytest.fixture
 def port(tmp_path):

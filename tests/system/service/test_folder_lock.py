@@ -14,6 +14,8 @@ from tests.support.beam.receivers import receiver
 from tests.support.service.processes import free_port, service_process
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.waiting
+
 PULSE = ("--pulse", "60", "--yes-the-beam-is-safe", "--repeats", "1")
 HOLDER = """
 import sys

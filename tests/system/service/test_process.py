@@ -19,6 +19,8 @@ from tests.support.service.api_calls import act, make_calibration, make_session_
 from tests.support.service.processes import free_port, service_process
 from tests.support.waiting import eventually
 
+pytestmark = [pytest.mark.waiting, pytest.mark.long]
+
 SAMPLES_MAY_LOSE_NS = 1_000_000_000
 A_MOMENT_NS = 500_000_000
 """The writer takes a transition within 20 ms; the rest is for a busy machine's disk and scheduler."""

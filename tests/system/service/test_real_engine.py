@@ -26,6 +26,8 @@ from tests.support.service.real_engine import (
 )
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.alone
+
 
 @pytest.fixture
 def real_client(tmp_path, regular_volunteer):

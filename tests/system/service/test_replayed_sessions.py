@@ -28,6 +28,8 @@ from tests.support.processor_features import WITHOUT_AVX as FEWER_FEATURES
 from tests.support.replay.real_sessions import DeliberatePerson, Played, Troubles, play
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.long
+
 TROUBLES = Troubles(silence=0.03, loss=0.02, hang=0.004)
 
 

@@ -20,6 +20,8 @@ from tests.support.service.processes import free_port, service_process
 from tests.support.service.shutdown_cases import LONGEST_STOP_S, Case, end
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.waiting
+
 WORKER_THREADS = 40
 """As many as answer requests at once."""
 BEYOND_HURRY = 9_500

@@ -10,6 +10,8 @@ from tests.support.virtual_camera.block import Call, Field, Kind, State, Streams
 from tests.support.virtual_camera.camera import CameraSilentError, VirtualXtion
 from tests.support.virtual_camera.viewer import Onlooker, look
 
+pytestmark = pytest.mark.alone
+
 MS = 1_000_000
 
 

@@ -5,6 +5,8 @@ import pytest
 from tests.support.capture.oni_recordings import write_recording
 from tests.support.virtual_camera.viewer import Onlooker, look
 
+pytestmark = pytest.mark.alone
+
 MS = 1_000_000
 FRESH_MS = 50
 

@@ -9,9 +9,13 @@ import sys
 import threading
 from pathlib import Path
 
+import pytest
+
 from tests.support.beam.receivers import REGISTERS, receiver
 from tests.support.repository import ROOT
 from tests.support.virtual_camera.block import Kind, Streams
+
+pytestmark = pytest.mark.alone
 
 LIGHT_RECT = (500, 60, 24, 24)
 SECONDS = 30.0

@@ -12,6 +12,8 @@ from tests.support.scheduling_monitor import Watchman
 from tests.support.virtual_camera.block import Call, Field, State, Streams
 from tests.support.virtual_camera.treatment_room import room
 
+pytestmark = pytest.mark.alone
+
 MS = 1_000_000
 BOUND_MS = 100.0
 """What frames show, or do not show, is off within this; it is also more than a lease and what its line takes."""

@@ -11,6 +11,8 @@ from engine.verification.phantom.sensor import depth_table_mm
 from tests.support.virtual_camera.block import Streams
 from tests.support.virtual_camera.viewer import Onlooker, look
 
+pytestmark = pytest.mark.alone
+
 
 def crcs(film):
     pairs = [film.pictures(frame) for frame in range(film.frames)]

@@ -12,6 +12,8 @@ from service.cli import app
 from service.storage.files.tapes import raw_path
 from tests.support.virtual_camera.treatment_room import room
 
+pytestmark = pytest.mark.alone
+
 FRAMES = 300
 
 

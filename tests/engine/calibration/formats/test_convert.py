@@ -25,6 +25,8 @@ from tests.support.calibration.foreign_calibrations import (
     write_storage,
 )
 
+pytestmark = pytest.mark.slow
+
 NAMED = {"camera": "bench 7", "first_camera": "depth"}
 
 

@@ -9,6 +9,8 @@ from engine.calibration.procedures.picture_files import list_pictures, match_pic
 from engine.core.errors import InvalidValueError, RecordingError
 from tests.support.calibration.camera_pair import BOARD, CAMERAS, board_poses, draw, seen_corners
 
+pytestmark = pytest.mark.slow
+
 
 def corner_errors(picture, pose):
     corners = find_corners(picture, BOARD)

@@ -15,6 +15,8 @@ from engine.verification.phantom.rig import STEPS_A_MM
 from tests.support.calibration.camera_pair import CAMERAS
 from tests.support.calibration.plate_recordings import TRUE, plate_depth, record_plate
 
+pytestmark = pytest.mark.slow
+
 
 def reading_of(distance_mm):
     """What the plate's reading must be."""

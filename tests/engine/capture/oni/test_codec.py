@@ -9,6 +9,8 @@ from engine.core.errors import RecordingError
 from tests.support.capture.codec_oracle import count_pixels, decode_slowly
 from tests.support.capture.oni_recordings import color_picture, depth_picture
 
+pytestmark = pytest.mark.slow
+
 SHAPE = (6, 10)
 
 

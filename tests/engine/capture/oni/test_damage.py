@@ -11,6 +11,8 @@ from engine.capture.oni.records import read_file_header, walk_records
 from engine.core.errors import RecordingError
 from tests.support.capture.oni_recordings import write_recording
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 6
 
 

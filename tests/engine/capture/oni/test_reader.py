@@ -13,6 +13,8 @@ from tests.support.capture.oni_recordings import (
     write_recording,
 )
 
+pytestmark = pytest.mark.slow
+
 
 def read_all(path):
     with OniReader(path) as reader:

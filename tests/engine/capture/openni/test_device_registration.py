@@ -17,6 +17,8 @@ from engine.core.clock import MonotonicClock
 from engine.core.errors import CalibrationError, RecordingError, SourceLostError
 from tests.support.capture.oni_recordings import write_recording
 
+pytestmark = pytest.mark.alone
+
 URI = "1d27/0601@1/2"
 
 

@@ -8,6 +8,8 @@ import pytest
 from engine.capture.openni import c_api as c
 from engine.capture.openni.frame import COLOR, DEPTH, LATEST_US, copied
 
+pytestmark = pytest.mark.alone
+
 SIZE_PX = (4, 3)
 BYTES = {DEPTH: 24, COLOR: 36}
 

@@ -8,6 +8,8 @@ from engine.capture.openni import c_api
 from engine.capture.openni.lasting_threads import call_on_lasting_thread, run_on_lasting_thread
 from engine.capture.openni.source import list_devices
 
+pytestmark = pytest.mark.alone
+
 
 def on_a_thread_that_ends(work):
     results = []

@@ -1,12 +1,15 @@
 """A volunteer's recording in the real OpenNI2 runtime."""
 
 import numpy as np
+import pytest
 
 from engine.capture.oni.reader import OniReader
 from engine.capture.openni.source import OpenNiSource
 from engine.core.clock import MonotonicClock
 from engine.core.errors import FrameTimeoutError, SourceEndedError
 from engine.verification.phantom.recording import make_volunteer
+
+pytestmark = pytest.mark.alone
 
 
 def test_the_real_runtime_plays_every_frame_as_it_was_made(tmp_path):

@@ -11,6 +11,8 @@ from engine.capture.openni.pump import CapturePump
 from engine.core.clock import NS_PER_MS, ManualClock
 from engine.core.errors import FrameTimeoutError, SourceEndedError, SourceLostError
 
+pytestmark = pytest.mark.alone
+
 PICTURE = np.zeros((2, 2), np.uint16)
 
 

@@ -11,6 +11,8 @@ from engine.core.clock import MonotonicClock
 from engine.core.errors import RecordingError, RuntimeMissingError, SourceEndedError, SourceLostError
 from tests.support.capture.oni_recordings import build_old_recording, write_recording
 
+pytestmark = pytest.mark.alone
+
 # The runtime keeps one frame a stream, so a test machine that is busy for a period loses one. At ten frames a second
 # that does not happen.
 FRAMES = 12

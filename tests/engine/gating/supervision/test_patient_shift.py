@@ -19,6 +19,8 @@ from engine.verification.phantom.scene import Scene, Script
 from tests.support.gating.streams import LIMITS, motion_of
 from tests.support.motion.small_scene import CAMERA, CORNERS_PX
 
+pytestmark = pytest.mark.slow
+
 DEEPEST_MM = 40.0
 LATERAL_MM = 3.0
 VOLUNTEERS = range(1, 11)

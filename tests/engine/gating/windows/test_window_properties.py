@@ -6,6 +6,7 @@ drawn rests inside, so that the beam does go on and nothing holds vacuously.
 
 from dataclasses import replace
 
+import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
@@ -17,6 +18,8 @@ from engine.core.ranges import LearnedRange
 from engine.core.signals import signal_of
 from engine.gating.windows import AmplitudeWindow, BreathHoldWindow, Condition, GateWindow, JoinedWindow, PhaseWindow
 from tests.support.gating.streams import LIMITS, Stream, motion_of
+
+pytestmark = pytest.mark.slow
 
 CHOICES = [SignalChoice(signal=name) for name in ("whole", "thorax", "abdomen")]
 RANGES = {choice: LearnedRange(low=-2.0, high=8.0) for choice in CHOICES}

@@ -3,12 +3,15 @@
 import math
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.core.breath import SignalChoice
 from engine.motion.breathing import correct_baseline, follow_breathing, shifted, start_breathing, with_baseline
 from tests.support.motion.breathing_traces import regular
+
+pytestmark = pytest.mark.slow
 
 AT, VALUE, _ = regular(30.0, fps=15.0)
 steps = st.one_of(

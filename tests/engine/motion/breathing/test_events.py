@@ -10,6 +10,8 @@ from engine.verification.phantom.builds import find_build
 from engine.verification.phantom.episodes import lay_out_course
 from tests.support.motion.breathing_traces import breath, follow, kinds, onsets, regular, times
 
+pytestmark = pytest.mark.slow
+
 SECONDS = 100.0
 
 

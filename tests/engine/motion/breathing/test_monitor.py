@@ -9,6 +9,8 @@ from engine.core.breath import SignalChoice
 from engine.motion.breathing import correct_baseline, follow_breathing, shifted, start_breathing, with_baseline
 from tests.support.motion.breathing_traces import breath, follow, kinds, onsets, regular, times
 
+pytestmark = pytest.mark.slow
+
 
 def turn_error(reported_percent, true_percent):
     return abs((reported_percent - true_percent + 50.0) % 100.0 - 50.0)

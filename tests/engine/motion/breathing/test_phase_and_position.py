@@ -15,6 +15,8 @@ from engine.gating.windows import PhaseWindow, WindowInput, initial_states
 from engine.motion.breathing import correct_baseline, follow_breathing, start_breathing
 from tests.support.gating.streams import motion_of
 
+pytestmark = pytest.mark.slow
+
 FPS = 30
 DEPTH_MM = 10.0
 INHALE = PhaseWindow(from_percent=85.0, to_percent=15.0)

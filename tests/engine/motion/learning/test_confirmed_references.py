@@ -4,6 +4,8 @@ import pytest
 
 from tests.support.evaluation.confirmed_references import STARTS, STEP_S, confirmed_references
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.timeout(900)
 def test_the_references_of_twenty_starts_lie_within_five_per_cent_of_the_end_of_exhale(calm_volunteer):

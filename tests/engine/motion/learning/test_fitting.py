@@ -6,6 +6,8 @@ import pytest
 from engine.core.errors import ModelError
 from tests.support.motion.fitting_frames import BREATH, REST_MM, SIGNAL_MM, frames, learn
 
+pytestmark = pytest.mark.slow
+
 
 def share_of(model):
     """How much of the true breath's mean the first component carries."""

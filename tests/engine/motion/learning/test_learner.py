@@ -28,6 +28,8 @@ from tests.support.motion.training_frames import (
     vertices,
 )
 
+pytestmark = pytest.mark.slow
+
 STEADY = (1.0, 2.5)
 """A steady phantom's excursion; learning needs breath, measuring the step does not."""
 

@@ -9,6 +9,8 @@ from engine.core.learning_events import LearningEventKind
 from tests.support.motion.held_trainer import HeldTrainer
 from tests.support.motion.training_frames import Patient
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def learned():

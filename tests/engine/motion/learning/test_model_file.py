@@ -13,6 +13,8 @@ from engine.core.motion_model import MotionModel
 from engine.core.provenance import ModelOrigin, Provenance, TrainingQuality
 from engine.motion.learning.model_file import header_text, load_model, save_model
 
+pytestmark = pytest.mark.slow
+
 QUALITY = TrainingQuality(
     amplitude_mm=7.5,
     noise_mm=0.12,

@@ -16,6 +16,8 @@ from engine.motion.learning import reference_history
 from tests.support.motion import small_scene
 from tests.support.motion.scene_session import SETTINGS, SceneSession, scene_frames
 
+pytestmark = pytest.mark.long
+
 EXHALE, INHALE, NOW = ReferenceMoment
 BREATH = 120
 SETTLED = 5 * BREATH

@@ -13,6 +13,8 @@ from tests.support.motion import training_frames
 from tests.support.motion.held_trainer import HeldTrainer
 from tests.support.motion.training_frames import BELLY, CHEST, FEW, FRAME_US, STAGES, Patient, breath
 
+pytestmark = pytest.mark.long
+
 UNTIL_S = 30.0
 REFITTING = replace(FEW, refit_until_s=UNTIL_S)
 STEADY = (1.0, 2.5)

@@ -17,6 +17,8 @@ from engine.motion.learning.training_set import TrainingSet
 from tests.support.motion import training_frames
 from tests.support.motion.training_frames import BELLY, FEW, FRAME_US, Patient, breath, vertices
 
+pytestmark = pytest.mark.slow
+
 SECOND = round(1e6 / FRAME_US)
 
 

@@ -12,6 +12,8 @@ from engine.motion.stages.projection import modes_of, prepare_basis, project
 from engine.motion.stages.regions import RegionLayout, check_points, grid_shape, prepare_regions, region_values
 from engine.motion.stages.surface import grid_triangles, vertices_mm, volume_l
 
+pytestmark = pytest.mark.slow
+
 ROWS, COLUMNS = np.mgrid[0:ROI_ROWS, 0:ROI_COLUMNS].astype(np.float32)
 MEAN = (850.0 + 0.001 * (COLUMNS - 100.0) ** 2).astype(np.float32)
 THORAX = np.exp(-(((ROWS - 90.0) / 90.0) ** 2) - ((COLUMNS - 100.0) / 90.0) ** 2).astype(np.float32)

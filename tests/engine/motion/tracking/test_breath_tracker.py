@@ -14,6 +14,8 @@ from tests.support.gating.streams import motion_of
 from tests.support.motion.breathing_traces import kinds
 from tests.support.motion.scene_session import CHOICES, SceneSession, scene_frames, session_after
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def frames():

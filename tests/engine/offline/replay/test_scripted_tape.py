@@ -22,6 +22,8 @@ from tests.support.gating.streams import MS
 from tests.support.replay.scripted_tape import NO_MODELS, lived, replayed, taped, with_limits
 from tests.support.repository import DATA
 
+pytestmark = pytest.mark.slow
+
 FAULTS = (HoldReason.DISK_LOW, HoldReason.AUDIT_BEHIND, HoldReason.RECORDER_BEHIND)
 ARM = Arm(operator="A. Therapist")
 ANOTHER_WINDOW = SetWindow(

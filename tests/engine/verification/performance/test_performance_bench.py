@@ -48,6 +48,8 @@ from engine.verification.performance.tables import speed_tables
 from service.cli import app
 from tests.support.evaluation.performance_figures import FRAMES, GOOD, TINY, slower, took
 
+pytestmark = [pytest.mark.long, pytest.mark.slow]
+
 US = 1000.0
 MB = 1_000_000
 HURRIED = TrainingSettings(min_frames=40, min_cycles=0, min_seconds=3.0, max_seconds=6.0, max_frames=200)

@@ -13,6 +13,8 @@ from engine.verification.phantom.recording import _labels
 from engine.verification.phantom.scene import Scene, Script
 from engine.verification.phantom.studio import Studio
 
+pytestmark = pytest.mark.slow
+
 
 def script(volunteer, **options):
     return Script(scenario="regular", volunteer=volunteer, seconds=4.0, fps=30.0, seed=2, **options)

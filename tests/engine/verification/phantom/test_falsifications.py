@@ -16,6 +16,8 @@ from engine.verification.phantom.falsifications import (
 from engine.verification.phantom.scene import Script
 from engine.verification.phantom.studio import Studio
 
+pytestmark = pytest.mark.slow
+
 VOLUNTEER, SEED = 3, 5
 START_S, AT_S = 20.0, 21.0
 FRAME = 630

@@ -15,6 +15,8 @@ from engine.verification.phantom.studio import Studio
 from engine.verification.phantom.truth import load_truth
 from service.cli import app
 
+pytestmark = pytest.mark.slow
+
 TINY = {"volunteer": 4, "seconds": 2.0, "seed": 3, "fps": 5.0}
 
 

@@ -15,6 +15,8 @@ from engine.verification.phantom.rig import build_rig
 from service.cli import app
 from tests.support.repository import DATA
 
+pytestmark = [pytest.mark.long, pytest.mark.slow]
+
 SHORT = {"volunteer": 6, "seconds": 2.1, "seed": 5}
 TINY = {**SHORT, "fps": 5.0}
 

@@ -9,6 +9,8 @@ from engine.verification.phantom.rig import build_rig
 from engine.verification.phantom.sensor import Sensor, Unit, depth_table_mm, shift_of
 from engine.verification.phantom.studio import Studio
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 40
 TABLE_MM = depth_table_mm()
 SHIFT_OF_MM = np.full(10_001, -1)

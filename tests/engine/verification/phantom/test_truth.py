@@ -7,6 +7,8 @@ from engine.core.errors import RecordingError
 from engine.verification.phantom.truth import POINTS_RC, load_truth, roi_nodes
 from engine.verification.phantom.view import Frustum
 
+pytestmark = pytest.mark.slow
+
 CASES = [("regular", 1, 1.3), ("regular", 7, 2.9), ("dibh", 2, 30.0), ("shift", 8, 33.5), ("shift", 8, 50.0)]
 
 

@@ -12,6 +12,8 @@ from engine.verification.phantom.recording import load_truth, make_volunteer
 from engine.verification.phantom.scene import Script
 from engine.verification.phantom.studio import Studio
 
+pytestmark = pytest.mark.slow
+
 
 def studio(departure: Departure) -> Studio:
     return Studio(Script(scenario="regular", volunteer=1, seconds=4.0, fps=30.0, seed=1, departure=departure))

@@ -29,6 +29,8 @@ from engine.verification.qa.trace import CommandedTrace, read_commanded
 from tests.support.qa.phantom_frames import watched
 from tests.support.repository import DATA
 
+pytestmark = pytest.mark.slow
+
 ROBOT = DATA / "qa" / "LiverTraj_LargeSIandAP70s_robot.txt"
 FRAME_MS = 1e3 / 29.97
 HOST_AHEAD_NS = 7_000_000_000_000

@@ -24,6 +24,8 @@ from engine.verification.qa.rig import (
 from engine.verification.qa.run import judge_all
 from tests.support.qa.altered_plate import Altered
 
+pytestmark = pytest.mark.slow
+
 SECONDS = 12.0
 
 

@@ -34,6 +34,8 @@ from tests.support.qa.altered_plate import Altered
 from tests.support.qa.faulty_lines import Line, NeverLatches, beam_of
 from tests.support.qa.phantom_frames import watched
 
+pytestmark = [pytest.mark.long, pytest.mark.slow]
+
 PLATE_S = 12.0
 RUNS, BATCHES, PLATES = 20, 2, 4
 FAULTY_RUNS = 4

@@ -6,6 +6,8 @@ import pytest
 from engine.verification.qa.sine import FEWEST_CYCLES, find_cycles, time_gate_by_sines
 from engine.verification.qa.trace import CommandedTrace
 
+pytestmark = pytest.mark.slow
+
 AMPLITUDE_MM = 10.0
 BELOW = (-60.0, 10.0)
 ABOVE = (10.0, 60.0)

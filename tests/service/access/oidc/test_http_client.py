@@ -14,6 +14,8 @@ from service.access.oidc.http_client import ProviderClient
 from tests.support.oidc.provider_server import SECRET, Provider, running
 from tests.support.oidc.tokens import CLIENT
 
+pytestmark = pytest.mark.slow
+
 WIRE = ProviderClient(client_id=CLIENT, client_secret=SECRET, timeout_s=0.5)
 
 

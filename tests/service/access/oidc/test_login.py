@@ -23,6 +23,8 @@ from tests.support.service.accounts import PASSWORD, QuickHashing
 from tests.support.service.fake_engine import FakeEngine
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.slow
+
 OUT, BACK, WAYS = "/api/v1/login/oidc", "/api/v1/login/oidc/return", "/api/v1/login/ways"
 REASON = "the provider is down since 7 o'clock"
 

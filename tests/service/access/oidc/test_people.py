@@ -18,6 +18,8 @@ from tests.support.oidc.provider_server import running
 from tests.support.oidc.site import utc_now
 from tests.support.oidc.tokens import CLIENT, OTHER_KEY, part, published
 
+pytestmark = pytest.mark.slow
+
 
 class Site:
     """The part of the service that sends people out, without the service."""

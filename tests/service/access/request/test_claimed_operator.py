@@ -10,6 +10,8 @@ from service.access.request.claimed_operator import ClaimedOperator, read_claim
 from tests.support.service.api_calls import act, audit_rows
 from tests.support.service.fake_engine import FakeRunning
 
+pytestmark = pytest.mark.slow
+
 AWAY = ["hold", "disarm", "stop"]
 JSON = "application/json"
 UNREAD = {

@@ -15,6 +15,8 @@ from service.core.settings.settings import Settings
 from service.storage.database.engine import Database
 from tests.support.database.postgres import PASSWORD
 
+pytestmark = pytest.mark.slow
+
 URL = "postgresql://tidegate:s3cret-word@127.0.0.1/tidegate"
 
 

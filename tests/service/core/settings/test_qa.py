@@ -7,6 +7,8 @@ import pytest
 from engine.verification.qa.checks import CHECKS
 from service.core.settings.settings import SettingsError, load_settings
 
+pytestmark = pytest.mark.slow
+
 BOUNDS = [(check, bound) for check in CHECKS for bound in ("warn", "fail")]
 
 

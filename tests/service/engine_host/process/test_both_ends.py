@@ -21,6 +21,8 @@ from service.engine_host.process.messages import CommandResult, EngineUpdate, Fa
 from service.engine_host.process.remote_engine import CountingQueue, RemoteEngine
 from service.engine_host.process.shared_page import SharedPage
 
+pytestmark = pytest.mark.waiting
+
 MS = 1_000_000
 
 

@@ -18,6 +18,8 @@ from service.engine_host.process.messages import CommandMessage, EngineFailedErr
 from service.engine_host.process.shared_page import PICTURE_BYTES, PICTURES, SharedPage
 from tests.support.engine_process.bench import make_plan
 
+pytestmark = pytest.mark.waiting
+
 OTHER_ARGUMENTS = {
     InvalidValueError: ("window.lower_mm", 3.0, "less than 2"),
     ModelMismatchError: ("model.patient", "P-1", "P-2", "learn a new one"),

@@ -1,6 +1,10 @@
 """The engine process gets no setting by its environment but the form of the frame path, read when it is imported."""
 
+import pytest
+
 from service.engine_host.process.child_process import _environment
+
+pytestmark = pytest.mark.waiting
 
 
 def test_only_the_form_of_the_frame_path_is_handed_on(monkeypatch):

@@ -8,6 +8,8 @@ from engine.control.journal.journal import ClientJournal, TransitionJournal
 from engine.core.clock import ManualClock
 from service.storage.files.journals import read_unless_in_use
 
+pytestmark = pytest.mark.waiting
+
 ID = "0" * 32
 
 

@@ -18,6 +18,8 @@ from service.engine_host.site_rules.uncalibrated import WARNING
 from service.storage.audit import SYSTEM
 from tests.support.service.api_calls import WINDOW, act, audit_rows, make_calibration, upload
 
+pytestmark = pytest.mark.alone
+
 URL = "/api/v1/sessions"
 SAID = {"calibration": "device registration", "calibration_warning": WARNING}
 

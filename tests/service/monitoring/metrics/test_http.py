@@ -6,6 +6,8 @@ from prometheus_client.parser import text_string_to_metric_families
 from service.access.request.rules import RULES
 from service.monitoring.metrics.http import METHODS, OTHER_METHOD, RouteNames, method_of
 
+pytestmark = pytest.mark.slow
+
 
 def scrape(client, name):
     text = client.get("/metrics").text

@@ -17,6 +17,8 @@ from service.planning.rt_plan.reading import read_plan
 from tests.support.planning.dicom_plans import SYNTAXES, beam, ion_plan, open_lengths, photon_plan, written
 from tests.support.planning.refusals import refused
 
+pytestmark = pytest.mark.slow
+
 EXPLICIT = written(photon_plan())
 FILES = [written(open_lengths(photon_plan()), syntax) for syntax in SYNTAXES] + [EXPLICIT, written(ion_plan())]
 META_END = EXPLICIT.index(b"\x08\x00\x16\x00UI")

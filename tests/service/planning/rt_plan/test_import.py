@@ -15,6 +15,8 @@ from tests.support.planning.dicom_plans import PATIENT_NAME, SYNTAXES, UID, grou
 from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import audit_rows
 
+pytestmark = pytest.mark.slow
+
 
 def listed(client):
     return client.get(URL).json()["items"]

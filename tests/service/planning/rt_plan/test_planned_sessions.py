@@ -12,6 +12,8 @@ from tests.support.planning.api_calls import AMPLITUDE, BREATH_HOLD, URL, kept, 
 from tests.support.planning.dicom_plans import beam, group, motion, photon_plan, setup, written
 from tests.support.service.api_calls import act, audit_rows, make_session_body
 
+pytestmark = pytest.mark.slow
+
 SESSIONS = "/api/v1/sessions"
 BOTH = {**BREATH_HOLD, "further": [{"kind": "amplitude", "lower_mm": -5.0, "upper_mm": 20.0}]}
 PHASE = {"kind": "phase", "from_percent": 40.0, "to_percent": 60.0}

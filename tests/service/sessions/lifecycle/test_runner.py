@@ -24,7 +24,7 @@ from tests.support.service.api_calls import act, audit_rows, make_session_body, 
 from tests.support.service.fake_engine import REFUSED, make_model
 from tests.support.waiting import PATIENCE_S, eventually
 
-pytestmark = pytest.mark.both_databases
+pytestmark = [pytest.mark.both_databases, pytest.mark.slow]
 
 
 def detail_of(client, session_id):

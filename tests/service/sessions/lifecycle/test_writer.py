@@ -19,6 +19,8 @@ from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import act, audit_rows, make_session_body, upload
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.slow
+
 
 def stored_rows(settings, session_id):
     """Every sample on file, as columns."""

@@ -24,6 +24,8 @@ from service.storage.samples.register import adopt, registered
 from tests.support.samples.records import HEAD, PERIOD_NS, SESSION, frames_of, record, write_stream
 from tests.support.samples.sessions import BEGUN, add_session
 
+pytestmark = pytest.mark.slow
+
 
 def reported(database, *actions):
     with database.read() as db:

@@ -30,6 +30,8 @@ from service.storage.files.journals import Journals
 from tests.support.control.transitions import transition
 from tests.support.waiting import PATIENCE_S
 
+pytestmark = pytest.mark.slow
+
 NOW = datetime(2026, 11, 21, 20, 0, tzinfo=UTC)
 BEGAN_NS = 5_000_000_000
 WAY = (GateState.DISARMED, GateState.HOLD, GateState.DWELL, GateState.BEAM_ON, GateState.HOLD)

@@ -19,6 +19,8 @@ from tests.support.audit.syslog_certificates import Authority
 from tests.support.audit.syslog_server import Collector, Sender
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.slow
+
 
 class Desk:
     """A log file that is written one turn at a time."""

@@ -32,6 +32,8 @@ from tests.support.database.backups import (
 from tests.support.database.rows import add_rows, tables
 from tests.support.database.second_revision import FIRST
 
+pytestmark = [pytest.mark.long, pytest.mark.slow]
+
 KINDS = ("sqlite", "postgresql")
 
 

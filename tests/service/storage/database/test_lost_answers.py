@@ -15,7 +15,7 @@ from tests.support.service.fake_engine import make_model
 from tests.support.service.model_events import SWAPPED
 from tests.support.waiting import eventually
 
-pytestmark = pytest.mark.both_databases
+pytestmark = [pytest.mark.both_databases, pytest.mark.slow]
 
 NEWEST = select(AuditRow.action).order_by(AuditRow.sequence.desc()).limit(1)
 WRITTEN = ("gate.transition", "model.swapped", "model.in_use", "session.close")

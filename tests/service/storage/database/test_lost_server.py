@@ -21,6 +21,8 @@ from service.storage.database.engine import Database, DatabaseInUseError
 from tests.support.service.api_calls import act, audit_rows
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.slow
+
 BEHIND = HoldReason.AUDIT_BEHIND
 ADVISORY = (
     "FROM pg_locks WHERE locktype = 'advisory' AND database = "

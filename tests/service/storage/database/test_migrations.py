@@ -13,7 +13,7 @@ from service.storage.database.migrations import MigrationError, losses, schema_s
 from tests.support.database.rows import add_rows, contents, shared
 from tests.support.database.second_revision import FIRST, SECOND
 
-pytestmark = pytest.mark.both_databases
+pytestmark = [pytest.mark.both_databases, pytest.mark.slow]
 
 
 @pytest.fixture

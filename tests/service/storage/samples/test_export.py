@@ -10,6 +10,8 @@ from service.storage.samples.layout import head_of
 from tests.support.service.api_calls import act, audit_rows
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.slow
+
 
 def samples(client, session_id, form=None):
     return client.get(f"/api/v1/sessions/{session_id}/samples", params={} if form is None else {"format": form})

@@ -11,6 +11,8 @@ from service.storage.samples.store import SampleStore
 from service.storage.samples.walk import Ending, NoSamplesError, StreamWalk
 from tests.support.samples.records import HEAD, SESSION, frames_of, records, write_stream
 
+pytestmark = pytest.mark.slow
+
 
 def walked(path):
     with StreamWalk(path) as walk:

@@ -16,6 +16,8 @@ from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import act, audit_rows, upload
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.slow
+
 TRIGGERS = ("audit_no_update", "audit_no_delete", "audit_only_next")
 
 

@@ -15,7 +15,7 @@ from tests.support.calibration.foreign_calibrations import (
 )
 from tests.support.service.api_calls import audit_rows, edited, make_calibration, upload
 
-pytestmark = pytest.mark.both_databases
+pytestmark = [pytest.mark.both_databases, pytest.mark.slow]
 
 URL = "/api/v1/calibrations"
 

@@ -17,6 +17,8 @@ from tests.support.service.api_calls import act, audit_rows
 from tests.support.service.fake_engine import REFUSED
 from tests.support.waiting import PATIENCE_S
 
+pytestmark = pytest.mark.slow
+
 STALE = '"00000000000000000000000000000000"'
 V1 = "/api/v1"
 GATED = ("start", "reference", "arm", "acknowledge", "release", "models/retrain", "models/apply")

@@ -9,6 +9,8 @@ from engine.core.gate_state import GateState, HoldReason
 from tests.support.service.api_calls import act, make_calibration, upload
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.slow
+
 V1 = "/api/v1"
 LISTS = ("/sessions", "/calibrations", "/audit", "/qa/runs", "/plans", "/users", "/keys", "/devices", "/recordings")
 

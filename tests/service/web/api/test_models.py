@@ -23,7 +23,7 @@ from tests.support.service.fake_engine import make_model
 from tests.support.service.model_events import SWAPPED
 from tests.support.waiting import eventually
 
-pytestmark = pytest.mark.both_databases
+pytestmark = [pytest.mark.both_databases, pytest.mark.slow]
 
 REFUSED = LearningEvent(
     kind=LearningEventKind.REFUSED,

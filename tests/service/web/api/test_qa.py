@@ -37,7 +37,7 @@ from tests.support.service.busy_threads import (
 )
 from tests.support.waiting import eventually
 
-pytestmark = pytest.mark.both_databases
+pytestmark = [pytest.mark.both_databases, pytest.mark.long, pytest.mark.slow]
 
 URL = "/api/v1/qa"
 ME = {"operator": "A. Physicist"}

@@ -16,6 +16,8 @@ from tests.support.service import fake_engine
 from tests.support.service.api_calls import act, audit_rows, make_session_body
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.slow
+
 URL = "/api/v1/sessions"
 BELLY = {"name": "belly", "vertices": [[220.0, 40.0], [220.0, 160.0], [320.0, 100.0]]}
 CHEST = {"name": "chest", "vertices": [[40.0, 40.0], [40.0, 160.0], [120.0, 100.0]]}

@@ -4,7 +4,7 @@ import pytest
 
 from tests.support.service.api_calls import OPERATOR, act, audit_rows, make_session_body
 
-pytestmark = pytest.mark.both_databases
+pytestmark = [pytest.mark.both_databases, pytest.mark.slow]
 
 URL = "/api/v1/sessions"
 

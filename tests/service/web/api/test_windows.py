@@ -26,6 +26,8 @@ from tests.support.service.api_calls import WINDOW, act, make_session_body
 from tests.support.service.clinical_site import clinical_settings
 from tests.support.service.fake_engine import make_measurement
 
+pytestmark = pytest.mark.slow
+
 URL = "/api/v1/sessions"
 MM = {"lower_mm": -1.0, "upper_mm": 3.0}
 BELLY = {"name": "belly", "vertices": [[220.0, 40.0], [220.0, 160.0], [320.0, 100.0]]}

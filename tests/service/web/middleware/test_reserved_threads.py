@@ -28,6 +28,8 @@ from tests.support.service.busy_threads import (
 )
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.slow
+
 JSON = {"Content-Type": "application/json"}
 AWAY = ["hold", "disarm", "stop"]
 

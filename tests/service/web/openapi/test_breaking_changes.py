@@ -8,6 +8,8 @@ import pytest
 from tests.support.contract.breaking_changes import broken
 from tests.support.repository import ROOT
 
+pytestmark = pytest.mark.slow
+
 FOLDER = ROOT / "openapi"
 NOW = json.loads((FOLDER / "openapi.json").read_text(encoding="utf-8"))
 RELEASED = sorted((FOLDER / "released").glob("*.json"))

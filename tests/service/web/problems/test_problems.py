@@ -12,6 +12,8 @@ from service.web.problems.table import STATUS_OF, problem_of
 from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import audit_rows, make_calibration, upload
 
+pytestmark = pytest.mark.slow
+
 KINDS = {
     kind
     for module in (engine.core.errors, service.core.errors)

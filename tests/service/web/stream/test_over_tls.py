@@ -14,6 +14,8 @@ from tests.support.service.processes import free_port, service_process
 from tests.support.stream.stream_server import Served, messages, next_of, read_until, served
 from tests.support.waiting import PATIENCE_S, eventually
 
+pytestmark = pytest.mark.waiting
+
 SAMPLES = 45
 MOST_UNSENT = 6
 """Messages of 20 kB on their way to a client that reads nothing: in the system's buffers, in asyncio's two, in the task

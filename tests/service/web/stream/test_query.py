@@ -15,6 +15,8 @@ from service.web.stream.websocket import _refuse, read_query
 from tests.support.stream.stream_server import Served, messages, next_of
 from tests.support.waiting import PATIENCE_S
 
+pytestmark = pytest.mark.slow
+
 REFUSED = [
     ("rate_hz=0.1", "rate_hz"),
     ("rate_hz=61", "rate_hz"),

@@ -9,6 +9,8 @@ from engine.core.gate_state import GateState
 from tests.support.stream.stream_server import Served, messages, next_of
 from tests.support.waiting import PATIENCE_S, eventually
 
+pytestmark = pytest.mark.slow
+
 
 def told(connection, *, until: int) -> list[dict]:
     """Read up to the sample of a frame."""

@@ -9,6 +9,8 @@ import pytest
 from tests.support.stream.stream_server import Served
 from tests.support.waiting import eventually
 
+pytestmark = pytest.mark.slow
+
 PATH = "/api/v1/live/events"
 
 

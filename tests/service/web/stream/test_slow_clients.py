@@ -9,6 +9,8 @@ from websockets.sync.client import ClientConnection
 from tests.support.stream.stream_server import Served, messages, next_of, read_until, served
 from tests.support.waiting import PATIENCE_S, eventually
 
+pytestmark = pytest.mark.waiting
+
 
 def test_clients_that_never_read_are_cut_off_and_the_others_stay_within_two_frames(tmp_path):
     with served(tmp_path, live_stall_s=1.0, command_timeout_s=3.0) as service:

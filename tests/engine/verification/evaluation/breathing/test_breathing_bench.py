@@ -32,6 +32,8 @@ from engine.verification.phantom.episodes import Episode
 from service.cli import app
 from tests.support.repository import DATA
 
+pytestmark = pytest.mark.slow
+
 RPM = DATA / "rpm" / "PT01_PT09-2_13112021.vxp"
 MARKERS = DATA / "markers" / "201205101522-LAC-1-N-138-6.csv"
 TIMES = np.arange(0.0, 100.0, 0.1)

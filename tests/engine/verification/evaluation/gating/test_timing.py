@@ -16,6 +16,8 @@ from engine.verification.evaluation.gating.true_phase import true_phase_percent
 from service.cli import app
 from tests.support.gating.streams import measured, motion_of
 
+pytestmark = pytest.mark.slow
+
 PERIOD_S, AMPLITUDE_MM = 4.0, 5.0
 BELOW_MIDDLE = AmplitudeWindow(lower=-50.0, upper=5.0)
 

@@ -23,6 +23,8 @@ from tests.support.evaluation.flat_chest import (
     unmeasured,
 )
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 44
 
 

@@ -16,6 +16,8 @@ from engine.verification.evaluation.instruments.plane_calibration import fit_pla
 from service.cli import app
 from tests.support.evaluation.laser_boards import BOARD, POSES, RIG, draw, held, laser_plane
 
+pytestmark = pytest.mark.slow
+
 PLANE = laser_plane()
 
 

@@ -11,6 +11,8 @@ from engine.verification.evaluation.integrity.cases import HONEST_S, cases
 from engine.verification.evaluation.integrity.session import FPS, SIGNALS, learn, run
 from engine.verification.evaluation.integrity.tables import verdict
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def volunteer():

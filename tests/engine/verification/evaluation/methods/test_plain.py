@@ -21,6 +21,8 @@ from engine.verification.phantom.builds import find_build
 from engine.verification.phantom.rig import build_rig
 from tests.support.motion import small_scene
 
+pytestmark = pytest.mark.slow
+
 FPS = 30.0
 TRAINING = 30
 STRIDE = 4

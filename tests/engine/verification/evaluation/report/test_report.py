@@ -20,6 +20,8 @@ from service.cli.evaluate.command import evaluate
 from tests.support.evaluation.outcomes import N, breath, measured_track, outcome
 from tests.support.evaluation.small_bench import files_under, small_run, tiny_run
 
+pytestmark = pytest.mark.slow
+
 COMMAND = "tidegate evaluate --out OUT"
 HOLD = {"name": "hold", "start_us": 3_000_000, "end_us": 5_000_000, "detail": {}}
 SHUFFLE = {"name": "isovolume", "start_us": 3_000_000, "end_us": 5_000_000, "detail": {}}

@@ -21,6 +21,8 @@ from engine.verification.evaluation.runs.datasets import (
 from engine.verification.evaluation.runs.scored_run import score_run
 from tests.support.evaluation.small_bench import SETTINGS, files_under, small_run, tiny_run
 
+pytestmark = [pytest.mark.long, pytest.mark.slow]
+
 RUN = small_run(is_pictured=True)
 TINY = tiny_run()
 
