@@ -55,15 +55,11 @@ verify() {
     say "signed by $SIGNER: Tidegate $version"
 }
 
-# Lines NAME=VALUE as systemd and container engines read them: a space in a value needs no quotes.
-# shellcheck disable=SC2016 # it is for the inner shell
-with_settings='if [ -r "$1" ]; then while IFS= read -r line; do case "$line" in TIDEGATE_*=*) export "$line" ;; esac; done <"$1"; fi; shift; cd /; exec "$@"'
-
 tidegate() { # PROGRAM-FOLDER COMMAND...
     folder=$1; shift
     # As the service's own account, with its settings, on its data.
     setpriv --reuid "$user" --regid "$user" --init-groups env TIDEGATE_DATA_DIR="$data" TIDEGATE_JOURNAL_DIR="$data/journal" \
-        sh -c "$with_settings" sh "$settings/room.env" "$folder/bin/tidegate" "$@"
+        TIDEGATE_CONFIG="$settings/tidegate.toml" sh -c 'cd /; exec "$@"' sh "$folder/bin/tidegate" "$@"
 }
 
 stop_service() { if $service && systemctl is-active --quiet tidegate; then systemctl stop tidegate; fi; }
@@ -138,7 +134,7 @@ rm -rf "$target"
     && "$target/bin/python" -m pip --isolated install --quiet --disable-pip-version-check --no-index --no-deps own/*.whl \
     || { rm -rf "$target"; fail "the Python packages"; }
 revision=$("$target/bin/python" -I -c 'from service.storage.database.migrations import titles; print(list(titles())[-1])')
-[ -e "$settings/room.env" ] || install -m 0640 -g "$user" room/room.env.example "$settings/room.env"
+[ -e "$settings/tidegate.toml" ] || install -m 0640 -g "$user" room/tidegate.toml.example "$settings/tidegate.toml"
 if [ -n "$image_engine" ]; then
     for archive in image/*; do [ ! -e "$archive" ] || "$image_engine" load --input "$archive" || fail "the image"; done
 fi

@@ -18,6 +18,7 @@ class Command(NamedTuple):
 
 COMMANDS = {
     "serve": Command("serve", "Run the service: sessions, gate, web page, HTTP API and audit log."),
+    "config": Command("config", "Print every setting with its value, and where that comes from."),
     "users": Command("access.users", "Manage the accounts of people, while no service uses the data folder."),
     "keys": Command("access.keys", "Manage the API keys of machines, while no service uses the data folder."),
     "measure": Command("measure.command", "Measure the breathing motion in every frame of one or more recordings."),

@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 from engine.verification.qa.checks import checks_of
 from engine.verification.qa.results import QaKind
 from service.core.errors import QaOverdueError
-from service.core.settings.beam import PREFIX
+from service.core.settings.names import setting_name
 from service.core.settings.settings import Settings
 from service.qa import queries
 from service.storage.database.engine import Database
@@ -49,7 +49,7 @@ def refuse_without_qa(database: Database, settings: Settings) -> None:
     with database.read() as db:
         reason = refusal(db, settings, datetime.now(UTC))
     if reason is not None:
-        bound = f"passed within {settings.qa_required_daily_h:g} h ({PREFIX}QA_REQUIRED_DAILY_H)"
+        bound = f"passed within {settings.qa_required_daily_h:g} h ({setting_name('qa_required_daily_h')})"
         raise QaOverdueError(reason, field="qa", bound=bound)
 
 

@@ -301,7 +301,7 @@ class QaCheck(Answer):
     warn: float
     fail: float
     most: float = Field(description="Widest bound that a site may set")
-    warn_setting: str = Field(examples=["TIDEGATE_QA_CAMERA_DISTANCE_MM_WARN"])
+    warn_setting: str = Field(examples=["qa.camera_distance_mm_warn"])
     fail_setting: str
     source: str
 

@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 from engine.verification.qa.checks import CHECKS, check_of
 from engine.verification.qa.results import QaCheck, QaNeed
 from service.core.conditional import etag_of
-from service.core.settings.beam import PREFIX
+from service.core.settings.names import setting_name
 from service.core.settings.qa import QaSettings, setting_of
 from service.qa import queries, schemas
 from service.storage.database.tables import QaBaselineRow, QaResultRow, QaRunRow
@@ -120,7 +120,7 @@ def _check(check: QaCheck, settings: QaSettings) -> schemas.QaCheck:
             "sidedness": check.sidedness.value,
             "warn": bound.warn,
             "fail": bound.fail,
-            "warn_setting": f"{PREFIX}{setting_of(check.code, 'warn').upper()}",
-            "fail_setting": f"{PREFIX}{setting_of(check.code, 'fail').upper()}",
+            "warn_setting": setting_name(setting_of(check.code, "warn")),
+            "fail_setting": setting_name(setting_of(check.code, "fail")),
         }
     )

@@ -8,13 +8,13 @@ from pathlib import Path
 from tests.campaigns.bundle.maker import SIGNER, lay_out, seal
 
 PROGRAM = '''"""Records its arguments; fails where a file says so."""
-import os, pathlib, sys
+import os, pathlib, sys, tomllib
 
 HERE = pathlib.Path(os.environ["TIDEGATE_DATA_DIR"])
 
 def main():
     words = sys.argv[1:]
-    name = os.environ.get("TIDEGATE_MACHINE_NAME", "")
+    name = tomllib.loads(pathlib.Path(os.environ["TIDEGATE_CONFIG"]).read_text())["site"]["machine_name"]
     with (HERE / "calls").open("a") as calls:
         print("VERSION", os.getuid(), name, *words, file=calls)
     sys.exit(1 if (HERE / f"fail-{words[0]}").exists() else 0)

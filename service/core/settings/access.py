@@ -7,7 +7,7 @@ from typing import Annotated, Self
 from pydantic import Field, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode
 
-from service.core.settings.beam import PREFIX
+from service.core.settings.names import PREFIX
 
 Addresses = Annotated[tuple[str, ...], NoDecode]
 MOST_PROXIES = 16

@@ -17,8 +17,8 @@ from engine.beam.wire.modbus import MAP_BOUNDS, RegisterMap
 from engine.beam.wire.serial_relay import Contact, Protocol, check_channels
 from engine.beam.wire.serial_settings import BAUD_RATES, Parity, check_baud
 from engine.core.errors import InvalidValueError
+from service.core.settings.names import PREFIX, setting_name
 
-PREFIX = "TIDEGATE_"
 LineKind: TypeAlias = Literal["simulated", "modbus-tcp", "modbus-rtu", "serial-relay"]
 Mode: TypeAlias = Literal["research", "clinical"]
 Targets = Annotated[tuple[str, ...], NoDecode]
@@ -266,19 +266,19 @@ class BeamSettings(BaseSettings):
         if self.beam_on_line is None:
             used -= set(COMPARISON)
         for name in sorted((known & self.model_fields_set) - used):
-            msg = f"{_setting(name)} is set, but {_unused(name, self.beam_lines)}"
+            msg = f"{setting_name(name)} is set, but {_unused(name, self.beam_lines)}"
             raise ValueError(msg)
 
     def _refuse_missing(self) -> None:
         for kind in self.beam_lines:
             needed = NEEDED_BY.get(kind)
             if needed is not None and not getattr(self, needed):
-                msg = f"{_setting(needed)} is needed by the beam line {kind}"
+                msg = f"{setting_name(needed)} is needed by the beam line {kind}"
                 raise ValueError(msg)
         for name in DEVICES:
             device = getattr(self, name)
             if device and not device.startswith("/"):
-                msg = f"{_setting(name)} must be the path of a serial port, like /dev/ttyUSB0"
+                msg = f"{setting_name(name)} must be the path of a serial port, like /dev/ttyUSB0"
                 raise ValueError(msg)
 
     def _refuse_second_inputs(self) -> None:
@@ -288,12 +288,13 @@ class BeamSettings(BaseSettings):
             if not place:
                 continue
             if kind is None or kind == "simulated":
-                msg = f"{_setting(name)} is set, but there is no such wired line ({', '.join(self.beam_lines)} is used)"
+                used = ", ".join(self.beam_lines)
+                msg = f"{setting_name(name)} is set, but there is no such wired line ({used} is used)"
                 raise ValueError(msg)
             if place != READBACK:
                 _check_second_input(name, place)
             elif kind == "serial-relay" and self.beam_relay_contact == "none":
-                msg = f"{_setting(name)} is {READBACK}: set {PREFIX}BEAM_RELAY_CONTACT, or name another device's input"
+                msg = f"{setting_name(name)} is {READBACK}: set beam.relay_contact, or name another device's input"
                 raise ValueError(msg)
 
     def _refuse_out_of_bounds(self) -> None:
@@ -306,7 +307,7 @@ class BeamSettings(BaseSettings):
         except InvalidValueError as error:
             name = error.field if error.field.startswith("beam_") else f"beam_{error.field}"
             name = name if name in type(self).model_fields else f"beam_relay_{error.field}"
-            msg = f"{_setting(name)} must be {error.bound}"
+            msg = f"{setting_name(name)} must be {error.bound}"
             raise ValueError(msg) from error
 
 
@@ -345,7 +346,7 @@ def _check_second_input(name: str, place: str) -> None:
     try:
         second_input_place(place)
     except ValueError as error:
-        msg = f"{_setting(name)}: {error}"
+        msg = f"{setting_name(name)}: {error}"
         raise ValueError(msg) from error
 
 
@@ -359,14 +360,10 @@ def _check_http_target(target: str) -> None:
         raise ValueError(msg)
 
 
-def _setting(name: str) -> str:
-    return f"{PREFIX}{name.upper()}"
-
-
 def _unused(name: str, lines: tuple[LineKind, ...]) -> str:
     if name == "beam_notify_timeout_s":
         return f"{PREFIX}BEAM_NOTIFY_HTTP is not"
     if name in COMPARISON:
-        return f"neither {_setting(SIGNALS[0])} nor {_setting(SIGNALS[1])} is"
+        return f"neither {setting_name(SIGNALS[0])} nor {setting_name(SIGNALS[1])} is"
     users = [kind for kind, names in USED_BY.items() if name in names]
     return f"no beam line is {' or '.join(users)} ({', '.join(lines)} is used)"

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 from engine.core.breath import BreathEventKind
 from engine.gating.limits import BREATHING_CEASED
-from service.core.settings.beam import PREFIX, BeamSettings
+from service.core.settings.beam import BeamSettings
+from service.core.settings.names import PREFIX, setting_name
 
 NEGLIGIBLE = 1e-9
 
@@ -268,7 +269,7 @@ def _lines(settings: BeamSettings, holding_events: Iterable[BreathEventKind]) ->
     for name, bound in CLINICAL_BOUNDS.items():
         value = getattr(settings, name)
         if not bound.low - NEGLIGIBLE <= value <= bound.high + NEGLIGIBLE:
-            yield f"{PREFIX}{name.upper()} is {value:g}: must be {bound.text} ({bound.reason})"
+            yield f"{setting_name(name)} is {value:g}: must be {bound.text} ({bound.reason})"
 
 
 def _line_lines(settings: BeamSettings) -> Iterator[str]:
@@ -278,7 +279,7 @@ def _line_lines(settings: BeamSettings) -> Iterator[str]:
     if settings.beam_lines == ("serial-relay",) and settings.beam_heartbeat_channel is None:
         yield (
             "a relay board alone stays on when this process is killed: "
-            f"set {PREFIX}BEAM_RELAY_HEARTBEAT_CHANNEL, or a Modbus line beside it"
+            "set beam.relay_heartbeat_channel, or a Modbus line beside it"
         )
     if len(settings.beam_lines) == 1 and not settings.hardware_dead_man:
         yield (
@@ -298,4 +299,4 @@ def _research_lines(settings: BeamSettings) -> Iterator[str]:
     """Yield what is for research alone."""
     for name, reason in RESEARCH_ONLY.items():
         if getattr(settings, name):
-            yield f"{PREFIX}{name.upper()} is true: must be false ({reason})"
+            yield f"{setting_name(name)} is true: must be false ({reason})"

@@ -14,7 +14,7 @@ from pydantic_settings import BaseSettings, NoDecode
 
 from service.core.permissions import KEY_PERMISSIONS, Permission, Role
 from service.core.settings.access import is_loopback
-from service.core.settings.beam import PREFIX
+from service.core.settings.names import setting_name
 
 RETURN_PATH = "/api/v1/login/oidc/return"
 MAX_ADDRESS = 500
@@ -85,9 +85,10 @@ class OidcSettings(BaseSettings):
     @field_validator("oidc_group_roles", "oidc_machine_scopes", mode="before")
     @classmethod
     def _split_pairs(cls, value: object) -> object:
-        if not isinstance(value, str):
+        parts = [part for part in value.split(",") if part.strip()] if isinstance(value, str) else value
+        if not isinstance(parts, list | tuple):
             return value
-        return tuple(_pair(part.strip()) for part in value.split(",") if part.strip())
+        return tuple(_pair(part.strip()) if isinstance(part, str) else part for part in parts)
 
     @field_validator("oidc_machine_types")
     @classmethod
@@ -108,14 +109,14 @@ class OidcSettings(BaseSettings):
         if not self.oidc_issuer:
             given = sorted(name for name in self.model_fields_set if name.startswith("oidc_"))
             if given:
-                msg = f"{_setting(given[0])} is set, but {_setting('oidc_issuer')} is not"
+                msg = f"{setting_name(given[0])} is set, but {setting_name('oidc_issuer')} is not"
                 raise ValueError(msg)
             return self
         self._check_addresses()
         for part in (PEOPLE, MACHINES):
             self._refuse_incomplete(part)
         if not self.has_oidc_people and not self.has_oidc_machines:
-            msg = f"{_setting('oidc_issuer')} is set, but neither {_names(PEOPLE)} nor {_names(MACHINES)} are"
+            msg = f"{setting_name('oidc_issuer')} is set, but neither {_names(PEOPLE)} nor {_names(MACHINES)} are"
             raise ValueError(msg)
         self._refuse_ambiguous()
         return self
@@ -152,7 +153,7 @@ class OidcSettings(BaseSettings):
         """
         if self.oidc_client_secret_file is None:
             return None
-        name = _setting("oidc_client_secret_file")
+        name = setting_name("oidc_client_secret_file")
         try:
             content = self.oidc_client_secret_file.read_bytes()[: MAX_SECRET_BYTES + 1].decode().strip()
         except (OSError, UnicodeDecodeError) as error:
@@ -165,11 +166,13 @@ class OidcSettings(BaseSettings):
 
     def _check_addresses(self) -> None:
         if not is_safe_address(self.oidc_issuer):
-            msg = f"{_setting('oidc_issuer')} must be https://host[/path] (http only on this machine), without ? or #"
+            msg = (
+                f"{setting_name('oidc_issuer')} must be https://host[/path] (http only on this machine), without ? or #"
+            )
             raise ValueError(msg)
         redirect = self.oidc_redirect_uri
         if redirect and not (is_safe_address(redirect) and urlsplit(redirect).path == RETURN_PATH):
-            msg = f"{_setting('oidc_redirect_uri')} must be https://NAME{RETURN_PATH} (http only on this machine)"
+            msg = f"{setting_name('oidc_redirect_uri')} must be https://NAME{RETURN_PATH} (http only on this machine)"
             raise ValueError(msg)
         self.oidc_client_secret()
         if self.oidc_ca_file is not None:
@@ -179,21 +182,21 @@ class OidcSettings(BaseSettings):
         given = [name for name in part if getattr(self, name)]
         if given and len(given) < len(part):
             missing = next(name for name in part if name not in given)
-            msg = f"{_setting(given[0])} is set, but {_setting(missing)} is not"
+            msg = f"{setting_name(given[0])} is set, but {setting_name(missing)} is not"
             raise ValueError(msg)
 
     def _refuse_ambiguous(self) -> None:
         if self.oidc_client_id and self.oidc_client_id == self.oidc_machine_audience:
             msg = (
-                f"{_setting('oidc_machine_audience')} must differ from {_setting('oidc_client_id')}: "
+                f"{setting_name('oidc_machine_audience')} must differ from {setting_name('oidc_client_id')}: "
                 "otherwise the ID token of a log-in would be accepted by the API"
             )
             raise ValueError(msg)
         if self.has_oidc_people and "openid" not in self.oidc_scopes:
-            msg = f"{_setting('oidc_scopes')} must hold openid"
+            msg = f"{setting_name('oidc_scopes')} must hold openid"
             raise ValueError(msg)
         if not self.oidc_label.isprintable():
-            msg = f"{_setting('oidc_label')} must be printable characters"
+            msg = f"{setting_name('oidc_label')} must be printable characters"
             raise ValueError(msg)
 
 
@@ -201,7 +204,7 @@ def _check_certificates(path: Path) -> None:
     try:
         ssl.create_default_context(cafile=path)
     except OSError as error:  # ssl's own errors are among them
-        msg = f"{_setting('oidc_ca_file')}: {path} holds no certificates that can be read ({type(error).__name__})"
+        msg = f"{setting_name('oidc_ca_file')}: {path} holds no certificates that can be read ({type(error).__name__})"
         raise ValueError(msg) from error
 
 
@@ -227,9 +230,5 @@ def _pair(text: str) -> tuple[str, str]:
     return name.strip(), value.strip()
 
 
-def _setting(name: str) -> str:
-    return f"{PREFIX}{name.upper()}"
-
-
 def _names(names: tuple[str, ...]) -> str:
-    return " and ".join(_setting(name) for name in names)
+    return " and ".join(setting_name(name) for name in names)

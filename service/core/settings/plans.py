@@ -29,7 +29,7 @@ class PlanSettings(BaseSettings):
     @model_validator(mode="after")
     def _has_key(self) -> Self:
         if (self.plan_patient == "hash") != (self.plan_patient_key is not None):
-            msg = "TIDEGATE_PLAN_PATIENT_KEY must be a file with TIDEGATE_PLAN_PATIENT=hash, and left out with id"
+            msg = "TIDEGATE_PLAN_PATIENT_KEY must be a file with plans.plan_patient=hash, and left out with id"
             raise ValueError(msg)
         _ = self.plan_patient_secret
         return self

@@ -11,7 +11,7 @@ from pydantic_settings import BaseSettings
 from engine.verification.qa.bounds import QaBounds
 from engine.verification.qa.checks import CHECKS
 from engine.verification.qa.results import QaBound, QaCheck
-from service.core.settings.beam import PREFIX
+from service.core.settings.names import setting_name
 
 LONGEST_DAILY_H = 744.0
 SHORTEST_LATENCY_DAYS, LONGEST_LATENCY_DAYS = 1.0, 1100.0
@@ -73,7 +73,7 @@ class QaSettings(_CheckBounds):
         for check in CHECKS:
             warn, fail = self._bound_of(check)
             if warn > fail:
-                name, other = (f"{PREFIX}{setting_of(check.code, bound).upper()}" for bound in ("warn", "fail"))
+                name, other = (setting_name(setting_of(check.code, bound)) for bound in ("warn", "fail"))
                 msg = f"{name} is {warn:g}: must be at most {other} ({fail:g})"
                 raise ValueError(msg)
         return self

@@ -1,4 +1,6 @@
-"""The site's settings, ``TIDEGATE_*``: read once at start, frozen, every number bounded.
+"""The site's settings: the file that ``TIDEGATE_CONFIG`` names, and some variables ``TIDEGATE_*`` that override it.
+
+Read once at start, frozen, every number bounded.
 
 A session may narrow the site's limits, never widen them.
 """
@@ -10,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, field_validator, model_validator
-from pydantic_settings import BaseSettings, NoDecode, PydanticBaseSettingsSource, SettingsConfigDict
+from pydantic_settings import BaseSettings, InitSettingsSource, NoDecode, PydanticBaseSettingsSource, SettingsConfigDict
 
 from engine.core.breath import BreathEventKind
 from engine.core.errors import InvalidValueError
@@ -22,12 +24,14 @@ from engine.motion.learning.trainer import TRAINING_BOUNDS, TrainingSettings
 from engine.motion.settings import MARKER_PLACEMENT_BOUNDS
 from service.core.settings.access import AccessSettings
 from service.core.settings.audit import AuditSettings
-from service.core.settings.beam import PREFIX, BeamSettings
+from service.core.settings.beam import BeamSettings
 from service.core.settings.clinical import refusals
+from service.core.settings.config_file import SettingsError, config_path, read_config, unknown_variables
 from service.core.settings.connections import ConnectionSettings
 from service.core.settings.contract import ContractSettings
 from service.core.settings.database import DatabaseSettings
 from service.core.settings.monitoring import MonitoringSettings
+from service.core.settings.names import OVERRIDES, PREFIX, setting_name
 from service.core.settings.oidc import OidcSettings
 from service.core.settings.plans import PlanSettings
 from service.core.settings.qa import QaSettings
@@ -35,6 +39,8 @@ from service.core.settings.replay import ReplaySettings
 from service.core.settings.room import RoomSettings
 from service.core.settings.storage import StorageSettings
 from service.core.settings.stream import StreamSettings
+
+__all__ = ["Settings", "SettingsError", "load_settings", "sources"]
 
 SETTING_OF = {"retrain_interval_s": "retrain_interval_min"}
 """Settings of the training with another name and unit here."""
@@ -66,10 +72,6 @@ def _likeness(name: str) -> Any:  # noqa: ANN401 - a field of any number's type
     return Field(default=getattr(PatientMatchLimits(), name), ge=low, le=high)
 
 
-class SettingsError(Exception):
-    """The settings cannot be used; the message has one line per setting."""
-
-
 class Settings(
     BeamSettings,
     QaSettings,
@@ -95,14 +97,18 @@ class Settings(
     @classmethod
     def settings_customise_sources(
         cls,
-        settings_cls: type[BaseSettings],  # noqa: ARG003
+        settings_cls: type[BaseSettings],
         init_settings: PydanticBaseSettingsSource,
         env_settings: PydanticBaseSettingsSource,
         dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003
         file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """Return the two sources that exist: no ``.env`` file and no folder of secrets, which took half of the time."""
-        return init_settings, env_settings
+        """Return the sources that exist, the first counts most: no ``.env`` file and no folder of secrets."""
+        path = config_path()
+        if path is None:
+            return init_settings, env_settings
+        given = read_config(path, {name: field.annotation for name, field in cls.model_fields.items()})
+        return init_settings, env_settings, InitSettingsSource(settings_cls, given)
 
     port: int = Field(default=8000, ge=0, le=65535)
     allowed_hosts: NameList = Field(
@@ -286,7 +292,7 @@ class Settings(
                 **self.gate_limits,
             )
         except InvalidValueError as error:
-            msg = f"{PREFIX}{error.field.upper()} is {error.value}: must be {error.bound}"
+            msg = f"{setting_name(error.field)} is {error.value}: must be {error.bound}"
             raise ValueError(msg) from error
         a_frame = f"at least {1000.0 / self.min_fps:.1f}, one frame's time at"
         limits = (
@@ -298,8 +304,8 @@ class Settings(
         )
         for name, is_met, words, other in limits:
             if not is_met:
-                bound = f"{words} {PREFIX}{other.upper()} ({getattr(self, other):g})"
-                msg = f"{PREFIX}{name.upper()} is {getattr(self, name):g}: must be {bound}"
+                bound = f"{words} {setting_name(other)} ({getattr(self, other):g})"
+                msg = f"{setting_name(name)} is {getattr(self, name):g}: must be {bound}"
                 raise ValueError(msg)
         if 0.0 < self.operator_timeout_s < SHORTEST_OPERATOR_TIMEOUT_S:
             bound = f"0 (off) or at least {SHORTEST_OPERATOR_TIMEOUT_S:g}"
@@ -365,12 +371,12 @@ class Settings(
 
 
 def load_settings(**overrides: object) -> Settings:
-    """Read the environment; ``overrides`` from the command line take precedence.
+    """Read the file and the environment; ``overrides`` from the command line take precedence.
 
     Raises
     ------
     SettingsError
-        An unknown ``TIDEGATE_*`` name, or a value out of its bound; one line each.
+        An unknown name in the file or the environment, or a value out of its bound; one line each.
     """
     _refuse_unknown(os.environ)
     given = {name: value for name, value in overrides.items() if value is not None}
@@ -380,18 +386,29 @@ def load_settings(**overrides: object) -> Settings:
         raise SettingsError("\n".join(_line(one["loc"], one["msg"]) for one in error.errors())) from error
 
 
+def sources(overrides: Iterable[str] = ()) -> dict[str, str]:
+    """Return where each setting comes from: the command line, the environment, the file, or the default."""
+    path = config_path()
+    fields = Settings.model_fields
+    in_file = {} if path is None else read_config(path, {name: field.annotation for name, field in fields.items()})
+    found = dict.fromkeys(fields, "default") | dict.fromkeys(in_file, str(path))
+    variables = {name.upper() for name in os.environ}
+    found |= {name: "environment" for name in OVERRIDES if f"{PREFIX}{name.upper()}" in variables}
+    return found | dict.fromkeys(overrides, "command line")
+
+
 def _refuse_unknown(names: Iterable[str]) -> None:
-    known = {f"{PREFIX}{name.upper()}" for name in Settings.model_fields}
-    if f"{PREFIX}ALLOW_REMOTE" in names:
+    own = [name for name in names if name.upper().startswith(PREFIX)]
+    if f"{PREFIX}ALLOW_REMOTE" in own:
         raise SettingsError(
             f"{PREFIX}ALLOW_REMOTE was removed: set {PREFIX}TLS_CERT and {PREFIX}TLS_KEY, or "
             f"{PREFIX}BEHIND_PROXY=true if a proxy in front terminates TLS"
         )
-    unknown = sorted(name for name in names if name.upper().startswith(PREFIX) and name.upper() not in known)
-    if unknown:
-        raise SettingsError("\n".join(f"{name} is not a setting of Tidegate; mistyped?" for name in unknown))
+    lines = unknown_variables(own, Settings.model_fields, OVERRIDES)
+    if lines:
+        raise SettingsError("\n".join(lines))
 
 
 def _line(location: tuple[int | str, ...], message: str) -> str:
-    name = f"{PREFIX}{str(location[0]).upper()}: " if location else ""
+    name = f"{setting_name(str(location[0]))}: " if location else ""
     return f"{name}{message.removeprefix('Value error, ')}"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from engine.core.compiled import VARIABLE as FRAME_PATH
-from service.core.settings.beam import PREFIX
+from service.core.settings.names import PREFIX
 from service.engine_host.process.channels import BulkChannel, ControlChannel
 from service.engine_host.process.shared_page import SharedPage
 

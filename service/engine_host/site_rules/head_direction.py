@@ -7,7 +7,7 @@ measured, because the markers are ordered for a body that is seen from its front
 
 from engine.core.head_direction import HeadDirection
 from service.core.errors import BoundError
-from service.core.settings.beam import PREFIX
+from service.core.settings.names import PREFIX
 from service.core.settings.settings import Settings
 
 FIELD = "head_direction"

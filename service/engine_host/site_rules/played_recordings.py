@@ -5,7 +5,7 @@ The patient on the couch is not the recorded one, and the recording breathes ind
 
 from service.core.errors import BoundError
 from service.core.schemas import sessions
-from service.core.settings.beam import PREFIX
+from service.core.settings.names import PREFIX
 from service.core.settings.settings import Settings
 
 FIELD = "source.kind"

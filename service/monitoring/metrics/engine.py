@@ -90,7 +90,7 @@ def _beam_on(state: BeamOnState) -> Iterator[Metric]:
         yield _gauge("tidegate_accelerator_beam_on", "1 while the accelerator reports beam on", float(state.is_on))
     yield _gauge(
         "tidegate_beam_absent",
-        "1 after TIDEGATE_BEAM_ABSENT_S of permitted time without a beam",
+        "1 after beam.absent_s of permitted time without a beam",
         float(state.is_absent),
     )
     yield CounterMetricFamily(

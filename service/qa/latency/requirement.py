@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 from engine.capture.source import SourceDescription
 from engine.gating.limits import LIMIT_BOUNDS
 from service.core.errors import BoundError, CameraLatencyError
-from service.core.settings.beam import PREFIX
+from service.core.settings.names import setting_name
 from service.core.settings.settings import Settings
 from service.qa.latency import schemas
 from service.qa.latency.records import MeasuredLatency, largest_counted_ms, newest_latencies
@@ -21,7 +21,7 @@ from service.storage.database.engine import Database
 
 COMMAND = "tidegate qa latency"
 ADVICE = f"measure it ({COMMAND}; docs/2-clinical/latency.md)"
-SETTING = f"{PREFIX}CAMERA_LATENCY_MS"
+SETTING = setting_name("camera_latency_ms")
 
 
 def counted_latency_ms(db: Session, settings: Settings, serial: str) -> float:

@@ -90,5 +90,5 @@ class CameraLatencyList(Answer):
     """The newest measured latency of each camera and mode."""
 
     configured_ms: float = Field(description="`TIDEGATE_CAMERA_LATENCY_MS`")
-    max_age_days: float = Field(description="`TIDEGATE_QA_LATENCY_MAX_AGE_DAYS`")
+    max_age_days: float = Field(description="`qa.latency_max_age_days`")
     items: list[CameraLatency]

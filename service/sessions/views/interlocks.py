@@ -4,7 +4,7 @@ from engine.gating.interlock_table import INTERLOCKS
 from engine.gating.interlock_table import Interlock as Row
 from service.core.hold_texts import HOLD_TEXTS
 from service.core.schemas.gate import Interlock, InterlockList, InterlockSetting
-from service.core.settings.beam import PREFIX
+from service.core.settings.names import setting_name
 from service.core.settings.settings import Settings
 
 
@@ -32,7 +32,7 @@ class InterlockTable:
         value = getattr(self._settings, name)
         return InterlockSetting(
             name=name,
-            variable=f"{PREFIX}{name.upper()}",
+            variable=setting_name(name),
             value=[str(one) for one in value] if isinstance(value, tuple) else value,
             low=_bound(name, "ge"),
             high=_bound(name, "le"),

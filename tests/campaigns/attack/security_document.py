@@ -3,7 +3,7 @@
 from functools import partial
 
 from service.core.settings.connections import ConnectionSettings
-from service.core.settings.settings import PREFIX
+from service.core.settings.names import setting_name
 from service.web.middleware.requests import SECURITY_HEADERS
 from tests.campaigns.fuzz import record
 from tests.support.generated_sections import print_or_write
@@ -17,7 +17,7 @@ def limits() -> str:
     rows = []
     for name, field in ConnectionSettings.model_fields.items():
         low, high = (getattr(one, key) for one in field.metadata for key in ("ge", "le") if hasattr(one, key))
-        rows.append(f"| `{PREFIX}{name.upper()}` | {field.default:g} | {low:g} to {high:g} | {field.description} |")
+        rows.append(f"| `{setting_name(name)}` | {field.default:g} | {low:g} to {high:g} | {field.description} |")
     return "\n".join(["| setting | default | may be | what it bounds |", "|---|---|---|---|", *rows])
 
 

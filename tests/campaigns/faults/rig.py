@@ -34,6 +34,7 @@ from tests.support.repository import ROOT
 from tests.support.scheduling_monitor import Watchman
 from tests.support.service.accounts import EVERY_ROLE, provision
 from tests.support.service.processes import free_port
+from tests.support.site_settings import with_config
 from tests.support.virtual_camera.camera import CameraSilentError, VirtualXtion
 
 WINDOW_MM = 30.0
@@ -233,7 +234,7 @@ class Rig:
         settings = {**SETTINGS, "BEAM_MODBUS_PORT": self.line_port, **self.plan.settings}
         reported = {f"TIDEGATE_{name}": str(value) for name, value in settings.items()}
         clock = self.wall_clock.environment if self.plan.has_own_clock else {}
-        return {**os.environ, **self.camera.environment, **reported, **clock}
+        return with_config({**os.environ, **self.camera.environment, **reported, **clock}, self.folder)
 
     def _kill_service(self) -> None:
         if self.process is not None:

@@ -20,6 +20,7 @@ from service.core.settings.settings import Settings
 from tests.support.repository import ROOT
 from tests.support.service.accounts import provision
 from tests.support.service.processes import free_port
+from tests.support.site_settings import with_config
 
 SCOPES = (
     *("sessions.read", "sessions.run", "gate.arm", "gate.hold", "calibrations.read", "calibrations.write"),
@@ -93,7 +94,7 @@ def served(
     given = {"TIDEGATE_MAX_LIVE_CLIENTS": "256", "TIDEGATE_OPERATOR_TIMEOUT_S": "0", **(environment or {})}
     if tls is not None:
         given |= {"TIDEGATE_TLS_CERT": str(tls[0]), "TIDEGATE_TLS_KEY": str(tls[1])}
-    known = {**os.environ, "PYTHONPATH": str(root), **given}
+    known = {**os.environ, "PYTHONPATH": str(root), **with_config(given, place / "config")}
     command = [sys.executable, "-m", "service.cli"]
     scopes = [part for scope in SCOPES for part in ("--scope", scope)]
     made = subprocess.run(

@@ -21,19 +21,21 @@ from tests.campaigns.load.recording import FPS, write_long
 from tests.campaigns.load.run import Counted, Load, Outcome, run
 from tests.campaigns.load.table import text_of
 from tests.campaigns.load.usage import usage_of
+from tests.support.site_settings import give_settings
 
 pytestmark = pytest.mark.waiting
 
 SMALL = Load(dashboards=5, events=1, stalled=1, requests_per_s=20.0, rounds=1, quiet_s=1.0, loaded_s=4.0)
-LEAST_TO_LEARN_FROM = {"MIN_FRAMES": "60", "MIN_CYCLES": "1", "MIN_SECONDS": "4"}
+LEAST_TO_LEARN_FROM = {"training_min_frames": 60, "training_min_cycles": 1, "training_min_seconds": 4}
 MS = 1_000_000
 
 
 @pytest.fixture(scope="module")
-def quickly_learned(regular_volunteer: Path, monkeypatch_module: pytest.MonkeyPatch) -> None:
+def quickly_learned(
+    regular_volunteer: Path, monkeypatch_module: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     monkeypatch_module.setattr("tests.campaigns.load.run.base_folder", lambda: regular_volunteer)
-    for name, least in LEAST_TO_LEARN_FROM.items():
-        monkeypatch_module.setenv(f"TIDEGATE_TRAINING_{name}", least)
+    give_settings(monkeypatch_module, tmp_path_factory.mktemp("config"), **LEAST_TO_LEARN_FROM)
 
 
 @pytest.fixture(scope="module")

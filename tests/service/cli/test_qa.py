@@ -24,6 +24,7 @@ from tests.support.qa.fake_rig import FakeRig
 from tests.support.qa.plate_recording import record_virtual_plate
 from tests.support.qa.sample_runs import report, sample_series
 from tests.support.repository import ROOT
+from tests.support.site_settings import give_settings, with_config
 from tests.support.waiting import eventually
 
 pytestmark = [pytest.mark.long, pytest.mark.slow]
@@ -164,9 +165,9 @@ def test_runs_are_listed_followed_and_printed_later_also_beside_a_service(run, r
             assert "is in use" in refused.stderr
 
 
-def test_the_checks_are_listed_with_the_bounds_of_the_site(run, data, monkeypatch):
+def test_the_checks_are_listed_with_the_bounds_of_the_site(run, data, monkeypatch, tmp_path):
     data.mkdir()
-    monkeypatch.setenv("TIDEGATE_QA_PLATE_NOISE_MM_WARN", "1.25")
+    give_settings(monkeypatch, tmp_path, qa_plate_noise_mm_warn=1.25)
     listed = run("checks")
     assert listed.exit_code == 0
     assert all(check.code in listed.stdout for check in CHECKS)
@@ -243,9 +244,9 @@ def real_line(far) -> dict[str, str]:
     return {f"TIDEGATE_BEAM_{name}": str(value) for name, value in names.items()}
 
 
-def test_a_real_line_is_not_even_opened_without_the_word_that_the_beam_is_safe(run, plate, monkeypatch):
+def test_a_real_line_is_not_even_opened_without_the_word_that_the_beam_is_safe(run, plate, data, monkeypatch):
     with receiver("tcp") as far:
-        for name, value in real_line(far).items():
+        for name, value in with_config(real_line(far), data.parent).items():
             monkeypatch.setenv(name, value)
         refused = run("daily", *ME, "--plate", plate)
         assert refused.exit_code == 2
@@ -322,7 +323,7 @@ def _tidegate(*words: str, environment: dict[str, str]) -> subprocess.Popen:
     return subprocess.Popen(
         [sys.executable, "-m", "service.cli", *words],
         cwd=ROOT,
-        env=os.environ | environment,
+        env=os.environ | with_config(environment, Path(environment["TIDEGATE_DATA_DIR"]).parent),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

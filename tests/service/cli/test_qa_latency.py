@@ -16,6 +16,7 @@ from engine.verification.qa.trace import CommandedTrace
 from service.cli import app
 from service.qa.latency.rig import LatencyRig, PlateTrace
 from tests.support.service.clinical_site import CLINICAL, environment
+from tests.support.site_settings import give_settings
 
 ME = ("--operator", "A. Physicist")
 REAL_LINE = {"TIDEGATE_BEAM_LINE": "modbus-tcp", "TIDEGATE_BEAM_MODBUS_HOST": "127.0.0.1"}
@@ -176,9 +177,8 @@ def test_nothing_is_measured_while_a_session_is_created(run, data, plate, monkey
     assert len(query(data, "SELECT * FROM qa_runs")) == 1
 
 
-def test_clinical_mode_permits_no_simulation(run, monkeypatch):
-    for name, value in environment(CLINICAL).items():
-        monkeypatch.setenv(f"TIDEGATE_{name}", value)
+def test_clinical_mode_permits_no_simulation(run, monkeypatch, tmp_path):
+    give_settings(monkeypatch, tmp_path, **environment(CLINICAL))
     refused = run("latency", *ME, "--simulated")
     assert refused.exit_code == 2
     assert "clinical mode permits no simulation" in refused.stderr

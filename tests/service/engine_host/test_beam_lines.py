@@ -15,11 +15,13 @@ from engine.beam.wire.modbus import ModbusInput
 from engine.beam.wire.supervised_line import WiredBeamLine
 from engine.core.clock import MonotonicClock
 from service.core.settings.beam import USED_BY, BeamSettings
+from service.core.settings.names import setting_name
 from service.core.settings.settings import Settings, SettingsError, load_settings
 from service.engine_host.beam_lines import beam_line_parts, drilled_receivers, make_beam_line
 from service.engine_host.local_engine import LocalEngine
 from tests.support.beam.receivers import receiver
 from tests.support.service.clinical_site import OBLIGATORY, environment
+from tests.support.site_settings import give_settings
 
 TCP = {"BEAM_LINE": "modbus-tcp", "BEAM_MODBUS_HOST": "127.0.0.1"}
 RTU = {"BEAM_LINE": "modbus-rtu", "BEAM_RTU_DEVICE": "/dev/ttyUSB0"}
@@ -35,10 +37,9 @@ def no_settings_around(monkeypatch):
 
 
 @pytest.fixture
-def site(monkeypatch):
+def site(monkeypatch, tmp_path):
     def load(**names):
-        for name, value in names.items():
-            monkeypatch.setenv(f"TIDEGATE_{name}", str(value))
+        give_settings(monkeypatch, tmp_path, **names)
         return load_settings()
 
     return load
@@ -214,7 +215,7 @@ def test_each_of_two_lines_has_the_second_input_that_is_named_for_it(site):
     [
         ({"MODE": "clinical"}, "MODE is clinical: TIDEGATE_BEAM_LINE is simulated"),
         ({"MODE": "clinical", **TCP, "BEAM_LINE_2": "simulated"}, "TIDEGATE_BEAM_LINE_2 is simulated beside"),
-        ({"MODE": "clinical", **RELAY}, "TIDEGATE_BEAM_RELAY_HEARTBEAT_CHANNEL"),
+        ({"MODE": "clinical", **RELAY}, "beam.relay_heartbeat_channel"),
         ({"HARDWARE_DEAD_MAN": "true"}, "TIDEGATE_HARDWARE_DEAD_MAN is true, but the beam line is simulated"),
         ({"MODE": "home"}, "TIDEGATE_MODE"),
         ({"BEAM_LINE": "modbus"}, "TIDEGATE_BEAM_LINE"),
@@ -227,32 +228,32 @@ def test_each_of_two_lines_has_the_second_input_that_is_named_for_it(site):
         ({"BEAM_LINE_2": "simulated"}, "TIDEGATE_BEAM_LINE_2"),
         ({"BEAM_MODBUS_HOST": "plc"}, "TIDEGATE_BEAM_MODBUS_HOST is set, but no beam line is modbus-tcp"),
         ({**TCP, "BEAM_RTU_BAUD": 9600}, "TIDEGATE_BEAM_RTU_BAUD is set, but no beam line is modbus-rtu"),
-        ({**TCP, "BEAM_RELAY_CHANNEL": 2}, "TIDEGATE_BEAM_RELAY_CHANNEL is set"),
-        ({"BEAM_ANSWER_MS": 50}, "TIDEGATE_BEAM_ANSWER_MS is set"),
+        ({**TCP, "BEAM_RELAY_CHANNEL": 2}, "beam.relay_channel is set"),
+        ({"BEAM_ANSWER_MS": 50}, "beam.answer_ms is set"),
         ({"BEAM_NOTIFY_TIMEOUT_S": 2}, "TIDEGATE_BEAM_NOTIFY_HTTP is not"),
-        ({**TCP, "BEAM_ANSWER_MS": 120}, "TIDEGATE_BEAM_SETTLE_MS must be at most 40"),
+        ({**TCP, "BEAM_ANSWER_MS": 120}, "beam.settle_ms must be at most 40"),
         ({**RTU, "BEAM_RTU_BAUD": 10_000}, "TIDEGATE_BEAM_RTU_BAUD"),
         ({**RTU, "BEAM_RTU_DEVICE": "ttyUSB0"}, "TIDEGATE_BEAM_RTU_DEVICE must be the path"),
         ({**RTU, "BEAM_RTU_DEVICE": "socket://plc:1"}, "TIDEGATE_BEAM_RTU_DEVICE must be the path"),
-        ({**RTU, "BEAM_RTU_PARITY": "mark"}, "TIDEGATE_BEAM_RTU_PARITY"),
-        ({**TCP, "BEAM_MODBUS_UNIT": 0}, "TIDEGATE_BEAM_MODBUS_UNIT"),
-        ({**RELAY, "BEAM_RELAY_CHANNEL": 0}, "TIDEGATE_BEAM_RELAY_CHANNEL must be"),
-        ({**RELAY, "BEAM_RELAY_HEARTBEAT_CHANNEL": 1}, "TIDEGATE_BEAM_RELAY_HEARTBEAT_CHANNEL must be another"),
-        ({**RELAY, "BEAM_RELAY_CONTACT": "ri"}, "TIDEGATE_BEAM_RELAY_CONTACT"),
+        ({**RTU, "BEAM_RTU_PARITY": "mark"}, "beam.rtu_parity"),
+        ({**TCP, "BEAM_MODBUS_UNIT": 0}, "beam.modbus_unit"),
+        ({**RELAY, "BEAM_RELAY_CHANNEL": 0}, "beam.relay_channel must be"),
+        ({**RELAY, "BEAM_RELAY_HEARTBEAT_CHANNEL": 1}, "beam.relay_heartbeat_channel must be another"),
+        ({**RELAY, "BEAM_RELAY_CONTACT": "ri"}, "beam.relay_contact"),
         ({"BEAM_ON_INPUT": 6}, "TIDEGATE_BEAM_ON_INPUT is set, but no beam line is modbus-tcp or modbus-rtu"),
         ({**TCP, "BEAM_ON_INPUT": 65_536}, "TIDEGATE_BEAM_ON_INPUT"),
         ({**TCP, "BEAM_ON_INPUT": 0}, "TIDEGATE_BEAM_ON_INPUT must be another input than the read back's"),
-        ({**TCP, "BEAM_ON_INPUT": 6, "BEAM_WITHOUT_PERMIT_MS": 19}, "TIDEGATE_BEAM_WITHOUT_PERMIT_MS"),
-        ({**TCP, "BEAM_ON_INPUT": 6, "BEAM_WITHOUT_PERMIT_MS": 1001}, "TIDEGATE_BEAM_WITHOUT_PERMIT_MS"),
-        ({**TCP, "BEAM_WITHOUT_PERMIT_MS": 100}, "WITHOUT_PERMIT_MS is set, but neither TIDEGATE_BEAM_ON_INPUT nor"),
-        ({"BEAM_SIMULATED_ACCELERATOR_MS": 2001}, "TIDEGATE_BEAM_SIMULATED_ACCELERATOR_MS"),
+        ({**TCP, "BEAM_ON_INPUT": 6, "BEAM_WITHOUT_PERMIT_MS": 19}, "beam.without_permit_ms"),
+        ({**TCP, "BEAM_ON_INPUT": 6, "BEAM_WITHOUT_PERMIT_MS": 1001}, "beam.without_permit_ms"),
+        ({**TCP, "BEAM_WITHOUT_PERMIT_MS": 100}, "without_permit_ms is set, but neither TIDEGATE_BEAM_ON_INPUT nor"),
+        ({"BEAM_SIMULATED_ACCELERATOR_MS": 2001}, "beam.simulated_accelerator_ms"),
         (
             {**TCP, "BEAM_SIMULATED_ACCELERATOR_MS": 30},
-            "SIMULATED_ACCELERATOR_MS is set, but no beam line is simulated",
+            "simulated_accelerator_ms is set, but no beam line is simulated",
         ),
         ({"BEAM_SECOND_INPUT": "readback"}, "TIDEGATE_BEAM_SECOND_INPUT is set, but there is no such wired line"),
         ({**TCP, "BEAM_SECOND_INPUT_2": "readback"}, "TIDEGATE_BEAM_SECOND_INPUT_2 is set, but there is no such"),
-        ({**RELAY, "BEAM_SECOND_INPUT": "readback"}, "BEAM_SECOND_INPUT is readback: set TIDEGATE_BEAM_RELAY_CONTACT"),
+        ({**RELAY, "BEAM_SECOND_INPUT": "readback"}, "BEAM_SECOND_INPUT is readback: set beam.relay_contact"),
         ({**TCP, "BEAM_SECOND_INPUT": "plc"}, "TIDEGATE_BEAM_SECOND_INPUT: must be readback, or HOST:PORT/UNIT/INPUT"),
         ({**TCP, "BEAM_SECOND_INPUT": "plc:502/1"}, "must be readback, or HOST:PORT/UNIT/INPUT"),
         ({**TCP, "BEAM_SECOND_INPUT": "plc:0/1/0"}, "TIDEGATE_BEAM_SECOND_INPUT"),
@@ -298,7 +299,7 @@ def test_clinical_mode_takes_nothing_that_is_for_research_alone(site, name):
     with pytest.raises(SettingsError) as refusal:
         site(**CLINICAL | TCP | {name: "true"})
     (line,) = str(refusal.value).splitlines()
-    assert f"TIDEGATE_{name} is true" in line
+    assert f"{setting_name(name.lower())} is true" in line
 
 
 def test_research_mode_takes_a_simulated_line(site):
@@ -325,9 +326,7 @@ def test_the_service_does_not_start_on_a_simulated_line_in_clinical_mode():
     assert done.returncode == 2
     assert done.stderr.strip().splitlines()[0].startswith("Tidegate ")
     assert "TIDEGATE_MODE is clinical: TIDEGATE_BEAM_LINE is simulated" in done.stderr
-    missing = [
-        name for name in OBLIGATORY if f"TIDEGATE_MODE is clinical: TIDEGATE_{name.upper()} is" not in done.stderr
-    ]
+    missing = [name for name in OBLIGATORY if f"TIDEGATE_MODE is clinical: {setting_name(name)} is" not in done.stderr]
     assert missing == [], "one start names all that is missing"
 
 

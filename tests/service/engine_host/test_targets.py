@@ -12,6 +12,7 @@ from engine.core.errors import SourceLostError
 from service.core.settings.settings import Settings
 from service.engine_host import local_engine, targets
 from service.engine_host.targets import TargetInUseError, alone_at_targets, targets_of
+from tests.support.site_settings import with_config
 
 HOLDER = """
 import os, sys
@@ -102,13 +103,14 @@ def test_a_camera_of_the_setting_is_one_room_s_and_a_simulated_line_is_nobody_s(
 
 
 def test_another_process_with_another_folder_is_refused_until_the_first_is_killed(monkeypatch, tmp_path):
-    environment = os.environ | {
+    given = {
         "TIDEGATE_BEAM_LINE": "modbus-tcp",
         "TIDEGATE_BEAM_MODBUS_HOST": "127.0.0.1",
         "TIDEGATE_BEAM_MODBUS_PERMIT_COIL": "3",
         "TIDEGATE_BEAM_MODBUS_HEARTBEAT_REGISTER": "11",
         "TIDEGATE_DATA_DIR": str(tmp_path),
     }
+    environment = os.environ | with_config(given, tmp_path)
     command = [sys.executable, "-c", HOLDER]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment

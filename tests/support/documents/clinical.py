@@ -3,13 +3,15 @@
 With ``--write`` it puts them into the document instead.
 """
 
+import json
 from functools import partial
 
 from service.core.settings.clinical import CLINICAL_BOUNDS
-from service.core.settings.settings import PREFIX, Settings
+from service.core.settings.names import place_of, setting_name
+from service.core.settings.settings import Settings
 from tests.support.generated_sections import print_or_write
 from tests.support.repository import ROOT
-from tests.support.service.clinical_site import OBLIGATORY, environment
+from tests.support.service.clinical_site import OBLIGATORY
 
 DOCUMENT = ROOT / "docs" / "3-operate" / "clinical.md"
 
@@ -26,13 +28,17 @@ def _row(name: str) -> str:
     is_usable = bound.low <= field.default <= bound.high
     default = f"{field.default:g}" if is_usable else f"**{field.default:g}**"
     wide = f"{research['ge']:g} to {research['le']:g}"
-    return f"| `{PREFIX}{name.upper()}` | {default} | {wide} | {bound.text} | {bound.reason} |"
+    return f"| `{setting_name(name)}` | {default} | {wide} | {bound.text} | {bound.reason} |"
 
 
 def smallest_set() -> str:
-    """The obligatory settings as an environment file, without the beam line's."""
-    lines = [f"{PREFIX}{name}={value}" for name, value in environment({"mode": "clinical", **OBLIGATORY}).items()]
-    return "\n".join(["```", *lines, "```"])
+    """The obligatory settings as a file, without the beam line's."""
+    sections: dict[str, list[str]] = {}
+    for name, value in {"mode": "clinical", **OBLIGATORY}.items():
+        section, key = place_of(name)
+        sections.setdefault(section, []).append(f"{key} = {json.dumps(value)}")
+    parts = [f"[{section}]\n" + "\n".join(lines) for section, lines in sections.items()]
+    return "```\n" + "\n\n".join(parts) + "\n```"
 
 
 MADE = {"smallest": smallest_set, "bounds": bound_table}

@@ -9,7 +9,8 @@ from engine.core.gate_state import GateState, HoldReason
 from engine.gating.gate import EventKind, next_state
 from engine.gating.interlock_table import INTERLOCKS, Interlock
 from service.core.hold_texts import HOLD_TEXTS
-from service.core.settings.settings import PREFIX, Settings
+from service.core.settings.names import setting_name
+from service.core.settings.settings import Settings
 from tests.support.generated_sections import print_or_write
 from tests.support.repository import ROOT
 
@@ -48,7 +49,7 @@ def _interlock_row(interlock: Interlock) -> str:
 
 def _bound(name: str) -> str:
     field = Settings.model_fields[name]
-    setting = f"`{PREFIX}{name.upper()}`"
+    setting = f"`{setting_name(name)}`"
     if isinstance(field.default, tuple):
         return f"{setting}: {', '.join(field.default) or 'none'}"
     if isinstance(field.default, bool):

@@ -16,6 +16,7 @@ from service.core.permissions import Role
 from service.core.settings.settings import Settings
 from tests.support.repository import ROOT
 from tests.support.service.accounts import EVERY_ROLE, SOMEBODY, Provisioned, provision
+from tests.support.site_settings import with_config
 from tests.support.waiting import PATIENCE_S, eventually
 
 START_S = 140.0
@@ -98,13 +99,14 @@ def service_process(
     """
     provisioned = None if data is None else provisioned_for(data, port, tls)
     spoken = {} if tls is None else {"TIDEGATE_TLS_CERT": str(tls[0]), "TIDEGATE_TLS_KEY": str(tls[1])}
+    own = {"TIDEGATE_JOURNAL_DIR": str(log.parent / "journals"), **spoken, **(environment or {})}
     with log.open("w") as output:
         process = subprocess.Popen(
             [sys.executable, "-m", *arguments],
             stdout=output,
             stderr=subprocess.STDOUT,
             cwd=ROOT,
-            env={**os.environ, "TIDEGATE_JOURNAL_DIR": str(log.parent / "journals"), **spoken, **(environment or {})},
+            env={**os.environ, **with_config(own, log.parent / f"config-{port}")},
         )
         try:
             with PeopleOverHttp(port, provisioned, certificate=certificate if tls is None else tls[0]) as client:

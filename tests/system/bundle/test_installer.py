@@ -167,7 +167,7 @@ def test_it_installs_upgrades_after_a_backup_and_goes_back_with_the_newer_progra
     assert done.returncode == 0, done.stderr
     assert (machine.current, machine.calls()) == ("1.0.0", [])
     assert (machine.root / "1.0.0/REVISION").read_text() == "0002\n"
-    assert "TIDEGATE_BEAM_LINE=simulated" in (machine.settings / "room.env").read_text()
+    assert 'line = "simulated"' in (machine.settings / "tidegate.toml").read_text()
 
     done = machine.install(first, *signed)
     assert (done.returncode, "version 1.0.0 is installed already" in done.stderr) == (2, True)

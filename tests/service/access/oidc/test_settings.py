@@ -7,6 +7,7 @@ from service.core.permissions import Permission, Role
 from service.core.settings.oidc import RETURN_PATH, OidcSettings
 from service.core.settings.settings import Settings, SettingsError, load_settings
 from tests.support.oidc.provider_server import SECRET, Provider
+from tests.support.site_settings import give_settings
 
 HTTPS = Provider(issuer="https://provider.example/realms/hospital")
 
@@ -53,13 +54,13 @@ def test_a_group_may_hold_an_equals_sign(oidc):
         ({"oidc_redirect_uri": ...}, "OIDC_REDIRECT_URI is not"),
         ({"oidc_redirect_uri": f"http://tidegate.example{RETURN_PATH}"}, "REDIRECT_URI must be"),
         ({"oidc_redirect_uri": "https://tidegate.example/elsewhere"}, "REDIRECT_URI must be"),
-        ({"oidc_group_roles": ...}, "OIDC_GROUP_ROLES is not"),
+        ({"oidc_group_roles": ...}, "oidc.group_roles is not"),
         ({"oidc_group_roles": "radiotherapy"}, "name=value"),
         ({"oidc_group_roles": "=therapist"}, "name=value"),
         ({"oidc_group_roles": "radiotherapy=surgeon"}, "viewer"),
         ({"oidc_group_roles": ",".join(f"g{n}=viewer" for n in range(101))}, "at most 100"),
-        ({"oidc_machine_audience": ...}, "OIDC_MACHINE_AUDIENCE is not"),
-        ({"oidc_machine_scopes": ...}, "OIDC_MACHINE_SCOPES is not"),
+        ({"oidc_machine_audience": ...}, "oidc.machine_audience is not"),
+        ({"oidc_machine_scopes": ...}, "oidc.machine_scopes is not"),
         ({"oidc_machine_scopes": "a=gate.acknowledge"}, "not available to machines"),
         ({"oidc_machine_scopes": "a=users.manage"}, "not available to machines"),
         ({"oidc_machine_scopes": "a=qa.run"}, "not available to machines"),
@@ -107,9 +108,8 @@ def test_the_secret_is_in_no_dump_of_the_settings(oidc):
     assert SECRET not in settings.model_dump_json() + repr(settings) + str(settings.model_dump())
 
 
-def test_they_are_settings_of_the_site_read_from_the_environment(oidc, monkeypatch, tmp_path):
-    for name, value in oidc(HTTPS).items():
-        monkeypatch.setenv(f"TIDEGATE_{name.upper()}", str(value))
+def test_they_are_settings_of_the_site_read_from_file_and_environment(oidc, monkeypatch, tmp_path):
+    give_settings(monkeypatch, tmp_path, **oidc(HTTPS))
     assert load_settings(data_dir=tmp_path).has_oidc_people
     monkeypatch.setenv("TIDEGATE_BEHIND_PROXY", "true")
     with pytest.raises(SettingsError, match="OIDC_REDIRECT_URI must be https"):

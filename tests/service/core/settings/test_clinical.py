@@ -10,10 +10,12 @@ from engine.gating.limits import LIMIT_BOUNDS
 from engine.motion.learning.patient_match import PATIENT_MATCH_BOUNDS
 from service.core.schemas.windows import Window
 from service.core.settings.clinical import CLINICAL_BOUNDS, EXEMPT, WINDOW_EXEMPT, WINDOW_NUMBERS, refusals
+from service.core.settings.names import setting_name
 from service.core.settings.settings import Settings, SettingsError, load_settings
 from tests.support.documents import clinical as document
 from tests.support.generated_sections import are_as_made
 from tests.support.service.clinical_site import CLINICAL, LINE, OBLIGATORY, clinical_settings, environment
+from tests.support.site_settings import give_settings
 
 NOT_NARROWER = {
     "dwell_ms": "min_dwell_ms is its bound",
@@ -36,10 +38,9 @@ def no_settings_around(monkeypatch):
 
 
 @pytest.fixture
-def site(monkeypatch):
+def site(monkeypatch, tmp_path):
     def load(values):
-        for name, value in environment(values).items():
-            monkeypatch.setenv(f"TIDEGATE_{name}", value)
+        give_settings(monkeypatch, tmp_path, **environment(values))
         return load_settings()
 
     return load
@@ -65,7 +66,7 @@ def test_all_that_is_missing_is_named_at_once(site):
     named = {
         name
         for name in OBLIGATORY | {"beam_line": 0, "recordings_may_gate": 0}
-        if f"TIDEGATE_{name.upper()} is" in str(refusal.value)
+        if f"{setting_name(name)} is" in str(refusal.value)
     }
     assert named == OBLIGATORY.keys() | {"beam_line", "recordings_may_gate"}
     assert sum("TIDEGATE_HARDWARE_DEAD_MAN=true" in line for line in lines) == 1
@@ -79,7 +80,7 @@ def test_each_thing_that_is_missing_is_named_alone(site, name):
     (line,) = str(refusal.value).splitlines()
     default = Settings.model_fields[name].default
     value = str(default).lower() if isinstance(default, bool) else f"{default:g}"
-    assert line.startswith(f"TIDEGATE_MODE is clinical: TIDEGATE_{name.upper()} is {value}")
+    assert line.startswith(f"TIDEGATE_MODE is clinical: {setting_name(name)} is {value}")
     if name in CLINICAL_BOUNDS:
         assert CLINICAL_BOUNDS[name].text in line
 
@@ -109,7 +110,7 @@ def test_a_bound_holds_at_its_edge_and_is_named_beyond(name, edge, beyond):
     good = clinical_settings()
     assert lines_of(good.model_copy(update={name: edge})) == ()
     (line,) = lines_of(good.model_copy(update={name: beyond}))
-    assert f"TIDEGATE_{name.upper()} is {beyond:g}: must be {CLINICAL_BOUNDS[name].text}" in line
+    assert f"{setting_name(name)} is {beyond:g}: must be {CLINICAL_BOUNDS[name].text}" in line
 
 
 @pytest.mark.parametrize(
@@ -126,9 +127,8 @@ def test_what_research_may_choose_is_refused_together_and_research_takes_it(site
     assert Settings(**wide)
     with pytest.raises(SettingsError) as refusal:
         site(CLINICAL | wide)
-    assert {
-        line.split()[3].removeprefix("TIDEGATE_").lower() for line in str(refusal.value).splitlines()
-    } == wide.keys()
+    named = {line.split()[3] for line in str(refusal.value).splitlines()}
+    assert named == {setting_name(name) for name in wide}
 
 
 def test_every_limit_has_a_clinical_bound_or_a_reason_for_none():
@@ -154,7 +154,7 @@ def test_a_clinical_bound_is_within_the_research_one_narrower_and_has_a_reason(n
         ({**LINE, "hardware_dead_man": False}, ["TIDEGATE_BEAM_LINE_2, or", "TIDEGATE_HARDWARE_DEAD_MAN=true"]),
         (
             {"beam_line": "serial-relay", "beam_relay_device": "/dev/ttyUSB1", "hardware_dead_man": True},
-            ["TIDEGATE_BEAM_RELAY_HEARTBEAT_CHANNEL"],
+            ["beam.relay_heartbeat_channel"],
         ),
     ],
     ids=["one line", "relay alone"],

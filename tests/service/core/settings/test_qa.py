@@ -5,7 +5,9 @@ import os
 import pytest
 
 from engine.verification.qa.checks import CHECKS
+from service.core.settings.qa import setting_of
 from service.core.settings.settings import SettingsError, load_settings
+from tests.support.site_settings import give_settings
 
 pytestmark = pytest.mark.slow
 
@@ -20,7 +22,7 @@ def no_settings_around(monkeypatch):
 
 
 def variable(check, bound):
-    return f"TIDEGATE_QA_{check.code.upper()}_{bound.upper()}"
+    return f"qa.{check.code}_{bound}"
 
 
 def test_without_a_word_of_the_site_the_table_s_bounds_hold():
@@ -30,27 +32,30 @@ def test_without_a_word_of_the_site_the_table_s_bounds_hold():
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.code)
-def test_a_site_chooses_both_bounds_of_every_check(monkeypatch, check):
-    monkeypatch.setenv(variable(check, "warn"), str(check.most / 4))
-    monkeypatch.setenv(variable(check, "fail"), str(check.most / 2))
+def test_a_site_chooses_both_bounds_of_every_check(monkeypatch, tmp_path, check):
+    give_settings(
+        monkeypatch,
+        tmp_path,
+        **{setting_of(check.code, "warn"): check.most / 4, setting_of(check.code, "fail"): check.most / 2},
+    )
     bound = load_settings().qa_bounds.of(check.code)
     assert (bound.warn, bound.fail) == pytest.approx((check.most / 4, check.most / 2))
 
 
 @pytest.mark.parametrize("what", ["too wide", "negative", "nan", "inf", "a word"])
-def test_a_bound_beyond_what_the_check_allows_is_refused_by_name(what, subtests):
+def test_a_bound_beyond_what_the_check_allows_is_refused_by_name(what, subtests, tmp_path):
     for check, bound in BOUNDS:
         value = {"too wide": str(check.most * 1.01 + 0.01), "negative": "-0.1"}.get(what, what)
         with subtests.test(variable(check, bound)), pytest.MonkeyPatch.context() as environment:
-            environment.setenv(variable(check, bound), value)
+            folder = tmp_path / variable(check, bound)
+            give_settings(environment, folder, **{setting_of(check.code, bound): value})
             with pytest.raises(SettingsError, match=variable(check, bound)):
                 load_settings()
 
 
-def test_a_warning_that_comes_after_the_failure_is_refused_by_both_names(monkeypatch):
-    monkeypatch.setenv("TIDEGATE_QA_CAMERA_DISTANCE_MM_WARN", "2")
-    monkeypatch.setenv("TIDEGATE_QA_CAMERA_DISTANCE_MM_FAIL", "1.5")
-    with pytest.raises(SettingsError, match=r"CAMERA_DISTANCE_MM_WARN is 2: must be at most .*_FAIL \(1.5\)"):
+def test_a_warning_that_comes_after_the_failure_is_refused_by_both_names(monkeypatch, tmp_path):
+    give_settings(monkeypatch, tmp_path, qa_camera_distance_mm_warn=2, qa_camera_distance_mm_fail=1.5)
+    with pytest.raises(SettingsError, match=r"qa.camera_distance_mm_warn is 2: must be at most .*_fail \(1.5\)"):
         load_settings()
 
 

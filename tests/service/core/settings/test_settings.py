@@ -10,10 +10,12 @@ from pydantic import ValidationError
 from engine.gating.limits import LIMIT_BOUNDS, GateLimits
 from engine.gating.windows import amplitude_window
 from service.core.schemas import sessions
+from service.core.settings.names import setting_name
 from service.core.settings.settings import Settings, SettingsError, load_settings
 from service.engine_host.site_rules.window_limits import gate_limits
 from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import WINDOW, make_session_body
+from tests.support.site_settings import give_settings
 
 
 @pytest.fixture(autouse=True)
@@ -40,11 +42,10 @@ NUMBERS = [name for name, field in Settings.model_fields.items() if field.annota
 
 
 @pytest.mark.parametrize("value", ["-1000000000000", "1000000000000", "nan", "inf", "many", ""])
-def test_every_number_has_a_bound(monkeypatch, value):
+def test_every_number_has_a_bound(monkeypatch, tmp_path, value):
     """All at once: each is refused in a line of its own."""
-    names = {f"TIDEGATE_{name.upper()}" for name in NUMBERS}
-    for name in names:
-        monkeypatch.setenv(name, value)
+    names = {setting_name(name) for name in NUMBERS}
+    give_settings(monkeypatch, tmp_path, **dict.fromkeys(NUMBERS, value))
     with pytest.raises(SettingsError) as refusal:
         load_settings()
     refused = {line.partition(":")[0] for line in str(refusal.value).splitlines()}
@@ -151,15 +152,14 @@ def test_a_session_cannot_widen_a_site_s_limit(settings, engine, calibration_tex
         ({"operator_timeout_s": 0.01}, "TIDEGATE_OPERATOR_TIMEOUT_S is 0.01: must be 0"),
         ({"operator_timeout_s": 2.9}, "TIDEGATE_OPERATOR_TIMEOUT_S is 2.9"),
         ({"max_silence_ms": 80.0, "max_frame_age_ms": 81.0}, "TIDEGATE_MAX_SILENCE_MS is 80: must be at least"),
-        ({"lease_ms": 20.0}, "TIDEGATE_LEASE_MS is 20: must be at least 50.0, one frame's time at TIDEGATE_MIN_FPS"),
+        ({"lease_ms": 20.0}, "TIDEGATE_LEASE_MS is 20: must be at least 50.0, one frame's time at gate.min_fps"),
         ({"max_gap_ms": 60.0, "min_fps": 16.0}, "TIDEGATE_MAX_GAP_MS is 60: must be at least 62.5"),
         ({"watchdog_ms": 80.0}, "TIDEGATE_WATCHDOG_MS is 80: must be more than TIDEGATE_LEASE_MS .80"),
     ],
     ids=str,
 )
-def test_limits_that_contradict_each_other_are_refused_by_name_where_they_are_read(monkeypatch, site, said):
-    for name, value in site.items():
-        monkeypatch.setenv(f"TIDEGATE_{name.upper()}", str(value))
+def test_limits_that_contradict_each_other_are_refused_by_name_where_they_are_read(monkeypatch, tmp_path, site, said):
+    give_settings(monkeypatch, tmp_path, **site)
     with pytest.raises(SettingsError, match=said):
         load_settings()
 

@@ -21,6 +21,7 @@ from service.storage.files.motion_models import ModelStore
 from tests.support.service.api_calls import act, audit_rows, edited, make_session_body, upload
 from tests.support.service.fake_engine import make_model
 from tests.support.service.model_events import SWAPPED
+from tests.support.site_settings import give_settings
 from tests.support.waiting import eventually
 
 pytestmark = [pytest.mark.both_databases, pytest.mark.slow]
@@ -298,8 +299,7 @@ def test_the_interval_is_given_in_minutes_and_off_by_default():
     ],
     ids=str,
 )
-def test_settings_that_cannot_be_met_together_are_refused_at_the_start(monkeypatch, settings, said):
-    for name, value in settings.items():
-        monkeypatch.setenv(f"TIDEGATE_{name.upper()}", str(value))
+def test_settings_that_cannot_be_met_together_are_refused_at_the_start(monkeypatch, tmp_path, settings, said):
+    give_settings(monkeypatch, tmp_path, **settings)
     with pytest.raises(SettingsError, match=said):
         load_settings()

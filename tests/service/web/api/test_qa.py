@@ -479,7 +479,7 @@ def test_the_checks_are_the_engine_s_with_the_site_s_bounds_and_settings(client)
     items = client.get(f"{URL}/checks").json()["items"]
     assert [one["code"] for one in items] == [check.code for check in CHECKS]
     assert all(one["source"] and one["method"] for one in items)
-    assert items[0]["fail_setting"] == "TIDEGATE_QA_CAMERA_DISTANCE_MM_FAIL"
+    assert items[0]["fail_setting"] == "qa.camera_distance_mm_fail"
 
 
 def test_a_baseline_is_fixed_by_a_named_person_keeps_its_history_and_judges_what_comes(client, rig, body):

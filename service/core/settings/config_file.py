@@ -1,0 +1,99 @@
+"""The site's file of settings (TOML), which ``TIDEGATE_CONFIG`` names: sections of keys, every name known."""
+
+import difflib
+import os
+import tomllib
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+from service.core.settings.names import CONFIG, place_of, setting_name
+
+MAX_BYTES = 1_000_000
+ENVIRONMENT_ONLY = frozenset({"frame_path"})
+"""Read by the engine when it is imported, before there are settings."""
+
+
+class SettingsError(Exception):
+    """The settings cannot be used; the message has one line per setting."""
+
+
+def config_path() -> Path | None:
+    """Return the file that the environment names; None without one."""
+    named = os.environ.get(CONFIG)
+    return Path(named) if named else None
+
+
+def read_config(path: Path, known: Mapping[str, object]) -> dict[str, Any]:
+    """Read the file: setting -> value, not yet checked against its bounds.
+
+    Parameters
+    ----------
+    known
+        The settings by name, with their types.
+
+    Raises
+    ------
+    SettingsError
+        The file cannot be read, is no TOML, or has a section or key that is none of Tidegate's; one line each.
+    """
+    names = {place_of(name): name for name in known if name not in ENVIRONMENT_ONLY}
+    found: dict[str, Any] = {}
+    wrong: list[str] = []
+    for section, keys in _tables(path).items():
+        if not isinstance(keys, dict):
+            wrong.append(f"{section} stands outside a section: {_where(section, names)}")
+            continue
+        for key, value in keys.items():
+            name = names.get((section, key))
+            if name is None:
+                wrong.append(f"{section}.{key} is not a setting of Tidegate: {_where(key, names, section)}")
+            elif isinstance(value, bool) and "bool" not in str(known[name]):
+                wrong.append(f"{section}.{key} is {str(value).lower()}: must be no truth value")
+            else:
+                found[name] = value
+    if wrong:
+        raise SettingsError("\n".join(f"{path}: {line}" for line in wrong))
+    return found
+
+
+def _tables(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
+            msg = f"{path} ({CONFIG}) has more than {MAX_BYTES} bytes"
+            raise SettingsError(msg)
+        return tomllib.loads(content.decode())
+    except OSError as error:
+        msg = f"{path} ({CONFIG}) cannot be read: {error.strerror or error}"
+        raise SettingsError(msg) from error
+    except ValueError as error:  # not UTF-8, or no TOML
+        msg = f"{path} ({CONFIG}) is no TOML: {error}"
+        raise SettingsError(msg) from error
+
+
+def _where(key: str, names: Mapping[tuple[str, str], str], section: str = "") -> str:
+    """Say what was perhaps meant."""
+    if key in ENVIRONMENT_ONLY:
+        return f"it is read from {setting_name(key)} only"
+    meant = {".".join(place) for place, name in names.items() if key in (place[1], name)}
+    if not meant:
+        every = [".".join(place) for place in names]
+        meant = set(difflib.get_close_matches(f"{section}.{key}", every, n=2, cutoff=0.75))
+    return f"perhaps {' or '.join(sorted(meant))}" if meant else "mistyped?"
+
+
+def unknown_variables(names: Collection[str], known: Collection[str], allowed: Collection[str]) -> list[str]:
+    """Return a line for each environment variable with Tidegate's prefix that is none of its own."""
+    lines = []
+    for variable in sorted(names):
+        name = variable.upper().partition("_")[2].lower()
+        if name in allowed or variable.upper() == CONFIG:
+            continue
+        if name in known:
+            where = f"write {'.'.join(place_of(name))} into the file that {CONFIG} names"
+            lines.append(f"{variable} is not read from the environment: {where}")
+        else:
+            lines.append(f"{variable} is not a setting of Tidegate; mistyped?")
+    return lines
