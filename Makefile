@@ -87,8 +87,8 @@ scan: $(STAMP)  ## bandit, ruff's security rules, known vulnerabilities of what 
 planted: $(STAMP)  ## break each mechanism of docs/2-clinical/safety.md once: the test that it names must fail
 	nice -n 10 $(BIN)/python -m tests.campaigns.planted.planted
 documents: $(STAMP)  ## write every part of the documents, of the client and of openapi/ that the code makes
-	@for one in alarms audit_routes access_matrix clinical metrics problems qa safety traceability client_models; do $(BIN)/python -m tests.support.documents.$$one --write || exit 1; done
 	@$(BIN)/tidegate openapi --out openapi
+	@for one in alarms audit_routes access_matrix clinical metrics problems qa safety traceability client_models; do $(BIN)/python -m tests.support.documents.$$one --write || exit 1; done
 
 lint: $(STAMP)  ## ruff, rules and format
 	$(BIN)/ruff check .

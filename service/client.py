@@ -339,7 +339,6 @@ class CameraLatency(TypedDict):
     camera: CameraMode
     counted_ms: float
     median_ms: float
-    method: Literal["light", "plate"]
     operator: str
     p95_ms: float
     refusal: str | None

@@ -20,7 +20,7 @@ from engine.core.errors import InvalidValueError
 from engine.gating.limits import LIMIT_BOUNDS, GateLimits
 from engine.motion.settings import PipelineSettings
 from engine.verification.qa.checks import needs_of
-from engine.verification.qa.latency.measure import LatencyInput
+from engine.verification.qa.latency.measure import LightInput
 from engine.verification.qa.results import QaKind, QaNeed
 from engine.verification.qa.trace import CommandedTrace
 
@@ -152,7 +152,7 @@ class QaInputs:
     plate: PlateInput | None = None
     phantom: PhantomInput | None = None
     beam: BeamInput | None = None
-    camera: LatencyInput | None = None
+    camera: LightInput | None = None
 
     def check(self, kind: QaKind) -> None:
         """Raise InvalidValueError naming the first input that this kind of run needs and that is missing."""
@@ -160,7 +160,7 @@ class QaInputs:
             if self.of(need) is None:
                 raise InvalidValueError(need.value, None, f"given for {kind} QA")
 
-    def of(self, need: QaNeed) -> PlateInput | PhantomInput | BeamInput | LatencyInput | None:
+    def of(self, need: QaNeed) -> PlateInput | PhantomInput | BeamInput | LightInput | None:
         """Return the input of one stage, None if there is none."""
         return {
             QaNeed.PLATE: self.plate,

@@ -185,31 +185,13 @@ qa.command("annual")(_with_phantom("annual", ANNUAL))
 def latency(
     operator: Operator,
     *,
-    method: Annotated[
-        Literal["light", "plate"],
-        typer.Option(help="light: an LED on the beam line's output. plate: a moving plate with a file of positions."),
-    ] = "light",
     camera: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Address of the camera; the first one by default.")
     ] = None,
     output_delay_ms: Annotated[
         float | None,
         typer.Option(
-            help="light: longest time from the output's read-back to the light, 0 to 50; a relay takes up to 15 [ms].",
-            show_default=False,
-        ),
-    ] = None,
-    trace: Annotated[
-        Path | None,
-        typer.Option(
-            help="plate: CSV time_utc,position_mm or monotonic_s,position_mm of this machine; read after the frames.",
-            show_default=False,
-        ),
-    ] = None,
-    clock_error_ms: Annotated[
-        float | None,
-        typer.Option(
-            help="plate: longest error of the file's times, the controller's delay included, 0.1 to 20 [ms].",
+            help="Longest time from the output's read-back to the light, 0 to 50; a relay takes up to 15 [ms].",
             show_default=False,
         ),
     ] = None,
@@ -220,14 +202,14 @@ def latency(
     data: DataFolder = None,
     is_simulated: Annotated[
         bool,
-        typer.Option("--simulated", help="Use a virtual camera, light and plate, for demonstration; not a QA result."),
+        typer.Option("--simulated", help="Use a virtual camera and light, for demonstration; not a QA result."),
     ] = False,
     seed: Annotated[
         int | None, typer.Option(help="Seed of the light's pattern; random by default.", min=0, max=2**31 - 1)
     ] = None,
     fault_delay_ms: Annotated[float, typer.Option(help="With --simulated: latency of the virtual camera [ms].")] = 40.0,
 ) -> None:
-    """Measure a camera's latency, from light to received frame. With a light: PERMITS THE BEAM of a real line.
+    """Measure a camera's latency, by an LED on the beam line's output. PERMITS THE BEAM of a real line.
 
     Clinical mode arms only with a camera whose latency was measured. No session may run. Exit code: 0 passed, 3 passed
     with a warning, 1 failed or not completed, 2 refused.
@@ -235,12 +217,9 @@ def latency(
     from service.cli.qa.latency import LatencyOptions, measure_camera
 
     options = LatencyOptions(
-        method=method,
         operator=operator,
         camera=camera,
-        trace=trace,
         output_delay_ms=output_delay_ms,
-        clock_error_ms=clock_error_ms,
         seconds=seconds,
         is_safe=is_safe,
         note=note,

@@ -1,25 +1,22 @@
 """``tidegate qa latency``: measure a camera's latency and store it with the other QA results."""
 
 import secrets
-import sys
 import uuid
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from engine.capture.source import SourceDescription
-from engine.core.errors import RecordingError
 from engine.verification.qa.bounds import QaBaseline
 from engine.verification.qa.latency.measure import SECONDS_BOUNDS
 from engine.verification.qa.playing import opened
 from engine.verification.qa.results import QaKind
 from service.cli.qa.stored_run import BegunRun, carry_out, checked
-from service.cli.terminal import say
 from service.core.errors import BoundError
 from service.core.settings.settings import Settings
 from service.qa import queries
-from service.qa.latency.rig import LatencyJob, LatencyRig, PlateTrace, virtual_job
-from service.qa.latency.schemas import CameraMode, LatencyRunRequest, Method
+from service.qa.latency.rig import LatencyJob, LatencyRig, virtual_job
+from service.qa.latency.schemas import CameraMode, LatencyRunRequest
 from service.qa.queries import NewQaRun
 from service.qa.runs import refuse_open_session
 from service.storage.database.engine import Database
@@ -32,12 +29,9 @@ MAX_VIRTUAL_DELAY_MS = 500.0
 class LatencyOptions:
     """The options of a measurement."""
 
-    method: Method
     operator: str
     camera: str | None = None
-    trace: Path | None = None
     output_delay_ms: float | None = None
-    clock_error_ms: float | None = None
     seconds: float = 60.0
     is_safe: bool = False
     note: str = ""
@@ -71,12 +65,8 @@ def _refuse_options(options: LatencyOptions, settings: Settings) -> None:
         if not 0.0 <= options.fault_delay_ms <= MAX_VIRTUAL_DELAY_MS:
             raise _broken("fault_delay_ms", options.fault_delay_ms, f"0 to {MAX_VIRTUAL_DELAY_MS:g}")
         return
-    if options.method == "plate":
-        if options.trace is None:
-            raise _broken("trace", "missing", "given for the method plate: the file with the plate's positions")
-        return
     if not settings.has_real_beam:
-        raise _broken("method", "light", "plate: a simulated beam line switches no light")
+        raise _broken("simulated", "missing", "given: a simulated beam line switches no light")
     if not options.is_safe:
         lines = " and ".join(settings.beam_lines)
         bound = (
@@ -88,9 +78,8 @@ def _refuse_options(options: LatencyOptions, settings: Settings) -> None:
 
 def _virtual(options: LatencyOptions) -> tuple[LatencyRunRequest, LatencyJob]:
     seed = 1 if options.seed is None else options.seed
-    job = virtual_job(options.method, seed=seed, seconds=_seconds(options.seconds), delay_ms=options.fault_delay_ms)
-    bounds: dict[str, float] = {"output_delay_ms": 0.0} if options.method == "light" else {"clock_error_ms": 0.5}
-    return _request(options, job.camera, seed, **bounds), job
+    job = virtual_job(seed=seed, seconds=_seconds(options.seconds), delay_ms=options.fault_delay_ms)
+    return _request(options, job.camera, seed, output_delay_ms=0.0), job
 
 
 def _real(options: LatencyOptions, settings: Settings) -> tuple[LatencyRunRequest, LatencyJob]:
@@ -99,30 +88,24 @@ def _real(options: LatencyOptions, settings: Settings) -> tuple[LatencyRunReques
     with opened(source) as camera:
         pass
     seed = secrets.randbelow(2**31) if options.seed is None else options.seed
-    request = _request(
-        options, camera, seed, output_delay_ms=options.output_delay_ms, clock_error_ms=options.clock_error_ms
-    )
-    if options.method == "light":
-        return request, rig.light_job(request, source, camera)
-    assert options.trace is not None, "refused before"
-    return request, rig.plate_job(request, source, camera, PlateTrace(options.trace, _await_file))
+    request = _request(options, camera, seed, output_delay_ms=options.output_delay_ms)
+    return request, rig.light_job(request, source, camera)
 
 
 def _request(
-    options: LatencyOptions, camera: SourceDescription, seed: int, **bounds: float | None
+    options: LatencyOptions, camera: SourceDescription, seed: int, *, output_delay_ms: float | None
 ) -> LatencyRunRequest:
     """Check the options by the schema, so that a refusal names the field and its bound."""
     fields: dict[str, Any] = {
-        "method": options.method,
         "operator": options.operator,
         "camera": CameraMode.of(camera).model_dump(),
         "seconds": options.seconds,
         "is_beam_safe": options.is_safe,
         "seed": seed,
         "note": options.note,
-        **bounds,
     }
-    return checked(LatencyRunRequest, fields)
+    stated = {} if output_delay_ms is None else {"output_delay_ms": output_delay_ms}
+    return checked(LatencyRunRequest, fields | stated)
 
 
 def _seconds(seconds: float) -> float:
@@ -145,16 +128,6 @@ def _new_run(run_id: str, request: LatencyRunRequest, options: LatencyOptions, s
         is_simulated=options.is_simulated,
         is_simulated_beam=settings.is_simulated_beam or options.is_simulated,
     )
-
-
-def _await_file(path: Path) -> None:
-    """Wait for a person to provide the file, on a terminal."""
-    if path.is_file() or not sys.stdin.isatty():
-        return
-    say(f"Frames are read. Write the plate's positions to {path}, then press Enter.", "yellow")
-    if not sys.stdin.readline():
-        msg = f"{path.name}: was not provided"
-        raise RecordingError(msg)
 
 
 def _broken(field: str, value: object, bound: str) -> BoundError:

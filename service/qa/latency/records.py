@@ -15,7 +15,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from engine.verification.qa.results import QaKind
-from service.qa.latency.schemas import CameraMode, Method
+from service.qa.latency.schemas import CameraMode
 from service.qa.schemas import Verdict
 from service.storage.database.tables import QaOutcomeRow, QaResultRow, QaRunRow
 
@@ -29,7 +29,6 @@ class MeasuredLatency:
     run_id: str
     at: datetime
     operator: str
-    method: Method
     camera: CameraMode
     median_ms: float
     p95_ms: float
@@ -82,7 +81,6 @@ def _measured(db: Session, run: QaRunRow, outcome: QaOutcomeRow) -> MeasuredLate
         run_id=run.id,
         at=run.created_at,
         operator=run.operator,
-        method=request["method"],
         camera=CameraMode.model_validate_json(json.dumps(request["camera"])),
         median_ms=values[MEDIAN],
         p95_ms=values.get(P95, math.inf),

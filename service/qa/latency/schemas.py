@@ -1,17 +1,15 @@
 """Requests and answers of the latency of cameras."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
-from pydantic import AwareDatetime, Field, model_validator
+from pydantic import AwareDatetime, Field
 
 from engine.capture.source import SourceDescription
 from engine.verification.qa.latency.light_timing import OUTPUT_BOUNDS_MS
 from engine.verification.qa.latency.measure import SECONDS_BOUNDS
-from engine.verification.qa.latency.plate_timing import CLOCK_BOUNDS_MS
-from service.core.schemas.base import Answer, Identifier, Name, Request, broken
+from service.core.schemas.base import Answer, Identifier, Name, Request
 from service.qa.schemas import Note, Verdict
 
-Method = Literal["light", "plate"]
 Size = tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
 MODE = ("depth_size", "color_size", "fps")
 
@@ -47,26 +45,13 @@ class CameraMode(Answer):
 class LatencyRunRequest(Request):
     """A measurement of a camera's latency, as `tidegate qa latency` stores it."""
 
-    method: Method
     operator: Name
     camera: CameraMode
     seconds: float = Field(default=60.0, ge=SECONDS_BOUNDS[0], le=SECONDS_BOUNDS[1])
-    output_delay_ms: float | None = Field(default=None, ge=OUTPUT_BOUNDS_MS[0], le=OUTPUT_BOUNDS_MS[1])
-    clock_error_ms: float | None = Field(default=None, ge=CLOCK_BOUNDS_MS[0], le=CLOCK_BOUNDS_MS[1])
+    output_delay_ms: float = Field(ge=OUTPUT_BOUNDS_MS[0], le=OUTPUT_BOUNDS_MS[1])
     is_beam_safe: bool = False
     seed: int = Field(ge=0)
     note: Note = ""
-
-    @model_validator(mode="after")
-    def _has_what_it_needs(self) -> Self:
-        needed, other = ("output_delay_ms", "clock_error_ms")
-        if self.method == "plate":
-            needed, other = other, needed
-        if getattr(self, needed) is None:
-            raise broken(needed, "missing", f"given for the method {self.method}: a bound that you can stand for")
-        if getattr(self, other) is not None:
-            raise broken(other, getattr(self, other), f"omitted for the method {self.method}")
-        return self
 
 
 class CameraLatency(Answer):
@@ -75,7 +60,6 @@ class CameraLatency(Answer):
     run_id: Identifier
     at: AwareDatetime
     operator: str
-    method: Method
     camera: CameraMode
     median_ms: float
     p95_ms: float

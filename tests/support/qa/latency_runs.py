@@ -38,7 +38,7 @@ def put(
                 **dict.fromkeys(("operator", "site", "machine"), "me"),
                 id=run_id,
                 kind=kind,
-                request=json.dumps({"method": "light", "camera": mode}),
+                request=json.dumps({"camera": mode}),
                 bounds="{}",
                 is_simulated=is_simulated,
                 is_simulated_beam=False,

@@ -1,4 +1,4 @@
-"""What the latency is estimated from: the times of the frames, and one brightness or one distance of each."""
+"""What the latency is estimated from: the times of the frames, and the brightness of each colour picture."""
 
 from dataclasses import dataclass
 
@@ -10,8 +10,6 @@ from engine.core.frames import FloatArray, RgbdFrame
 
 Times = npt.NDArray[np.int64]
 BLOCKS_ACROSS, BLOCKS_DOWN = 80, 60
-PLATE_SHARE = 0.2
-FEWEST_READINGS_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -88,15 +86,3 @@ class PictureLog:
     def pictures(self) -> Pictures:
         """The pictures so far."""
         return Pictures(device_us=np.array(self._times_us, dtype=np.int64), blocks=np.array(self._blocks))
-
-
-def plate_distance_mm(frame: RgbdFrame) -> float:
-    """Return the mean distance of the middle of the picture [mm]; NaN where too few pixels have a reading."""
-    rows, columns = frame.depth_mm.shape
-    top, left = (round(0.5 * (1.0 - PLATE_SHARE) * side) for side in (rows, columns))
-    middle = frame.depth_mm[top : rows - top, left : columns - left]
-    readings = middle[middle > 0]
-    if len(readings) < FEWEST_READINGS_SHARE * middle.size:
-        return float("nan")
-    near = readings[np.abs(readings - np.median(readings)) <= 50.0]
-    return float(near.mean())

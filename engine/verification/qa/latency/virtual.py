@@ -1,4 +1,4 @@
-"""A virtual camera of known latency, with a light and a plate in view: for demonstration and for tests."""
+"""A virtual camera of known latency with a light in view: for demonstration and for tests."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -11,9 +11,7 @@ from engine.core.clock import NS_PER_MS, NS_PER_S
 from engine.core.errors import SourceEndedError
 from engine.core.frames import FloatArray, RgbdFrame
 from engine.verification.qa.latency.light_pattern import LightChange, intervals_ns
-from engine.verification.qa.latency.measure import LEAD_S, LightInput, MovingPlateInput
-from engine.verification.qa.latency.trace_file import TimedTrace
-from engine.verification.qa.trace import CommandedTrace
+from engine.verification.qa.latency.measure import LEAD_S, LightInput
 
 BEGINS_NS = 100 * NS_PER_S
 PERIOD_MS = 33.366
@@ -72,7 +70,7 @@ class KnownLight:
 
 
 class VirtualCamera:
-    """A DepthSource without waiting: frames of a plate, with a light in one corner; positions are those of a trace."""
+    """A DepthSource without waiting: frames of a flat wall, with a light in one corner."""
 
     def __init__(
         self,
@@ -80,11 +78,9 @@ class VirtualCamera:
         *,
         seed: int,
         seconds: float,
-        light_ns: FloatArray | None = None,
-        plate: CommandedTrace | None = None,
+        light_ns: FloatArray,
     ) -> None:
-        self._faults, self._plate = faults, plate
-        self._light_ns = np.empty(0) if light_ns is None else light_ns
+        self._faults, self._light_ns = faults, light_ns
         self._seed, self._count = seed, int(1000.0 * seconds / PERIOD_MS)
         self._frames: Iterator[RgbdFrame] = iter(())
         self.description = SourceDescription(
@@ -133,17 +129,10 @@ class VirtualCamera:
                 color_timestamp_us=stamp_us,
                 received_ns=at_ns,
                 queue_empty_ns=at_ns,
-                depth_mm=self._depth(exposed_ns, chance),
+                depth_mm=_depth(chance),
                 color=self._color(exposed_ns, number, chance),
             )
             index, missed = index + 1, 0
-
-    def _depth(self, exposed_ns: int, chance: np.random.Generator) -> np.ndarray:
-        position_mm = (
-            0.0 if self._plate is None else float(np.nan_to_num(self._plate.at(np.array(exposed_ns / NS_PER_S))))
-        )
-        noise_mm = chance.normal(0.0, 1.0, (ROWS, COLUMNS))
-        return np.round(DISTANCE_MM - position_mm + noise_mm).astype(np.uint16)
 
     def _color(self, exposed_ns: int, number: int, chance: np.random.Generator) -> np.ndarray:
         faults = self._faults
@@ -168,18 +157,5 @@ def virtual_light(faults: VirtualFaults, *, seed: int, seconds: float = 60.0) ->
     )
 
 
-def virtual_plate(faults: VirtualFaults, *, seed: int, seconds: float = 60.0) -> MovingPlateInput:
-    """Return a virtual camera with a plate that moves irregularly by some millimetres, its times known to 0.5 ms."""
-    time_s = np.arange(-1.0, seconds + 1.0, 0.02)
-    phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 3)
-    parts = zip((6.0, 3.0, 2.0), (0.23, 0.37, 0.61), phases, strict=True)
-    position_mm = np.sum([size * np.sin(2.0 * np.pi * rate * time_s + phase) for size, rate, phase in parts], axis=0)
-    trace = CommandedTrace(time_s=time_s, position_mm=position_mm)
-    camera = VirtualCamera(faults, seed=seed, seconds=seconds, plate=trace)
-    return MovingPlateInput(
-        source=camera,
-        camera=camera.description,
-        trace=lambda: TimedTrace(trace=trace, zero_ns=BEGINS_NS),
-        clock_ms=0.5,
-        seconds=seconds,
-    )
+def _depth(chance: np.random.Generator) -> np.ndarray:
+    return np.round(DISTANCE_MM + chance.normal(0.0, 1.0, (ROWS, COLUMNS))).astype(np.uint16)
