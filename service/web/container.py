@@ -48,7 +48,6 @@ from service.storage.database.startup import SAMPLES_FOLDER, prepare
 from service.storage.files.cleanup import CleanupWorker
 from service.storage.files.journals import Journals
 from service.storage.files.motion_models import MODELS_FOLDER, ModelStore
-from service.storage.samples.register import adopt
 from service.storage.samples.service import SampleService
 from service.storage.samples.store import SampleStore
 from service.web.dependencies import Services
@@ -186,9 +185,7 @@ def _open_storage(dependencies: _Dependencies, on_failure: ExitStack) -> _Storag
         journals=Journals(settings.data_dir, settings.journal_dir),
         alarms=AlarmWatch(equipment, database),
         audit_supervision=audit_supervision,
-        cleanup=CleanupWorker(
-            database, settings, is_busy=lambda: equipment.running is not None, first=lambda: adopt(database, samples)
-        ),
+        cleanup=CleanupWorker(database, settings, is_busy=lambda: equipment.running is not None),
     )
 
 

@@ -1,4 +1,4 @@
-"""Motion model files: ``.npz`` with one JSON header, schema ``tidegate.model/2``; ``/1`` is still read.
+"""Motion model files: ``.npz`` with one JSON header, schema ``tidegate.model/2``.
 
 A file is untrusted input: its size is checked before it is unpacked, and every key, number, array type and shape is
 validated. Files are written atomically, and the same model gives the same bytes.
@@ -18,12 +18,11 @@ import numpy.typing as npt
 from engine.core.errors import InvalidValueError, ModelError
 from engine.core.files import open_plain, whole_file
 from engine.core.frames import FloatArray
-from engine.core.motion_model import DEPTH_STEPS, USUAL_NOISE_MM, MotionModel
+from engine.core.motion_model import DEPTH_STEPS, MotionModel
 from engine.core.provenance import MAX_SETTINGS, QUALITY_BOUNDS, ModelOrigin, Provenance, TrainingQuality, check_text
 from engine.core.strict_json import ROOT, StrictJson
 
 SCHEMA = "tidegate.model/2"
-FIRST_SCHEMA = "tidegate.model/1"
 MAX_MODEL_BYTES = 64 * 1024 * 1024
 MAX_COMPONENTS = 64
 MAX_EIGENVALUES = 10_000
@@ -57,7 +56,10 @@ UNREADABLE = (
     zlib.error,
 )
 """Exceptions of numpy and zipfile for files that are no archive, or a damaged or malicious one."""
-_NUMBERS = ("schema", "training_frames", "cycles", "seconds", "calibration_sha256")
+_REQUIRED = (
+    *("schema", "training_frames", "cycles", "seconds", "calibration_sha256"),
+    *("noise_mm", "quality", "settings", "origin"),
+)
 _JSON = StrictJson()
 
 
@@ -125,12 +127,9 @@ def _typed(name: str, array: npt.NDArray[Any], dtype: type[np.generic]) -> npt.N
 
 
 def _model(document: object, arrays: dict[str, npt.NDArray[Any]]) -> MotionModel:
-    is_first = isinstance(document, dict) and document.get("schema") == FIRST_SCHEMA
-    extra = () if is_first else ("noise_mm", "quality", "settings", "origin")
-    if isinstance(document, dict) and document.get("schema") not in {SCHEMA, FIRST_SCHEMA}:
-        raise InvalidValueError("schema", document.get("schema"), f"{SCHEMA} or {FIRST_SCHEMA}")
-    optional = () if is_first else ("depth_steps",)
-    header = _JSON.fields(ROOT, document, required=(*_NUMBERS, *extra), optional=optional)
+    if isinstance(document, dict) and document.get("schema") != SCHEMA:
+        raise InvalidValueError("schema", document.get("schema"), SCHEMA)
+    header = _JSON.fields(ROOT, document, required=_REQUIRED, optional=("depth_steps",))
     components, eigenvalues = arrays["components"], arrays["eigenvalues_mm2"]
     if components.ndim != 3 or not 1 <= len(components) <= MAX_COMPONENTS:
         raise InvalidValueError("components", components.shape, f"1 to {MAX_COMPONENTS} surfaces")
@@ -145,9 +144,9 @@ def _model(document: object, arrays: dict[str, npt.NDArray[Any]]) -> MotionModel
         cycles=_JSON.integer("cycles", header["cycles"], 0, 10_000),
         seconds=_JSON.number("seconds", header["seconds"], 0.0, 100_000.0),
         calibration_sha256=_sha256("calibration_sha256", header["calibration_sha256"]),
-        noise_mm=USUAL_NOISE_MM if is_first else _JSON.number("noise_mm", header["noise_mm"], *NOISE_BOUNDS_MM),
+        noise_mm=_JSON.number("noise_mm", header["noise_mm"], *NOISE_BOUNDS_MM),
         depth_steps=_depth_steps(header["depth_steps"]) if "depth_steps" in header else None,
-        provenance=Provenance() if is_first else _provenance(header),
+        provenance=_provenance(header),
     )
 
 

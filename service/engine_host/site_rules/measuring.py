@@ -1,19 +1,13 @@
-"""Convert a session's regions for the engine, and their motion to and from sample rows."""
+"""Convert a session's regions for the engine."""
 
 from dataclasses import replace
 
-import numpy as np
-
-from engine.core.frames import Motion
 from engine.core.head_direction import HeadDirection
 from engine.motion.named_regions import NamedRegion
 from engine.motion.settings import PipelineSettings
 from service.core.schemas import sessions
 from service.core.schemas.windows import Window
 from service.engine_host.site_rules.window_limits import breath_signals
-
-NAMED_DTYPE = "<f4"
-DIGITS = 5  # what single precision holds of a length in mm
 
 
 def measuring_with(
@@ -41,20 +35,3 @@ def measuring_with(
         superior_px=settings.superior_px if head_direction is None else head_direction.superior_px,
         extra_markers=regions.extra_markers or settings.extra_markers,
     )
-
-
-def named_bytes(motion: Motion | None) -> bytes | None:
-    """Encode the named regions' motion [mm] as float32 in their order, NaN where unknown; None without regions."""
-    if motion is None or len(motion.named_mm) == 0:
-        return None
-    return motion.named_mm.astype(NAMED_DTYPE).tobytes()
-
-
-def named_values(stored: bytes | None, count: int) -> list[float | None]:
-    """Decode the named regions' motion [mm]; None where it was not measured."""
-    if stored is None:
-        return [None] * count
-    return [
-        round(float(value), DIGITS) if np.isfinite(value) else None
-        for value in np.frombuffer(stored, dtype=NAMED_DTYPE)
-    ]

@@ -28,8 +28,6 @@ class CleanupWorker:
     ----------
     is_busy
         Whether a session runs.
-    first
-        Done once before the first removal; may take long, because no start waits for it.
     """
 
     def __init__(
@@ -38,13 +36,11 @@ class CleanupWorker:
         settings: Settings,
         *,
         is_busy: Callable[[], bool],
-        first: Callable[[], object] = lambda: None,
         now: Callable[[], datetime] = lambda: datetime.now(UTC),
     ) -> None:
         self._database = database
         self._settings = settings
         self._is_busy = is_busy
-        self._first: Callable[[], object] | None = first
         self._now = now
         self._worker = PeriodicWorker("tidegate-cleanup", self._turn, interval_s=EVERY_S, first_wait_s=0.0)
         self._one_at_a_time = threading.Lock()
@@ -73,9 +69,6 @@ class CleanupWorker:
         if self._is_busy():
             return AGAIN_S
         try:
-            if self._first is not None:
-                self._first()
-                self._first = None
             self.tidy()
         except (SQLAlchemyError, OSError) as error:
             logger.warning("old files could not be removed: %s", type(error).__name__)

@@ -103,21 +103,11 @@ def test_a_failed_write_leaves_neither_a_model_nor_half_of_one(model, tmp_path, 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_of_the_first_schema_is_read_and_has_no_origin(saved):
-    def first(document):
-        kept = ("training_frames", "cycles", "seconds", "calibration_sha256")
-        return json.dumps({"schema": "tidegate.model/1", **{key: document[key] for key in kept}})
-
-    loaded = load_model(rewritten(saved, dumps=first, drop=("surface_mm",)))
-    assert (loaded.cycles, loaded.provenance) == (4, Provenance())
-    with pytest.raises(ModelError, match="quality is 'unknown'"):
-        load_model(rewritten(saved, header={"quality": None}))
-
-
 @pytest.mark.parametrize(
     ("key", "value"),
     [
         ("schema", "tidegate.model/3"),
+        ("schema", "tidegate.model/1"),
         ("schema", 2),
         ("cycles", -1),
         ("cycles", 1.5),

@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-from datetime import timedelta
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -17,10 +16,10 @@ from service.storage import audit
 from service.storage.audit import AuditRow
 from service.storage.database.engine import Database
 from service.storage.database.tables import SessionRow
-from service.storage.samples import parquet, register
+from service.storage.samples import parquet
 from service.storage.samples import store as shelves
 from service.storage.samples.check import check
-from service.storage.samples.register import adopt, registered
+from service.storage.samples.register import registered
 from tests.support.samples.records import HEAD, PERIOD_NS, SESSION, frames_of, record, write_stream
 from tests.support.samples.sessions import BEGUN, add_session
 
@@ -132,21 +131,6 @@ def test_a_full_disk_keeps_the_stream_and_the_next_start_settles_it(database, sa
         assert registered(db, SESSION).sha256 == detail["parquet_sha256"]
 
 
-def test_a_parquet_file_that_the_audit_does_not_know_is_written_down_once(database, sample_store, caplog):
-    add_session(database, status="ended", ended_at=BEGUN + timedelta(hours=1))
-    write_stream(sample_store.folder)
-    sample_store.settle(SESSION)
-    sample_store.forget_stream(SESSION)
-    sample_store.parquet_path("f" * 32).write_bytes(b"no Parquet")
-    adopt(database, sample_store)
-    adopt(database, sample_store)
-    assert "is no sample file" in caplog.text
-    ((_, _, detail),) = reported(database, "samples.adopted")
-    assert detail["rows"] == 40
-    with database.read() as db:
-        assert check(sample_store, SESSION, registered(db, SESSION), is_open=False).is_good
-
-
 def refuse(*_arguments, **_options):
     raise PermissionError(1, "Operation not permitted")
 
@@ -202,26 +186,6 @@ def test_a_session_of_which_only_a_damaged_parquet_is_left_is_closed_and_the_aud
     assert "the sample file cannot be read" in detail["samples"]["detail"]
     assert detail["summary"]["frames"] == json.loads(session_of(database).summary)["frames"] == 0
     assert path.read_bytes() == before
-
-
-def test_a_file_that_cannot_be_read_keeps_no_other_from_being_written_down(database, sample_store, monkeypatch, caplog):
-    add_session(database, status="ended", ended_at=BEGUN)
-    write_stream(sample_store.folder)
-    sample_store.settle(SESSION)
-    sample_store.forget_stream(SESSION)
-    bad = sample_store.parquet_path("0" * 32)
-    bad.write_bytes(sample_store.parquet_path(SESSION).read_bytes())
-    real = register.file_sha256
-
-    def hashed(path):
-        if path == bad:
-            raise OSError(5, "Input/output error")
-        return real(path)
-
-    monkeypatch.setattr(register, "file_sha256", hashed)
-    adopt(database, sample_store)
-    assert len(reported(database, "samples.adopted")) == 1
-    assert f"{bad.name} cannot be read" in caplog.text
 
 
 STEPS = {

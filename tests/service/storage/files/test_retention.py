@@ -122,19 +122,6 @@ def test_a_caretaker_that_cannot_remove_tries_again(database, data_dir, monkeypa
     assert not caretaker.has_ended
 
 
-def test_what_is_done_first_is_done_once_and_again_only_where_it_failed(database, data_dir):
-    tried = []
-
-    def first():
-        tried.append(True)
-        if len(tried) == 1:
-            raise OSError(5, "no")
-
-    caretaker = CleanupWorker(database, site(data_dir), is_busy=lambda: False, first=first)
-    assert [caretaker._turn() for _ in range(3)] == [AGAIN_S, EVERY_S, EVERY_S]
-    assert len(tried) == 2
-
-
 def test_a_session_takes_what_its_length_takes(tmp_path):
     assert session_bytes(site(tmp_path, session_room_min=10.0)) == 10 * 60 * 30 * 1700
 

@@ -11,7 +11,7 @@ import pytest
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, PhaseLag
 from engine.motion.settings import PipelineSettings
 from service.core.schemas import sessions
-from service.engine_host.site_rules.measuring import measuring_with, named_bytes, named_values
+from service.engine_host.site_rules.measuring import measuring_with
 from tests.support.service import fake_engine
 from tests.support.service.api_calls import act, audit_rows, make_session_body
 from tests.support.waiting import eventually
@@ -137,12 +137,6 @@ def test_samples_are_kept_and_exported_with_a_column_for_each_region(client, mov
     rows = list(csv.DictReader(io.StringIO(client.get(f"{URL}/{session_id}/samples").text)))
     assert list(rows[0])[-2:] == ["belly_mm", "chest_mm"]
     assert [(row["belly_mm"], row["chest_mm"]) for row in rows] == [("2.5", ""), ("", "")]
-
-
-def test_what_was_stored_before_there_were_regions_reads_as_not_measured():
-    assert named_values(None, 2) == [None, None]
-    assert named_bytes(None) is None
-    assert named_bytes(fake_engine.make_motion()) is None
 
 
 def test_the_newest_surface_is_a_mesh_in_the_cameras_frame(client, moving, session_id, running):
