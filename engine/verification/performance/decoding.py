@@ -15,12 +15,10 @@ NAMES = {True: "depth, 16zT", False: "colour, JPEG"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureCost:
-    """Decoding of one kind of picture: time, mean size of a coded and size of a decoded one [bytes]."""
+    """Decoding of one kind of picture."""
 
     name: str
     timing: Timing
-    coded_bytes: float
-    decoded_bytes: int
 
 
 def time_decoding(recording: Recording, most: int) -> tuple[PictureCost, ...]:
@@ -36,15 +34,9 @@ def time_decoding(recording: Recording, most: int) -> tuple[PictureCost, ...]:
 
 
 def _cost(name: str, frames: list[CodedFrame]) -> PictureCost:
-    spent_ns, decoded_bytes = np.empty(len(frames)), 0
+    spent_ns = np.empty(len(frames))
     for number, frame in enumerate(frames):
         started = time.perf_counter_ns()
-        picture = frame.decode_depth() if frame.is_depth else frame.decode_color()
+        _ = frame.decode_depth() if frame.is_depth else frame.decode_color()
         spent_ns[number] = time.perf_counter_ns() - started
-        decoded_bytes = picture.nbytes
-    return PictureCost(
-        name=name,
-        timing=timing_of([spent_ns]),
-        coded_bytes=float(np.mean([frame.coded_bytes for frame in frames])) if frames else 0.0,
-        decoded_bytes=decoded_bytes,
-    )
+    return PictureCost(name=name, timing=timing_of([spent_ns]))

@@ -46,11 +46,6 @@ def timing_of(blocks_ns: Sequence[FloatArray]) -> Timing:
     )
 
 
-def bound_us(traffic_bytes: float, bandwidth_bytes_s: float) -> float:
-    """Least time to move ``traffic_bytes`` at this bandwidth [us]."""
-    return traffic_bytes / bandwidth_bytes_s * NS_PER_S / NS_PER_US
-
-
 def frames_per_s(stamps_ns: FloatArray) -> float:
     """Mean rate of events at these times [1/s]; NaN for fewer than two."""
     if len(stamps_ns) < 2:

@@ -1,4 +1,4 @@
-"""Description of the machine, its memory bandwidth, and measuring processes pinned to chosen cores."""
+"""Description of the machine, and measuring processes pinned to chosen cores."""
 
 import ctypes
 import gc
@@ -7,7 +7,6 @@ import os
 import platform
 import signal
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -23,8 +22,6 @@ from engine.core.errors import TidegateError
 from engine.core.native_memory import keep_freed_memory
 from engine.core.native_threads import keep_calls_in_their_thread
 
-COPIED_BYTES = 1 << 26
-COPIES = 15
 BUSY_LOAD = 1.0
 _HEAP_FIELDS = (
     *("arena", "ordblks", "smblks", "hblks", "hblkhd"),
@@ -87,17 +84,6 @@ def this_machine() -> Machine:
         frame_path=frame_path(),
         load_average=os.getloadavg()[0],
     )
-
-
-def copy_bandwidth_bytes_s() -> float:
-    """Measure the bandwidth of a large copy, bytes read plus bytes written [1/s]."""
-    source, target = (np.ones(COPIED_BYTES, dtype=np.uint8) for _ in range(2))
-    durations_ns = []
-    for _ in range(COPIES):
-        started_ns = time.perf_counter_ns()
-        np.copyto(target, source)
-        durations_ns.append(time.perf_counter_ns() - started_ns)
-    return 2.0 * COPIED_BYTES / float(np.median(durations_ns)) * 1e9
 
 
 def settle_as_the_service(switch_interval_s: float) -> None:

@@ -4,12 +4,11 @@ from dataclasses import replace
 
 from engine.verification.performance.decoding import PictureCost
 from engine.verification.performance.figures import Timing
-from engine.verification.performance.frames import FrameCosts, FrameSizes, StageCost
+from engine.verification.performance.frames import FrameCosts, FrameSizes
 from engine.verification.performance.learning import FitCost, FitSizes, FramesWhileFitting
 from engine.verification.performance.machine import Machine
 from engine.verification.performance.memory import MemorySizes, MemoryUse
 from engine.verification.performance.results import SpeedFigures, SpeedSizes
-from engine.verification.performance.stages import STAGES
 from engine.verification.performance.throughput import CommandRun, Throughput
 
 TINY = SpeedSizes(
@@ -33,17 +32,15 @@ FRAMES = FrameCosts(
     whole=took(400.0, p99_us=1000.0),
     whole_cpu=took(390.0),
     numpy_cpu=took(1170.0),
-    stages=tuple(StageCost(name=name, timing=took(50.0), share=0.125, traffic_bytes=20_000) for name in STAGES),
     plain=took(16_000.0, p99_us=15_000.0),
     decoding=(
-        PictureCost(name="depth, 16zT", timing=took(300.0), coded_bytes=100_000.0, decoded_bytes=600_000),
-        PictureCost(name="colour, JPEG", timing=took(2000.0), coded_bytes=40_000.0, decoded_bytes=900_000),
+        PictureCost(name="depth, 16zT", timing=took(300.0)),
+        PictureCost(name="colour, JPEG", timing=took(2000.0)),
     ),
     numpy_decoding=(
-        PictureCost(name="depth, 16zT", timing=took(900.0), coded_bytes=100_000.0, decoded_bytes=600_000),
-        PictureCost(name="colour, JPEG", timing=took(2000.0), coded_bytes=40_000.0, decoded_bytes=900_000),
+        PictureCost(name="depth, 16zT", timing=took(900.0)),
+        PictureCost(name="colour, JPEG", timing=took(2000.0)),
     ),
-    bandwidth_bytes_s=1e10,
     lost_core_share=0.25,
 )
 

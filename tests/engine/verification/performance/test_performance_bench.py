@@ -1,4 +1,4 @@
-"""The bench of speed: its arithmetic by hand, its watching from outside, and all of it once, small, for real."""
+"""The bench of speed: its arithmetic by hand, and all of it once, small, for real."""
 
 import json
 import os
@@ -11,39 +11,20 @@ import pytest
 from typer.testing import CliRunner
 
 import service.cli.bench as bench_command
-from engine.calibration.camera_calibration import load_calibration
 from engine.capture.oni.reader import OniReader, describe
 from engine.core.clock import ManualClock
 from engine.core.errors import SourceEndedError
-from engine.core.frames import NODE_COLUMNS, NODE_ROWS, RoiDepth
 from engine.core.gate_state import GateState
 from engine.motion.learning.trainer import InlineTrainer, TrainingSettings
-from engine.motion.pipeline import Pipeline
-from engine.motion.settings import PipelineSettings
-from engine.motion.stages.roi import cut_out
 from engine.verification.performance import recording as recording_module
 from engine.verification.performance.bench import full_sizes, write_figures
-from engine.verification.performance.figures import bound_us, frames_per_s, timing_of
+from engine.verification.performance.figures import frames_per_s, timing_of
 from engine.verification.performance.frames import FrameSizes, time_frames
 from engine.verification.performance.machine import SpeedBenchError, heap_in_use_bytes, on_cores, pinned
 from engine.verification.performance.marks import reach
 from engine.verification.performance.memory import MemorySizes, memory_use
 from engine.verification.performance.recording import make_recording
 from engine.verification.performance.session import BenchSession, EndlessSource, Recording
-from engine.verification.performance.stages import (
-    CUT_OUT,
-    GATE,
-    MARKERS,
-    PROJECTION,
-    REST,
-    STAGE_SITES,
-    STAGES,
-    TRAFFIC_SITES,
-    StageClock,
-    TrafficMeter,
-    array_bytes,
-    replaced,
-)
 from engine.verification.performance.tables import speed_tables
 from service.cli import app
 from tests.support.evaluation.performance_figures import FRAMES, GOOD, TINY, slower, took
@@ -59,11 +40,6 @@ def lit(folder):
     """Return the shared volunteer, learned from in a hurry."""
     with OniReader(folder / "recording.oni") as reader:
         return Recording(folder=folder, fps=float(reader.depth.fps), training=HURRIED)
-
-
-def held():
-    """What stands in every place that the bench reaches into."""
-    return [getattr(owner, name) for owner, name, _ in (*STAGE_SITES, *TRAFFIC_SITES)]
 
 
 # -- arithmetic ---------------------------------------------------------------------------------------------------
@@ -82,10 +58,6 @@ def test_nothing_timed_is_not_a_number_rather_than_fast():
     timing = timing_of([np.empty(0)])
     assert timing.samples == timing.blocks == 0
     assert np.isnan([timing.median_us, timing.p99_us, timing.p999_us, timing.max_us]).all()
-
-
-def test_a_bound_is_bytes_over_bandwidth():
-    assert bound_us(500_000, 10e9) == pytest.approx(50.0)
 
 
 def test_a_rate_counts_the_steps_between_stamps():
@@ -142,72 +114,6 @@ def test_a_session_shorter_than_its_warm_up_says_nothing_of_memory():
         )
 
 
-# -- watching stages from outside -----------------------------------------------------------------------------------
-
-
-def test_a_stage_is_charged_what_is_its_own_and_the_stages_add_up():
-    now = ManualClock()
-    clock = StageClock(now.now_ns)
-    project = clock.wrap(PROJECTION, lambda: now.advance_ns(70))
-    gate = clock.wrap(GATE, lambda: now.advance_ns(5))
-
-    def measure():
-        now.advance_ns(10)
-        project()
-        now.advance_ns(20)
-        project()
-
-    whole = clock.wrap(REST, measure)
-    whole()
-    gate()
-    spent = dict(zip(STAGES, clock.take_ns(), strict=True))
-    assert (spent[REST], spent[PROJECTION], spent[GATE]) == (30, 140, 5)
-    assert sum(spent.values()) == now.now_ns()
-    assert clock.take_ns() == [0] * len(STAGES)
-
-
-def test_what_was_replaced_is_put_back_even_when_a_stage_fails():
-    before = held()
-
-    def fail():
-        with replaced(STAGE_SITES, StageClock().wrap):
-            assert all(new is not old for new, old in zip(held()[: len(STAGE_SITES)], before, strict=False))
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        fail()
-    assert held() == before
-
-
-def test_a_wrapped_stage_that_fails_is_charged_and_its_error_passes():
-    now = ManualClock()
-    clock = StageClock(now.now_ns)
-
-    def fail():
-        now.advance_ns(9)
-        raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        clock.wrap(MARKERS, fail)()
-    assert clock.take_ns()[STAGES.index(MARKERS)] == 9
-
-
-def test_bytes_are_counted_through_fields_and_members():
-    roi = RoiDepth(depth_mm=np.zeros((10, 4), np.float32), valid=np.zeros((10, 4), np.bool_))
-    assert array_bytes(roi) == 10 * 4 * (4 + 1)
-    assert array_bytes((roi, [np.zeros(3)], 7, None, "text")) == 200 + 24
-
-
-def test_a_cut_out_moves_its_window_its_nodes_the_readings_that_occur_and_the_grid():
-    depth_mm = np.full((480, 640), 850, np.uint16)
-    x, y = np.meshgrid(np.linspace(100.0, 300.0, NODE_COLUMNS), np.linspace(50.0, 400.0, NODE_ROWS))
-    nodes_px = np.column_stack([x.ravel(), y.ravel()])
-    meter = TrafficMeter()
-    meter.wrap(CUT_OUT, cut_out)(depth_mm, nodes_px, np.arange(65536, dtype=np.float32), 4)
-    window, one_reading, grid = 201 * 351 * 2, 4, 88 * 50 * (4 + 1)
-    assert meter.bytes[CUT_OUT] == window + one_reading + nodes_px.nbytes + grid
-
-
 # -- the long session -----------------------------------------------------------------------------------------------
 
 
@@ -228,19 +134,12 @@ def test_a_recording_begins_again_while_numbers_and_times_go_on(lit_volunteer):
     assert np.array_equal(frames[in_file].depth_mm, frames[0].depth_mm)
 
 
-def test_the_bench_goes_the_gates_longest_way_and_looks_at_every_stage(lit_volunteer):
-    before = held()
+def test_frames_pictures_and_the_plain_method_are_timed(lit_volunteer):
     costs = time_frames(
         lit(lit_volunteer), FrameSizes(blocks=1, block_frames=20, plain_frames=2, decoded=3), switch_interval_s=0.005
     )
-    assert held() == before
-    assert [stage.name for stage in costs.stages] == list(STAGES)
-    assert sum(stage.share for stage in costs.stages) == pytest.approx(1.0)
-    assert all(stage.timing.samples == 20 and stage.timing.median_us > 0.0 for stage in costs.stages)
-    assert all((stage.traffic_bytes > 0) is (stage.name != REST) for stage in costs.stages)
     assert (costs.whole.samples, costs.plain.samples) == (20, 2)
     assert [picture.timing.samples for picture in costs.decoding] == [3, 3]
-    assert [picture.decoded_bytes for picture in costs.decoding] == [640 * 480 * 2, 640 * 480 * 3]
 
 
 class TickingClock(ManualClock):
@@ -265,16 +164,6 @@ def test_frames_are_decided_on_with_the_beam_on_though_learning_made_one_too_old
         session.decide(session.read())
     session.close()
     assert session.gate.state is GateState.BEAM_ON
-
-
-def test_a_stage_that_was_renamed_is_an_error_not_a_silent_zero(lit_volunteer):
-    with (
-        pytest.raises(AttributeError, match="no_such_stage"),
-        replaced(((Pipeline, "no_such_stage", REST),), lambda *_: None),
-    ):
-        pass
-    pipeline = Pipeline(load_calibration(lit_volunteer / "calibration.json"), PipelineSettings(), ManualClock())
-    assert pipeline.learner.status.model is None
 
 
 # -- processes on cores ---------------------------------------------------------------------------------------------
@@ -355,20 +244,32 @@ def test_each_mark_is_missed_by_its_own_figure_and_no_other(figures, missed):
 
 
 def test_tables_say_what_the_figures_say():
-    tables = {table.name: table for table in speed_tables(GOOD, reach(GOOD))}
-    stages = tables["stages"].rows
-    assert stages[0] == (STAGES[0], 50.0, 100.0, 300.0, "12%", 20.0, 2.0)
-    assert stages[len(STAGES)][-2:] == (160.0, 16.0)
-    assert "10.0 GB/s" in tables["stages"].note
-    assert "25.0%" in tables["stages"].note
-    assert tables["plain"].rows[2][1:3] == (40.0, 15.0)
-    assert [row[1:] for row in tables["compiled"].rows[:2]] == [(1170.0, 390.0, 3.0), (900.0, 300.0, 3.0)]
-    assert "compiled 0123456789abcdef" in tables["compiled"].note
-    assert tables["decoding"].rows[0][-1] == pytest.approx(70.0)
-    assert tables["throughput"].rows[0][1:] == (1200, 3.0, 400.0, 520.0, 500.0)
-    assert tables["learning"].rows[2][2:6] == (1.5, 0.5, 2.0, 8.0)
-    assert tables["memory"].rows[2][1:] == (pytest.approx(1.0), None, pytest.approx(0.5))
-    assert all(len(row) == len(table.columns) for table in tables.values() for row in table.rows)
+    times, others, marks = speed_tables(GOOD, reach(GOOD))
+    assert times.rows[0] == ("frame to gate", 400.0, 1000.0, 3000.0, 4000.0, 1000)
+    assert [row[1] for row in times.rows[1:]] == [390.0, 1170.0, 16_000.0, 300.0, 900.0, 2000.0, 2000.0, 500.0, 450.0]
+    for said in ("40.0 times faster than the plain", "3.00 times faster than the numpy", "25.0%"):
+        assert said in times.note
+    values = [row[1] for row in others.rows]
+    assert values == [
+        0.2,
+        1.0,
+        1.5,
+        1.1,
+        400.0,
+        520.0,
+        500.0,
+        600.0,
+        750.0,
+        400.0,
+        200.0,
+        300.0,
+        100.0,
+        201.0,
+        240.0,
+        100.5,
+    ]
+    assert [row[4] for row in marks.rows] == ["met"] * 10
+    assert all(len(row) == len(table.columns) for table in (times, others, marks) for row in table.rows)
 
 
 def test_the_json_holds_everything_and_null_for_what_is_not_a_number(tmp_path):
@@ -468,11 +369,8 @@ def test_the_whole_bench_runs_from_the_command_line(lit_volunteer, tmp_path, mon
     result = CliRunner().invoke(app, ["bench", "--quick", "--work", str(work), "--out", str(tmp_path / "out")])
     assert result.exit_code == 0, result.output
     for title in (
-        "Frame path",
-        "The plain method",
-        "Decoding",
-        "tidegate measure",
-        "Learning from 60",
+        "Times of a frame",
+        "Learning, recordings from disk, memory",
         "Performance targets",
     ):
         assert title in result.output
