@@ -43,8 +43,7 @@ COMMANDS = {
         "replay", "Replay a stored session and compare every gate decision and sample with the original."
     ),
     "smoke": Command(
-        "smoke.command",
-        "Check a running service from outside: certificate, readiness, live stream, a fraction.",
+        "smoke", "Check a running service from outside: certificate, readiness, version, clock, live stream."
     ),
     "simulate-tps": Command(
         "simulate_tps", "Simulate a treatment planning system: run whole fractions against a running service."
