@@ -1,0 +1,91 @@
+"""``python -m tests.support.size [COMMIT ...]``: how large the repository is; one column for each commit, HEAD last."""
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+
+from tests.support.repository import ROOT
+
+PRODUCT = re.compile(r"^(engine|service|migrations)/.*\.py$")
+TESTS = re.compile(r"^tests/.*\.py$")
+WORDS = re.compile(r"^(README\.md|CHANGELOG\.md|docs/.*\.md)$")
+OPENAPI = "openapi/openapi.json"
+COMPILED = re.compile(r"^engine/.*\.[ch]$")
+PAGE = re.compile(r"^service/web/dashboard/(?!vendor/).*\.(js|css|html)$")
+
+
+def git(*words: str) -> bytes:
+    """Return what git prints."""
+    return subprocess.run(["git", *words], cwd=ROOT, check=True, capture_output=True).stdout
+
+
+def files_of(commit: str) -> dict[str, bytes]:
+    """Return the contents of all files of a commit by path."""
+    listed = [line.split(maxsplit=3) for line in git("ls-tree", "-r", "-z", commit).decode().split("\0") if line]
+    paths = {path: blob for _, kind, blob, path in listed if kind == "blob"}
+    request = "\n".join(paths.values()).encode() + b"\n"
+    command = ["git", "cat-file", "--batch"]
+    found = subprocess.run(command, cwd=ROOT, input=request, check=True, capture_output=True).stdout
+    contents, at = {}, 0
+    for path in paths:
+        end = found.index(b"\n", at)
+        size = int(found[at:end].split()[2])
+        contents[path] = found[end + 1 : end + 1 + size]
+        at = end + 2 + size
+    return contents
+
+
+def lines(kind: re.Pattern[str]) -> Callable[[Mapping[str, bytes]], str]:
+    """Return a measure: lines of the files whose path matches."""
+    return lambda files: f"{sum(text.count(bytes([10])) for path, text in files.items() if kind.match(path)):,}"
+
+
+def words(files: Mapping[str, bytes]) -> str:
+    """Count the words of README, changelog and documents."""
+    return f"{sum(len(text.split()) for path, text in files.items() if WORDS.match(path)):,}"
+
+
+def overrides(files: Mapping[str, bytes]) -> str:
+    """Count the settings that an environment variable can give; all of them before there was a file."""
+    names = files.get("service/core/settings/names.py")
+    if names is None:
+        return "all"
+    listed = re.search(r"OVERRIDES = frozenset\(\s*\{(.*?)\}", names.decode(), re.DOTALL)
+    assert listed is not None, "names.py lists them"
+    return str(len(re.findall(r'"\w+"', listed[1])))
+
+
+def operations(files: Mapping[str, bytes]) -> str:
+    """Count the operations of the HTTP API."""
+    paths = json.loads(files[OPENAPI])["paths"]
+    return str(sum(len(operations) for operations in paths.values()))
+
+
+ROWS: dict[str, Callable[[Mapping[str, bytes]], str]] = {
+    "product, Python lines": lines(PRODUCT),
+    "product, lines of C": lines(COMPILED),
+    "page, lines": lines(PAGE),
+    "tests, Python lines": lines(TESTS),
+    "settings as environment variables": overrides,
+    "HTTP operations": operations,
+    "openapi.json, kB": lambda files: f"{len(files[OPENAPI]) / 1e3:.0f}",
+    "README, CHANGELOG, docs, words": words,
+    "repository without history, MB": lambda files: f"{sum(map(len, files.values())) / 1e6:.1f}",
+}
+
+
+def main() -> None:
+    """Print the table."""
+    commits = [*sys.argv[1:], "HEAD"]
+    found = [files_of(commit) for commit in commits]
+    names = [git("rev-parse", "--short", commit).decode().strip() for commit in commits]
+    rows = [("", *names), *((name, *map(measure, found)) for name, measure in ROWS.items())]
+    widths = [max(len(row[number]) for row in rows) for number in range(len(rows[0]))]
+    for row in rows:
+        sys.stdout.write("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() + "\n")
+
+
+if __name__ == "__main__":
+    main()
