@@ -12,6 +12,7 @@ from engine.control.decisions import Cause
 from engine.control.duty_forecast import DutyForecast
 from engine.control.gate_controller import GateController
 from engine.control.line_orders import LineOrders
+from engine.control.model_follower import ModelFollower
 from engine.control.position_sign_off import PositionSignOff
 from engine.control.reference_budget import ReferenceBudget
 from engine.control.roles import Learner, Measurer
@@ -60,7 +61,7 @@ class _Level(NamedTuple):
 
 
 class CommandHandler:
-    """Handles commands; remembers with which model and reference the gate was armed."""
+    """Handles commands."""
 
     def __init__(
         self,
@@ -70,6 +71,7 @@ class CommandHandler:
         line: LineOrders,
         limits: SessionLimits,
         controller: GateController,
+        follower: ModelFollower,
         presence: OperatorPresence,
         supervisor: FrameSupervisor,
         budget: ReferenceBudget,
@@ -79,9 +81,8 @@ class CommandHandler:
         self._budget, self._sign_off = budget, sign_off
         self._countersignature = Countersignature(budget, limits)
         self._controller, self._presence, self._supervisor = controller, presence, supervisor
+        self._follower = follower
         self._forecast = DutyForecast(learner, limits)
-        self._generation = learner.status.model_generation
-        self._resolved_for: int | None = None
         self._reference_by = ""
         self._hashed: tuple[object, ...] = ()
         self._hash = ""
@@ -121,25 +122,6 @@ class CommandHandler:
         """Whether the next arming needs a second person's countersignature, and who has given it."""
         return self._countersignature.present(self.arming_state)
 
-    def has_model_changed(self) -> bool:
-        """Whether the model or the reference has changed since the last call, or since the last arming."""
-        before, self._generation = self._generation, self._learner.status.model_generation
-        return before != self._generation
-
-    def resolve_window(self) -> None:
-        """Resolve a window in per cent into mm, once for each reference that is set.
-
-        Another model with the same reference has another learned range, of where the patient lies now: a window that
-        took it over would follow a drift that no person has confirmed.
-        """
-        reference = self._learner.status.reference_number
-        if self._resolved_for == reference or not self._limits.prescribed_window.needs_ranges:
-            return
-        ranges = self._learner.learned_ranges(self._limits.prescribed_window.choices)
-        self._limits.resolve_window(ranges)
-        if ranges:
-            self._resolved_for = reference
-
     def handle(self, command: Command, inputs: CommandInputs) -> None:
         """Carry a command out; raise a TidegateError where it is refused."""
         match command:
@@ -171,7 +153,7 @@ class CommandHandler:
         self._budget.check_window(self._limits.changed(command, ranges).limits.window, command)
         self._controller.set_window(command, ranges)
         self._measurer.correct_baseline(self._limits.prescribed_window.choices[0], 0.0)
-        self._resolved_for = None  # converted again with the next frame: by then a range may be known
+        self._follower.resolve_again()
 
     def _change(self, command: SetReference | SetWindow | Retrain | ApplyModel | ActivateModel) -> None:
         """Carry out a command that changes the reference, the window or the model."""
@@ -241,8 +223,8 @@ class CommandHandler:
         self._controller.decide(Ending(reason=HoldReason.DISARMED, detail=detail), cause=Cause(operator=operator))
 
     def _arm(self, command: Arm, inputs: CommandInputs) -> None:
-        self._generation = self._learner.status.model_generation
-        self.resolve_window()
+        self._follower.has_changed()  # armed with what is present now
+        self._follower.resolve_window()
         if inputs.operator_absence:
             raise CommandRefusedError(f"{inputs.operator_absence}: a person has to log in there, and keep it visible")
         self._refuse_unless_ready(inputs)

@@ -43,8 +43,6 @@ class GateController:
     ----------
     gate
         As of the last decision.
-    supervision
-        What the newest frames show against the beam; set by the loop before each decision on a frame.
     operator_hold
         The operator who holds the beam by hand; None where there is none.
     """
@@ -64,12 +62,19 @@ class GateController:
         self._driver = BeamDriver(line=line, clock=clock, limits=limits.current)
         watchdog.on_fired = lambda at_ns: records.record_watchdog(self.gate, at_ns)
         self.gate = Gate(since_ns=clock.now_ns())
-        self.supervision: tuple[Interruption, ...] = ()
+        self._supervision: tuple[Interruption, ...] = ()
         self._holds: dict[str, bool] = {}  # operator: whether that is a person
 
-    def decide(self, *events: GateEvent, cause: Cause | None = None) -> None:
-        """Step the gate through ``events`` to one decision, drive the line, and record it."""
+    def decide(
+        self, *events: GateEvent, cause: Cause | None = None, supervision: tuple[Interruption, ...] | None = None
+    ) -> None:
+        """Step the gate through ``events`` to one decision, drive the line, and record it.
+
+        ``supervision`` is what the newest frames show against the beam; without one the last stands.
+        """
         cause = cause or Cause()
+        if supervision is not None:
+            self._supervision = supervision
         before = self.gate
         inputs = self._reader.decision(before)
         if inputs.is_stop_requested and cause.frame is not None:  # requested while this frame was measured
@@ -99,7 +104,7 @@ class GateController:
             inputs,
             is_armed=before.is_armed,
             limits=self._limits.current,
-            supervision=self.supervision,
+            supervision=self._supervision,
             operator_hold=self.operator_hold,
         )
         gate = before

@@ -25,6 +25,7 @@ from engine.control.gate_controller import GateController
 from engine.control.journal.journal import Journal
 from engine.control.line_orders import LineOrders
 from engine.control.live_views import LiveViews, no_camera_view, no_signal
+from engine.control.model_follower import ModelFollower
 from engine.control.output_queues import OutputQueues
 from engine.control.outputs import FrameRecord, GateTransition, LoopStatus
 from engine.control.position_sign_off import PositionSignOff
@@ -136,6 +137,7 @@ class EngineLoop:
         self._supervisor = FrameSupervisor(limits)
         budget = ReferenceBudget(learner, self._limits)
         self._sign_off = PositionSignOff(learner, self._limits)
+        self._follower = ModelFollower(learner, self._limits)
         self._views = LiveViews(
             limits=self._limits,
             outputs=self._outputs,
@@ -155,6 +157,7 @@ class EngineLoop:
             line=self._line,
             limits=self._limits,
             controller=self._controller,
+            follower=self._follower,
             presence=self._presence,
             supervisor=self._supervisor,
             budget=budget,
@@ -362,7 +365,7 @@ class EngineLoop:
         measurement = self._measurer.measure(frame)
         notices = self._learner.take_notices()
         self._outputs.put_notices(notices)
-        self._controller.supervision = self._supervisor.check(
+        supervision = self._supervisor.check(
             frame,
             measurement,
             window=self._limits.current.window,
@@ -370,21 +373,14 @@ class EngineLoop:
             has_reference=self._learner.status.has_reference,
             notices=notices,
         )
-        self._follow_position(measurement)
-        self._decide_on(frame, measurement)
-
-    def _follow_position(self, measurement: Measurement) -> None:
-        """End the signature of a position that the patient or the camera has left; without a valid one, hold."""
-        self._sign_off.follow(measurement, self._controller.supervision)
+        self._sign_off.follow(measurement, supervision)
         unsigned = self._sign_off.interruption()
-        if unsigned is not None:
-            self._controller.supervision = (unsigned, *self._controller.supervision)
+        self._decide_on(frame, measurement, supervision if unsigned is None else (unsigned, *supervision))
 
     def _decide_without_camera(self, detail: str) -> None:
         """Fault for as long as the camera is away; an acknowledgement meanwhile does not clear it."""
         self._is_camera_away = True
-        self._controller.supervision = (Interruption(reason=HoldReason.SOURCE_LOST, detail=detail),)
-        self._controller.decide()
+        self._controller.decide(supervision=(Interruption(reason=HoldReason.SOURCE_LOST, detail=detail),))
 
     def _decide_without_frame(self, timed_out_ns: int) -> None:
         self._controller.decide(Silence(since_ns=self._opened_ns))
@@ -392,11 +388,11 @@ class EngineLoop:
             msg = f"the source was opened, and showed nothing for {FIRST_FRAME_NS // NS_PER_S} s"
             raise SourceLostError(msg)
 
-    def _decide_on(self, frame: RgbdFrame, measurement: Measurement) -> None:
+    def _decide_on(self, frame: RgbdFrame, measurement: Measurement, supervision: tuple[Interruption, ...]) -> None:
         events: list[GateEvent] = []
-        if self._handler.has_model_changed():
+        if self._follower.has_changed():
             events.append(Ending(reason=HoldReason.DISARMED))
-        self._handler.resolve_window()
+        self._follower.resolve_window()
         if not _is_of(measurement, frame):
             events.append(Interruption(reason=HoldReason.VALUE_INVALID, detail="a measurement of another frame"))
         events.append(measurement)
@@ -404,7 +400,7 @@ class EngineLoop:
             events.append(Interruption(reason=HoldReason.MODEL_MISSING))
         elif not self._learner.status.has_reference:
             events.append(Interruption(reason=HoldReason.REFERENCE_MISSING))
-        self._controller.decide(*events, cause=Cause(frame=frame, measurement=measurement))
+        self._controller.decide(*events, cause=Cause(frame=frame, measurement=measurement), supervision=supervision)
 
     # Commands.
 
