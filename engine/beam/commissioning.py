@@ -1,7 +1,7 @@
 """Short permits outside of sessions, to measure a line's times: for commissioning, with the accelerator made safe.
 
 The only caller of ``permit`` besides `engine.control.beam_driver`. Users are ``tidegate beam-line check --pulse``,
-the drill of the heartbeat (`engine.beam.heartbeat_drill`) and the drills of QA (`engine.verification.qa.drill`).
+the drill of the heartbeat (`engine.beam.heartbeat_drill`) and the drills of QA (`engine.qa.drill`).
 """
 
 from collections.abc import Callable

@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 
 from engine.core.errors import TidegateError
-from engine.verification.phantom.builds import Departure
-from engine.verification.phantom.recording import make_volunteer
-from engine.verification.phantom.sensor_models import USUAL
+from engine.lab.phantom.builds import Departure
+from engine.lab.phantom.recording import make_volunteer
+from engine.lab.phantom.sensor_models import USUAL
 from service.cli.terminal import frame_bar, refused, say
 
 

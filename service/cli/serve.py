@@ -17,6 +17,7 @@ from service.cli.terminal import refused, say
 if TYPE_CHECKING:
     from service.core.settings.settings import Settings
     from service.engine_host.process.process_engine import ProcessEngine
+    from service.qa.roles import QaRig
 
 SWITCH_INTERVAL_S = 0.001
 """The engine thread gets the interpreter back from an API thread within this time; Python's default is 5 ms."""
@@ -40,7 +41,7 @@ def serve(
 ) -> None:
     """Run the service: sessions, gate, web page, HTTP API and audit log.
 
-    Every other setting is a TIDEGATE_* environment variable.
+    The other settings stand in the file that TIDEGATE_CONFIG names; see tidegate config show.
     """
     if os.environ.get("TIDEGATE_LOG_FORMAT") != "json":  # the next line, after a second of imports, is in any format
         say(f"Tidegate {__version__} starting")
@@ -94,6 +95,14 @@ def _run(settings: "Settings") -> None:
         engine.close()
 
 
+def _rig(settings: "Settings") -> "QaRig":
+    """Return what builds QA jobs; a clinical service has no virtual set-up."""
+    from service.cli.qa.simulated import SimulatingRig
+    from service.qa.late_rig import LateRig
+
+    return LateRig(settings) if settings.mode == "clinical" else SimulatingRig(settings)
+
+
 def _serve(settings: "Settings", engine: "ProcessEngine") -> None:
     from service.access.request.addresses import LOOPBACK
     from service.core.logging.nonblocking import flush_log
@@ -102,7 +111,7 @@ def _serve(settings: "Settings", engine: "ProcessEngine") -> None:
     from service.web.server import make_server
 
     try:
-        app = create_app(settings, lambda _settings: engine, tell_first=_print_first_password)
+        app = create_app(settings, lambda _settings: engine, _rig, tell_first=_print_first_password)
     except CertificateError as error:
         flush_log()
         raise refused("serve", error) from error

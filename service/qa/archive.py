@@ -4,8 +4,8 @@ from datetime import UTC, datetime
 
 from sqlalchemy.orm import Session
 
-from engine.verification.qa.bounds import BASELINE_BOUNDS
-from engine.verification.qa.checks import check_of
+from engine.qa.bounds import BASELINE_BOUNDS
+from engine.qa.checks import check_of
 from service.core.conditional import ANYTHING, Precondition
 from service.core.errors import BoundError, QaActiveError, QaStateError
 from service.core.list_filters import ALL_RUNS, QaRunFilter

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
 from engine.core.errors import TidegateError
-from engine.verification.qa.bounds import QaBaseline, QaBounds
-from engine.verification.qa.results import QaNeed, QaReport
+from engine.qa.bounds import QaBaseline, QaBounds
+from engine.qa.results import QaNeed, QaReport
 from service.qa.guarded_line import TAKEN, GuardedLine
 from service.qa.queries import QaOutcome
 
 if TYPE_CHECKING:  # the run's fits are loaded with the first run
-    from engine.verification.qa.run import Progress
+    from engine.qa.run import Progress
 
 UNEXPECTED = QaOutcome(status="failed", detail="an unexpected error; it is in the service's log")
 

@@ -1,4 +1,4 @@
-"""The QA rig, loaded with its first run: fits, phantom and SciPy take 40 MB and a second, which no session needs."""
+"""The QA rig, loaded with its first run: fits and SciPy take 40 MB and a second, which no session needs."""
 
 from engine.calibration.camera_calibration import Calibration
 from service.core.settings.settings import Settings

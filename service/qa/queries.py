@@ -15,9 +15,9 @@ from sqlalchemy import literal, select, tuple_
 from sqlalchemy.orm import Session
 
 from engine import __version__
-from engine.verification.qa.bounds import QaBaseline, QaBounds
-from engine.verification.qa.checks import check_of, checks_of
-from engine.verification.qa.results import QaBound, QaKind, QaReport, QaResult, judge
+from engine.qa.bounds import QaBaseline, QaBounds
+from engine.qa.checks import check_of, checks_of
+from engine.qa.results import QaBound, QaKind, QaReport, QaResult, judge
 from service.core.errors import NotFoundError
 from service.core.list_filters import ALL_RUNS, QaRunFilter
 from service.qa.treatments import CODE as TREATMENTS

@@ -4,7 +4,6 @@ Nothing is opened here: the run opens and closes its inputs.
 """
 
 import threading
-from dataclasses import replace
 from pathlib import Path
 
 from engine.calibration.camera_calibration import Calibration
@@ -16,18 +15,18 @@ from engine.core.errors import SourceLostError
 from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
 from engine.motion.settings import PipelineSettings
-from engine.verification.qa.bounds import QaBaseline, QaBounds
-from engine.verification.qa.inputs import BeamInput, PhantomInput, PlateInput, QaInputs
-from engine.verification.qa.results import QaKind, QaReport
-from engine.verification.qa.rig import VIRTUAL_BASELINE, RigFaults, virtual_inputs
-from engine.verification.qa.run import Progress, run_qa
-from engine.verification.qa.trace import read_commanded
+from engine.qa.bounds import QaBaseline, QaBounds
+from engine.qa.inputs import BeamInput, PhantomInput, PlateInput, QaInputs
+from engine.qa.results import QaKind, QaReport
+from engine.qa.run import Progress, run_qa
+from engine.qa.trace import read_commanded
+from service.core.errors import BoundError
 from service.core.settings.settings import Settings
 from service.engine_host.beam_lines import beam_line_parts, drilled_receivers, joined, published, read_beam_on
 from service.engine_host.site_rules.camera_serial import checked_camera
 from service.qa.guarded_line import GuardedLine
 from service.qa.roles import QaFiles
-from service.qa.schemas import QaPhantom, QaPlate, QaRunRequest, QaSimulation
+from service.qa.schemas import QaPhantom, QaPlate, QaRunRequest
 
 DWELL_MS = 100.0
 """The default dwell of a session."""
@@ -60,7 +59,8 @@ class EngineRig:
         """Build the job of a run; raise a TidegateError naming what cannot be used."""
         kind = QaKind(request.kind)
         if request.simulation is not None:
-            return virtual_job(kind, request.simulation)
+            bound = "omitted: this service has no virtual set-up"
+            raise BoundError(f"simulation must be {bound}", field="simulation", value="given", bound=bound)
         parts = beam_line_parts(self._settings, self._clock)
         line = GuardedLine(published(joined(parts), self._settings, self._clock))
         inputs = QaInputs(
@@ -122,16 +122,6 @@ class EngineRig:
         is_registered = calibration.is_device_registration
         source = OpenNiSource(uri or found[0], clock=self._clock, use_device_registration=is_registered)
         return checked_camera(source, calibration, self._settings)
-
-
-def virtual_job(kind: QaKind, simulation: QaSimulation) -> EngineJob:
-    """Build a virtual job with a beam line in memory; the site's beam line is not used."""
-    faults = RigFaults(**simulation.faults.model_dump())
-    inputs = virtual_inputs(faults, seed=simulation.seed)
-    assert inputs.beam is not None, "a virtual set-up has a beam line"
-    line = GuardedLine(inputs.beam.line)
-    guarded = replace(inputs, beam=replace(inputs.beam, line=line))
-    return EngineJob(kind, guarded, line, own_baseline=VIRTUAL_BASELINE)
 
 
 def _given(calibration: Calibration | None) -> Calibration:

@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session
 
 from engine.calibration.camera_calibration import Calibration, parse_calibration
 from engine.core.errors import RecordingError
-from engine.verification.qa.results import QaKind
+from engine.qa.results import QaKind
 from service.core.errors import BoundError, QaStateError, SessionActiveError
 from service.core.settings.settings import Settings
 from service.engine_host.equipment import EquipmentSlot

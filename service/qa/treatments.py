@@ -9,7 +9,7 @@ import numpy as np
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from engine.verification.qa.results import QaFigure, QaKind
+from engine.qa.results import QaFigure, QaKind
 from service.storage.database import queries
 from service.storage.database.tables import AuditRow, QaOutcomeRow, QaRunRow, SessionRow
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import engine
-from engine.verification.phantom.recording import make_volunteer
+from engine.lab.phantom.recording import make_volunteer
 from tests.support.build_cache import digest_of, made_once
 
 MAKERS = [
     Path(engine.__path__[0]) / name
-    for name in ("verification/phantom", "capture/oni", "core/geometry.py", "calibration/laser_plane.py")
+    for name in ("lab/phantom", "capture/oni", "core/geometry.py", "calibration/laser_plane.py")
 ]
 """The sources that a recording depends on: one changed, it is made anew."""
 

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Protocol
 
 from engine.core.errors import RecordingError
+from engine.lab.evaluation.runs.bench import MEASURED, MEASURED_RECIPE, do_run
+from engine.lab.evaluation.runs.bench import Progress as RunProgress
+from engine.lab.evaluation.runs.datasets import Run, is_made
+from engine.lab.evaluation.runs.trial import TrialSettings
 from engine.offline.batch import FileOutcome, Progress, measure_file
 from engine.offline.measure import FileTask
-from engine.verification.evaluation.runs.bench import MEASURED, MEASURED_RECIPE, do_run
-from engine.verification.evaluation.runs.bench import Progress as RunProgress
-from engine.verification.evaluation.runs.datasets import Run, is_made
-from engine.verification.evaluation.runs.trial import TrialSettings
 
 Report = Callable[[dict[str, int | str]], None]
 """Reports progress; the values travel as MessagePack."""

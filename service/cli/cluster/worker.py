@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 import engine
-from engine.verification.evaluation.runs.datasets import fingerprint
+from engine.lab.evaluation.runs.datasets import fingerprint
 
 MARKER = "run"
 """File in the staging folder by which a worker knows that it sees the client's folder."""

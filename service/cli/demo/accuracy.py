@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.signal import find_peaks
 
 from engine.core.frames import FloatArray
-from engine.verification.phantom.truth import load_truth
+from engine.lab.phantom.truth import load_truth
 
 PROMINENCE_SHARE = 0.4
 """Smallest rise of a breath, of the 5 to 95 % range of the trace."""

@@ -26,8 +26,8 @@ def ablations(
     ] = None,
 ) -> None:
     """Measure six virtual volunteers with one part of the method changed at a time and print the errors."""
-    from engine.verification.evaluation.runs.ablations import ablate, runs, table
-    from engine.verification.evaluation.runs.datasets import SECONDS, check_plan
+    from engine.lab.evaluation.runs.ablations import ablate, runs, table
+    from engine.lab.evaluation.runs.datasets import SECONDS, check_plan
 
     try:
         check_plan(seed, SECONDS)

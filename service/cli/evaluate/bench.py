@@ -27,12 +27,12 @@ from service.cli.cluster.options import (
 from service.cli.terminal import refused, say
 
 if TYPE_CHECKING:
-    from engine.verification.evaluation.runs.bench import DoAll, Report
-    from engine.verification.evaluation.runs.bench import Progress as BenchProgress
-    from engine.verification.evaluation.runs.datasets import Run
-    from engine.verification.evaluation.runs.marks import Mark
-    from engine.verification.evaluation.runs.scored_run import ScoredRun
-    from engine.verification.evaluation.table import Table
+    from engine.lab.evaluation.runs.bench import DoAll, Report
+    from engine.lab.evaluation.runs.bench import Progress as BenchProgress
+    from engine.lab.evaluation.runs.datasets import Run
+    from engine.lab.evaluation.runs.marks import Mark
+    from engine.lab.evaluation.runs.scored_run import ScoredRun
+    from engine.lab.evaluation.table import Table
 
 STOPPED = 130
 PIPED_WIDTH = 220
@@ -98,9 +98,9 @@ def _bench(
     seed: int,
     cluster: SchedulerOptions | None,
 ) -> "list[Mark]":
-    from engine.verification.evaluation.report.report import write_report
-    from engine.verification.evaluation.runs.bench import check_jobs
-    from engine.verification.evaluation.runs.datasets import check_plan, full_plan, quick_plan
+    from engine.lab.evaluation.report.report import write_report
+    from engine.lab.evaluation.runs.bench import check_jobs
+    from engine.lab.evaluation.runs.datasets import check_plan, full_plan, quick_plan
 
     workers = len(os.sched_getaffinity(0)) if jobs is None else jobs
     check_jobs(workers)
@@ -125,14 +125,14 @@ def _bench(
 
 
 def _changed(seconds: float, seed: int) -> str:
-    from engine.verification.evaluation.runs.datasets import SECONDS, SEED
+    from engine.lab.evaluation.runs.datasets import SECONDS, SEED
 
     return (f" --seconds {seconds:g}" if seconds != SECONDS else "") + (f" --seed {seed}" if seed != SEED else "")
 
 
 def _with_bar(plan: "list[Run]", work: Path, jobs: int, cluster: SchedulerOptions | None) -> "list[ScoredRun]":
     """Run all datasets with one progress bar of generated and measured frames."""
-    from engine.verification.evaluation.runs.bench import run_bench
+    from engine.lab.evaluation.runs.bench import run_bench
 
     before = signal.signal(signal.SIGTERM, _interrupt)
     bar = Progress(

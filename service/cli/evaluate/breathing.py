@@ -12,8 +12,8 @@ from service.cli.evaluate.bench import STOPPED, print_tables
 from service.cli.terminal import frame_bar, refused, say
 
 if TYPE_CHECKING:
-    from engine.verification.evaluation.breathing.recorded import MonitoredTrace, RpmConventions
-    from engine.verification.evaluation.table import Table
+    from engine.lab.evaluation.breathing.recorded import MonitoredTrace, RpmConventions
+    from engine.lab.evaluation.table import Table
 
 MAX_TRACES = 100
 
@@ -38,8 +38,8 @@ def breathing(
 
     Writes the tables as CSV and a picture of each recorded trace with phase, baseline and events.
     """
-    from engine.verification.evaluation.breathing.bench import check_plan
-    from engine.verification.evaluation.breathing.recorded import RpmConventions
+    from engine.lab.evaluation.breathing.bench import check_plan
+    from engine.lab.evaluation.breathing.recorded import RpmConventions
 
     try:
         if out.exists() and not out.is_dir():
@@ -67,8 +67,8 @@ def breathing(
 
 
 def _bench(seeds: int, hours: float, jobs: int) -> "list[Table]":
-    from engine.verification.evaluation.breathing.bench import plan, run
-    from engine.verification.evaluation.breathing.tables import tables_of
+    from engine.lab.evaluation.breathing.bench import plan, run
+    from engine.lab.evaluation.breathing.tables import tables_of
 
     planned = plan(seeds, hours)
     if not planned:
@@ -79,7 +79,7 @@ def _bench(seeds: int, hours: float, jobs: int) -> "list[Table]":
 
 
 def _monitor(traces: list[Path], conventions: "RpmConventions") -> "list[MonitoredTrace]":
-    from engine.verification.evaluation.breathing.recorded import monitor_trace
+    from engine.lab.evaluation.breathing.recorded import monitor_trace
 
     with frame_bar() as bar:
         task = bar.add_task("recorded breathing", total=len(traces))
@@ -91,7 +91,7 @@ def _monitor(traces: list[Path], conventions: "RpmConventions") -> "list[Monitor
 
 
 def _recorded_tables(recorded: "list[MonitoredTrace]") -> "list[Table]":
-    from engine.verification.evaluation.breathing.tables import agreement, recorded_events, recorded_shares
+    from engine.lab.evaluation.breathing.tables import agreement, recorded_events, recorded_shares
 
     if not recorded:
         return []
@@ -100,7 +100,7 @@ def _recorded_tables(recorded: "list[MonitoredTrace]") -> "list[Table]":
 
 
 def _draw(recorded: "list[MonitoredTrace]", out: Path) -> None:
-    from engine.verification.evaluation.breathing.pictures import draw_breathing
+    from engine.lab.evaluation.breathing.pictures import draw_breathing
 
     for number, one in enumerate(recorded):
         picture = draw_breathing(one.name, one.time_s, one.value_mm, one.output)

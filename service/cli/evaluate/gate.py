@@ -13,7 +13,7 @@ from service.cli.evaluate.breathing import MAX_TRACES
 from service.cli.terminal import advance, frame_bar, refused, say
 
 if TYPE_CHECKING:
-    from engine.verification.evaluation.table import Table
+    from engine.lab.evaluation.table import Table
 
 
 def gate(
@@ -47,7 +47,7 @@ def gate(
     Then evaluate the rules on breathing (drift, ceased breathing, longest beam-on), on made courses and on recorded
     traces.
     """
-    from engine.verification.evaluation.runs.datasets import check_plan
+    from engine.lab.evaluation.runs.datasets import check_plan
 
     try:
         check_plan(seed, seconds)
@@ -84,8 +84,8 @@ def _check_parts(*, is_edges_only: bool, needs_rules: bool) -> None:
 
 
 def _edge_table(work: Path, seed: int, seconds: float) -> "Table":
-    from engine.verification.evaluation.gating.tables import gate_table
-    from engine.verification.evaluation.gating.timing import EdgeTiming, plan, time_gate
+    from engine.lab.evaluation.gating.tables import gate_table
+    from engine.lab.evaluation.gating.timing import EdgeTiming, plan, time_gate
 
     runs = plan(seed, seconds)
     timings: list[EdgeTiming] = []
@@ -97,9 +97,9 @@ def _edge_table(work: Path, seed: int, seconds: float) -> "Table":
 
 
 def _rule_tables(traces: list[Path], volunteers: list[int] | None) -> "list[Table]":
-    from engine.verification.evaluation.gating.breathing_rules import WINDOWS, gate_trace
-    from engine.verification.evaluation.gating.rule_tables import recorded_table, stopped_table
-    from engine.verification.evaluation.gating.rule_trials import TRIALS_EACH, VOLUNTEERS, stopped_trials
+    from engine.lab.evaluation.gating.breathing_rules import WINDOWS, gate_trace
+    from engine.lab.evaluation.gating.rule_tables import recorded_table, stopped_table
+    from engine.lab.evaluation.gating.rule_trials import TRIALS_EACH, VOLUNTEERS, stopped_trials
 
     chosen = tuple(volunteers or VOLUNTEERS)
     recorded, trials = [], []

@@ -8,8 +8,8 @@ import numpy as np
 
 from engine.core.files import write_whole
 from engine.core.frames import FloatArray
-from engine.verification.evaluation.instruments.laser import LaserComparison
-from engine.verification.evaluation.instruments.spirometer import SpirometerComparison, to_unit_range
+from engine.lab.evaluation.instruments.laser import LaserComparison
+from engine.lab.evaluation.instruments.spirometer import SpirometerComparison, to_unit_range
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

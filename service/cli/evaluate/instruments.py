@@ -12,8 +12,8 @@ from engine.capture.recording_source import OniFileSource
 from engine.core.clock import MonotonicClock
 from engine.core.files import write_whole
 from engine.core.frames import Measurement, RgbdFrame
+from engine.lab.evaluation.playback import play
 from engine.motion.settings import PipelineSettings
-from engine.verification.evaluation.playback import play
 from service.cli.measure.options import head_direction
 from service.cli.terminal import frame_bar
 

@@ -39,9 +39,9 @@ def integrity(
     Sheets, re-attached markers, missing depth, moves of body and camera, old pictures, and a patient who lies feet
     first; one row a case, over all volunteers.
     """
-    from engine.verification.evaluation.integrity.bench import check_plan, jobs_of, run_all
-    from engine.verification.evaluation.integrity.cases import cases
-    from engine.verification.evaluation.integrity.tables import integrity_table
+    from engine.lab.evaluation.integrity.bench import check_plan, jobs_of, run_all
+    from engine.lab.evaluation.integrity.cases import cases
+    from engine.lab.evaluation.integrity.tables import integrity_table
 
     volunteers = volunteer or [3, 6]
     workers = len(os.sched_getaffinity(0)) if jobs is None else jobs

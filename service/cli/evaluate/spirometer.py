@@ -11,16 +11,16 @@ from rich.table import Table
 from engine.calibration.camera_calibration import load_calibration
 from engine.core.errors import TidegateError
 from engine.core.frames import FloatArray, Measurement, RgbdFrame
-from engine.motion.learning.trainer import TrainingSettings
-from engine.motion.settings import PipelineSettings
-from engine.verification.evaluation.instruments.flow_file import read_flow
-from engine.verification.evaluation.instruments.spirometer import (
+from engine.lab.evaluation.instruments.flow_file import read_flow
+from engine.lab.evaluation.instruments.spirometer import (
     MAX_LAG_S,
     SpirometerComparison,
     check_max_lag,
     compare_volumes,
     to_unit_range,
 )
+from engine.motion.learning.trainer import TrainingSettings
+from engine.motion.settings import PipelineSettings
 from service.cli.evaluate.instrument_plots import draw_spirometer
 from service.cli.evaluate.instruments import number, superior_of, watch, write_rows
 from service.cli.terminal import refused, say

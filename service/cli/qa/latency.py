@@ -7,15 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from engine.capture.source import SourceDescription
-from engine.verification.qa.bounds import QaBaseline
-from engine.verification.qa.latency.measure import SECONDS_BOUNDS
-from engine.verification.qa.playing import opened
-from engine.verification.qa.results import QaKind
+from engine.core.clock import MonotonicClock
+from engine.qa.bounds import QaBaseline
+from engine.qa.latency.measure import SECONDS_BOUNDS
+from engine.qa.playing import opened
+from engine.qa.results import QaKind
 from service.cli.qa.stored_run import BegunRun, carry_out, checked
 from service.core.errors import BoundError
 from service.core.settings.settings import Settings
 from service.qa import queries
-from service.qa.latency.rig import LatencyJob, LatencyRig, virtual_job
+from service.qa.guarded_line import GuardedLine
+from service.qa.latency.rig import LatencyJob, LatencyRig
 from service.qa.latency.schemas import CameraMode, LatencyRunRequest
 from service.qa.queries import NewQaRun
 from service.qa.runs import refuse_open_session
@@ -106,6 +108,15 @@ def _request(
     }
     stated = {} if output_delay_ms is None else {"output_delay_ms": output_delay_ms}
     return checked(LatencyRunRequest, fields | stated)
+
+
+def virtual_job(*, seed: int, seconds: float, delay_ms: float) -> LatencyJob:
+    """Build a job on a virtual camera of known latency; the site's camera and beam line are not used."""
+    from engine.beam.simulated import SimulatedBeamLine
+    from engine.lab.virtual_latency import VirtualFaults, virtual_light
+
+    given = virtual_light(VirtualFaults(delay_ms=delay_ms), seed=seed, seconds=seconds)
+    return LatencyJob(given, GuardedLine(SimulatedBeamLine(MonotonicClock())))  # a cancel takes every job's line away
 
 
 def _seconds(seconds: float) -> float:

@@ -8,12 +8,12 @@ from typing import Any
 from sqlalchemy.orm import Session
 
 from engine.calibration.camera_calibration import Calibration, load_calibration
+from service.cli.qa.simulated import SimulatingRig
 from service.cli.qa.stored_run import BegunRun, carry_out, checked
 from service.core.errors import BoundError
 from service.core.settings.settings import Settings
 from service.engine_host.site_rules.uncalibrated import refuse_reserved_name
 from service.qa import queries, schemas
-from service.qa.rig import EngineRig
 from service.qa.roles import QaFiles
 from service.qa.runs import check_beam_safety, new_run, permits_real_beam, refuse_open_session
 from service.sessions.records.calibrations import ACTION as UPLOAD
@@ -61,7 +61,7 @@ def do_run(options: RunOptions) -> str:
         request = _request(options, calibration)
         check_beam_safety(request, settings)
         files = _files(options)
-        job = EngineRig(settings).job(request, files, calibration)
+        job = SimulatingRig(settings).job(request, files, calibration)
         run_id = uuid.uuid4().hex
         with database.write() as db:
             if permits_real_beam(request, settings):

@@ -11,8 +11,8 @@ from pydantic import BaseModel, ValidationError
 
 from engine.core.errors import TidegateError
 from engine.core.files import write_whole
-from engine.verification.qa.bounds import QaBaseline
-from engine.verification.qa.results import QaNeed
+from engine.qa.bounds import QaBaseline
+from engine.qa.results import QaNeed
 from service.cli.qa.interruptible import interruptible
 from service.cli.qa.tables import print_results
 from service.cli.terminal import frame_bar, refused, say

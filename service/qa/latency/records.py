@@ -14,7 +14,7 @@ from typing import cast
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from engine.verification.qa.results import QaKind
+from engine.qa.results import QaKind
 from service.qa.latency.schemas import CameraMode
 from service.qa.schemas import Verdict
 from service.storage.database.tables import QaOutcomeRow, QaResultRow, QaRunRow

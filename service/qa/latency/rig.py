@@ -5,20 +5,17 @@ Nothing is opened here but the camera, once, to describe it: the run records whi
 
 import threading
 
-from engine.beam.line import BeamLine
-from engine.beam.simulated import SimulatedBeamLine
 from engine.capture.openni.source import OpenNiSource, list_devices
 from engine.capture.source import DepthSource, SourceDescription
 from engine.core.clock import NS_PER_S, Clock, MonotonicClock
 from engine.core.errors import SourceLostError
-from engine.verification.qa.bounds import QaBaseline, QaBounds
-from engine.verification.qa.inputs import QaInputs
-from engine.verification.qa.latency.light_driver import BeamLineLight
-from engine.verification.qa.latency.light_pattern import intervals_ns
-from engine.verification.qa.latency.measure import LEAD_S, LightInput
-from engine.verification.qa.latency.virtual import VirtualFaults, virtual_light
-from engine.verification.qa.results import QaKind, QaReport
-from engine.verification.qa.run import Progress, run_qa
+from engine.qa.bounds import QaBaseline, QaBounds
+from engine.qa.inputs import QaInputs
+from engine.qa.latency.light_driver import BeamLineLight
+from engine.qa.latency.light_pattern import intervals_ns
+from engine.qa.latency.measure import LEAD_S, LightInput
+from engine.qa.results import QaKind, QaReport
+from engine.qa.run import Progress, run_qa
 from service.core.settings.settings import Settings
 from service.engine_host.beam_lines import beam_line_parts, joined, published
 from service.qa.guarded_line import GuardedLine
@@ -63,13 +60,6 @@ class LatencyRig:
             source=source, camera=camera, light=light, output_ms=request.output_delay_ms, seconds=request.seconds
         )
         return LatencyJob(given, line)
-
-
-def virtual_job(*, seed: int, seconds: float, delay_ms: float) -> LatencyJob:
-    """Build a job on a virtual camera of known latency; the site's camera and beam line are not used."""
-    given = virtual_light(VirtualFaults(delay_ms=delay_ms), seed=seed, seconds=seconds)
-    line: BeamLine = SimulatedBeamLine(MonotonicClock())  # permits nothing; a cancel takes every job's line away
-    return LatencyJob(given, GuardedLine(line))
 
 
 def _wait_ns(span_ns: int) -> None:

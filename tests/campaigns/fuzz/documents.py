@@ -10,10 +10,10 @@ from engine.calibration.formats.convert import read_upload
 from engine.calibration.laser_plane import LaserPlaneError, load_plane
 from engine.core.errors import CalibrationError, InvalidValueError, RecordingError
 from engine.core.strict_json import StrictJson
+from engine.lab.evaluation.instruments.flow_file import FlowFileError, read_flow
 from engine.motion.named_region_file import load_regions
-from engine.verification.evaluation.instruments.flow_file import FlowFileError, read_flow
-from engine.verification.phantom.traces import read_trace
-from engine.verification.qa.trace import read_commanded
+from engine.qa.recorded_traces import read_trace
+from engine.qa.trace import read_commanded
 from tests.campaigns.fuzz.target import Target, as_file
 from tests.support.calibration.foreign_calibrations import (
     CAMERAS,
@@ -159,8 +159,7 @@ TARGETS = (
     ),
     Target(
         name="trace",
-        reads="traces: a phantom's commands, markers, RPM, a robot's "
-        "(`engine.verification.qa.trace`, `engine.verification.phantom.traces`)",
+        reads="traces: a phantom's commands, markers, RPM, a robot's (`engine.qa.trace`, `engine.qa.recorded_traces`)",
         read=read_traces,
         refusals=(RecordingError, InvalidValueError),
         seeds=traces,
@@ -168,7 +167,7 @@ TARGETS = (
     ),
     Target(
         name="flow",
-        reads="a spirometer's flow or volume (`engine.verification.evaluation.instruments.flow_file`)",
+        reads="a spirometer's flow or volume (`engine.lab.evaluation.instruments.flow_file`)",
         read=read_flows,
         refusals=(FlowFileError,),
         seeds=flows,

@@ -15,7 +15,7 @@ from engine.capture.oni.codec import encode_16zt, encode_jpeg
 from engine.capture.oni.reader import OniReader
 from engine.capture.oni.streams import CodedFrame
 from engine.capture.oni.writer import OniWriter
-from engine.verification.phantom.recording import make_volunteer
+from engine.lab.phantom.recording import make_volunteer
 from tests.support.build_cache import digest_of, made_once
 
 BASE_S = 40.0
@@ -25,7 +25,7 @@ COLOR_NOISE = 3
 VOLUNTEER = {"scenario": "regular", "volunteer": 1, "seed": 1}
 MAKERS = [
     Path(engine.__path__[0]) / name
-    for name in ("verification/phantom", "capture/oni", "core/geometry.py", "calibration/laser_plane.py")
+    for name in ("lab/phantom", "capture/oni", "core/geometry.py", "calibration/laser_plane.py")
 ]
 
 

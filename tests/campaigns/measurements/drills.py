@@ -20,9 +20,9 @@ from engine.beam.line import BeamLine
 from engine.beam.second_input import DrilledReceiver
 from engine.beam.simulated import SimulatedBeamLine, SimulatedReceiver
 from engine.core.clock import NS_PER_S, MonotonicClock
-from engine.verification.qa.drill import DRILLS, drill_line
-from engine.verification.qa.inputs import BeamInput
-from engine.verification.qa.results import QaFigure
+from engine.qa.drill import DRILLS, drill_line
+from engine.qa.inputs import BeamInput
+from engine.qa.results import QaFigure
 from tests.campaigns.faults.command_line import bounded, revision_of_the_code
 from tests.support.beam.receivers import drilled_part, receiver
 

@@ -28,7 +28,7 @@ from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
 from engine.motion.tracking.breath_tracker import BreathTracker
 from engine.offline.offline_gate import OfflineGate
-from engine.verification.phantom.traces import read_trace
+from engine.qa.recorded_traces import read_trace
 from tests.support.gating.streams import measured, motion_of
 from tests.support.service.fake_engine import make_model
 

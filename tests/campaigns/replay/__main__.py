@@ -17,7 +17,7 @@ import numpy as np
 import typer
 
 import engine
-from engine.verification.phantom.recording import make_volunteer
+from engine.lab.phantom.recording import make_volunteer
 from service.core.settings.database_place import DATABASE_NAME
 from service.sessions.recovery.replay import StoredSession, Verdict
 from service.storage.database.engine import Database
@@ -26,7 +26,7 @@ from tests.support.replay.real_sessions import WINDOWS, BusyPerson, Played, Trou
 
 MAKERS = [
     Path(engine.__path__[0]) / name
-    for name in ("verification/phantom", "capture/oni", "core/geometry.py", "calibration/laser_plane.py")
+    for name in ("lab/phantom", "capture/oni", "core/geometry.py", "calibration/laser_plane.py")
 ]
 VOLUNTEERS = (
     *(("regular", number, 22.0) for number in (1, 2, 3, 4)),

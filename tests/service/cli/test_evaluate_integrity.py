@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from engine.verification.evaluation.integrity import bench
-from engine.verification.evaluation.integrity.session import SIGNALS, Session
+from engine.lab.evaluation.integrity import bench
+from engine.lab.evaluation.integrity.session import SIGNALS, Session
 from service.cli import app
 
 

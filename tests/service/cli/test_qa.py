@@ -15,8 +15,8 @@ import pytest
 from typer.testing import CliRunner
 
 from engine.core.errors import BeamLineError
-from engine.verification.qa.checks import CHECKS, checks_of
-from engine.verification.qa.results import QaKind
+from engine.qa.checks import CHECKS, checks_of
+from engine.qa.results import QaKind
 from service.cli import app
 from service.storage.files.folder_lock import alone_in
 from tests.support.beam.receivers import REGISTERS, receiver
@@ -64,7 +64,7 @@ def rig(monkeypatch):
     """Runs that end at once, as a test says."""
     rig = FakeRig()
     rig.go_on.set()
-    monkeypatch.setattr("service.cli.qa.run.EngineRig", lambda _settings: rig)
+    monkeypatch.setattr("service.cli.qa.run.SimulatingRig", lambda _settings: rig)
     return rig
 
 

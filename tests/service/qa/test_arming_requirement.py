@@ -8,9 +8,9 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from engine.core.commands import Arm
-from engine.verification.qa.bounds import QaBounds
-from engine.verification.qa.checks import CHECKS
-from engine.verification.qa.results import QaKind
+from engine.qa.bounds import QaBounds
+from engine.qa.checks import CHECKS
+from engine.qa.results import QaKind
 from service.core.settings.settings import Settings
 from service.qa import queries
 from service.qa.arming_requirement import refusal

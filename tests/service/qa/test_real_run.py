@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from engine.core.errors import InvalidValueError, SourceLostError
-from engine.verification.qa.results import QaKind
+from engine.qa.results import QaKind
+from service.cli.qa.simulated import SimulatingRig
 from service.core.settings.settings import Settings
 from service.qa.rig import EngineRig
 from service.qa.roles import QaFiles
@@ -24,7 +25,7 @@ PATIENCE_S = 240.0
 
 def test_a_virtual_daily_run_is_passed_kept_printed_and_counts_for_nothing(settings, engine, tmp_path):
     strict = Settings(**settings.model_dump(exclude_unset=True), qa_required_daily_h=24.0)
-    with PeopleClient(create_app(strict, lambda _settings: engine)) as client:
+    with PeopleClient(create_app(strict, lambda _settings: engine, SimulatingRig)) as client:
         begun = client.post("/api/v1/qa/runs", json={"kind": "daily", **ME, "simulation": {"seed": 3}})
         assert begun.status_code == 202
         url = f"/api/v1/qa/runs/{begun.json()['id']}"
@@ -89,3 +90,10 @@ def test_a_window_that_times_nothing_and_a_camera_that_is_not_there_are_refused_
     )
     with pytest.raises(SourceLostError, match="no such camera"):
         rig.job(live, QaFiles(), make_calibration())
+
+
+def test_without_a_virtual_set_up_a_simulated_run_is_refused_by_name(settings, engine):
+    with PeopleClient(create_app(settings, lambda _settings: engine)) as client:
+        refused = client.post("/api/v1/qa/runs", json={"kind": "daily", **ME, "simulation": {"seed": 3}})
+    assert (refused.status_code, refused.json()["field"]) == (422, "simulation")
+    assert "no virtual set-up" in refused.json()["bound"]

@@ -7,7 +7,7 @@ import pytest
 
 from engine.beam.beam_on import BeamOff, BeamOnState
 from engine.core.errors import BeamLineError
-from engine.verification.qa.results import QaKind, QaReport
+from engine.qa.results import QaKind, QaReport
 from service.storage.database.engine import Database
 from service.web.app import create_app
 from tests.support.database.migrated import with_tables

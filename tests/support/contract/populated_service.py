@@ -18,7 +18,7 @@ from schemathesis.python import asgi
 
 from engine.control.outputs import LiveView
 from engine.core.breath import Breath
-from engine.verification.qa.results import QaKind
+from engine.qa.results import QaKind
 from service.access.accounts.passwords import PasswordService
 from service.access.accounts.people import AccountService
 from service.access.login.logins import LoginService

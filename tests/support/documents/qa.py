@@ -5,8 +5,8 @@ With ``--write`` it puts it into the document instead.
 
 from functools import partial
 
-from engine.verification.qa.checks import CHECKS
-from engine.verification.qa.results import QaCheck, Sidedness
+from engine.qa.checks import CHECKS
+from engine.qa.results import QaCheck, Sidedness
 from tests.support.generated_sections import print_or_write
 from tests.support.repository import ROOT
 

@@ -12,17 +12,17 @@ import numpy as np
 from engine.core.clock import NS_PER_US, ManualClock
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, NODE_STEP, ROI_COLUMNS, ROI_ROWS, FloatArray, RgbdFrame
 from engine.core.reference_proposal import ReferenceMoment
+from engine.lab.phantom.anatomy import MODES, Anatomy
+from engine.lab.phantom.falsifications import Falsification, Move
+from engine.lab.phantom.rig import build_rig, couch_from_body
+from engine.lab.phantom.scene import Script
+from engine.lab.phantom.studio import Studio
+from engine.lab.phantom.truth import RoiTruth, Skin, _map_grid, sticker_px
+from engine.lab.phantom.view import Rays
 from engine.motion.learning.position_fit import COLUMNS, ROWS, body_axes
 from engine.motion.learning.trainer import InlineTrainer
 from engine.motion.pipeline import Pipeline
 from engine.motion.settings import PipelineSettings
-from engine.verification.phantom.anatomy import MODES, Anatomy
-from engine.verification.phantom.falsifications import Falsification, Move
-from engine.verification.phantom.rig import build_rig, couch_from_body
-from engine.verification.phantom.scene import Script
-from engine.verification.phantom.studio import Studio
-from engine.verification.phantom.truth import RoiTruth, Skin, _map_grid, sticker_px
-from engine.verification.phantom.view import Rays
 
 FPS = 10.0
 LONGEST_S = 40.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from engine.verification.evaluation.methods.outcome import MEASURING, TRAINING, Outcome, Track
+from engine.lab.evaluation.methods.outcome import MEASURING, TRAINING, Outcome, Track
 
 N = 60
 

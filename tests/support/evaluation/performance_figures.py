@@ -2,14 +2,14 @@
 
 from dataclasses import replace
 
-from engine.verification.performance.decoding import PictureCost
-from engine.verification.performance.figures import Timing
-from engine.verification.performance.frames import FrameCosts, FrameSizes
-from engine.verification.performance.learning import FitCost, FitSizes, FramesWhileFitting
-from engine.verification.performance.machine import Machine
-from engine.verification.performance.memory import MemorySizes, MemoryUse
-from engine.verification.performance.results import SpeedFigures, SpeedSizes
-from engine.verification.performance.throughput import CommandRun, Throughput
+from engine.lab.performance.decoding import PictureCost
+from engine.lab.performance.figures import Timing
+from engine.lab.performance.frames import FrameCosts, FrameSizes
+from engine.lab.performance.learning import FitCost, FitSizes, FramesWhileFitting
+from engine.lab.performance.machine import Machine
+from engine.lab.performance.memory import MemorySizes, MemoryUse
+from engine.lab.performance.results import SpeedFigures, SpeedSizes
+from engine.lab.performance.throughput import CommandRun, Throughput
 
 TINY = SpeedSizes(
     frames=FrameSizes(blocks=2, block_frames=15, plain_frames=3, decoded=5),

@@ -7,7 +7,7 @@ from engine.beam.simulated import SimulatedBeamLine
 from engine.core.clock import NS_PER_MS, MonotonicClock
 from engine.core.errors import BeamLineError, TidegateError
 from engine.core.gate_state import Lease
-from engine.verification.qa.results import QaKind, QaNeed
+from engine.qa.results import QaKind, QaNeed
 from service.qa.guarded_line import GuardedLine
 from tests.support.qa.sample_runs import BASELINE, report
 

@@ -3,10 +3,10 @@
 import math
 from datetime import UTC, datetime, timedelta
 
-from engine.verification.qa.bounds import QaBaseline, QaBounds
-from engine.verification.qa.checks import CHECKS, checks_of
-from engine.verification.qa.results import QaCurve, QaFigure, QaKind, QaReport, QaSeries
-from engine.verification.qa.run import judge_all
+from engine.qa.bounds import QaBaseline, QaBounds
+from engine.qa.checks import CHECKS, checks_of
+from engine.qa.results import QaCurve, QaFigure, QaKind, QaReport, QaSeries
+from engine.qa.run import judge_all
 from service.qa import schemas
 
 NOON = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)

@@ -11,8 +11,8 @@ from engine.beam.paired import PairedBeamLine
 from engine.core.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from engine.core.errors import BeamLineError
 from engine.core.gate_state import HoldReason
-from engine.verification.qa.drill import drill_line
-from engine.verification.qa.inputs import BeamInput
+from engine.qa.drill import drill_line
+from engine.qa.inputs import BeamInput
 from tests.support.beam.modbus_server import DROP_NS
 from tests.support.beam.receivers import TIMES, Lateness, drilled_part, open_patiently, receiver
 

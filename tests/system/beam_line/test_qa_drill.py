@@ -10,8 +10,8 @@ from engine.beam.second_input import DrilledReceiver
 from engine.beam.wire.modbus import ModbusInput
 from engine.beam.wire.supervised_line import WiredBeamLine
 from engine.core.clock import NS_PER_MS, NS_PER_S, MonotonicClock
-from engine.verification.qa.drill import DRILLS, drill_line
-from engine.verification.qa.inputs import BeamInput
+from engine.qa.drill import DRILLS, drill_line
+from engine.qa.inputs import BeamInput
 from tests.support.beam.modbus_server import DROP_NS
 from tests.support.beam.receivers import PATIENCE_S, TIMES, Lateness, receiver, wire_to
 

@@ -11,7 +11,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from engine.verification.evaluation.runs.bench import run_bench
+from engine.lab.evaluation.runs.bench import run_bench
 from service.cli.cluster.options import scheduler_options
 from service.cli.cluster.recordings import evaluate_on_cluster
 from tests.support.evaluation.small_bench import SETTINGS, small_run

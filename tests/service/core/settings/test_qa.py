@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from engine.verification.qa.checks import CHECKS
+from engine.qa.checks import CHECKS
 from service.core.settings.qa import setting_of
 from service.core.settings.settings import SettingsError, load_settings
 from tests.support.site_settings import give_settings

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 from matplotlib.text import Text
 
-from engine.verification.qa.checks import checks_of
-from engine.verification.qa.results import QaKind
+from engine.qa.checks import checks_of
+from engine.qa.results import QaKind
 from service.qa.report.report import report_pages, report_pdf
 from service.qa.report.style import DASH, LOOKS, number
 from tests.support.qa.sample_runs import report, run_detail, sample_series, trends

@@ -12,9 +12,9 @@ import pytest
 from sqlalchemy.exc import OperationalError
 
 from engine.core.errors import BeamLineError, InvalidValueError
-from engine.verification.qa.bounds import BASELINE_BOUNDS
-from engine.verification.qa.checks import CHECKS, checks_of
-from engine.verification.qa.results import QaKind
+from engine.qa.bounds import BASELINE_BOUNDS
+from engine.qa.checks import CHECKS, checks_of
+from engine.qa.results import QaKind
 from service.core.permissions import KEY_PERMISSIONS, Permission, Role
 from service.engine_host.equipment import EquipmentSlot
 from service.qa import queries as records

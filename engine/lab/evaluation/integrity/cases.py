@@ -1,0 +1,217 @@
+"""The catalogue of falsified recordings: kinds, sizes, and what is done to the scene."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from engine.core.head_direction import HeadDirection
+from engine.lab.phantom.falsifications import (
+    BLACK_RGB,
+    Blind,
+    Cover,
+    Falsification,
+    Move,
+    MovedMarker,
+    Part,
+    Rolling,
+    Stale,
+)
+
+HONEST_S = 3.0
+"""Honest frames before a falsification [s]."""
+FALSE_S = 8.0
+SLOW_S = 60.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """One falsified recording.
+
+    Attributes
+    ----------
+    kind, size
+        Row of the table.
+    falsification
+        What is done, from `HONEST_S` on.
+    seconds
+        Time measured after it began [s].
+    is_rigid
+        Whether body or camera move as a whole: then motion is right, and the move has to be named.
+    is_turned
+        Whether the patient lies feet first from the beginning, while the model is learned.
+    head_direction
+        As given to the measurement; without one it is assumed at the top, and only the whole region may gate.
+    """
+
+    kind: str
+    size: str
+    falsification: Falsification
+    seconds: float = FALSE_S
+    is_rigid: bool = False
+    is_turned: bool = False
+    head_direction: HeadDirection | None = HeadDirection.TOP
+
+    @property
+    def name(self) -> str:
+        """Kind and size in one phrase."""
+        return f"{self.kind}, {self.size}"
+
+
+def cases(*, is_slow: bool = False) -> list[Case]:
+    """Return all cases; ``is_slow`` adds what takes longer than 20 s."""
+    found = [
+        *_honest(),
+        *_covers(),
+        *_markers(),
+        *_blind_areas(),
+        *_moves(),
+        *_stale(),
+        *_orientations(),
+        *_silent_checks(),
+    ]
+    return [*found, *_slow_moves(), *_slow_halves()] if is_slow else found
+
+
+def _false(**parts: object) -> Falsification:
+    return Falsification(start_s=HONEST_S, **parts)  # type: ignore[arg-type]
+
+
+def _honest() -> Iterator[Case]:
+    yield Case(kind="honest", size="-", falsification=_false())
+    yield Case(kind="marker hidden", size="0.7 s", falsification=_false(hides_marker_s=0.7))
+    yield Case(kind="marker hidden", size="3 s", falsification=_false(hides_marker_s=3.0))
+
+
+def _covers() -> Iterator[Case]:
+    for part in Part:
+        for height_mm in (3.0, 5.0, 8.0, 12.0):
+            yield Case(
+                kind=f"sheet laid over {part}",
+                size=f"{height_mm:g} mm",
+                falsification=_false(cover=Cover(height_mm=height_mm, part=part)),
+            )
+        for height_mm in (2.0, 3.0, 5.0):
+            yield Case(
+                kind=f"sheet of the skin's colour laid over {part}",
+                size=f"{height_mm:g} mm",
+                falsification=_false(cover=Cover(height_mm=height_mm, part=part, has_color=False)),
+            )
+    for height_mm in (3.0, 5.0, 8.0, 12.0):
+        yield Case(
+            kind="sheet laid over half while a marker is hidden",
+            size=f"{height_mm:g} mm",
+            falsification=_false(cover=Cover(height_mm=height_mm), hides_marker_s=0.7),
+        )
+    for part, height_mm, speed_mm_s in (
+        (Part.HALF, 3.0, 150.0),
+        (Part.HALF, 5.0, 150.0),
+        (Part.HALF, 8.0, 150.0),
+        (Part.SIDE, 5.0, 60.0),
+        (Part.WHOLE, 5.0, 150.0),
+    ):
+        for has_color in (True, False):
+            cover = Cover(height_mm=height_mm, part=part, edge_mm=60.0, speed_mm_s=speed_mm_s, has_color=has_color)
+            drape = "drape" if has_color else "drape of the skin's colour"
+            yield Case(
+                kind=f"{drape} with a soft edge drawn over {part}",
+                size=f"{height_mm:g} mm, {speed_mm_s:g} mm/s",
+                falsification=_false(cover=cover),
+            )
+
+
+def _markers() -> Iterator[Case]:
+    for outward_mm in (8.0, 15.0, 20.0, 30.0, -15.0):
+        yield Case(
+            kind="marker re-attached",
+            size=f"{abs(outward_mm):g} mm {'out' if outward_mm > 0.0 else 'in'}wards",
+            falsification=_false(marker=MovedMarker(marker=2, outward_mm=outward_mm)),
+        )
+    for up_mm in (5.0, 12.0):
+        yield Case(
+            kind="marker on a sheet over half",
+            size=f"{up_mm:g} mm",
+            falsification=_false(
+                marker=MovedMarker(marker=2, up_mm=up_mm), cover=Cover(height_mm=up_mm), hides_marker_s=0.7
+            ),
+        )
+
+
+def _blind_areas() -> Iterator[Case]:
+    for first, raised_mm in ((0.8, 0.0), (0.8, 4.0), (0.8, 8.0), (0.88, 8.0)):
+        yield Case(
+            kind=f"no depth over the lowest {1.0 - first:.0%}, skin raised",
+            size=f"{raised_mm:g} mm",
+            falsification=_false(blind=Blind(first=first, last=1.05, raised_mm=raised_mm)),
+        )
+
+
+def _moves() -> Iterator[Case]:
+    for up_mm in (2.0, -2.0, 4.0, -4.0, 10.0, -10.0, 20.0):
+        yield _move("body raised" if up_mm > 0.0 else "body lowered", f"{abs(up_mm):g} mm", Move(up_mm=up_mm))
+    for y_mm in (5.0, 10.0):
+        yield _move("body shifted", f"{y_mm:g} mm", Move(y_mm=y_mm))
+    for angle_deg in (1.0, 3.0, 5.0):
+        yield _move("body turned", f"{angle_deg:g} deg", Move(turn_deg=angle_deg))
+        yield _move("body tilted", f"{angle_deg:g} deg", Move(tilt_deg=angle_deg))
+        yield _move("body rolled", f"{angle_deg:g} deg", Move(roll_deg=angle_deg))
+    for up_mm in (4.0, 10.0):
+        yield _move("camera lowered", f"{up_mm:g} mm", Move(up_mm=up_mm), is_camera=True)
+    yield _move("camera tilted", "1 deg", Move(tilt_deg=1.0), is_camera=True)
+    yield _move("camera shifted", "5 mm", Move(x_mm=5.0), is_camera=True)
+
+
+def _slow_moves() -> Iterator[Case]:
+    slow = {"over_s": SLOW_S, "steps": 40}
+    for move, name in ((Move(up_mm=-4.0, **slow), "lowered"), (Move(tilt_deg=2.0, **slow), "tilted")):  # type: ignore[arg-type]
+        size = f"{abs(move.up_mm) or move.tilt_deg:g} in {SLOW_S:g} s"
+        yield Case(kind=f"body {name}", size=size, falsification=_false(body=move), seconds=SLOW_S, is_rigid=True)
+        yield Case(kind=f"camera {name}", size=size, falsification=_false(camera=move), seconds=SLOW_S, is_rigid=True)
+
+
+def _move(kind: str, size: str, move: Move, *, is_camera: bool = False) -> Case:
+    falsification = _false(camera=move) if is_camera else _false(body=move)
+    return Case(kind=kind, size=size, falsification=falsification, is_rigid=True)
+
+
+def _stale() -> Iterator[Case]:
+    for ring, flicker in ((1, 0.0), (1, 0.01), (1, 0.05), (2, 0.0), (9, 0.0), (16, 0.0), (64, 0.0), (9, 0.01)):
+        kind = "frozen picture" if ring == 1 else f"ring of {ring} old pictures"
+        stale = Stale(ring=ring, flicker=flicker)
+        yield Case(kind=kind, size=f"{flicker:.0%} flicker", falsification=_false(stale=stale), seconds=2.0 * FALSE_S)
+    for rate in (0.05, 0.2):
+        stale = Stale(delay_s_per_s=rate)
+        yield Case(kind="growing delay", size=f"{rate:g} s/s", falsification=_false(stale=stale))
+
+
+def _silent_checks() -> Iterator[Case]:
+    """Yield what passes a check that cannot work, or that compares with the frame before."""
+    for part in (Part.HALF, Part.WHOLE):
+        cover = Cover(height_mm=3.0, part=part, rgb=BLACK_RGB)
+        yield Case(kind=f"black cover laid over {part}", size="3 mm", falsification=_false(cover=cover))
+    sheet = Cover(height_mm=3.0, has_color=False)
+    yield Case(kind="holes that roll", size="-", falsification=_false(rolling=Rolling()))
+    yield Case(
+        kind="holes that roll, a sheet over half", size="3 mm", falsification=_false(rolling=Rolling(), cover=sheet)
+    )
+    lower = Move(up_mm=-2.8)
+    yield Case(
+        kind="camera lowered, couch and floor hidden at the reference",
+        size="2.8 mm",
+        falsification=_false(camera=lower, scene_seen_s=HONEST_S - 1.3),
+        is_rigid=True,
+    )
+    for slide_mm in (2.0, 5.0):
+        yield Case(
+            kind="stickers slide with the breath", size=f"{slide_mm:g} mm", falsification=_false(slide_mm=slide_mm)
+        )
+
+
+def _slow_halves() -> Iterator[Case]:
+    for height_mm, laid_s in ((4.0, 15.0), (2.5, 25.0)):
+        swelling = Cover(height_mm=height_mm, edge_mm=80.0, has_color=False, laid_s=laid_s)
+        size = f"{height_mm:g} mm in {laid_s:g} s"
+        yield Case(kind="half rises slowly", size=size, falsification=_false(cover=swelling), seconds=laid_s + FALSE_S)
+
+
+def _orientations() -> Iterator[Case]:
+    for head, size in ((HeadDirection.BOTTOM, "head direction given"), (None, "head direction unknown")):
+        yield Case(kind="feet first", size=size, falsification=_false(), is_turned=True, head_direction=head)

@@ -1,0 +1,102 @@
+"""Figures beyond the article's: error maps of the body, breath holds, and sweeps."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from engine.lab.evaluation.report.bench_tables import SWEEPS, of_group
+from engine.lab.evaluation.report.canvas import (
+    COLORS,
+    LABELS,
+    Picture,
+    axes_of,
+    caption,
+    draw,
+    legend,
+    line,
+    surface,
+)
+from engine.lab.evaluation.runs.scored_run import ScoredRun
+from engine.lab.evaluation.runs.scores import COLUMNS, SILENT_MM
+
+
+def holds(scored: list[ScoredRun]) -> Picture | None:
+    """Motion and error of the thorax in breath holds, where the article's method fails."""
+    runs = [one for one in of_group(scored, "dibh") if "ours" in one.scores and "plain" in one.scores]
+    if not runs:
+        return None
+
+    def paint(figure: Figure) -> None:
+        panels = axes_of(figure, len(runs), 2)
+        for number, one in enumerate(runs):
+            left, right = panels[2 * number : 2 * number + 2]
+            seconds, frames = one.outcome.seconds, one.frames
+            own = one.true_motion("ours")[0]
+            for kind in ("plain", "ours"):
+                true = one.true_motion(kind)[0]
+                motion = one.outcome.tracks[kind].wide_mm[:, 1]
+                shift = (true - own)[frames][0, 1]
+                line(left, seconds[frames], (motion - shift)[frames], kind)
+                line(right, seconds[frames], (motion - true[:, 1])[frames], kind, width=0.9)
+            line(left, seconds[frames], own[frames, 1], "truth")
+            caption(left, f"{one.run.name}: thorax", "time [s]", "motion [mm]")
+            caption(right, f"{one.run.name}: thorax, error", "time [s]", "error [mm]")
+        legend(panels[0], 1)
+
+    note = "No combination of the components learned from free breathing describes a breath hold."
+    return draw("more_holds", "Breath holds with a model of free breathing", note, (10, 0.6 + 2.6 * len(runs)), paint)
+
+
+def error_maps(scored: list[ScoredRun]) -> Picture | None:
+    """Draw maps of the mean error over the fifteen datasets."""
+    fifteen = of_group(scored, "table2")
+    maps = {}
+    for name in COLUMNS:
+        found = [one.cell_maps_mm[name] for one in fifteen if name in one.cell_maps_mm]
+        if found:
+            maps[name] = np.nanmean(np.stack(found), axis=0)
+    if not maps:
+        return None
+    highest = float(np.nanquantile(np.stack(list(maps.values())), 0.97))
+
+    def paint(figure: Figure) -> None:
+        for panel, (name, values) in zip(axes_of(figure, 1, len(maps)), maps.items(), strict=True):
+            title = f"{LABELS[name]}: mean {np.nanmean(values):.3f} mm"
+            surface(figure, panel, values, title, (0.0, highest), "mm")
+
+    note = (
+        "Mean error of each cell of 10 px over the datasets of Table 2; up is superior, left the patient's right. "
+        "The brightest 3 % are cut off."
+    )
+    return draw("more_error_maps", "Error maps", note, (3.2 * len(maps), 4.4), paint)
+
+
+def sweeps(scored: list[ScoredRun]) -> Picture | None:
+    """Error as a function of distance, amplitude, frame rate and holes."""
+    groups = [group for group in SWEEPS if of_group(scored, group)]
+    if not groups:
+        return None
+
+    def paint(figure: Figure) -> None:
+        for panel, group in zip(axes_of(figure, 1, len(groups)), groups, strict=True):
+            runs = sorted(of_group(scored, group), key=lambda one: one.run.setting or 0.0)
+            for name in COLUMNS:
+                measured = [one for one in runs if name in one.scores]
+                at = np.array([one.run.setting or 0.0 for one in measured])
+                values = np.array([one.scores[name].cells_mm for one in measured])
+                panel.plot(at, values, "o-", color=COLORS[name], markersize=3, linewidth=1.2, label=LABELS[name])
+            ours = [one for one in runs if "ours" in one.scores]
+            at = np.array([one.run.setting or 0.0 for one in ours])
+            worst = np.array([one.scores["ours"].worst_frame_mm for one in ours])
+            panel.plot(at, worst, ":", color=COLORS["ours"], linewidth=1.2, label="ours, worst frame")
+            lost = [one.run.setting or 0.0 for one in runs if one.trust.lost_share > 0.5]
+            for number, place in enumerate(lost):
+                panel.axvline(place, color=COLORS["laser"], linewidth=1, label=None if number else "reported as lost")
+            panel.axhline(SILENT_MM, color="#999999", linewidth=0.8, linestyle="--")
+            panel.set_ylim(0.0, 1.2)
+            caption(panel, "", SWEEPS[group], "error of a cell [mm]")
+        legend(figure.axes[0], 1)
+
+    note = "Mean over cells and frames; dotted, the worst frame. The dashed line is 1 mm."
+    return draw(
+        "more_sweeps", "Error against distance, amplitude, frame rate and holes", note, (3.2 * len(groups), 3.4), paint
+    )

@@ -1,0 +1,137 @@
+"""Accuracy targets ("marks") of the measurement, and whether they are met."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.lab.evaluation.runs.scored_run import ScoredRun
+from engine.lab.evaluation.runs.scores import Score
+from engine.lab.evaluation.table import Table
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mark:
+    """One target.
+
+    Attributes
+    ----------
+    value, worst
+        The value that is compared with the bound, over all recordings of the target; and the worst recording's.
+    is_least
+        Whether the bound is a minimum; otherwise it is a maximum.
+    """
+
+    name: str
+    bound: float
+    value: float
+    worst: float
+    worst_run: str
+    recordings: int
+    is_least: bool = False
+
+    @property
+    def is_met(self) -> bool:
+        """Whether the target is met; never for NaN."""
+        return self._reaches(self.value)
+
+    @property
+    def verdict(self) -> str:
+        """Verdict in words: a target may be met in the mean and missed by single recordings."""
+        if not self.is_met:
+            return "MISSED"
+        return "met" if self._reaches(self.worst) else f"met, not by {self.worst_run}"
+
+    def _reaches(self, value: float) -> bool:
+        return value >= self.bound if self.is_least else value <= self.bound
+
+
+CELLS_MM = {"table2": 0.16, "irregular": 0.16, "shift": 0.16, "dibh": 0.30, "isovolume": 0.20}
+_NAMES = {
+    "table2": "regular breathing",
+    "irregular": "irregular breathing",
+    "shift": "after a shift of the patient",
+    "dibh": "in breath holds",
+    "isovolume": "isovolume manoeuvre",
+}
+
+
+def reach(scored: list[ScoredRun]) -> list[Mark]:
+    """Compare the scores with every target that has recordings."""
+    marks = [
+        _mark(f"Whole ROI, cells of 10 px, {_NAMES[group]} [mm]", bound, _in(scored, group), lambda s: s.cells_mm)
+        for group, bound in CELLS_MM.items()
+    ]
+    fifteen = list(_in(scored, "table2"))
+    marks += [
+        _mark("Five points, mean [mm]", 0.16, fifteen, lambda s: float(np.mean(s.points_mm))),
+        _mark("Five points, largest of all [mm]", 0.8, fifteen, lambda s: max(s.points_max_mm), np.max),
+        _mark("Whole-ROI mean motion [mm]", 0.06, fifteen, lambda s: s.whole_mm),
+        _mark("Volume, correlation", 0.995, fifteen, lambda s: s.volume_correlation, is_least=True),
+        _mark(
+            "Isovolume: thorax against abdomen, correlation",
+            -0.99,
+            _in(scored, "isovolume"),
+            lambda s: s.halves_correlation,
+        ),
+    ]
+    return [mark for mark in marks if mark.recordings]
+
+
+def marks_table(marks: list[Mark]) -> Table:
+    """Return the targets as a table; missed rows are marked as failed."""
+    rows = tuple(
+        (
+            mark.name,
+            f"{'≥' if mark.is_least else '≤'} {mark.bound:g}",
+            mark.value,
+            mark.worst,
+            mark.worst_run,
+            mark.recordings,
+            mark.verdict,
+        )
+        for mark in marks
+    )
+    return Table(
+        name="marks",
+        title="Accuracy targets",
+        columns=("mark", "bound", "ours", "worst recording", "which", "recordings", "verdict"),
+        rows=rows,
+        digits=3,
+        note="The mean over the recordings is compared with the bound (the largest where stated); the worst recording "
+        "is given as well. Breath holds, isovolume and shift include only the frames of the event.",
+        failed=frozenset(number for number, mark in enumerate(marks) if not mark.is_met),
+    )
+
+
+def _in(scored: list[ScoredRun], group: str) -> list[ScoredRun]:
+    return [one for one in scored if one.run.group == group]
+
+
+def _mark(
+    name: str,
+    bound: float,
+    scored: Iterable[ScoredRun],
+    value_of: Callable[[Score], float],
+    over: Callable[[list[float]], object] = np.mean,
+    *,
+    is_least: bool = False,
+) -> Mark:
+    """Summarise the recordings by ``over``; a recording without a measurement is NaN and misses the target."""
+    values = {
+        one.run.name: value_of(one.event_scores["ours"]) if "ours" in one.event_scores else float("nan")
+        for one in scored
+    }
+    if not values:
+        return Mark(name=name, bound=bound, value=float("nan"), worst=float("nan"), worst_run="", recordings=0)
+    sign = -1.0 if is_least else 1.0
+    worst_run = max(values, key=lambda key: np.inf if np.isnan(values[key]) else sign * values[key])
+    return Mark(
+        name=name,
+        bound=bound,
+        value=float(np.asarray(over(list(values.values())))),
+        worst=values[worst_run],
+        worst_run=worst_run,
+        recordings=len(values),
+        is_least=is_least,
+    )

@@ -1,0 +1,156 @@
+"""The line laser of the article's section 4.5.2: a plane of light across the abdomen, as the colour camera sees it.
+
+The laser hangs towards the volunteer's feet or head, so its plane leans against the camera's view: skin that rises by
+1 mm moves the line by some 0.45 mm over the skin, which is some 0.3 px of the picture. The plane stays in the room when
+the patient moves. The line is drawn where the skin is, pixel by pixel; its truth is solved on the splines of
+:class:`engine.lab.phantom.truth.Skin`, and so depends on nothing that is drawn.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from engine.calibration.laser_plane import LaserPlane
+from engine.core.frames import FloatArray
+from engine.lab.phantom.anatomy import Anatomy
+from engine.lab.phantom.body import Map, blur
+from engine.lab.phantom.rig import HEIGHT_PX, WIDTH_PX, Rig
+from engine.lab.phantom.scenarios import Pose
+from engine.lab.phantom.truth import Grid, Skin
+from engine.lab.phantom.view import Frustum, Hit, Rays, View
+
+LEAN_DEG = 24.0
+WIDTH_SIGMA_PX = 1.25
+# Brightness added on white skin; the core of the line saturates the sensor.
+POWER = 360.0
+SPECKLE = 0.12
+COLUMN_STEP_PX = 4
+_CORE_SHARE = 0.30
+_REACH_PX = 6.0
+_MARGIN_PX = 64
+_STEPS = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LineTruth:
+    """True line at one moment: rows of the colour picture [px] and depth z in the depth camera's frame [mm], (c,)."""
+
+    row_px: Grid
+    depth_mm: Grid
+
+
+def hang_laser(anatomy: Anatomy, rig: Rig, volunteer: int) -> LaserPlane:
+    """Place the laser so that its line crosses the upper abdomen of the resting volunteer."""
+    rng = np.random.default_rng((45, volunteer))
+    y_mm, skew, lean = float(rng.uniform(35.0, 75.0)), float(rng.uniform(-2.5, 2.5)), float(rng.uniform(-2.0, 2.0))
+    side = 1.0 if rng.random() < 0.5 else -1.0
+    place = np.array([0.0, y_mm, -float(anatomy.trunk_height(np.zeros(1), np.array([y_mm]))[0])])
+    turn, tilt = np.deg2rad(skew), np.deg2rad(LEAN_DEG + lean)
+    along = np.array([np.cos(turn), np.sin(turn), 0.0])
+    beam = np.array([0.0, side * np.sin(tilt), np.cos(tilt)])
+    normal = rig.color_from_couch.rotation @ np.cross(along, beam)
+    normal /= np.linalg.norm(normal)
+    distance = float(normal @ rig.color_from_couch.apply(place[None])[0])
+    return LaserPlane(
+        camera=rig.calibration.camera,
+        normal=normal if distance > 0.0 else -normal,
+        distance_mm=abs(distance),
+        rms_mm=0.0,
+        pictures=0,
+        calibration_sha256=rig.calibration.sha256,
+    )
+
+
+class LaserLight:
+    """Draws the laser line into colour pictures."""
+
+    def __init__(self, plane: LaserPlane, rays: Rays, seed: int) -> None:
+        self._plane = plane
+        self._seed = seed
+        x, y, z = plane.normal
+        self._across = (x * rays.x + y * rays.y + z).astype(np.float32)
+        rng = np.random.default_rng((seed, 15))
+        size = (HEIGHT_PX + _MARGIN_PX, WIDTH_PX + _MARGIN_PX)
+        grains = blur(rng.standard_normal(size, dtype=np.float32), 0.7)
+        self._speckle = np.maximum(1.0 + grains * np.float32(SPECKLE / grains.std()), 0.2)
+
+    def shine(self, scene: npt.NDArray[np.uint8], view: View, hit: Hit, frame: int) -> None:
+        """Add the line to a blurred scene, wherever the plane of light meets the trunk."""
+        profile = self._profile(view, hit)
+        lit = np.flatnonzero(profile.max(axis=1) > 0.0)
+        if lit.size == 0:
+            return
+        rows = slice(int(lit[0]), int(lit[-1]) + 1)
+        profile = profile[rows]
+        patch = scene[view.window][rows]
+        light = POWER * self._grains(view, rows, frame) * (0.5 + 0.5 * patch[..., 0].astype(np.float32) / 255.0)
+        core = _CORE_SHARE * light * profile**4
+        added = np.stack([light * profile, core, core], axis=-1)
+        patch[...] = np.clip(np.rint(patch + added), 0.0, 255.0).astype(np.uint8)
+
+    def _profile(self, view: View, hit: Hit) -> Map:
+        """Brightness of the line at each pixel of the trunk's window, 0 to 1."""
+        away_mm = self._across[view.window] * hit.depth_mm - np.float32(self._plane.distance_mm)
+        down, right = (cv2.Sobel(away_mm, cv2.CV_32F, dx, dy, scale=0.125) for dx, dy in ((0, 1), (1, 0)))
+        away_px = away_mm / np.maximum(cv2.magnitude(right, down), np.float32(0.05))
+        is_near = view.is_trunk & (np.abs(away_px) < _REACH_PX)
+        return np.where(is_near, np.exp(-0.5 * (away_px / WIDTH_SIGMA_PX) ** 2), np.float32(0.0)).astype(np.float32)
+
+    def _grains(self, view: View, rows: slice, frame: int) -> Map:
+        """Speckle pattern of one frame; motion by a wavelength changes it, so it is random per frame."""
+        top, left = (int(value) for value in np.random.default_rng((self._seed, 16, frame)).integers(0, _MARGIN_PX, 2))
+        window_rows, window_columns = view.window
+        first = top + window_rows.start + rows.start
+        columns = slice(left + window_columns.start, left + window_columns.stop)
+        return np.asarray(self._speckle[first : first + rows.stop - rows.start, columns])
+
+
+class LaserTruth:
+    """Solves for the true position of the line."""
+
+    def __init__(self, plane: LaserPlane, rig: Rig, rays: Rays, skin: Skin, columns_px: FloatArray) -> None:
+        self._plane, self._rig, self._rays, self._skin = plane, rig, rays, skin
+        self.columns_px = columns_px
+
+    def line(self, weights_mm: FloatArray, pose: Pose) -> LineTruth:
+        """Find the line at one moment: secant steps down each column, until the plane's point lies on the skin."""
+        body_from_color = Frustum(self._rig.color_from_couch, pose).camera_from_body.inverse
+        spline = self._skin.spline(weights_mm)
+
+        def points(rows_px: FloatArray) -> FloatArray:
+            x, y = self._rays.at(np.column_stack([self.columns_px, rows_px]))
+            return self._plane.meet(np.column_stack([x, y, np.ones_like(x)]))
+
+        def gap(rows_px: FloatArray) -> FloatArray:
+            x, y, z = body_from_color.apply(points(rows_px)).T
+            return np.asarray(-z - self._skin.height(spline, x, y))
+
+        before = np.full(len(self.columns_px), self._start_row())
+        now = before + 4.0
+        gap_before, gap_now = gap(before), gap(now)
+        for _ in range(_STEPS):
+            slope = gap_now - gap_before
+            step = np.where(np.abs(slope) > 1e-9, gap_now * (now - before) / np.where(slope == 0.0, 1.0, slope), 0.0)
+            before, gap_before = now, gap_now
+            now = now - np.clip(step, -20.0, 20.0)
+            gap_now = gap(now)
+        depth = self._rig.color_from_depth.inverse.apply(points(now))[:, 2].astype(np.float64)
+        return LineTruth(row_px=now, depth_mm=depth)
+
+    def _start_row(self) -> float:
+        """Row in the middle column at which the laser plane is at the chest's depth."""
+        _, y, z = self._plane.normal
+        deep_mm = self._rig.color_from_couch.apply(np.array([[0.0, 0.0, -float(self._skin.anatomy.build.chest_mm)]]))
+        middle_y = (self._plane.distance_mm / float(deep_mm[0, 2]) - z) / y
+        return float(np.clip(middle_y * self._rig.color.fy + self._rig.color.cy, 0.0, HEIGHT_PX - 1.0))
+
+
+def truth_columns(markers_px: Grid) -> Grid:
+    """Columns of the picture between the stickers at which the line's truth is sampled [px]."""
+    left, right = (
+        max(float(markers_px[[0, 3], 0].min()), 0.0),
+        min(float(markers_px[[1, 2], 0].max()), WIDTH_PX - 1.0),
+    )
+    return np.arange(np.ceil(left / COLUMN_STEP_PX) * COLUMN_STEP_PX, right + 1e-9, COLUMN_STEP_PX)

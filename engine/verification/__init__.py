@@ -1,1 +1,0 @@
-"""Evidence that Tidegate works: phantom, evaluation, performance and QA."""

@@ -1,0 +1,56 @@
+"""A falsified session of a virtual volunteer, measured for real: one model, three seconds of each case."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine.core.errors import InvalidValueError
+from engine.lab.evaluation.integrity.bench import check_plan
+from engine.lab.evaluation.integrity.cases import HONEST_S, cases
+from engine.lab.evaluation.integrity.session import FPS, SIGNALS, learn, run
+from engine.lab.evaluation.integrity.tables import verdict
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def volunteer():
+    return learn(3, 5, is_turned=False)
+
+
+def measured(volunteer, name, seconds):
+    case = next(case for case in cases() if case.name == name)
+    return run(volunteer, replace(case, seconds=seconds))
+
+
+def test_what_happens_below_a_blind_area_is_measured_against_the_patients_truth(volunteer):
+    session = measured(volunteer, "no depth over the lowest 20%, skin raised, 8 mm", 1.0)
+    assert len(session.seconds) == round(FPS)
+    assert session.error_mm.shape == session.is_on.shape == (len(session.seconds), len(SIGNALS))
+    assert session.is_measured.any()
+    others = np.abs(session.error_mm[:, 1])  # thorax, which the camera sees
+    assert np.nanmax(others) < 0.5
+    blind = session.error_mm[2:, 2:]  # abdomen, and the cell and the point in the blind area, may not gate
+    assert np.isnan(blind).all()
+    assert not session.is_on[2:, 2:].any()
+    assert any(reason.startswith("coverage_low: ") for reason in session.reasons)
+
+
+def test_a_frozen_picture_is_held(volunteer):
+    session = measured(volunteer, "frozen picture, 0% flicker", 1.0)
+    assert verdict([session]).detected_s <= 0.1
+    assert any("repeated" in reason or "frozen" in reason for reason in session.reasons)
+
+
+@pytest.mark.parametrize(
+    ("plan", "field"),
+    [(([], 1, 1), "volunteer"), (([11], 1, 1), "volunteer"), (([1], -1, 1), "seed"), (([1], 1, 0), "jobs")],
+)
+def test_a_plan_out_of_bounds_is_refused_by_field(plan, field):
+    with pytest.raises(InvalidValueError, match=field):
+        check_plan(*plan)
+
+
+def test_honest_frames_precede_every_falsification():
+    assert {case.falsification.start_s for case in cases()} == {HONEST_S}

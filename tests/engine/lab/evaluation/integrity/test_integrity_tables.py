@@ -1,0 +1,80 @@
+"""The verdict on falsified recordings, by construction."""
+
+import numpy as np
+import pytest
+
+from engine.lab.evaluation.integrity.cases import Case, cases
+from engine.lab.evaluation.integrity.session import FPS, SIGNALS, Session
+from engine.lab.evaluation.integrity.tables import integrity_table, verdict
+from engine.lab.phantom.falsifications import Falsification
+
+FRAMES = 60
+
+
+def session(*, is_rigid=False, errors=(), lost=(), held=(), on=(), outside=()):
+    """A session of two seconds; each argument holds slices of frames, ``errors`` with their size in the last signal."""
+    shape = (FRAMES, len(SIGNALS))
+    error_mm, outside_mm = np.zeros(shape), np.zeros(shape)
+    is_measured, is_held, is_on = np.ones(FRAMES, bool), np.zeros(FRAMES, bool), np.zeros(shape, bool)
+    for frames, size_mm in errors:
+        error_mm[frames, -1] = size_mm
+    for frames in lost:
+        is_measured[frames], error_mm[frames] = False, np.nan
+    for frames in held:
+        is_held[frames] = True
+    for frames in on:
+        is_on[frames, 0] = True
+    for frames in outside:
+        outside_mm[frames, 0] = 1.5
+    return Session(
+        case=Case(kind="k", size="s", falsification=Falsification(start_s=3.0), is_rigid=is_rigid),
+        seconds=np.arange(FRAMES) / FPS,
+        is_measured=is_measured,
+        is_held=is_held,
+        error_mm=error_mm,
+        is_on=is_on,
+        outside_mm=outside_mm,
+        reasons=("marker_lost: 3 of 4 markers found",) if lost else (),
+    )
+
+
+def test_an_honest_session_has_no_error_and_is_not_detected():
+    found = verdict([session(on=[slice(0, 30)])])
+    assert (found.wrong_percent, found.longest_wrong_s, found.detected_s) == (0.0, 0.0, None)
+    assert (found.measured_percent, found.on_s, found.wrong_on_s) == (100.0, 1.0, 0.0)
+
+
+def test_a_wrong_signal_counts_while_it_is_measured_and_its_longest_run_is_told():
+    found = verdict([session(errors=[(slice(0, 40), -1.2)], lost=[slice(10, 20)])])
+    assert found.longest_wrong_s == pytest.approx(20 / FPS)
+    assert found.wrong_percent == pytest.approx(50.0)
+    assert found.largest_mm == pytest.approx(1.2)
+    assert found.measured_percent == pytest.approx(100 * 50 / 60)
+    assert found.detected_s == pytest.approx(10 / FPS)
+
+
+def test_a_hold_is_a_detection_and_one_volunteer_without_one_leaves_it_open():
+    held = session(held=[slice(6, 8)])
+    assert verdict([held]).detected_s == pytest.approx(0.2)
+    assert verdict([held, session()]).detected_s is None
+
+
+def test_beam_on_outside_is_that_with_the_true_motion_far_outside():
+    found = verdict([session(on=[slice(0, 30)], outside=[slice(15, 60)])])
+    assert (found.on_s, found.wrong_on_s) == (1.0, 0.5)
+
+
+def test_a_row_fails_with_a_long_error_or_a_rigid_move_that_is_not_named():
+    brief, long = session(errors=[(slice(0, 15), 2.0)]), session(errors=[(slice(0, 16), 2.0)])
+    unnamed, named = session(is_rigid=True), session(is_rigid=True, held=[slice(20, 60)])
+    table = integrity_table([[brief], [long], [unnamed], [named]])
+    assert table.failed == {1, 2}
+    assert "marker_lost: 3 of 4 markers found" in integrity_table([[session(lost=[slice(0, 3)])]]).to_csv()
+
+
+def test_the_catalogue_has_every_kind_once_in_each_size():
+    names = [case.name for case in cases(is_slow=True)]
+    assert len(names) == len(set(names)) > 60
+    kinds = {case.kind.split(",")[0].split(" over ")[0] for case in cases()}
+    assert kinds >= {"honest", "sheet laid", "marker re-attached", "body raised", "camera lowered", "frozen picture"}
+    assert not any(case.seconds > 20.0 for case in cases())

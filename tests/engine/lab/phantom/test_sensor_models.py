@@ -1,0 +1,77 @@
+"""The locking sensor against the noise of two real recordings, and against the properties of pixel locking."""
+
+import numpy as np
+import pytest
+
+from engine.core.errors import InvalidValueError
+from engine.lab.phantom.holes import Holes
+from engine.lab.phantom.rig import HEIGHT_PX, STEPS_A_MM, WIDTH_PX
+from engine.lab.phantom.sensor import Sensor, Unit, depth_table_mm, shift_of
+from engine.lab.phantom.sensor_models import SENSORS, STEPS_A_PX, find_sensor
+
+FRAMES = 24
+MEASURED_MM = {1: 0.98, 4: 0.59, 8: 0.46, 16: 0.28, 32: 0.16}
+NO_HOLES = Holes(
+    level=np.full((HEIGHT_PX, WIDTH_PX), -np.inf, dtype=np.float32),
+    is_edge=np.zeros((HEIGHT_PX, WIDTH_PX), dtype=np.bool_),
+)
+# Without the scale error of a warming unit.
+TIME_S = 1e5
+FAR_SHIFT = float(shift_of(np.array(np.inf)))
+
+
+def depth_of(reading_mm):
+    """Depth of each reading before it was cut to whole millimetres [mm]."""
+    table = depth_table_mm()
+    exact_mm = STEPS_A_MM / (FAR_SHIFT - np.arange(len(table)))
+    return exact_mm[np.searchsorted(table[:1100], reading_mm)]
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return Sensor(Unit(scale=1.0, offset_mm=0.0), 3, "locking")
+
+
+@pytest.fixture(scope="module")
+def still_mm(sensor):
+    """Frames of an inclined plane at 0.85 m, without the jumps [mm]."""
+    plane = np.float32(850.0) + np.linspace(-9.0, 9.0, WIDTH_PX, dtype=np.float32) * np.ones((HEIGHT_PX, 1), np.float32)
+    frames = [sensor.read(plane, NO_HOLES, frame=i, time_s=TIME_S)[32:-32, 64:-64] for i in range(FRAMES)]
+    away = depth_of(np.stack(frames)) - plane[32:-32, 64:-64]
+    return np.where(np.abs(away) < 10.0, away, 0.0)
+
+
+@pytest.mark.parametrize("side_px", MEASURED_MM)
+def test_the_noise_of_square_means_is_that_of_two_recordings(still_mm, side_px):
+    rows, columns = (size // side_px for size in still_mm.shape[1:])
+    cut = still_mm[:, : rows * side_px, : columns * side_px]
+    means = cut.reshape(FRAMES, rows, side_px, columns, side_px).mean(axis=(2, 4))
+    assert np.sqrt(means.var(axis=0, ddof=1).mean()) == pytest.approx(MEASURED_MM[side_px], rel=0.06)
+
+
+def mean_error(sensor, shift, frames=6):
+    """Mean error of some frames of a level plane, over squares of 9 px [shifts]."""
+    plane = np.full((HEIGHT_PX, WIDTH_PX), STEPS_A_MM / (FAR_SHIFT - shift), dtype=np.float32)
+    read = [sensor.read(plane, NO_HOLES, frame=i, time_s=TIME_S)[6:-6, 5:-5] for i in range(frames)]
+    error = np.clip(shift_of(depth_of(np.stack(read))) - shift, -4.0, 4.0).mean(axis=0)
+    return error.reshape(52, 9, 70, 9).mean(axis=(1, 3)).ravel()
+
+
+def test_the_locking_error_has_a_period_of_one_pixel_of_disparity(sensor):
+    errors = [mean_error(sensor, 684.0 + steps) for steps in (0, 4, STEPS_A_PX)]
+    varying = [error - 0.5 * (errors[0] + errors[1]) for error in errors]  # without the constant part
+    assert np.corrcoef(varying[0], varying[2])[0, 1] > 0.6
+    assert np.corrcoef(varying[1], varying[2])[0, 1] < -0.6
+
+
+def test_the_usual_sensor_has_no_error_that_depends_on_the_phase():
+    sensor = Sensor(Unit(scale=1.0, offset_mm=0.0), 3)
+    first, half = (mean_error(sensor, 684.0 + steps) for steps in (0, 4))
+    # What remains is the noise of two means; with locking it is three times as much.
+    assert np.std(first - half) < 0.08
+
+
+def test_an_unknown_sensor_is_refused():
+    with pytest.raises(InvalidValueError, match="sensor is 'lidar': must be one of usual, locking"):
+        find_sensor("lidar")
+    assert set(SENSORS) == {"usual", "locking"}
