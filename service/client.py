@@ -366,7 +366,7 @@ class CountersignRequest(TypedDict):
 
 
 class Device(TypedDict):
-    """A camera that the OpenNI2 runtime lists."""
+    """A connected camera."""
 
     name: str
     uri: str
@@ -688,7 +688,7 @@ class RecordingSource(TypedDict):
 
 
 class DeviceSource(TypedDict):
-    """A live camera through the OpenNI2 runtime."""
+    """A live camera."""
 
     kind: Literal["device"]
     uri: NotRequired[str | None]

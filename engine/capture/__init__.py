@@ -1,1 +1,1 @@
-"""Frame sources and recorders: the source role, OpenNI2 devices, ``.oni`` recordings."""
+"""Frames: the roles of a source and a camera driver, one folder for each SDK, ``.oni`` recordings, recorders."""

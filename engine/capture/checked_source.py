@@ -2,8 +2,7 @@
 
 from collections.abc import Callable
 
-from engine.capture.reconnecting import LiveSource
-from engine.capture.source import SourceDescription
+from engine.capture.source import LiveSource, SourceDescription
 from engine.core.errors import TidegateError
 from engine.core.frames import RgbdFrame
 

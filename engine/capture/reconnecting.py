@@ -11,9 +11,8 @@ import contextlib
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol
 
-from engine.capture.source import DepthSource, SourceDescription
+from engine.capture.source import LiveSource, SourceDescription
 from engine.core.clock import CLOCK_DRIFT, NS_PER_S, NS_PER_US, Clock
 from engine.core.errors import CameraMismatchError, FrameTimeoutError, SourceAwayError, SourceLostError, TidegateError
 from engine.core.frames import RgbdFrame
@@ -26,14 +25,6 @@ SEARCH_PERIOD_S = 0.5
 CLOSE_S = 2.0
 
 HUNG = "a call hangs in the camera's driver"
-
-
-class LiveSource(DepthSource, Protocol):
-    """A source whose driver may hang."""
-
-    @property
-    def is_free(self) -> bool:
-        """Whether no call of it hangs in the driver any more, after :meth:`close`."""
 
 
 Found = tuple[LiveSource, RgbdFrame]

@@ -1,6 +1,6 @@
-"""Record a device, or a file played in real time, with the OpenNI2 runtime's own recorder.
+"""Record a camera, or a file played in real time, with its SDK's own recorder.
 
-The recording has a temporary name until it is complete: the runtime writes its seek tables and frame counts last, and a
+The recording has a temporary name until it is complete: the SDK writes its seek tables and frame counts last, and a
 file without them is cut. It also starts each stream's time at zero, so the offset between depth and colour, up to a
 period, is lost in the recording.
 """
@@ -9,10 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from engine.capture import drivers
 from engine.capture.oni.description import RecordingDescription
 from engine.capture.oni.reader import describe
 from engine.capture.oni.records import trim
-from engine.capture.openni.source import OpenNiSource
+from engine.capture.source import LiveSource
 from engine.core.clock import Clock
 from engine.core.errors import FrameTimeoutError, RecordingError, SourceEndedError, SourceLostError
 
@@ -58,7 +59,7 @@ def record(
     if not out.parent.is_dir():
         msg = f"{out.parent} is no folder to record to"
         raise RecordingError(msg)
-    camera = OpenNiSource(source, clock=clock, record_to=part)
+    camera = drivers.recording_source(source, clock=clock, record_to=part)
     try:
         try:
             camera.open()
@@ -79,7 +80,7 @@ def record(
 
 
 def _follow(
-    camera: OpenNiSource,
+    camera: LiveSource,
     seconds: float,
     on_progress: Callable[[RecordingProgress], None],
     is_stop_requested: Callable[[], bool],

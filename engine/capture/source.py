@@ -1,8 +1,10 @@
-"""The role of a frame source."""
+"""The roles of a frame source and of a camera driver."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
+from engine.core.clock import Clock
 from engine.core.frames import RgbdFrame
 
 
@@ -46,3 +48,81 @@ class DepthSource(Protocol):
 
     def close(self) -> None:
         """Release the device; safe to call twice, and after a failure."""
+
+
+class LiveSource(DepthSource, Protocol):
+    """A source whose driver may hang."""
+
+    @property
+    def is_free(self) -> bool:
+        """Whether no call of it hangs in the driver any more, after :meth:`close`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ListedCamera:
+    """A connected camera; ``uri`` is its address, which names its driver where that is not OpenNI2's."""
+
+    uri: str
+    vendor: str
+    name: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RegisteredView:
+    """The view of a camera that moves depth into its colour view itself: name, size [px], field of view [rad]."""
+
+    name: str
+    size_px: tuple[int, int]
+    field_of_view_rad: tuple[float, float]
+
+
+class CameraDriver(Protocol):
+    """The cameras of one SDK; stateless, from any thread."""
+
+    @property
+    def prefix(self) -> str:
+        """How the addresses of its cameras begin; empty for the driver of all other addresses."""
+
+    @property
+    def label(self) -> str:
+        """The SDK's name in messages, such as "the OpenNI2 runtime"."""
+
+    @property
+    def install_hint(self) -> str:
+        """What an administrator does where the SDK is missing."""
+
+    def is_installed(self) -> bool:
+        """Whether the SDK is on this machine; does not try to start it."""
+
+    def is_available(self) -> bool:
+        """Whether the SDK is on this machine and starts."""
+
+    def list_cameras(self) -> list[ListedCamera]:
+        """List the connected cameras; raise RuntimeMissingError without the SDK."""
+
+    def camera(
+        self, uri: str | None, *, clock: Clock, use_registration: bool = False, record_to: Path | None = None
+    ) -> LiveSource:
+        """Return a camera, not opened; the first one where no address is given.
+
+        Parameters
+        ----------
+        use_registration
+            Let the camera move depth into the colour camera's view.
+        record_to
+            Let the SDK write the frames to this ``.oni`` file too.
+        """
+
+    def player(self, path: Path, *, clock: Clock, record_to: Path | None = None) -> LiveSource | None:
+        """Return what plays an ``.oni`` file in real time through the SDK; None where that cannot."""
+
+    def registered_view(self, uri: str) -> RegisteredView | None:
+        """Return the view of a camera that registers depth to colour itself; None if it cannot.
+
+        Do not call it for a camera that a source has open: an SDK may share the device between both.
+
+        Raises
+        ------
+        RuntimeMissingError, SourceLostError
+            No SDK, or no such camera.
+        """

@@ -68,7 +68,7 @@ class SourceAwayError(FrameTimeoutError):
 
 
 class RuntimeMissingError(TidegateError):
-    """The OpenNI2 runtime library is not installed on this machine."""
+    """The SDK of no camera is installed on this machine, or not the one that is needed."""
 
     code = "openni_missing"
 

@@ -24,7 +24,7 @@ COMMANDS = {
     "measure": Command("measure.command", "Measure the breathing motion in every frame of one or more recordings."),
     "phantom": Command("phantom", "Generate a recording of a virtual volunteer, with its calibration and true motion."),
     "info": Command("recordings", "Print what an .oni recording contains and check it for damage."),
-    "record": Command("recordings", "Record depth and colour from an OpenNI2 camera to an .oni file."),
+    "record": Command("recordings", "Record depth and colour from a camera to an .oni file."),
     "openapi": Command("openapi", "Write the OpenAPI document and the schemas of the live stream."),
     "demo": Command("demo.command", "Run a gated session on a virtual volunteer and compare it with the true motion."),
     "evaluate": Command(

@@ -58,7 +58,7 @@ def record(
         typer.Option("--source", help="Address of a device, or an .oni file; the first device by default."),
     ] = None,
 ) -> None:
-    """Record depth and colour from an OpenNI2 camera to an .oni file.
+    """Record depth and colour from a camera to an .oni file.
 
     Ctrl-C stops early and keeps the frames recorded so far.
     """

@@ -12,10 +12,10 @@ from pathlib import Path
 from engine.calibration.camera_calibration import Calibration
 from engine.calibration.camera_view import CameraViewMeter
 from engine.calibration.device_registration import registered_calibration
-from engine.capture.openni.source import ListedDevice, OpenNiSource, list_devices, runtime_available
-from engine.capture.reconnecting import LiveSource, ReturningSource
+from engine.capture import drivers
+from engine.capture.reconnecting import ReturningSource
 from engine.capture.recording_source import OniFileSource
-from engine.capture.source import DepthSource
+from engine.capture.source import DepthSource, LiveSource
 from engine.control.commands import Command
 from engine.control.engine_status import EngineStatus
 from engine.control.loop import EngineLoop
@@ -46,7 +46,6 @@ from service.engine_host.site_rules.window_limits import check_window, gate_limi
 
 STOP_TIMEOUT_S = 3.0
 HUNG = "the engine did not stop in time; the beam is held"
-RUNTIME_HINT = "the OpenNI2 runtime is missing: apt-get install libopenni2-0"
 
 
 class LocalEngine:
@@ -163,13 +162,13 @@ class LocalEngine:
 
     def devices(self) -> sessions.DeviceList:
         """List the cameras that could be used."""
-        if not runtime_available():
-            return sessions.DeviceList(is_runtime_available=False, detail=RUNTIME_HINT, items=[])
+        if not drivers.is_any_available():
+            return sessions.DeviceList(is_runtime_available=False, detail=drivers.missing_text(), items=[])
         items = [
             sessions.Device(uri=device.uri, name=f"{device.vendor} {device.name}")
-            for device in _cameras(self._settings.camera_uri)
+            for device in drivers.list_cameras(self._settings.camera_uri)
         ]
-        detail = "" if items else "the OpenNI2 runtime sees no camera"
+        detail = "" if items else drivers.none_text()
         return sessions.DeviceList(is_runtime_available=True, detail=detail, items=items)
 
     def _source(self, plan: SessionPlan) -> DepthSource:
@@ -184,7 +183,7 @@ class LocalEngine:
         turns = itertools.count()
         pinned = self._settings.camera_uri
         return ReturningSource(
-            lambda: next(first, None) or self._camera(_listed_in_turn(next(turns), pinned), calibration),
+            lambda: next(first, None) or self._camera(drivers.address_in_turn(next(turns), pinned), calibration),
             self._clock,
             needs_serial=not calibration.is_device_registration,
         )
@@ -195,19 +194,19 @@ class LocalEngine:
         if is_registered and _registered(uri, pinned).sha256 != calibration.sha256:
             msg = "the camera is not the one whose registration this session was created for"
             raise SourceLostError(msg)
-        source = OpenNiSource(_listed(uri, pinned), clock=self._clock, use_device_registration=is_registered)
+        address = drivers.listed_address(uri, pinned)
+        source = drivers.open_camera(address, clock=self._clock, use_registration=is_registered)
         return checked_camera(source, calibration, self._settings)
 
     def _player(self, path: Path, player: str) -> DepthSource:
-        if player == "reader" or (player == "auto" and not runtime_available()):
-            return OniFileSource(path, clock=self._clock, is_paced=True)
-        if not runtime_available():
-            raise RuntimeMissingError(RUNTIME_HINT)
-        return OpenNiSource(path, clock=self._clock)
+        played = None if player == "reader" else drivers.real_time_player(path, clock=self._clock)
+        if played is None and player == "openni":
+            raise RuntimeMissingError(drivers.missing_text())
+        return played or OniFileSource(path, clock=self._clock, is_paced=True)
 
 
 def _registered(uri: str | None, pinned: str) -> Calibration:
-    calibration = registered_calibration(_listed(uri, pinned))
+    calibration = registered_calibration(drivers.listed_address(uri, pinned))
     if calibration is None:
         bound = "given: this camera does not register depth to colour itself"
         raise InvalidValueError("calibration_id", "missing", bound)
@@ -217,31 +216,6 @@ def _registered(uri: str | None, pinned: str) -> Calibration:
 def _camera_meter(plan: SessionPlan) -> CameraViewMeter:
     """Return what describes how the camera of a session looks."""
     return CameraViewMeter(plan.calibration.depth, is_live=isinstance(plan.source, sessions.DeviceSource))
-
-
-def _cameras(pinned: str) -> list[ListedDevice]:
-    """Return the cameras that this room may open: those of the site's setting, or all where it names none."""
-    return [device for device in list_devices() if device.uri.startswith(pinned)]
-
-
-def _listed(uri: str | None, pinned: str) -> str:
-    # Only what the runtime lists: it would open a file just as well, and files have to lie in the allowed folders.
-    found = [device.uri for device in _cameras(pinned)]
-    if pinned and uri is None and len(found) > 1:
-        msg = f"TIDEGATE_CAMERA_URI {pinned} is the beginning of {len(found)} cameras: it has to name one"
-        raise SourceLostError(msg)
-    if not found or (uri is not None and uri not in found):
-        msg = "the OpenNI2 runtime sees no such camera"
-        raise SourceLostError(msg)
-    return uri or found[0]
-
-
-def _listed_in_turn(turn: int, pinned: str) -> str:
-    found = [device.uri for device in _cameras(pinned)]
-    if not found:
-        msg = "the OpenNI2 runtime sees no camera"
-        raise SourceLostError(msg)
-    return found[turn % len(found)]
 
 
 class LoopEngine:

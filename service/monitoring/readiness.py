@@ -13,7 +13,7 @@ from functools import cache
 from sqlalchemy import text
 from sqlalchemy.exc import SQLAlchemyError
 
-from engine.capture.openni.source import runtime_installed
+from engine.capture.drivers import is_any_installed, missing_text
 from engine.core.clock import NS_PER_MS, Clock, MonotonicClock
 from service.core.errors import CameraLatencyError, QaOverdueError
 from service.core.schemas.readiness import Readiness, ReadinessCode, ReadinessReason
@@ -56,7 +56,7 @@ class ReadinessProbe:
         engine_trouble: Callable[[], str | None] = lambda: None,
         is_stopping: Callable[[], bool] = lambda: False,
         certificate: ServedCertificate | None = None,
-        has_camera_runtime: Callable[[], bool] = runtime_installed,
+        has_camera_runtime: Callable[[], bool] = is_any_installed,
         now: Callable[[], datetime] = lambda: datetime.now(UTC),
         clock: Clock | None = None,
     ) -> None:
@@ -171,8 +171,7 @@ class ReadinessProbe:
     def _runtime_trouble(self, *, is_needed: bool) -> Iterator[ReadinessReason]:
         """Yield a missing runtime: required in clinical mode, where every session runs on a camera."""
         if (self._settings.mode == "clinical") is is_needed and not self._has_camera_runtime():
-            detail = "the OpenNI2 runtime is missing: no session can run on a camera"
-            yield _reason(ReadinessCode.CAMERA_RUNTIME_MISSING, detail)
+            yield _reason(ReadinessCode.CAMERA_RUNTIME_MISSING, f"{missing_text()}; no session can run on a camera")
 
     def _certificate_trouble(self) -> Iterator[ReadinessReason]:
         if self._certificate is not None and self._certificate.ends_at <= self._now():

@@ -7,11 +7,10 @@ import threading
 from pathlib import Path
 
 from engine.calibration.camera_calibration import Calibration
-from engine.capture.openni.source import OpenNiSource, list_devices
+from engine.capture import drivers
 from engine.capture.recording_source import OniFileSource
 from engine.capture.source import DepthSource
 from engine.core.clock import NS_PER_S, Clock, MonotonicClock
-from engine.core.errors import SourceLostError
 from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
 from engine.motion.settings import PipelineSettings
@@ -115,12 +114,8 @@ class EngineRig:
     def _source(self, recording: Path | None, uri: str | None, calibration: Calibration) -> DepthSource:
         if recording is not None:
             return OniFileSource(recording, clock=self._clock)
-        found = [device.uri for device in list_devices()]
-        if not found or (uri is not None and uri not in found):
-            msg = "the OpenNI2 runtime sees no such camera"
-            raise SourceLostError(msg)
         is_registered = calibration.is_device_registration
-        source = OpenNiSource(uri or found[0], clock=self._clock, use_device_registration=is_registered)
+        source = drivers.open_camera(drivers.listed_address(uri), clock=self._clock, use_registration=is_registered)
         return checked_camera(source, calibration, self._settings)
 
 

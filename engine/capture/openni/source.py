@@ -12,7 +12,6 @@ nearest colour frame already received: the newest at or before the depth frame, 
 import ctypes
 import time
 from ctypes import byref
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -24,7 +23,7 @@ from engine.capture.openni.device import OpenNiDevice
 from engine.capture.openni.frame import COLOR, DEPTH
 from engine.capture.openni.lasting_threads import run_on_lasting_thread
 from engine.capture.openni.pump import CapturePump
-from engine.capture.source import SourceDescription
+from engine.capture.source import ListedCamera, SourceDescription
 from engine.core.clock import Clock
 from engine.core.errors import RecordingError, RuntimeMissingError, SourceLostError
 from engine.core.frames import ColorImage, DepthImage, RgbdFrame
@@ -41,15 +40,6 @@ _SILENT_SHARE = 0.25
 _SURELY_NEAREST = 0.375
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ListedDevice:
-    """A connected device."""
-
-    uri: str
-    vendor: str
-    name: str
-
-
 def runtime_available() -> bool:
     """Whether the OpenNI2 runtime is on this machine and starts."""
     try:
@@ -59,12 +49,7 @@ def runtime_available() -> bool:
     return True
 
 
-def runtime_installed() -> bool:
-    """Whether the OpenNI2 runtime is on this machine; does not try to start it."""
-    return c.library_path() is not None
-
-
-def list_devices() -> list[ListedDevice]:
+def list_devices() -> list[ListedCamera]:
     """List the connected devices; raise RuntimeMissingError without the runtime."""
     runtime = c.runtime()
     infos = ctypes.POINTER(c.DeviceInfo)()
@@ -73,7 +58,7 @@ def list_devices() -> list[ListedDevice]:
         return []
     try:
         devices = [
-            ListedDevice(
+            ListedCamera(
                 uri=infos[i].uri.decode(errors="replace"),
                 vendor=infos[i].vendor.decode(errors="replace"),
                 name=infos[i].name.decode(errors="replace"),

@@ -25,7 +25,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from engine.capture.openni.source import runtime_available
+from engine.capture.drivers import is_any_available, missing_text
 from engine.core.errors import TidegateError
 from service.cli.demo.accuracy import accuracy_of
 from service.cli.demo.person import put_person
@@ -156,10 +156,10 @@ def _wait_until_ready(address: str, process: "subprocess.Popen[bytes]", log_path
 
 def _gate(api: TidegateClient, recording: Path, console: Console) -> str:
     """Run one session from its creation to the end of the recording; return its identifier."""
-    player: Literal["openni", "reader"] = "openni" if runtime_available() else "reader"
+    player: Literal["openni", "reader"] = "openni" if is_any_available() else "reader"
     if player == "reader":
         console.print(
-            "  The OpenNI2 runtime is not here (apt-get install libopenni2-0): playing through Tidegate's own reader.",
+            f"  {missing_text()}. Playing through Tidegate's own reader.",
             style="yellow",
         )
     calibration = api.upload_calibration((recording / "calibration.json").read_bytes())

@@ -38,12 +38,12 @@ class RecordingSource(Request):
     )
     player: Literal["openni", "reader", "auto"] = Field(
         default="auto",
-        description="The OpenNI2 runtime, Tidegate's reader, or the first of them that works; all play in real time",
+        description="The OpenNI2 runtime, Tidegate's reader, or the first of them that works; all in real time",
     )
 
 
 class DeviceSource(Request):
-    """A live camera through the OpenNI2 runtime."""
+    """A live camera."""
 
     kind: Literal["device"]
     uri: SourceText | None = Field(
@@ -608,7 +608,7 @@ class TransitionPage(Answer):
 
 
 class Device(Answer):
-    """A camera that the OpenNI2 runtime lists."""
+    """A connected camera."""
 
     uri: str
     name: str

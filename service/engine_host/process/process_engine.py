@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from functools import partial
 
 from engine.calibration.camera_calibration import Calibration
-from engine.capture.openni.source import runtime_installed
+from engine.capture.drivers import is_any_installed
 from engine.core.errors import CommandRefusedError, TidegateError
 from engine.motion.settings import PipelineSettings
 from service.core.errors import EngineProcessError
@@ -107,7 +107,7 @@ class ProcessEngine:
     @property
     def _earlier_list(self) -> sessions.DeviceList:
         if self._listed is None:
-            return sessions.DeviceList(is_runtime_available=runtime_installed(), detail=NEVER_LISTED, items=[])
+            return sessions.DeviceList(is_runtime_available=is_any_installed(), detail=NEVER_LISTED, items=[])
         return self._listed.model_copy(update={"detail": LISTED_EARLIER})
 
     def _remember(self, answer: CameraAnswer) -> sessions.DeviceList:

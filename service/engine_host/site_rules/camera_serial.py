@@ -11,8 +11,7 @@ from typing import Literal
 
 from engine.calibration.camera_calibration import Calibration
 from engine.capture.checked_source import CheckedSource
-from engine.capture.reconnecting import LiveSource
-from engine.capture.source import SourceDescription
+from engine.capture.source import LiveSource, SourceDescription
 from engine.core.errors import CameraMismatchError
 from service.core.settings.settings import Settings
 

@@ -5,10 +5,9 @@ Nothing is opened here but the camera, once, to describe it: the run records whi
 
 import threading
 
-from engine.capture.openni.source import OpenNiSource, list_devices
+from engine.capture import drivers
 from engine.capture.source import DepthSource, SourceDescription
 from engine.core.clock import NS_PER_S, Clock, MonotonicClock
-from engine.core.errors import SourceLostError
 from engine.qa.bounds import QaBaseline, QaBounds
 from engine.qa.inputs import QaInputs
 from engine.qa.latency.light_driver import BeamLineLight
@@ -45,11 +44,7 @@ class LatencyRig:
 
     def camera(self, uri: str | None) -> DepthSource:
         """Return a live camera; raise SourceLostError where the runtime does not list it."""
-        found = [device.uri for device in list_devices()]
-        if not found or (uri is not None and uri not in found):
-            msg = "the OpenNI2 runtime sees no such camera"
-            raise SourceLostError(msg)
-        return OpenNiSource(uri or found[0], clock=self._clock)
+        return drivers.open_camera(drivers.listed_address(uri), clock=self._clock)
 
     def light_job(self, request: LatencyRunRequest, source: DepthSource, camera: SourceDescription) -> LatencyJob:
         """Build a job with a light on the output of the site's beam line, which it permits."""

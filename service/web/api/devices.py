@@ -12,5 +12,5 @@ router = APIRouter(prefix="/devices", tags=["devices"])
 
 @router.get("", responses=problems(EngineProcessError))
 def list_devices(services: dependencies.AppServices) -> sessions.DeviceList:
-    """List the cameras that the OpenNI2 runtime finds."""
+    """List the connected cameras."""
     return services.engine.devices()

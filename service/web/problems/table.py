@@ -35,7 +35,7 @@ STATUS_OF: Mapping[type[Exception], tuple[int, str]] = {
     engine_errors.ReasonMissingError: (409, "A written reason is needed"),
     engine_errors.CountersignatureError: (409, "A second person has not countersigned"),
     engine_errors.PositionUncheckedError: (409, "The patient's position is not checked and signed"),
-    engine_errors.RuntimeMissingError: (503, "The OpenNI2 runtime is missing"),
+    engine_errors.RuntimeMissingError: (503, "The camera's SDK is missing"),
     engine_errors.SourceLostError: (503, "The camera does not answer"),
     engine_errors.BeamLineError: (503, "The beam line does not answer"),
     JournalError: (503, "The transition journal cannot be written"),

@@ -8,10 +8,11 @@ import tty
 
 import pytest
 
-from engine.core.errors import SourceLostError
 from service.core.settings.settings import Settings
-from service.engine_host import local_engine, targets
+from service.engine_host import targets
+from service.engine_host.local_engine import LocalEngine
 from service.engine_host.targets import TargetInUseError, alone_at_targets, targets_of
+from tests.support.capture.fake_driver import FakeDriver, use
 from tests.support.site_settings import with_config
 
 HOLDER = """
@@ -122,39 +123,7 @@ def test_another_process_with_another_folder_is_refused_until_the_first_is_kille
         assert not is_refused(modbus())
 
 
-class Camera:
-    vendor = name = "a camera"
-
-    def __init__(self, uri):
-        self.uri = uri
-
-
-@pytest.fixture
-def cameras(monkeypatch):
-    found = [Camera("1d27/0609@1/4"), Camera("1d27/0609@2/7")]
-    monkeypatch.setattr(local_engine, "list_devices", lambda: found)
-    return found
-
-
-def test_a_room_opens_its_own_camera_and_no_other(cameras):
-    assert local_engine._listed(None, "") == "1d27/0609@1/4"
-    assert local_engine._listed(None, "1d27/0609@2") == "1d27/0609@2/7"
-    assert local_engine._listed("1d27/0609@2/7", "1d27/0609@2") == "1d27/0609@2/7"
-    with pytest.raises(SourceLostError, match="no such camera"):
-        local_engine._listed("1d27/0609@1/4", "1d27/0609@2")
-    with pytest.raises(SourceLostError, match="the beginning of 2 cameras"):
-        local_engine._listed(None, "1d27/0609")
-
-
-def test_a_camera_that_comes_back_at_another_address_is_looked_for_among_the_room_s_own(cameras):
-    assert {local_engine._listed_in_turn(turn, "1d27/0609@2") for turn in range(4)} == {"1d27/0609@2/7"}
-    assert len({local_engine._listed_in_turn(turn, "") for turn in range(4)}) == 2
-    cameras.pop()
-    with pytest.raises(SourceLostError):
-        local_engine._listed_in_turn(0, "1d27/0609@2")
-
-
-def test_only_the_room_s_camera_is_offered(cameras, monkeypatch):
-    monkeypatch.setattr(local_engine, "runtime_available", lambda: True)
-    offered = local_engine.LocalEngine(Settings(camera_uri="1d27/0609@2")).devices()
+def test_only_the_room_s_camera_is_offered(monkeypatch):
+    use(monkeypatch, FakeDriver(["1d27/0609@1/4", "1d27/0609@2/7"]))
+    offered = LocalEngine(Settings(camera_uri="1d27/0609@2")).devices()
     assert [device.uri for device in offered.items] == ["1d27/0609@2/7"]

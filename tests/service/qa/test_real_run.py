@@ -13,6 +13,7 @@ from service.qa.rig import EngineRig
 from service.qa.roles import QaFiles
 from service.qa.schemas import QaRunRequest
 from service.web.app import create_app
+from tests.support.capture.fake_driver import FakeDriver, use
 from tests.support.service.accounts import PeopleClient
 from tests.support.service.api_calls import make_calibration
 from tests.support.waiting import eventually
@@ -84,7 +85,7 @@ def test_a_window_that_times_nothing_and_a_camera_that_is_not_there_are_refused_
     rig = EngineRig(Settings())
     with pytest.raises(InvalidValueError, match=r"phantom\.window_mm"):
         rig.job(monthly(window_upper_mm=50.0), files(tmp_path, trace), make_calibration())
-    monkeypatch.setattr("service.qa.rig.list_devices", list)
+    use(monkeypatch, FakeDriver())
     live = QaRunRequest.model_validate(
         {"kind": "daily", **ME, "calibration_id": "0" * 32, "plate": {"source": {"kind": "device"}}}
     )

@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
+from engine.capture.openni.driver import OpenNiDriver
 from service.core.settings.settings import Settings
-from service.engine_host import beam_lines, local_engine
+from service.engine_host import beam_lines
 from service.engine_host.local_engine import LocalEngine
 from service.storage.samples.store import SampleStore
 from service.web.app import create_app
@@ -227,7 +228,7 @@ def test_a_camera_that_is_not_there_and_a_file_called_a_camera_are_refused(real_
 
 
 def test_a_missing_runtime_is_said_and_auto_falls_back_to_our_reader(tmp_path, regular_volunteer, monkeypatch):
-    monkeypatch.setattr(local_engine, "runtime_available", lambda: False)
+    monkeypatch.setattr(OpenNiDriver, "is_available", lambda _driver: False)
     settings = Settings(data_dir=tmp_path / "data", recordings_dirs=(regular_volunteer,), allowed_hosts=("testserver",))
     with PeopleClient(create_app(settings)) as client:
         devices = client.get("/api/v1/devices").json()

@@ -5,8 +5,7 @@ import threading
 import pytest
 
 from engine.calibration.camera_calibration import nominal_calibration
-from engine.capture.openni.source import ListedDevice
-from engine.capture.source import SourceDescription
+from engine.capture.source import RegisteredView, SourceDescription
 from engine.core.errors import CommandRefusedError, FrameTimeoutError, InvalidValueError, SourceLostError
 from service.core.errors import BoundError
 from service.core.schemas.sessions import DeviceSource, Window
@@ -16,6 +15,7 @@ from service.engine_host.local_engine import LocalEngine
 from service.engine_host.roles import SessionPlan
 from service.engine_host.site_rules.uncalibrated import WARNING
 from service.storage.audit import SYSTEM
+from tests.support.capture.fake_driver import FakeDriver, use
 from tests.support.service.api_calls import WINDOW, act, audit_rows, make_calibration, upload
 
 pytestmark = pytest.mark.alone
@@ -148,13 +148,12 @@ def camera(monkeypatch):
     """A camera of the runtime, as the adapter sees it; tests change what it says of itself."""
     said = {"angles": (1.02, 0.797)}
 
-    def registered(uri):
+    def view(_uri):
         angles = said["angles"]
-        return angles and nominal_calibration("Xtion", size_px=(640, 480), field_of_view_rad=angles)
+        return angles and RegisteredView(name="Xtion", size_px=(640, 480), field_of_view_rad=angles)
 
-    device = ListedDevice(uri="1d27/0601@1/2", vendor="", name="Xtion")
-    monkeypatch.setattr(local_engine, "list_devices", lambda: [device])
-    monkeypatch.setattr(local_engine, "registered_calibration", registered)
+    said["driver"] = FakeDriver(["1d27/0601@1/2"], make=StillSource, view=view)
+    use(monkeypatch, said["driver"])
     return said
 
 
@@ -172,8 +171,9 @@ def make_plan(calibration):
 def test_the_engine_asks_the_camera_again_when_the_session_starts(camera):
     adapter = LocalEngine(Settings())
     calibration = adapter.registered_calibration(None)
-    assert adapter._camera(None, calibration)._use_registration
-    assert not adapter._camera(None, make_calibration())._use_registration
+    adapter._camera(None, calibration)
+    adapter._camera(None, make_calibration())
+    assert [one["use_registration"] for one in camera["driver"].opened] == [True, False]
     camera["angles"] = (1.1, 0.8)
     with pytest.raises(SourceLostError, match="not the one whose registration"):
         adapter._source(make_plan(calibration))
@@ -205,7 +205,6 @@ class StillSource:
 
 
 def test_the_engine_leaves_a_running_session_s_camera_alone(camera, settings, monkeypatch):
-    monkeypatch.setattr(local_engine, "OpenNiSource", lambda *_args, **_named: StillSource())
     adapter = LocalEngine(settings)
     engine = adapter.open(make_plan(make_calibration()))
     try:
@@ -220,7 +219,6 @@ def test_the_engine_leaves_a_running_session_s_camera_alone(camera, settings, mo
     ("may_gate", "is_nominal", "expected"), [(False, True, False), (False, False, True), (True, True, True)]
 )
 def test_the_gate_gets_whether_the_camera_was_calibrated(camera, settings, monkeypatch, may_gate, is_nominal, expected):
-    monkeypatch.setattr(local_engine, "OpenNiSource", lambda *_args, **_named: StillSource())
     taken = []
 
     class WatchedLoop(local_engine.EngineLoop):
@@ -236,7 +234,6 @@ def test_the_gate_gets_whether_the_camera_was_calibrated(camera, settings, monke
 
 
 def test_presence_reaches_the_loop(camera, settings, monkeypatch):
-    monkeypatch.setattr(local_engine, "OpenNiSource", lambda *_args, **_named: StillSource())
     heard = []
     monkeypatch.setattr(local_engine.EngineLoop, "note_presence", lambda _loop, operator: heard.append(operator))
     engine = LocalEngine(settings).open(make_plan(make_calibration()))

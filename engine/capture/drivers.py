@@ -1,0 +1,121 @@
+"""The camera drivers: one row for each SDK. Nothing outside of an SDK's folder names it."""
+
+from pathlib import Path
+
+from engine.capture.openni.driver import OpenNiDriver
+from engine.capture.source import CameraDriver, ListedCamera, LiveSource, RegisteredView
+from engine.core.clock import Clock
+from engine.core.errors import RuntimeMissingError, SourceLostError
+
+CAMERAS: tuple[CameraDriver, ...] = (OpenNiDriver(),)
+"""Every driver; an address belongs to the first whose prefix it begins with, so the one without a prefix is last."""
+
+
+def is_any_installed() -> bool:
+    """Whether the SDK of any driver is on this machine; starts none."""
+    return any(driver.is_installed() for driver in CAMERAS)
+
+
+def is_any_available() -> bool:
+    """Whether the SDK of any driver is on this machine and starts."""
+    return any(driver.is_available() for driver in CAMERAS)
+
+
+def missing_text() -> str:
+    """Return what is missing where no SDK is available, and how it is installed."""
+    return " or ".join(f"{driver.label} is missing: {driver.install_hint}" for driver in CAMERAS)
+
+
+def list_cameras(pinned: str = "") -> list[ListedCamera]:
+    """List the cameras that may be opened: those whose address begins with ``pinned``, or all.
+
+    Raises
+    ------
+    RuntimeMissingError
+        No SDK is on this machine.
+    """
+    available = [driver for driver in CAMERAS if driver.is_available()]
+    if not available:
+        raise RuntimeMissingError(missing_text())
+    found = [camera for driver in available for camera in driver.list_cameras()]
+    return [camera for camera in found if camera.uri.startswith(pinned)]
+
+
+def listed_address(uri: str | None, pinned: str = "") -> str:
+    """Return the address of a listed camera, the first where none is asked for.
+
+    Only listed addresses are opened: an SDK may open a file just as well, and files have to lie in the allowed folders.
+
+    Raises
+    ------
+    RuntimeMissingError
+        No SDK is on this machine.
+    SourceLostError
+        No such camera is connected, or ``pinned`` is the beginning of several.
+    """
+    found = [camera.uri for camera in list_cameras(pinned)]
+    if pinned and uri is None and len(found) > 1:
+        msg = f"TIDEGATE_CAMERA_URI {pinned} is the beginning of {len(found)} cameras: it has to name one"
+        raise SourceLostError(msg)
+    if not found or (uri is not None and uri not in found):
+        raise SourceLostError(f"{_labels()} sees no such camera")
+    return uri or found[0]
+
+
+def address_in_turn(turn: int, pinned: str = "") -> str:
+    """Return one of the listed cameras' addresses, another one each turn; raise SourceLostError where there is none."""
+    found = [camera.uri for camera in list_cameras(pinned)]
+    if not found:
+        raise SourceLostError(none_text())
+    return found[turn % len(found)]
+
+
+def none_text() -> str:
+    """Return the words for no connected camera."""
+    return f"{_labels()} sees no camera"
+
+
+def open_camera(uri: str | None, *, clock: Clock, use_registration: bool = False) -> LiveSource:
+    """Return a camera by its driver, not opened; see :meth:`engine.capture.source.CameraDriver.camera`."""
+    return _driver_of(uri).camera(uri, clock=clock, use_registration=use_registration)
+
+
+def registered_view(uri: str) -> RegisteredView | None:
+    """Return a camera's registered view; see :meth:`engine.capture.source.CameraDriver.registered_view`."""
+    return _driver_of(uri).registered_view(uri)
+
+
+def real_time_player(path: Path, *, clock: Clock) -> LiveSource | None:
+    """Return what plays a recording through an SDK in real time; None where no SDK here can."""
+    return next(filter(None, (driver.player(path, clock=clock) for driver in _available())), None)
+
+
+def recording_source(source: str | Path | None, *, clock: Clock, record_to: Path) -> LiveSource:
+    """Return a camera, or a file played in real time, whose frames the SDK writes to an ``.oni`` file.
+
+    Raises
+    ------
+    RuntimeMissingError
+        No SDK here can.
+    """
+    if source is None or not Path(source).is_file():
+        return _driver_of(None if source is None else str(source)).camera(
+            None if source is None else str(source), clock=clock, record_to=record_to
+        )
+    players = (driver.player(Path(source), clock=clock, record_to=record_to) for driver in _available())
+    player = next(filter(None, players), None)
+    if player is None:
+        raise RuntimeMissingError(missing_text())
+    return player
+
+
+def _available() -> list[CameraDriver]:
+    return [driver for driver in CAMERAS if driver.is_available()]
+
+
+def _driver_of(uri: str | None) -> CameraDriver:
+    return next((driver for driver in CAMERAS if (uri or "").startswith(driver.prefix)), CAMERAS[-1])
+
+
+def _labels() -> str:
+    return " or ".join(driver.label for driver in CAMERAS)

@@ -1,0 +1,54 @@
+"""Cameras and recordings through the OpenNI2 runtime, as a :class:`engine.capture.source.CameraDriver`."""
+
+from pathlib import Path
+
+from engine.capture.openni import c_api
+from engine.capture.openni.device import OpenNiDevice
+from engine.capture.openni.source import OpenNiSource, list_devices, runtime_available
+from engine.capture.source import ListedCamera, LiveSource, RegisteredView
+from engine.core.clock import Clock
+
+REGISTERED_SIZE_PX = (640, 480)
+
+
+class OpenNiDriver:
+    """The driver of all addresses that name no other SDK."""
+
+    prefix = ""
+    label = "the OpenNI2 runtime"
+    install_hint = "apt-get install libopenni2-0"
+
+    def is_installed(self) -> bool:
+        """Whether the runtime is on this machine; does not try to start it."""
+        return c_api.library_path() is not None
+
+    def is_available(self) -> bool:
+        """Whether the runtime is on this machine and starts."""
+        return runtime_available()
+
+    def list_cameras(self) -> list[ListedCamera]:
+        """List the connected devices; raise RuntimeMissingError without the runtime."""
+        return list_devices()
+
+    def camera(
+        self, uri: str | None, *, clock: Clock, use_registration: bool = False, record_to: Path | None = None
+    ) -> LiveSource:
+        """Return a device, not opened; the first one where no address is given."""
+        return OpenNiSource(uri, clock=clock, use_device_registration=use_registration, record_to=record_to)
+
+    def player(self, path: Path, *, clock: Clock, record_to: Path | None = None) -> LiveSource:
+        """Return what plays an ``.oni`` file in real time through the runtime."""
+        return OpenNiSource(path, clock=clock, record_to=record_to)
+
+    def registered_view(self, uri: str) -> RegisteredView | None:
+        """Return the view of a device that registers depth to colour itself; None if it cannot."""
+        c_api.runtime()
+        device = OpenNiDevice(uri, is_file=False)
+        try:
+            if not device.can_register():
+                return None
+            return RegisteredView(
+                name=device.name, size_px=REGISTERED_SIZE_PX, field_of_view_rad=device.color_view_rad()
+            )
+        finally:
+            device.close()
