@@ -51,7 +51,7 @@ WHAT_TO_DO: Mapping[str, str] = {
     "not_found": "Check the id or the path; the list calls return the existing ids.",
     "not_implemented": "Send the body with Content-Length or chunked; no other Transfer-Encoding is supported.",
     "not_logged_in": "Log in, or send a valid API key.",
-    "openni_missing": "Have the administrator install the camera's SDK (OpenNI2's runtime); recordings work without it.",
+    "openni_missing": "Have the administrator install the camera's SDK (OpenNI2); recordings work without it.",
     "operator_mismatch": "Leave `operator` out, or log in as that person.",
     "pairing_refused": 'Show a new code at the console ("Patient screen") and enter it within two minutes.',
     "origin_refused": "Browsers: call from this service's own page. Machines: send an API key and no cookie.",
