@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from engine.control.outputs import LiveView
 from engine.core.breath import SignalChoice
-from engine.core.gate_state import HoldReason
+from engine.core.gate_state import Guidance, HoldReason
 from engine.core.ranges import LearnedRange
 from engine.core.signals import signal_of
 from engine.gating.windows import (
@@ -31,31 +31,9 @@ DIGITS = 3
 MARGIN = 0.15
 """Free part of the displayed scale beyond breath and band, at each end."""
 AFTERWARDS: dict[HoldKind, Instruction] = {HoldKind.INSPIRATION: "breathe_out", HoldKind.EXPIRATION: "breathe_in"}
-FOLLOWED = frozenset(
-    {
-        None,
-        HoldReason.DISARMED,
-        HoldReason.OUTSIDE_WINDOW,
-        HoldReason.DWELL,
-        HoldReason.BREATH_HOLD_AWAITED,
-        HoldReason.BREATH_HOLD_SETTLING,
-        HoldReason.BREATH_HOLD_DRIFTED,
-        HoldReason.BREATH_HOLD_OVER,
-        HoldReason.SHORTEST_OFF,
-        HoldReason.CYCLE_LIMIT,
-    }
-)
+FOLLOWED = frozenset({None, *(reason for reason in HoldReason if reason.row.guide is Guidance.FOLLOWED)})
 """Reasons for a hold with which the frame is trusted and the patient's breath decides."""
-FREE = frozenset(
-    {
-        HoldReason.OPERATOR_HOLD,
-        HoldReason.OPERATOR_LOST,
-        HoldReason.BREATHING_IRREGULAR,
-        HoldReason.BASELINE_DRIFTED,
-        HoldReason.BEAM_ON_LIMIT,
-        HoldReason.PHASE_UNKNOWN,
-    }
-)
+FREE = frozenset(reason for reason in HoldReason if reason.row.guide is Guidance.FREE)
 """Reasons with which the frame is trusted, but no breath of the patient would bring the beam."""
 
 

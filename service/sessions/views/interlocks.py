@@ -1,7 +1,6 @@
 """The interlocks of this site: the engine's table with the displayed texts and the site's settings."""
 
-from engine.gating.interlock_table import INTERLOCKS
-from engine.gating.interlock_table import Interlock as Row
+from engine.core.gate_state import INTERLOCKS, HoldReason
 from service.core.hold_texts import HOLD_TEXTS
 from service.core.schemas.gate import Interlock, InterlockList, InterlockSetting
 from service.core.settings.names import setting_name
@@ -16,16 +15,16 @@ class InterlockTable:
 
     def interlocks(self) -> InterlockList:
         """List them, in the engine's order."""
-        return InterlockList(items=[self._interlock(row) for row in INTERLOCKS])
+        return InterlockList(items=[self._interlock(reason) for reason in INTERLOCKS])
 
-    def _interlock(self, row: Row) -> Interlock:
+    def _interlock(self, reason: HoldReason) -> Interlock:
         return Interlock(
-            code=row.code.value,
-            text=HOLD_TEXTS[row.code],
-            trips=row.trips,
-            latches=row.is_fault,
-            settings=[self._setting(name) for name in row.settings],
-            source=row.source,
+            code=reason.value,
+            text=HOLD_TEXTS[reason],
+            trips=reason.row.trips,
+            latches=reason.is_fault,
+            settings=[self._setting(name) for name in reason.row.settings],
+            source=reason.row.source,
         )
 
     def _setting(self, name: str) -> InterlockSetting:

@@ -18,8 +18,7 @@ from engine.core.clock import NS_PER_MS, MonotonicClock
 from engine.core.commands import Acknowledge, Arm
 from engine.core.errors import BeamLineError, CommandRefusedError
 from engine.core.frames import Measurement
-from engine.core.gate_state import GateState, HoldReason
-from engine.gating.interlock_table import INTERLOCKS
+from engine.core.gate_state import INTERLOCKS, GateState, HoldReason
 from engine.gating.limits import GateLimits
 from engine.gating.windows import amplitude_window
 from tests.campaigns.interlocks.far_line import Edge, FarLine, SpoiledAnswers, far_line
@@ -295,7 +294,7 @@ def _come_back(run: LiveRun, trip: Trip, off: Edge) -> str:
 
 def rows(outcomes: list[Outcome]) -> list[tuple[str, ...]]:
     """The table, one row an interlock in the order of the engine's own list."""
-    order = {interlock.code: number for number, interlock in enumerate(INTERLOCKS)}
+    order = {reason: number for number, reason in enumerate(INTERLOCKS)}
     return [
         (
             one.trip.code.value,

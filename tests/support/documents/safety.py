@@ -5,9 +5,8 @@ With ``--write`` it puts them into the document instead.
 
 from functools import partial
 
-from engine.core.gate_state import GateState, HoldReason
+from engine.core.gate_state import INTERLOCKS, GateState, HoldReason
 from engine.gating.gate import EventKind, next_state
-from engine.gating.interlock_table import INTERLOCKS, Interlock
 from service.core.hold_texts import HOLD_TEXTS
 from service.core.settings.names import setting_name
 from service.core.settings.settings import Settings
@@ -37,14 +36,13 @@ def reason_lists() -> str:
 def interlock_table() -> str:
     """One row an interlock: its code and words, what trips it, whether it latches, what bounds it, where it is from."""
     head = ["| code | shown as | trips on | is a | bounded by: default, lowest to highest | from |", "|---" * 6 + "|"]
-    return "\n".join(head + [_interlock_row(interlock) for interlock in INTERLOCKS])
+    return "\n".join(head + [_interlock_row(reason) for reason in INTERLOCKS])
 
 
-def _interlock_row(interlock: Interlock) -> str:
-    bounds = "; ".join(_bound(name) for name in interlock.settings) or "-"
-    kind = "fault" if interlock.is_fault else "hold"
-    text = HOLD_TEXTS[interlock.code]
-    return f"| `{interlock.code}` | {text} | {interlock.trips} | {kind} | {bounds} | {interlock.source} |"
+def _interlock_row(reason: HoldReason) -> str:
+    bounds = "; ".join(_bound(name) for name in reason.row.settings) or "-"
+    kind = "fault" if reason.is_fault else "hold"
+    return f"| `{reason}` | {HOLD_TEXTS[reason]} | {reason.row.trips} | {kind} | {bounds} | {reason.row.source} |"
 
 
 def _bound(name: str) -> str:
