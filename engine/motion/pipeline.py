@@ -31,6 +31,7 @@ from engine.motion.job_stages import JobStages, refusal, surface_mm
 from engine.motion.learning.depth_steps import stored_steps
 from engine.motion.learning.learned import Learned
 from engine.motion.learning.learner import Learner
+from engine.motion.learning.lifecycle import LearningSetup
 from engine.motion.learning.prepared_model import PreparedModel, Reference
 from engine.motion.learning.reference_history import ReferenceHistory
 from engine.motion.learning.reference_smoothing import RecentFrames
@@ -98,12 +99,14 @@ class Pipeline:
         self._clock = clock
         self._stages = JobStages(calibration=calibration, settings=settings)
         self.learner = Learner(
-            calibration_sha256=calibration.sha256,
-            settings=settings.training,
-            match_limits=settings.likeness,
-            stages=replace(self._stages.as_stages(), present=self._present_stages),
-            trainer=BackgroundTrainer() if trainer is None else trainer,
-            history=ReferenceHistory(
+            LearningSetup(
+                calibration_sha256=calibration.sha256,
+                settings=settings.training,
+                match_limits=settings.likeness,
+                stages=replace(self._stages.as_stages(), present=self._present_stages),
+            ),
+            BackgroundTrainer() if trainer is None else trainer,
+            ReferenceHistory(
                 calibration_sha256=calibration.sha256,
                 layout=settings.layout(),
                 choices=settings.breath_signals,
@@ -156,7 +159,8 @@ class Pipeline:
 
     def learned_in_pass(self) -> LearnedInPass:
         """Return what this pass over a recording has learned; fits a model of all of it if its frames were kept."""
-        learned = self.learner.learned_from_recording()
+        learned = self.learner.learned
+        learned = replace(learned, active=self.learner.refits.of_longest(learned.active))
         model = None if learned.active is None else learned.active.model
         return LearnedInPass(learned, self._tracker.table, (model, self._cross_check.shapes))
 
@@ -177,13 +181,13 @@ class Pipeline:
         nodes, roi = self._tracker.region(frame, found, stride_px, has_model=self.learner.active is not None)
         if not self._tracker.is_settled:
             return self._without_model(frame, roi, found)
-        self.learner.depth_steps = stored_steps(self._tracker.depth_steps)
+        self.learner.models.depth_steps = stored_steps(self._tracker.depth_steps)
         marker_rays = self._calibration.color.rays(found.centers_px)
         thin = roi.thinned(STRIDE_PX)
         points_mm = marker_points_mm(marker_rays, roi)
         self._cross_check.observe(frame, found, marker_rays, thin)
         self._find_costal_line(frame, found)
-        takes_lost_frames = self.learner.takes_lost_frames
+        takes_lost_frames = self.learner.models.takes_lost_frames
         if takes_lost_frames:
             self._learn(roi, frame.timestamp_us, found, nodes.pixels_px)
         self._recent.add(thin, frame.timestamp_us)
@@ -237,7 +241,7 @@ class Pipeline:
             motion=motion,
             lost=lost,
             markers=markers,
-            training=self.learner.progress,
+            training=self.learner.models.progress,
             breaths=breaths,
             position=None if motion is None else self._cross_check.position,
             evidence=None if motion is None else self._cross_check.evidence,
@@ -268,15 +272,15 @@ class Pipeline:
     # -- learning -----------------------------------------------------------------------------------------------
 
     def _learn(self, roi: RoiDepth, timestamp_us: int, found: Markers, nodes_px: FloatArray) -> None:
-        if self._tracker.has_layout and not self.learner.is_gathering:
+        if self._tracker.has_layout and not self.learner.models.is_gathering:
             return
         if roi.valid.mean() < self._settings.min_valid_share:
             return
         if not self._tracker.has_layout:
             self._tracker.fix_layout(found)
-        if self.learner.is_gathering:
+        if self.learner.models.is_gathering:
             self._cross_check.gather()
-            self.learner.learn(self._kept_frame(roi, timestamp_us, nodes_px))
+            self.learner.models.learn(self._kept_frame(roi, timestamp_us, nodes_px))
 
     def _kept_frame(self, roi: RoiDepth, timestamp_us: int, nodes_px: FloatArray) -> TrainingFrame:
         """Return the frame as it is kept: one copy for a training and a refit."""
@@ -285,7 +289,7 @@ class Pipeline:
         return self._kept[1]
 
     def _stride_px(self, timestamp_us: int) -> int:
-        is_learning = self.learner.active is None or self.learner.is_gathering
+        is_learning = self.learner.active is None or self.learner.models.is_gathering
         return LEARNING_STRIDE_PX if is_learning or self.learner.is_kept(timestamp_us) else STRIDE_PX
 
     def _keep(self, roi: RoiDepth, timestamp_us: int, nodes_px: FloatArray) -> None:
@@ -305,7 +309,7 @@ class Pipeline:
 
     def _find_costal_line(self, frame: RgbdFrame, found: Markers) -> None:
         # Not during a fit: otherwise the pictures used would depend on the duration of the fit.
-        is_wanted = self.learner.active is None and self.learner.is_gathering
+        is_wanted = self.learner.active is None and self.learner.models.is_gathering
         search = self._tracker.search(frame) if self._costal_line is not None and is_wanted else None
         if self._costal_line is not None and search is not None:
             self._costal_line.search(frame.color, search, found.centers_px)
@@ -323,7 +327,7 @@ class Pipeline:
         """Project a frame and check the continuity of its surface."""
         outcome = self._explain(active, roi)
         disagreement = self._cross_check.lost(
-            active.model, is_reference_due=self.learner.is_reference_due, learned=active.beside
+            active.model, is_reference_due=self.learner.reference.is_due, learned=active.beside
         )
         if isinstance(outcome, Lost):
             return outcome
@@ -337,14 +341,14 @@ class Pipeline:
 
     def _layout_lost(self, points_mm: FloatArray | None, timestamp_us: int) -> Lost | None:
         """Return the loss if a marker is not where it was relative to the others, otherwise None."""
-        self._marker_layout.restart(self.learner.position_generation)
+        self._marker_layout.restart(self.learner.journal.position_generation)
         return self._marker_layout.lost(points_mm, timestamp_us)
 
     def _discontinuity(
         self, active: PreparedModel, explained: _Explained, found: Markers, timestamp_us: int
     ) -> Lost | None:
         """Return the loss if the surface is not continuous with the previous one, otherwise None."""
-        self._continuity.restart(self.learner.position_generation)
+        self._continuity.restart(self.learner.journal.position_generation)
         observed = ObservedSurface(
             depth_mm=explained.node_depth_mm, markers_px=found.centers_px, timestamp_us=timestamp_us
         )
@@ -357,19 +361,19 @@ class Pipeline:
         outcome, depth_mm = explained.projection, explained.regions_depth_mm
         surface = surface_mm(rays, explained.node_depth_mm)
         self._lags = follow_lags(self._lags, timestamp_us / US_PER_S, -depth_mm[active.regions.cells :])
-        is_reference_new = self.learner.is_reference_due
+        is_reference_new = self.learner.reference.is_due
         last_reference, reference = self._last_reference, self._reference(active, outcome, rays)
         motion = motion_from(reference, active, outcome, surface, depth_mm, self._lags.lags)
-        levels_from = self.learner.levels_from
+        levels_from = self.learner.positions.levels_from
         if levels_from is not None:
-            self.learner.move_levels(motion_from(levels_from, active, outcome, surface, depth_mm), motion)
+            self.learner.positions.move_levels(motion_from(levels_from, active, outcome, surface, depth_mm), motion)
         if (
             self._breaths.has_reference_changed(active, is_reference_new=is_reference_new)
             and last_reference is not None
         ):
             before = motion_from(last_reference, active, outcome, surface, depth_mm)
-            self._breaths.move(before, motion, is_end_exhale=self.learner.is_reference_end_exhale)
-            self.learner.move_levels(before, motion)
+            self._breaths.move(before, motion, is_end_exhale=self.learner.reference.is_end_exhale)
+            self.learner.positions.move_levels(before, motion)
         self._last_reference = reference
         return motion
 
@@ -381,4 +385,4 @@ class Pipeline:
             smooth_surface = surface_mm(rays, active.node_depth_mm(smoothed.coefficients))
             return active.reference(smoothed.coefficients, smooth_surface, active.seen_weights.shares(smoothed.seen))
 
-        return self.learner.reference(present)
+        return self.learner.take_up_reference(active, present)

@@ -129,7 +129,7 @@ def measure_recording(
     """
     pipeline = Pipeline(calibration, settings, ManualClock(), InlineTrainer())
     if model is not None:
-        pipeline.learner.resume(model)
+        pipeline.learner.models.resume(model)
     out.mkdir(parents=True, exist_ok=True)
     run = _Run(
         source=source,
@@ -159,7 +159,7 @@ def _first_pass(run: _Run, pipeline: Pipeline, *, is_single: bool) -> _Pass:
         return is_single or pipeline.learner.status.model is None
 
     if not is_single and pipeline.learner.status.model is None:
-        pipeline.learner.keep_recording()
+        pipeline.learner.refits.keep_recording()
     found = _run_pass(run if is_single else replace(run, meshes=MeshOptions()), pipeline, is_kept, 0)
     if pipeline.learner.status.model is None:
         found.results.save(run.out / "regions.npz")

@@ -118,11 +118,11 @@ class LocalEngine:
             TappedTrainer(self._trainer(), tape.tap),
         )
         if plan.model is not None:
-            pipeline.learner.resume(plan.model)
+            pipeline.learner.models.resume(plan.model)
         if plan.first_reference is not None:
-            pipeline.learner.continue_fraction(plan.first_reference)
+            pipeline.learner.history.restore(plan.first_reference)
         if plan.plan_position is not None:
-            pipeline.learner.continue_plan(plan.plan_position)
+            pipeline.learner.history.restore_plan(plan.plan_position)
         with self._camera_lock:
             engine = self._begun(plan, pipeline, tape, limits, measuring)
             self._newest = weakref.ref(engine)

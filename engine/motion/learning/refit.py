@@ -84,3 +84,43 @@ class Refits:
         except ModelError:
             return None
         return replace(active, model=replace(active.model, depth_steps=first.model.depth_steps))
+
+
+class SessionRefits:
+    """The refits of a session: begun with each training, none after a stored model was chosen."""
+
+    def __init__(self, settings: TrainingSettings, stages: LearningStages, calibration_sha256: str) -> None:
+        self._settings, self._stages, self._calibration_sha256 = settings, stages, calibration_sha256
+        self._refits: Refits | None = None
+
+    def begin(self) -> None:
+        """Keep the frames of another training; those of a whole recording are kept on."""
+        if self._refits is None or not self._refits.is_survey:
+            self._refits = Refits(self._settings, self._stages, self._calibration_sha256)
+
+    def stop(self) -> None:
+        """Refit nothing any more."""
+        self._refits = None
+
+    def keep_recording(self) -> None:
+        """Keep frames of a whole recording, for `of_longest`; refit nothing before its end."""
+        self._refits = Refits(self._settings, self._stages, self._calibration_sha256, is_survey=True)
+
+    def is_due(self, timestamp_us: int) -> bool:
+        """Whether a frame of this time is kept."""
+        return self._refits is not None and self._refits.is_due(timestamp_us)
+
+    def add(self, frame: TrainingFrame) -> None:
+        """Keep a frame that is due."""
+        if self._refits is not None:
+            self._refits.add(frame)
+
+    def job(self, active: PreparedModel) -> FitJob | None:
+        """Return the job of a refit that is due; None where none is."""
+        return None if self._refits is None else self._refits.job(active)
+
+    def of_longest(self, active: PreparedModel | None) -> PreparedModel | None:
+        """Return a model of the longest stretch without movement where that is worthwhile, else ``active``."""
+        if self._refits is None or active is None:
+            return active
+        return self._refits.of_longest(active) or active

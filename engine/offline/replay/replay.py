@@ -140,11 +140,11 @@ def _run(tape: Tape, head: TapeHeader, tap: ReplayingTap) -> Replay:
     )
     try:
         if head.model is not None:
-            pipeline.learner.resume(head.model)
+            pipeline.learner.models.resume(head.model)
         if head.first_reference is not None:
-            pipeline.learner.continue_fraction(head.first_reference)
+            pipeline.learner.history.restore(head.first_reference)
         if head.plan_position is not None:
-            pipeline.learner.continue_plan(head.plan_position)
+            pipeline.learner.history.restore_plan(head.plan_position)
         loop = EngineLoop(
             source=_NoSource(),
             measurer=pipeline,

@@ -135,7 +135,7 @@ def test_a_sheet_laid_while_a_model_takes_over_is_lost(learned, frames):
 
 def test_a_stored_model_is_measured_with_and_accepted_on_the_same_patient(learned, frames):
     pipeline, camera = new_pipeline(), Played(frames)
-    pipeline.learner.resume(learned)
+    pipeline.learner.models.resume(learned)
     while pipeline.learner.status.patient_match is None:
         last = pipeline.measure(next(camera))
         assert camera.index < 400

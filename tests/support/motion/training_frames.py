@@ -8,6 +8,7 @@ from engine.core.breath import WHOLE, SignalChoice
 from engine.core.frames import NODE_COLUMNS, NODE_ROWS, RoiDepth
 from engine.core.native_threads import keep_calls_in_their_thread
 from engine.motion.learning.learner import Learner
+from engine.motion.learning.lifecycle import LearningSetup
 from engine.motion.learning.patient_match import PatientMatchLimits
 from engine.motion.learning.prepared_model import prepare_model
 from engine.motion.learning.reference_history import ReferenceHistory
@@ -87,12 +88,14 @@ class Patient:
     def __init__(self, settings=FEW, *, trainer=None, match_limits=None, sha256=SHA256):
         keep_calls_in_their_thread()  # as the pipeline does
         self.learner = Learner(
-            calibration_sha256=sha256,
-            settings=settings,
-            match_limits=PatientMatchLimits(seconds=1.0) if match_limits is None else match_limits,
-            stages=STAGES,
-            trainer=InlineTrainer() if trainer is None else trainer,
-            history=ReferenceHistory(calibration_sha256=sha256, layout=RegionLayout(), choices=(WHOLE,)),
+            LearningSetup(
+                calibration_sha256=sha256,
+                settings=settings,
+                match_limits=PatientMatchLimits(seconds=1.0) if match_limits is None else match_limits,
+                stages=STAGES,
+            ),
+            InlineTrainer() if trainer is None else trainer,
+            ReferenceHistory(calibration_sha256=sha256, layout=RegionLayout(), choices=(WHOLE,)),
         )
         self.index = 0
         self.notices = []
@@ -102,8 +105,8 @@ class Patient:
         seen = frame(self.index, **surface)
         self.index += 1
         self.learner.collect(seen.timestamp_us)
-        if self.learner.is_gathering:
-            self.learner.learn(seen)
+        if self.learner.models.is_gathering:
+            self.learner.models.learn(seen)
         motion = self.measured(seen)
         if motion is not None or self.learner.active is None:
             self.learner.keep(seen)
@@ -117,7 +120,7 @@ class Patient:
             return None
         surface = vertices(seen.nodes_px, active.node_depth_mm(best.coefficients))
         shares = active.seen_weights.shares(best.is_seen)
-        zero = self.learner.reference(lambda: active.reference(best.coefficients, surface, shares))
+        zero = self.learner.take_up_reference(active, lambda: active.reference(best.coefficients, surface, shares))
         return np.append(
             zero.regions_mm - active.regions.model_depth_mm(best.coefficients), zero.volume_above_l(surface)
         )
@@ -134,7 +137,7 @@ class Patient:
             measured.append(self.see(**shown))
             if is_done():
                 return measured
-        raise AssertionError(f"not done after {most} frames: {self.learner.progress}")
+        raise AssertionError(f"not done after {most} frames: {self.learner.models.progress}")
 
     def learn(self, **surface):
         """Gather and fit a first model."""

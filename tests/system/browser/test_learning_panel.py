@@ -70,7 +70,7 @@ def waiting_patient() -> Patient:
 
 def test_a_model_that_waits_is_said_and_applied_by_name(fake: FakeService, tab: Tab):
     """The engine's own words for it, so that neither side changes them alone."""
-    waiting = told(waiting_patient().learner.progress)
+    waiting = told(waiting_patient().learner.models.progress)
     assert waiting == WAITING
     fake.mode, fake.sample = "samples", sample(gate="hold")
     page = tab.open("hold")
@@ -203,9 +203,9 @@ def test_nobody_is_offered_to_arm_while_the_stored_model_is_compared(fake: FakeS
     patient = Patient()
     model = patient.learn()
     today = Patient()
-    today.learner.resume(model)
+    today.learner.models.resume(model)
     today.see()
-    fake.mode, fake.sample = "samples", DISARMED | {"training": told(today.learner.progress)}
+    fake.mode, fake.sample = "samples", DISARMED | {"training": told(today.learner.models.progress)}
     page = tab.open("disarmed")
     expect(page.locator("#learning-title")).to_have_text("Measuring, comparing")
     for action in ("arm", "retrain"):

@@ -246,7 +246,7 @@ class _Recorder:
     def __init__(self, calibration: Calibration, model: MotionModel, head_direction: HeadDirection | None) -> None:
         self._head_direction = head_direction
         self._pipeline = Pipeline(calibration, _settings(head_direction), ManualClock(), InlineTrainer())
-        self._pipeline.learner.resume(model)
+        self._pipeline.learner.models.resume(model)
         self._measurements: list[Measurement] = []
         self._holds: list[tuple[Interruption, ...]] = []
         self._truth_mm: list[FloatArray] = []

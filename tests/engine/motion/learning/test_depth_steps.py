@@ -29,7 +29,7 @@ def model(steps):
 def learned():
     """A model that was learned with these steps."""
     patient = Patient()
-    patient.learner.depth_steps = OURS
+    patient.learner.models.depth_steps = OURS
     return patient.learn()
 
 
@@ -55,20 +55,20 @@ def test_other_steps_are_refused_with_the_difference(stored, session):
 
 def test_a_stored_model_of_other_steps_is_dropped_after_the_comparison_and_a_new_one_is_learned(learned):
     patient = Patient()
-    patient.learner.depth_steps = OTHER
-    patient.learner.resume(learned)
+    patient.learner.models.depth_steps = OTHER
+    patient.learner.models.resume(learned)
     patient.see_until(lambda: patient.learner.status.patient_match is not None)
     match = patient.learner.status.patient_match
     assert match.refusal.field == "model.depth_steps"
     assert patient.learner.status.model is None
-    assert patient.learner.is_gathering
+    assert patient.learner.models.is_gathering
     assert "another reading of the sensor's depths" in patient.reported(LearningEventKind.REFUSED)[-1].detail
 
 
 def test_a_stored_model_of_the_same_steps_is_used(learned):
     patient = Patient()
-    patient.learner.depth_steps = AGAIN
-    patient.learner.resume(learned)
+    patient.learner.models.depth_steps = AGAIN
+    patient.learner.models.resume(learned)
     patient.see_until(lambda: patient.learner.status.patient_match is not None)
     assert patient.learner.status.patient_match.refusal is None
     assert patient.learner.status.model is not None
@@ -76,7 +76,7 @@ def test_a_stored_model_of_the_same_steps_is_used(learned):
 
 def test_a_model_of_other_steps_is_not_activated(learned):
     patient = Patient()
-    patient.learner.depth_steps = OTHER
+    patient.learner.models.depth_steps = OTHER
     with pytest.raises(ModelMismatchError, match="depth_steps"):
         patient.learner.activate(learned)
 

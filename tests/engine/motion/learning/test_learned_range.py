@@ -25,7 +25,8 @@ def learned():
     patient = Patient()
     patient.learn()
     measured = [patient.see() for _ in range(260)]
-    return patient.learner.active, patient.learner._reference, np.array([one for one in measured if one is not None])
+    lifts = np.array([one for one in measured if one is not None])
+    return patient.learner.active, patient.learner.reference.current, lifts
 
 
 @pytest.mark.parametrize("choice", CHOICES, ids=lambda choice: choice.label)

@@ -67,7 +67,7 @@ def hurried(learned):
 
 def see_quick_breath(patient, **surface):
     """Show one frame of quick breathing; learn again as soon as nothing is being learned."""
-    if not patient.learner.is_gathering:
+    if not patient.learner.models.is_gathering:
         patient.learner.retrain()
     patient.see(excursion=breath(patient.index * FRAME_US / 1e6, period_s=QUICK_S), **surface)
 
@@ -154,7 +154,8 @@ def test_a_model_that_sees_everything_half_a_millimetre_deeper_still_moves_nothi
         )
         return replace(active, regions=regions, node_mean_mm=active.node_mean_mm + 0.5)
 
-    patient.learner._stages = replace(STAGES, prepare=deeper)
+    models = patient.learner.models
+    models.setup = replace(models.setup, stages=replace(STAGES, prepare=deeper))
     retrain(patient)
     figures = patient.reported(LearningEventKind.SWAPPED)[-1].figures
     step = np.abs(steady_mm(patient) - before)
@@ -219,7 +220,8 @@ def test_a_model_that_disagrees_on_where_the_patient_is_is_refused_and_the_prese
         active = prepare(model)
         return replace(active, regions=replace(active.regions, mean_mm=active.regions.mean_mm + 1.5))
 
-    patient.learner._stages = replace(STAGES, prepare=biased)
+    models = patient.learner.models
+    models.setup = replace(models.setup, stages=replace(STAGES, prepare=biased))
     patient.learner.activate(shifted)
     patient.see_until(lambda: patient.reported(LearningEventKind.REFUSED))
     notice = patient.reported(LearningEventKind.REFUSED)[0]
@@ -236,7 +238,7 @@ def test_a_patient_the_present_model_does_not_know_any_more_keeps_no_zero_silent
     other = 25.0 * np.cos(np.linspace(0.0, 9.0 * np.pi, BELLY.shape[1]))
     patient.see_until(lambda: patient.reported(LearningEventKind.REFUSED), shape=other)
     assert patient.reported(LearningEventKind.REFUSED)[0].figures["field"] == "carry.frames"
-    assert "without keeping the reference" in patient.learner.progress.note
+    assert "without keeping the reference" in patient.learner.models.progress.note
     assert patient.learner.active is first
     patient.learner.retrain(keeps_zero=False)
     patient.see_until(lambda: patient.learner.active is not first, shape=other)
@@ -252,11 +254,11 @@ def test_a_refusal_is_shown_for_half_a_minute_and_a_refused_model_leaves_the_pre
     first = patient.learner.active
     patient.learner.retrain()
     patient.see_until(lambda: patient.reported(LearningEventKind.REFUSED), excursion=(0.0, 0.0))
-    assert "no breathing was measured" in patient.learner.progress.note
-    assert not patient.learner.is_gathering
+    assert "no breathing was measured" in patient.learner.models.progress.note
+    assert not patient.learner.models.is_gathering
     patient.index += round(31e6 / FRAME_US)
     patient.see()
-    assert patient.learner.progress is None
+    assert patient.learner.models.progress is None
     assert patient.learner.active is first
 
 
@@ -264,19 +266,19 @@ def test_a_refusal_is_shown_for_half_a_minute_and_a_refused_model_leaves_the_pre
 
 
 def test_a_model_waits_while_the_present_one_is_kept_and_takes_over_when_it_is_not(patient):
-    first, generation = patient.learner.active, patient.learner.generation
+    first, generation = patient.learner.active, patient.learner.journal.generation
     patient.learner.keep_model(is_kept=True)
     patient.learner.retrain()
     patient.see_until(lambda: patient.learner.status.is_model_waiting)
     for _ in range(20):
         patient.see()
-    assert (patient.learner.active, patient.learner.generation) == (first, generation)
-    assert "ready" in patient.learner.progress.note
+    assert (patient.learner.active, patient.learner.journal.generation) == (first, generation)
+    assert "ready" in patient.learner.models.progress.note
     assert [notice.kind for notice in patient.notices][-1] == LearningEventKind.READY
     patient.learner.keep_model(is_kept=False)
     patient.see()
     assert patient.learner.active is not first
-    assert patient.learner.generation == generation + 1
+    assert patient.learner.journal.generation == generation + 1
     assert patient.reported(LearningEventKind.SWAPPED)
 
 
@@ -339,7 +341,7 @@ def test_a_newer_model_takes_the_place_of_one_that_waits(patient):
 
 def test_frames_are_measured_while_a_model_is_fitted_and_commands_wait(learned):
     patient = Patient(trainer=HeldTrainer())
-    trainer = patient.learner._trainer
+    trainer = patient.learner.models._trainer
     patient.learner.activate(learned)
     trainer.finish()
     patient.see()
@@ -347,7 +349,7 @@ def test_frames_are_measured_while_a_model_is_fitted_and_commands_wait(learned):
     patient.see_until(lambda: trainer.job is not None)
     first = patient.learner.active
     assert all(patient.see() is not None for _ in range(20))
-    assert "fitting" in patient.learner.progress.note
+    assert "fitting" in patient.learner.models.progress.note
     for command in (patient.learner.retrain, lambda: patient.learner.activate(learned)):
         with pytest.raises(CommandRefusedError, match="already"):
             command()
@@ -375,7 +377,7 @@ def test_no_frame_waits_for_the_trainer_s_thread(learned):
     first = patient.learner.active
     enough.clear()
     patient.learner.retrain()
-    patient.see_until(lambda: patient.learner._trainer.is_busy)
+    patient.see_until(lambda: patient.learner.models._trainer.is_busy)
     measured = [patient.see() for _ in range(50)]
     assert all(motion is not None for motion in measured)
     assert patient.learner.active is first
@@ -411,7 +413,7 @@ def test_a_model_says_how_it_was_learned(learned):
 
 def resumed(learned, *, limits=None, most=400, **surface):
     patient = Patient(match_limits=limits)
-    patient.learner.resume(learned)
+    patient.learner.models.resume(learned)
     patient.see_until(lambda: is_compared(patient), most=most, **surface)
     return patient
 
@@ -423,7 +425,7 @@ def is_compared(patient):
 
 def test_a_stored_model_measures_at_once_but_arming_is_refused_until_it_was_compared(learned):
     patient = Patient()
-    patient.learner.resume(learned)
+    patient.learner.models.resume(learned)
     assert patient.see() is not None
     assert "compared" in patient.learner.status.model_shortcoming
     with pytest.raises(CommandRefusedError, match="compared"):
@@ -476,8 +478,8 @@ def test_a_patient_too_far_from_the_model_is_refused_by_figure_and_a_new_model_i
     assert patient.learner.status.patient_match.refusal.field == field
     assert patient.reported(LearningEventKind.REFUSED)[0].figures["field"] == field
     assert patient.learner.active is None
-    assert patient.learner.is_gathering
-    assert field in patient.learner.progress.note
+    assert patient.learner.models.is_gathering
+    assert field in patient.learner.models.progress.note
     fresh = patient.learn(**surface)
     assert fresh is not learned
     assert patient.learner.status.model_shortcoming is None
@@ -486,7 +488,7 @@ def test_a_patient_too_far_from_the_model_is_refused_by_figure_and_a_new_model_i
 def test_a_hand_in_view_during_the_comparison_costs_no_model(learned):
     """The comparison that it spoils is made once more."""
     patient = Patient()
-    patient.learner.resume(learned)
+    patient.learner.models.resume(learned)
     ripples = 12.0 * np.sin(np.linspace(0.0, 12.0 * np.pi, BELLY.shape[1])) + 0.0 * BELLY
     patient.see_until(lambda: patient.reported(LearningEventKind.COMPARED), shape=ripples)
     assert not patient.reported(LearningEventKind.COMPARED)[0].figures["is_accepted"]
@@ -512,22 +514,22 @@ def test_a_body_the_model_cannot_explain_is_refused(learned):
 
 def test_a_model_of_another_calibration_is_refused_before_anything_happens(learned):
     patient = Patient(sha256="d" * 64)
-    for command in (patient.learner.resume, patient.learner.activate):
+    for command in (patient.learner.models.resume, patient.learner.activate):
         with pytest.raises(ModelMismatchError) as refusal:
             command(learned)
         assert refusal.value.field == "model.calibration_sha256"
         assert SHA256[:12] in refusal.value.value
-    assert patient.learner.is_gathering
+    assert patient.learner.models.is_gathering
 
 
 def test_a_model_that_does_not_say_where_its_patient_lay_is_not_begun_with(learned):
     with pytest.raises(ModelMismatchError, match="older version"):
-        Patient().learner.resume(replace(learned, surface_mm=None))
+        Patient().learner.models.resume(replace(learned, surface_mm=None))
 
 
 def test_a_patient_who_is_not_seen_is_not_compared(learned):
     patient = Patient()
-    patient.learner.resume(learned)
+    patient.learner.models.resume(learned)
     for _ in range(200):
         patient.index += 200  # six seconds between two frames: never a look in one piece
         patient.see()

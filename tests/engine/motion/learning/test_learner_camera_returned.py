@@ -29,9 +29,9 @@ def patient(learned):
 
 
 def test_the_model_measures_on_but_arming_is_refused_until_it_was_compared_and_a_person_has_set_the_zero(patient):
-    active, generation = patient.learner.active, patient.learner.generation
+    active, generation = patient.learner.active, patient.learner.journal.generation
     patient.learner.restart_after_disconnection()
-    assert patient.learner.generation > generation, "what was armed is armed no more"
+    assert patient.learner.journal.generation > generation, "what was armed is armed no more"
     assert patient.see() is not None
     assert patient.learner.active is active
     assert "compared" in patient.learner.status.model_shortcoming
@@ -63,7 +63,7 @@ def test_a_zero_that_was_just_wanted_is_not_set_by_the_camera_s_return(patient):
 def test_a_camera_that_hangs_far_from_where_it_did_costs_the_model(patient):
     patient.learner.restart_after_disconnection()
     patient.see_until(lambda: patient.learner.active is None, shift_mm=(60.0, 0.0, 0.0))
-    assert patient.learner.is_gathering
+    assert patient.learner.models.is_gathering
     assert patient.reported(LearningEventKind.REFUSED)
 
 
@@ -104,10 +104,10 @@ def test_before_there_is_a_model_the_gathering_begins_anew():
     patient = Patient()
     for _ in range(40):
         patient.see()
-    before = patient.learner.progress.frames
+    before = patient.learner.models.progress.frames
     patient.learner.restart_after_disconnection()
     assert before > 0
-    assert patient.learner.progress.frames == 0
+    assert patient.learner.models.progress.frames == 0
     patient.see_until(lambda: patient.learner.active is not None)
 
 
@@ -119,15 +119,15 @@ def test_a_first_model_fitted_from_frames_of_before_is_learned_again(learned):
     trainer.finish()
     patient.see()
     assert patient.learner.active is None
-    assert patient.learner.is_gathering
+    assert patient.learner.models.is_gathering
 
 
 def test_a_model_that_cannot_be_compared_is_learned_again(patient):
     active = patient.learner.active
-    patient.learner._active = replace(active, model=replace(active.model, surface_mm=None))
+    patient.learner.models.active = replace(active, model=replace(active.model, surface_mm=None))
     patient.learner.restart_after_disconnection()
     assert patient.learner.active is None
-    assert patient.learner.is_gathering
+    assert patient.learner.models.is_gathering
 
 
 def test_no_training_while_the_patient_is_compared(patient):

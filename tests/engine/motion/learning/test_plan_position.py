@@ -53,7 +53,7 @@ def confirm(session, moment=EXHALE):
 def later(learned, plan, **changes):
     """A session of another fraction."""
     session = copied(learned)
-    session.pipeline.learner.continue_plan(replace(plan, **changes))
+    session.pipeline.learner.history.restore_plan(replace(plan, **changes))
     return session
 
 
@@ -84,7 +84,7 @@ def test_the_same_position_is_at_zero_in_a_later_fraction(learned, plan):
 
 def test_a_patient_who_lies_lower_does_so_by_that_much(plan):
     session = SceneSession(lowered(4.0))
-    session.pipeline.learner.continue_plan(plan)
+    session.pipeline.learner.history.restore_plan(plan)
     session.measure(LEARNED)
     (exhale, inhale) = status(session).reference_proposals
     assert exhale.position_check.shift_mm[2] == pytest.approx(-4.0, abs=0.4)  # seen before it is confirmed

@@ -140,7 +140,7 @@ def test_shift_height_turn_and_tilt_are_told_apart(confirmed, rotation, shift_mm
     reference = learner.learned.reference
     middle_mm = reference.surface_mm.mean(axis=0)
     surface_mm = (reference.surface_mm - middle_mm) @ rotation.T + middle_mm + np.array(shift_mm)
-    found = learner._history.distance(learner.active, replace(reference, surface_mm=surface_mm))
+    found = learner.history.distance(learner.active, replace(reference, surface_mm=surface_mm))
     for name in ("height_mm", "shift_mm", "turn_deg", "tilt_deg", "shape_mm"):
         assert getattr(found, name) == pytest.approx(expected.get(name, 0.0), abs=0.05), name
     assert found.moved_mm == pytest.approx(expected.get("moved_mm", found.moved_mm), abs=0.05)
@@ -152,7 +152,7 @@ def test_a_surface_of_another_shape_is_told_as_that(confirmed):
     reference = learner.learned.reference
     bulge_mm = np.zeros_like(reference.surface_mm)
     bulge_mm[:: NODE_COLUMNS // 2, 2] = -8.0
-    found = learner._history.distance(learner.active, replace(reference, surface_mm=reference.surface_mm + bulge_mm))
+    found = learner.history.distance(learner.active, replace(reference, surface_mm=reference.surface_mm + bulge_mm))
     assert found.shape_mm > 2.0
     assert found.distance_mm >= found.shape_mm
 
@@ -160,7 +160,7 @@ def test_a_surface_of_another_shape_is_told_as_that(confirmed):
 def again_in(first, frames):
     """A later session of the fraction, in which the patient lies as in these frames."""
     session = SceneSession(frames)
-    session.pipeline.learner.continue_fraction(read_first_reference(first.to_json()))
+    session.pipeline.learner.history.restore(read_first_reference(first.to_json()))
     session.measure(760)
     return session
 
@@ -177,9 +177,9 @@ def test_after_a_restart_the_first_reference_of_the_fraction_still_counts(confir
 
 
 def test_another_model_measures_the_same_distance(session):
-    generation = session.pipeline.learner.generation
+    generation = session.pipeline.learner.journal.generation
     session.pipeline.learner.retrain(keeps_zero=False)
-    while session.pipeline.learner.generation == generation:
+    while session.pipeline.learner.journal.generation == generation:
         session.measure(1)
     session.measure(SETTLED)
     assert not session.pipeline.learner.status.has_reference
@@ -189,9 +189,9 @@ def test_another_model_measures_the_same_distance(session):
 def test_a_model_that_takes_the_reference_over_takes_the_first_over(session, still):
     lie(session, lowered(still, 1.5))
     before = distance(session)
-    generation = session.pipeline.learner.generation
+    generation = session.pipeline.learner.journal.generation
     session.pipeline.learner.retrain()
-    while session.pipeline.learner.generation == generation:
+    while session.pipeline.learner.journal.generation == generation:
         session.measure(1)
     session.measure(SETTLED)
     assert distance(session).distance_mm == pytest.approx(before.distance_mm, abs=0.2)
@@ -252,7 +252,7 @@ def test_after_the_camera_was_away_the_distance_is_not_known(session):
 )
 def test_another_camera_or_other_regions_are_not_compared(confirmed, unconfirmed, other, reason):
     session = copied(unconfirmed)
-    session.pipeline.learner.continue_fraction(replace(confirmed[1].first, **other))
+    session.pipeline.learner.history.restore(replace(confirmed[1].first, **other))
     assert distance(session).unknown == reason
     assert distance(session).distance_mm is None
 

@@ -122,9 +122,9 @@ def test_a_position_that_no_frame_took_up_within_a_second_is_dropped_and_arming_
 def test_a_model_that_takes_the_reference_over_takes_the_positions_over(session):
     session.pipeline.learner.set_reference(EXHALE)
     session.measure(1)
-    generation = session.pipeline.learner.generation
+    generation = session.pipeline.learner.journal.generation
     session.pipeline.learner.retrain()
-    while session.pipeline.learner.generation == generation:
+    while session.pipeline.learner.journal.generation == generation:
         session.measure(1)
     assert {EXHALE, INHALE} <= proposed(session).keys()
     session.pipeline.learner.set_reference(EXHALE)

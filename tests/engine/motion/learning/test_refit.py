@@ -43,7 +43,7 @@ def test_a_model_is_refitted_each_time_the_stretch_has_doubled_and_no_more_frame
     assert patient.learner.active.model.seconds == pytest.approx(refits_s[-1], abs=0.2)
     assert refits_s[-1] * GROWTH > UNTIL_S
     assert not patient.learner.is_kept(patient.index * FRAME_US)
-    assert not patient.learner._refits._stretch.longest.frames
+    assert not patient.learner.refits._refits._stretch.longest.frames
 
 
 def test_without_refits_no_frame_is_kept():
@@ -105,7 +105,7 @@ def test_a_gate_that_stays_armed_costs_no_more_frames_than_the_longest_refit():
     patient.learner.keep_model(is_kept=True)
     see_for(patient, 1.25 * UNTIL_S)
     assert not patient.learner.is_kept(patient.index * FRAME_US)
-    assert not patient.learner._refits._stretch.longest.frames
+    assert not patient.learner.refits._refits._stretch.longest.frames
     patient.learner.keep_model(is_kept=False)
     see_for(patient, 1.0)
     assert not patient.reported(LearningEventKind.STARTED)
@@ -113,7 +113,7 @@ def test_a_gate_that_stays_armed_costs_no_more_frames_than_the_longest_refit():
 
 def test_a_model_fitted_before_the_gate_was_armed_waits_until_it_is_not():
     patient = Patient(REFITTING, trainer=HeldTrainer())
-    trainer = patient.learner._trainer
+    trainer = patient.learner.models._trainer
     patient.see_until(lambda: trainer.job is not None)
     trainer.finish()
     patient.see()
@@ -132,7 +132,7 @@ def test_a_model_fitted_before_the_gate_was_armed_waits_until_it_is_not():
 def test_a_requested_retraining_drops_a_refit_in_progress():
     """The model of the refit is not used, and the requested one is learned after its end."""
     patient = learned()
-    patient.learner._trainer = trainer = HeldTrainer()
+    patient.learner.models._trainer = trainer = HeldTrainer()
     first = patient.learner.active
     patient.see_until(lambda: trainer.job is not None)
     patient.learner.retrain()
@@ -152,7 +152,7 @@ def test_a_requested_retraining_drops_a_refit_in_progress():
 
 def test_a_dropped_refit_does_not_let_a_retraining_skip_the_comparison_with_the_patient():
     patient = learned()
-    patient.learner._trainer = trainer = HeldTrainer()
+    patient.learner.models._trainer = trainer = HeldTrainer()
     patient.see_until(lambda: trainer.job is not None)
     patient.learner.restart_after_disconnection()
     with pytest.raises(CommandRefusedError, match="compared"):
@@ -176,7 +176,7 @@ def test_a_stored_model_is_used_as_it_is():
     see_for(patient, 30.0)
     assert patient.learner.active.model is model
     resumed = Patient(REFITTING)
-    resumed.learner.resume(model)
+    resumed.learner.models.resume(model)
     see_for(resumed, 30.0)
     assert resumed.learner.active.model is model
     assert not resumed.learner.is_kept(resumed.index * FRAME_US)
@@ -190,7 +190,7 @@ def test_a_refused_refit_leaves_the_model_and_the_next_waits_for_twice_the_stret
         active = STAGES.prepare(model)
         return replace(active, regions=replace(active.regions, mean_mm=active.regions.mean_mm + 1.5))
 
-    patient.learner._refits._stages = replace(STAGES, prepare=elsewhere)
+    patient.learner.refits._refits._stages = replace(STAGES, prepare=elsewhere)
     see_for(patient, 9.0)
     (refused_s,) = seconds_of(patient, LearningEventKind.REFUSED)
     assert refused_s == pytest.approx(GROWTH * first.model.seconds, rel=0.1)
@@ -212,9 +212,9 @@ def test_a_person_s_training_begins_another_stretch():
 def test_only_a_new_reference_is_a_new_position():
     """What follows the patient from frame to frame must not accept another surface because a model was refitted."""
     patient = learned()
-    position, generation = patient.learner.position_generation, patient.learner.generation
+    position, generation = patient.learner.journal.position_generation, patient.learner.journal.generation
     see_for(patient, 10.0)
-    assert patient.learner.generation == generation + 1
-    assert patient.learner.position_generation == position
+    assert patient.learner.journal.generation == generation + 1
+    assert patient.learner.journal.position_generation == position
     patient.learner.set_reference()
-    assert patient.learner.position_generation == position + 1
+    assert patient.learner.journal.position_generation == position + 1

@@ -172,11 +172,11 @@ def test_a_cough_is_an_outlier_and_breath_is_not():
 def test_after_a_refusal_without_a_model_gathering_begins_anew_and_says_why():
     patient = Patient()
     refusal_of(patient, excursion=(0.0, 0.0))
-    assert patient.learner.is_gathering
-    assert "no breathing was measured" in patient.learner.progress.note
+    assert patient.learner.models.is_gathering
+    assert "no breathing was measured" in patient.learner.models.progress.note
     patient.learn()
     assert patient.learner.active is not None
-    assert patient.learner.progress is None
+    assert patient.learner.models.progress is None
 
 
 # -- settings -------------------------------------------------------------------------------------------------------

@@ -89,9 +89,9 @@ def test_a_reference_is_transferred_as_in_this_process(trainer):
         patient.learner.set_reference()
         patient.see()
         if runs is not None:
-            patient.learner._trainer = runs
+            patient.learner.models._trainer = runs
         patient.learner.retrain()
-        patient.see_until(lambda patient=patient: patient.learner._trainer.is_busy or len(models(patient)) == 2)
+        patient.see_until(lambda patient=patient: patient.learner.models._trainer.is_busy or len(models(patient)) == 2)
         if runs is not None:
             assert runs.wait(PATIENCE_S)
         patient.see_until(lambda patient=patient: len(models(patient)) == 2)
@@ -198,7 +198,7 @@ def test_a_killed_training_leaves_the_model_and_the_next_request_is_answered(own
     patient = Patient(FEWER)
     patient.learn()
     first = patient.learner.active
-    patient.learner._trainer = own
+    patient.learner.models._trainer = own
     patient.learner.retrain()
     os.kill(own.process.process_id, signal.SIGKILL)
     patient.see_until(lambda: own.is_busy)
@@ -206,7 +206,7 @@ def test_a_killed_training_leaves_the_model_and_the_next_request_is_answered(own
     patient.see()
     assert [notice.figures["code"] for notice in patient.reported(LearningEventKind.REFUSED)] == ["training_failed"]
     assert patient.learner.active is first
-    assert "train again" in patient.learner.progress.note
+    assert "train again" in patient.learner.models.progress.note
     patient.learner.retrain()
     patient.see_until(lambda: own.is_busy)
     assert own.wait(PATIENCE_S)
